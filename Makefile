@@ -1,0 +1,68 @@
+# A machine needs make and Python >= 3.11 with its venv module; everything else goes into .venv.
+
+PYTHON ?= python3
+JOBS ?= 4
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+# One stamp per extra, because the tests must not wait for the 660 MB dashboard.
+DASHBOARD := $(VENV)/.installed-dashboard
+DEV := $(VENV)/.installed-dev
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.PHONY: help demo test lint check format constraints clean venv
+
+help:  ## Show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+demo: $(DASHBOARD)  ## Fly zhang2023's experiment on the twin of the table
+	@$(BIN)/testbed run zhang2023_table
+
+test: $(DEV)  ## Run the tests (JOBS=4: processes at most)
+	@$(BIN)/python -m pytest -n auto --maxprocesses $(JOBS)
+
+lint: $(DEV)  ## Check format, style, types and the direction of imports
+	@$(BIN)/ruff format --check
+	@$(BIN)/ruff check
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports --no-logo
+
+check: lint test  ## Everything CI runs: lint, then test
+
+format: $(DEV)  ## Rewrite the code in the house format
+	@$(BIN)/ruff check --quiet --select I --fix
+	@$(BIN)/ruff format
+
+constraints: $(DASHBOARD) $(DEV)  ## Rewrite constraints.txt from what is in .venv
+	@echo "Writing constraints.txt from $(VENV)"
+	@$(PIP) list --format=freeze --exclude airbearing-testbed --exclude pip --exclude setuptools >$(VENV)/pins
+	@{ head -n 2 constraints.txt; LC_ALL=C sort -f $(VENV)/pins; } >$(VENV)/constraints
+	@mv $(VENV)/constraints constraints.txt
+	@rm $(VENV)/pins
+	@touch $(DASHBOARD) $(DEV)
+
+clean:  ## Remove caches and builds; .venv and runs/ stay
+	@echo "Removing caches and builds"
+	@rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .benchmarks
+	@find . -path ./$(VENV) -prune -o -name __pycache__ -type d -exec rm -rf {} +
+
+venv: $(DEV)  ## Create .venv with the tools for development
+
+$(VENV)/pyvenv.cfg:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python >= 3.11 is needed, '$(PYTHON)' is not; try: make PYTHON=python3.11" >&2; exit 1; }
+	@echo "Creating $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+
+$(DASHBOARD): $(VENV)/pyvenv.cfg pyproject.toml constraints.txt
+	@echo "Installing into $(VENV), with the dashboard: 1 GB, some minutes the first time"
+	@$(PIP) install -q -c constraints.txt -e '.[dashboard]'
+	@touch $@
+
+$(DEV): $(VENV)/pyvenv.cfg pyproject.toml constraints.txt
+	@echo "Installing into $(VENV), with the tools for development: a minute the first time"
+	@$(PIP) install -q -c constraints.txt -e '.[dev]'
+	@touch $@

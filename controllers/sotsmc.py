@@ -1,0 +1,132 @@
+r"""Second-order terminal sliding mode control with obstacle avoidance (SOTSMC).
+
+Source: J. Zhang, Y. Wang, J. Jia, C. Chi, H. Li, "Collision avoidance second order sliding mode
+control of satellite formation with air-floated platform semi-physical simulation",
+Electronics 12:3179, 2023. Equation numbers are that paper's.
+
+    paper           code                meaning                                    unit
+    rho, rho_d      own.p, goal.p       position, desired position                 m
+    u               u = law_state[:d]   control, an integral                       N
+    d_m hat         law_state[d]        adapted bound of the disturbance's rate    m/s^3
+    nabla U, Omega  g[0], g[1]          gradient of the potential, its rate        m, m/s
+    s, sigma        s, sigma            sliding surface, switching function        m/s
+    lambda          surface             gain of the surface                        1/s
+    k               reach               gain of sigma                              1/s^2
+    beta, p/q       beta, power         terminal sliding mode                      -
+    epsilon, eta    margin, adapt       switching margin, adaptation gain          m/s^3, -
+    M0              own.mass            nominal mass                               kg
+    -C0 v - G0      own.drift           acceleration without control               m/s^2
+
+Corrections to the print, because with it nothing moves: (15) prints k for the surface's gain while
+Table 3 lists both lambda = 1 and k = 1e-3; lambda belongs in (15), k in front of sigma in (28). The
+last nominal term of (28) is s_dot^(2 - p/q), as follows from (25).
+
+Differences from the paper: u grows no further than own.max_force, because an integral that asks
+for more than the jets have winds up (the paper's closing remark). s_dot uses the nominal
+acceleration and own.drift, which on the table is the estimated disturbance.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct, field
+from numpy.typing import NDArray
+
+from controllers.potential import (
+    Diagonal,
+    Potential,
+    PotentialParams,
+    diagonal,
+    gradient,
+    potential,
+)
+from controllers.scale import Scale
+from testbed.core.law import Body, CompiledLaw, Law, compiled_rate
+from testbed.core.vehicle import NonNegative, Positive
+
+Array = NDArray[np.float64]
+
+
+class SotsmcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="sotsmc"):
+    """Table 3, in the paper's units."""
+
+    surface: Diagonal = field(default=1.0, name="lambda")  # [1/s]
+    k: Diagonal = 1e-3  # [1/s^2]
+    beta: Diagonal = 1.0
+    p: Positive = 5.0
+    q: Positive = 3.0  # 1 < p/q < 2
+    epsilon: NonNegative = 0.1  # [m/s^3]
+    eta: NonNegative = 1e-5
+    potential: PotentialParams = field(default_factory=PotentialParams)
+    scale: Scale = field(default_factory=Scale)
+
+    def __post_init__(self) -> None:
+        if not 1.0 < self.p / self.q < 2.0:
+            raise ValueError(f"expected 1 < p/q < 2, found p/q = {self.p / self.q:g}")
+
+
+class Gains(NamedTuple):
+    """The same, for compiled code; arrays of shape (d,)."""
+
+    surface: Array
+    reach: Array
+    beta: Array
+    power: float
+    margin: float
+    adapt: float
+    potential: Potential
+
+
+@compiled_rate(Gains)
+def rate(gains, law_state, own, neighbours, world, t):
+    """Force and rate of the law's state, see `testbed.core.law`."""
+    d = own.p.shape[0]
+    u, bound = law_state[:d], law_state[d]
+    power = gains.power
+    accel = u / own.mass + own.drift
+    g = gradient(gains.potential, own, accel, neighbours, world)
+    force, change = np.empty(d), np.empty(d + 1)
+    length = outward = spread = slow = steep = 0.0
+    for i in range(d):
+        s = gains.surface[i] * g[0, i] + own.v[i] - world.goal.v[i]  # Eq. (15)
+        s_dot = gains.surface[i] * g[1, i] + accel[i] - world.goal.a[i]  # Eq. (22)
+        sign, size = np.sign(s_dot), abs(s_dot)
+        sigma = s + sign * size**power / gains.beta[i]  # Eq. (24)
+        nominal = (  # Eq. (28)
+            world.goal.jerk[i]
+            - own.drift_rate[i]
+            - gains.surface[i] * g[2, i]
+            - gains.beta[i] / power * sign * size ** (2.0 - power)
+        )
+        switching = -gains.reach[i] * sigma - (bound + gains.margin) * np.sign(sigma)  # Eq. (28)
+        change[i] = own.mass * (nominal + switching)
+        force[i] = u[i]
+        length += u[i] * u[i]
+        outward += u[i] * change[i]
+        spread += sigma * sigma
+        slow += size ** (2.0 * power - 2.0)
+        steep = max(steep, 1.0 / gains.beta[i])
+    change[d] = gains.adapt * power * steep * np.sqrt(slow * spread)  # Eq. (28), last line
+    if length > own.max_force**2 and outward > 0.0:
+        for i in range(d):
+            change[i] -= u[i] * outward / length
+    return force, change
+
+
+def initial(own: Body) -> Array:
+    """U = 0 and no disturbance known, shape (d + 1,)."""
+    return np.zeros(own.p.shape[0] + 1)
+
+
+def sotsmc(params: SotsmcParams, d: int) -> Law:
+    """The law for positions of shape (d,), in the paper's units."""
+    gains = Gains(
+        diagonal(params.surface, d),
+        diagonal(params.k, d),
+        diagonal(params.beta, d),
+        params.p / params.q,
+        params.epsilon,
+        params.eta,
+        potential(params.potential, d),
+    )
+    return CompiledLaw(gains, initial, rate)

@@ -1,0 +1,1 @@
+"""The table in software: plant, cameras, boards and air waves behind the core Protocols."""

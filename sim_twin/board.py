@@ -1,0 +1,109 @@
+"""A modelled driver board: plans in, opening and closing commands to the solenoids out.
+
+Command times are whole nanoseconds, so that what the board does can be said exactly. Rules, the
+same as the firmware's:
+
+* a plan starts `command_delay_s` after it was issued, replaces the one before at once, and is
+  played once: nothing stays open after its pulses or its time to live, whichever ends first;
+* a pulse shorter than the minimum on-time is not played;
+* a valve that has just closed opens again only after the minimum off-time; what is left of the
+  pulse then is played if it is still long enough. A pulse that continues one of the plan before
+  without a gap is the same opening.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.compiled import compiled
+from testbed.core.types import ValveCommand
+from testbed.core.vehicle import Vehicle
+
+SLOTS = 4  # pulses remembered per jet: the one that closes, the one that flows, and spares
+LONG_AGO = -(10**15)  # [ns]
+
+
+class Pulses(NamedTuple):
+    """Opening and closing commands of one vehicle, oldest first; unused slots are long ago."""
+
+    up: NDArray[np.int64]  # (jets, SLOTS) [ns]
+    down: NDArray[np.int64]  # (jets, SLOTS) [ns]
+    strength: NDArray[np.float64]  # (jets, SLOTS) relative thrust of this pulse
+
+
+def no_pulses(*shape: int) -> Pulses:
+    """Boards at rest; `shape` is (jets,), or (vehicles, jets) for a fleet."""
+    never = np.full((*shape, SLOTS), LONG_AGO, dtype=np.int64)
+    return Pulses(never, never.copy(), np.ones((*shape, SLOTS)))
+
+
+@compiled
+def play(pulses, start, end, on, offset, min_on, min_off, strength):
+    """Add a plan to `pulses`, in place; all times in ns.
+
+    Args:
+        pulses: of this board.
+        start: when the plan begins to be played.
+        end: when it is worth nothing any more.
+        on: shape (jets,).
+        offset: shape (jets,).
+        min_on: shortest pulse.
+        min_off: shortest gap.
+        strength: relative thrust of a new pulse, shape (jets,).
+
+    Returns:
+        number of openings added.
+    """
+    openings = 0
+    for j in range(on.shape[0]):
+        up, down = pulses.up[j], pulses.down[j]
+        up_at = start + offset[j]
+        down_at = min(up_at + on[j], end)
+        if up[-1] >= start:  # of the old plan and not begun: it never happens
+            up[1:], down[1:] = up[:-1].copy(), down[:-1].copy()
+            pulses.strength[j, 1:] = pulses.strength[j, :-1].copy()
+            openings -= 1
+        if down[-1] >= start:  # still open, or closing this very instant
+            if on[j] > 0 and up_at <= start:
+                down[-1] = max(down_at, start)
+                continue
+            down[-1] = start
+        up_at = max(up_at, down[-1] + min_off)
+        if on[j] == 0 or on[j] < min_on or down_at - up_at < min_on or down_at <= up_at:
+            continue
+        up[:-1], down[:-1] = up[1:].copy(), down[1:].copy()
+        pulses.strength[j, :-1] = pulses.strength[j, 1:].copy()
+        up[-1], down[-1] = up_at, down_at
+        pulses.strength[j, -1] = strength[j]
+        openings += 1
+    return openings
+
+
+def nanoseconds(seconds: float) -> int:
+    """The nearest whole nanosecond."""
+    return round(seconds * 1e9)
+
+
+class Board:
+    """One vehicle's modelled board. It keeps what it opened and how often."""
+
+    def __init__(self, vehicle: Vehicle, pulses: Pulses, rng: np.random.Generator) -> None:
+        self._delay = nanoseconds(vehicle.command_delay_s)
+        self._min_on = nanoseconds(vehicle.valve.min_on_s)
+        self._min_off = nanoseconds(vehicle.valve.min_off_s)
+        self._spread = vehicle.tolerance.pulse
+        self._rng = rng
+        self.pulses = pulses
+        self.openings = 0
+
+    def apply(self, command: ValveCommand) -> None:
+        """Play a plan."""
+        on = np.array(command.on_us, dtype=np.int64) * 1000
+        offset = np.array(command.offset_us, dtype=np.int64) * 1000
+        strength = 1.0 + self._spread * self._rng.standard_normal(len(on))
+        start = nanoseconds(command.issued_at) + self._delay
+        end = nanoseconds(command.valid_until) + self._delay
+        self.openings += play(
+            self.pulses, start, end, on, offset, self._min_on, self._min_off, strength
+        )

@@ -1,0 +1,57 @@
+"""Motion capture: true states in, late and noisy poses out."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.table import Mocap
+from testbed.core.types import PoseSample
+
+Array = NDArray[np.float64]
+
+
+class Camera:
+    """What the camera system reports of one body."""
+
+    def __init__(self, mocap: Mocap, rng: np.random.Generator) -> None:
+        self._mocap, self._rng = mocap, rng
+        self._noise = np.array([mocap.noise, mocap.noise, np.radians(mocap.noise_deg)])
+        self._lost_until = -np.inf
+        self._on_the_way: list[tuple[float, PoseSample]] = []  # (arrival, sample)
+
+    def expose(self, times: Array, states: Array) -> None:
+        """Take pictures.
+
+        Args:
+            times: of the exposures, shape (n,) [s].
+            states: true x, y, theta, ... then, shape (n, 6).
+        """
+        mocap, n = self._mocap, len(times)
+        poses = states[:, :3] + self._noise * self._rng.standard_normal((n, 3))
+        poses[:, 2] = (poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        latency = mocap.latency_s + mocap.jitter_s * self._rng.standard_normal(n)
+        arrival = times + np.maximum(latency, 0.5 * mocap.latency_s)
+        lost = self._lost(times)
+        self._on_the_way += [
+            (at, PoseSample(t, *pose))
+            for at, t, pose, gone in zip(
+                arrival.tolist(), times.tolist(), poses.tolist(), lost, strict=True
+            )
+            if not gone
+        ]
+
+    def _lost(self, times: Array) -> list[bool]:
+        mocap = self._mocap
+        if mocap.dropout_rate == 0.0:
+            return [False] * len(times)
+        lost = []
+        for t in times.tolist():
+            if t >= self._lost_until and self._rng.random() < mocap.dropout_rate / mocap.rate_hz:
+                self._lost_until = t + self._rng.exponential(mocap.dropout_s)
+            lost.append(t < self._lost_until)
+        return lost
+
+    def arrived(self, now: float) -> list[PoseSample]:
+        """Poses that have arrived by `now` and were not asked for yet, in order of arrival."""
+        here = sorted((pair for pair in self._on_the_way if pair[0] <= now), key=lambda p: p[0])
+        self._on_the_way = [pair for pair in self._on_the_way if pair[0] > now]
+        return [sample for _, sample in here]

@@ -1,0 +1,48 @@
+"""A wireless link without the wires: delay, jitter, and loss that comes in bursts.
+
+Gilbert-Elliott: the channel is good or bad, changes state with a probability per message, and loses
+messages with a probability that depends on the state. Jitter has an exponential tail, so messages
+can overtake each other; the receiver keeps the one that was sent last.
+"""
+
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from testbed.core.table import Link
+
+M = TypeVar("M")
+
+
+class Channel(Generic[M]):
+    """One direction between two parties; newest message wins."""
+
+    def __init__(self, link: Link, rng: np.random.Generator) -> None:
+        self._link, self._rng = link, rng
+        self._bad = False
+        self._sent = 0
+        self._heard: tuple[int, M | None] = (0, None)  # number and message heard last
+        self._on_the_way: list[tuple[float, int, M]] = []  # (arrival, number, message)
+
+    def send(self, t: float, message: M) -> None:
+        """Put a message on the air at time `t` [s]."""
+        link, rng = self._link, self._rng
+        turn, lose, delay = rng.random(), rng.random(), rng.exponential()
+        if turn < (link.burst_leave if self._bad else link.burst_enter):
+            self._bad = not self._bad
+        self._sent += 1
+        if lose < (link.burst_loss if self._bad else link.loss):
+            return
+        arrival = t + link.delay_s + link.jitter_s * delay
+        self._on_the_way.append((arrival, self._sent, message))
+
+    def newest(self, t: float) -> M | None:
+        """The message sent last of all that have arrived by `t`, however old; None before any."""
+        waiting = []
+        for entry in self._on_the_way:
+            if entry[0] > t:
+                waiting.append(entry)
+            elif entry[1] > self._heard[0]:
+                self._heard = entry[1], entry[2]
+        self._on_the_way = waiting
+        return self._heard[1]

@@ -1,0 +1,213 @@
+"""The fleet on the table, from one valve edge to the next.
+
+Between two corners of any jet's flow the body wrench is linear in time (flow.py), so the plant
+steps from corner to corner, not on a grid: pulse lengths are exact, whatever the step. Longer
+pieces are cut at `MAX_STEP` because the tilt map and contacts have to be looked at. Gas, mass and
+centre of mass are taken at the middle of each step, which makes them second order and, at a gram a
+second, exact to rounding.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from sim_twin.air import body_now, supply_share
+from sim_twin.board import SLOTS, Board, Pulses, nanoseconds, no_pulses
+from sim_twin.body import step
+from sim_twin.contact import Solids, closing, keys, resolve
+from sim_twin.flow import pieces
+from sim_twin.ground import lay
+from sim_twin.metal import forge
+from sim_twin.randomness import stream
+from testbed.core.compiled import compiled
+from testbed.core.table import Obstacle, Table
+from testbed.core.types import Pose
+from testbed.core.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+MAX_STEP = 0.01  # [s]
+REST = 0.002  # [s] between two looks at a contact that persists
+BISECTIONS = 40  # of MAX_STEP: 1e-14 s
+
+
+@compiled
+def drift(x, spent, metal, ground, windows, start, end):
+    """Move every vehicle from `start` to `end` of the window without looking at contacts."""
+    cuts, value, slope, count = windows
+    used, impulse = spent
+    for v in range(x.shape[0]):
+        for i in range(count[v]):
+            a, b = max(start, cuts[v, i]), min(end, cuts[v, i + 1])
+            if b <= a:
+                continue
+            h = b - a
+            now = value[v, i] + slope[v, i] * (a - cuts[v, i])
+            rate = slope[v, i]
+            thrust = now[3] + 0.5 * h * rate[3]
+            share = supply_share(metal, v, used[v])
+            flow = share * thrust / metal.exhaust_speed[v] + metal.bearing_flow[v]
+            flow = min(flow, (metal.gas[v] - used[v]) / h)
+            middle = used[v] + 0.5 * h * flow
+            share = supply_share(metal, v, middle)
+            mass, inertia, cx, cy = body_now(metal, v, middle)
+            step(
+                x[v], h, share * now, share * rate, mass, inertia, (cx, cy),
+                metal.drag[v], metal.spin_drag[v], ground,
+            )  # fmt: skip
+            used[v] += h * flow
+            impulse[v] += h * share * thrust
+
+
+@compiled
+def cut_windows(pulses, metal, origin, span):
+    """flow.pieces for every vehicle, padded to the longest."""
+    vehicles, jets = pulses.up.shape[0], pulses.up.shape[1]
+    room = 4 * jets * SLOTS + 1
+    cuts = np.zeros((vehicles, room + 1))
+    value, slope = np.zeros((vehicles, room, 4)), np.zeros((vehicles, room, 4))
+    count = np.zeros(vehicles, dtype=np.int64)
+    for v in range(vehicles):
+        own = Pulses(pulses.up[v], pulses.down[v], pulses.strength[v])
+        start, level, rate = pieces(
+            own, metal.timing[v], metal.effect[v], metal.thrust[v], metal.droop[v], origin, span
+        )
+        n = level.shape[0]
+        count[v] = n
+        cuts[v, : n + 1] = start
+        value[v, :n] = level
+        slope[v, :n] = rate
+    return cuts, value, slope, count
+
+
+@compiled
+def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_touch, touches):
+    """Advance the fleet over one window, in place.
+
+    Args:
+        x: states, shape (v, 6), see body.py.
+        spent: gas gone [kg] and impulse of all jets together [N s], both of shape (v,).
+        metal: the true vehicles.
+        ground: the table.
+        solids: what can be hit.
+        pulses: board.Pulses with a leading vehicle axis.
+        origin: start of the window in the run [ns].
+        span: its length [s].
+        marks: increasing times in (0, span] at which to note the states, shape (n,) [s].
+        last_touch: see contact.resolve.
+        touches: see contact.resolve.
+
+    Returns:
+        states at the marks (n, v, 6), and rows used in `touches`.
+    """
+    used, impulse = spent
+    windows = cut_windows(pulses, metal, origin, span)
+    seen = np.empty((marks.shape[0], x.shape[0], 6))
+    count, t = 0, 0.0
+    resting = False
+    for m in range(marks.shape[0] + 1):
+        target = marks[m] if m < marks.shape[0] else span
+        while t < target:
+            end = min(target, t + (REST if resting else MAX_STEP))
+            before = x.copy(), used.copy(), impulse.copy()
+            drift(x, spent, metal, ground, windows, t, end)
+            if closing(x, metal, ground, solids, origin * 1e-9 + end):
+                low, high = t, end
+                if not resting:
+                    for _ in range(BISECTIONS):
+                        middle = 0.5 * (low + high)
+                        x[:], used[:], impulse[:] = before
+                        drift(x, spent, metal, ground, windows, t, middle)
+                        if closing(x, metal, ground, solids, origin * 1e-9 + middle):
+                            high = middle
+                        else:
+                            low = middle
+                    x[:], used[:], impulse[:] = before
+                    drift(x, spent, metal, ground, windows, t, high)
+                now = origin * 1e-9 + high
+                count = resolve(x, metal, used, ground, solids, now, last_touch, touches, count)
+                resting = True
+                t = high
+            else:
+                resting = False
+                t = end
+        if m < marks.shape[0]:
+            seen[m] = x
+    return seen, count
+
+
+class Touch(Struct, frozen=True):
+    """A contact that should not have happened."""
+
+    t: float  # [s]
+    vehicle: str
+    other: str  # another vehicle, an obstacle or an edge
+    speed: float  # closing [m/s]
+
+
+class Plant:
+    """The true state of the table."""
+
+    def __init__(
+        self,
+        vehicles: Mapping[str, Vehicle],
+        starts: Mapping[str, Pose],
+        table: Table,
+        obstacles: Mapping[str, Obstacle],
+        seed: int,
+    ) -> None:
+        self.names = list(vehicles)
+        solid = {name: o for name, o in obstacles.items() if o.solid > 0.0}
+        self._others = [*self.names, "right edge", "left edge", "upper edge", "lower edge", *solid]
+        self.metal = forge(vehicles, seed)
+        self._ground = lay(table)
+        self._solids = Solids(
+            np.array([o.position for o in solid.values()], dtype=float).reshape(-1, 2),
+            np.array([o.velocity for o in solid.values()], dtype=float).reshape(-1, 2),
+            np.array([o.solid for o in solid.values()], dtype=float),
+        )
+        count = len(self.names)
+        self.x = np.zeros((count, 6))
+        self.x[:, :3] = [(starts[n].x, starts[n].y, starts[n].theta) for n in self.names]
+        self.used = np.zeros(count)  # gas [kg]
+        self.impulse = np.zeros(count)  # of all jets together [N s]
+        self._pulses = no_pulses(count, self.metal.thrust.shape[1])
+        self.boards = {
+            name: Board(vehicle, self._pulses_of(k), stream(seed, name, "pulses"))
+            for k, (name, vehicle) in enumerate(vehicles.items())
+        }
+        self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
+        self.touches: list[Touch] = []
+        self.t = 0.0  # [s]
+
+    def _pulses_of(self, k: int) -> Pulses:
+        return Pulses(self._pulses.up[k], self._pulses.down[k], self._pulses.strength[k])
+
+    def advance(self, t: float, marks: Array | Sequence[float] = ()) -> Array:
+        """Move on to time `t` and give the states at the `marks` on the way, (n, v, 6)."""
+        rows = np.empty((64, 4))
+        seen, count = advance(
+            self.x,
+            (self.used, self.impulse),
+            self.metal,
+            self._ground,
+            self._solids,
+            self._pulses,
+            nanoseconds(self.t),
+            t - self.t,
+            np.asarray(marks, dtype=np.float64) - self.t,
+            self._last_touch,
+            rows,
+        )
+        for at, vehicle, other, speed in rows[:count].tolist():
+            self.touches.append(
+                Touch(at, self.names[int(vehicle)], self._others[int(other)], speed)
+            )
+        self.t = t
+        return seen
+
+    def supply_share(self, k: int) -> float:
+        """Supply pressure of vehicle number `k` over its set pressure."""
+        return supply_share(self.metal, k, self.used[k])

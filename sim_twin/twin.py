@@ -1,0 +1,149 @@
+"""The twin: plant, cameras, boards and air waves behind the Protocols of `testbed.core.ports`.
+
+Time is virtual and moves only when the loop waits: lockstep, deterministic, as fast as the CPU.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_twin.camera import Camera
+from sim_twin.channel import Channel
+from sim_twin.plant import Plant
+from sim_twin.randomness import stream
+from testbed.core.table import Obstacle, Table
+from testbed.core.types import Health, Pose, PoseSample, Setpoint, State, ValveCommand
+from testbed.core.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+
+class Twin:
+    """One table with its vehicles. It is the run's Clock; the ports below are its other faces."""
+
+    def __init__(
+        self,
+        vehicles: Mapping[str, Vehicle],
+        starts: Mapping[str, Pose],
+        table: Table,
+        obstacles: Mapping[str, Obstacle],
+        seed: int,
+    ) -> None:
+        self.names = list(vehicles)
+        self.vehicles = vehicles
+        self.plant = Plant(vehicles, starts, table, obstacles, seed)
+        self.cameras = {n: Camera(table.mocap, stream(seed, n, "camera")) for n in self.names}
+        self._rate = table.mocap.rate_hz
+        self._phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))
+        self._frame = 0
+        self.seen_at: list[float] = []  # of every camera frame so far [s]
+        self.seen: list[Array] = []  # true states then, each (n, v, 6)
+        link = table.link
+
+        def channel(sender: str, receiver: str) -> Channel:
+            return Channel(link, stream(seed, sender, receiver))
+
+        self.setpoints = {n: channel("host", n) for n in self.names}
+        self.to_host = {n: channel(n, "host") for n in self.names}
+        self.between = {(a, b): channel(a, b) for a in self.names for b in self.names if a != b}
+
+    @property
+    def now(self) -> float:
+        """Time of the run [s]."""
+        return self.plant.t
+
+    def wait_until(self, t: float) -> None:
+        """Let the world move on to `t`."""
+        if t <= self.now:
+            return
+        last = math.floor(t * self._rate - self._phase)
+        frames = np.arange(self._frame, last + 1)
+        self._frame = max(self._frame, last + 1)
+        times = ((frames + self._phase) / self._rate).astype(np.float64)
+        seen = self.plant.advance(t, times)
+        self.seen_at += times.tolist()
+        self.seen.append(seen)
+        for k, name in enumerate(self.names):
+            self.cameras[name].expose(times, seen[:, k])
+
+    def health(self, name: str) -> Health:
+        """What the board's sensors read."""
+        k = self.names.index(name)
+        air, metal = self.vehicles[name].air, self.plant.metal
+        left = metal.gas[k] - self.plant.used[k]
+        share = self.plant.supply_share(k)
+        return Health(self.now, share * air.set_pressure, air.pressure_in_tank(float(left)))
+
+
+class TwinPoses:
+    """PoseSource of one vehicle."""
+
+    def __init__(self, twin: Twin, name: str) -> None:
+        self._twin, self._camera = twin, twin.cameras[name]
+
+    def samples(self) -> Sequence[PoseSample]:
+        """See `PoseSource`."""
+        return self._camera.arrived(self._twin.now)
+
+
+class TwinThrusters:
+    """Thrusters of one vehicle."""
+
+    def __init__(self, twin: Twin, name: str) -> None:
+        self._twin, self._name, self._board = twin, name, twin.plant.boards[name]
+
+    def apply(self, command: ValveCommand) -> None:
+        """See `Thrusters`."""
+        self._board.apply(command)
+
+    def health(self) -> Health:
+        """See `Thrusters`."""
+        return self._twin.health(self._name)
+
+
+class TwinVehicleLink:
+    """VehicleLink of one vehicle."""
+
+    def __init__(self, twin: Twin, name: str) -> None:
+        self._twin, self._name = twin, name
+
+    def setpoint(self) -> Setpoint | None:
+        """See `VehicleLink`."""
+        return self._twin.setpoints[self._name].newest(self._twin.now)
+
+    def neighbours(self) -> dict[str, State]:
+        """See `VehicleLink`."""
+        twin, own = self._twin, self._name
+        heard = {n: twin.between[n, own].newest(twin.now) for n in twin.names if n != own}
+        return {name: state for name, state in heard.items() if state is not None}
+
+    def publish(self, state: State) -> None:
+        """See `VehicleLink`."""
+        twin = self._twin
+        twin.to_host[self._name].send(twin.now, state)
+        for other in twin.names:
+            if other != self._name:
+                twin.between[self._name, other].send(twin.now, state)
+
+
+class TwinHostLink:
+    """HostLink of one vehicle."""
+
+    def __init__(self, twin: Twin, name: str) -> None:
+        self._twin, self._name = twin, name
+
+    def own(self) -> State | None:
+        """See `HostLink`."""
+        return self._twin.to_host[self._name].newest(self._twin.now)
+
+    def neighbours(self) -> dict[str, State]:
+        """See `HostLink`."""
+        twin = self._twin
+        heard = {n: twin.to_host[n].newest(twin.now) for n in twin.names if n != self._name}
+        return {name: state for name, state in heard.items() if state is not None}
+
+    def publish(self, setpoint: Setpoint) -> None:
+        """See `HostLink`."""
+        self._twin.setpoints[self._name].send(self._twin.now, setpoint)

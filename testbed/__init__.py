@@ -1,0 +1,1 @@
+"""Air-bearing testbed: core vocabulary, flight chain, operations and the operator's command."""

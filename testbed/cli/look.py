@@ -1,0 +1,84 @@
+"""Verbs that only look: `check`, `list`, `schema`."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, get_args
+
+import msgspec
+from rich.console import Console
+from rich.table import Table as Grid
+
+from controllers import catalogue
+from testbed.cli.main import BAD_INPUT, OK
+from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
+from testbed.core.table import Table
+from testbed.core.vehicle import Vehicle
+
+
+def check_experiment(name: str, overrides: Sequence[str]) -> int:
+    """Say what is in an experiment, or what is wrong with it."""
+    try:
+        path = find(name)
+        experiment = load(path, overrides)
+    except ConfigError as error:
+        Console(stderr=True, highlight=False).print(
+            f"error: {error}", style="red", markup=False, soft_wrap=True
+        )
+        return BAD_INPUT
+    law = type(experiment.controller).__struct_config__.tag
+    Console(highlight=False).print(
+        f"ok: {path}\n"
+        f"  {len(experiment.vehicles)} vehicles, {len(experiment.obstacles)} obstacles, "
+        f"law {law} in {experiment.guidance.mode} mode on the {experiment.deploy.law}, "
+        f"{experiment.duration_s:g} s in {experiment.ticks} jet periods",
+        markup=False, soft_wrap=True,
+    )  # fmt: skip
+    return OK
+
+
+def _first_comment(path: Path) -> str:
+    line = path.read_text(encoding="utf-8").partition("\n")[0]
+    return line.removeprefix("#").strip()
+
+
+def list_everything(as_json: bool) -> None:
+    """Print what can be flown."""
+    experiments = {
+        path.stem: str(read_toml(path).get("description", ""))
+        for path in sorted((SHIPPED / "experiments").glob("*.toml"))
+    }
+    laws = {
+        str(kind.__struct_config__.tag): (sys.modules[kind.__module__].__doc__ or "").partition(
+            "\n"
+        )[0]
+        for kind in get_args(catalogue.Controller)
+    }
+    vehicles = {p.stem: _first_comment(p) for p in sorted((SHIPPED / "vehicles").glob("*.toml"))}
+    everything = {"experiments": experiments, "laws": laws, "vehicles": vehicles}
+    if as_json:
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(everything)).decode() + "\n")
+        return
+    out = Console(highlight=False)
+    for title, entries in everything.items():
+        grid = Grid.grid(padding=(0, 3))
+        for name, line in entries.items():
+            grid.add_row(f"  [bold]{name}[/]", line)
+        out.print(f"{title}", style="bold cyan")
+        out.print(grid)
+
+
+def print_schema(kind: str) -> None:
+    """Print a JSON Schema."""
+    types = {"experiment": Experiment, "vehicle": Vehicle, "table": Table}
+    schema = msgspec.json.schema(types[kind])
+    if kind == "experiment":
+        definitions = schema["$defs"]
+        _allow_path(definitions["Experiment"]["properties"], "table")
+        _allow_path(definitions["VehicleSetup"]["properties"], "model")
+    sys.stdout.write(msgspec.json.format(msgspec.json.encode(schema)).decode() + "\n")
+
+
+def _allow_path(properties: dict[str, Any], key: str) -> None:
+    path = {"type": "string", "description": "path of a TOML file, relative to this one"}
+    properties[key] = {"anyOf": [path, properties[key]]}

@@ -1,0 +1,77 @@
+"""The result of a run as an operator reads it."""
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table as Grid
+
+from testbed.config import Experiment
+from testbed.ops.metrics import Metrics, VehicleMetrics
+
+ROWS = (  # heading, key, scale, format, criterion
+    ("final error \\[mm]", "final_error_m", 1e3, "{:.2f}", "final_error_m"),
+    ("settled after \\[s]", "settle_s", 1.0, "{:.1f}", "settle_s"),
+    ("tracking RMS \\[mm]", "track_rms_m", 1e3, "{:.2f}", "track_rms_m"),
+    ("hold RMS \\[mm]", "hold_rms_m", 1e3, "{:.2f}", "hold_rms_m"),
+    ("heading RMS \\[deg]", "heading_rms_deg", 1.0, "{:.3f}", "heading_rms_deg"),
+    ("nearest obstacle \\[m]", "min_obstacle_distance_m", 1.0, "{:.3f}", "clear_of_obstacles"),
+    ("impulse \\[N s]", "impulse_ns", 1.0, "{:.1f}", "impulse_ns"),
+    ("gas \\[g]", "gas_g", 1.0, "{:.1f}", None),
+    ("valve pulses", "valve_pulses", 1.0, "{:.0f}", None),
+    ("largest force \\[N]", "max_force_n", 1.0, "{:.2f}", None),
+)
+
+
+def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None:
+    """Print a table, the verdict and where the run is."""
+    out = Console(highlight=False)
+    grid = Grid(title=f"{metrics.experiment} on the {metrics.rig}, seed {metrics.seed}",
+                title_justify="left", title_style="bold")  # fmt: skip
+    grid.add_column("")
+    for name in metrics.vehicles:
+        grid.add_column(name, justify="right")
+    grid.add_column("limit", justify="right", style="dim")
+    for heading, key, scale, form, criterion in ROWS:
+        cells = [_cell(m, key, scale, form) for m in metrics.vehicles.values()]
+        met = metrics.criteria.get(criterion or "")
+        style = "red" if met is False else None
+        grid.add_row(heading, *cells, _limit(experiment, criterion, scale), style=style)
+    out.print(grid)
+    separation = metrics.min_vehicle_distance_m
+    pieces = [f"contacts: {metrics.contacts}"]
+    if separation is not None:
+        pieces.append(f"nearest two vehicles: {separation:.2f} m")
+    if metrics.real_time_factor:
+        factor = metrics.real_time_factor
+        pieces.append(
+            f"{metrics.duration_s:.0f} s in {metrics.wall_s:.2f} s ({factor:.0f} x real time)"
+        )
+    out.print(", ".join(pieces))
+    out.print(_verdict(metrics))
+    out.print(f"run folder: {folder}", markup=False, soft_wrap=True)
+
+
+def _cell(metrics: VehicleMetrics, key: str, scale: float, form: str) -> str:
+    value = getattr(metrics, key)
+    return "-" if value is None else form.format(scale * value)
+
+
+def _limit(experiment: Experiment, criterion: str | None, scale: float) -> str:
+    if criterion is None:
+        return ""
+    limit = getattr(experiment.criteria, criterion)
+    if criterion == "clear_of_obstacles":
+        radii = [rock.radius for rock in experiment.obstacles.values()]
+        return f">= {max(radii):g}" if limit and radii else ""
+    return "" if limit is None else f"<= {scale * limit:g}"
+
+
+def _verdict(metrics: Metrics) -> str:
+    failed = [name for name, met in metrics.criteria.items() if not met]
+    if metrics.fault:
+        return f"[bold red]aborted[/] after {metrics.duration_s:.1f} s by a fault: {metrics.fault}"
+    if not metrics.completed:
+        return f"[bold yellow]interrupted[/] after {metrics.duration_s:.1f} s"
+    if failed:
+        return f"[bold red]failed[/]: {', '.join(failed)}"
+    return "[bold green]passed[/]: all criteria met (a result of the twin, not of a table)"

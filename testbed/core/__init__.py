@@ -1,0 +1,1 @@
+"""Nouns and verbs that everything else shares; imports nothing of ours."""

@@ -1,0 +1,57 @@
+r"""Eight jets and what they can do: the effect matrix B.
+
+The default vehicle, seen from above; arrows show where the open valve pushes the *body*, the plume
+leaves the other way. Numbers are the jets' order in the vehicle file.
+
+                 y_B
+                  ^
+           [7]    |    [8]
+            v     |     v
+         +--------+--------+
+    [6]> |        |        | <[1]
+         |        o--------+----> x_B
+    [5]> |                 | <[2]
+         +-----------------+
+            ^           ^
+           [4]         [3]
+
+Any other layout works: everything below follows from the positions and directions in the file.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.vehicle import Jet
+
+Array = NDArray[np.float64]
+
+
+def effect_matrix(jets: Sequence[Jet], about: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Wrench of each fully open jet: columns (fx, fy, tau), shape (3, n) [N, N, N m].
+
+    Args:
+        jets: the vehicle's jets.
+        about: point of B about which the torque is taken [m].
+    """
+    columns = []
+    for jet in jets:
+        fx, fy = jet.thrust * jet.push[0], jet.thrust * jet.push[1]
+        arm_x, arm_y = jet.position[0] - about[0], jet.position[1] - about[1]
+        columns.append((fx, fy, arm_x * fy - arm_y * fx))
+    return np.array(columns).T.reshape(3, len(columns))
+
+
+def opposing_pairs(jets: Sequence[Jet]) -> list[tuple[int, int]]:
+    """Pairs of jets that push against each other along one line: open together, they waste gas."""
+    pairs = []
+    for i, a in enumerate(jets):
+        for j in range(i + 1, len(jets)):
+            b = jets[j]
+            against = a.push[0] * b.push[0] + a.push[1] * b.push[1]
+            gap = (b.position[0] - a.position[0], b.position[1] - a.position[1])
+            off_line = gap[0] * a.push[1] - gap[1] * a.push[0]
+            if against < -0.99 and abs(off_line) < 0.01:
+                pairs.append((i, j))
+    return pairs

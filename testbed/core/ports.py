@@ -1,0 +1,70 @@
+"""The verbs: what the rest of the stack needs from a rig, in a handful of small Protocols.
+
+The twin, the bench and the table each bring objects with these methods; nothing above them knows
+which rig it is on.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from testbed.core.types import Health, PoseSample, Setpoint, State, ValveCommand
+
+
+class Clock(Protocol):
+    """Time. In the twin waiting is what moves the world."""
+
+    def wait_until(self, t: float) -> None:
+        """Return at time `t` of the run [s]."""
+        ...
+
+
+class PoseSource(Protocol):
+    """The cameras, as one vehicle hears them."""
+
+    def samples(self) -> Sequence[PoseSample]:
+        """Poses that have arrived since the last call, in order of arrival."""
+        ...
+
+
+class Thrusters(Protocol):
+    """The board with the solenoids."""
+
+    def apply(self, command: ValveCommand) -> None:
+        """Send a plan; it replaces the one before."""
+        ...
+
+    def health(self) -> Health:
+        """Newest report of the board."""
+        ...
+
+
+class VehicleLink(Protocol):
+    """The vehicle's end of the network. It remembers the newest message of each kind."""
+
+    def setpoint(self) -> Setpoint | None:
+        """Newest setpoint heard; None before the first."""
+        ...
+
+    def neighbours(self) -> dict[str, State]:
+        """Newest state heard of each other vehicle."""
+        ...
+
+    def publish(self, state: State) -> None:
+        """Tell host and neighbours."""
+        ...
+
+
+class HostLink(Protocol):
+    """The host's end, one per vehicle; it remembers like `VehicleLink`."""
+
+    def own(self) -> State | None:
+        """Newest state heard of the vehicle; None before the first."""
+        ...
+
+    def neighbours(self) -> dict[str, State]:
+        """Newest state heard of each other vehicle."""
+        ...
+
+    def publish(self, setpoint: Setpoint) -> None:
+        """Tell the vehicle."""
+        ...

@@ -1,0 +1,62 @@
+"""The granite, what stands on it, the cameras above it and the wireless link."""
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from testbed.core.vehicle import NonNegative, Point, Positive
+
+Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
+
+
+class Tilt(Struct, frozen=True, forbid_unknown_fields=True):
+    """Acceleration along the surface because it is not level: uniform plus a map.
+
+    `map` holds rows from the table's lower edge to the upper one, each with [ax, ay] from left to
+    right, on an even grid that spans the table; values between nodes are bilinear.
+    """
+
+    uniform: Point  # [m/s^2]
+    map: list[list[Point]] = []  # [m/s^2]
+
+
+class Mocap(Struct, frozen=True, forbid_unknown_fields=True):
+    """Motion capture."""
+
+    rate_hz: Positive
+    latency_s: NonNegative  # exposure to arrival
+    jitter_s: NonNegative  # one standard deviation of the latency, never earlier than half of it
+    noise: NonNegative  # position, one standard deviation [m]
+    noise_deg: NonNegative  # heading, one standard deviation
+    dropout_rate: NonNegative  # how often a body is lost [1/s]
+    dropout_s: NonNegative  # mean length of a loss
+
+
+class Link(Struct, frozen=True, forbid_unknown_fields=True):
+    """Wireless link with burst loss (Gilbert-Elliott)."""
+
+    delay_s: NonNegative
+    jitter_s: NonNegative  # exponential tail, mean
+    loss: Probability  # of a message in the good state
+    burst_loss: Probability  # of a message in the bad state
+    burst_enter: Probability  # good -> bad, per message
+    burst_leave: Probability  # bad -> good, per message
+
+
+class Obstacle(Struct, frozen=True, forbid_unknown_fields=True):
+    """A disc to keep away from; `solid` is what a vehicle would really hit."""
+
+    position: tuple[float, float]  # [m]
+    radius: Positive  # danger radius: centre to centre [m]
+    solid: NonNegative = 0.0  # radius of the body in the middle; 0: nothing stands there [m]
+    velocity: tuple[float, float] = (0.0, 0.0)  # [m/s]
+
+
+class Table(Struct, frozen=True, forbid_unknown_fields=True):
+    """A rectangular table; its frame W has the origin in the middle."""
+
+    size: tuple[Positive, Positive]  # along x and y [m]
+    restitution: Annotated[float, Meta(ge=0.0, le=1.0)]  # of any contact
+    tilt: Tilt
+    mocap: Mocap
+    link: Link

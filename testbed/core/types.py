@@ -1,0 +1,157 @@
+"""The nouns: everything that passes between the parts of the stack, goes on the wire or in the log.
+
+SI units and radians. One quantity, one frame: pose and twist are in the table frame W (origin at
+the table's centre, x right, y up, theta counter-clockwise), a wrench is in the body frame B. Where
+a quantity leaves its usual frame, its name says so (`force_w`).
+
+All are frozen: a value handed over is never changed behind anyone's back.
+"""
+
+from msgspec import Struct
+
+
+class Pose(Struct, frozen=True):
+    """Position and heading in W."""
+
+    x: float  # [m]
+    y: float  # [m]
+    theta: float  # [rad]
+
+
+class Twist(Struct, frozen=True):
+    """Velocity and turn rate in W."""
+
+    vx: float  # [m/s]
+    vy: float  # [m/s]
+    omega: float  # [rad/s]
+
+
+class Accel(Struct, frozen=True):
+    """Acceleration and angular acceleration in W."""
+
+    ax: float  # [m/s^2]
+    ay: float  # [m/s^2]
+    alpha: float  # [rad/s^2]
+
+
+class Wrench(Struct, frozen=True):
+    """Force and torque in B, about the body's origin."""
+
+    fx: float  # [N]
+    fy: float  # [N]
+    tau: float  # [N m]
+
+
+class PoseSample(Struct, frozen=True, array_like=True):
+    """One rigid body in one motion-capture frame."""
+
+    captured_at: float  # middle of the exposure [s]
+    x: float  # [m]
+    y: float  # [m]
+    theta: float  # [rad]
+
+
+class State(Struct, frozen=True):
+    """What a satellite believes about itself at time `t`."""
+
+    t: float  # [s]
+    pose: Pose
+    twist: Twist
+    bias: Accel  # acceleration that the commanded jets do not explain
+    pose_age: float  # since the newest accepted sample was captured [s]
+    rejected: int  # samples the outlier gate has refused in a row
+
+
+class Reference(Struct, frozen=True, tag=True):
+    """Where to be at time `t`, and how to accelerate during the jet period that follows."""
+
+    t: float  # [s]
+    pose: Pose
+    twist: Twist
+    accel: Accel
+
+
+class Trajectory(Struct, frozen=True, tag=True):
+    """References for the coming jet periods: a lost message costs nothing while they last."""
+
+    references: tuple[Reference, ...]  # in order of time, at least one
+    valid_until: float  # worth nothing afterwards [s]
+
+
+class Demand(Struct, frozen=True, tag=True):
+    """A mean force for the jet period that starts at `t`, and the heading to hold meanwhile.
+
+    The heading loop closes on the vehicle also when the law that asks for the force does not.
+    """
+
+    t: float  # [s]
+    fx_w: float  # force in W [N]
+    fy_w: float  # [N]
+    theta: float  # [rad]
+    omega: float  # [rad/s]
+    alpha: float  # [rad/s^2]
+    valid_until: float  # worth nothing afterwards [s]
+
+
+Setpoint = Trajectory | Demand
+
+
+class ValveCommand(Struct, frozen=True):
+    """A complete plan for one jet period: one pulse at most per valve.
+
+    A plan replaces the one before when it starts, and it ends by itself: after `valid_until`
+    every valve is closed, whatever became of the sender.
+    """
+
+    seq: int
+    issued_at: float  # [s]
+    valid_until: float  # [s]
+    on_us: tuple[int, ...]  # open time per valve [us]
+    offset_us: tuple[int, ...]  # from the plan's start to the opening command [us]
+
+
+class Health(Struct, frozen=True):
+    """What the board reports of itself."""
+
+    t: float  # board's time [s]
+    supply_pressure: float  # behind the regulator [Pa]
+    tank_pressure: float  # [Pa]
+
+
+class Inputs(Struct, frozen=True):
+    """All that a satellite is told between two ticks. With `Outputs` it makes a run replayable."""
+
+    t: float  # [s]
+    armed: bool
+    samples: tuple[PoseSample, ...]  # arrived since the last tick, in order of arrival
+    setpoint: Setpoint | None  # the newest one heard, however old
+    neighbours: dict[str, State]  # the newest one heard of each, however old
+    health: Health
+
+
+class Outputs(Struct, frozen=True):
+    """All that a satellite does in one tick."""
+
+    t: float  # [s]
+    state: State | None  # None before the first pose
+    flown: Reference | Demand | None  # what the tracker was given
+    wanted: Wrench  # what tracker or law asks for, mean over the period
+    planned: Wrench  # what the pulses of `command` give, by the vehicle's jet table
+    command: ValveCommand
+    closed_because: str | None  # the gate's reason, None while it is open
+    fault: str | None  # a reason that ends the run, latched
+
+
+class HostInputs(Struct, frozen=True):
+    """All that the host's half of one satellite knows at a tick: newest heard, however old."""
+
+    t: float  # [s]
+    own: State | None
+    neighbours: dict[str, State]
+
+
+class HostOutputs(Struct, frozen=True):
+    """The host's answer."""
+
+    t: float  # [s]
+    setpoint: Setpoint | None

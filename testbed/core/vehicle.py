@@ -1,0 +1,86 @@
+"""A satellite simulator as its file describes it: the only home of mass, jets, valves and air.
+
+The allocator and the twin read the same numbers. What a maker cannot promise (thrust spread,
+nozzle alignment, ...) is written down as a tolerance; the twin draws its true vehicle from it, the
+flight chain never sees the draw.
+"""
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+Positive = Annotated[float, Meta(gt=0.0)]
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Point = tuple[float, float]
+
+
+class Jet(Struct, frozen=True, forbid_unknown_fields=True):
+    """One nozzle behind one on/off valve."""
+
+    position: Point  # in B [m]
+    push: Point  # unit vector in B: where the body is pushed, opposite to the plume
+    thrust: Positive  # at the regulator's set pressure, this valve alone open [N]
+
+
+class Valve(Struct, frozen=True, forbid_unknown_fields=True):
+    """Timing shared by all valves of a vehicle.
+
+    The board refuses pulses shorter than `min_on_s` and delays a re-opening until `min_off_s` has
+    passed. Flow starts `open_delay_s` after the opening command and rises linearly; it starts to
+    fall `close_delay_s` after the closing command.
+    """
+
+    open_delay_s: NonNegative
+    close_delay_s: NonNegative
+    open_ramp_s: NonNegative
+    close_ramp_s: NonNegative
+    min_on_s: NonNegative
+    min_off_s: NonNegative
+
+
+class Air(Struct, frozen=True, forbid_unknown_fields=True):
+    """Gas supply: tank, regulator, manifold."""
+
+    gas: Positive  # in the full tank [kg]
+    tank_pressure: Positive  # full [Pa]
+    tank_position: Point  # in B [m]
+    set_pressure: Positive  # regulator [Pa]
+    dropout: NonNegative  # tank pressure must exceed supply pressure by this [Pa]
+    exhaust_speed: Positive  # thrust / mass flow [m/s]
+    droop: NonNegative  # k: thrust of each of n open jets is thrust / (1 + k (n - 1))
+    bearing_flow: NonNegative  # [kg/s]
+
+    def supply_pressure(self, gas: float) -> float:
+        """Pressure behind the regulator with `gas` kg left, isothermal tank [Pa]."""
+        return max(0.0, min(self.set_pressure, self.pressure_in_tank(gas) - self.dropout))
+
+    def pressure_in_tank(self, gas: float) -> float:
+        """Isothermal ideal gas [Pa]."""
+        return self.tank_pressure * max(0.0, gas) / self.gas
+
+
+class Tolerance(Struct, frozen=True, forbid_unknown_fields=True):
+    """One standard deviation of what differs between the file and the metal."""
+
+    thrust: NonNegative  # per jet, relative
+    direction_deg: NonNegative  # nozzle alignment
+    pulse: NonNegative  # pulse to pulse, relative
+    mass: NonNegative  # relative
+    inertia: NonNegative  # relative
+    com: NonNegative  # centre of mass, each axis [m]
+
+
+class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):
+    """One air-bearing vehicle."""
+
+    mass: Positive  # with a full tank [kg]
+    inertia: Positive  # about the vertical through the centre of mass [kg m^2]
+    com: Point  # centre of mass in B with a full tank [m]
+    radius: Positive  # of the disc that encloses it [m]
+    command_delay_s: NonNegative  # from issuing a plan to its start on the board
+    drag: NonNegative  # bearing, viscous [N s/m]
+    spin_drag: NonNegative  # [N m s/rad]
+    jets: list[Jet]
+    valve: Valve
+    air: Air
+    tolerance: Tolerance

@@ -1,0 +1,202 @@
+r"""Allocator: a wanted body wrench in, a duty per jet out, with the least gas.
+
+    minimise    sum_j thrust_j u_j - K1 s1 - K2 s2
+    subject to  B u = s1 w1 + s2 w2,   0 <= u <= 1,   0 <= s <= 1
+
+The wrench is split into the part that matters more, w2, and the rest, w1 (`priority`). K2 >> K1 >>
+gas, so a feasible wrench is met exactly (s1 = s2 = 1); otherwise first w1 and then w2 is scaled
+down without changing its direction. u = s = 0 is always feasible, so the answer always exists.
+
+Three equations and ten bounded unknowns: a textbook bounded simplex method on 3 x 3 bases, with
+Bland's rule against cycling. Jets that push against each other are never both open: the least-gas
+optimum of an ideal layout never wants it, and where misaligned nozzles would, one of the two is
+shut and the rest solved again.
+"""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from testbed.core.compiled import compiled
+from testbed.core.jets import effect_matrix, opposing_pairs
+from testbed.core.types import Wrench
+from testbed.core.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+TINY = 1e-9
+PIVOT = 1e-7  # a smaller pivot element would make the basis numerically singular
+WORTH_LESS = 1e3  # K1, against a gas price of at most 1 per jet
+WORTH_MORE = 1e6  # K2
+
+
+class AllocatorParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """What to give up first when the jets cannot do both."""
+
+    priority: Literal["torque", "force"] = "torque"  # a spinning vehicle pushes the wrong way
+
+
+@compiled
+def inverse_3x3(m):
+    """Inverse by cofactors."""
+    inv = np.empty((3, 3))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            inv[a, i] = m[j, b] * m[k, c] - m[j, c] * m[k, b]
+    return inv / (m[0, 0] * inv[0, 0] + m[0, 1] * inv[1, 0] + m[0, 2] * inv[2, 0])
+
+
+@compiled
+def simplex(columns, cost, upper, basis):
+    """Minimise cost @ x over columns @ x = 0, 0 <= x <= upper, starting at x = 0.
+
+    Args:
+        columns: shape (3, n); the three at `basis` are the identity and fixed at zero.
+        cost: shape (n,).
+        upper: shape (n,).
+        basis: indices of the first basis, shape (3,), written to.
+
+    Returns:
+        x, shape (n,).
+    """
+    n = columns.shape[1]
+    x = np.zeros(n)
+    basic = np.zeros(n, dtype=np.bool_)
+    for i in range(3):
+        basic[basis[i]] = True
+    base = np.empty((3, 3))
+    price = np.empty(3)
+    move = np.empty(3)
+    for iteration in range(60 * n):
+        for i in range(3):
+            base[:, i] = columns[:, basis[i]]
+        inverse = inverse_3x3(base)
+        for i in range(3):
+            price[i] = 0.0
+            for k in range(3):
+                price[i] += cost[basis[k]] * inverse[k, i]
+        # entering variable: steepest at first, Bland's smallest index once it might be cycling
+        entering, best, sign = -1, TINY, 1.0
+        for j in range(n):
+            if basic[j] or upper[j] == 0.0:
+                continue
+            slope = cost[j]
+            for i in range(3):
+                slope -= price[i] * columns[i, j]
+            gain = -slope if x[j] == 0.0 else slope
+            if gain > best * max(1.0, abs(cost[j])):
+                entering, sign = j, 1.0 if x[j] == 0.0 else -1.0
+                if iteration > 4 * n:
+                    break
+                best = gain / max(1.0, abs(cost[j]))
+        if entering < 0:
+            break
+        # ratio test: how far until the entering variable or a basic one meets a bound
+        step, leaving = upper[entering], -1
+        for i in range(3):
+            move[i] = 0.0
+            for k in range(3):
+                move[i] -= sign * inverse[i, k] * columns[k, entering]
+            if move[i] < -PIVOT:
+                room = x[basis[i]] / -move[i]
+            elif move[i] > PIVOT:
+                room = (upper[basis[i]] - x[basis[i]]) / move[i]
+            else:
+                continue
+            tie = leaving >= 0 and room == step
+            if tie and iteration > 4 * n:
+                tie = basis[i] < basis[leaving]
+            elif tie:
+                tie = abs(move[i]) > abs(move[leaving])
+            if room < step or tie:
+                step, leaving = max(0.0, room), i
+        for i in range(3):
+            b = basis[i]
+            x[b] = min(upper[b], max(0.0, x[b] + step * move[i]))
+        if leaving < 0:
+            x[entering] = upper[entering] if sign > 0.0 else 0.0
+            continue
+        x[entering] += sign * step
+        out = basis[leaving]
+        x[out] = 0.0 if move[leaving] < 0.0 else upper[out]
+        basic[out] = False
+        basic[entering] = True
+        basis[leaving] = entering
+    return x
+
+
+@compiled
+def duties(effect, gas, ceiling, more, less):
+    """Solve the allocation problem of the module's first lines.
+
+    Args:
+        effect: B, shape (3, n).
+        gas: price of each jet, shape (n,).
+        ceiling: largest duty of each jet, shape (n,).
+        more: the part of the wrench that matters more, shape (3,).
+        less: the rest, shape (3,).
+
+    Returns:
+        duty, shape (n,).
+    """
+    n = effect.shape[1]
+    # rows to one scale, so that tolerances mean the same for newtons and newton metres
+    columns = np.zeros((3, n + 5))
+    for i in range(3):
+        scale = np.max(np.abs(effect[i]))
+        scale = 1.0 / scale if scale > 0.0 else 1.0
+        columns[i, :n] = effect[i] * scale
+        columns[i, n] = -less[i] * scale
+        columns[i, n + 1] = -more[i] * scale
+        columns[i, n + 2 + i] = 1.0
+    cost = np.zeros(n + 5)
+    cost[:n] = gas / np.max(gas)
+    upper = np.zeros(n + 5)
+    upper[:n] = ceiling
+    for j, worth in (
+        (n, WORTH_LESS),
+        (n + 1, WORTH_MORE),
+    ):  # s |w| instead of s: columns of length 1
+        length = np.sqrt(np.sum(columns[:, j] ** 2))
+        if length > 0.0:
+            columns[:, j] /= length
+            cost[j] = -worth
+            upper[j] = length
+    return simplex(columns, cost, upper, np.array([n + 2, n + 3, n + 4]))[:n]
+
+
+class Allocator:
+    """Duty of each jet for a wanted wrench."""
+
+    def __init__(self, params: AllocatorParams, vehicle: Vehicle) -> None:
+        self._effect = effect_matrix(vehicle.jets, about=vehicle.com)
+        self._gas = np.array([jet.thrust for jet in vehicle.jets])
+        self._opposing = opposing_pairs(vehicle.jets)
+        self._torque_first = params.priority == "torque"
+
+    def allocate(self, wanted: Wrench, thrust_share: float = 1.0) -> Array:
+        """Duties in [0, 1], shape (jets,).
+
+        Args:
+            wanted: mean wrench over the period, torque about the centre of mass.
+            thrust_share: supply pressure over set pressure.
+        """
+        force, torque = np.array([wanted.fx, wanted.fy, 0.0]), np.array([0.0, 0.0, wanted.tau])
+        more, less = (torque, force) if self._torque_first else (force, torque)
+        effect = self._effect * thrust_share
+        ceiling = np.ones(len(self._gas))
+        duty = duties(effect, self._gas, ceiling, more, less)
+        while pair := next((p for p in self._opposing if min(duty[p[0]], duty[p[1]]) > TINY), None):
+            ceiling[pair[0] if duty[pair[0]] < duty[pair[1]] else pair[1]] = 0.0
+            duty = duties(effect, self._gas, ceiling, more, less)
+        return duty
+
+    def wrench(self, duty: Sequence[float]) -> Wrench:
+        """Wrench of these duties at set pressure."""
+        fx, fy, tau = (self._effect @ np.asarray(duty)).tolist()
+        return Wrench(fx, fy, tau)

@@ -1,0 +1,299 @@
+"""Kalman filter: late, noisy, sometimes missing poses in; position, velocity and disturbance out.
+
+Each coordinate is (position, velocity, bias): the bias is an acceleration that the fired jets do
+not explain (tilt, thrust errors, hoses) and walks slowly. The two positions share their covariance,
+because noise and model are the same; heading has its own.
+
+The filter lives at the capture time of the newest pose. Between captures, and from there to the
+present through latency and drop-outs, it is driven by the wrench that the *fired* pulses give,
+valve delay and ramp included. Knowing the pulses is what makes a 20 ms old pose as good as new.
+
+The centre of mass is taken at the body's origin here; the few millimetres between them end up in
+the bias.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from testbed.core.compiled import compiled
+from testbed.core.jets import effect_matrix
+from testbed.core.pulse import Timing, open_time, timing
+from testbed.core.se2 import wrap, wrap_compiled
+from testbed.core.table import Mocap
+from testbed.core.types import Accel, Pose, PoseSample, State, Twist, ValveCommand
+from testbed.core.vehicle import NonNegative, Positive, Vehicle
+
+Array = NDArray[np.float64]
+
+MEMORY = 4  # plans kept: enough for half a second of latency at the slowest jet period in use
+# A body cannot jump; it can be shoved. Poses that contradict the filter but stay near its
+# prediction mean a collision and are believed after a while; a jump to somewhere else never is.
+PATIENCE = 5  # samples
+JUMP = 0.05  # [m]
+TURN = 0.1  # [rad]
+SHOVE = 0.2  # [m/s]
+SHOVE_SPIN = 0.5  # [rad/s]
+SUB_STEP = 0.01  # [s] the wrench is averaged over this; at 0.1 m/s^2 that is 5 um
+
+
+class EstimatorParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """Process noise. Defaults from the thrust spread and tilt of the shipped vehicle and table."""
+
+    force_noise: Positive = 1.5e-3  # white acceleration, [m/s^2 / sqrt(Hz)]
+    bias_walk: Positive = 4e-4  # random walk of the bias, [m/s^2 / sqrt(s)]
+    torque_noise: Positive = 4e-3  # [rad/s^2 / sqrt(Hz)]
+    spin_bias_walk: Positive = 1e-3  # [rad/s^2 / sqrt(s)]
+    bias_spread: NonNegative = 3e-3  # of the bias at the start, one sigma [m/s^2]
+    spin_bias_spread: NonNegative = 3e-3  # [rad/s^2]
+    gate_sigma: Positive = 6.0  # innovations beyond this many sigmas are refused
+    speed_spread: NonNegative = 0.005  # of the start "at rest", one sigma [m/s and rad/s]
+
+
+class Fired(NamedTuple):
+    """The last plans, newest last, as the wrench model needs them."""
+
+    start: Array  # (m,) when each plan starts on the board [s]
+    end: Array  # (m,) when it is replaced or over [s]
+    on: Array  # (m, n) [s]
+    offset: Array  # (m, n) [s]
+
+
+class Model(NamedTuple):
+    """The vehicle in numbers."""
+
+    effect: Array  # (3, n), see jets.py
+    mass: float  # [kg]
+    inertia: float  # [kg m^2]
+    droop: float  # see vehicle.Air
+    valve: Timing
+
+
+@compiled
+def mean_wrench(fired, model, start, end):
+    """Mean body wrench of the fired pulses over [start, end]: (fx, fy, tau)."""
+    jets = model.effect.shape[1]
+    flow = np.zeros(jets)
+    open_jets = 0.0
+    for j in range(jets):
+        for m in range(fired.start.shape[0]):
+            if fired.on[m, j] > 0.0:
+                up = fired.start[m] + fired.offset[m, j]
+                down = min(up + fired.on[m, j], fired.end[m])
+                flow[j] += open_time(up, down, model.valve, start, end)
+        open_jets += flow[j]
+    span = end - start
+    share = 1.0 / (1.0 + model.droop * max(0.0, open_jets / span - 1.0))
+    fx = fy = tau = 0.0
+    for j in range(jets):
+        level = share * flow[j] / span
+        fx += model.effect[0, j] * level
+        fy += model.effect[1, j] * level
+        tau += model.effect[2, j] * level
+    return fx, fy, tau
+
+
+@compiled
+def predict_covariance(cov, h, white, walk):
+    """Advance one axis' covariance (3, 3) in place over `h`, exact for the triple integrator.
+
+    Args:
+        cov: of (position, velocity, bias).
+        h: [s].
+        white: spectral density of the acceleration noise [m^2/s^3].
+        walk: spectral density of the bias walk [m^2/s^5].
+    """
+    f = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
+    cov[:] = f @ cov @ f.T
+    h2, h3, h4, h5 = h**2, h**3, h**4, h**5
+    cov[0, 0] += white * h3 / 3.0 + walk * h5 / 20.0
+    cov[0, 1] += white * h2 / 2.0 + walk * h4 / 8.0
+    cov[1, 0] += white * h2 / 2.0 + walk * h4 / 8.0
+    cov[1, 1] += white * h + walk * h3 / 3.0
+    cov[0, 2] += walk * h3 / 6.0
+    cov[2, 0] += walk * h3 / 6.0
+    cov[1, 2] += walk * h2 / 2.0
+    cov[2, 1] += walk * h2 / 2.0
+    cov[2, 2] += walk * h
+
+
+@compiled
+def predict_mean(x, fired, model, start, end):
+    """Advance (x, y, theta, vx, vy, omega, bx, by, balpha) in place from `start` to `end`."""
+    steps = int(np.ceil((end - start) / SUB_STEP - 1e-9))
+    for k in range(steps):
+        a = start + (end - start) * k / steps
+        b = start + (end - start) * (k + 1) / steps
+        h = b - a
+        fx, fy, tau = mean_wrench(fired, model, a, b)
+        theta = x[2] + 0.5 * h * x[5]
+        c, s = np.cos(theta), np.sin(theta)
+        accel = (
+            (c * fx - s * fy) / model.mass + x[6],
+            (s * fx + c * fy) / model.mass + x[7],
+            tau / model.inertia + x[8],
+        )
+        for i in range(3):
+            x[i] += h * (x[3 + i] + 0.5 * h * accel[i])
+            x[3 + i] += h * accel[i]
+
+
+@compiled
+def correct(cov, noise):
+    """Kalman gain (3,) for a position of variance `noise`; `cov` is updated in place."""
+    gain = cov[:, 0] / (cov[0, 0] + noise)
+    row = cov[0, :].copy()
+    for i in range(3):
+        for j in range(3):
+            cov[i, j] -= gain[i] * row[j]
+    return gain
+
+
+class Clock(NamedTuple):
+    """Where the filter stands."""
+
+    t: float  # time of the state [s]
+    newest: float  # capture time of the newest accepted sample [s]
+    refused: int  # samples refused since then
+
+
+@compiled
+def doubt(cov, error, shove):
+    """Stop believing position, velocity and bias, in place: something pushed the vehicle."""
+    cov[0, 0] += error * error
+    cov[1, 1] += shove * shove
+    cov[2, 2] += (0.1 * shove) ** 2
+
+
+@compiled
+def absorb(x, cov, cov_spin, clock, samples, fired, model, noise, walk, gate):
+    """Run the filter over `samples`, shape (n, 4), changing x, cov and cov_spin in place.
+
+    A sample captured before the filter's time has come too late and is passed over: the ones after
+    it already said more. Returns the new clock.
+    """
+    t, newest, refused = clock
+    for n in range(samples.shape[0]):
+        captured = samples[n, 0]
+        if captured <= t:
+            continue
+        predict_mean(x, fired, model, t, captured)
+        predict_covariance(cov, captured - t, walk[0], walk[1])
+        predict_covariance(cov_spin, captured - t, walk[2], walk[3])
+        t = captured
+        dx = samples[n, 1] - x[0]
+        dy = samples[n, 2] - x[1]
+        turn = wrap_compiled(samples[n, 3] - x[2])
+        far = (dx * dx + dy * dy) / (cov[0, 0] + noise[0])
+        twisted = turn * turn / (cov_spin[0, 0] + noise[1])
+        if far > gate * gate or twisted > gate * gate:
+            refused += 1
+            if refused < PATIENCE or np.hypot(dx, dy) > JUMP or abs(turn) > TURN:
+                continue
+            doubt(cov, np.hypot(dx, dy), SHOVE)
+            doubt(cov_spin, turn, SHOVE_SPIN)
+        gain = correct(cov, noise[0])
+        gain_spin = correct(cov_spin, noise[1])
+        for i in range(3):
+            x[3 * i] += gain[i] * dx
+            x[3 * i + 1] += gain[i] * dy
+            x[3 * i + 2] += gain_spin[i] * turn
+        newest = captured
+        refused = 0
+    return Clock(t, newest, refused)
+
+
+class Estimator:
+    """One vehicle's filter and its memory of what it fired."""
+
+    def __init__(self, params: EstimatorParams, vehicle: Vehicle, mocap: Mocap) -> None:
+        self._params = params
+        self._delay = vehicle.command_delay_s
+        self._model = Model(
+            effect_matrix(vehicle.jets, about=vehicle.com),
+            vehicle.mass,
+            vehicle.inertia,
+            vehicle.air.droop,
+            timing(vehicle.valve),
+        )
+        self._noise = np.array([mocap.noise**2, np.radians(mocap.noise_deg) ** 2]) + 1e-16
+        self._walk = np.array(
+            [
+                params.force_noise**2,
+                params.bias_walk**2,
+                params.torque_noise**2,
+                params.spin_bias_walk**2,
+            ]
+        )
+        jets = len(vehicle.jets)
+        self._plans: deque[tuple[float, float, Array, Array]] = deque(maxlen=MEMORY)
+        self._fired = Fired(np.zeros(0), np.zeros(0), np.zeros((0, jets)), np.zeros((0, jets)))
+        self._x: Array | None = None
+        self._cov = np.zeros((3, 3))
+        self._cov_spin = np.zeros((3, 3))
+        self._clock = Clock(0.0, 0.0, 0)
+
+    def remember(self, command: ValveCommand) -> None:
+        """Note a plan that was really sent: the prediction is driven by it."""
+        start = command.issued_at + self._delay
+        if self._plans:
+            began, ends, on, offset = self._plans[-1]
+            self._plans[-1] = (began, min(ends, start), on, offset)
+        end = command.valid_until + self._delay
+        self._plans.append(
+            (start, end, np.array(command.on_us) * 1e-6, np.array(command.offset_us) * 1e-6)
+        )
+        self._fired = Fired(
+            np.array([plan[0] for plan in self._plans]),
+            np.array([plan[1] for plan in self._plans]),
+            np.array([plan[2] for plan in self._plans]),
+            np.array([plan[3] for plan in self._plans]),
+        )
+
+    def update(self, samples: Sequence[PoseSample]) -> None:
+        """Absorb poses in order of arrival; the first one ever starts the filter, at rest."""
+        if not samples:
+            return
+        table = np.array([(s.captured_at, s.x, s.y, s.theta) for s in samples])
+        if self._x is None:
+            self._start(table[0])
+            table = table[1:]
+        assert self._x is not None
+        self._clock = absorb(
+            self._x, self._cov, self._cov_spin, self._clock, table, self._fired, self._model,
+            self._noise, self._walk, self._params.gate_sigma,
+        )  # fmt: skip
+
+    def _start(self, sample: Array) -> None:
+        x = np.zeros(9)
+        x[:3] = sample[1:]
+        self._x = x
+        self._clock = Clock(float(sample[0]), float(sample[0]), 0)
+        spread = self._params.speed_spread**2
+        self._cov = np.diag([self._noise[0], spread, self._params.bias_spread**2])
+        self._cov_spin = np.diag([self._noise[1], spread, self._params.spin_bias_spread**2])
+
+    def predict(self, t: float, now: float) -> State | None:
+        """The state at `t` >= the newest capture, or None before the first pose.
+
+        Args:
+            t: time of the prediction, usually a little ahead: when the next pulses take effect [s].
+            now: present time, for the age of the pose [s].
+        """
+        if self._x is None:
+            return None
+        x = self._x.copy()
+        predict_mean(x, self._fired, self._model, self._clock.t, t)
+        px, py, theta, vx, vy, omega, bx, by, spin = x.tolist()
+        return State(
+            t,
+            Pose(px, py, wrap(theta)),
+            Twist(vx, vy, omega),
+            Accel(bx, by, spin),
+            pose_age=now - self._clock.newest,
+            rejected=int(self._clock.refused),
+        )

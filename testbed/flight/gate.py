@@ -1,0 +1,85 @@
+"""The gate, last before the valves: closed unless every condition holds, and it says which fails.
+
+Not armed, no pose yet, no setpoint yet: it waits. Anything else is a fault and stays until the run
+ends, because a vehicle that has flown blind must not start firing again on its own.
+"""
+
+from msgspec import Struct
+
+from testbed.core.types import Setpoint, State, ValveCommand, Wrench
+from testbed.core.vehicle import NonNegative, Positive
+
+
+class GateParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """Limits of a healthy flight."""
+
+    pose_timeout_s: Positive = 0.5
+    link_timeout_s: Positive = 2.0  # after the last setpoint has run out, at rest
+    max_rejected: Positive = 30  # poses in a row that the estimator did not believe
+    max_speed: Positive = 0.6  # [m/s]
+    max_spin: Positive = 1.5  # [rad/s]
+    fence_margin: NonNegative = 0.0  # between a vehicle's rim and the table's edge [m]
+
+
+class Fence(Struct, frozen=True):
+    """Where a vehicle's centre may be."""
+
+    half_x: float  # [m]
+    half_y: float  # [m]
+
+
+def _finite(*values: float) -> bool:
+    return all(abs(value) < 1e9 for value in values)  # false for nan and inf
+
+
+class Gate:
+    """One vehicle's gate."""
+
+    def __init__(self, params: GateParams, fence: Fence) -> None:
+        self._p, self._fence = params, fence
+        self._fault: str | None = None
+
+    @property
+    def fault(self) -> str | None:
+        """The latched reason."""
+        return self._fault
+
+    def refuse(
+        self, t: float, armed: bool, state: State | None, setpoint: Setpoint | None, wanted: Wrench
+    ) -> str | None:
+        """Why the valves must stay shut now, or None."""
+        if self._fault:
+            return self._fault
+        if not armed:
+            return "not armed"
+        if state is None:
+            return "no pose yet"
+        if setpoint is None:
+            return "no setpoint yet"
+        self._fault = self._trouble(t, state, setpoint, wanted)
+        return self._fault
+
+    def _trouble(self, t: float, state: State, setpoint: Setpoint, wanted: Wrench) -> str | None:
+        p, pose, twist = self._p, state.pose, state.twist
+        if not _finite(pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega):
+            return "estimate is not a number"
+        if not _finite(wanted.fx, wanted.fy, wanted.tau):
+            return "law or tracker asks for something that is not a number"
+        if state.pose_age > p.pose_timeout_s:
+            return f"no pose for {state.pose_age:.2f} s (limit {p.pose_timeout_s} s)"
+        if state.rejected > p.max_rejected:
+            return f"{state.rejected} poses in a row contradict the estimate"
+        if t - setpoint.valid_until > p.link_timeout_s:
+            waited = t - setpoint.valid_until
+            return f"no setpoint for {waited:.2f} s (limit {p.link_timeout_s} s)"
+        if abs(pose.x) > self._fence.half_x or abs(pose.y) > self._fence.half_y:
+            return f"outside the fence at ({pose.x:.2f}, {pose.y:.2f}) m"
+        if twist.vx**2 + twist.vy**2 > p.max_speed**2 or abs(twist.omega) > p.max_spin:
+            return f"too fast: ({twist.vx:.2f}, {twist.vy:.2f}) m/s, {twist.omega:.2f} rad/s"
+        return None
+
+
+def closed(command: ValveCommand) -> ValveCommand:
+    """The same plan with every valve shut."""
+    zeros = (0,) * len(command.on_us)
+    return ValveCommand(command.seq, command.issued_at, command.valid_until, zeros, zeros)

@@ -1,0 +1,188 @@
+"""Guidance: a law and its world in, one setpoint per jet period out.
+
+Both modes fly the law ahead over the coming jet period at a fine step, because a law with sgn and
+an integral diverges when it is stepped once per period:
+
+`reference`  the law flies a reference model, a double integrator that no jet and no camera
+             disturbs, half a second ahead, and sends where it will be: the paper's Fig. 13. The
+             vehicle tracks.
+`wrench`     the law flies ahead from the vehicle's estimate, its state carried on from period to
+             period, and sends the mean force. The loop closes through the law.
+
+It may run on the host, a period behind and a period ahead of the vehicle, or on the vehicle
+itself; it only needs to know for which instant its setpoint is.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from testbed.core.law import Ahead, Body, Discs, Goal, Law, World
+from testbed.core.se2 import wrap
+from testbed.core.table import Obstacle
+from testbed.core.types import (
+    Accel,
+    Demand,
+    Pose,
+    Reference,
+    Setpoint,
+    State,
+    Trajectory,
+    Twist,
+)
+from testbed.core.vehicle import NonNegative, Positive, Vehicle
+
+Array = NDArray[np.float64]
+
+
+class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """How a law is flown."""
+
+    mode: Literal["reference", "wrench"] = "reference"
+    step_s: Annotated[float, Meta(gt=0.0, le=0.001)] = 0.001
+    neighbour_distance: NonNegative = 0.6  # to keep between centres of two vehicles [m]
+    force_share: Annotated[float, Meta(gt=0.0, le=1.0)] = (
+        0.6  # of the jets; feedback needs the rest
+    )
+    heading_accel: Positive = 0.02  # of a turn to the goal's heading [rad/s^2]
+    preview_s: NonNegative = 0.5  # how far ahead references are sent: lost messages cost nothing
+    setpoint_life_s: Positive = 0.5  # after the last reference, or of a demand
+
+
+def weakest_force(vehicle: Vehicle) -> float:
+    """What the jets can do in the worst of the four body directions [N]."""
+    return min(
+        sum(jet.thrust * max(0.0, jet.push[0] * x + jet.push[1] * y) for jet in vehicle.jets)
+        for x, y in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+    )
+
+
+class Turn:
+    """Smooth turn (quintic in time) from one heading to another, the shorter way round."""
+
+    def __init__(self, start: float, end: float, t: float, accel: float) -> None:
+        self._start, self._angle, self._t = start, wrap(end - start), t
+        # the quintic's peak acceleration is 10/sqrt(3) angle / span^2
+        self._span = max(1e-3, math.sqrt(10.0 / math.sqrt(3.0) * abs(self._angle) / accel))
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """Heading [rad], turn rate [rad/s], angular acceleration [rad/s^2]."""
+        s = min(1.0, max(0.0, (t - self._t) / self._span))
+        a, w = self._angle, 1.0 / self._span
+        return (
+            self._start + a * s**3 * (10.0 - 15.0 * s + 6.0 * s * s),
+            a * w * 30.0 * (s * (1.0 - s)) ** 2,
+            a * w * w * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s),
+        )
+
+
+class Guidance:
+    """One vehicle's law at work."""
+
+    def __init__(
+        self,
+        params: GuidanceParams,
+        law: Law,
+        vehicle: Vehicle,
+        goal: Pose,
+        obstacles: Sequence[Obstacle],
+        period: float,
+    ) -> None:
+        self._params, self._law, self._goal, self._period = params, law, goal, period
+        self._mass = vehicle.mass
+        self._max_force = params.force_share * weakest_force(vehicle)
+        self._steps = math.ceil(period / params.step_s - 1e-9)
+        zero = np.zeros(2)
+        self._fixed_goal = Goal(np.array([goal.x, goal.y]), zero, zero, zero)
+        self._centres = np.array([o.position for o in obstacles]).reshape(-1, 2)
+        self._speeds = np.array([o.velocity for o in obstacles]).reshape(-1, 2)
+        self._radii = np.array([o.radius for o in obstacles])
+        self._law_state: Array | None = None
+        self._turn: Turn | None = None
+        self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
+        self._ahead: deque[Reference] = deque()  # references not due yet
+        self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
+
+    def step(self, t: float, own: State, neighbours: Mapping[str, State]) -> Setpoint:
+        """Setpoint for the jet period that starts at `t`.
+
+        Args:
+            t: one period after that of the last step, and not before own.t [s].
+            own: newest estimate of the vehicle.
+            neighbours: newest state heard of each other vehicle.
+        """
+        if self._turn is None:
+            self._turn = Turn(own.pose.theta, self._goal.theta, t, self._params.heading_accel)
+        if self._params.mode == "wrench":
+            return self._demand(t, own, neighbours, self._turn)
+        if self._law_state is None:
+            self._t = t
+            self._p, self._v = np.array([own.pose.x, own.pose.y]), np.zeros(2)
+        while self._t <= t + self._params.preview_s + 1e-9:
+            self._ahead.append(self._reference(neighbours, self._turn))
+        references = tuple(self._ahead)
+        self._ahead.popleft()
+        return Trajectory(references, references[-1].t + self._params.setpoint_life_s)
+
+    def _demand(self, t: float, own: State, neighbours: Mapping[str, State], turn: Turn) -> Demand:
+        """The law closes the loop: fly it ahead from the estimate, ask for its mean force."""
+        drift = np.array([own.bias.ax, own.bias.ay])
+        force = self._fly(t, *self._predict(own, drift, t), drift, neighbours).mean_force
+        self._sent.append((t, force))
+        fx, fy = force.tolist()
+        return Demand(t, fx, fy, *turn.at(t), t + self._params.setpoint_life_s)
+
+    def _reference(self, neighbours: Mapping[str, State], turn: Turn) -> Reference:
+        """Where the reference model is now; then it flies on by one period."""
+        t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
+        ahead = self._fly(t, self._p, self._v, np.zeros(2), neighbours)
+        self._t, self._p, self._v = t + self._period, ahead.p, ahead.v
+        ax, ay = (ahead.mean_force / self._mass).tolist()
+        theta, omega, alpha = turn.at(t)
+        return Reference(t, Pose(px, py, theta), Twist(vx, vy, omega), Accel(ax, ay, alpha))
+
+    def _fly(
+        self, t: float, p: Array, v: Array, drift: Array, neighbours: Mapping[str, State]
+    ) -> Ahead:
+        """Fly the law ahead over one period; its state is carried on."""
+        own = Body(p, v, self._mass, drift, np.zeros(2), self._max_force)
+        obstacles = Discs(self._centres + t * self._speeds, self._speeds, self._radii)
+        world, others = World(self._fixed_goal, obstacles), self._neighbour_discs(neighbours, t)
+        if self._law_state is None:
+            self._law_state = self._law.initial(own, others, world)
+        ahead = self._law.fly_ahead(
+            self._law_state, own, others, world, t, self._period, self._steps
+        )
+        self._law_state = ahead.law_state
+        return ahead
+
+    def _predict(self, own: State, drift: Array, t: float) -> tuple[Array, Array]:
+        """Position and velocity at `t`, through the demands that are still on their way."""
+        p = np.array([own.pose.x, own.pose.y])
+        v = np.array([own.twist.vx, own.twist.vy])
+        now = own.t
+        while now < t - 1e-9:
+            force, until = np.zeros(2), t
+            for start, sent in self._sent:
+                if start <= now + 1e-9 < start + self._period:
+                    force, until = sent, min(until, start + self._period)
+                elif start > now + 1e-9:
+                    until = min(until, start)
+            h = until - now
+            a = force / self._mass + drift
+            p = p + h * (v + 0.5 * h * a)
+            v = v + h * a
+            now = until
+        return p, v
+
+    def _neighbour_discs(self, neighbours: Mapping[str, State], t: float) -> Discs:
+        states = [neighbours[name] for name in sorted(neighbours)]
+        p = [(s.pose.x + (t - s.t) * s.twist.vx, s.pose.y + (t - s.t) * s.twist.vy) for s in states]
+        v = [(s.twist.vx, s.twist.vy) for s in states]
+        radius = np.full(len(states), self._params.neighbour_distance)
+        return Discs(np.array(p).reshape(-1, 2), np.array(v).reshape(-1, 2), radius)

@@ -1,0 +1,119 @@
+"""The loop that flies an experiment, the same on every rig.
+
+Tick k is due at k * period of the clock it is handed. In each tick every vehicle takes its step
+first, on what has arrived so far; then the host answers for the next one.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from msgspec import Struct
+
+from testbed.core.ports import Clock, HostLink, PoseSource, Thrusters, VehicleLink
+from testbed.core.types import HostInputs, HostOutputs, Inputs, Outputs
+from testbed.flight.agent import Agent
+from testbed.flight.guidance import Guidance
+
+
+class VehicleNode:
+    """An agent and the ports it is plugged into."""
+
+    def __init__(
+        self, name: str, agent: Agent, poses: PoseSource, thrusters: Thrusters, link: VehicleLink
+    ) -> None:
+        self.name = name
+        self._agent, self._poses, self._thrusters, self._link = agent, poses, thrusters, link
+
+    def tick(self, t: float, armed: bool) -> tuple[Inputs, Outputs]:
+        """Listen, step, act, tell."""
+        link = self._link
+        inputs = Inputs(
+            t,
+            armed,
+            tuple(self._poses.samples()),
+            link.setpoint(),
+            link.neighbours(),
+            self._thrusters.health(),
+        )
+        outputs = self._agent.step(inputs)
+        self._thrusters.apply(outputs.command)
+        if outputs.state is not None:
+            link.publish(outputs.state)
+        return inputs, outputs
+
+
+class HostNode:
+    """One vehicle's law on the host.
+
+    What it sends at a tick reaches the vehicle before its next one, so it is meant for the jet
+    period after the coming one.
+    """
+
+    def __init__(
+        self, name: str, guidance: Guidance, link: HostLink, period: float, lead: float
+    ) -> None:
+        self.name = name
+        self._guidance, self._link = guidance, link
+        self._ahead = period + lead
+
+    def tick(self, t: float) -> tuple[HostInputs, HostOutputs]:
+        """Listen, step, tell."""
+        inputs = HostInputs(t, self._link.own(), self._link.neighbours())
+        if inputs.own is None:
+            return inputs, HostOutputs(t, None)
+        setpoint = self._guidance.step(t + self._ahead, inputs.own, inputs.neighbours)
+        self._link.publish(setpoint)
+        return inputs, HostOutputs(t, setpoint)
+
+
+class Observer(Protocol):
+    """Whoever watches: recorder, progress bar, dashboard. Must not slow the loop down."""
+
+    def vehicle(self, name: str, inputs: Inputs, outputs: Outputs) -> None:
+        """One vehicle's tick."""
+        ...
+
+    def host(self, name: str, inputs: HostInputs, outputs: HostOutputs) -> None:
+        """One vehicle's law on the host."""
+        ...
+
+    def tick(self, t: float) -> None:
+        """All of them are through."""
+        ...
+
+
+class Ending(Struct, frozen=True):
+    """How a flight ended."""
+
+    t: float  # [s]
+    fault: str | None  # None: flown to the end
+
+
+def fly(
+    clock: Clock,
+    vehicles: Sequence[VehicleNode],
+    hosts: Sequence[HostNode],
+    period: float,
+    ticks: int,
+    observer: Observer,
+    *,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Ending:
+    """Fly `ticks` jet periods, or until a gate latches a fault or `stopped()` says so."""
+    fault: str | None = None
+    for k in range(ticks):
+        t = k * period
+        clock.wait_until(t)
+        armed = fault is None
+        for node in vehicles:
+            inputs, outputs = node.tick(t, armed)
+            observer.vehicle(node.name, inputs, outputs)
+            if outputs.fault and fault is None:
+                fault = f"{node.name}: {outputs.fault}"
+        for host in hosts:
+            observer.host(host.name, *host.tick(t))
+        observer.tick(t)
+        if not armed or stopped():  # one more tick after a fault, disarmed, to shut every valve
+            return Ending(t, fault)
+    clock.wait_until(ticks * period)
+    return Ending(ticks * period, fault)

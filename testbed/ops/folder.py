@@ -1,0 +1,69 @@
+"""A run's folder: never overwritten, readable however the run ended.
+
+config.toml   the resolved experiment: `testbed run config.toml` repeats the run
+log.mcap      every tick's inputs and outputs
+metrics.json  what it was worth; "completed": false if it did not reach its end
+"""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import tomli_w
+
+from testbed.ops.metrics import Metrics
+
+
+class FolderError(Exception):
+    """The run cannot be written there."""
+
+
+def new_folder(out: Path | None, name: str) -> Path:
+    """Make the folder of a new run.
+
+    Args:
+        out: where the operator wants it; it may exist if it is empty. None: below runs/.
+        name: of the experiment.
+
+    Raises:
+        FolderError: there is something already, or the place is not writable.
+    """
+    try:
+        if out is not None:
+            if out.exists() and (not out.is_dir() or any(out.iterdir())):
+                raise FolderError(
+                    f"{out}\n  expected  a new or empty folder\n  found     older files"
+                )
+            out.mkdir(parents=True, exist_ok=True)
+            return out
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        for k in range(1, 1000):
+            path = Path("runs") / (f"{stamp}_{name}" if k == 1 else f"{stamp}_{name}-{k}")
+            try:
+                path.mkdir(parents=True)
+            except FileExistsError:
+                continue
+            return path
+    except OSError as error:
+        raise FolderError(f"{error.filename}: {error.strerror}") from None
+    raise FolderError(f"runs/{stamp}_{name}: a thousand runs in one second")
+
+
+def write_config(folder: Path, tree: dict[str, Any], version: str) -> None:
+    """Write the resolved experiment."""
+    head = f"# Resolved by airbearing-testbed {version}; everything is in place.\n\n"
+    _replace(folder / "config.toml", head + tomli_w.dumps(tree))
+
+
+def write_metrics(folder: Path, metrics: Metrics) -> None:
+    """Write metrics.json."""
+    text = msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode()
+    _replace(folder / "metrics.json", text + "\n")
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write the whole file or nothing."""
+    part = path.with_suffix(path.suffix + ".part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)

@@ -1,0 +1,207 @@
+"""What a flight was worth: the numbers of metrics.json and the criteria of an experiment."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from testbed.core.se2 import wrap
+from testbed.core.table import Obstacle
+from testbed.core.types import Outputs, Reference
+from testbed.core.vehicle import NonNegative, Positive
+
+Array = NDArray[np.float64]
+
+SETTLED_M = 0.05  # "settled" means closer than this for good [m]
+HOLD_S = 30.0  # length of the end of a run that counts as holding [s]
+
+
+class Criteria(Struct, frozen=True, forbid_unknown_fields=True):
+    """When an experiment counts as passed; a criterion that is not given is not judged."""
+
+    max_contacts: int | None = 0
+    clear_of_obstacles: bool = True  # every obstacle's danger radius is kept
+    final_error_m: Positive | None = None
+    settle_s: Positive | None = None
+    hold_rms_m: Positive | None = None
+    track_rms_m: Positive | None = None
+    heading_rms_deg: Positive | None = None
+    impulse_ns: NonNegative | None = None
+
+
+class VehicleMetrics(Struct, frozen=True):
+    """One vehicle's flight; null where a number does not apply."""
+
+    final_error_m: float | None
+    settle_s: float | None  # time after which the error stays within 0.05 m
+    track_rms_m: float | None  # true position against the reference; null in wrench mode
+    hold_rms_m: float | None  # true position against the goal in the last 30 s
+    heading_rms_deg: float | None  # true heading against the one asked for
+    min_obstacle_distance_m: float | None  # centre to centre, nearest obstacle
+    impulse_ns: float | None  # of all jets together
+    gas_g: float | None  # jets and bearings
+    valve_pulses: int | None  # openings, all valves
+    max_force_n: float | None  # largest mean force asked of the jets in one jet period
+
+
+class Metrics(Struct, frozen=True):
+    """Content of metrics.json."""
+
+    experiment: str
+    rig: str
+    seed: int
+    completed: bool
+    duration_s: float  # flown
+    wall_s: float
+    real_time_factor: float | None
+    contacts: int
+    min_vehicle_distance_m: float | None  # centre to centre
+    fault: str | None
+    criteria: dict[str, bool]
+    vehicles: dict[str, VehicleMetrics]
+
+
+class Track(Struct, frozen=True):
+    """Where the vehicles really were. In the twin this is the truth at every camera frame."""
+
+    t: Array  # (n,) [s]
+    states: Array  # (n, v, 6) x, y, theta, vx, vy, omega
+
+    def at(self, times: Array, vehicle: int) -> Array:
+        """Pose by cubic interpolation, shape (len(times), 3); times within the track."""
+        i = np.clip(np.searchsorted(self.t, times) - 1, 0, len(self.t) - 2)
+        h = (self.t[i + 1] - self.t[i])[:, None]
+        s = (times - self.t[i])[:, None] / h
+        a, b = self.states[i, vehicle], self.states[i + 1, vehicle]
+        return (
+            (1 + 2 * s) * (1 - s) ** 2 * a[:, :3]
+            + s * s * (3 - 2 * s) * b[:, :3]
+            + h * s * (1 - s) ** 2 * a[:, 3:]
+            - h * s * s * (1 - s) * b[:, 3:]
+        )
+
+
+class Spent(Struct, frozen=True):
+    """What a vehicle used up."""
+
+    impulse: float  # [N s]
+    gas: float  # [kg]
+    openings: int
+
+
+class Aim(Struct, frozen=True):
+    """What a vehicle was asked to do, tick by tick."""
+
+    t: Array  # (n,) [s]
+    pose: Array  # (n, 3) reference; x, y are NaN where only a heading was asked for
+    force: Array  # (n,) size of the mean force asked of the jets [N]
+
+
+def aim(outputs: Sequence[Outputs]) -> Aim:
+    """The ticks of one vehicle that had a setpoint."""
+    rows = []
+    for out in outputs:
+        if out.flown is None or out.state is None:
+            continue
+        force = math.hypot(out.wanted.fx, out.wanted.fy)
+        if isinstance(out.flown, Reference):
+            pose = out.flown.pose
+            rows.append((out.state.t, pose.x, pose.y, pose.theta, force))
+        else:
+            rows.append((out.state.t, math.nan, math.nan, out.flown.theta, force))
+    table = np.array(rows).reshape(-1, 5)
+    return Aim(table[:, 0], table[:, 1:4], table[:, 4])
+
+
+def _rms(values: Array) -> float | None:
+    return float(np.sqrt(np.mean(values))) if len(values) else None
+
+
+def settle_time(t: Array, error: Array) -> float | None:
+    """First time after which `error` stays within SETTLED_M; None if it does not [s]."""
+    outside = np.nonzero(~(error <= SETTLED_M))[0]
+    if len(outside) == 0:
+        return float(t[0])
+    last = int(outside[-1])
+    return float(t[last + 1]) if last + 1 < len(t) else None
+
+
+def obstacle_distances(
+    track: Track, vehicle: int, obstacles: Mapping[str, Obstacle]
+) -> dict[str, float]:
+    """Smallest distance of a vehicle to each obstacle, centre to centre [m]."""
+    distances = {}
+    for name, obstacle in obstacles.items():
+        centre = np.array(obstacle.position) + np.outer(track.t, obstacle.velocity)
+        gaps = np.hypot(*(track.states[:, vehicle, :2] - centre).T)
+        distances[name] = float(np.min(gaps, initial=math.inf))
+    return distances
+
+
+def smallest_separation(track: Track) -> float | None:
+    """Smallest distance between any two vehicles, centre to centre [m]."""
+    count = track.states.shape[1]
+    gaps = [
+        np.min(np.hypot(*(track.states[:, i, :2] - track.states[:, j, :2]).T))
+        for i in range(count)
+        for j in range(i)
+    ]
+    return float(min(gaps)) if gaps and len(track.t) else None
+
+
+def vehicle_metrics(
+    track: Track,
+    vehicle: int,
+    goal: tuple[float, float, float],
+    aimed: Aim,
+    spent: Spent,
+    obstacles: Mapping[str, Obstacle],
+) -> VehicleMetrics:
+    """Judge one vehicle's flight."""
+    distances = obstacle_distances(track, vehicle, obstacles)
+    error = np.hypot(*(track.states[:, vehicle, :2] - np.array(goal[:2])).T)
+    end = track.t[-1] if len(track.t) else 0.0
+    inside = (aimed.t >= track.t[0]) & (aimed.t <= end) if len(track.t) > 1 else aimed.t < 0
+    asked = aimed.pose[inside]
+    flown = track.at(aimed.t[inside], vehicle) if inside.any() else np.zeros((0, 3))
+    off = np.sum((flown[:, :2] - asked[:, :2]) ** 2, axis=1)
+    turn = np.array([wrap(angle) for angle in (flown[:, 2] - asked[:, 2]).tolist()])
+    heading = _rms(turn**2)
+    hold = error[track.t > end - HOLD_S] if end >= HOLD_S else error[:0]
+    return VehicleMetrics(
+        final_error_m=float(error[-1]) if len(error) else None,
+        settle_s=settle_time(track.t, error) if len(error) else None,
+        track_rms_m=_rms(off[~np.isnan(off)]),
+        hold_rms_m=_rms(hold**2),
+        heading_rms_deg=None if heading is None else math.degrees(heading),
+        min_obstacle_distance_m=min(distances.values()) if distances and len(track.t) else None,
+        impulse_ns=spent.impulse,
+        gas_g=1e3 * spent.gas,
+        valve_pulses=spent.openings,
+        max_force_n=float(np.max(aimed.force)) if len(aimed.force) else None,
+    )
+
+
+def judge(
+    criteria: Criteria, vehicles: Mapping[str, VehicleMetrics], contacts: int, clear: bool
+) -> dict[str, bool]:
+    """Each criterion that was given, met or not; a number that does not apply does not meet it.
+
+    `track_rms_m` is not judged where nobody tracked a reference.
+    """
+    verdict: dict[str, bool] = {}
+    if criteria.max_contacts is not None:
+        verdict["max_contacts"] = contacts <= criteria.max_contacts
+    if criteria.clear_of_obstacles:
+        verdict["clear_of_obstacles"] = clear
+    for key in (
+        "final_error_m", "settle_s", "hold_rms_m", "track_rms_m", "heading_rms_deg", "impulse_ns",
+    ):  # fmt: skip
+        limit = getattr(criteria, key)
+        values = [getattr(m, key) for m in vehicles.values()]
+        if limit is None or (key == "track_rms_m" and all(v is None for v in values)):
+            continue
+        verdict[key] = all(value is not None and value <= limit for value in values)
+    return verdict

@@ -1,0 +1,81 @@
+"""What README.md tells a stranger to type must work."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def sh_blocks(markdown: str) -> list[list[str]]:
+    """Commands of each fenced sh block, without comments and with continued lines joined."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", markdown, re.MULTILINE | re.DOTALL)
+    return [
+        [shlex.join(words) for line in lines if (words := shlex.split(line, comments=True))]
+        for lines in (block.replace("\\\n", " ").splitlines() for block in blocks)
+    ]
+
+
+BLOCKS = sh_blocks((ROOT / "README.md").read_text())
+COMMANDS = [shlex.split(line) for block in BLOCKS for line in block]
+TESTBED = [words[1:] for words in COMMANDS if Path(words[0]).name == "testbed"]
+MAKE = [words[1:] for words in COMMANDS if words[0] == "make"]
+
+
+def expansion(*arguments: str) -> list[list[str]]:
+    """The commands that `make` with these arguments would run."""
+    env = {
+        key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))
+    }
+    command = ["make", "--dry-run", *arguments]
+    result = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return [line.split() for line in result.stdout.splitlines()]
+
+
+def test_sh_blocks_are_read():
+    text = "a\n```sh\nmake demo  # two words\n\ntestbed run \\\n  x\n```\n```toml\nk = 1\n```\n"
+    assert sh_blocks(text) == [["make demo", "testbed run x"]]
+
+
+def test_two_commands_come_first():
+    assert BLOCKS[:1] == [["make demo", "make test"]]
+
+
+def test_make_demo_flies_the_paper():
+    assert [".venv/bin/testbed", "run", "zhang2023_table"] in expansion("demo")
+
+
+def test_make_test_runs_pytest():
+    assert [".venv/bin/python", "-m", "pytest"] in [words[:3] for words in expansion("test")]
+
+
+def test_the_dashboard_is_not_needed_for_tests():
+    assert "-dashboard" in str(expansion("--always-make", "demo"))
+    assert "-dashboard" not in str(expansion("--always-make", "test"))
+
+
+@pytest.mark.parametrize("words", MAKE, ids=shlex.join)
+def test_make_commands_of_the_readme_exist(words):
+    expansion(*words)
+
+
+def test_readme_shows_the_operator_command():
+    assert any(words[:1] == ["run"] for words in TESTBED)
+
+
+@pytest.mark.parametrize("words", TESTBED, ids=shlex.join)
+def test_testbed_commands_of_the_readme_run(words, tmp_path):
+    verdicts = {0}
+    if words[:1] == ["run"]:
+        words = [*words, "duration_s=2", "--out", str(tmp_path / "run")]
+        verdicts = {0, 1}  # 2 s are too short for the criteria of an experiment
+    command = [sys.executable, "-m", "testbed.cli.main", *words]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert result.returncode in verdicts, result.stdout + result.stderr
+    assert "Traceback" not in result.stderr
