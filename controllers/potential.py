@@ -84,31 +84,33 @@ def potential(params: PotentialParams, d: int) -> Potential:
 
 
 @compiled
-def add_repulsion(u, width, r, r1, r2, e, e1, e2, g, g1, g2):
-    """Add one disc's share of Eq. (16) to `g`, and of its first two time derivatives to g1, g2.
+def add_repulsion(u, width, offset, error, g):
+    """Add one disc's share of Eq. (16) and of its first two time derivatives to the rows of `g`.
 
     With A = e'Me and S = psi exp(-|r|^2/width^2) the share is S M e - A S r/width^2. Every factor
     is differentiated along the trajectory; velocities of the obstacle and of the goal are inside
-    r1 and e1, which is all that Eqs. (17)-(20) say.
+    r' and e', which is all that Eqs. (17)-(20) say.
 
     Args:
         u: the potential.
         width: of this disc [m].
-        r, r1, r2: offset from the disc's centre and its time derivatives, shape (d,).
-        e, e1, e2: position error and its time derivatives, shape (d,).
-        g, g1, g2: sums so far, shape (d,), written to.
+        offset: r from the disc's centre and its first two time derivatives, shape (3, d).
+        error: e and its first two time derivatives, shape (3, d).
+        g: sums so far, shape (3, d), written to.
     """
-    d = e.shape[0]
+    d = error.shape[1]
     q = q1 = q2 = 0.0  # |r|^2/width^2 and derivatives
     a = a1 = a2 = 0.0  # e'Me and derivatives
     w = 1.0 / (width * width)
     for i in range(d):
-        q += r[i] * r[i] * w
-        q1 += 2.0 * r[i] * r1[i] * w
-        q2 += 2.0 * (r1[i] * r1[i] + r[i] * r2[i]) * w
-        a += u.repel[i] * e[i] * e[i]
-        a1 += 2.0 * u.repel[i] * e[i] * e1[i]
-        a2 += 2.0 * u.repel[i] * (e1[i] * e1[i] + e[i] * e2[i])
+        r, r1, r2 = offset[0, i], offset[1, i], offset[2, i]
+        e, e1, e2 = error[0, i], error[1, i], error[2, i]
+        q += w * r * r
+        q1 += 2.0 * w * r * r1
+        q2 += 2.0 * w * (r1 * r1 + r * r2)
+        a += u.repel[i] * e * e
+        a1 += 2.0 * u.repel[i] * e * e1
+        a2 += 2.0 * u.repel[i] * (e1 * e1 + e * e2)
     s = u.height * np.exp(-q)
     s1 = -q1 * s
     s2 = (q1 * q1 - q2) * s
@@ -116,45 +118,45 @@ def add_repulsion(u, width, r, r1, r2, e, e1, e2, g, g1, g2):
     b1 = (a1 * s + a * s1) * w
     b2 = (a2 * s + 2.0 * a1 * s1 + a * s2) * w
     for i in range(d):
+        r, r1, r2 = offset[0, i], offset[1, i], offset[2, i]
+        e, e1, e2 = error[0, i], error[1, i], error[2, i]
         m = u.repel[i]
-        g[i] += s * m * e[i] - b * r[i]  # Eq. (16)
-        g1[i] += m * (s1 * e[i] + s * e1[i]) - (b1 * r[i] + b * r1[i])
-        g2[i] += m * (s2 * e[i] + 2.0 * s1 * e1[i] + s * e2[i]) - (
-            b2 * r[i] + 2.0 * b1 * r1[i] + b * r2[i]
-        )
+        g[0, i] += m * s * e - b * r  # Eq. (16)
+        g[1, i] += m * (s1 * e + s * e1) - (b1 * r + b * r1)
+        g[2, i] += m * (s2 * e + 2.0 * s1 * e1 + s * e2) - (b2 * r + 2.0 * b1 * r1 + b * r2)
 
 
 @compiled
-def gradient(u, own, accel, neighbours, world):
-    """Gradient of U where the satellite is, and how it changes on the way.
+def gradient(u, own, force, neighbours, world):
+    """Position error and gradient of U where the satellite is, and how they change on the way.
 
     Args:
         u: the potential.
         own: the satellite.
-        accel: its nominal acceleration, shape (d,) [m/s^2].
+        force: on it, shape (d,) [N].
         neighbours: discs to avoid.
         world: goal, and more discs.
 
     Returns:
-        rows: nabla U, Eq. (16); Omega, its time derivative, Eq. (21); the time derivative of Omega;
-        shape (3, d).
+        e and its first two time derivatives, shape (3, d), the second one with the nominal
+        acceleration; nabla U, Eq. (16), and its first two time derivatives, the first one is Omega
+        of Eq. (21), shape (3, d).
     """
     d = own.p.shape[0]
-    g = np.zeros((3, d))
-    e, e1, e2 = np.empty(d), np.empty(d), np.empty(d)
+    work = np.empty((9, d))  # one piece of memory: this is the innermost loop
+    error, offset, g = work[:3], work[3:6], work[6:]
     for i in range(d):
-        e[i] = own.p[i] - world.goal.p[i]
-        e1[i] = own.v[i] - world.goal.v[i]
-        e2[i] = accel[i] - world.goal.a[i]
-        g[0, i] = u.attract[i] * e[i]  # Eq. (10)
-        g[1, i] = u.attract[i] * e1[i]
-        g[2, i] = u.attract[i] * e2[i]
-    r, r1 = np.empty(d), np.empty(d)
+        accel = force[i] / own.mass + own.drift[i]
+        error[0, i] = own.p[i] - world.goal.p[i]
+        error[1, i] = own.v[i] - world.goal.v[i]
+        error[2, i] = accel - world.goal.a[i]
+        offset[2, i] = accel
+        for k in range(3):
+            g[k, i] = u.attract[i] * error[k, i]  # Eq. (10)
     for discs in (world.obstacles, neighbours):
         for n in range(discs.p.shape[0]):
             for i in range(d):
-                r[i] = own.p[i] - discs.p[n, i]
-                r1[i] = own.v[i] - discs.v[n, i]
-            width = u.width_ratio * (discs.radius[n] + u.standoff)
-            add_repulsion(u, width, r, r1, accel, e, e1, e2, g[0], g[1], g[2])
-    return g
+                offset[0, i] = own.p[i] - discs.p[n, i]
+                offset[1, i] = own.v[i] - discs.v[n, i]
+            add_repulsion(u, u.width_ratio * (discs.radius[n] + u.standoff), offset, error, g)
+    return error, g

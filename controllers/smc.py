@@ -62,11 +62,11 @@ class Gains(NamedTuple):
 def rate(gains, law_state, own, neighbours, world, t):
     """Force, see `testbed.core.law`; the law has no state."""
     d = own.p.shape[0]
-    # the force does not enter its own Omega: d(nabla U)/dt needs velocities only
-    g = gradient(gains.potential, own, own.drift, neighbours, world)
-    force = np.empty(d)
+    # Omega needs velocities only, so the force, not known yet, does not matter to it
+    force = np.zeros(d)
+    e, g = gradient(gains.potential, own, force, neighbours, world)
     for i in range(d):
-        s = gains.surface[i] * g[0, i] + own.v[i] - world.goal.v[i]  # Eq. (15)
+        s = gains.surface[i] * g[0, i] + e[1, i]  # Eq. (15)
         force[i] = own.mass * (  # Eq. (44)
             -gains.surface[i] * g[1, i]
             - gains.linear[i] * s

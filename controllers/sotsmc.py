@@ -8,6 +8,7 @@ Electronics 12:3179, 2023. Equation numbers are that paper's.
     rho, rho_d      own.p, goal.p       position, desired position                 m
     u               u = law_state[:d]   control, an integral                       N
     d_m hat         law_state[d]        adapted bound of the disturbance's rate    m/s^3
+    e               e[0]                position error; e[1], e[2]: its rates      m
     nabla U, Omega  g[0], g[1]          gradient of the potential, its rate        m, m/s
     s, sigma        s, sigma            sliding surface, switching function        m/s
     lambda          surface             gain of the surface                        1/s
@@ -83,13 +84,12 @@ def rate(gains, law_state, own, neighbours, world, t):
     d = own.p.shape[0]
     u, bound = law_state[:d], law_state[d]
     power = gains.power
-    accel = u / own.mass + own.drift
-    g = gradient(gains.potential, own, accel, neighbours, world)
-    force, change = np.empty(d), np.empty(d + 1)
+    e, g = gradient(gains.potential, own, u, neighbours, world)
+    change = np.empty(d + 1)
     length = outward = spread = slow = steep = 0.0
     for i in range(d):
-        s = gains.surface[i] * g[0, i] + own.v[i] - world.goal.v[i]  # Eq. (15)
-        s_dot = gains.surface[i] * g[1, i] + accel[i] - world.goal.a[i]  # Eq. (22)
+        s = gains.surface[i] * g[0, i] + e[1, i]  # Eq. (15)
+        s_dot = gains.surface[i] * g[1, i] + e[2, i]  # Eq. (22)
         sign, size = np.sign(s_dot), abs(s_dot)
         sigma = s + sign * size**power / gains.beta[i]  # Eq. (24)
         nominal = (  # Eq. (28)
@@ -100,7 +100,6 @@ def rate(gains, law_state, own, neighbours, world, t):
         )
         switching = -gains.reach[i] * sigma - (bound + gains.margin) * np.sign(sigma)  # Eq. (28)
         change[i] = own.mass * (nominal + switching)
-        force[i] = u[i]
         length += u[i] * u[i]
         outward += u[i] * change[i]
         spread += sigma * sigma
@@ -110,7 +109,7 @@ def rate(gains, law_state, own, neighbours, world, t):
     if length > own.max_force**2 and outward > 0.0:
         for i in range(d):
             change[i] -= u[i] * outward / length
-    return force, change
+    return u, change
 
 
 def initial(own: Body) -> Array:

@@ -30,25 +30,20 @@ class Camera:
         poses[:, 2] = (poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
         latency = mocap.latency_s + mocap.jitter_s * self._rng.standard_normal(n)
         arrival = times + np.maximum(latency, 0.5 * mocap.latency_s)
-        lost = self._lost(times)
-        self._on_the_way += [
-            (at, PoseSample(t, *pose))
-            for at, t, pose, gone in zip(
-                arrival.tolist(), times.tolist(), poses.tolist(), lost, strict=True
-            )
-            if not gone
-        ]
+        kept = self._kept(times)
+        rows = np.column_stack((arrival, times, poses))[kept].tolist()
+        self._on_the_way += [(row[0], PoseSample(*row[1:])) for row in rows]
 
-    def _lost(self, times: Array) -> list[bool]:
+    def _kept(self, times: Array) -> NDArray[np.bool_]:
+        """Which exposures still show the body."""
         mocap = self._mocap
-        if mocap.dropout_rate == 0.0:
-            return [False] * len(times)
-        lost = []
-        for t in times.tolist():
-            if t >= self._lost_until and self._rng.random() < mocap.dropout_rate / mocap.rate_hz:
-                self._lost_until = t + self._rng.exponential(mocap.dropout_s)
-            lost.append(t < self._lost_until)
-        return lost
+        kept = times >= self._lost_until
+        chance = self._rng.random(len(times)) < mocap.dropout_rate / mocap.rate_hz
+        for k in np.nonzero(chance)[0].tolist():
+            if kept[k]:
+                self._lost_until = times[k] + self._rng.exponential(mocap.dropout_s)
+                kept &= (times < times[k]) | (times >= self._lost_until)
+        return kept
 
     def arrived(self, now: float) -> list[PoseSample]:
         """Poses that have arrived by `now` and were not asked for yet, in order of arrival."""

@@ -4,7 +4,7 @@ Time is virtual and moves only when the loop waits: lockstep, deterministic, as 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,10 @@ Array = NDArray[np.float64]
 
 
 class Twin:
-    """One table with its vehicles. It is the run's Clock; the ports below are its other faces."""
+    """One table with its vehicles. It is the run's Clock; the ports below are its other faces.
+
+    `listeners` are the vehicles that subscribe to their neighbours' states.
+    """
 
     def __init__(
         self,
@@ -30,6 +33,7 @@ class Twin:
         table: Table,
         obstacles: Mapping[str, Obstacle],
         seed: int,
+        listeners: Collection[str] = (),
     ) -> None:
         self.names = list(vehicles)
         self.vehicles = vehicles
@@ -47,7 +51,12 @@ class Twin:
 
         self.setpoints = {n: channel("host", n) for n in self.names}
         self.to_host = {n: channel(n, "host") for n in self.names}
-        self.between = {(a, b): channel(a, b) for a in self.names for b in self.names if a != b}
+        self.between = {
+            (a, b): channel(a, b)
+            for a in self.names
+            for b in self.names
+            if a != b and b in listeners
+        }
 
     @property
     def now(self) -> float:
@@ -116,16 +125,16 @@ class TwinVehicleLink:
     def neighbours(self) -> dict[str, State]:
         """See `VehicleLink`."""
         twin, own = self._twin, self._name
-        heard = {n: twin.between[n, own].newest(twin.now) for n in twin.names if n != own}
+        heard = {a: air.newest(twin.now) for (a, b), air in twin.between.items() if b == own}
         return {name: state for name, state in heard.items() if state is not None}
 
     def publish(self, state: State) -> None:
         """See `VehicleLink`."""
         twin = self._twin
         twin.to_host[self._name].send(twin.now, state)
-        for other in twin.names:
-            if other != self._name:
-                twin.between[self._name, other].send(twin.now, state)
+        for (sender, _), air in twin.between.items():
+            if sender == self._name:
+                air.send(twin.now, state)
 
 
 class TwinHostLink:

@@ -86,6 +86,7 @@ def make_twin(experiment: Experiment) -> TwinRig:
         experiment.table,
         experiment.obstacles,
         experiment.seed,
+        listeners=list(setups) if experiment.deploy.law == "vehicle" else (),
     )
     period = experiment.flight.jet_period_s
     vehicles = [

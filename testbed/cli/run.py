@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
-from testbed.core.types import HostInputs, HostOutputs, Inputs, Outputs
+from testbed.core.types import HostTick, Outputs, Tick
 from testbed.flight.loop import Ending
 from testbed.ops.folder import FolderError, new_folder, write_config, write_metrics
 from testbed.ops.metrics import (
@@ -27,7 +27,7 @@ from testbed.ops.metrics import (
     smallest_separation,
     vehicle_metrics,
 )
-from testbed.ops.recorder import Recorder, TruthRow
+from testbed.ops.recorder import Motion, Recorder, Truth
 from testbed.rig import TwinRig, make_twin
 
 errors = Console(stderr=True, highlight=False)
@@ -88,21 +88,19 @@ class Watcher:
         self._shown, self._stride = 0.0, total / 100.0
         self.outputs: dict[str, list[Outputs]] = {name: [] for name in rig.experiment.vehicles}
 
-    def vehicle(self, name: str, inputs: Inputs, outputs: Outputs) -> None:
+    def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
-        self._recorder.write(name, "inputs", inputs.t, inputs)
-        self._recorder.write(name, "outputs", outputs.t, outputs)
-        self.outputs[name].append(outputs)
+        self._recorder.write(f"/{name}/tick", tick.inputs.t, tick)
+        self.outputs[name].append(tick.outputs)
 
-    def host(self, name: str, inputs: HostInputs, outputs: HostOutputs) -> None:
+    def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
-        self._recorder.write(name, "host_inputs", inputs.t, inputs)
-        self._recorder.write(name, "host_outputs", outputs.t, outputs)
+        self._recorder.write(f"/{name}/host", tick.inputs.t, tick)
 
-    def tick(self, t: float) -> None:
+    def done(self, t: float) -> None:
         """See `Observer`."""
-        for name, state in self._rig.truth():
-            self._recorder.write(name, "truth", t, TruthRow(t, *state))
+        motions = {name: Motion(*state) for name, state in self._rig.truth()}
+        self._recorder.write("/truth", t, Truth(t, motions))
         if t - self._shown >= self._stride:
             self._shown = t
             self._progress.update(self._bar, completed=t)
@@ -111,11 +109,11 @@ class Watcher:
 class _Nobody:
     """Observer of the warm-up."""
 
-    def vehicle(self, name: str, inputs: Inputs, outputs: Outputs) -> None: ...
+    def vehicle(self, name: str, tick: Tick) -> None: ...
 
-    def host(self, name: str, inputs: HostInputs, outputs: HostOutputs) -> None: ...
+    def host(self, name: str, tick: HostTick) -> None: ...
 
-    def tick(self, t: float) -> None: ...
+    def done(self, t: float) -> None: ...
 
 
 def warm_up(experiment: Experiment) -> None:

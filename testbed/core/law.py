@@ -111,7 +111,7 @@ def compiled_rate(gains_type: type) -> Callable[[Callable], Callable]:
     def decorate(function: Callable) -> Callable:
         kernel = compiled(function)
 
-        @overload(rate_of)
+        @overload(rate_of, jit_options={"forceinline": True})  # the arguments are many words
         def choose(law, law_state, own, neighbours, world, t):
             if isinstance(law, types.BaseNamedTuple) and law.instance_class is gains_type:
                 return lambda law, law_state, own, neighbours, world, t: kernel(
@@ -199,8 +199,6 @@ def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
     mean_force = np.zeros(p.shape[0])
     for k in range(steps):
         force, z_rate = rate_of(gains, z, body, others, scene, t + k * h)
-        for i in range(z.shape[0]):
-            z[i] += h * z_rate[i]
         for i in range(p.shape[0]):
             mean_force[i] += force[i] / steps
             a = force[i] / own.mass + drift[i]
@@ -214,4 +212,6 @@ def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
                 rocks_p[n, i] += h * world.obstacles.v[n, i]
             for n in range(others_p.shape[0]):
                 others_p[n, i] += h * neighbours.v[n, i]
+        for i in range(z.shape[0]):  # last: the force may be a view of the law's state
+            z[i] += h * z_rate[i]
     return Ahead(z, p, v, mean_force)

@@ -4,13 +4,15 @@ SI units and radians. One quantity, one frame: pose and twist are in the table f
 the table's centre, x right, y up, theta counter-clockwise), a wrench is in the body frame B. Where
 a quantity leaves its usual frame, its name says so (`force_w`).
 
-All are frozen: a value handed over is never changed behind anyone's back.
+All are frozen: a value handed over is never changed behind anyone's back. A frozen value cannot be
+part of a cycle, so none is known to the garbage collector (`gc=False`): a flight makes half a
+million of them.
 """
 
 from msgspec import Struct
 
 
-class Pose(Struct, frozen=True):
+class Pose(Struct, frozen=True, gc=False):
     """Position and heading in W."""
 
     x: float  # [m]
@@ -18,7 +20,7 @@ class Pose(Struct, frozen=True):
     theta: float  # [rad]
 
 
-class Twist(Struct, frozen=True):
+class Twist(Struct, frozen=True, gc=False):
     """Velocity and turn rate in W."""
 
     vx: float  # [m/s]
@@ -26,7 +28,7 @@ class Twist(Struct, frozen=True):
     omega: float  # [rad/s]
 
 
-class Accel(Struct, frozen=True):
+class Accel(Struct, frozen=True, gc=False):
     """Acceleration and angular acceleration in W."""
 
     ax: float  # [m/s^2]
@@ -34,7 +36,7 @@ class Accel(Struct, frozen=True):
     alpha: float  # [rad/s^2]
 
 
-class Wrench(Struct, frozen=True):
+class Wrench(Struct, frozen=True, gc=False):
     """Force and torque in B, about the body's origin."""
 
     fx: float  # [N]
@@ -42,7 +44,7 @@ class Wrench(Struct, frozen=True):
     tau: float  # [N m]
 
 
-class PoseSample(Struct, frozen=True, array_like=True):
+class PoseSample(Struct, frozen=True, gc=False, array_like=True):
     """One rigid body in one motion-capture frame."""
 
     captured_at: float  # middle of the exposure [s]
@@ -51,7 +53,7 @@ class PoseSample(Struct, frozen=True, array_like=True):
     theta: float  # [rad]
 
 
-class State(Struct, frozen=True):
+class State(Struct, frozen=True, gc=False):
     """What a satellite believes about itself at time `t`."""
 
     t: float  # [s]
@@ -62,7 +64,7 @@ class State(Struct, frozen=True):
     rejected: int  # samples the outlier gate has refused in a row
 
 
-class Reference(Struct, frozen=True, tag=True):
+class Reference(Struct, frozen=True, gc=False, tag=True):
     """Where to be at time `t`, and how to accelerate during the jet period that follows."""
 
     t: float  # [s]
@@ -71,14 +73,14 @@ class Reference(Struct, frozen=True, tag=True):
     accel: Accel
 
 
-class Trajectory(Struct, frozen=True, tag=True):
+class Trajectory(Struct, frozen=True, gc=False, tag=True):
     """References for the coming jet periods: a lost message costs nothing while they last."""
 
     references: tuple[Reference, ...]  # in order of time, at least one
     valid_until: float  # worth nothing afterwards [s]
 
 
-class Demand(Struct, frozen=True, tag=True):
+class Demand(Struct, frozen=True, gc=False, tag=True):
     """A mean force for the jet period that starts at `t`, and the heading to hold meanwhile.
 
     The heading loop closes on the vehicle also when the law that asks for the force does not.
@@ -96,7 +98,7 @@ class Demand(Struct, frozen=True, tag=True):
 Setpoint = Trajectory | Demand
 
 
-class ValveCommand(Struct, frozen=True):
+class ValveCommand(Struct, frozen=True, gc=False):
     """A complete plan for one jet period: one pulse at most per valve.
 
     A plan replaces the one before when it starts, and it ends by itself: after `valid_until`
@@ -110,7 +112,7 @@ class ValveCommand(Struct, frozen=True):
     offset_us: tuple[int, ...]  # from the plan's start to the opening command [us]
 
 
-class Health(Struct, frozen=True):
+class Health(Struct, frozen=True, gc=False):
     """What the board reports of itself."""
 
     t: float  # board's time [s]
@@ -118,7 +120,7 @@ class Health(Struct, frozen=True):
     tank_pressure: float  # [Pa]
 
 
-class Inputs(Struct, frozen=True):
+class Inputs(Struct, frozen=True, gc=False):
     """All that a satellite is told between two ticks. With `Outputs` it makes a run replayable."""
 
     t: float  # [s]
@@ -129,7 +131,7 @@ class Inputs(Struct, frozen=True):
     health: Health
 
 
-class Outputs(Struct, frozen=True):
+class Outputs(Struct, frozen=True, gc=False):
     """All that a satellite does in one tick."""
 
     t: float  # [s]
@@ -142,7 +144,14 @@ class Outputs(Struct, frozen=True):
     fault: str | None  # a reason that ends the run, latched
 
 
-class HostInputs(Struct, frozen=True):
+class Tick(Struct, frozen=True, gc=False):
+    """One vehicle's tick, whole: what replay feeds in and compares."""
+
+    inputs: Inputs
+    outputs: Outputs
+
+
+class HostInputs(Struct, frozen=True, gc=False):
     """All that the host's half of one satellite knows at a tick: newest heard, however old."""
 
     t: float  # [s]
@@ -150,8 +159,15 @@ class HostInputs(Struct, frozen=True):
     neighbours: dict[str, State]
 
 
-class HostOutputs(Struct, frozen=True):
+class HostOutputs(Struct, frozen=True, gc=False):
     """The host's answer."""
 
     t: float  # [s]
     setpoint: Setpoint | None
+
+
+class HostTick(Struct, frozen=True, gc=False):
+    """One tick of a law on the host, whole."""
+
+    inputs: HostInputs
+    outputs: HostOutputs

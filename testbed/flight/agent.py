@@ -7,6 +7,7 @@ No clock, no socket, no file, no randomness. The same inputs in the same order g
 outputs bit for bit, which is what replay checks.
 """
 
+import numpy as np
 from msgspec import Struct, field
 
 from testbed.core.types import (
@@ -72,6 +73,11 @@ class Agent:
             valve.open_ramp_s - valve.close_ramp_s
         )
 
+    @property
+    def hears_neighbours(self) -> bool:
+        """Whether neighbours' states are of any use to it: its law runs on board."""
+        return self._guidance is not None
+
     def step(self, inputs: Inputs) -> Outputs:
         """One tick: call it once per jet period, with time increasing."""
         t = inputs.t
@@ -116,22 +122,21 @@ class Agent:
         return reference, self._tracker.track(state, reference)
 
     def _plan(self, t: float, wanted: Wrench, share: float) -> ValveCommand:
-        duty = self._allocator.allocate(wanted, max(share, 0.1)).tolist()
-        jets_on = sum(1 for u in duty if u > 0.0)
-        loss = 1.0 + self._vehicle.air.droop * max(0, jets_on - 1)
-        on, offset = self._modulator.pulses([min(1.0, u * loss) for u in duty])
-        stretched = [
-            min(max(width + self._stretch, 0.0), self._period) if 0.0 < width < self._period
-            else width
-            for width in on
-        ]  # fmt: skip
+        duty = self._allocator.allocate(wanted, max(share, 0.1))
+        jets_on = np.count_nonzero(duty)
+        if jets_on > 1:
+            duty = np.minimum(1.0, duty * (1.0 + self._vehicle.air.droop * (jets_on - 1)))
+        on, offset = self._modulator.pulses(duty)
+        if self._stretch != 0.0:
+            partial = (on > 0.0) & (on < self._period)
+            on = np.where(partial, np.clip(on + self._stretch, 0.0, self._period - offset), on)
         self._seq += 1
         return ValveCommand(
             self._seq,
             t,
             t + self._period,
-            tuple(round(1e6 * width) for width in stretched),
-            tuple(round(1e6 * start) for start in offset),
+            tuple(np.rint(1e6 * on).astype(int).tolist()),
+            tuple(np.rint(1e6 * offset).astype(int).tolist()),
         )
 
     def _given(self, command: ValveCommand, share: float) -> Wrench:

@@ -131,15 +131,15 @@ def simplex(columns, cost, upper, basis):
 
 
 @compiled
-def duties(effect, gas, ceiling, more, less):
+def duties(effect, gas, ceiling, wrench, torque_first):
     """Solve the allocation problem of the module's first lines.
 
     Args:
         effect: B, shape (3, n).
         gas: price of each jet, shape (n,).
         ceiling: largest duty of each jet, shape (n,).
-        more: the part of the wrench that matters more, shape (3,).
-        less: the rest, shape (3,).
+        wrench: wanted (fx, fy, tau).
+        torque_first: whether the torque is w2 and the force w1, or the other way round.
 
     Returns:
         duty, shape (n,).
@@ -151,8 +151,8 @@ def duties(effect, gas, ceiling, more, less):
         scale = np.max(np.abs(effect[i]))
         scale = 1.0 / scale if scale > 0.0 else 1.0
         columns[i, :n] = effect[i] * scale
-        columns[i, n] = -less[i] * scale
-        columns[i, n + 1] = -more[i] * scale
+        part = n + 1 if torque_first == (i == 2) else n
+        columns[i, part] = -wrench[i] * scale
         columns[i, n + 2 + i] = 1.0
     cost = np.zeros(n + 5)
     cost[:n] = gas / np.max(gas)
@@ -176,6 +176,7 @@ class Allocator:
     def __init__(self, params: AllocatorParams, vehicle: Vehicle) -> None:
         self._effect = effect_matrix(vehicle.jets, about=vehicle.com)
         self._gas = np.array([jet.thrust for jet in vehicle.jets])
+        self._ones = np.ones(len(vehicle.jets))
         self._opposing = opposing_pairs(vehicle.jets)
         self._torque_first = params.priority == "torque"
 
@@ -186,15 +187,23 @@ class Allocator:
             wanted: mean wrench over the period, torque about the centre of mass.
             thrust_share: supply pressure over set pressure.
         """
-        force, torque = np.array([wanted.fx, wanted.fy, 0.0]), np.array([0.0, 0.0, wanted.tau])
-        more, less = (torque, force) if self._torque_first else (force, torque)
-        effect = self._effect * thrust_share
-        ceiling = np.ones(len(self._gas))
-        duty = duties(effect, self._gas, ceiling, more, less)
-        while pair := next((p for p in self._opposing if min(duty[p[0]], duty[p[1]]) > TINY), None):
-            ceiling[pair[0] if duty[pair[0]] < duty[pair[1]] else pair[1]] = 0.0
-            duty = duties(effect, self._gas, ceiling, more, less)
+        effect = self._effect if thrust_share == 1.0 else self._effect * thrust_share
+        wrench = (wanted.fx, wanted.fy, wanted.tau)
+        duty = duties(effect, self._gas, self._ones, wrench, self._torque_first)
+        for one, other in self._opposing:
+            if min(duty[one], duty[other]) > TINY:
+                return self._one_sided(effect, wrench)
         return duty
+
+    def _one_sided(self, effect: Array, wrench: tuple[float, float, float]) -> Array:
+        ceiling = self._ones.copy()
+        while True:
+            duty = duties(effect, self._gas, ceiling, wrench, self._torque_first)
+            both = [pair for pair in self._opposing if min(duty[list(pair)]) > TINY]
+            if not both:
+                return duty
+            one, other = both[0]
+            ceiling[one if duty[one] < duty[other] else other] = 0.0
 
     def wrench(self, duty: Sequence[float]) -> Wrench:
         """Wrench of these duties at set pressure."""

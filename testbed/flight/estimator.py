@@ -12,7 +12,6 @@ The centre of mass is taken at the body's origin here; the few millimetres betwe
 the bias.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -229,9 +228,10 @@ class Estimator:
                 params.spin_bias_walk**2,
             ]
         )
-        jets = len(vehicle.jets)
-        self._plans: deque[tuple[float, float, Array, Array]] = deque(maxlen=MEMORY)
-        self._fired = Fired(np.zeros(0), np.zeros(0), np.zeros((0, jets)), np.zeros((0, jets)))
+        shape = (MEMORY, len(vehicle.jets))
+        self._fired = Fired(
+            np.full(MEMORY, -np.inf), np.full(MEMORY, -np.inf), np.zeros(shape), np.zeros(shape)
+        )
         self._x: Array | None = None
         self._cov = np.zeros((3, 3))
         self._cov_spin = np.zeros((3, 3))
@@ -239,20 +239,16 @@ class Estimator:
 
     def remember(self, command: ValveCommand) -> None:
         """Note a plan that was really sent: the prediction is driven by it."""
-        start = command.issued_at + self._delay
-        if self._plans:
-            began, ends, on, offset = self._plans[-1]
-            self._plans[-1] = (began, min(ends, start), on, offset)
-        end = command.valid_until + self._delay
-        self._plans.append(
-            (start, end, np.array(command.on_us) * 1e-6, np.array(command.offset_us) * 1e-6)
-        )
-        self._fired = Fired(
-            np.array([plan[0] for plan in self._plans]),
-            np.array([plan[1] for plan in self._plans]),
-            np.array([plan[2] for plan in self._plans]),
-            np.array([plan[3] for plan in self._plans]),
-        )
+        fired, start = self._fired, command.issued_at + self._delay
+        fired.end[-1] = min(fired.end[-1], start)
+        for column in fired:
+            column[:-1] = column[1:]
+        fired.start[-1] = start
+        fired.end[-1] = command.valid_until + self._delay
+        fired.on[-1] = command.on_us
+        fired.offset[-1] = command.offset_us
+        fired.on[-1] *= 1e-6
+        fired.offset[-1] *= 1e-6
 
     def update(self, samples: Sequence[PoseSample]) -> None:
         """Absorb poses in order of arrival; the first one ever starts the filter, at rest."""

@@ -10,7 +10,7 @@ from typing import Protocol
 from msgspec import Struct
 
 from testbed.core.ports import Clock, HostLink, PoseSource, Thrusters, VehicleLink
-from testbed.core.types import HostInputs, HostOutputs, Inputs, Outputs
+from testbed.core.types import HostInputs, HostOutputs, HostTick, Inputs, Tick
 from testbed.flight.agent import Agent
 from testbed.flight.guidance import Guidance
 
@@ -24,7 +24,7 @@ class VehicleNode:
         self.name = name
         self._agent, self._poses, self._thrusters, self._link = agent, poses, thrusters, link
 
-    def tick(self, t: float, armed: bool) -> tuple[Inputs, Outputs]:
+    def tick(self, t: float, armed: bool) -> Tick:
         """Listen, step, act, tell."""
         link = self._link
         inputs = Inputs(
@@ -32,14 +32,14 @@ class VehicleNode:
             armed,
             tuple(self._poses.samples()),
             link.setpoint(),
-            link.neighbours(),
+            link.neighbours() if self._agent.hears_neighbours else {},
             self._thrusters.health(),
         )
         outputs = self._agent.step(inputs)
         self._thrusters.apply(outputs.command)
         if outputs.state is not None:
             link.publish(outputs.state)
-        return inputs, outputs
+        return Tick(inputs, outputs)
 
 
 class HostNode:
@@ -56,29 +56,29 @@ class HostNode:
         self._guidance, self._link = guidance, link
         self._ahead = period + lead
 
-    def tick(self, t: float) -> tuple[HostInputs, HostOutputs]:
+    def tick(self, t: float) -> HostTick:
         """Listen, step, tell."""
         inputs = HostInputs(t, self._link.own(), self._link.neighbours())
         if inputs.own is None:
-            return inputs, HostOutputs(t, None)
+            return HostTick(inputs, HostOutputs(t, None))
         setpoint = self._guidance.step(t + self._ahead, inputs.own, inputs.neighbours)
         self._link.publish(setpoint)
-        return inputs, HostOutputs(t, setpoint)
+        return HostTick(inputs, HostOutputs(t, setpoint))
 
 
 class Observer(Protocol):
     """Whoever watches: recorder, progress bar, dashboard. Must not slow the loop down."""
 
-    def vehicle(self, name: str, inputs: Inputs, outputs: Outputs) -> None:
+    def vehicle(self, name: str, tick: Tick) -> None:
         """One vehicle's tick."""
         ...
 
-    def host(self, name: str, inputs: HostInputs, outputs: HostOutputs) -> None:
+    def host(self, name: str, tick: HostTick) -> None:
         """One vehicle's law on the host."""
         ...
 
-    def tick(self, t: float) -> None:
-        """All of them are through."""
+    def done(self, t: float) -> None:
+        """All of them are through with the tick at `t`."""
         ...
 
 
@@ -106,13 +106,13 @@ def fly(
         clock.wait_until(t)
         armed = fault is None
         for node in vehicles:
-            inputs, outputs = node.tick(t, armed)
-            observer.vehicle(node.name, inputs, outputs)
-            if outputs.fault and fault is None:
-                fault = f"{node.name}: {outputs.fault}"
+            tick = node.tick(t, armed)
+            observer.vehicle(node.name, tick)
+            if tick.outputs.fault and fault is None:
+                fault = f"{node.name}: {tick.outputs.fault}"
         for host in hosts:
-            observer.host(host.name, *host.tick(t))
-        observer.tick(t)
+            observer.host(host.name, host.tick(t))
+        observer.done(t)
         if not armed or stopped():  # one more tick after a fault, disarmed, to shut every valve
             return Ending(t, fault)
     clock.wait_until(ticks * period)

@@ -12,15 +12,18 @@ steady thrust they stand for.
 """
 
 import math
-from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Protocol
 
+import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
+from testbed.core.compiled import compiled
 from testbed.core.jets import opposing_pairs
-from testbed.core.vehicle import Positive, Valve, Vehicle
+from testbed.core.vehicle import Positive, Vehicle
 
-Pulses = tuple[list[float], list[float]]  # on and offset per jet [s]
+Array = NDArray[np.float64]
+Pulses = tuple[Array, Array]  # on and offset per jet, shape (jets,) [s]
 
 
 class PwmParams(Struct, frozen=True, forbid_unknown_fields=True, tag="pwm"):
@@ -41,73 +44,84 @@ class PwpfParams(Struct, frozen=True, forbid_unknown_fields=True, tag="pwpf"):
 
 
 ModulatorParams = PwmParams | SigmaDeltaParams | PwpfParams
-ModulatorName = Literal["pwm", "sigma_delta", "pwpf"]
 
 
 class Modulator(Protocol):
     """Pulses for one period; may remember what it could not fire."""
 
-    def pulses(self, duty: Sequence[float]) -> Pulses:
+    def pulses(self, duty: Array) -> Pulses:
         """On-time and offset of each jet [s]; 0 <= offset, offset + on <= period."""
         ...
 
 
-def realisable(on: float, period: float, valve: Valve) -> float:
-    """The nearest on-time that the valve can do in one period [s].
+@compiled
+def realisable(on, period, min_on, min_off):
+    """The nearest on-time that a valve can do in one period [s].
 
     Shorter than the minimum on-time: nothing. A centred pulse leaves half its gap on either side,
     which must be at least the minimum off-time, or none at all.
     """
-    if on < valve.min_on_s:
+    if on < min_on:
         return 0.0
-    longest = max(0.0, period - 2.0 * valve.min_off_s)
+    longest = max(0.0, period - 2.0 * min_off)
     if on > longest:
         on = longest if on - longest < period - on else period
-    return on if on >= valve.min_on_s else 0.0
+    return on if on >= min_on else 0.0
 
 
-def _centred(on: list[float], period: float) -> Pulses:
-    return on, [0.5 * (period - width) for width in on]
+@compiled
+def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
+    """On-times (jets,) for a duty and what is owed from before; `carry` is updated in place.
+
+    Args:
+        duty: shape (jets,).
+        carry: wanted and not yet fired, shape (jets,) [s].
+        thrust: shape (jets,).
+        opposing: pairs of jets that push against each other, shape (n, 2).
+        period: [s].
+        min_on: [s].
+        min_off: [s].
+    """
+    # one period's worth at most: a saturated jet must not repay for minutes afterwards
+    wish = duty * period + np.minimum(np.maximum(carry, -period), period)
+    for k in range(opposing.shape[0]):  # two that push against each other owe only the difference
+        i, j = opposing[k]
+        impulse = thrust[i] * wish[i] - thrust[j] * wish[j]
+        wish[i] = max(0.0, impulse) / thrust[i]
+        wish[j] = max(0.0, -impulse) / thrust[j]
+    on = np.empty_like(wish)
+    for j in range(wish.shape[0]):
+        on[j] = realisable(wish[j], period, min_on, min_off)
+        carry[j] = wish[j] - on[j]
+    return on
 
 
 class Pwm:
     """Plain pulse width."""
 
     def __init__(self, vehicle: Vehicle, period: float) -> None:
-        self._valve = vehicle.valve
-        self._period = period
+        self._limits = period, vehicle.valve.min_on_s, vehicle.valve.min_off_s
 
-    def pulses(self, duty: Sequence[float]) -> Pulses:
+    def pulses(self, duty: Array) -> Pulses:
         """See `Modulator`."""
-        period = self._period
-        return _centred([realisable(u * period, period, self._valve) for u in duty], period)
+        period = self._limits[0]
+        on = np.array([realisable(u * period, *self._limits) for u in duty.tolist()])
+        return on, 0.5 * (period - on)
 
 
 class SigmaDelta:
     """Pulse width with the remainder carried over."""
 
     def __init__(self, vehicle: Vehicle, period: float) -> None:
-        self._valve = vehicle.valve
-        self._period = period
-        self._thrust = [jet.thrust for jet in vehicle.jets]
-        self._opposing = opposing_pairs(vehicle.jets)
-        self._carry = [0.0] * len(vehicle.jets)  # wanted and not yet fired [s]
+        self._limits = period, vehicle.valve.min_on_s, vehicle.valve.min_off_s
+        self._thrust = np.array([jet.thrust for jet in vehicle.jets])
+        self._opposing = np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2)
+        self._carry = np.zeros(len(vehicle.jets))
 
-    def pulses(self, duty: Sequence[float]) -> Pulses:
+    def pulses(self, duty: Array) -> Pulses:
         """See `Modulator`."""
-        period, thrust = self._period, self._thrust
-        # one period's worth at most: a saturated jet must not repay for minutes afterwards
-        wish = [
-            u * period + max(-period, min(period, left))
-            for u, left in zip(duty, self._carry, strict=True)
-        ]
-        for i, j in self._opposing:  # two that push against each other owe only the difference
-            impulse = thrust[i] * wish[i] - thrust[j] * wish[j]
-            wish[i] = max(0.0, impulse) / thrust[i]
-            wish[j] = max(0.0, -impulse) / thrust[j]
-        on = [realisable(w, period, self._valve) for w in wish]
-        self._carry = [w - fired for w, fired in zip(wish, on, strict=True)]
-        return _centred(on, period)
+        on = fire_with_carry(duty, self._carry, self._thrust, self._opposing, *self._limits)
+        return on, 0.5 * (self._limits[0] - on)
 
 
 class Pwpf:
@@ -120,10 +134,10 @@ class Pwpf:
         self._filter = [0.0] * len(vehicle.jets)
         self._on = [False] * len(vehicle.jets)
 
-    def pulses(self, duty: Sequence[float]) -> Pulses:
+    def pulses(self, duty: Array) -> Pulses:
         """See `Modulator`."""
-        fired = [self._pulse(j, u) for j, u in enumerate(duty)]
-        return [on for on, _ in fired], [offset for _, offset in fired]
+        fired = np.array([self._pulse(j, u) for j, u in enumerate(duty.tolist())])
+        return fired[:, 0], fired[:, 1]
 
     def _pulse(self, j: int, duty: float) -> tuple[float, float]:
         p, period = self._p, self._period

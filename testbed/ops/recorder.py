@@ -1,7 +1,11 @@
 """Log of record: every tick's inputs and outputs in one MCAP file.
 
-One topic per vehicle and direction, JSON messages, each topic with the JSON Schema of its struct:
-any MCAP reader can open it without this code. Times are the run's, so the same seed gives the same
+    /<vehicle>/tick    one tick of the flight chain: inputs and outputs
+    /<vehicle>/host    one tick of its law, where that runs on the host
+    /truth             where the vehicles really were; only a twin knows
+
+JSON messages, each topic with the JSON Schema of its struct: any MCAP reader can open it without
+this code. Times are the run's, so the same seed gives the same
 bytes.
 """
 
@@ -13,15 +17,12 @@ import msgspec
 from mcap.writer import CompressionType, Writer
 from msgspec import Struct
 
-from testbed.core.types import HostInputs, HostOutputs, Inputs, Outputs
-
 CHUNK = 256 * 1024  # [bytes] at most this much is lost when the machine dies
 
 
-class TruthRow(Struct, frozen=True):
-    """True state of one vehicle; only a twin knows it."""
+class Motion(Struct, frozen=True):
+    """Pose and twist of one vehicle in W."""
 
-    t: float  # [s]
     x: float  # [m]
     y: float  # [m]
     theta: float  # [rad]
@@ -30,13 +31,11 @@ class TruthRow(Struct, frozen=True):
     omega: float  # [rad/s]
 
 
-TOPICS: dict[str, type[Struct]] = {
-    "inputs": Inputs,
-    "outputs": Outputs,
-    "host_inputs": HostInputs,
-    "host_outputs": HostOutputs,
-    "truth": TruthRow,
-}
+class Truth(Struct, frozen=True):
+    """Where the vehicles really are at a tick."""
+
+    t: float  # [s]
+    vehicles: dict[str, Motion]
 
 
 class Recorder:
@@ -46,8 +45,8 @@ class Recorder:
         self._file = path.open("xb")  # never over an older log
         self._writer = Writer(self._file, chunk_size=CHUNK, compression=CompressionType.ZSTD)
         self._encoder = msgspec.json.Encoder()
-        self._channels: dict[tuple[str, str], tuple[int, int]] = {}  # -> (channel, messages so far)
-        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._sequence = 0
 
     def __enter__(self) -> "Recorder":
         self._writer.start(profile="", library="airbearing-testbed")
@@ -62,19 +61,20 @@ class Recorder:
         self._writer.finish()
         self._file.close()
 
-    def write(self, vehicle: str, topic: str, t: float, message: Struct) -> None:
-        """Append one message to `/vehicle/topic`."""
-        channel, count = self._channels.get((vehicle, topic)) or (self._register(vehicle, topic), 0)
-        self._channels[vehicle, topic] = channel, count + 1
+    def write(self, topic: str, t: float, message: Struct) -> None:
+        """Append one message of time `t` to `topic`."""
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._register(topic, type(message))
         stamp = round(t * 1e9)
-        self._writer.add_message(channel, stamp, self._encoder.encode(message), stamp, count)
+        self._sequence += 1
+        data = self._encoder.encode(message)
+        self._writer.add_message(channel, stamp, data, stamp, self._sequence)
 
-    def _register(self, vehicle: str, topic: str) -> int:
-        if topic not in self._schemas:
-            kind = TOPICS[topic]
-            schema = msgspec.json.encode(json_schema(kind))
-            self._schemas[topic] = self._writer.register_schema(kind.__name__, "jsonschema", schema)
-        return self._writer.register_channel(f"/{vehicle}/{topic}", "json", self._schemas[topic])
+    def _register(self, topic: str, kind: type[Struct]) -> int:
+        schema = msgspec.json.encode(json_schema(kind))
+        number = self._writer.register_schema(kind.__name__, "jsonschema", schema)
+        return self._writer.register_channel(topic, "json", number)
 
 
 def json_schema(kind: type[Struct]) -> dict[str, Any]:
