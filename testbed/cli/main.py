@@ -4,6 +4,7 @@ Exit codes: 0 flown and all criteria met; 1 flown, a criterion failed; 2 bad inp
 fault; 130 interrupted.
 """
 
+import sys
 from pathlib import Path
 
 import click
@@ -86,5 +87,17 @@ def schema(kind: str) -> None:
     print_schema(kind)
 
 
+def entry() -> None:
+    """Run the command as a program, with the exit codes above."""
+    try:
+        code = main(standalone_mode=False)
+    except click.Abort:
+        sys.exit(INTERRUPTED)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(BAD_INPUT)
+    sys.exit(code)
+
+
 if __name__ == "__main__":
-    main()
+    entry()

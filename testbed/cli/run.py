@@ -27,7 +27,8 @@ from testbed.ops.metrics import (
     smallest_separation,
     vehicle_metrics,
 )
-from testbed.ops.recorder import Motion, Recorder, Truth
+from testbed.ops.recorder import Motion, Recorder, RecorderError, Truth
+from testbed.ops.steady import steady
 from testbed.rig import TwinRig, make_twin
 
 errors = Console(stderr=True, highlight=False)
@@ -56,42 +57,60 @@ def run_experiment(name: str, overrides: Sequence[str], out: Path | None, as_jso
 
 
 class Interrupt:
-    """Ctrl-C: the first one asks the loop to end after its tick, the second one ends at once."""
+    """Ctrl-C and SIGTERM: in flight the first one asks the loop to end after its tick.
+
+    Before and after the flight, and the second time, they raise KeyboardInterrupt.
+    """
 
     def __init__(self) -> None:
         self.asked = False
+        self._flying = False
 
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal."""
-        if self.asked:
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.asked or not self._flying:
             raise KeyboardInterrupt
         self.asked = True
 
     @contextmanager
-    def installed(self) -> Iterator[None]:
-        """Catch SIGINT and SIGTERM meanwhile."""
-        before = {n: signal.signal(n, self) for n in (signal.SIGINT, signal.SIGTERM)}
+    def caught(self) -> Iterator[None]:
+        """Handle signals meanwhile."""
+        before = {n: signal.signal(n, self._handle) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
             yield
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
 
+    @contextmanager
+    def in_flight(self) -> Iterator[None]:
+        """Ask instead of raise meanwhile."""
+        self._flying = True
+        try:
+            yield
+        finally:
+            self._flying = False
+
 
 class Watcher:
     """Observer of a flight: log and progress bar, and the outputs kept for the metrics."""
 
-    def __init__(self, rig: TwinRig, recorder: Recorder, progress: Progress) -> None:
-        self._rig, self._recorder, self._progress = rig, recorder, progress
+    def __init__(
+        self,
+        rig: TwinRig,
+        outputs: dict[str, list[Outputs]],
+        recorder: Recorder,
+        progress: Progress,
+    ) -> None:
+        self._rig, self._outputs = rig, outputs
+        self._recorder, self._progress = recorder, progress
         total = rig.experiment.duration_s
         self._bar = progress.add_task(rig.experiment.name, total=total)
         self._shown, self._stride = 0.0, total / 100.0
-        self.outputs: dict[str, list[Outputs]] = {name: [] for name in rig.experiment.vehicles}
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
         self._recorder.write(f"/{name}/tick", tick.inputs.t, tick)
-        self.outputs[name].append(tick.outputs)
+        self._outputs[name].append(tick.outputs)
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
@@ -130,21 +149,25 @@ def fly_and_judge(experiment: Experiment, folder: Path) -> tuple[Metrics, bool]:
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
         TimeRemainingColumn(), console=errors, transient=True, disable=not errors.is_terminal,
     )  # fmt: skip
-    with Recorder(folder / "log.mcap") as recorder, progress:
-        watcher = Watcher(rig, recorder, progress)
+    outputs: dict[str, list[Outputs]] = {name: [] for name in experiment.vehicles}
+    with interrupt.caught():
         try:
-            warming = progress.add_task("getting ready (compiles on the first run)", total=None)
-            warm_up(experiment)
-            progress.remove_task(warming)
-            began = time.perf_counter()
-            with interrupt.installed():
-                ending = rig.fly(watcher, stopped=lambda: interrupt.asked)
-            wall = time.perf_counter() - began
+            with Recorder(folder / "log.mcap") as recorder, progress:
+                warming = progress.add_task("getting ready (compiles on the first run)", total=None)
+                warm_up(experiment)
+                progress.remove_task(warming)
+                watcher = Watcher(rig, outputs, recorder, progress)
+                began = time.perf_counter()
+                with interrupt.in_flight(), steady():
+                    ending = rig.fly(watcher, stopped=lambda: interrupt.asked)
+                wall = time.perf_counter() - began
         except KeyboardInterrupt:
             interrupt.asked = True
             ending = Ending(rig.twin.now, None)
+        except RecorderError as error:
+            ending = Ending(rig.twin.now, f"log: {error}")
     done = ending.fault is None and ending.t >= experiment.ticks * experiment.flight.jet_period_s
-    metrics = measure(rig, watcher.outputs, ending, wall, completed=done)
+    metrics = measure(rig, outputs, ending, wall, completed=done)
     return metrics, interrupt.asked and not done
 
 

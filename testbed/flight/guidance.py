@@ -4,7 +4,7 @@ Both modes fly the law ahead over the coming jet period at a fine step, because 
 an integral diverges when it is stepped once per period:
 
 `reference`  the law flies a reference model, a double integrator that no jet and no camera
-             disturbs, half a second ahead, and sends where it will be: the paper's Fig. 13. The
+             disturbs, a little ahead of time, and sends where it will be: the paper's Fig. 13. The
              vehicle tracks.
 `wrench`     the law flies ahead from the vehicle's estimate, its state carried on from period to
              period, and sends the mean force. The loop closes through the law.
@@ -50,7 +50,7 @@ class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
         0.6  # of the jets; feedback needs the rest
     )
     heading_accel: Positive = 0.02  # of a turn to the goal's heading [rad/s^2]
-    preview_s: NonNegative = 0.5  # how far ahead references are sent: lost messages cost nothing
+    preview_s: NonNegative = 0.3  # how far ahead references are sent: lost messages cost nothing
     setpoint_life_s: Positive = 0.5  # after the last reference, or of a demand
 
 

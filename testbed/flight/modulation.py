@@ -3,7 +3,7 @@
 All pulses are centred in the period, so that their impulse has the same moment in time as the
 steady thrust they stand for.
 
-`pwm`          pulse width only: what is shorter than the valve can do is lost, a dead band.
+`pwm`          pulse width only, rounded to what the valve can do: a dead band round zero.
 `sigma_delta`  pulse width, and the unfired remainder is carried to the next period; remainders of
                two opposing jets cancel. No dead band, on average exact.
 `pwpf`         pulse-width pulse-frequency: a lag filter and a Schmitt trigger per jet. The
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled
 from testbed.core.jets import opposing_pairs
-from testbed.core.vehicle import Positive, Vehicle
+from testbed.core.vehicle import NonNegative, Positive, Vehicle
 
 Array = NDArray[np.float64]
 Pulses = tuple[Array, Array]  # on and offset per jet, shape (jets,) [s]
@@ -35,12 +35,17 @@ class SigmaDeltaParams(Struct, frozen=True, forbid_unknown_fields=True, tag="sig
 
 
 class PwpfParams(Struct, frozen=True, forbid_unknown_fields=True, tag="pwpf"):
-    """Filter and trigger; defaults keep the static gain within a few percent above duty 0.1."""
+    """Filter and trigger.
 
-    gain: Positive = 4.0  # of the filter
-    lag_s: Positive = 0.1
-    trigger_on: Positive = 0.6  # filter output that opens the valve
-    trigger_off: Positive = 0.2  # and closes it again
+    The shortest pulse is about (trigger_on - trigger_off) lag / gain, here 25 ms, and at half duty
+    a pulse and its pause last four times that, one jet period. Below a duty of trigger_on / gain,
+    here 0.02, nothing fires.
+    """
+
+    gain: Positive = 50.0  # of the filter
+    lag_s: Positive = 1.25
+    trigger_on: Positive = 1.0  # filter output that opens the valve
+    trigger_off: NonNegative = 0.0  # and closes it again
 
 
 ModulatorParams = PwmParams | SigmaDeltaParams | PwpfParams
@@ -58,15 +63,15 @@ class Modulator(Protocol):
 def realisable(on, period, min_on, min_off):
     """The nearest on-time that a valve can do in one period [s].
 
-    Shorter than the minimum on-time: nothing. A centred pulse leaves half its gap on either side,
+    Nothing, or the minimum on-time and more. A centred pulse leaves half its gap on either side,
     which must be at least the minimum off-time, or none at all.
     """
-    if on < min_on:
-        return 0.0
     longest = max(0.0, period - 2.0 * min_off)
     if on > longest:
-        on = longest if on - longest < period - on else period
-    return on if on >= min_on else 0.0
+        return longest if on - longest < period - on and longest >= min_on else period
+    if on < min_on:
+        return min_on if on > 0.5 * min_on else 0.0
+    return on
 
 
 @compiled
@@ -91,7 +96,9 @@ def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
         wish[j] = max(0.0, -impulse) / thrust[j]
     on = np.empty_like(wish)
     for j in range(wish.shape[0]):
-        on[j] = realisable(wish[j], period, min_on, min_off)
+        # no rounding up to the shortest pulse: what is owed is fired when it is due, not before
+        due = wish[j] >= min_on
+        on[j] = realisable(wish[j], period, min_on, min_off) if due else 0.0
         carry[j] = wish[j] - on[j]
     return on
 

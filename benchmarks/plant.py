@@ -1,0 +1,140 @@
+"""How fast the plant is, and MuJoCo at 1 kHz with the same scene in the same run.
+
+    python benchmarks/plant.py [simulated seconds]
+
+Three shipped vehicles on the shipped table; in each period of 0.1 s every vehicle fires three jets.
+Both sides look for contacts, and their loops are compiled: the plant's through numba, MuJoCo's
+through its own `rollout`. The fastest of some rounds counts, for the machine is never idle.
+"""
+
+import sys
+from collections.abc import Callable
+from time import perf_counter
+
+import msgspec
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from sim_twin.plant import Plant
+from testbed.config import SHIPPED, read_toml
+from testbed.core.table import Table
+from testbed.core.types import Pose, ValveCommand
+from testbed.core.vehicle import Vehicle
+
+PERIOD = 0.1  # [s]
+STEP = 0.001  # MuJoCo's [s]
+FRAMES = np.linspace(0.01, PERIOD, 10)  # of the cameras in a period [s]
+STARTS = {"a": Pose(-1.5, 0.0, 0.0), "b": Pose(0.0, 1.0, 2.0), "c": Pose(1.5, -1.0, -2.0)}
+ROUNDS = 10
+
+
+def draw_plans(seconds: float) -> list[dict[str, ValveCommand]]:
+    """A plan for each vehicle in each period."""
+    rng, plans = np.random.default_rng(1), []
+    for k in range(round(seconds / PERIOD)):
+        plans.append({})
+        for name in STARTS:
+            on = np.zeros(8, dtype=int)
+            on[rng.choice(8, 3, replace=False)] = 1000 * rng.integers(10, 80, 3)
+            offset = (100_000 - on) // 2
+            start = PERIOD * k
+            plans[-1][name] = ValveCommand(
+                k, start, start + PERIOD, tuple(on.tolist()), tuple(offset.tolist())
+            )
+    return plans
+
+
+def controls(plans: list[dict[str, ValveCommand]]) -> np.ndarray:
+    """The same for MuJoCo: every jet open or closed in every step, shape (steps, jets)."""
+    steps = np.arange(round(PERIOD / STEP)) * STEP * 1e6
+    periods = []
+    for plan in plans:
+        on = np.concatenate([plan[name].on_us for name in STARTS])
+        offset = np.concatenate([plan[name].offset_us for name in STARTS])
+        periods.append((offset <= steps[:, None]) & (steps[:, None] < offset + on))
+    return np.concatenate(periods).astype(float)
+
+
+def scene(vehicle: Vehicle, table: Table) -> str:
+    """Discs on slides and hinges, walls, and an actuator at each nozzle."""
+    bodies, motors = [], []
+    for name, pose in STARTS.items():
+        sites = []
+        for j, jet in enumerate(vehicle.jets):
+            fx, fy = jet.thrust * np.array(jet.push)
+            sites.append(f'<site name="{name}{j}" pos="{jet.position[0]} {jet.position[1]} 0"/>')
+            motors.append(f'<general site="{name}{j}" gear="{fx} {fy} 0 0 0 0"/>')
+        bodies.append(f"""
+            <body pos="{pose.x} {pose.y} 0" euler="0 0 {np.degrees(pose.theta)}">
+              <joint type="slide" axis="1 0 0"/>
+              <joint type="slide" axis="0 1 0"/>
+              <joint type="hinge" axis="0 0 1"/>
+              <inertial pos="0 0 0" mass="{vehicle.mass}" diaginertia="1 1 {vehicle.inertia}"/>
+              <geom type="cylinder" size="{vehicle.radius} 0.1" condim="1"/>
+              {"".join(sites)}
+            </body>""")
+    walls = [
+        f'<geom type="plane" size="9 9 1" pos="{x} {y} 0" zaxis="{-x} {-y} 0" condim="1"/>'
+        for x, y in ((3, 0), (-3, 0), (0, 3), (0, -3))
+    ]
+    gx, gy = table.tilt.uniform
+    return f"""
+        <mujoco>
+          <option timestep="{STEP}" gravity="{gx} {gy} 0"/>
+          <worldbody>{"".join(walls + bodies)}</worldbody>
+          <actuator>{"".join(motors)}</actuator>
+        </mujoco>"""
+
+
+def fastest(make_round: Callable[[], Callable[[], None]]) -> float:
+    """Seconds of the fastest round; what a round needs is made off the clock."""
+    took = []
+    for _ in range(ROUNDS):
+        fly = make_round()
+        begin = perf_counter()
+        fly()
+        took.append(perf_counter() - begin)
+    return min(took)
+
+
+def main(seconds: float) -> None:
+    vehicle = msgspec.convert(read_toml(SHIPPED / "vehicles" / "floater.toml"), Vehicle)
+    table = msgspec.convert(read_toml(SHIPPED / "tables" / "marble_6m.toml"), Table)
+    plans = draw_plans(seconds)
+
+    def plant_round() -> Callable[[], None]:
+        plant = Plant(dict.fromkeys(STARTS, vehicle), STARTS, table, {}, seed=0)
+        boards = plant.boards
+
+        def fly() -> None:
+            for k, plan in enumerate(plans):
+                for name, command in plan.items():
+                    boards[name].apply(command)
+                plant.advance(PERIOD * (k + 1), PERIOD * k + FRAMES)
+
+        return fly
+
+    model = mujoco.MjModel.from_xml_string(scene(vehicle, table))
+    control = controls(plans)
+
+    def mujoco_round() -> Callable[[], None]:
+        data = mujoco.MjData(model)
+        state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+        mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        return lambda: rollout.rollout(model, data, state, control)
+
+    plant_round()()  # compiles
+    mujoco_round()()
+    plant, other = fastest(plant_round), fastest(mujoco_round)
+
+    windows = len(STARTS) * len(plans)
+    print(f"{len(STARTS)} vehicles, {seconds:g} simulated seconds, fastest of {ROUNDS} rounds")
+    print(f"{'':24}{'us per vehicle and 0.1 s':>26}{'x real time':>14}")
+    for what, took in (("plant, exact pulses", plant), ("MuJoCo, 1 kHz", other)):
+        print(f"{what:24}{1e6 * took / windows:26.2f}{seconds / took:14.0f}")
+    print(f"the plant is {other / plant:.1f} times as fast")
+
+
+if __name__ == "__main__":
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 20.0)

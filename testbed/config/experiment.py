@@ -1,0 +1,50 @@
+"""What an experiment is made of."""
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct, field
+
+from controllers.catalogue import Controller
+from testbed.core.table import Obstacle, Table
+from testbed.core.vehicle import Positive, Vehicle
+from testbed.flight.agent import FlightParams
+from testbed.flight.guidance import GuidanceParams
+from testbed.ops.metrics import Criteria
+
+Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]  # what TOML promises to keep exactly
+
+
+class VehicleSetup(Struct, frozen=True, forbid_unknown_fields=True):
+    """One vehicle of an experiment."""
+
+    model: Vehicle
+    start: tuple[float, float, float]  # x, y [m], theta [rad]
+    goal: tuple[float, float, float]
+
+
+class Deploy(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the halves run."""
+
+    law: Literal["host", "vehicle"] = "host"
+
+
+class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything a run depends on."""
+
+    name: str
+    duration_s: Positive
+    table: Table
+    vehicles: dict[str, VehicleSetup]
+    controller: Controller
+    description: str = ""
+    seed: Seed = 0
+    obstacles: dict[str, Obstacle] = field(default_factory=dict)
+    guidance: GuidanceParams = field(default_factory=GuidanceParams)
+    flight: FlightParams = field(default_factory=FlightParams)
+    deploy: Deploy = field(default_factory=Deploy)
+    criteria: Criteria = field(default_factory=Criteria)
+
+    @property
+    def ticks(self) -> int:
+        """Jet periods in the run."""
+        return max(1, round(self.duration_s / self.flight.jet_period_s))

@@ -1,0 +1,83 @@
+"""Experiment files: find one, load it, and the tree to write one."""
+
+from collections.abc import Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from controllers.catalogue import make_law
+from testbed.config.experiment import Experiment
+from testbed.config.hardware import bad_hardware
+from testbed.config.layout import bad_layout
+from testbed.config.misfit import first_misfit
+from testbed.config.mistake import ConfigError, Mistake, did_you_mean, refused
+from testbed.config.number import bad_numbers
+from testbed.config.source import Source
+from testbed.config.timing import bad_timing
+from testbed.config.tree import trouble_at
+
+SHIPPED = Path(__file__).resolve().parents[2] / "configs"
+
+
+def find(name: str) -> Path:
+    """The file of an experiment given as a path or as the name of a shipped one."""
+    path = Path(name)
+    trouble = trouble_at(path)
+    if trouble is None:
+        return path
+    known = {file.stem: file for file in sorted((SHIPPED / "experiments").glob("*.toml"))}
+    if name in known:
+        return known[name]
+    expected = f"an experiment file or one of: {', '.join(known)}"
+    raise ConfigError(name, "", expected, trouble + did_you_mean(path.stem, known))
+
+
+def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
+    """Read, complete and check an experiment.
+
+    Args:
+        path: of the experiment's TOML.
+        overrides: "key=value", applied in order.
+
+    Raises:
+        ConfigError: something is wrong.
+    """
+    source = Source(path)
+    for text in overrides:
+        source.override(text)
+    for mistake in bad_numbers(source.tree):
+        raise source.error(mistake)
+    try:
+        experiment = msgspec.convert(source.tree, Experiment)
+    except msgspec.ValidationError:
+        raise source.error(first_misfit(source.tree, Experiment)) from None
+    for mistake in mistakes(experiment):
+        raise source.error(mistake)
+    return experiment
+
+
+def mistakes(experiment: Experiment) -> Iterator[Mistake]:
+    """What the types cannot say."""
+    yield from chain(bad_layout(experiment), bad_hardware(experiment), bad_timing(experiment))
+    try:
+        make_law(experiment.controller)
+    except ValueError as error:
+        yield refused(("controller",), error)
+    except ArithmeticError as error:
+        yield Mistake(("controller",), "numbers of ordinary size", str(error))
+
+
+def dump(experiment: Experiment) -> dict[str, Any]:
+    """The experiment as a tree that `tomli_w` can write and `load` can read."""
+    return _without_none(msgspec.to_builtins(experiment))
+
+
+def _without_none(value: Any) -> Any:
+    """TOML has no null; a key that may be null is left out."""
+    if isinstance(value, dict):
+        return {name: _without_none(v) for name, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [_without_none(v) for v in value]
+    return value

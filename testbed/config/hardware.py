@@ -1,0 +1,91 @@
+"""What cannot be about a vehicle: its jets, its body, its air."""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import chain, combinations
+
+import numpy as np
+
+from testbed.config.experiment import Experiment
+from testbed.config.mistake import Mistake, show
+from testbed.core.jets import effect_matrix
+from testbed.core.vehicle import Jet, Point, Vehicle
+
+MOST_JETS = 32
+WEAK = 1e-3  # a push or a lever below this share of the largest thrust and the radius is none
+
+
+def bad_hardware(experiment: Experiment) -> Iterator[Mistake]:
+    """All that is wrong with the vehicles."""
+    for name, setup in experiment.vehicles.items():
+        model = setup.model
+        for key, expected, found in chain(_jets(model), _body(model), _air(model), _spread(model)):
+            yield Mistake(("vehicles", name, "model", *key), expected, found)
+
+
+def _jets(vehicle: Vehicle) -> Iterator[Mistake]:
+    jets = vehicle.jets
+    for i, jet in enumerate(jets):
+        if abs(math.hypot(*jet.push) - 1.0) > 1e-6:
+            yield Mistake(("jets", i, "push"), "a vector of length 1", show(list(jet.push)))
+        yield from _within(("jets", i, "position"), jet.position, vehicle.radius)
+    if len(jets) > MOST_JETS:
+        yield Mistake(("jets",), f"at most {MOST_JETS} jets", f"{len(jets)}")
+    elif not push_everywhere(jets, vehicle.com, vehicle.radius):
+        expected = "jets that push the body every way and turn it both ways"
+        yield Mistake(("jets",), expected, f"{len(jets)} that do not")
+
+
+def _within(key: tuple[str | int, ...], point: Point, radius: float) -> Iterator[Mistake]:
+    if math.hypot(*point) > radius:
+        expected = f"a point of the vehicle, at most {radius:g} m from its origin"
+        yield Mistake(key, expected, show(list(point)))
+
+
+def push_everywhere(jets: Sequence[Jet], com: Point, radius: float) -> bool:
+    """Whether the jets, which only push, can give every wrench: no half-space holds them all.
+
+    A half-space that does can be turned until two jets lie in its boundary, so it is enough to try
+    those.
+    """
+    thrust = max((jet.thrust for jet in jets), default=1.0)
+    effect = effect_matrix(jets, about=com).T / (thrust * np.array([1.0, 1.0, radius]))
+    if len(jets) < 4 or np.linalg.matrix_rank(effect, tol=WEAK) < 3:
+        return False
+    normals = np.array([np.cross(a, b) for a, b in combinations(effect, 2)])
+    length = np.linalg.norm(normals, axis=1)
+    reach = (normals[length > WEAK**2] / length[length > WEAK**2, None]) @ effect.T
+    return bool(np.all(reach.max(axis=1) > WEAK) and np.all(reach.min(axis=1) < -WEAK))
+
+
+def _body(vehicle: Vehicle) -> Iterator[Mistake]:
+    yield from _within(("com",), vehicle.com, vehicle.radius)
+    largest = vehicle.mass * (vehicle.radius**2 - math.hypot(*vehicle.com) ** 2)
+    if vehicle.inertia > largest:
+        expected = f"at most {largest:g} kg m^2: {vehicle.mass:g} kg within {vehicle.radius:g} m"
+        yield Mistake(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
+
+
+def _air(vehicle: Vehicle) -> Iterator[Mistake]:
+    air = vehicle.air
+    if air.gas >= 0.5 * vehicle.mass:
+        expected = f"less than half of the mass, {0.5 * vehicle.mass:g} kg"
+        yield Mistake(("air", "gas"), expected, f"{air.gas:g} kg")
+    arm = math.dist(air.tank_position, vehicle.com)
+    if air.gas * arm**2 > 0.25 * vehicle.inertia:  # it leaves, and takes its inertia with it
+        furthest = math.sqrt(0.25 * vehicle.inertia / air.gas)
+        expected = f"at most {furthest:g} m from `com`, or the gas has the vehicle's inertia"
+        yield Mistake(("air", "tank_position"), expected, show(list(air.tank_position)))
+    if air.tank_pressure < air.set_pressure + air.dropout:
+        expected = f"at least set_pressure + dropout, {air.set_pressure + air.dropout:g} Pa"
+        yield Mistake(("air", "tank_pressure"), expected, f"{air.tank_pressure:g} Pa")
+
+
+def _spread(vehicle: Vehicle) -> Iterator[Mistake]:
+    spread = vehicle.tolerance
+    for name in ("thrust", "pulse", "mass", "inertia"):
+        if (share := getattr(spread, name)) > 0.5:
+            yield Mistake(("tolerance", name), "a share, at most 0.5: 5 % is 0.05", f"{share:g}")
+    if spread.com > vehicle.radius:
+        expected = f"at most the radius, {vehicle.radius:g} m"
+        yield Mistake(("tolerance", "com"), expected, f"{spread.com:g} m")

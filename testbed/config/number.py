@@ -1,0 +1,19 @@
+"""Numbers that nobody can mean, wherever they stand."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from testbed.config.mistake import Mistake, show
+from testbed.config.tree import leaves
+
+LARGEST = 1e9  # in SI units: ten thousand bar, thirty years
+
+
+def bad_numbers(tree: dict[str, Any]) -> Iterator[Mistake]:
+    """Numbers that are not finite, or too large to be meant."""
+    for key, value in leaves(tree):
+        if isinstance(value, float) and not math.isfinite(value):
+            yield Mistake(key, "a finite number", show(value))
+        elif isinstance(value, int | float) and abs(value) > LARGEST and key != ("seed",):
+            yield Mistake(key, f"a number of at most {LARGEST:g}", show(value))

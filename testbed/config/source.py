@@ -1,0 +1,119 @@
+"""The tree of an experiment while it is put together, and where each part of it came from."""
+
+import re
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from testbed.config.key import ANY, Key, assignment, spell
+from testbed.config.mistake import ConfigError, Mistake, show
+from testbed.config.tree import parse, read_toml, trouble_at
+
+_BARE_WORD = re.compile(r"[^\W\d][\w./-]*|\.{0,2}/[\w./-]+")
+
+
+class Origin(NamedTuple):
+    """A file or an override, and the key of the tree that it gave."""
+
+    where: str
+    key: Key = ()
+
+
+class Source:
+    """A file, what it includes, and overrides put on top."""
+
+    def __init__(self, path: Path) -> None:
+        self.tree = read_toml(path)
+        self._origins: dict[Key, Origin] = {(): Origin(str(path))}
+        self._include(path.parent)
+
+    def error(self, mistake: Mistake) -> ConfigError:
+        """The mistake, and the file or override to mend."""
+        key, expected, found = mistake
+        above = (key[:n] for n in range(len(key), -1, -1))
+        origin = next(self._origins[part] for part in above if part in self._origins)
+        inside = [
+            o.where for k, o in self._origins.items() if k[: len(key)] == key != k and not o.key
+        ]
+        where = " with ".join(dict.fromkeys([origin.where, *inside[-1:]]))
+        return ConfigError(where, spell(key[len(origin.key) :]), expected, found)
+
+    def override(self, text: str) -> None:
+        """Put "key=value" on top.
+
+        `*` in the key is every entry; a path in the value is relative to the current folder.
+        """
+        try:
+            text.encode()  # a shell may hand over bytes that are not text
+            key, raw = assignment(text)
+        except ValueError:
+            raise ConfigError("command line", "", "key=value", show(text)) from None
+        origin = Origin(f"command line: {text}")
+        value = _parse(origin, key, raw)
+        spots: list[tuple[Key, Any]] = [((), self.tree)]
+        for part in key[:-1]:
+            spots = [
+                self._enter(origin, *spot) for at in spots for spot in _meant(origin, *at, part)
+            ]
+        for at in spots:
+            for spot, parent in _meant(origin, *at, key[-1]):
+                parent[spot[-1]] = deepcopy(value)
+                self._note(spot, origin)
+        self._include(Path())
+
+    def _enter(self, origin: Origin, key: Key, parent: Any) -> tuple[Key, Any]:
+        """The entry `key` of its parent, made if it is not there."""
+        if isinstance(parent, dict) and key[-1] not in parent:
+            parent[key[-1]] = {}
+            self._note(key, origin)
+        return key, parent[key[-1]]
+
+    def _note(self, key: Key, origin: Origin) -> None:
+        """Remember that everything from `key` down is of `origin` now."""
+        kept = {k: o for k, o in self._origins.items() if k[: len(key)] != key}
+        self._origins = kept | {key: origin}
+
+    def _include(self, folder: Path) -> None:
+        """Put the content of files in the place of their paths."""
+        slots: list[tuple[Key, Any]] = [(("table",), self.tree)]
+        vehicles = self.tree.get("vehicles")
+        if isinstance(vehicles, dict):
+            slots += [(("vehicles", name, "model"), entry) for name, entry in vehicles.items()]
+        for key, parent in slots:
+            name = parent.get(key[-1]) if isinstance(parent, dict) else None
+            if isinstance(name, str):
+                file = folder / name
+                if trouble := trouble_at(file):
+                    found = f"{show(name)}: {trouble}"
+                    raise self.error(Mistake(key, "the path of a TOML file", found))
+                parent[key[-1]] = read_toml(file.resolve())
+                self._note(key, Origin(str(file.resolve()), key))
+
+
+def _parse(origin: Origin, key: Key, raw: str) -> Any:
+    """The value of an override: TOML, or a bare word, which is a string."""
+    try:
+        tree = parse(f"value = {raw}".encode())
+        if len(tree) == 1:  # more: there was a second line
+            return tree["value"]
+    except ValueError:
+        if _BARE_WORD.fullmatch(raw):
+            return raw
+    raise ConfigError(origin.where, spell(key), "a TOML value", show(raw) if raw else "nothing")
+
+
+def _meant(origin: Origin, key: Key, parent: Any, part: str | int) -> list[tuple[Key, Any]]:
+    """The entries of `parent` that `part` of an override means: their keys, each with `parent`."""
+    if isinstance(parent, list):
+        names: list[Any] = list(range(len(parent)))
+        expected = f"an index below {len(parent)}" if parent else "at least one entry"
+    elif isinstance(parent, dict):
+        names = list(parent) if part == ANY else [part] * isinstance(part, str)
+        expected = "the name of an entry" if part != ANY else "at least one entry"
+    else:
+        names, expected = [], "a table"
+    if part != ANY:
+        names = [name for name in names if name == part]
+    if not names:
+        raise ConfigError(origin.where, spell(key), expected, show(parent))
+    return [((*key, name), parent) for name in names]

@@ -1,0 +1,88 @@
+"""What cannot be about times and rates: how long, how often, how late."""
+
+from collections.abc import Iterator
+
+from testbed.config.experiment import Experiment
+from testbed.config.mistake import Mistake
+from testbed.core.vehicle import Vehicle
+
+SHORTEST_PERIOD = 0.001  # [s] boards count microseconds, hosts wake up to a fraction of this
+MOST_TICKS = 10**6  # each vehicle's are kept until the run is judged
+MOST_FRAMES = 10**7  # so are the camera's
+FASTEST_CAMERA = 10_000.0  # [Hz]
+MOST_STEPS = 10_000  # of a law in one jet period
+MOST_REFERENCES = 100  # in one message
+
+
+def bad_timing(experiment: Experiment) -> Iterator[Mistake]:
+    """All that is wrong with times and rates."""
+    yield from _run(experiment)
+    yield from _camera(experiment)
+    yield from _guidance(experiment)
+    for name, setup in experiment.vehicles.items():
+        key = ("vehicles", name, "model")
+        for mistake in _valves(setup.model, experiment.flight.jet_period_s):
+            yield mistake._replace(key=(*key, *mistake.key))
+        air = setup.model.air
+        if air.bearing_flow * experiment.duration_s > air.gas:
+            lasts = air.gas / air.bearing_flow
+            expected = f"at most {lasts:g} s: then the bearings of {name} have used all its gas"
+            yield Mistake(("duration_s",), expected, f"{experiment.duration_s:g} s")
+
+
+def _run(experiment: Experiment) -> Iterator[Mistake]:
+    duration, period = experiment.duration_s, experiment.flight.jet_period_s
+    if period < SHORTEST_PERIOD:
+        expected = f"at least {SHORTEST_PERIOD:g} s"
+        yield Mistake(("flight", "jet_period_s"), expected, f"{period:g} s")
+    if duration < period:
+        yield Mistake(
+            ("duration_s",), f"at least flight.jet_period_s, {period:g} s", f"{duration:g} s"
+        )
+    if duration > MOST_TICKS * period:
+        expected = f"at most {MOST_TICKS} jet periods, {MOST_TICKS * period:g} s"
+        yield Mistake(("duration_s",), expected, f"{duration:g} s")
+
+
+def _camera(experiment: Experiment) -> Iterator[Mistake]:
+    mocap, key = experiment.table.mocap, ("table", "mocap", "rate_hz")
+    if mocap.rate_hz > FASTEST_CAMERA:
+        yield Mistake(key, f"at most {FASTEST_CAMERA:g} Hz", f"{mocap.rate_hz:g} Hz")
+    if mocap.rate_hz * experiment.duration_s > MOST_FRAMES:
+        expected = f"at most {MOST_FRAMES:.0e} frames in {experiment.duration_s:g} s"
+        yield Mistake(key, expected, f"{mocap.rate_hz * experiment.duration_s:.1e}")
+    timeout = experiment.flight.gate.pose_timeout_s
+    if mocap.latency_s >= timeout:
+        expected = f"less than flight.gate.pose_timeout_s, {timeout:g} s"
+        yield Mistake(("table", "mocap", "latency_s"), expected, f"{mocap.latency_s:g} s")
+    elif 1.0 / mocap.rate_hz + mocap.latency_s >= timeout:
+        slowest = 1.0 / (timeout - mocap.latency_s)
+        expected = f"more than {slowest:.3g} Hz: the gate waits {timeout:g} s for a pose"
+        yield Mistake(key, expected, f"{mocap.rate_hz:g} Hz")
+
+
+def _guidance(experiment: Experiment) -> Iterator[Mistake]:
+    guidance, period = experiment.guidance, experiment.flight.jet_period_s
+    if period > MOST_STEPS * guidance.step_s:
+        expected = f"at least {period / MOST_STEPS:g} s, {MOST_STEPS} steps in a jet period"
+        yield Mistake(("guidance", "step_s"), expected, f"{guidance.step_s:g} s")
+    if guidance.preview_s > MOST_REFERENCES * period:
+        expected = f"at most {MOST_REFERENCES} jet periods, {MOST_REFERENCES * period:g} s"
+        yield Mistake(("guidance", "preview_s"), expected, f"{guidance.preview_s:g} s")
+
+
+def _valves(vehicle: Vehicle, period: float) -> Iterator[Mistake]:
+    """A plan must start, flow and end before the plans after it are forgotten."""
+    valve = vehicle.valve
+    expected = f"at most flight.jet_period_s, {period:g} s"
+    for key, time in (
+        (("command_delay_s",), vehicle.command_delay_s),
+        (("valve", "min_on_s"), valve.min_on_s),
+        (("valve", "min_off_s"), valve.min_off_s),
+        (("valve", "open_delay_s"), valve.open_delay_s),
+        (("valve", "close_delay_s"), valve.close_delay_s),
+        (("valve", "open_ramp_s"), valve.open_ramp_s),
+        (("valve", "close_ramp_s"), valve.close_ramp_s),
+    ):
+        if time > period:
+            yield Mistake(key, expected, f"{time:g} s")

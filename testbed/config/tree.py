@@ -1,0 +1,80 @@
+"""TOML text read into a tree of tables, lists and values."""
+
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from testbed.config.key import DEEPEST, Key
+from testbed.config.mistake import ConfigError
+
+LARGEST = 1_000_000  # [bytes] of a file; the shipped ones have 3000
+
+# tomllib's memory grows with the square of the parts of a dotted key: 100 000 of them are 40 GB.
+_LONG_KEY = re.compile(rf"(?<![^\s.=,\[\]{{}}#])(?:[^\s.=,\[\]{{}}#]++\s*+\.\s*+){{{DEEPEST}}}")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """A TOML file as a tree of tables."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+    except (OSError, ValueError) as error:  # ValueError: a path that no file can have
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise ConfigError(str(path), "", "a readable file", reason or str(error)) from None
+    try:
+        return parse(data)
+    except ValueError as error:
+        raise ConfigError(str(path), "", "a TOML file", str(error)) from None
+
+
+def parse(data: bytes) -> dict[str, Any]:
+    """TOML text as a tree of tables.
+
+    Raises:
+        ValueError: it is not TOML, or not what a person would write.
+    """
+    if len(data) > LARGEST:
+        raise ValueError(f"more than {LARGEST / 1e6:g} MB")
+    text = data.decode("utf-8-sig")  # editors of Windows put a mark in front
+    if _LONG_KEY.search(text):
+        raise ValueError(f"a key of more than {DEEPEST} parts")
+    try:
+        tree = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(f"more than {DEEPEST} tables or lists in each other") from None
+    level: list[Any] = [tree]
+    for _ in range(DEEPEST):
+        level = [child for node in level for child in _children(node)]
+    if level:
+        raise ValueError(f"more than {DEEPEST} tables or lists in each other")
+    return tree
+
+
+def _children(node: Any) -> list[Any]:
+    if isinstance(node, dict):
+        return list(node.values())
+    return node if isinstance(node, list) else []
+
+
+def leaves(node: Any, key: Key = ()) -> Iterator[tuple[Key, Any]]:
+    """Every value that is not a table or list, and its key."""
+    if isinstance(node, dict):
+        for name, child in node.items():
+            yield from leaves(child, (*key, name))
+    elif isinstance(node, list):
+        for i, child in enumerate(node):
+            yield from leaves(child, (*key, i))
+    else:
+        yield key, node
+
+
+def trouble_at(path: Path) -> str | None:
+    """Why there is no file at `path`; None if there is."""
+    try:
+        if path.is_file():
+            return None
+        return "it is a folder" if path.is_dir() else "no such file"
+    except OSError as error:
+        return error.strerror
