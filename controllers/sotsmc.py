@@ -22,8 +22,9 @@ Corrections to the print, because with it nothing moves: (15) prints k for the s
 Table 3 lists both lambda = 1 and k = 1e-3; lambda belongs in (15), k in front of sigma in (28). The
 last nominal term of (28) is s_dot^(2 - p/q), as follows from (25).
 
-Differences from the paper: u grows no further than own.max_force, because an integral that asks
-for more than the jets have winds up (the paper's closing remark). s_dot uses the nominal
+Differences from the paper: u grows no further than own.max_force and no faster than `bound_change`
+lets it, because an integral that asks for more than the jets have winds up (the paper's closing
+remark). s_dot uses the nominal
 acceleration and own.drift, which on the table is the estimated disturbance.
 """
 
@@ -42,10 +43,13 @@ from controllers.potential import (
     potential,
 )
 from controllers.scale import Scale
-from testbed.core.law import Body, CompiledLaw, Law, compiled_rate
+from testbed.core.compiled import compiled
+from testbed.core.law import Body, CompiledLaw, Law, bounded, compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
+
+SLEW = 100.0  # u may change by at most this many times max_force per second of the paper [1/s]
 
 
 class SotsmcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="sotsmc"):
@@ -78,6 +82,26 @@ class Gains(NamedTuple):
     potential: Potential
 
 
+@compiled
+def bound_change(u, change, max_force, length, outward):
+    """Keep u within max_force, in place: no rate outwards at the bound, none faster than SLEW.
+
+    Deep inside a potential, where only an accident or another vehicle can push a satellite, the
+    gradient is so steep that an unbounded rate leaves all numbers behind within a few steps.
+    """
+    d = u.shape[0]
+    if length > max_force**2 and outward > 0.0:
+        for i in range(d):
+            change[i] -= u[i] * outward / length
+    speed = 0.0
+    for i in range(d):
+        speed += change[i] * change[i]
+    if speed > (SLEW * max_force) ** 2:
+        shrink = SLEW * max_force / np.sqrt(speed)
+        for i in range(d):
+            change[i] *= shrink
+
+
 @compiled_rate(Gains)
 def rate(gains, law_state, own, neighbours, world, t):
     """Force and rate of the law's state, see `testbed.core.law`."""
@@ -106,10 +130,8 @@ def rate(gains, law_state, own, neighbours, world, t):
         slow += size ** (2.0 * power - 2.0)
         steep = max(steep, 1.0 / gains.beta[i])
     change[d] = gains.adapt * power * steep * np.sqrt(slow * spread)  # Eq. (28), last line
-    if length > own.max_force**2 and outward > 0.0:
-        for i in range(d):
-            change[i] -= u[i] * outward / length
-    return u, change
+    bound_change(u, change, own.max_force, length, outward)
+    return bounded(u, own.max_force), change
 
 
 def initial(own: Body) -> Array:

@@ -45,7 +45,7 @@ class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
 
     mode: Literal["reference", "wrench"] = "reference"
     step_s: Annotated[float, Meta(gt=0.0, le=0.001)] = 0.001
-    neighbour_distance: NonNegative = 0.6  # to keep between centres of two vehicles [m]
+    neighbour_distance: NonNegative = 0.8  # to keep between centres of two vehicles [m]
     force_share: Annotated[float, Meta(gt=0.0, le=1.0)] = (
         0.6  # of the jets; feedback needs the rest
     )
