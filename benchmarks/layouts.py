@@ -1,4 +1,4 @@
-"""How near the law's reference model comes to obstacles in shifted layouts, with and without standoff.
+"""How near the law comes to obstacles in shifted layouts, with and without standoff.
 
     python benchmarks/layouts.py [--runs 300] [--shift 0.3]
 

@@ -1,6 +1,11 @@
 """What leaving gas changes: supply pressure, mass, centre of mass, inertia."""
 
+import numpy as np
+
+from sim_twin.body import CX, CY, FX, INERTIA, MASS, A, B, C
 from testbed.core.compiled import compiled
+
+PASSES = 12
 
 
 @compiled
@@ -27,3 +32,51 @@ def body_now(metal, v, used):
     # parallel axes: body with gas about the old centre = remainder about it + the gas that left
     inertia = metal.inertia[v] - used * (ox * ox + oy * oy) * (1.0 + share)
     return mass, inertia, cx, cy
+
+
+@compiled
+def breathe(stages, now, rate, h, metal, v, used):
+    """What vehicle `v` is at the three Gauss points of a step, see `body.step`.
+
+    The gas that has left by then is a state of the same collocation step: flow depends on the
+    supply pressure, and that on the gas that is left.
+
+    Args:
+        stages: shape (3, 7), written to.
+        now: fx, fy, tau and sum of thrust magnitudes at the start, at set pressure.
+        rate: their slopes.
+        h: [s].
+        metal: the true vehicles.
+        v: number of the vehicle.
+        used: gas gone at the start [kg].
+
+    Returns:
+        gas gone at the end [kg], impulse of all jets together [N s].
+    """
+    flow, share = np.zeros(3), np.ones(3)
+    for _ in range(PASSES):
+        change = 0.0
+        for i in range(3):
+            gone = used
+            for j in range(3):
+                gone += h * A[i, j] * flow[j]
+            share[i] = supply_share(metal, v, gone)
+            new = share[i] * (now[3] + C[i] * h * rate[3]) / metal.exhaust_speed[v]
+            if gone < metal.gas[v]:
+                new += metal.bearing_flow[v]
+            change = max(change, abs(new - flow[i]))
+            flow[i] = new
+        if change < 1e-18:
+            break
+    end, impulse = used, 0.0
+    for i in range(3):
+        gone = used
+        for j in range(3):
+            gone += h * A[i, j] * flow[j]
+        for axis in range(3):
+            stages[i, FX + axis] = share[i] * (now[axis] + C[i] * h * rate[axis])
+        mass, inertia, cx, cy = body_now(metal, v, min(gone, metal.gas[v]))
+        stages[i, MASS], stages[i, INERTIA], stages[i, CX], stages[i, CY] = mass, inertia, cx, cy
+        end += h * B[i] * flow[i]
+        impulse += h * B[i] * share[i] * (now[3] + C[i] * h * rate[3])
+    return min(end, metal.gas[v]), impulse

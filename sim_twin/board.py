@@ -63,6 +63,7 @@ def play(pulses, start, end, on, offset, min_on, min_off, strength):
         if up[-1] >= start:  # of the old plan and not begun: it never happens
             up[1:], down[1:] = up[:-1].copy(), down[:-1].copy()
             pulses.strength[j, 1:] = pulses.strength[j, :-1].copy()
+            up[0] = down[0] = LONG_AGO
             openings -= 1
         if down[-1] >= start:  # still open, or closing this very instant
             if on[j] > 0 and up_at <= start:

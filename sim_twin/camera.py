@@ -13,7 +13,9 @@ class Camera:
     """What the camera system reports of one body."""
 
     def __init__(self, mocap: Mocap, rng: np.random.Generator) -> None:
-        self._mocap, self._rng = mocap, rng
+        self._mocap = mocap
+        # a fixed number of draws per exposure: what is seen does not depend on how often one looks
+        self._noise_rng, self._loss_rng = rng.spawn(2)
         self._noise = np.array([mocap.noise, mocap.noise, np.radians(mocap.noise_deg)])
         self._lost_until = -np.inf
         self._on_the_way: list[tuple[float, PoseSample]] = []  # (arrival, sample)
@@ -26,9 +28,10 @@ class Camera:
             states: true x, y, theta, ... then, shape (n, 6).
         """
         mocap, n = self._mocap, len(times)
-        poses = states[:, :3] + self._noise * self._rng.standard_normal((n, 3))
+        chance = self._noise_rng.standard_normal((n, 4))
+        poses = states[:, :3] + self._noise * chance[:, :3]
         poses[:, 2] = (poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        latency = mocap.latency_s + mocap.jitter_s * self._rng.standard_normal(n)
+        latency = mocap.latency_s + mocap.jitter_s * chance[:, 3]
         arrival = times + np.maximum(latency, 0.5 * mocap.latency_s)
         kept = self._kept(times)
         rows = np.column_stack((arrival, times, poses))[kept].tolist()
@@ -38,10 +41,11 @@ class Camera:
         """Which exposures still show the body."""
         mocap = self._mocap
         kept = times >= self._lost_until
-        chance = self._rng.random(len(times)) < mocap.dropout_rate / mocap.rate_hz
-        for k in np.nonzero(chance)[0].tolist():
+        chance = self._loss_rng.random((len(times), 2))
+        begins = chance[:, 0] < mocap.dropout_rate / mocap.rate_hz
+        for k in np.nonzero(begins)[0].tolist():
             if kept[k]:
-                self._lost_until = times[k] + self._rng.exponential(mocap.dropout_s)
+                self._lost_until = times[k] - mocap.dropout_s * np.log1p(-chance[k, 1])
                 kept &= (times < times[k]) | (times >= self._lost_until)
         return kept
 

@@ -60,7 +60,7 @@ def pieces(pulses, timing, effect, thrust, droop, origin, span):
     value, slope = np.zeros((n, 4)), np.zeros((n, 4))
     for i in range(n):
         middle = 0.5 * (start[i] + start[i + 1])
-        open_jets = 0
+        open_jets, last = 0, -1  # pulses of one jet stand next to each other
         for m in range(active):
             a, b, c, d, peak = shape[m]
             if middle <= a or middle >= d:
@@ -73,8 +73,10 @@ def pieces(pulses, timing, effect, thrust, droop, origin, span):
             else:
                 rate = -peak / (d - c)
                 level = (start[i] - d) * rate
-            open_jets += 1
             j = owner[m]
+            if j != last:
+                open_jets += 1
+                last = j
             level *= strength[m]
             rate *= strength[m]
             for axis in range(3):

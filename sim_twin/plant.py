@@ -2,9 +2,7 @@
 
 Between two corners of any jet's flow the body wrench is linear in time (flow.py), so the plant
 steps from corner to corner, not on a grid: pulse lengths are exact, whatever the step. Longer
-pieces are cut at `MAX_STEP` because the tilt map and contacts have to be looked at. Gas, mass and
-centre of mass are taken at the middle of each step, which makes them second order and, at a gram a
-second, exact to rounding.
+pieces are cut at `MAX_STEP` because the tilt map and contacts have to be looked at.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from sim_twin.air import body_now, supply_share
+from sim_twin.air import breathe, supply_share
 from sim_twin.board import SLOTS, Board, Pulses, nanoseconds, no_pulses
 from sim_twin.body import step
 from sim_twin.contact import Solids, closing, keys, resolve
@@ -38,6 +36,7 @@ def drift(x, spent, metal, ground, windows, start, end):
     """Move every vehicle from `start` to `end` of the window without looking at contacts."""
     cuts, value, slope, count = windows
     used, impulse = spent
+    stages = np.empty((3, 7))
     for v in range(x.shape[0]):
         for i in range(count[v]):
             a, b = max(start, cuts[v, i]), min(end, cuts[v, i + 1])
@@ -46,19 +45,9 @@ def drift(x, spent, metal, ground, windows, start, end):
             h = b - a
             now = value[v, i] + slope[v, i] * (a - cuts[v, i])
             rate = slope[v, i]
-            thrust = now[3] + 0.5 * h * rate[3]
-            share = supply_share(metal, v, used[v])
-            flow = share * thrust / metal.exhaust_speed[v] + metal.bearing_flow[v]
-            flow = min(flow, (metal.gas[v] - used[v]) / h)
-            middle = used[v] + 0.5 * h * flow
-            share = supply_share(metal, v, middle)
-            mass, inertia, cx, cy = body_now(metal, v, middle)
-            step(
-                x[v], h, share * now, share * rate, mass, inertia, (cx, cy),
-                metal.drag[v], metal.spin_drag[v], ground,
-            )  # fmt: skip
-            used[v] += h * flow
-            impulse[v] += h * share * thrust
+            used[v], pushed = breathe(stages, now, rate, h, metal, v, used[v])
+            impulse[v] += pushed
+            step(x[v], h, stages, metal.drag[v], metal.spin_drag[v], ground)
 
 
 @compiled
@@ -188,6 +177,8 @@ class Plant:
     def advance(self, t: float, marks: Array | Sequence[float] = ()) -> Array:
         """Move on to time `t` and give the states at the `marks` on the way, (n, v, 6)."""
         rows = np.empty((64, 4))
+        origin = nanoseconds(self.t)
+        span = 1e-9 * (nanoseconds(t) - origin)
         seen, count = advance(
             self.x,
             (self.used, self.impulse),
@@ -195,9 +186,9 @@ class Plant:
             self._ground,
             self._solids,
             self._pulses,
-            nanoseconds(self.t),
-            t - self.t,
-            np.asarray(marks, dtype=np.float64) - self.t,
+            origin,
+            span,
+            np.clip(np.asarray(marks, dtype=np.float64) - 1e-9 * origin, 0.0, span),
             self._last_touch,
             rows,
         )

@@ -1,5 +1,6 @@
 """Who is plugged into what: the only module that knows everybody."""
 
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -34,11 +35,13 @@ def make_agent(experiment: Experiment, setup: VehicleSetup) -> Agent:
     flight, table, vehicle = experiment.flight, experiment.table, setup.model
     rim = vehicle.radius + flight.gate.fence_margin
     fence = Fence(table.size[0] / 2 - rim, table.size[1] / 2 - rim)
+    blind = flight.gate.pose_timeout_s + table.mocap.latency_s
+    memory = 2 + math.ceil(blind / flight.jet_period_s)
     on_board = experiment.deploy.law == "vehicle"
     return Agent(
         flight,
         vehicle,
-        Estimator(flight.estimator, vehicle, table.mocap),
+        Estimator(flight.estimator, vehicle, table.mocap, memory),
         Gate(flight.gate, fence),
         make_guidance(experiment, setup) if on_board else None,
     )

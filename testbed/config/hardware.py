@@ -12,6 +12,7 @@ from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Jet, Point, Vehicle
 
 MOST_JETS = 32
+QUICKEST_STOP = 0.1  # [s] by drag alone; what stops faster does not float
 WEAK = 1e-3  # a push or a lever below this share of the largest thrust and the radius is none
 
 
@@ -64,6 +65,10 @@ def _body(vehicle: Vehicle) -> Iterator[Mistake]:
     if vehicle.inertia > largest:
         expected = f"at most {largest:g} kg m^2: {vehicle.mass:g} kg within {vehicle.radius:g} m"
         yield Mistake(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
+    for name, mass in (("drag", vehicle.mass), ("spin_drag", vehicle.inertia)):
+        if (drag := getattr(vehicle, name)) > mass / QUICKEST_STOP:
+            expected = f"at most {mass / QUICKEST_STOP:g}: with more it does not float"
+            yield Mistake((name,), expected, f"{drag:g}")
 
 
 def _air(vehicle: Vehicle) -> Iterator[Mistake]:

@@ -7,7 +7,8 @@ from testbed.core.compiled import compiled
 
 def wrap(angle: float) -> float:
     """The same angle in [-pi, pi)."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+    turned = (angle + math.pi) % (2.0 * math.pi) - math.pi
+    return turned if turned < math.pi else -math.pi  # just below -pi the remainder rounds up
 
 
 wrap_compiled = compiled(wrap)

@@ -9,6 +9,7 @@ outputs bit for bit, which is what replay checks.
 
 import numpy as np
 from msgspec import Struct, field
+from numpy.typing import NDArray
 
 from testbed.core.types import (
     Demand,
@@ -27,6 +28,8 @@ from testbed.flight.gate import Gate, GateParams, closed
 from testbed.flight.guidance import Guidance
 from testbed.flight.modulation import ModulatorParams, SigmaDeltaParams, make_modulator
 from testbed.flight.tracker import Tracker, TrackerParams, brake, due
+
+Array = NDArray[np.float64]
 
 STILL = Wrench(0.0, 0.0, 0.0)
 
@@ -82,7 +85,7 @@ class Agent:
         """One tick: call it once per jet period, with time increasing."""
         t = inputs.t
         effect_at = t + self._lead
-        self._estimator.update(inputs.samples)
+        self._estimator.update(inputs.samples, t)
         state = self._estimator.predict(effect_at, now=t)
         setpoint = inputs.setpoint
         if self._guidance is not None and state is not None:
@@ -128,8 +131,7 @@ class Agent:
             duty = np.minimum(1.0, duty * (1.0 + self._vehicle.air.droop * (jets_on - 1)))
         on, offset = self._modulator.pulses(duty)
         if self._stretch != 0.0:
-            partial = (on > 0.0) & (on < self._period)
-            on = np.where(partial, np.clip(on + self._stretch, 0.0, self._period - offset), on)
+            on, offset = self._stretched(on, offset)
         self._seq += 1
         return ValveCommand(
             self._seq,
@@ -138,6 +140,14 @@ class Agent:
             tuple(np.rint(1e6 * on).astype(int).tolist()),
             tuple(np.rint(1e6 * offset).astype(int).tolist()),
         )
+
+    def _stretched(self, on: Array, offset: Array) -> tuple[Array, Array]:
+        """Command times that give the wanted flow times, within what the board can play."""
+        valve = self._vehicle.valve
+        longest = max(valve.min_on_s, self._period - 2.0 * valve.min_off_s)
+        partial = (on > 0.0) & (on < self._period)
+        command = np.where(partial, np.clip(on + self._stretch, valve.min_on_s, longest), on)
+        return command, np.clip(offset - 0.5 * (command - on), 0.0, self._period - command)
 
     def _given(self, command: ValveCommand, share: float) -> Wrench:
         """Mean wrench of a plan, without droop, by the vehicle file's table."""

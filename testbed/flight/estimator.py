@@ -12,6 +12,7 @@ The centre of mass is taken at the body's origin here; the few millimetres betwe
 the bias.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -29,7 +30,6 @@ from testbed.core.vehicle import NonNegative, Positive, Vehicle
 
 Array = NDArray[np.float64]
 
-MEMORY = 4  # plans kept: enough for half a second of latency at the slowest jet period in use
 # A body cannot jump; it can be shoved. Poses that contradict the filter but stay near its
 # prediction mean a collision and are believed after a while; a jump to somewhere else never is.
 PATIENCE = 5  # samples
@@ -178,7 +178,7 @@ def absorb(x, cov, cov_spin, clock, samples, fired, model, noise, walk, gate):
     t, newest, refused = clock
     for n in range(samples.shape[0]):
         captured = samples[n, 0]
-        if captured <= t:
+        if not captured > t:  # late, or not a number
             continue
         predict_mean(x, fired, model, t, captured)
         predict_covariance(cov, captured - t, walk[0], walk[1])
@@ -189,9 +189,10 @@ def absorb(x, cov, cov_spin, clock, samples, fired, model, noise, walk, gate):
         turn = wrap_compiled(samples[n, 3] - x[2])
         far = (dx * dx + dy * dy) / (cov[0, 0] + noise[0])
         twisted = turn * turn / (cov_spin[0, 0] + noise[1])
-        if far > gate * gate or twisted > gate * gate:
+        if not (far <= gate * gate and twisted <= gate * gate):
             refused += 1
-            if refused < PATIENCE or np.hypot(dx, dy) > JUMP or abs(turn) > TURN:
+            near = np.hypot(dx, dy) <= JUMP and abs(turn) <= TURN
+            if refused < PATIENCE or not near:
                 continue
             doubt(cov, np.hypot(dx, dy), SHOVE)
             doubt(cov_spin, turn, SHOVE_SPIN)
@@ -209,7 +210,10 @@ def absorb(x, cov, cov_spin, clock, samples, fired, model, noise, walk, gate):
 class Estimator:
     """One vehicle's filter and its memory of what it fired."""
 
-    def __init__(self, params: EstimatorParams, vehicle: Vehicle, mocap: Mocap) -> None:
+    def __init__(
+        self, params: EstimatorParams, vehicle: Vehicle, mocap: Mocap, memory: int = 8
+    ) -> None:
+        """`memory` is how many plans are remembered: they must cover the longest pose loss."""
         self._params = params
         self._delay = vehicle.command_delay_s
         self._model = Model(
@@ -228,9 +232,9 @@ class Estimator:
                 params.spin_bias_walk**2,
             ]
         )
-        shape = (MEMORY, len(vehicle.jets))
+        shape = (memory, len(vehicle.jets))
         self._fired = Fired(
-            np.full(MEMORY, -np.inf), np.full(MEMORY, -np.inf), np.zeros(shape), np.zeros(shape)
+            np.full(memory, -np.inf), np.full(memory, -np.inf), np.zeros(shape), np.zeros(shape)
         )
         self._x: Array | None = None
         self._cov = np.zeros((3, 3))
@@ -250,11 +254,20 @@ class Estimator:
         fired.on[-1] *= 1e-6
         fired.offset[-1] *= 1e-6
 
-    def update(self, samples: Sequence[PoseSample]) -> None:
-        """Absorb poses in order of arrival; the first one ever starts the filter, at rest."""
-        if not samples:
+    def update(self, samples: Sequence[PoseSample], now: float) -> None:
+        """Absorb poses in order of arrival; the first one ever starts the filter, at rest.
+
+        A pose captured after `now` [s] has a wrong clock. Believing it would make every later one
+        come too late, so it is passed over.
+        """
+        rows = [
+            (s.captured_at, s.x, s.y, s.theta)
+            for s in samples
+            if s.captured_at <= now and math.isfinite(s.x + s.y + s.theta)
+        ]
+        if not rows:
             return
-        table = np.array([(s.captured_at, s.x, s.y, s.theta) for s in samples])
+        table = np.array(rows)
         if self._x is None:
             self._start(table[0])
             table = table[1:]

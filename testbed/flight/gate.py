@@ -9,6 +9,8 @@ from msgspec import Struct
 from testbed.core.types import Setpoint, State, ValveCommand, Wrench
 from testbed.core.vehicle import NonNegative, Positive
 
+EARLY = 1e-3  # a pose may seem to come from the future by so much: clocks are read twice [s]
+
 
 class GateParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of a healthy flight."""
@@ -65,11 +67,11 @@ class Gate:
             return "estimate is not a number"
         if not _finite(wanted.fx, wanted.fy, wanted.tau):
             return "law or tracker asks for something that is not a number"
-        if state.pose_age > p.pose_timeout_s:
+        if not -EARLY < state.pose_age <= p.pose_timeout_s:
             return f"no pose for {state.pose_age:.2f} s (limit {p.pose_timeout_s} s)"
         if state.rejected > p.max_rejected:
             return f"{state.rejected} poses in a row contradict the estimate"
-        if t - setpoint.valid_until > p.link_timeout_s:
+        if not t - setpoint.valid_until <= p.link_timeout_s:
             waited = t - setpoint.valid_until
             return f"no setpoint for {waited:.2f} s (limit {p.link_timeout_s} s)"
         if abs(pose.x) > self._fence.half_x or abs(pose.y) > self._fence.half_y:

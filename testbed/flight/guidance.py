@@ -55,10 +55,19 @@ class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def weakest_force(vehicle: Vehicle) -> float:
-    """What the jets can do in the worst of the four body directions [N]."""
+    """What the jets can do in their worst direction [N].
+
+    The forces they reach fill a polygon whose sides are parallel to the jets; this is the distance
+    to its nearest side.
+    """
+    jets = vehicle.jets
     return min(
-        sum(jet.thrust * max(0.0, jet.push[0] * x + jet.push[1] * y) for jet in vehicle.jets)
-        for x, y in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+        sum(
+            k.thrust * max(0.0, side * (k.push[0] * -j.push[1] + k.push[1] * j.push[0]))
+            for k in jets
+        )
+        for j in jets
+        for side in (1.0, -1.0)
     )
 
 

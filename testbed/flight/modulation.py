@@ -66,9 +66,11 @@ def realisable(on, period, min_on, min_off):
     Nothing, or the minimum on-time and more. A centred pulse leaves half its gap on either side,
     which must be at least the minimum off-time, or none at all.
     """
-    longest = max(0.0, period - 2.0 * min_off)
+    longest = period - 2.0 * min_off
+    if longest < min_on:  # a pulse with pauses does not fit: all or nothing
+        return period if on > 0.5 * period else 0.0
     if on > longest:
-        return longest if on - longest < period - on and longest >= min_on else period
+        return longest if on - longest < period - on else period
     if on < min_on:
         return min_on if on > 0.5 * min_on else 0.0
     return on
@@ -151,9 +153,10 @@ class Pwpf:
         start = 0.0
         if not self._on[j]:
             start = self._cross(j, p.gain * duty, p.trigger_on, rising=True)
-            self._advance(j, p.gain * duty, min(start, period))
-            if start >= period:
+            if start > period - self._valve.min_on_s:  # what is left is too short: next period
+                self._advance(j, p.gain * duty, period)
                 return 0.0, 0.0
+            self._advance(j, p.gain * duty, start)
             self._on[j] = True
         left = period - start
         width = self._cross(j, p.gain * (duty - 1.0), p.trigger_off, rising=False)

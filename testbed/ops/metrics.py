@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from testbed.core.se2 import wrap
@@ -21,7 +22,7 @@ HOLD_S = 30.0  # length of the end of a run that counts as holding [s]
 class Criteria(Struct, frozen=True, forbid_unknown_fields=True):
     """When an experiment counts as passed; a criterion that is not given is not judged."""
 
-    max_contacts: int | None = 0
+    max_contacts: Annotated[int, Meta(ge=0)] | None = 0
     clear_of_obstacles: bool = True  # every obstacle's danger radius is kept
     final_error_m: Positive | None = None
     settle_s: Positive | None = None
