@@ -25,7 +25,7 @@ def main() -> None:
     factors = []
     for _ in range(options.runs):
         with tempfile.TemporaryDirectory() as folder:
-            factors.append(fly_and_judge(experiment, Path(folder))[0].real_time_factor or 0.0)
+            factors.append(fly_and_judge(experiment, Path(folder)).real_time_factor or 0.0)
     print(f"zhang2023_table, 3 vehicles, 150 s: {min(factors):.0f}-{max(factors):.0f} x real time")
     command = Path(sys.executable).with_name("testbed")
     starts = []

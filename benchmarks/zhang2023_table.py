@@ -48,7 +48,7 @@ def main() -> None:
         for seed in range(options.seeds):
             experiment = load(find(name), [*overrides, *options.overrides, f"seed={seed}"])
             with tempfile.TemporaryDirectory() as folder:
-                runs.append(fly_and_judge(experiment, Path(folder))[0])
+                runs.append(fly_and_judge(experiment, Path(folder)))
         cells = [label, str(sum(run.contacts for run in runs))]
         for _, key, factor, form, worst in COLUMNS:
             values = [getattr(m, key) for run in runs for m in run.vehicles.values()]

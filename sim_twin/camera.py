@@ -31,6 +31,7 @@ class Camera:
         chance = self._noise_rng.standard_normal((n, 4))
         poses = states[:, :3] + self._noise * chance[:, :3]
         poses[:, 2] = (poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        poses[poses[:, 2] >= np.pi, 2] = -np.pi  # rounded up, see se2.wrap
         latency = mocap.latency_s + mocap.jitter_s * chance[:, 3]
         arrival = times + np.maximum(latency, 0.5 * mocap.latency_s)
         kept = self._kept(times)

@@ -47,7 +47,7 @@ class Twin:
         link = table.link
 
         def channel(sender: str, receiver: str) -> Channel:
-            return Channel(link, stream(seed, sender, receiver))
+            return Channel(link, stream(seed, "link", sender, "to", receiver))
 
         self.setpoints = {n: channel("host", n) for n in self.names}
         self.to_host = {n: channel(n, "host") for n in self.names}

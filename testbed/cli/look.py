@@ -76,6 +76,7 @@ def print_schema(kind: str) -> None:
         definitions = schema["$defs"]
         _allow_path(definitions["Experiment"]["properties"], "table")
         _allow_path(definitions["VehicleSetup"]["properties"], "model")
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
     sys.stdout.write(msgspec.json.format(msgspec.json.encode(schema)).decode() + "\n")
 
 

@@ -41,7 +41,7 @@ def run(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    r"""Fly an EXPERIMENT: a file, or the name of a shipped one (see `testbed list`).
+    """Fly an EXPERIMENT: a file, or the name of a shipped one (see `testbed list`).
 
     KEY=VALUE changes a value of the file for this run; VALUE is TOML and `*` in KEY means every
     entry:
@@ -50,7 +50,7 @@ def run(
       testbed run zhang2023_table
       testbed run zhang2023_table vehicles.sat1.start=[1.2,-1.4,0.0] controller.lambda=1.2
       testbed run hold vehicles.*.model.mass=18.0 --seed 7 --out runs/heavy
-    """
+    """  # noqa: D301  (a real backspace: click keeps the lines after it as they are)
     from testbed.cli.run import run_experiment
 
     if seed is not None:

@@ -3,7 +3,7 @@
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -42,38 +42,37 @@ def run_experiment(name: str, overrides: Sequence[str], out: Path | None, as_jso
     except (ConfigError, FolderError) as error:
         errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
         return BAD_INPUT
-    write_config(folder, dump(experiment), version("airbearing-testbed"))
-    metrics, interrupted = fly_and_judge(experiment, folder)
-    write_metrics(folder, metrics)
-    if as_json:
-        sys.stdout.write((folder / "metrics.json").read_text())
-    else:
-        print_result(metrics, experiment, folder)
-    if interrupted:
-        return INTERRUPTED
+    interrupt = Interrupt()
+    with interrupt.caught():
+        write_config(folder, dump(experiment), version("airbearing-testbed"))
+        metrics = fly_and_judge(experiment, folder, interrupt)
+        write_metrics(folder, metrics)
+        if as_json:
+            sys.stdout.write((folder / "metrics.json").read_text())
+        else:
+            print_result(metrics, experiment, folder)
     if metrics.fault:
         return FAULT
+    if not metrics.completed:
+        return INTERRUPTED
     return OK if all(metrics.criteria.values()) else FAILED
 
 
 class Interrupt:
-    """Ctrl-C and SIGTERM: in flight the first one asks the loop to end after its tick.
-
-    Before and after the flight, and the second time, they raise KeyboardInterrupt.
-    """
+    """Ctrl-C and SIGTERM: noted, and the flight ends after its tick; files are always finished."""
 
     def __init__(self) -> None:
         self.asked = False
-        self._flying = False
+        self._raises = False
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.asked or not self._flying:
-            raise KeyboardInterrupt
         self.asked = True
+        if self._raises:
+            raise KeyboardInterrupt
 
     @contextmanager
     def caught(self) -> Iterator[None]:
-        """Handle signals meanwhile."""
+        """Note signals meanwhile."""
         before = {n: signal.signal(n, self._handle) for n in (signal.SIGINT, signal.SIGTERM)}
         try:
             yield
@@ -82,13 +81,15 @@ class Interrupt:
                 signal.signal(number, handler)
 
     @contextmanager
-    def in_flight(self) -> Iterator[None]:
-        """Ask instead of raise meanwhile."""
-        self._flying = True
+    def at_once(self) -> Iterator[None]:
+        """Something long that leaves no files, such as compiling: drop it when interrupted."""
+        self._raises = not self.asked
         try:
             yield
+        except KeyboardInterrupt:
+            self.asked = True
         finally:
-            self._flying = False
+            self._raises = False
 
 
 class Watcher:
@@ -135,40 +136,41 @@ class _Nobody:
     def done(self, t: float) -> None: ...
 
 
-def warm_up(experiment: Experiment) -> None:
+def warm_up(experiment: Experiment, stopped: Callable[[], bool]) -> None:
     """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
     period = experiment.flight.jet_period_s
-    make_twin(msgspec.structs.replace(experiment, duration_s=4 * period)).fly(_Nobody())
+    short = msgspec.structs.replace(experiment, duration_s=4 * period)
+    make_twin(short).fly(_Nobody(), stopped)
 
 
-def fly_and_judge(experiment: Experiment, folder: Path) -> tuple[Metrics, bool]:
-    """Fly into `folder`; the metrics, and whether the operator interrupted."""
-    rig = make_twin(experiment)
-    interrupt, ending, wall = Interrupt(), Ending(0.0, None), 0.0
+def fly_and_judge(
+    experiment: Experiment, folder: Path, interrupt: Interrupt | None = None
+) -> Metrics:
+    """Fly, with the log in `folder`, and judge."""
+    interrupt = interrupt or Interrupt()
+    rig, ending, wall = make_twin(experiment), Ending(0.0, None), 0.0
     progress = Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
         TimeRemainingColumn(), console=errors, transient=True, disable=not errors.is_terminal,
     )  # fmt: skip
     outputs: dict[str, list[Outputs]] = {name: [] for name in experiment.vehicles}
-    with interrupt.caught():
-        try:
-            with Recorder(folder / "log.mcap") as recorder, progress:
-                warming = progress.add_task("getting ready (compiles on the first run)", total=None)
-                warm_up(experiment)
-                progress.remove_task(warming)
+    try:
+        with Recorder(folder / "log.mcap") as recorder, progress:
+            warming = progress.add_task("getting ready (compiles on the first run)", total=None)
+            with interrupt.at_once():
+                warm_up(experiment, lambda: interrupt.asked)
+            progress.remove_task(warming)
+            if not interrupt.asked:
                 watcher = Watcher(rig, outputs, recorder, progress)
                 began = time.perf_counter()
-                with interrupt.in_flight(), steady():
+                with steady():
                     ending = rig.fly(watcher, stopped=lambda: interrupt.asked)
                 wall = time.perf_counter() - began
-        except KeyboardInterrupt:
-            interrupt.asked = True
-            ending = Ending(rig.twin.now, None)
-        except RecorderError as error:
-            ending = Ending(rig.twin.now, f"log: {error}")
-    done = ending.fault is None and ending.t >= experiment.ticks * experiment.flight.jet_period_s
-    metrics = measure(rig, outputs, ending, wall, completed=done)
-    return metrics, interrupt.asked and not done
+    except RecorderError as error:
+        ending = Ending(rig.twin.now, f"log: {error}")
+    planned = experiment.ticks * experiment.flight.jet_period_s
+    completed = ending.fault is None and ending.t >= planned
+    return measure(rig, outputs, ending, wall, completed=completed)
 
 
 def measure(

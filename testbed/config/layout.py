@@ -29,7 +29,7 @@ def bad_layout(experiment: Experiment) -> Iterator[Mistake]:
 
 def _names(experiment: Experiment) -> Iterator[Mistake]:
     """A name becomes part of a file name, of a log's topic and of a key on the network."""
-    if not re.fullmatch(r"\w[\w.-]{0,63}", experiment.name, re.ASCII):
+    if not re.fullmatch(r"[A-Za-z0-9][\w.-]{0,63}", experiment.name, re.ASCII):
         expected = "at most 64 letters, digits, `_`, `-`, `.`, the first a letter or digit"
         yield Mistake(("name",), expected, show(experiment.name))
     if not experiment.vehicles:

@@ -5,7 +5,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from testbed.config.key import ANY, Key, assignment, spell
+from testbed.config.key import Key, assignment, spell
 from testbed.config.mistake import ConfigError, Mistake, show
 from testbed.config.tree import parse, read_toml, trouble_at
 
@@ -104,16 +104,21 @@ def _parse(origin: Origin, key: Key, raw: str) -> Any:
 
 def _meant(origin: Origin, key: Key, parent: Any, part: str | int) -> list[tuple[Key, Any]]:
     """The entries of `parent` that `part` of an override means: their keys, each with `parent`."""
-    if isinstance(parent, list):
-        names: list[Any] = list(range(len(parent)))
-        expected = f"an index below {len(parent)}" if parent else "at least one entry"
-    elif isinstance(parent, dict):
-        names = list(parent) if part == ANY else [part] * isinstance(part, str)
-        expected = "the name of an entry" if part != ANY else "at least one entry"
-    else:
-        names, expected = [], "a table"
-    if part != ANY:
-        names = [name for name in names if name == part]
+    names: list[Any] = []
+    match parent, part:
+        case dict(), "*":
+            names, expected = list(parent), "at least one entry"
+        case list(), "*":
+            names, expected = list(range(len(parent))), "at least one entry"
+        case dict(), str():
+            names, expected = [part], "a table"
+        case dict(), _:
+            expected = "the name of an entry"
+        case list(), _:
+            names = [i for i in range(len(parent)) if i == part]
+            expected = f"an index below {len(parent)}"
+        case _:
+            expected = "a table"
     if not names:
         raise ConfigError(origin.where, spell(key), expected, show(parent))
     return [((*key, name), parent) for name in names]

@@ -86,3 +86,7 @@ def _valves(vehicle: Vehicle, period: float) -> Iterator[Mistake]:
     ):
         if time > period:
             yield Mistake(key, expected, f"{time:g} s")
+    shortest = valve.close_delay_s + valve.close_ramp_s - valve.open_delay_s
+    if valve.min_off_s < shortest:
+        expected = f"at least {shortest:g} s: before, the valve is still closing"
+        yield Mistake(("valve", "min_off_s"), expected, f"{valve.min_off_s:g} s")

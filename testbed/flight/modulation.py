@@ -47,6 +47,12 @@ class PwpfParams(Struct, frozen=True, forbid_unknown_fields=True, tag="pwpf"):
     trigger_on: Positive = 1.0  # filter output that opens the valve
     trigger_off: NonNegative = 0.0  # and closes it again
 
+    def __post_init__(self) -> None:
+        off, on, gain = self.trigger_off, self.trigger_on, self.gain
+        if not off < on < gain:  # else the valve would never close, or never open
+            found = f"{off:g}, {on:g}, {gain:g}"
+            raise ValueError(f"expected trigger_off < trigger_on < gain, found {found}")
+
 
 ModulatorParams = PwmParams | SigmaDeltaParams | PwpfParams
 

@@ -5,6 +5,7 @@ log.mcap      every tick's inputs and outputs
 metrics.json  what it was worth; "completed": false if it did not reach its end
 """
 
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,8 @@ def new_folder(out: Path | None, name: str) -> Path:
                     f"{out}\n  expected  a new or empty folder\n  found     older files"
                 )
             out.mkdir(parents=True, exist_ok=True)
+            if not os.access(out, os.W_OK | os.X_OK):
+                raise FolderError(f"{out}: Permission denied")
             return out
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
         for k in range(1, 1000):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
-from testbed.core.types import Outputs, Reference
+from testbed.core.types import Demand, Outputs
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -101,17 +101,23 @@ class Aim(Struct, frozen=True):
 
 
 def aim(outputs: Sequence[Outputs]) -> Aim:
-    """The ticks of one vehicle that had a setpoint."""
+    """The ticks of one vehicle that had a setpoint.
+
+    Where a law asked for forces, the references it braked to when those did not come are no track.
+    """
+    asked_for_force = any(isinstance(out.flown, Demand) for out in outputs)
     rows = []
     for out in outputs:
         if out.flown is None or out.state is None:
             continue
         force = math.hypot(out.wanted.fx, out.wanted.fy)
-        if isinstance(out.flown, Reference):
+        if isinstance(out.flown, Demand):
+            rows.append((out.state.t, math.nan, math.nan, out.flown.theta, force))
+        elif asked_for_force:
+            rows.append((out.state.t, math.nan, math.nan, out.flown.pose.theta, force))
+        else:
             pose = out.flown.pose
             rows.append((out.state.t, pose.x, pose.y, pose.theta, force))
-        else:
-            rows.append((out.state.t, math.nan, math.nan, out.flown.theta, force))
     table = np.array(rows).reshape(-1, 5)
     return Aim(table[:, 0], table[:, 1:4], table[:, 4])
 
@@ -144,12 +150,14 @@ def obstacle_distances(
 def smallest_separation(track: Track) -> float | None:
     """Smallest distance between any two vehicles, centre to centre [m]."""
     count = track.states.shape[1]
+    if len(track.t) == 0:
+        return None
     gaps = [
         np.min(np.hypot(*(track.states[:, i, :2] - track.states[:, j, :2]).T))
         for i in range(count)
         for j in range(i)
     ]
-    return float(min(gaps)) if gaps and len(track.t) else None
+    return float(min(gaps)) if gaps else None
 
 
 def vehicle_metrics(

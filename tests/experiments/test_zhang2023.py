@@ -14,9 +14,7 @@ SHORT_PERIOD = ("flight.jet_period_s=0.05", 'flight.modulator={ type = "sigma_de
 
 
 def fly(experiment: Experiment, folder: Path) -> Metrics:
-    metrics, interrupted = fly_and_judge(experiment, folder)
-    assert not interrupted
-    return metrics
+    return fly_and_judge(experiment, folder)
 
 
 def assert_promises(metrics: Metrics, impulse_ns: float, *, tracks: bool) -> None:

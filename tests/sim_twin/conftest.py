@@ -9,10 +9,10 @@ from sim_twin.plant import Plant
 from testbed.config import SHIPPED, read_toml
 from testbed.core.table import Table
 from testbed.core.types import Pose, ValveCommand
-from testbed.core.vehicle import Vehicle
+from testbed.core.vehicle import Tolerance, Vehicle
 
 NEVER_AGED = {"exhaust_speed": 1e30, "bearing_flow": 0.0}  # gas that weighs nothing
-AS_DRAWN = {"thrust": 0.0, "direction_deg": 0.0, "pulse": 0.0, "mass": 0.0, "inertia": 0.0, "com": 0.0}  # fmt: skip
+AS_DRAWN = dict.fromkeys(Tolerance.__struct_fields__, 0.0)
 LEVEL = {"uniform": (0.0, 0.0), "map": []}
 
 

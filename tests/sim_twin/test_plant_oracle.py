@@ -4,7 +4,6 @@ The oracle takes the drawn vehicle's numbers and the times of the opening comman
 the plant: its own flow, air and rigid body, and DOP853 from one corner of the flow to the next.
 """
 
-from itertools import pairwise
 from math import cos, sin
 from typing import NamedTuple
 
@@ -16,16 +15,28 @@ PERIOD = 100_000  # of the jets [us]
 HALF = 5000.0  # of the table, far from all that happens [m]
 JETS = 8
 
-REAL_TOLERANCE = {
-    "thrust": 0.05, "direction_deg": 1.0, "pulse": 0.01, "mass": 0.01, "inertia": 0.05, "com": 0.01,
-}  # fmt: skip
 SLOW_VALVE = {
     "open_delay_s": 0.006, "close_delay_s": 0.009, "open_ramp_s": 0.004, "close_ramp_s": 0.005,
 }  # fmt: skip
-REAL_AIR = {
+TOLERANCE = {
+    "thrust": 0.05, "direction_deg": 1.0, "pulse": 0.01, "mass": 0.01, "inertia": 0.05, "com": 0.01,
+}  # fmt: skip
+AIR = {
     "exhaust_speed": 600.0, "bearing_flow": 5e-5, "droop": 0.02, "tank_position": (-0.05, 0.08),
 }  # fmt: skip
-CORNERS = [[(-0.30, -0.20), (0.25, -0.35)], [(-0.15, 0.30), (0.30, 0.15)]]  # of the map [m/s^2]
+# supply pressure falls from the first pulse on, or after some seconds
+LAST_GAS = {"air": AIR | {"gas": 0.05, "tank_pressure": 0.5e6}}
+GAS_FOR_A_WHILE = {"air": AIR | {"gas": 0.05, "tank_pressure": 0.7e6}}
+FREE = {"drag": 0.0, "spin_drag": 0.0}
+REAL = {
+    "com": (0.01, -0.02), "drag": 0.3, "spin_drag": 0.01,
+    "valve": SLOW_VALVE, "tolerance": TOLERANCE, "air": AIR,
+}  # fmt: skip
+LEVEL = {"uniform": (0.0, 0.0), "map": []}
+WARPED = {  # one bilinear patch, so that there is no kink to fly over [m/s^2]
+    "uniform": (0.0017, 0.0010),
+    "map": [[(-0.30, -0.20), (0.25, -0.35)], [(-0.15, 0.30), (0.30, 0.15)]],
+}
 
 
 class Opening(NamedTuple):
@@ -63,11 +74,7 @@ def draw_plan(rng, valve, idle):
 
 
 def fly(plant, vehicle, make_plan, periods, rng, times):
-    """Fly random plans.
-
-    Returns:
-        states at `times`, shape (n, 6), gas used at each period's end, and the openings.
-    """
+    """Fly random plans: states at `times`, shape (n, 6), and the openings."""
     board, delay = plant.boards["0"], round(vehicle.command_delay_s * 1e6)
     openings, idle, seen = [], np.full(JETS, PERIOD), []
     for k in range(periods):
@@ -123,13 +130,13 @@ class Oracle:
         # bilinear a + b x + c y + d x y through the four corners
         nodes = np.array(table.tilt.map or np.zeros((2, 2, 2)))
         (ll, lr), (ul, ur) = nodes
-        self.slopes = [
+        coefficients = [
             (ll + lr + ul + ur) / 4,
             (lr + ur - ll - ul) / (4 * HALF),
             (ul + ur - ll - lr) / (4 * HALF),
             (ll + ur - lr - ul) / (4 * HALF**2),
         ]
-        self.slopes = np.array(self.slopes).T.tolist()
+        self.slopes = np.array(coefficients).T.tolist()
 
     def body(self, used):
         """Mass, centre of mass, inertia about it: the full body less a point mass at the tank."""
@@ -194,3 +201,62 @@ def integrate(rate, y, h):
         solver.step()
     assert solver.status == "finished"
     return solver.y
+
+
+class Errors(NamedTuple):
+    """Largest difference between plant and oracle at any of the sampled times."""
+
+    position: float  # [m]
+    heading: float  # [rad]
+    velocity: float  # [m/s]
+    turn_rate: float  # [rad/s]
+    gas: float  # at the end [kg]
+
+
+@pytest.fixture(scope="module")
+def compare(make_vehicle, make_table, make_plant, make_plan):
+    def run(seconds, vehicle_changes, tilt, turn_rate=0.1, seed=1):
+        vehicle = make_vehicle(**vehicle_changes)
+        table = make_table(size=(2 * HALF, 2 * HALF), tilt=tilt)
+        start = np.array([1.0, -2.0, 0.3, 0.05, -0.02, turn_rate])
+        plant = make_plant([vehicle], [start], table, seed=seed)
+        rng = np.random.default_rng(seed)
+        times = np.append(np.sort(rng.uniform(0.0, seconds, 30)), seconds)
+        seen, openings = fly(plant, vehicle, make_plan, seconds * 10, rng, times)
+        wanted = Oracle(plant.metal, table).fly(start, openings, vehicle.valve, times)
+        error = np.abs(seen - wanted[:, :6]).max(axis=0)
+        gas = abs(plant.used[0] - wanted[-1, 6])
+        assert len(openings) > 5 * seconds
+        return Errors(error[:2].max(), error[2], error[3:5].max(), error[5], gas)
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("seconds", "vehicle", "tilt", "turn_rate"),
+    [
+        pytest.param(30, {}, LEVEL, 0.1, id="jets alone"),
+        pytest.param(30, REAL | {"air": {"droop": 0.02}}, WARPED, 0.1, id="gas without weight"),
+        pytest.param(150, REAL, WARPED, 0.1, id="everything"),
+        pytest.param(30, REAL, WARPED, -6.0, id="spinning"),
+        pytest.param(30, REAL | FREE, LEVEL, 6.0, id="spinning freely"),
+        pytest.param(30, REAL | LAST_GAS, WARPED, 0.1, id="regulator out"),
+    ],
+)
+def test_the_plant_agrees_with_the_oracle_to_a_nanometre(
+    compare, seconds, vehicle, tilt, turn_rate
+):
+    error = compare(seconds, vehicle, tilt, turn_rate)
+    assert error.position < 1e-9
+    assert error.heading < 1e-9
+    assert error.velocity < 1e-10
+    assert error.turn_rate < 1e-10
+    assert error.gas < 1e-12
+
+
+def test_the_regulator_falls_out_on_the_way(compare):
+    # the supply pressure has one kink, and it lies within a step
+    error = compare(30, REAL | GAS_FOR_A_WHILE, WARPED)
+    assert error.position < 1e-6
+    assert error.heading < 1e-6
+    assert error.gas < 1e-9

@@ -1,0 +1,179 @@
+"""Ctrl-C or SIGTERM at any moment: exit code 130, and a run folder that can be read."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from testbed.cli import run
+from testbed.cli.main import entry
+from testbed.config import load
+
+SIGNALS = [signal.SIGINT, signal.SIGTERM]
+FOR_EVER = "duration_s=4000"  # half a minute at least
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.fixture
+def stray() -> list[int]:
+    """Signals that the command did not handle; without this they would end the tests."""
+    seen: list[int] = []
+    before = {n: signal.signal(n, lambda number, frame: seen.append(number)) for n in SIGNALS}
+    yield seen
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def exit_code(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    """Of the command as a program, in this process."""
+    monkeypatch.setattr(sys, "argv", ["testbed", *words])
+    with pytest.raises(SystemExit) as ended:
+        entry()
+    return ended.value.code
+
+
+def assert_incomplete(folder: Path, read_log) -> dict:
+    """The folder is readable and says that the run did not reach its end."""
+    assert sorted(p.name for p in folder.iterdir()) == ["config.toml", "log.mcap", "metrics.json"]
+    assert load(folder / "config.toml").name
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["completed"] is False
+    assert metrics["fault"] is None
+    read_log(folder)
+    return metrics
+
+
+# At a chosen moment, in this process
+
+
+def interrupt_before(monkeypatch, where: str, number: int, times: int = 1) -> None:
+    """Send a signal just before a function of `testbed run` starts."""
+    owner, _, name = where.rpartition(".")
+    place = getattr(run, owner) if owner else run
+    original: Callable = getattr(place, name)
+
+    def interrupted(*args, **kwargs):
+        for _ in range(times):
+            signal.raise_signal(number)
+        monkeypatch.setattr(place, name, original)
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(place, name, interrupted)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize(
+    "moment",
+    ["write_config", "make_twin", "Recorder.__enter__", "warm_up", "Watcher.vehicle",
+     "Watcher.host", "Watcher.done"],
+)  # fmt: skip
+@pytest.mark.parametrize("experiment", ["hold", "zhang2023_table"])
+def test_before_the_end(monkeypatch, stray, read_log, experiment, moment, number):
+    interrupt_before(monkeypatch, moment, number)
+    assert exit_code(monkeypatch, "run", experiment, "duration_s=1", "--out", "out") == 130
+    assert stray == []
+    metrics = assert_incomplete(Path("out"), read_log)
+    assert metrics["duration_s"] < 1.0
+
+
+@pytest.mark.parametrize("moment", ["measure", "write_metrics", "print_result"])
+@pytest.mark.parametrize("number", SIGNALS)
+def test_after_the_end(monkeypatch, stray, read_log, moment, number):
+    interrupt_before(monkeypatch, moment, number)
+    code = exit_code(monkeypatch, "run", "hold", "duration_s=1", "criteria={}", "--out", "out")
+    assert code in (0, 130)
+    assert json.loads(Path("out/metrics.json").read_text())["completed"] is True
+    assert len(read_log(Path("out")).messages["/sat1/tick"]) == 10
+
+
+def test_an_impatient_operator(monkeypatch, stray, read_log):
+    interrupt_before(monkeypatch, "Watcher.vehicle", signal.SIGINT, times=5)
+    assert exit_code(monkeypatch, "run", "hold", "duration_s=1", "--out", "out") == 130
+    assert_incomplete(Path("out"), read_log)
+
+
+def test_while_the_input_is_read(monkeypatch, here):
+    def interrupted(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "load", interrupted)
+    assert exit_code(monkeypatch, "run", "hold", "--out", "out") == 130
+    assert list(here.iterdir()) == []
+
+
+def test_handlers_are_put_back(monkeypatch):
+    before = [signal.getsignal(number) for number in SIGNALS]
+    exit_code(monkeypatch, "run", "hold", "duration_s=1")
+    assert [signal.getsignal(number) for number in SIGNALS] == before
+
+
+# In a process of its own
+
+
+def wait_for(process: subprocess.Popen, condition: Callable[[], bool]) -> None:
+    """Until `condition`; the process must still run then."""
+    for _ in range(6000):
+        if condition():
+            return
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=0.02)
+            pytest.fail(f"ended too early: {process.communicate()}")
+    pytest.fail("two minutes are enough")
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_in_flight(start, here, read_log, number):
+    process = start("run", "zhang2023_table", FOR_EVER, "--out", "out")
+    log = here / "out" / "log.mcap"
+    wait_for(process, lambda: log.exists() and log.stat().st_size > 100_000)
+    process.send_signal(number)
+    stdout, stderr = process.communicate(timeout=30)
+    assert process.returncode == 130, stderr
+    assert stderr == ""
+    assert "interrupted after" in stdout
+    metrics = assert_incomplete(here / "out", read_log)
+    assert metrics["duration_s"] > 1.0
+    ticks = read_log(here / "out").messages
+    assert {len(rows) for rows in ticks.values()} == {len(ticks["/truth"])}
+    assert ticks["/truth"][-1][0] * 1e-9 == pytest.approx(metrics["duration_s"])
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_while_it_compiles(start, here, read_log, tmp_path, number):
+    process = start(
+        "run", "zhang2023_table", FOR_EVER, "--json", "--out", "out",
+        XDG_CACHE_HOME=str(tmp_path / "nothing compiled yet"),
+    )  # fmt: skip
+    wait_for(process, (here / "out" / "log.mcap").exists)
+    for _ in range(6):  # Python drops an exception in a callback of the compiler: ask again
+        process.send_signal(number)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=10)
+            break
+    stdout, stderr = process.communicate(timeout=1)
+    assert process.returncode == 130, stderr
+    metrics = assert_incomplete(here / "out", read_log)
+    assert metrics["duration_s"] == 0.0
+    assert json.loads(stdout) == metrics
+
+
+def test_a_killed_run_leaves_a_log(start, here, read_log):
+    process = start("run", "zhang2023_table", FOR_EVER, "--out", "out")
+    log = here / "out" / "log.mcap"
+    wait_for(process, lambda: log.exists() and log.stat().st_size > 100_000)
+    process.kill()
+    process.communicate()
+    assert not (here / "out" / "metrics.json").exists()  # which is how it is marked incomplete
+    load(here / "out" / "config.toml")

@@ -1,0 +1,183 @@
+"""A run fed in again gives the same outputs, bit for bit, also by way of JSON."""
+
+import math
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from testbed.config import find, load
+from testbed.core.types import (
+    Accel,
+    Demand,
+    Health,
+    HostInputs,
+    HostOutputs,
+    HostTick,
+    Inputs,
+    Outputs,
+    Pose,
+    PoseSample,
+    Reference,
+    State,
+    Tick,
+    Trajectory,
+    Twist,
+    ValveCommand,
+    Wrench,
+)
+from testbed.flight.agent import lead_time
+from testbed.rig import make_agent, make_guidance, make_twin
+
+
+class Keeper:
+    """Observer that keeps every tick."""
+
+    def __init__(self, names):
+        self.vehicles = {name: [] for name in names}
+        self.hosts = {name: [] for name in names}
+        self.times = []
+
+    def vehicle(self, name, tick):
+        self.vehicles[name].append(tick)
+
+    def host(self, name, tick):
+        self.hosts[name].append(tick)
+
+    def done(self, t):
+        self.times.append(t)
+
+
+def bits(message):
+    """All of a message's content, floats included, to the last bit."""
+    return msgspec.msgpack.encode(message)
+
+
+def through_json(message):
+    return msgspec.json.decode(msgspec.json.encode(message), type=type(message))
+
+
+FLIGHTS = {
+    "hold": ("hold", ["duration_s=10"]),
+    "law on the vehicle": ("zhang2023_table_wrench", ["duration_s=4"]),
+    "law on the host": ("zhang2023_table", ["duration_s=4"]),
+}
+
+
+@pytest.fixture(scope="module", params=FLIGHTS)
+def flight(request):
+    """An experiment and what was kept of its flight."""
+    name, overrides = FLIGHTS[request.param]
+    experiment = load(find(name), overrides)
+    keeper = Keeper(experiment.vehicles)
+    ending = make_twin(experiment).fly(keeper)
+    assert ending.fault is None
+    return experiment, keeper
+
+
+def test_replay_of_a_vehicle(flight):
+    experiment, keeper = flight
+    for name, setup in experiment.vehicles.items():
+        agent = make_agent(experiment, setup)
+        ticks = keeper.vehicles[name]
+        assert len(ticks) == experiment.ticks
+        assert any(any(tick.outputs.command.on_us) for tick in ticks)
+        for tick in ticks:
+            assert bits(agent.step(tick.inputs)) == bits(tick.outputs)
+
+
+def test_replay_of_a_host(flight):
+    experiment, keeper = flight
+    for name, setup in experiment.vehicles.items():
+        guidance = make_guidance(experiment, setup)
+        ahead = experiment.flight.jet_period_s + lead_time(setup.model)
+        ticks = keeper.hosts[name]
+        assert len(ticks) == (experiment.ticks if experiment.deploy.law == "host" else 0)
+        for tick in ticks:
+            t, own, neighbours = tick.inputs.t, tick.inputs.own, tick.inputs.neighbours
+            again = None if own is None else guidance.step(t + ahead, own, neighbours)
+            assert bits(again) == bits(tick.outputs.setpoint)
+
+
+def test_replay_through_the_log(flight):
+    experiment, keeper = flight
+    for name, setup in experiment.vehicles.items():
+        agent = make_agent(experiment, setup)
+        for tick in keeper.vehicles[name]:
+            logged = through_json(tick)
+            assert bits(logged) == bits(tick)
+            assert bits(agent.step(logged.inputs)) == bits(logged.outputs)
+        for tick in keeper.hosts[name]:
+            assert bits(through_json(tick)) == bits(tick)
+
+
+def test_replay_notices_another_gain(flight):
+    experiment, keeper = flight
+    tracker = replace(experiment.flight.tracker, heading_bandwidth=1.501)
+    other = replace(experiment, flight=replace(experiment.flight, tracker=tracker))
+    name, setup = next(iter(experiment.vehicles.items()))
+    agent = make_agent(other, setup)
+    again = [agent.step(tick.inputs) for tick in keeper.vehicles[name]]
+    assert again != [tick.outputs for tick in keeper.vehicles[name]]
+
+
+def test_every_tick_is_seen(flight):
+    experiment, keeper = flight
+    period = experiment.flight.jet_period_s
+    assert keeper.times == [k * period for k in range(experiment.ticks)]
+
+
+# Any message
+
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+whole = st.integers(0, 2**32 - 1)
+poses, twists = st.builds(Pose, *[numbers] * 3), st.builds(Twist, *[numbers] * 3)
+accels, wrenches = st.builds(Accel, *[numbers] * 3), st.builds(Wrench, *[numbers] * 3)
+states = st.builds(State, numbers, poses, twists, accels, numbers, whole)
+references = st.builds(Reference, numbers, poses, twists, accels)
+demands = st.builds(Demand, *[numbers] * 7)
+trajectories = st.builds(
+    Trajectory, st.lists(references, min_size=1, max_size=3).map(tuple), numbers
+)
+setpoints = st.none() | trajectories | demands
+words = st.none() | st.text(max_size=20)
+heard = st.dictionaries(st.text(max_size=8), states, max_size=2)
+valves = st.lists(whole, min_size=8, max_size=8).map(tuple)
+commands = st.builds(ValveCommand, whole, numbers, numbers, valves, valves)
+ticks = st.builds(
+    Tick,
+    st.builds(
+        Inputs, numbers, st.booleans(),
+        st.lists(st.builds(PoseSample, *[numbers] * 4), max_size=3).map(tuple),
+        setpoints, heard, st.builds(Health, *[numbers] * 3),
+    ),
+    st.builds(
+        Outputs, numbers, st.none() | states, st.none() | references | demands,
+        wrenches, wrenches, commands, words, words,
+    ),
+)  # fmt: skip
+host_ticks = st.builds(
+    HostTick,
+    st.builds(HostInputs, numbers, st.none() | states, heard),
+    st.builds(HostOutputs, numbers, setpoints),
+)
+
+
+@given(message=ticks | host_ticks)
+def test_any_tick_survives_json(message):
+    assert bits(through_json(message)) == bits(message)
+
+
+@pytest.mark.parametrize("number", [0.1, -0.0, 5e-324, 1.7976931348623157e308, 1e22, 2.0 / 3.0])
+def test_a_float_keeps_its_bits(number):
+    wrench = Wrench(number, 0.0, 0.0)
+    assert through_json(wrench).fx.hex() == number.hex()
+
+
+@pytest.mark.xfail(reason="JSON has no nan, so the log of a run that ended in one cannot be read")
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_a_number_that_is_none_survives_json(number):
+    assert bits(through_json(Wrench(number, 0.0, 0.0))) == bits(Wrench(number, 0.0, 0.0))

@@ -1,0 +1,190 @@
+"""The gate, one row per reason and boundary: opened only when every condition holds."""
+
+import math
+
+import pytest
+from msgspec.structs import replace
+
+from testbed.core.types import Demand, Pose, Twist, ValveCommand, Wrench
+from testbed.flight.gate import Fence, Gate, GateParams, closed
+
+PARAMS = GateParams(
+    pose_timeout_s=0.5, link_timeout_s=2.0, max_rejected=30, max_speed=0.6, max_spin=1.5
+)
+FENCE = Fence(2.8, 2.7)
+NOW = 100.0  # [s]
+SETPOINT = Demand(NOW, 0.0, 0.0, 0.0, 0.0, 0.0, valid_until=NOW + 0.5)
+WRENCH = Wrench(0.1, -0.1, 0.01)
+OK = None
+
+
+def up(x):
+    return math.nextafter(x, math.inf)
+
+
+def ask(gate, state, *, armed=True, setpoint=SETPOINT, wanted=WRENCH):
+    return gate.refuse(NOW, armed, state, setpoint, wanted)
+
+
+@pytest.fixture
+def healthy(make_state):
+    return make_state(t=NOW)
+
+
+@pytest.fixture
+def gate():
+    return Gate(PARAMS, FENCE)
+
+
+def test_open_when_all_is_well(gate, healthy):
+    assert ask(gate, healthy) is None
+    assert gate.fault is None
+
+
+# Waiting
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [({"armed": False}, "not armed"), ({"setpoint": None}, "no setpoint yet")],
+)
+def test_waiting_is_not_a_fault(change, reason, gate, healthy):
+    assert ask(gate, healthy, **change) == reason
+    assert gate.fault is None
+    assert ask(gate, healthy) is None
+
+
+def test_waiting_for_the_first_pose_is_not_a_fault(gate, healthy):
+    assert ask(gate, None) == "no pose yet"
+    assert gate.fault is None
+    assert ask(gate, healthy) is None
+
+
+def test_a_disarmed_vehicle_may_stand_outside(gate, make_state):
+    assert ask(gate, make_state((9.0, 0.0, 0.0)), armed=False) == "not armed"
+    assert gate.fault is None
+
+
+# Faults
+
+
+SPEED = PARAMS.max_speed
+ROWS = [
+    # the estimate's age and trust
+    ("age", {"pose_age": 0.0}, OK),
+    ("age", {"pose_age": 0.5}, OK),
+    ("age", {"pose_age": up(0.5)}, "no pose for"),
+    ("age", {"pose_age": math.inf}, "no pose for"),
+    ("rejected", {"rejected": 30}, OK),
+    ("rejected", {"rejected": 31}, "31 poses in a row"),
+    # the fence
+    ("fence", {"pose": Pose(2.8, 0.0, 0.0)}, OK),
+    ("fence", {"pose": Pose(-2.8, -2.7, 0.0)}, OK),
+    ("fence", {"pose": Pose(up(2.8), 0.0, 0.0)}, "outside the fence"),
+    ("fence", {"pose": Pose(-up(2.8), 0.0, 0.0)}, "outside the fence"),
+    ("fence", {"pose": Pose(0.0, up(2.7), 0.0)}, "outside the fence"),
+    ("fence", {"pose": Pose(0.0, -up(2.7), 0.0)}, "outside the fence"),
+    ("fence", {"pose": Pose(9e8, 0.0, 0.0)}, "outside the fence"),
+    # speed
+    ("speed", {"twist": Twist(SPEED, 0.0, 0.0)}, OK),
+    ("speed", {"twist": Twist(0.0, -SPEED, 0.0)}, OK),
+    ("speed", {"twist": Twist(up(SPEED), 0.0, 0.0)}, "too fast"),
+    ("speed", {"twist": Twist(0.0, -up(SPEED), 0.0)}, "too fast"),
+    ("speed", {"twist": Twist(0.6 * SPEED, 0.79 * SPEED, 0.0)}, OK),
+    ("speed", {"twist": Twist(0.6 * SPEED, 0.81 * SPEED, 0.0)}, "too fast"),
+    ("spin", {"twist": Twist(0.0, 0.0, 1.5)}, OK),
+    ("spin", {"twist": Twist(0.0, 0.0, -1.5)}, OK),
+    ("spin", {"twist": Twist(0.0, 0.0, up(1.5))}, "too fast"),
+    ("spin", {"twist": Twist(0.0, 0.0, -up(1.5))}, "too fast"),
+    # numbers
+    *(
+        ("number", {"pose": Pose(*[bad if i == k else 0.0 for i in range(3)])}, "not a number")
+        for bad in (math.nan, math.inf, -math.inf, 1e9)
+        for k in range(3)
+    ),
+    *(
+        ("number", {"twist": Twist(*[bad if i == k else 0.0 for i in range(3)])}, "not a number")
+        for bad in (math.nan, math.inf, -math.inf, 1e9)
+        for k in range(3)
+    ),
+]
+
+
+def verdict(gate, reason, said):
+    """Whether it said what it should, and keeps a fault for ever."""
+    if reason is OK:
+        return said is None and gate.fault is None
+    return said is not None and reason in said and gate.fault == said
+
+
+@pytest.mark.parametrize(("row", "change", "reason"), ROWS)
+def test_state(row, change, reason, gate, healthy):
+    assert verdict(gate, reason, ask(gate, replace(healthy, **change)))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e9])
+@pytest.mark.parametrize("field", ["fx", "fy", "tau"])
+def test_a_wrench_that_is_not_a_number(field, bad, gate, healthy):
+    said = ask(gate, healthy, wanted=replace(WRENCH, **{field: bad}))
+    assert verdict(gate, "asks for something that is not a number", said)
+
+
+@pytest.mark.parametrize(
+    ("valid_until", "reason"),
+    [
+        (NOW + 0.5, OK),
+        (NOW, OK),
+        (NOW - 2.0, OK),  # it may wait that long at rest
+        (math.nextafter(NOW - 2.0, 0.0), "no setpoint for"),
+        (-math.inf, "no setpoint for"),
+    ],
+)
+def test_setpoint_age(valid_until, reason, gate, healthy):
+    said = ask(gate, healthy, setpoint=replace(SETPOINT, valid_until=valid_until))
+    assert verdict(gate, reason, said)
+
+
+def test_a_pose_age_that_is_not_a_number(gate, healthy):
+    assert ask(gate, replace(healthy, pose_age=math.nan)) is not None
+
+
+def test_a_setpoint_age_that_is_not_a_number(gate, healthy):
+    assert ask(gate, healthy, setpoint=replace(SETPOINT, valid_until=math.nan)) is not None
+
+
+def test_a_pose_from_the_future(gate, healthy):
+    assert ask(gate, replace(healthy, pose_age=-5.0)) is not None
+
+
+# Latching
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"pose_age": 0.6},
+        {"rejected": 99},
+        {"pose": Pose(3.0, 0.0, 0.0)},
+        {"twist": Twist(0.0, 0.0, 2.0)},
+        {"pose": Pose(math.nan, 0.0, 0.0)},
+    ],
+)
+def test_a_fault_stays(change, gate, healthy):
+    reason = ask(gate, replace(healthy, **change))
+    assert reason is not None
+    assert ask(gate, healthy) == reason
+    assert ask(gate, None) == reason
+    assert ask(gate, healthy, armed=False) == reason
+    assert ask(gate, replace(healthy, pose=Pose(-9.0, 0.0, 0.0))) == reason
+    assert gate.fault == reason
+
+
+def test_gates_do_not_share_their_faults(healthy):
+    one, other = Gate(PARAMS, FENCE), Gate(PARAMS, FENCE)
+    assert ask(one, replace(healthy, rejected=99)) is not None
+    assert ask(other, healthy) is None
+
+
+def test_closed_is_the_same_plan_with_every_valve_shut():
+    plan = ValveCommand(7, 1.0, 1.1, (5000, 0, 100_000), (10_000, 0, 0))
+    assert closed(plan) == ValveCommand(7, 1.0, 1.1, (0, 0, 0), (0, 0, 0))

@@ -1,0 +1,53 @@
+"""Streams of chance: one seed, many parts, no crosstalk."""
+
+import numpy as np
+import pytest
+
+from sim_twin.metal import forge
+from sim_twin.randomness import stream
+from testbed.core.jets import effect_matrix
+
+
+def test_a_stream_is_known_by_seed_and_name():
+    def draws(*key):
+        return stream(*key).random(4).tolist()
+
+    assert draws(1, "sat1", "camera") == draws(1, "sat1", "camera")
+    others = [(2, "sat1", "camera"), (1, "sat2", "camera"), (1, "sat1", "metal"), (1, "sat1")]
+    assert all(draws(*other) != draws(1, "sat1", "camera") for other in others)
+
+
+def test_streams_are_not_correlated():
+    parts = [stream(1, name, part) for name in ("a", "b", "c") for part in ("camera", "metal")]
+    draws = np.array([part.standard_normal(20_000) for part in parts])
+    assert np.abs(np.corrcoef(draws) - np.eye(len(parts))).max() < 0.03
+
+
+def test_a_vehicle_without_tolerances_is_forged_as_drawn(make_vehicle):
+    vehicle = make_vehicle(com=(0.01, 0.02))
+    metal = forge({"a": vehicle}, 1)
+    assert metal.effect[0] == pytest.approx(effect_matrix(vehicle.jets), abs=1e-15)
+    assert metal.thrust[0] == pytest.approx(0.6)
+    assert (metal.mass[0], metal.inertia[0]) == (vehicle.mass, vehicle.inertia)
+    assert tuple(metal.com[0]) == vehicle.com
+
+
+def test_what_is_forged_spreads_by_the_tolerances(shipped_vehicle):
+    fleet = {str(k): shipped_vehicle for k in range(1000)}
+    spread, metal = shipped_vehicle.tolerance, forge(fleet, 1)
+    assert metal.mass.mean() == pytest.approx(shipped_vehicle.mass, rel=0.002)
+    assert metal.mass.std() == pytest.approx(shipped_vehicle.mass * spread.mass, rel=0.1)
+    assert metal.inertia.std() == pytest.approx(shipped_vehicle.inertia * spread.inertia, rel=0.1)
+    assert metal.com.std() == pytest.approx(spread.com, rel=0.1)
+    assert metal.thrust.std() == pytest.approx(0.6 * spread.thrust, rel=0.05)
+    push = np.hypot(metal.effect[:, 0], metal.effect[:, 1])
+    assert push == pytest.approx(metal.thrust)
+    sideways = metal.effect[:, 1, :2] / push[:, :2]  # of two jets that should push along -x
+    assert np.degrees(sideways.std()) == pytest.approx(spread.direction_deg, rel=0.1)
+
+
+def test_one_vehicle_more_changes_no_other(shipped_vehicle):
+    few = forge({"a": shipped_vehicle, "b": shipped_vehicle}, 1)
+    many = forge({"c": shipped_vehicle, "a": shipped_vehicle, "b": shipped_vehicle}, 1)
+    for before, after in zip(few, many, strict=True):
+        assert (before == after[1:]).all()
