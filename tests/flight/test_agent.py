@@ -197,7 +197,7 @@ def test_a_loss_of_poses_is_flown_through_on_what_was_fired(period):
     early, late = states[round(1.0 / period)], states[-1]
     assert late.pose_age > 0.3
     gained = late.twist.vx - early.twist.vx - 0.3 * late.bias.ax
-    assert gained == pytest.approx(0.3 * a, rel=0.05)
+    assert gained == pytest.approx(0.3 * a, rel=0.1)  # a pulse more or less
 
 
 # Setpoints that run out
