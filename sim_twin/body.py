@@ -31,6 +31,7 @@ _BB = tuple(_B[i] * (1.0 - _C[i]) for i in range(3))
 C, A, B = np.array(_C), np.array(_A), np.array(_B)
 AA, BB = np.array(_AA), np.array(_BB)
 PASSES = 12
+SMALL = 1e-12  # [m/s^2] a pass that changes less leaves a thousandth of it
 FX, FY, TAU, MASS, INERTIA, CX, CY = range(7)  # columns of `stages`
 
 
@@ -60,33 +61,38 @@ def step(x, h, stages, drag, spin_drag, ground):
             new = (torque - spin_drag * w) / stages[i, INERTIA]
             change = max(change, abs(new - spin[i]))
             spin[i] = new
-        if spin_drag == 0.0 or change < 1e-15:
+        if spin_drag == 0.0 or change < SMALL:
             break
+    still = np.empty((3, 6))  # no pass changes: r, w, drag / m, acceleration by jets and spin
+    for i in range(3):
+        angle, w = theta + C[i] * h * omega, omega
+        for j in range(3):
+            angle += h * h * AA[i, j] * spin[j]
+            w += h * A[i, j] * spin[j]
+        cos, sin = np.cos(angle), np.sin(angle)
+        fx, fy, mass = stages[i, FX], stages[i, FY], stages[i, MASS]
+        rx = cos * stages[i, CX] - sin * stages[i, CY]
+        ry = sin * stages[i, CX] + cos * stages[i, CY]
+        still[i, 0], still[i, 1], still[i, 2], still[i, 3] = rx, ry, w, drag / mass
+        still[i, 4] = (cos * fx - sin * fy) / mass + spin[i] * ry + w * w * rx
+        still[i, 5] = (sin * fx + cos * fy) / mass - spin[i] * rx + w * w * ry
     weak = drag != 0.0 or ground.map.shape[0] > 0
     for _ in range(PASSES):
         change = 0.0
         for i in range(3):
-            angle, w = theta + C[i] * h * omega, omega
+            rx, ry, w, slow = still[i, 0], still[i, 1], still[i, 2], still[i, 3]
             qx, qy, ux, uy = x[0] + C[i] * h * x[3], x[1] + C[i] * h * x[4], x[3], x[4]
             for j in range(3):
-                angle += h * h * AA[i, j] * spin[j]
-                w += h * A[i, j] * spin[j]
                 qx += h * h * AA[i, j] * ax[j]
                 qy += h * h * AA[i, j] * ay[j]
                 ux += h * A[i, j] * ax[j]
                 uy += h * A[i, j] * ay[j]
-            cos, sin = np.cos(angle), np.sin(angle)
-            fx, fy, mass = stages[i, FX], stages[i, FY], stages[i, MASS]
-            rx = cos * stages[i, CX] - sin * stages[i, CY]
-            ry = sin * stages[i, CX] + cos * stages[i, CY]
             gx, gy = tilt_at(ground, qx + rx, qy + ry)
-            pull_x = drag * (ux - w * ry)
-            pull_y = drag * (uy + w * rx)
-            new_x = (cos * fx - sin * fy - pull_x) / mass + gx + spin[i] * ry + w * w * rx
-            new_y = (sin * fx + cos * fy - pull_y) / mass + gy - spin[i] * rx + w * w * ry
+            new_x = still[i, 4] + gx - slow * (ux - w * ry)
+            new_y = still[i, 5] + gy - slow * (uy + w * rx)
             change = max(change, abs(new_x - ax[i]), abs(new_y - ay[i]))
             ax[i], ay[i] = new_x, new_y
-        if not weak or change < 1e-15:
+        if not weak or change < SMALL:
             break
     x[0] += h * x[3]
     x[1] += h * x[4]

@@ -12,6 +12,7 @@ from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Jet, Point, Vehicle
 
 MOST_JETS = 32
+DENSEST = 0.01  # radius of gyration over radius
 QUICKEST_STOP = 0.1  # [s] by drag alone; what stops faster does not float
 WEAK = 1e-3  # a push or a lever below this share of the largest thrust and the radius is none
 
@@ -64,6 +65,10 @@ def _body(vehicle: Vehicle) -> Iterator[Mistake]:
     largest = vehicle.mass * (vehicle.radius**2 - math.hypot(*vehicle.com) ** 2)
     if vehicle.inertia > largest:
         expected = f"at most {largest:g} kg m^2: {vehicle.mass:g} kg within {vehicle.radius:g} m"
+        yield Mistake(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
+    least = DENSEST**2 * vehicle.mass * vehicle.radius**2
+    if vehicle.inertia < least:
+        expected = f"at least {least:g} kg m^2, or the mass is a point"
         yield Mistake(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
     for name, mass in (("drag", vehicle.mass), ("spin_drag", vehicle.inertia)):
         if (drag := getattr(vehicle, name)) > mass / QUICKEST_STOP:

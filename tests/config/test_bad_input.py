@@ -270,6 +270,9 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
         "", "a point of the vehicle, at most 0.2 m from its origin", "[0.3, 0.0]",
     ),
     "vehicles.sat1.model.inertia=2": ("", "at most 0.5 kg m^2: 12.5 kg within 0.2 m", "2 kg m^2"),
+    "vehicles.sat1.model.inertia=1e-9": (
+        "", "at least 5e-05 kg m^2, or the mass is a point", "1e-09 kg m^2",
+    ),
     "vehicles.sat1.model.drag=1e6": ("", "at most 125: with more it does not float", "1e+06"),
     "vehicles.sat1.model.spin_drag=3": ("", "at most 2: with more it does not float", "3"),
     "vehicles.sat1.model.jets=[]": (

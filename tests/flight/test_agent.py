@@ -175,7 +175,8 @@ def test_a_pose_stamped_in_the_future_does_not_blind_the_vehicle(make_agent, mak
     for k in range(2, 20):
         x = 0.01 * k
         outputs = agent.step(make_inputs(k * PERIOD, (x, 0.0, 0.0)))
-    assert outputs.fault is not None or outputs.state.pose.x == pytest.approx(x, abs=0.05)
+    assert outputs.fault is None
+    assert outputs.state.pose.x == pytest.approx(x, abs=0.02)
 
 
 @pytest.mark.parametrize("period", [0.02, 0.05, 0.1])
