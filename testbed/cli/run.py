@@ -36,21 +36,21 @@ errors = Console(stderr=True, highlight=False)
 
 def run_experiment(name: str, overrides: Sequence[str], out: Path | None, as_json: bool) -> int:
     """Fly and return the exit code."""
+    interrupt = Interrupt()
     try:
         experiment = load(find(name), overrides)
-        folder = new_folder(out, experiment.name)
+        with interrupt.caught():
+            folder = new_folder(out, experiment.name)
+            write_config(folder, dump(experiment), version("airbearing-testbed"))
+            metrics = fly_and_judge(experiment, folder, interrupt)
+            write_metrics(folder, metrics)
+            if as_json:
+                sys.stdout.write((folder / "metrics.json").read_text())
+            else:
+                print_result(metrics, experiment, folder)
     except (ConfigError, FolderError) as error:
         errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
         return BAD_INPUT
-    interrupt = Interrupt()
-    with interrupt.caught():
-        write_config(folder, dump(experiment), version("airbearing-testbed"))
-        metrics = fly_and_judge(experiment, folder, interrupt)
-        write_metrics(folder, metrics)
-        if as_json:
-            sys.stdout.write((folder / "metrics.json").read_text())
-        else:
-            print_result(metrics, experiment, folder)
     if metrics.fault:
         return FAULT
     if not metrics.completed:

@@ -4,7 +4,9 @@ Not armed, no pose yet, no setpoint yet: it waits. Anything else is a fault and 
 ends, because a vehicle that has flown blind must not start firing again on its own.
 """
 
-from msgspec import Struct
+from typing import Annotated
+
+from msgspec import Meta, Struct
 
 from testbed.core.types import Setpoint, State, ValveCommand, Wrench
 from testbed.core.vehicle import NonNegative, Positive
@@ -17,7 +19,9 @@ class GateParams(Struct, frozen=True, forbid_unknown_fields=True):
 
     pose_timeout_s: Positive = 0.5
     link_timeout_s: Positive = 2.0  # after the last setpoint has run out, at rest
-    max_rejected: Positive = 30  # poses in a row that the estimator did not believe
+    max_rejected: Annotated[int, Meta(ge=0)] = (
+        30  # poses in a row that the estimator did not believe
+    )
     max_speed: Positive = 0.6  # [m/s]
     max_spin: Positive = 1.5  # [rad/s]
     fence_margin: NonNegative = 0.0  # between a vehicle's rim and the table's edge [m]

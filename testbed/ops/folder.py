@@ -68,5 +68,8 @@ def write_metrics(folder: Path, metrics: Metrics) -> None:
 def _replace(path: Path, text: str) -> None:
     """Write the whole file or nothing."""
     part = path.with_suffix(path.suffix + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        raise FolderError(f"{path}: {error.strerror}") from None
