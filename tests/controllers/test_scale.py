@@ -60,8 +60,8 @@ def table_scene():
         0.5,
     )
     goal = Goal(np.array([0.17, 1.9]), np.array([1e-3, 0.0]), np.zeros(2), np.zeros(2))
-    rocks = Discs(np.array([[0.4, -0.5]]), np.array([[0.0, -0.01]]), np.array([0.8]))
-    others = Discs(np.array([[-0.9, -0.9]]), np.array([[0.01, 0.0]]), np.array([0.6]))
+    rocks = Discs(np.array([[0.6, -0.2]]), np.array([[0.0, -0.01]]), np.array([0.8]))
+    others = Discs(np.array([[-0.9, -1.1]]), np.array([[0.01, 0.0]]), np.array([0.6]))
     return own, others, World(goal, rocks)
 
 
