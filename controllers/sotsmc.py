@@ -22,10 +22,11 @@ Corrections to the print, because with it nothing moves: (15) prints k for the s
 Table 3 lists both lambda = 1 and k = 1e-3; lambda belongs in (15), k in front of sigma in (28). The
 last nominal term of (28) is s_dot^(2 - p/q), as follows from (25).
 
-Differences from the paper: u grows no further than own.max_force and no faster than `bound_change`
-lets it, because an integral that asks for more than the jets have winds up (the paper's closing
-remark). s_dot uses the nominal
-acceleration and own.drift, which on the table is the estimated disturbance.
+Differences from the paper: the force is bounded by own.max_force, and the integral u behind it is
+cut at that bound and slowed down by `bound_change`, because an integral that asks for more than the
+jets have winds up (the paper's closing remark); where the bound is far below what the law asks for,
+u still chatters somewhat beyond it. s_dot uses the nominal acceleration and own.drift, which on the
+table is the estimated disturbance.
 """
 
 from typing import NamedTuple

@@ -58,7 +58,7 @@ def weakest_force(vehicle: Vehicle) -> float:
     """What the jets can do in their worst direction [N].
 
     The forces they reach fill a polygon whose sides are parallel to the jets; this is the distance
-    to its nearest side.
+    to its nearest side. Torques that such a force would bring along are not looked at.
     """
     jets = vehicle.jets
     return min(
