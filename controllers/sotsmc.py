@@ -23,10 +23,9 @@ Table 3 lists both lambda = 1 and k = 1e-3; lambda belongs in (15), k in front o
 last nominal term of (28) is s_dot^(2 - p/q), as follows from (25).
 
 Differences from the paper: the force is bounded by own.max_force, and the integral u behind it is
-cut at that bound and slowed down by `bound_change`, because an integral that asks for more than the
-jets have winds up (the paper's closing remark); where the bound is far below what the law asks for,
-u still chatters somewhat beyond it. s_dot uses the nominal acceleration and own.drift, which on the
-table is the estimated disturbance.
+cut at that bound, slowed down by `bound_change` and pulled back from beyond it, because an integral
+that asks for more than the jets have winds up (the paper's closing remark). s_dot uses the bounded
+force and own.drift, which on the table is the estimated disturbance.
 """
 
 from typing import NamedTuple
@@ -50,6 +49,7 @@ from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
 
+PULL = 10.0  # how fast u returns to the bound from beyond it [1/s]
 SLEW = 100.0  # u may change by at most this many times max_force per second of the paper [1/s]
 
 
@@ -108,8 +108,9 @@ def rate(gains, law_state, own, neighbours, world, t):
     """Force and rate of the law's state, see `testbed.core.law`."""
     d = own.p.shape[0]
     u, bound = law_state[:d], law_state[d]
+    force = bounded(u, own.max_force)
     power = gains.power
-    e, g = gradient(gains.potential, own, u, neighbours, world)
+    e, g = gradient(gains.potential, own, force, neighbours, world)
     change = np.empty(d + 1)
     length = outward = spread = slow = steep = 0.0
     for i in range(d):
@@ -132,7 +133,11 @@ def rate(gains, law_state, own, neighbours, world, t):
         steep = max(steep, 1.0 / gains.beta[i])
     change[d] = gains.adapt * power * steep * np.sqrt(slow * spread)  # Eq. (28), last line
     bound_change(u, change, own.max_force, length, outward)
-    return bounded(u, own.max_force), change
+    if length > own.max_force**2:  # what chattering along the bound has added leaks away
+        leak = PULL * (1.0 - own.max_force / np.sqrt(length))
+        for i in range(d):
+            change[i] -= leak * u[i]
+    return force, change
 
 
 def initial(own: Body) -> Array:

@@ -9,6 +9,7 @@ outputs bit for bit, which is what replay checks.
 
 import numpy as np
 from msgspec import Struct, field
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from testbed.core.types import (
@@ -66,15 +67,22 @@ class Agent:
         self._estimator, self._gate, self._guidance = estimator, gate, guidance
         self._tracker = Tracker(params.tracker, vehicle)
         self._allocator = Allocator(params.allocator, vehicle)
-        self._modulator = make_modulator(params.modulator, vehicle, params.jet_period_s)
         self._brake_decel = params.tracker.brake_decel
         self._stop: Reference | None = None
         self._seq = 0
         valve = vehicle.valve
-        # commanded time that gives one more second of full flow than was wanted
-        self._stretch = (valve.open_delay_s - valve.close_delay_s) + 0.5 * (
+        # how much longer than the flow the commanded time must be
+        stretch = (valve.open_delay_s - valve.close_delay_s) + 0.5 * (
             valve.open_ramp_s - valve.close_ramp_s
         )
+        # the modulator thinks in times of flow, so that it carries over what the board cannot play
+        flow = replace(
+            valve,
+            min_on_s=max(0.0, valve.min_on_s - stretch),
+            min_off_s=max(0.0, valve.min_off_s + 0.5 * stretch),
+        )
+        self._stretch, in_flow = stretch, replace(vehicle, valve=flow)
+        self._modulator = make_modulator(params.modulator, in_flow, params.jet_period_s)
 
     @property
     def hears_neighbours(self) -> bool:
@@ -92,7 +100,7 @@ class Agent:
             setpoint = self._guidance.step(effect_at, state, inputs.neighbours, inputs.told)
             told = self._guidance.told
         flown, wanted = self._aim(setpoint, state, effect_at)
-        refused = self._gate.refuse(effect_at, inputs.armed, state, setpoint, wanted)
+        refused = self._gate.refuse(effect_at, inputs.armed, state, setpoint, wanted, inputs.health)
         share = inputs.health.supply_pressure / self._vehicle.air.set_pressure
         command = self._plan(t, wanted if refused is None else STILL, share)
         if refused is not None:
@@ -143,11 +151,9 @@ class Agent:
         )
 
     def _stretched(self, on: Array, offset: Array) -> tuple[Array, Array]:
-        """Command times that give the wanted flow times, within what the board can play."""
-        valve = self._vehicle.valve
-        longest = max(valve.min_on_s, self._period - 2.0 * valve.min_off_s)
+        """Command times that give the wanted flow times."""
         partial = (on > 0.0) & (on < self._period)
-        command = np.where(partial, np.clip(on + self._stretch, valve.min_on_s, longest), on)
+        command = np.where(partial, np.clip(on + self._stretch, 0.0, self._period), on)
         return command, np.clip(offset - 0.5 * (command - on), 0.0, self._period - command)
 
     def _given(self, command: ValveCommand, share: float) -> Wrench:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from testbed.core.types import Setpoint, State, ValveCommand, Wrench
+from testbed.core.types import Health, Setpoint, State, ValveCommand, Wrench
 from testbed.core.vehicle import NonNegative, Positive
 
 EARLY = 1e-3  # a pose may seem to come from the future by so much: clocks are read twice [s]
@@ -51,7 +51,13 @@ class Gate:
         return self._fault
 
     def refuse(
-        self, t: float, armed: bool, state: State | None, setpoint: Setpoint | None, wanted: Wrench
+        self,
+        t: float,
+        armed: bool,
+        state: State | None,
+        setpoint: Setpoint | None,
+        wanted: Wrench,
+        health: Health,
     ) -> str | None:
         """Why the valves must stay shut now, or None."""
         if self._fault:
@@ -63,6 +69,8 @@ class Gate:
         if setpoint is None:
             return "no setpoint yet"
         self._fault = self._trouble(t, state, setpoint, wanted)
+        if self._fault is None and not _finite(health.supply_pressure):
+            self._fault = "supply pressure is not a number"
         return self._fault
 
     def _trouble(self, t: float, state: State, setpoint: Setpoint, wanted: Wrench) -> str | None:

@@ -36,10 +36,14 @@ from testbed.core.types import (
     Told,
     Trajectory,
     Twist,
+    Wrench,
 )
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
+from testbed.flight.allocation import Allocator, AllocatorParams
 
 Array = NDArray[np.float64]
+
+DIRECTIONS = 360
 
 
 class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -57,20 +61,19 @@ class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def weakest_force(vehicle: Vehicle) -> float:
-    """What the jets can do in their worst direction [N].
+    """What the jets can do in their worst direction without turning the vehicle [N].
 
-    The forces they reach fill a polygon whose sides are parallel to the jets; this is the distance
-    to its nearest side. Torques that such a force would bring along are not looked at.
+    Directions are tried, DIRECTIONS of them; between two of them the force of a vehicle whose jets
+    push along a few axes is hardly less.
     """
-    jets = vehicle.jets
-    return min(
-        sum(
-            k.thrust * max(0.0, side * (k.push[0] * -j.push[1] + k.push[1] * j.push[0]))
-            for k in jets
-        )
-        for j in jets
-        for side in (1.0, -1.0)
-    )
+    allocator = Allocator(AllocatorParams(priority="torque"), vehicle)
+    plenty = 2.0 * sum(jet.thrust for jet in vehicle.jets)
+    forces = []
+    for angle in np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False).tolist():
+        wanted = Wrench(plenty * math.cos(angle), plenty * math.sin(angle), 0.0)
+        got = allocator.wrench(allocator.allocate(wanted))
+        forces.append(math.hypot(got.fx, got.fy))
+    return min(forces)
 
 
 class Turn:

@@ -106,11 +106,11 @@ def fly(
     stopped: Callable[[], bool] = lambda: False,
 ) -> Ending:
     """Fly `ticks` jet periods, or until a gate latches a fault or `stopped()` says so."""
-    fault: str | None = None
+    fault, stop = None, False
     for k in range(ticks):
         t = k * period
         clock.wait_until(t)
-        armed = fault is None
+        armed = fault is None and not stop
         for node in vehicles:
             tick = node.tick(t, armed)
             observer.vehicle(node.name, tick)
@@ -119,7 +119,8 @@ def fly(
         for host in hosts:
             observer.host(host.name, host.tick(t))
         observer.done(t)
-        if not armed or stopped():  # one more tick after a fault, disarmed, to shut every valve
+        if not armed:
             return Ending(t, fault)
+        stop = stopped()  # after that or a fault, one more tick, disarmed, to shut every valve
     clock.wait_until(ticks * period)
     return Ending(ticks * period, fault)

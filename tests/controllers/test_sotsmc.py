@@ -204,7 +204,6 @@ def test_saturation_does_not_wind_up(limit, at_rest, fixed_world, nobody):
     assert settled(error, 0.1, 0.1) < 1050.0
 
 
-@pytest.mark.xfail(reason="chattering along the bound lets u grow to 1.7 times the force there is")
 def test_the_integral_stays_near_the_bound(at_rest, fixed_world, nobody):
     own, world = at_rest(SAT_1[0], max_force=0.01), fixed_world(*SAT_1[1:])
     _, states, _ = fly(sotsmc(PAPER, 3), own, world, 1100.0, 0.1, 10, nobody)

@@ -5,7 +5,7 @@ import math
 import pytest
 from msgspec.structs import replace
 
-from testbed.core.types import Demand, Pose, Twist, ValveCommand, Wrench
+from testbed.core.types import Demand, Health, Pose, Twist, ValveCommand, Wrench
 from testbed.flight.gate import Fence, Gate, GateParams, closed
 
 PARAMS = GateParams(
@@ -15,6 +15,7 @@ FENCE = Fence(2.8, 2.7)
 NOW = 100.0  # [s]
 SETPOINT = Demand(NOW, 0.0, 0.0, 0.0, 0.0, 0.0, valid_until=NOW + 0.5)
 WRENCH = Wrench(0.1, -0.1, 0.01)
+HEALTH = Health(NOW, 6e5, 20e6)
 OK = None
 
 
@@ -22,8 +23,8 @@ def up(x):
     return math.nextafter(x, math.inf)
 
 
-def ask(gate, state, *, armed=True, setpoint=SETPOINT, wanted=WRENCH):
-    return gate.refuse(NOW, armed, state, setpoint, wanted)
+def ask(gate, state, *, armed=True, setpoint=SETPOINT, wanted=WRENCH, health=HEALTH):
+    return gate.refuse(NOW, armed, state, setpoint, wanted, health)
 
 
 @pytest.fixture
@@ -188,3 +189,10 @@ def test_gates_do_not_share_their_faults(healthy):
 def test_closed_is_the_same_plan_with_every_valve_shut():
     plan = ValveCommand(7, 1.0, 1.1, (5000, 0, 100_000), (10_000, 0, 0))
     assert closed(plan) == ValveCommand(7, 1.0, 1.1, (0, 0, 0), (0, 0, 0))
+
+
+@pytest.mark.parametrize("pressure", [math.nan, math.inf])
+def test_a_pressure_that_is_no_number_shuts_the_valves_and_says_so(pressure, gate, healthy):
+    health = Health(NOW, pressure, 20e6)
+    assert ask(gate, healthy, health=health) == "supply pressure is not a number"
+    assert gate.fault == "supply pressure is not a number"

@@ -111,11 +111,12 @@ def test_a_fault_in_the_last_tick_is_told(diary):
     assert flown(diary, [Node(diary, "a", fails_at=2)], ticks=3).fault == "a: broke"
 
 
-def test_it_ends_when_it_is_stopped(diary):
+def test_a_stop_is_followed_by_one_disarmed_tick(diary):
     asked = iter([False, False, True])
     ending = flown(diary, [Node(diary, "a")], ticks=9, stopped=lambda: next(asked))
-    assert ending == Ending(2 * PERIOD, None)
-    assert diary[-1] == ("done", 2 * PERIOD)
+    assert ending == Ending(3 * PERIOD, None)
+    assert [entry[2] for entry in diary if entry[0] == "a"] == [True, True, True, False]
+    assert diary[-1] == ("done", 3 * PERIOD)
 
 
 # Nodes
