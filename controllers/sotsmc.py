@@ -117,19 +117,22 @@ def rate(gains, law_state, own, neighbours, world, t):
         s = gains.surface[i] * g[0, i] + e[1, i]  # Eq. (15)
         s_dot = gains.surface[i] * g[1, i] + e[2, i]  # Eq. (22)
         sign, size = np.sign(s_dot), abs(s_dot)
-        sigma = s + sign * size**power / gains.beta[i]  # Eq. (24)
+        curve = size**power
+        # size^(2 - p/q) and size^(p/q - 1) from the one power: it is a third of the law's time
+        back, lever = (size * size / curve, curve / size) if curve > 0.0 else (0.0, 0.0)
+        sigma = s + sign * curve / gains.beta[i]  # Eq. (24)
         nominal = (  # Eq. (28)
             world.goal.jerk[i]
             - own.drift_rate[i]
             - gains.surface[i] * g[2, i]
-            - gains.beta[i] / power * sign * size ** (2.0 - power)
+            - gains.beta[i] / power * sign * back
         )
         switching = -gains.reach[i] * sigma - (bound + gains.margin) * np.sign(sigma)  # Eq. (28)
         change[i] = own.mass * (nominal + switching)
         length += u[i] * u[i]
         outward += u[i] * change[i]
         spread += sigma * sigma
-        slow += size ** (2.0 * power - 2.0)
+        slow += lever * lever
         steep = max(steep, 1.0 / gains.beta[i])
     change[d] = gains.adapt * power * steep * np.sqrt(slow * spread)  # Eq. (28), last line
     bound_change(u, change, own.max_force, length, outward)

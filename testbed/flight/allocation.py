@@ -205,7 +205,7 @@ class Allocator:
             one, other = both[0]
             ceiling[one if duty[one] < duty[other] else other] = 0.0
 
-    def wrench(self, duty: Sequence[float]) -> Wrench:
+    def wrench(self, duty: Sequence[float] | Array) -> Wrench:
         """Wrench of these duties at set pressure."""
         fx, fy, tau = (self._effect @ np.asarray(duty)).tolist()
         return Wrench(fx, fy, tau)
