@@ -7,8 +7,9 @@ kilometres and does not say how. What is here is ours, not the paper's: every ve
     speed       v*  = sqrt(0.1 D F/m) between 0.04 and 0.15 m/s; D = 2 m is a typical way to go
     damping     k_v = 0.8 F/v*: at v* the damping takes 0.8 of the force, so the formation force
                       is cut at k_v v* and nothing goes faster than v* for long
-    stiffness   K   = k_v^2/(4 zeta^2 m), normal to the curve, zeta = 0.5; on an ellipse at its
-                      flattest part, where |grad q| = b and not 1, hence k_f = K/(b |mu|)
+    stiffness   K   = k_v^2/(4 zeta^2 m), normal to the curve, zeta = 0.5, k_f = K/|mu|; on an
+                      ellipse, where |grad q| goes from b at the ends of the long axis to a = 1,
+                      k_f = K/(b |mu|), which gives b K to K/b
     repulsion   k_c = 1.2 F/(s - 0.55 m): two vehicles 0.55 m apart push each other away with
                       more than they have
     range       s   a little more than the spacing on a circle, so that the ring is spaced (the
