@@ -1,6 +1,9 @@
-"""How well gao2022's five formations are formed on the twin, over seeds.
+r"""How well gao2022's five formations are formed on the twin, over seeds.
 
     python benchmarks/gao2022_table.py [--seeds 0:20] [--starts drawn|shipped] [key=value ...]
+    python benchmarks/gao2022_table.py --seeds 100:200
+    python benchmarks/gao2022_table.py --seeds 100:130 \
+        guidance.mode=reference guidance.force_share=0.8 deploy.law=host
 
 The whole chain: cameras, radio, estimator, jets. A seed draws the vehicles, the noise and, with
 `--starts drawn`, where they start: anywhere within 2.4 m of the centre on each axis, at least
@@ -93,7 +96,8 @@ def main() -> None:
         wall = perf_counter() - began
         track, touches = rig.track(), len(rig.twin.plant.touches)
         contacts += touches
-        gaps.append(smallest_separation(track) - 2.0 * rig_radius(experiment))
+        radius = experiment.vehicles[names[0]].model.radius  # they are all alike
+        gaps.append(smallest_separation(track) - 2.0 * radius)
         if ending.fault:
             print(f"seed {seed}: {ending.fault}", flush=True)
             continue
@@ -120,11 +124,6 @@ def main() -> None:
                 f"{shape:12s} error worst {1e3 * e.max():.1f} mm, median {1e3 * np.median(e):.1f}; "
                 f"settled 95 % {np.nanpercentile(s, 95):.1f} s, slowest {np.nanmax(s):.1f} s"
             )
-
-
-def rig_radius(experiment) -> float:
-    """Of the vehicles, which are all alike [m]."""
-    return next(iter(experiment.vehicles.values())).model.radius
 
 
 if __name__ == "__main__":
