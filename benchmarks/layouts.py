@@ -15,7 +15,7 @@ from controllers.potential import PotentialParams
 from controllers.scale import Scale
 from controllers.sotsmc import SotsmcParams
 from testbed.config import find, load
-from testbed.core.law import Body, Discs, Goal, World
+from testbed.core.law import Body, Discs, Goal, World, silent
 
 DURATION, PERIOD, STEPS = 150.0, 0.1, 100
 MASS, MAX_FORCE = 12.5, 0.72  # as the shipped vehicle and guidance have them
@@ -25,12 +25,12 @@ def fly(law, start, goal, obstacles, radius):
     """Smallest clearance [m] and when the error is below 0.05 m for good [s]."""
     zero = np.zeros(2)
     world = World(Goal(goal, zero, zero, zero), Discs(obstacles, 0.0 * obstacles, radius))
-    nobody = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    nobody = silent(Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
     p, v, state = start, zero, np.zeros(3)
     nearest, settled = np.inf, 0.0
     for k in range(round(DURATION / PERIOD)):
         body = Body(p, v, MASS, zero, zero, MAX_FORCE)
-        state, p, v, _ = law.fly_ahead(state, body, nobody, world, k * PERIOD, PERIOD, STEPS)
+        state, p, v, *_ = law.fly_ahead(state, body, nobody, world, k * PERIOD, PERIOD, STEPS)
         nearest = min(nearest, np.hypot(*(obstacles - p).T).min())
         if np.hypot(*(goal - p)) > 0.05:
             settled = (k + 1) * PERIOD

@@ -127,6 +127,16 @@ def add_repulsion(u, width, offset, error, g):
 
 
 @compiled
+def add_repulsions(u, own, discs, offset, error, g):
+    """Add the shares of all `discs`; the rows of `offset` but the last are written to."""
+    for n in range(discs.p.shape[0]):
+        for i in range(own.p.shape[0]):
+            offset[0, i] = own.p[i] - discs.p[n, i]
+            offset[1, i] = own.v[i] - discs.v[n, i]
+        add_repulsion(u, u.width_ratio * (discs.radius[n] + u.standoff), offset, error, g)
+
+
+@compiled
 def gradient(u, own, force, neighbours, world):
     """Position error and gradient of U where the satellite is, and how they change on the way.
 
@@ -153,10 +163,6 @@ def gradient(u, own, force, neighbours, world):
         offset[2, i] = accel
         for k in range(3):
             g[k, i] = u.attract[i] * error[k, i]  # Eq. (10)
-    for discs in (world.obstacles, neighbours):
-        for n in range(discs.p.shape[0]):
-            for i in range(d):
-                offset[0, i] = own.p[i] - discs.p[n, i]
-                offset[1, i] = own.v[i] - discs.v[n, i]
-            add_repulsion(u, u.width_ratio * (discs.radius[n] + u.standoff), offset, error, g)
+    add_repulsions(u, own, world.obstacles, offset, error, g)
+    add_repulsions(u, own, neighbours, offset, error, g)
     return error, g

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.law import Ahead, Body, Discs, Goal, Law, World
+from testbed.core.law import Ahead, Body, Discs, Goal, Law, Neighbours, World
 from testbed.core.vehicle import Positive
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ class Scaled:
     """A law of a paper's world, flown in this one."""
 
     def __init__(self, law: Law, scale: Scale) -> None:
-        self._law, self._mass = law, scale.mass
+        self._law, self._mass, self.words = law, scale.mass, law.words
         self._length, self._time = scale.length, scale.time
         self._speed = scale.length / scale.time
         self._accel = scale.length / scale.time**2
@@ -49,11 +49,17 @@ class Scaled:
             own.drift * self._accel,
             own.drift_rate * self._jerk,
             own.max_force * self._force(own),
+            own.who,
         )
 
     def _discs(self, discs: Discs) -> Discs:
         length = self._length
         return Discs(discs.p * length, discs.v * self._speed, discs.radius * length)
+
+    def _others(self, others: Neighbours) -> Neighbours:
+        """What the laws tell each other stays in the paper's units."""
+        discs = self._discs(Discs(*others[:3]))
+        return Neighbours(*discs, others.who, others.told, others.told_at * self._time)
 
     def _world(self, world: World) -> World:
         goal = world.goal
@@ -67,26 +73,31 @@ class Scaled:
             self._discs(world.obstacles),
         )
 
-    def initial(self, own: Body, neighbours: Discs, world: World) -> Array:
+    def _scene(
+        self, own: Body, neighbours: Neighbours, world: World
+    ) -> tuple[Body, Neighbours, World]:
+        return self._body(own), self._others(neighbours), self._world(world)
+
+    def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`; the law's state stays in the paper's units."""
-        return self._law.initial(self._body(own), self._discs(neighbours), self._world(world))
+        return self._law.initial(*self._scene(own, neighbours, world))
 
     def rate(
-        self, law_state: Array, own: Body, neighbours: Discs, world: World, t: float
+        self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """See `Law`; force in newtons here, law state in the paper's units per second here."""
         force, change = self._law.rate(
-            law_state, self._body(own), self._discs(neighbours), self._world(world), t * self._time
+            law_state, *self._scene(own, neighbours, world), t * self._time
         )
         return force / self._force(own), change * self._time
 
     def fly_ahead(
-        self, law_state: Array, own: Body, neighbours: Discs, world: World,
+        self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
         ahead = self._law.fly_ahead(
-            law_state, self._body(own), self._discs(neighbours), self._world(world),
+            law_state, *self._scene(own, neighbours, world),
             t * self._time, duration * self._time, steps,
         )  # fmt: skip
         return Ahead(
@@ -94,4 +105,5 @@ class Scaled:
             ahead.p / self._length,
             ahead.v / self._speed,
             ahead.mean_force / self._force(own),
+            ahead.told,
         )

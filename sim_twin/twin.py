@@ -14,7 +14,7 @@ from sim_twin.channel import Channel
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
 from testbed.core.table import Obstacle, Table
-from testbed.core.types import Health, Pose, PoseSample, Setpoint, State, ValveCommand
+from testbed.core.types import Health, Pose, PoseSample, Setpoint, State, Told, ValveCommand
 from testbed.core.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -57,6 +57,8 @@ class Twin:
             for b in self.names
             if a != b and b in listeners
         }
+        self.words = {pair: channel(pair[0], f"the law of {pair[1]}") for pair in self.between}
+        self.blackboard: dict[str, tuple[float, Told, Told | None]] = {}  # of laws on the host
 
     @property
     def now(self) -> float:
@@ -136,6 +138,18 @@ class TwinVehicleLink:
             if sender == self._name:
                 air.send(twin.now, state)
 
+    def told(self) -> dict[str, Told]:
+        """See `VehicleLink`."""
+        twin, own = self._twin, self._name
+        heard = {a: air.newest(twin.now) for (a, b), air in twin.words.items() if b == own}
+        return {name: told for name, told in heard.items() if told is not None}
+
+    def tell(self, told: Told) -> None:
+        """See `VehicleLink`."""
+        for (sender, _), air in self._twin.words.items():
+            if sender == self._name:
+                air.send(self._twin.now, told)
+
 
 class TwinHostLink:
     """HostLink of one vehicle."""
@@ -156,3 +170,18 @@ class TwinHostLink:
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
         self._twin.setpoints[self._name].send(self._twin.now, setpoint)
+
+    def told(self) -> dict[str, Told]:
+        """See `HostLink`. The laws share a computer, and hear what was said before this tick."""
+        heard = {}
+        for name, (said_at, newest, before) in self._twin.blackboard.items():
+            told = newest if said_at < self._twin.now else before
+            if name != self._name and told is not None:
+                heard[name] = told
+        return heard
+
+    def tell(self, told: Told) -> None:
+        """See `HostLink`."""
+        board, now = self._twin.blackboard, self._twin.now
+        _, newest, _ = board.get(self._name, (now, None, None))
+        board[self._name] = (now, told, newest)

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from controllers.catalogue import make_law
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
-from testbed.config import Experiment, VehicleSetup
+from testbed.config import Experiment
 from testbed.core.types import Pose
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.estimator import Estimator
@@ -18,8 +18,9 @@ from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
 from testbed.ops.metrics import Spent, Track
 
 
-def make_guidance(experiment: Experiment, setup: VehicleSetup) -> Guidance:
+def make_guidance(experiment: Experiment, name: str) -> Guidance:
     """One vehicle's law and the world it is told about."""
+    setup = experiment.vehicles[name]
     return Guidance(
         experiment.guidance,
         make_law(experiment.controller),
@@ -27,12 +28,15 @@ def make_guidance(experiment: Experiment, setup: VehicleSetup) -> Guidance:
         Pose(*setup.goal),
         list(experiment.obstacles.values()),
         experiment.flight.jet_period_s,
+        name=name,
+        formation=list(experiment.vehicles),
+        path=setup.path,
     )
 
 
-def make_agent(experiment: Experiment, setup: VehicleSetup) -> Agent:
+def make_agent(experiment: Experiment, name: str) -> Agent:
     """One vehicle's flight chain."""
-    flight, table, vehicle = experiment.flight, experiment.table, setup.model
+    flight, table, vehicle = experiment.flight, experiment.table, experiment.vehicles[name].model
     rim = vehicle.radius + flight.gate.fence_margin
     fence = Fence(table.size[0] / 2 - rim, table.size[1] / 2 - rim)
     blind = flight.gate.pose_timeout_s + table.mocap.latency_s
@@ -43,7 +47,7 @@ def make_agent(experiment: Experiment, setup: VehicleSetup) -> Agent:
         vehicle,
         Estimator(flight.estimator, vehicle, table.mocap, memory),
         Gate(flight.gate, fence),
-        make_guidance(experiment, setup) if on_board else None,
+        make_guidance(experiment, name) if on_board else None,
     )
 
 
@@ -95,17 +99,17 @@ def make_twin(experiment: Experiment) -> TwinRig:
     vehicles = [
         VehicleNode(
             name,
-            make_agent(experiment, setup),
+            make_agent(experiment, name),
             TwinPoses(twin, name),
             TwinThrusters(twin, name),
             TwinVehicleLink(twin, name),
         )
-        for name, setup in setups.items()
+        for name in setups
     ]
     hosts = [
         HostNode(
             name,
-            make_guidance(experiment, setup),
+            make_guidance(experiment, name),
             TwinHostLink(twin, name),
             period,
             lead_time(setup.model),

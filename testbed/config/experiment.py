@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct, field
 
 from controllers.catalogue import Controller
+from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Positive, Vehicle
 from testbed.flight.agent import FlightParams
@@ -19,7 +20,8 @@ class VehicleSetup(Struct, frozen=True, forbid_unknown_fields=True):
 
     model: Vehicle
     start: tuple[float, float, float]  # x, y [m], theta [rad]
-    goal: tuple[float, float, float]
+    goal: tuple[float, float, float]  # at the start of the run
+    path: Path | None = None  # along which the goal moves
 
 
 class Deploy(Struct, frozen=True, forbid_unknown_fields=True):

@@ -7,11 +7,14 @@ from itertools import chain, combinations
 
 from testbed.config.experiment import Experiment, VehicleSetup
 from testbed.config.mistake import Mistake, show
+from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
+from testbed.core.vehicle import Point
 
 TAKEN = ("host", "operator", "table", "truth")  # names on the network and in the log
 LARGEST_TABLE = 100.0  # [m]
 STEEPEST = 1.0  # tilt, 6 degrees [m/s^2]
+PATH_LOOKS = 1000
 
 
 def bad_layout(experiment: Experiment) -> Iterator[Mistake]:
@@ -74,6 +77,8 @@ def _poses(name: str, setup: VehicleSetup, experiment: Experiment) -> Iterator[M
     if min(half_x, half_y) < 0.0:
         expected = f"a vehicle that fits on the table of {size[0]:g} m x {size[1]:g} m"
         yield Mistake(("vehicles", name, "model", "radius"), expected, f"{radius:g} m")
+    if setup.path is not None:
+        yield from _path(name, setup.goal, setup.path, experiment.duration_s, (half_x, half_y))
     for which, pose in (("start", setup.start), ("goal", setup.goal)):
         key = ("vehicles", name, which)
         if abs(pose[0]) > half_x or abs(pose[1]) > half_y:
@@ -84,6 +89,19 @@ def _poses(name: str, setup: VehicleSetup, experiment: Experiment) -> Iterator[M
         for other, rock in experiment.obstacles.items():
             if which == "start" or rock.velocity == (0.0, 0.0):
                 yield from _inside(key, pose, radius, other, rock)
+
+
+def _path(
+    name: str, goal: tuple[float, ...], path: Path, duration: float, half: Point
+) -> Iterator[Mistake]:
+    """A goal must not lead off the table; looked at PATH_LOOKS times on the way."""
+    for k in range(PATH_LOOKS + 1):
+        t = k * duration / PATH_LOOKS
+        x, y = (a + b for a, b in zip(goal[:2], path.at(t).p, strict=True))
+        if abs(x) > half[0] or abs(y) > half[1]:
+            room = f"a path on the table, |x| <= {half[0]:g} m and |y| <= {half[1]:g} m"
+            yield Mistake(("vehicles", name, "path"), room, f"({x:.3f}, {y:.3f}) after {t:.1f} s")
+            return
 
 
 def _inside(

@@ -7,12 +7,17 @@ A law of the papers is a small dynamical system written once, in continuous time
 with positions of shape (d,), d = 2 on the table and d = 3 in orbit. The law does not integrate
 itself; `fly_ahead` does, together with the double integrator that a satellite is to first order.
 
+A law of a formation may have two verbs more. It may `tell` the others something, for instance where
+its proxy is; they hear it late or not at all, and a law never sees more of the others than what it
+heard. And it may `jump`: change what it remembers that is not continuous, for instance who is its
+neighbour in the proximity graph.
+
 The tuples here are what the compiled code is handed. Their arrays belong to the caller and a law
 must not write to them.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 from numba import types
@@ -22,6 +27,7 @@ from numpy.typing import NDArray
 from testbed.core.compiled import compiled
 
 Array = NDArray[np.float64]
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Body(NamedTuple):
@@ -37,6 +43,7 @@ class Body(NamedTuple):
     drift: Array  # (d,) [m/s^2]
     drift_rate: Array  # (d,) its time derivative [m/s^3]
     max_force: float  # [N]
+    who: int = 0  # which of the formation it is
 
 
 class Goal(NamedTuple):
@@ -49,11 +56,32 @@ class Goal(NamedTuple):
 
 
 class Discs(NamedTuple):
-    """Things to stay away from: obstacles, or neighbours as they were heard."""
+    """Things to stay away from."""
 
     p: Array  # (n, d) centre [m]
     v: Array  # (n, d) [m/s]
     radius: Array  # (n,) distance that the own centre must keep from the centre [m]
+
+
+class Neighbours(NamedTuple):
+    """The others as they were heard; one that was never heard is not among them.
+
+    Positions are carried forward to now. What their laws told is as it was said: only the law
+    knows how that moves, `t - told_at` seconds on.
+    """
+
+    p: Array  # (n, d) centre [m]
+    v: Array  # (n, d) [m/s]
+    radius: Array  # (n,) distance that the own centre must keep from the centre [m]
+    who: NDArray[np.int64]  # (n,) which of the formation each is
+    told: Array  # (n, k) what its law said, k numbers by the law's own convention
+    told_at: Array  # (n,) the time that this is for [s]
+
+
+def silent(discs: Discs) -> Neighbours:
+    """Neighbours of whom only the movement is known, numbered from 1."""
+    n = len(discs.radius)
+    return Neighbours(*discs, np.arange(1, n + 1), np.zeros((n, 0)), np.zeros(n))
 
 
 class World(NamedTuple):
@@ -70,23 +98,26 @@ class Ahead(NamedTuple):
     p: Array  # (d,) [m]
     v: Array  # (d,) [m/s]
     mean_force: Array  # (d,) over the flight [N]
+    told: Array  # (k,) what the law says to the others at the end
 
 
 class Law(Protocol):
     """A control law of a paper, for one satellite."""
 
-    def initial(self, own: Body, neighbours: Discs, world: World) -> Array:
+    words: int  # how many numbers it tells the others, k
+
+    def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """The law's state at the start, shape (n,); n may be 0."""
         ...
 
     def rate(
-        self, law_state: Array, own: Body, neighbours: Discs, world: World, t: float
+        self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """Force (d,) [N] and time derivative of the law's state (n,)."""
         ...
 
     def fly_ahead(
-        self, law_state: Array, own: Body, neighbours: Discs, world: World,
+        self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """`fly_ahead` below with this law's rate."""
@@ -101,27 +132,75 @@ def rate_of(law, law_state, own, neighbours, world, t):
     return law.rate(law_state, own, neighbours, world, t)
 
 
-def compiled_rate(gains_type: type) -> Callable[[Callable], Callable]:
-    """Compile a law's rate function and make it the one that `rate_of` means by `gains_type`.
+def jump_of(law, law_state, own, neighbours, world, t):
+    """A law's state after what changes at once; most laws have nothing of the kind."""
+    return law.jump(law_state, own, neighbours, world, t) if hasattr(law, "jump") else law_state
+
+
+def tell_of(law, law_state, own, neighbours, world, t):
+    """What a law says to the others, shape (k,); most laws need no more than is seen of them."""
+    return law.tell(law_state, own, neighbours, world, t) if hasattr(law, "tell") else np.zeros(0)
+
+
+_RATES: dict[type, Callable] = {}  # by the type of a law's gains
+_JUMPS: dict[type, Callable] = {}
+_TELLS: dict[type, Callable] = {}
+
+
+@compiled
+def _keep(law, law_state, own, neighbours, world, t):
+    return law_state
+
+
+@compiled
+def _say_nothing(law, law_state, own, neighbours, world, t):
+    return np.empty(0)
+
+
+def _dispatch(verb: Callable, table: dict[type, Callable], default: Callable | None) -> None:
+    """Make compiled code look a verb up in `table`, by the type of a law's gains."""
+
+    @overload(verb, jit_options={"forceinline": True})  # the arguments are many words
+    def choose(law, law_state, own, neighbours, world, t):
+        known = isinstance(law, types.BaseNamedTuple)
+        kernel = table.get(law.instance_class, default) if known else None
+        if kernel is None:
+            return None
+        return lambda law, law_state, own, neighbours, world, t: kernel(
+            law, law_state, own, neighbours, world, t
+        )
+
+
+_dispatch(rate_of, _RATES, None)
+_dispatch(jump_of, _JUMPS, _keep)
+_dispatch(tell_of, _TELLS, _say_nothing)
+
+
+def _compiled_into(table: dict[type, Callable], gains_type: type) -> Callable[[F], F]:
+    def decorate(function: F) -> F:
+        table[gains_type] = compiled(function)
+        return cast(F, table[gains_type])
+
+    return decorate
+
+
+def compiled_rate(gains_type: type) -> Callable[[F], F]:
+    """Compile a law's rate and make it the one that `rate_of` means by `gains_type`.
 
     A function argument would do the same, but numba cannot keep a function that was handed
     another one on disk.
     """
+    return _compiled_into(_RATES, gains_type)
 
-    def decorate(function: Callable) -> Callable:
-        kernel = compiled(function)
 
-        @overload(rate_of, jit_options={"forceinline": True})  # the arguments are many words
-        def choose(law, law_state, own, neighbours, world, t):
-            if isinstance(law, types.BaseNamedTuple) and law.instance_class is gains_type:
-                return lambda law, law_state, own, neighbours, world, t: kernel(
-                    law, law_state, own, neighbours, world, t
-                )
-            return None
+def compiled_jump(gains_type: type) -> Callable[[F], F]:
+    """The same for `jump_of`; the function returns a new array."""
+    return _compiled_into(_JUMPS, gains_type)
 
-        return kernel
 
-    return decorate
+def compiled_tell(gains_type: type) -> Callable[[F], F]:
+    """The same for `tell_of`."""
+    return _compiled_into(_TELLS, gains_type)
 
 
 def no_state(own: Body) -> Array:
@@ -130,29 +209,33 @@ def no_state(own: Body) -> Array:
 
 
 class CompiledLaw:
-    """A law made of a compiled rate and its gains."""
+    """A law made of compiled functions and its gains."""
 
     def __init__(
-        self, gains: NamedTuple, initial: Callable[[Body], Array], rate: Callable[..., Any]
+        self,
+        gains: NamedTuple,
+        initial: Callable[[Body], Array],
+        rate: Callable[..., Any],
+        words: int = 0,
     ) -> None:
-        self._gains, self._initial, self._rate = gains, initial, rate
+        self.gains, self._initial, self._rate, self.words = gains, initial, rate, words
 
-    def initial(self, own: Body, neighbours: Discs, world: World) -> Array:
+    def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""
         return self._initial(own)
 
     def rate(
-        self, law_state: Array, own: Body, neighbours: Discs, world: World, t: float
+        self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """See `Law`."""
-        return self._rate(self._gains, law_state, own, neighbours, world, t)
+        return self._rate(self.gains, law_state, own, neighbours, world, t)
 
     def fly_ahead(
-        self, law_state: Array, own: Body, neighbours: Discs, world: World,
+        self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        return fly_ahead(self._gains, law_state, own, neighbours, world, t, duration, steps)
+        return fly_ahead(self.gains, law_state, own, neighbours, world, t, duration, steps)
 
 
 @compiled
@@ -169,7 +252,7 @@ def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
     Between sub-steps the goal follows its derivatives, obstacles and neighbours keep their
     velocity, and the drift follows its rate. Within a sub-step the acceleration is constant, so
     position and velocity are exact for it; the law's state takes an Euler step, because the laws
-    with sgn gain nothing from a higher order.
+    with sgn gain nothing from a higher order. The law jumps at the start and tells at the end.
 
     Args:
         gains: the law, as `rate_of` knows it.
@@ -185,13 +268,16 @@ def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
         the end of the flight.
     """
     h = duration / steps
-    z = law_state.copy()
+    z = jump_of(gains, law_state, own, neighbours, world, t).copy()
     p, v = own.p.copy(), own.v.copy()
     drift = own.drift.copy()
     goal_p, goal_v, goal_a = world.goal.p.copy(), world.goal.v.copy(), world.goal.a.copy()
     rocks_p, others_p = world.obstacles.p.copy(), neighbours.p.copy()
-    body = Body(p, v, own.mass, drift, own.drift_rate, own.max_force)
-    others = Discs(others_p, neighbours.v, neighbours.radius)
+    body = Body(p, v, own.mass, drift, own.drift_rate, own.max_force, own.who)
+    others = Neighbours(
+        others_p, neighbours.v, neighbours.radius,
+        neighbours.who, neighbours.told, neighbours.told_at,
+    )  # fmt: skip
     scene = World(
         Goal(goal_p, goal_v, goal_a, world.goal.jerk),
         Discs(rocks_p, world.obstacles.v, world.obstacles.radius),
@@ -214,4 +300,5 @@ def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
                 others_p[n, i] += h * neighbours.v[n, i]
         for i in range(z.shape[0]):  # last: the force may be a view of the law's state
             z[i] += h * z_rate[i]
-    return Ahead(z, p, v, mean_force)
+    told = tell_of(gains, z, body, others, scene, t + duration)
+    return Ahead(z, p, v, mean_force, told)

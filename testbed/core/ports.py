@@ -7,7 +7,7 @@ which rig it is on.
 from collections.abc import Sequence
 from typing import Protocol
 
-from testbed.core.types import Health, PoseSample, Setpoint, State, ValveCommand
+from testbed.core.types import Health, PoseSample, Setpoint, State, Told, ValveCommand
 
 
 class Clock(Protocol):
@@ -53,6 +53,14 @@ class VehicleLink(Protocol):
         """Tell host and neighbours."""
         ...
 
+    def told(self) -> dict[str, Told]:
+        """Newest words heard of the law of each other vehicle."""
+        ...
+
+    def tell(self, told: Told) -> None:
+        """Say something to the laws of the others."""
+        ...
+
 
 class HostLink(Protocol):
     """The host's end, one per vehicle; it remembers like `VehicleLink`."""
@@ -67,4 +75,12 @@ class HostLink(Protocol):
 
     def publish(self, setpoint: Setpoint) -> None:
         """Tell the vehicle."""
+        ...
+
+    def told(self) -> dict[str, Told]:
+        """Newest words heard of the law of each other vehicle."""
+        ...
+
+    def tell(self, told: Told) -> None:
+        """Say something to the laws of the others."""
         ...

@@ -112,6 +112,13 @@ class ValveCommand(Struct, frozen=True, gc=False):
     offset_us: tuple[int, ...]  # from the plan's start to the opening command [us]
 
 
+class Told(Struct, frozen=True, gc=False):
+    """What a vehicle's law says to the laws of the others."""
+
+    t: float  # what it is for [s]
+    values: tuple[float, ...]  # by the law's own convention, in the law's own units
+
+
 class Health(Struct, frozen=True, gc=False):
     """What the board reports of itself."""
 
@@ -120,7 +127,7 @@ class Health(Struct, frozen=True, gc=False):
     tank_pressure: float  # [Pa]
 
 
-class Inputs(Struct, frozen=True, gc=False):
+class Inputs(Struct, frozen=True, gc=False, omit_defaults=True):
     """All that a satellite is told between two ticks. With `Outputs` it makes a run replayable."""
 
     t: float  # [s]
@@ -129,9 +136,10 @@ class Inputs(Struct, frozen=True, gc=False):
     setpoint: Setpoint | None  # the newest one heard, however old
     neighbours: dict[str, State]  # the newest one heard of each, however old
     health: Health
+    told: dict[str, Told] = {}  # by the laws of the others, the newest of each
 
 
-class Outputs(Struct, frozen=True, gc=False):
+class Outputs(Struct, frozen=True, gc=False, omit_defaults=True):
     """All that a satellite does in one tick."""
 
     t: float  # [s]
@@ -142,6 +150,7 @@ class Outputs(Struct, frozen=True, gc=False):
     command: ValveCommand
     closed_because: str | None  # the gate's reason, None while it is open
     fault: str | None  # a reason that ends the run, latched
+    told: Told | None = None  # by its law, if that runs on board and talks
 
 
 class Tick(Struct, frozen=True, gc=False):
@@ -151,19 +160,21 @@ class Tick(Struct, frozen=True, gc=False):
     outputs: Outputs
 
 
-class HostInputs(Struct, frozen=True, gc=False):
+class HostInputs(Struct, frozen=True, gc=False, omit_defaults=True):
     """All that the host's half of one satellite knows at a tick: newest heard, however old."""
 
     t: float  # [s]
     own: State | None
     neighbours: dict[str, State]
+    told: dict[str, Told] = {}  # by the laws of the others
 
 
-class HostOutputs(Struct, frozen=True, gc=False):
+class HostOutputs(Struct, frozen=True, gc=False, omit_defaults=True):
     """The host's answer."""
 
     t: float  # [s]
     setpoint: Setpoint | None
+    told: Told | None = None  # by the law, if it talks
 
 
 class HostTick(Struct, frozen=True, gc=False):

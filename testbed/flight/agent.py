@@ -87,9 +87,10 @@ class Agent:
         effect_at = t + self._lead
         self._estimator.update(inputs.samples, t)
         state = self._estimator.predict(effect_at, now=t)
-        setpoint = inputs.setpoint
+        setpoint, told = inputs.setpoint, None
         if self._guidance is not None and state is not None:
-            setpoint = self._guidance.step(effect_at, state, inputs.neighbours)
+            setpoint = self._guidance.step(effect_at, state, inputs.neighbours, inputs.told)
+            told = self._guidance.told
         flown, wanted = self._aim(setpoint, state, effect_at)
         refused = self._gate.refuse(effect_at, inputs.armed, state, setpoint, wanted)
         share = inputs.health.supply_pressure / self._vehicle.air.set_pressure
@@ -99,7 +100,7 @@ class Agent:
         self._estimator.remember(command)
         return Outputs(
             t, state, flown, wanted, self._given(command, share), command,
-            refused, self._gate.fault,
+            refused, self._gate.fault, told,
         )  # fmt: skip
 
     def _aim(

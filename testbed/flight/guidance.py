@@ -16,13 +16,14 @@ itself; it only needs to know for which instant its setpoint is.
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from testbed.core.law import Ahead, Body, Discs, Goal, Law, World
+from testbed.core.law import Ahead, Body, Discs, Goal, Law, Neighbours, World
+from testbed.core.path import Path
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import (
@@ -32,6 +33,7 @@ from testbed.core.types import (
     Reference,
     Setpoint,
     State,
+    Told,
     Trajectory,
     Twist,
 )
@@ -90,6 +92,13 @@ class Turn:
         )
 
 
+class _Heard(NamedTuple):
+    """What was heard of the others."""
+
+    states: Mapping[str, State]
+    told: Mapping[str, Told]
+
+
 class Guidance:
     """One vehicle's law at work."""
 
@@ -101,74 +110,98 @@ class Guidance:
         goal: Pose,
         obstacles: Sequence[Obstacle],
         period: float,
+        *,
+        name: str = "",
+        formation: Sequence[str] = (),
+        path: Path | None = None,
     ) -> None:
+        """Guide vehicle `name` of `formation`; its law knows the others by their place in it."""
         self._params, self._law, self._goal, self._period = params, law, goal, period
         self._mass = vehicle.mass
         self._max_force = params.force_share * weakest_force(vehicle)
         self._steps = math.ceil(period / params.step_s - 1e-9)
+        self._who = {one: k for k, one in enumerate(formation)}
+        self._own = self._who.get(name, 0)
+        self._path = path
         zero = np.zeros(2)
         self._fixed_goal = Goal(np.array([goal.x, goal.y]), zero, zero, zero)
         self._centres = np.array([o.position for o in obstacles]).reshape(-1, 2)
         self._speeds = np.array([o.velocity for o in obstacles]).reshape(-1, 2)
         self._radii = np.array([o.radius for o in obstacles])
         self._law_state: Array | None = None
+        self.told: Told | None = None  # what the law says to the others, if it talks
         self._turn: Turn | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
         self._ahead: deque[Reference] = deque()  # references not due yet
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
 
-    def step(self, t: float, own: State, neighbours: Mapping[str, State]) -> Setpoint:
+    def step(
+        self,
+        t: float,
+        own: State,
+        neighbours: Mapping[str, State],
+        told: Mapping[str, Told] | None = None,
+    ) -> Setpoint:
         """Setpoint for the jet period that starts at `t`.
 
         Args:
             t: one period after that of the last step, and not before own.t [s].
             own: newest estimate of the vehicle.
             neighbours: newest state heard of each other vehicle.
+            told: newest words heard of the law of each other vehicle.
         """
+        heard = _Heard(neighbours, told or {})
         if self._turn is None:
             self._turn = Turn(own.pose.theta, self._goal.theta, t, self._params.heading_accel)
         if self._params.mode == "wrench":
-            return self._demand(t, own, neighbours, self._turn)
+            return self._demand(t, own, heard, self._turn)
         if self._law_state is None:
             self._t = t
             self._p, self._v = np.array([own.pose.x, own.pose.y]), np.zeros(2)
         while self._t <= t + self._params.preview_s + 1e-9:
-            self._ahead.append(self._reference(neighbours, self._turn))
+            self._ahead.append(self._reference(heard, self._turn))
         references = tuple(self._ahead)
         self._ahead.popleft()
         return Trajectory(references, references[-1].t + self._params.setpoint_life_s)
 
-    def _demand(self, t: float, own: State, neighbours: Mapping[str, State], turn: Turn) -> Demand:
+    def _demand(self, t: float, own: State, heard: _Heard, turn: Turn) -> Demand:
         """The law closes the loop: fly it ahead from the estimate, ask for its mean force."""
         drift = np.array([own.bias.ax, own.bias.ay])
-        force = self._fly(t, *self._predict(own, drift, t), drift, neighbours).mean_force
+        force = self._fly(t, *self._predict(own, drift, t), drift, heard).mean_force
         self._sent.append((t, force))
         fx, fy = force.tolist()
         return Demand(t, fx, fy, *turn.at(t), t + self._params.setpoint_life_s)
 
-    def _reference(self, neighbours: Mapping[str, State], turn: Turn) -> Reference:
+    def _reference(self, heard: _Heard, turn: Turn) -> Reference:
         """Where the reference model is now; then it flies on by one period."""
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
-        ahead = self._fly(t, self._p, self._v, np.zeros(2), neighbours)
+        ahead = self._fly(t, self._p, self._v, np.zeros(2), heard)
         self._t, self._p, self._v = t + self._period, ahead.p, ahead.v
         ax, ay = (ahead.mean_force / self._mass).tolist()
         theta, omega, alpha = turn.at(t)
         return Reference(t, Pose(px, py, theta), Twist(vx, vy, omega), Accel(ax, ay, alpha))
 
-    def _fly(
-        self, t: float, p: Array, v: Array, drift: Array, neighbours: Mapping[str, State]
-    ) -> Ahead:
+    def _fly(self, t: float, p: Array, v: Array, drift: Array, heard: _Heard) -> Ahead:
         """Fly the law ahead over one period; its state is carried on."""
-        own = Body(p, v, self._mass, drift, np.zeros(2), self._max_force)
+        own = Body(p, v, self._mass, drift, np.zeros(2), self._max_force, self._own)
         obstacles = Discs(self._centres + t * self._speeds, self._speeds, self._radii)
-        world, others = World(self._fixed_goal, obstacles), self._neighbour_discs(neighbours, t)
+        world, others = World(self._goal_at(t), obstacles), self._others(heard, t)
         if self._law_state is None:
             self._law_state = self._law.initial(own, others, world)
         ahead = self._law.fly_ahead(
             self._law_state, own, others, world, t, self._period, self._steps
         )
         self._law_state = ahead.law_state
+        if self._law.words:
+            self.told = Told(t + self._period, tuple(ahead.told.tolist()))
         return ahead
+
+    def _goal_at(self, t: float) -> Goal:
+        """The goal, moved along its path."""
+        if self._path is None:
+            return self._fixed_goal
+        p, v, a, jerk = (np.array(value) for value in self._path.at(t))
+        return Goal(self._fixed_goal.p + p, v, a, jerk)
 
     def _predict(self, own: State, drift: Array, t: float) -> tuple[Array, Array]:
         """Position and velocity at `t`, through the demands that are still on their way."""
@@ -189,9 +222,18 @@ class Guidance:
             now = until
         return p, v
 
-    def _neighbour_discs(self, neighbours: Mapping[str, State], t: float) -> Discs:
-        states = [neighbours[name] for name in sorted(neighbours)]
+    def _others(self, heard: _Heard, t: float) -> Neighbours:
+        """The others, moved to time `t`; of a law that talks, those whose words were heard."""
+        words, k = heard.told, self._law.words
+        names = sorted(heard.states.keys() & words.keys() if k else heard.states)
+        states = [heard.states[name] for name in names]
         p = [(s.pose.x + (t - s.t) * s.twist.vx, s.pose.y + (t - s.t) * s.twist.vy) for s in states]
         v = [(s.twist.vx, s.twist.vy) for s in states]
-        radius = np.full(len(states), self._params.neighbour_distance)
-        return Discs(np.array(p).reshape(-1, 2), np.array(v).reshape(-1, 2), radius)
+        return Neighbours(
+            np.array(p).reshape(-1, 2),
+            np.array(v).reshape(-1, 2),
+            np.full(len(names), self._params.neighbour_distance),
+            np.array([self._who.get(name, -1) for name in names], dtype=np.int64),
+            np.array([words[name].values if k else () for name in names]).reshape(len(names), k),
+            np.array([words[name].t if k else t for name in names]),
+        )

@@ -34,11 +34,14 @@ class VehicleNode:
             link.setpoint(),
             link.neighbours() if self._agent.hears_neighbours else {},
             self._thrusters.health(),
+            link.told() if self._agent.hears_neighbours else {},
         )
         outputs = self._agent.step(inputs)
         self._thrusters.apply(outputs.command)
         if outputs.state is not None:
             link.publish(outputs.state)
+        if outputs.told is not None:
+            link.tell(outputs.told)
         return Tick(inputs, outputs)
 
 
@@ -58,12 +61,15 @@ class HostNode:
 
     def tick(self, t: float) -> HostTick:
         """Listen, step, tell."""
-        inputs = HostInputs(t, self._link.own(), self._link.neighbours())
+        link, guidance = self._link, self._guidance
+        inputs = HostInputs(t, link.own(), link.neighbours(), link.told())
         if inputs.own is None:
             return HostTick(inputs, HostOutputs(t, None))
-        setpoint = self._guidance.step(t + self._ahead, inputs.own, inputs.neighbours)
-        self._link.publish(setpoint)
-        return HostTick(inputs, HostOutputs(t, setpoint))
+        setpoint = guidance.step(t + self._ahead, inputs.own, inputs.neighbours, inputs.told)
+        link.publish(setpoint)
+        if guidance.told is not None:
+            link.tell(guidance.told)
+        return HostTick(inputs, HostOutputs(t, setpoint, guidance.told))
 
 
 class Observer(Protocol):

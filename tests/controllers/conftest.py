@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from testbed.core.law import Body, Discs, Goal, World
+from testbed.core.law import Body, Discs, Goal, World, silent
 
 settings.register_profile("seeded", derandomize=True, deadline=None)
 settings.load_profile("seeded")
@@ -14,6 +14,12 @@ settings.load_profile("seeded")
 def no_discs():
     """Empty surroundings in `d` dimensions."""
     return lambda d: Discs(np.zeros((0, d)), np.zeros((0, d)), np.zeros(0))
+
+
+@pytest.fixture(scope="session")
+def nobody(no_discs):
+    """No neighbours in `d` dimensions."""
+    return lambda d: silent(no_discs(d))
 
 
 @pytest.fixture(scope="session")
@@ -58,6 +64,6 @@ def random_scene():
 
         own = Body(p, vector(1.0), mass, vector(0.01), vector(1e-4), 1e9)
         goal = Goal(p + vector(100.0), vector(0.5), vector(0.02), vector(1e-3))
-        return own, discs(2), World(goal, discs(3))
+        return own, silent(discs(2)), World(goal, discs(3))
 
     return make

@@ -10,8 +10,8 @@ from controllers.pd import PdParams, pd
 FINE = 100  # steps per second
 
 
-def flown(params, own, world, no_discs, duration):
-    others = no_discs(len(own.p))
+def flown(params, own, world, nobody, duration):
+    others = nobody(len(own.p))
     return pd(params).fly_ahead(
         np.zeros(0), own, others, world, 0.0, duration, round(duration * FINE)
     )
@@ -32,26 +32,26 @@ def closed_form(w, z, e, v, t):
 
 @pytest.mark.parametrize("damping", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("t", [1.0, 5.0, 20.0])
-def test_error_is_that_of_a_damped_oscillator(damping, t, at_rest, fixed_world, no_discs):
+def test_error_is_that_of_a_damped_oscillator(damping, t, at_rest, fixed_world, nobody):
     w, v = 0.2, np.array([0.0, 0.3, -0.1])
     own = at_rest([2.0, -1.0, 0.5], mass=12.5)._replace(v=v)
     world = fixed_world([0.5, 0.5, 0.0])
-    ahead = flown(PdParams(bandwidth=w, damping=damping), own, world, no_discs, t)
+    ahead = flown(PdParams(bandwidth=w, damping=damping), own, world, nobody, t)
     error = own.p - world.goal.p
     expected = [closed_form(w, damping, e, s, t) for e, s in zip(error, v, strict=True)]
     assert ahead.p - world.goal.p == pytest.approx(np.array(expected), abs=3e-3)
 
 
-def test_rate_of_convergence_is_the_bandwidth(at_rest, fixed_world, no_discs):
+def test_rate_of_convergence_is_the_bandwidth(at_rest, fixed_world, nobody):
     # e ~ t exp(-w t) when critically damped
     own, world = at_rest([1.0, 0.0]), fixed_world([0.0, 0.0])
-    half, whole = (flown(PdParams(), own, world, no_discs, t).p[0] for t in (100.0, 200.0))
+    half, whole = (flown(PdParams(), own, world, nobody, t).p[0] for t in (100.0, 200.0))
     assert math.log(half / whole * (1 + 20.0) / (1 + 10.0)) / 100.0 == pytest.approx(0.1, rel=0.01)
 
 
-def test_equilibrium_at_the_goal(at_rest, fixed_world, no_discs):
+def test_equilibrium_at_the_goal(at_rest, fixed_world, nobody):
     own, world = at_rest([1.0, 2.0]), fixed_world([1.0, 2.0], [[1.0, 0.0]])
-    force, _ = pd(PdParams()).rate(np.zeros(0), own, no_discs(2), world, 0.0)
+    force, _ = pd(PdParams()).rate(np.zeros(0), own, nobody(2), world, 0.0)
     assert (force == 0.0).all()
 
 
@@ -66,16 +66,16 @@ def test_force_is_the_formula(seed, random_scene):
     assert force == pytest.approx(3.0 * (feedback + goal.a - own.drift), rel=1e-12)
 
 
-def test_a_known_drift_leaves_no_steady_error(at_rest, fixed_world, no_discs):
+def test_a_known_drift_leaves_no_steady_error(at_rest, fixed_world, nobody):
     own = at_rest([1.0, 0.0])._replace(drift=np.array([0.02, -0.03]))
-    ahead = flown(PdParams(), own, fixed_world([0.0, 0.0]), no_discs, 300.0)
+    ahead = flown(PdParams(), own, fixed_world([0.0, 0.0]), nobody, 300.0)
     assert ahead.p == pytest.approx(np.zeros(2), abs=1e-9)
 
 
-def test_it_is_blind_to_obstacles(at_rest, fixed_world, no_discs):
+def test_it_is_blind_to_obstacles(at_rest, fixed_world, nobody):
     own, law = at_rest([1.0, 0.0]), pd(PdParams())
-    bare, _ = law.rate(np.zeros(0), own, no_discs(2), fixed_world([0.0, 0.0]), 0.0)
-    crowded, _ = law.rate(np.zeros(0), own, no_discs(2), fixed_world([0.0, 0.0], [[0.5, 0.0]]), 0.0)
+    bare, _ = law.rate(np.zeros(0), own, nobody(2), fixed_world([0.0, 0.0]), 0.0)
+    crowded, _ = law.rate(np.zeros(0), own, nobody(2), fixed_world([0.0, 0.0], [[0.5, 0.0]]), 0.0)
     assert (bare == crowded).all()
 
 

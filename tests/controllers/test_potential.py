@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from controllers.potential import PotentialParams, diagonal, gradient, potential
+from testbed.core.law import Discs
 
 PARAMS = PotentialParams(attract=(0.012, 0.02, 0.03), repel=(0.8, 0.6, 0.4), standoff=2.5)
 SHAPES = [(2, 0), (2, 1), (3, 0), (3, 1), (3, 2)]  # dimensions, seed
@@ -50,7 +51,7 @@ def moved(t, own, force, neighbours, world):
     discs = [
         (centre + t * v, radius)
         for group in (world.obstacles, neighbours)
-        for centre, v, radius in zip(*group, strict=True)
+        for centre, v, radius in zip(*group[:3], strict=True)
     ]
     return p, goal, discs
 
@@ -130,7 +131,7 @@ def test_nothing_pulls_at_the_goal_not_even_inside_a_disc(d, random_scene):
 
 def test_obstacles_and_neighbours_repel_alike(random_scene):
     own, neighbours, world = random_scene(4, 2)
-    swapped = world._replace(obstacles=neighbours)
+    swapped = world._replace(obstacles=Discs(*neighbours[:3]))
     u, force = potential(PARAMS, 2), np.ones(2)
     one = gradient(u, own, force, neighbours, world)
     other = gradient(u, own, force, world.obstacles, swapped)

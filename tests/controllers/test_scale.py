@@ -9,7 +9,7 @@ from controllers.pd import PdParams, pd
 from controllers.scale import Scale, Scaled
 from controllers.smc import SmcParams, smc
 from controllers.sotsmc import SotsmcParams, sotsmc
-from testbed.core.law import Body, Discs, Goal, World, fly_ahead
+from testbed.core.law import Body, Discs, Goal, Neighbours, World, fly_ahead, silent
 
 ZHANG = Scale(length=62.5, time=10.0, mass=1.0)
 LAWS = {
@@ -40,7 +40,7 @@ def in_paper_units(own, neighbours, world, scale):
             jerk * own.drift_rate,
             accel * mass * own.max_force / own.mass,
         ),
-        discs(neighbours),
+        Neighbours(*discs(neighbours), neighbours.who, neighbours.told, time * neighbours.told_at),
         World(
             Goal(length * goal.p, speed * goal.v, accel * goal.a, jerk * goal.jerk),
             discs(world.obstacles),
@@ -62,7 +62,7 @@ def table_scene():
     goal = Goal(np.array([0.17, 1.9]), np.array([1e-3, 0.0]), np.zeros(2), np.zeros(2))
     rocks = Discs(np.array([[0.6, -0.2]]), np.array([[0.0, -0.01]]), np.array([0.8]))
     others = Discs(np.array([[-0.9, -1.1]]), np.array([[0.01, 0.0]]), np.array([0.6]))
-    return own, others, World(goal, rocks)
+    return own, silent(others), World(goal, rocks)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -113,7 +113,7 @@ def test_zhangs_scale_by_hand():
     still, nothing = np.zeros(2), Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     own = Body(np.array([0.8, 0.0]), still, MASS, still, still, 1e9)
     world = World(Goal(still, still, still, still), nothing)
-    force, _ = law.rate(np.zeros(0), own, nothing, world, 0.0)
+    force, _ = law.rate(np.zeros(0), own, silent(nothing), world, 0.0)
     assert force == pytest.approx([-50.0 * 1.6 * MASS, 0.0])
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from controllers.pd import PdParams, pd
 from controllers.sotsmc import SotsmcParams, sotsmc
-from testbed.core.law import Body, Discs, Goal, World, bounded, fly_ahead
+from testbed.core.law import Body, Discs, Goal, World, bounded, fly_ahead, silent
 
 MASS = 12.5  # [kg]
 UNBOUNDED = 1e9  # [N]
@@ -57,7 +57,7 @@ def scene(seed, d=2):
 
     own = Body(vector(1.0), vector(0.1), MASS, vector(0.01), vector(0.003), UNBOUNDED)
     goal = Goal(vector(1.0), vector(0.1), vector(0.05), vector(0.02))
-    return own, discs(rng, 2, d), World(goal, discs(rng, 3, d))
+    return own, silent(discs(rng, 2, d)), World(goal, discs(rng, 3, d))
 
 
 def steady(own):
@@ -154,7 +154,7 @@ def test_order_of_the_closed_loop():
     law = pd(PdParams(bandwidth=w, damping=1.0))
     errors = []
     for steps in (200, 400, 800):
-        ahead = law.fly_ahead(np.zeros(0), own, nothing, world, 0.0, t, steps)
+        ahead = law.fly_ahead(np.zeros(0), own, silent(nothing), world, 0.0, t, steps)
         errors.append(np.abs(ahead.p - end).max())
     assert order(errors) == pytest.approx(1.0, abs=0.02)
 

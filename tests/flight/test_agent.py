@@ -184,7 +184,7 @@ def test_a_loss_of_poses_is_flown_through_on_what_was_fired(period):
     # a steady push, and nothing seen from 1 s on
     experiment = load(find("hold"), [f"flight.jet_period_s={period}"])
     setup = experiment.vehicles["sat1"]
-    agent, a = rig.make_agent(experiment, setup), 0.3 / setup.model.mass
+    agent, a = rig.make_agent(experiment, "sat1"), 0.3 / setup.model.mass
     health = Health(0.0, setup.model.air.set_pressure, 20e6)
     push = Demand(0.0, 0.3, 0.0, 0.0, 0.0, 0.0, FOR_EVER)
     states = []

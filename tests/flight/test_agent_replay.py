@@ -79,8 +79,8 @@ def flight(request):
 
 def test_replay_of_a_vehicle(flight):
     experiment, keeper = flight
-    for name, setup in experiment.vehicles.items():
-        agent = make_agent(experiment, setup)
+    for name in experiment.vehicles:
+        agent = make_agent(experiment, name)
         ticks = keeper.vehicles[name]
         assert len(ticks) == experiment.ticks
         assert any(any(tick.outputs.command.on_us) for tick in ticks)
@@ -91,20 +91,25 @@ def test_replay_of_a_vehicle(flight):
 def test_replay_of_a_host(flight):
     experiment, keeper = flight
     for name, setup in experiment.vehicles.items():
-        guidance = make_guidance(experiment, setup)
+        guidance = make_guidance(experiment, name)
         ahead = experiment.flight.jet_period_s + lead_time(setup.model)
         ticks = keeper.hosts[name]
         assert len(ticks) == (experiment.ticks if experiment.deploy.law == "host" else 0)
         for tick in ticks:
-            t, own, neighbours = tick.inputs.t, tick.inputs.own, tick.inputs.neighbours
-            again = None if own is None else guidance.step(t + ahead, own, neighbours)
+            t, own, heard = (
+                tick.inputs.t,
+                tick.inputs.own,
+                (tick.inputs.neighbours, tick.inputs.told),
+            )
+            again = None if own is None else guidance.step(t + ahead, own, *heard)
             assert bits(again) == bits(tick.outputs.setpoint)
+            assert bits(guidance.told) == bits(tick.outputs.told)
 
 
 def test_replay_through_the_log(flight):
     experiment, keeper = flight
-    for name, setup in experiment.vehicles.items():
-        agent = make_agent(experiment, setup)
+    for name in experiment.vehicles:
+        agent = make_agent(experiment, name)
         for tick in keeper.vehicles[name]:
             logged = through_json(tick)
             assert bits(logged) == bits(tick)
@@ -117,8 +122,8 @@ def test_replay_notices_another_gain(flight):
     experiment, keeper = flight
     tracker = replace(experiment.flight.tracker, heading_bandwidth=1.501)
     other = replace(experiment, flight=replace(experiment.flight, tracker=tracker))
-    name, setup = next(iter(experiment.vehicles.items()))
-    agent = make_agent(other, setup)
+    name = next(iter(experiment.vehicles))
+    agent = make_agent(other, name)
     again = [agent.step(tick.inputs) for tick in keeper.vehicles[name]]
     assert again != [tick.outputs for tick in keeper.vehicles[name]]
 

@@ -30,6 +30,8 @@ ROCKS = [
 class Probe:
     """A law that pushes as it is told and writes down what it was asked."""
 
+    words = 0
+
     def __init__(self, forces=None):
         self.forces = iter(forces or [])
         self.asked = []
@@ -42,7 +44,7 @@ class Probe:
         force = next(self.forces, np.zeros(2))
         a = force / own.mass + own.drift
         p, v = own.p + duration * (own.v + 0.5 * duration * a), own.v + duration * a
-        return Ahead(law_state + 1.0, p, v, force)
+        return Ahead(law_state + 1.0, p, v, force, np.zeros(0))
 
 
 @pytest.fixture

@@ -3,7 +3,17 @@
 import pytest
 from msgspec.structs import replace
 
-from testbed.core.types import Health, Inputs, Outputs, PoseSample, Tick, ValveCommand, Wrench
+from testbed.core.types import (
+    Health,
+    HostOutputs,
+    Inputs,
+    Outputs,
+    PoseSample,
+    Tick,
+    Told,
+    ValveCommand,
+    Wrench,
+)
 from testbed.flight.loop import Ending, HostNode, VehicleNode, fly
 
 PERIOD = 0.1  # [s]
@@ -123,9 +133,10 @@ class Agent:
 class Ports:
     """Poses, thrusters and link of one vehicle, and of its host, in one."""
 
-    def __init__(self, neighbours, setpoint=None, own=None):
+    def __init__(self, neighbours, setpoint=None, own=None, told=None):
         self.heard, self.newest, self.known = neighbours, setpoint, own
         self.published, self.applied = [], []
+        self.words, self.said = told or {}, []
 
     def samples(self):
         return [SAMPLE]
@@ -139,6 +150,12 @@ class Ports:
     def neighbours(self):
         return self.heard
 
+    def told(self):
+        return self.words
+
+    def tell(self, told):
+        self.said.append(told)
+
     def publish(self, message):
         self.published.append(message)
 
@@ -150,11 +167,11 @@ class Ports:
 
 
 class Guidance:
-    def __init__(self):
-        self.asked = []
+    def __init__(self, told=None):
+        self.asked, self.told = [], told
 
-    def step(self, t, own, neighbours):
-        self.asked.append((t, own, neighbours))
+    def step(self, t, own, neighbours, told):
+        self.asked.append((t, own, neighbours, told))
         return f"setpoint for {t:.3f}"
 
 
@@ -186,11 +203,15 @@ def test_a_vehicle_that_does_not_know_where_it_is_says_nothing():
 
 
 def test_a_host_answers_for_the_jet_period_after_the_coming_one(make_state):
-    ports, guidance = Ports({"b": make_state()}, own=make_state((1.0, 0.0, 0.0))), Guidance()
+    words, told = {"b": Told(0.7, (1.0,))}, Told(0.8, (2.0, 3.0))
+    ports = Ports({"b": make_state()}, own=make_state((1.0, 0.0, 0.0)), told=words)
+    guidance = Guidance(told)
     tick = HostNode("a", guidance, ports, PERIOD, lead=0.008).tick(0.5)
-    assert guidance.asked == [(pytest.approx(0.608), ports.known, ports.heard)]
+    assert guidance.asked == [(pytest.approx(0.608), ports.known, ports.heard, ports.words)]
     assert ports.published == ["setpoint for 0.608"]
-    assert tick.outputs.setpoint == "setpoint for 0.608"
+    assert ports.said == [told]
+    assert tick.outputs == HostOutputs(0.5, "setpoint for 0.608", told)
+    assert tick.inputs.told == words
     assert (tick.inputs.own, tick.inputs.neighbours) == (ports.known, ports.heard)
 
 

@@ -1,0 +1,106 @@
+"""A law that jumps and tells, compiled and in plain Python."""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import pytest
+
+from testbed.core.law import (
+    Body,
+    Discs,
+    Goal,
+    Neighbours,
+    World,
+    compiled_jump,
+    compiled_rate,
+    compiled_tell,
+    fly_ahead,
+)
+
+
+class Gains(NamedTuple):
+    push: float
+
+
+@compiled_rate(Gains)
+def rate(gains, law_state, own, neighbours, world, t):
+    """A push away from what the others told, carried on at 1 per second; the state stands."""
+    force = np.zeros(own.p.shape[0])
+    for n in range(neighbours.p.shape[0]):
+        force[0] += gains.push * (neighbours.told[n, 0] + t - neighbours.told_at[n])
+    return force, np.zeros(2)
+
+
+@compiled_jump(Gains)
+def jump(gains, law_state, own, neighbours, world, t):
+    """Counts flights, and remembers who was there."""
+    return np.array([law_state[0] + 1.0, float(neighbours.who.sum())])
+
+
+@compiled_tell(Gains)
+def tell(gains, law_state, own, neighbours, world, t):
+    return np.array([own.p[0], t, law_state[0], float(own.who)])
+
+
+class Plain:
+    """The same in plain Python."""
+
+    def rate(self, *args):
+        return rate.py_func(Gains(2.0), *args)
+
+    def jump(self, *args):
+        return jump.py_func(Gains(2.0), *args)
+
+    def tell(self, *args):
+        return tell.py_func(Gains(2.0), *args)
+
+
+class OnlyRate:
+    def rate(self, law_state, own, neighbours, world, t):
+        return np.zeros(2), np.zeros(2)
+
+
+@pytest.fixture
+def scene():
+    still = np.zeros(2)
+    own = Body(np.array([1.0, 0.0]), still, 2.0, still, still, 1e9, 3)
+    others = Neighbours(
+        np.zeros((2, 2)),
+        np.zeros((2, 2)),
+        np.zeros(2),
+        np.array([1, 4]),
+        np.array([[0.5], [0.25]]),
+        np.array([9.0, 10.0]),
+    )
+    rocks = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    return own, others, World(Goal(still, still, still, still), rocks)
+
+
+# not the one that is kept on disk: its index would then name a type that only this file has
+compiled_anew = numba.njit(error_model="numpy")(fly_ahead.py_func)
+
+
+def fly_compiled(state, scene):
+    return compiled_anew(Gains(2.0), state, *scene, 10.0, 0.5, 2)
+
+
+def fly_plain(state, scene):
+    return fly_ahead.py_func(Plain(), state, *scene, 10.0, 0.5, 2)
+
+
+@pytest.mark.parametrize("fly", [fly_compiled, fly_plain])
+def test_a_law_jumps_first_and_tells_last(fly, scene):
+    state = np.zeros(2)
+    ahead = fly(state, scene)
+    # told 0.5 one second ago and 0.25 now; a quarter of a second later each is that much more
+    assert ahead.mean_force == pytest.approx([2.0 * (1.5 + 0.25 + 0.25), 0.0])
+    assert list(ahead.law_state) == [1.0, 5.0]
+    assert list(state) == [0.0, 0.0]
+    assert list(ahead.told) == [ahead.p[0], 10.5, 1.0, 3.0]
+
+
+def test_a_law_needs_no_more_than_a_rate(scene):
+    ahead = fly_ahead.py_func(OnlyRate(), np.ones(2), *scene, 0.0, 1.0, 4)
+    assert list(ahead.law_state) == [1.0, 1.0]
+    assert ahead.told.shape == (0,)
