@@ -242,6 +242,8 @@ def remember(formation, law_state, start, own, neighbours, world):
     i, n = own.who, formation.desired.shape[0] - 1
     for k in range(neighbours.p.shape[0]):
         j = neighbours.who[k]
+        if j < 0:
+            continue  # does not belong to the formation
         gap = distance(own.p, neighbours.p[k])
         after[start + j] = edge_after(formation, law_state[start + j], i, j, gap)
     gap = distance(own.p, world.goal.p)
