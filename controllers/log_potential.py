@@ -61,9 +61,9 @@ def attraction(u, x, d):
 @compiled
 def wish(u, x, d):
     """psi^d [m] and its slope for x > d; level beyond the range."""
-    angle = np.pi * (x - d) / (u.range - d)
-    if angle >= np.pi:
+    if x >= u.range:
         return 2.0 * u.wish, 0.0
+    angle = np.pi * (x - d) / (u.range - d)
     slope = u.wish * np.pi / (u.range - d) * np.sin(angle)  # Eq. (30)
     return u.wish * (1.0 - np.cos(angle)), slope  # Eq. (29)
 
