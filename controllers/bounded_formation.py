@@ -1,0 +1,91 @@
+r"""Formation keeping with bounded forces, without a leader.
+
+Source: X. Xue, X. Yue, J. Yuan, "Connectivity preservation and collision avoidance control for
+spacecraft formation flying with bounded actuation", Advances in Guidance, Navigation and Control
+(ICGNC 2020), Springer 2022, pp. 3685-3697. Equation numbers are that paper's. Symbols that all
+proxies share are in `proxy`.
+
+    paper       code             meaning                                                  unit
+    beta_i      beta             friction of the proxy                                    N s/m
+    alpha_i     proxy.spring     between satellite and proxy                              N/m
+
+Differences from the paper: m g is own.mass * own.drift, whatever the caller puts there. In orbit it
+may or may not contain the Coriolis term, which does no work, so the paper's proof holds either way;
+on the table it is the estimated disturbance.
+
+Nothing anchors the formation: under a common disturbance it drifts.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct, field
+
+from controllers.graph import FormationParams, remember
+from controllers.proxy import Coupling, ProxyParams, coupling, potential_force, saturated, start
+from controllers.scale import Scale
+from testbed.core.law import (
+    CompiledLaw,
+    Law,
+    bounded,
+    compiled_jump,
+    compiled_rate,
+    compiled_tell,
+)
+from testbed.core.vehicle import Positive
+
+
+class BoundedFormationParams(
+    Struct, frozen=True, forbid_unknown_fields=True, tag="bounded_formation"
+):
+    """Section 4, in the paper's units."""
+
+    formation: FormationParams
+    proxy: ProxyParams
+    beta: Positive  # [N s/m]
+    scale: Scale = field(default_factory=Scale)
+
+
+class Gains(NamedTuple):
+    """The same, for compiled code."""
+
+    coupling: Coupling
+    beta: float
+
+
+@compiled_rate(Gains)
+def rate(gains, law_state, own, neighbours, world, t):
+    """Force and how the proxy moves, see `testbed.core.law`."""
+    d = own.p.shape[0]
+    c = gains.coupling
+    spring = saturated(c.spring * (own.p - law_state[:d]), c.limit)
+    push = potential_force(c, law_state, own, neighbours, world, t)
+    change = np.zeros(law_state.shape[0])
+    for i in range(d):
+        speed = law_state[d + i]
+        change[i] = speed
+        change[d + i] = (spring[i] + push[i] - gains.beta * speed) / c.mass  # Eq. (9)
+    force = -spring - own.mass * own.drift  # Eq. (14)
+    return bounded(force, own.max_force), change
+
+
+@compiled_jump(Gains)
+def jump(gains, law_state, own, neighbours, world, t):
+    """Edges, from real positions."""
+    return remember(gains.coupling.formation, law_state, 2 * own.p.shape[0], own, neighbours, world)
+
+
+@compiled_tell(Gains)
+def tell(gains, law_state, own, neighbours, world, t):
+    """Where the proxy is and how fast."""
+    return law_state[: 2 * own.p.shape[0]].copy()
+
+
+def bounded_formation(params: BoundedFormationParams, names: Sequence[str], d: int) -> Law:
+    """The law for positions of shape (d,), in the paper's units.
+
+    `names` are those of all satellites in the order of `Body.who`.
+    """
+    c = coupling(params.proxy, params.formation, names, led=False)
+    return CompiledLaw(Gains(c, params.beta), lambda own: start(c, own), rate, words=2 * d)

@@ -1,0 +1,119 @@
+r"""Psi: what pulls and pushes a satellite in the laws of xue2021, and its gradient.
+
+Source: X. Xue, X. Yue, J. Yuan, "Connectivity preservation and collision avoidance control for
+spacecraft formation flying in the presence of multiple obstacles", Adv. Space Res. 67:3504, 2021.
+Equation numbers are that paper's. Symbols of the single potentials are in `log_potential`.
+
+    paper            code                        meaning                                    unit
+    K_f, K_o         pairs, obstacles            weights                                    N
+    d^o - delta^o    obstacle_band               an obstacle is felt from here on; 0: not   m
+    a_ij             law_state[start:]           edges, see `graph`                         -
+    E(0)             formation.first             edges that are held                        -
+
+(9) sums over ordered pairs, so each edge counts twice: `pair_count` = 2 is the paper, 1 the single
+count. An obstacle's delta^o is the radius that the caller gives it.
+
+Differences from the paper: obstacles are felt within d^o, which the paper wants below Delta, so
+b_ik is not needed.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from controllers.graph import Formation, FormationParams, distance, formation
+from controllers.log_potential import LogPotential, log_potential, repulsion
+from testbed.core.compiled import compiled
+from testbed.core.vehicle import NonNegative, Positive
+
+Array = NDArray[np.float64]
+
+
+class FormationPotentialParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """Section 4, in the paper's units; defaults are those of the static case."""
+
+    k_f: Positive = 10.0  # [N]
+    k_o: NonNegative = 10.0  # [N]
+    k_r: Positive = 0.2
+    k_a: Positive = 0.05
+    k_d: NonNegative = 0.2  # [m]
+    obstacle_band: NonNegative = 30.0  # [m]
+    pair_count: Literal[1, 2] = 2
+
+
+class FormationPotential(NamedTuple):
+    """The same with the formation, for compiled code."""
+
+    formation: Formation
+    single: LogPotential
+    pairs: float  # pair_count K_f
+    obstacles: float
+    band: float
+
+
+def formation_potential(
+    params: FormationPotentialParams, shape: FormationParams, names: Sequence[str]
+) -> FormationPotential:
+    """Parameters as the compiled code wants them; epsilon is the smaller of the two margins."""
+    margin = min(shape.far_margin, shape.near_margin)
+    if 0.0 < params.obstacle_band <= margin:
+        raise ValueError(
+            f"obstacle_band: expected 0 or more than the margins' {margin:g} m, "
+            f"found {params.obstacle_band:g} m"
+        )
+    return FormationPotential(
+        formation(shape, names),
+        LogPotential(params.k_r, params.k_a, params.k_d, shape.safe, shape.range, margin),
+        params.pair_count * params.k_f,
+        params.k_o,
+        params.obstacle_band,
+    )
+
+
+@compiled
+def add_gradient(slope, here, there, x, total):
+    """Add `slope` along the line from `there`, `x` away, to `total`."""
+    if x > 0.0:
+        for i in range(here.shape[0]):
+            total[i] += slope * (here[i] - there[i]) / x
+
+
+@compiled
+def pairs_gradient(u, law_state, start, own, neighbours):
+    """Gradient of the first sum of Eq. (9), shape (d,) [N]."""
+    total = np.zeros(own.p.shape[0])
+    for k in range(neighbours.p.shape[0]):
+        j = neighbours.who[k]
+        if j < 0 or law_state[start + j] < 0.5:
+            continue
+        x = distance(own.p, neighbours.p[k])
+        d = u.formation.desired[own.who, j]
+        held = u.formation.first[own.who, j] > 0.5
+        slope = log_potential(u.single, x, d, held)[1]
+        add_gradient(u.pairs * slope, own.p, neighbours.p[k], x, total)
+    return total
+
+
+@compiled
+def obstacle_gradient(u, own, obstacles, k):
+    """Gradient of one obstacle's share of Eq. (9), shape (d,) [N]."""
+    total = np.zeros(own.p.shape[0])
+    if u.band == 0.0:
+        return total
+    x = distance(own.p, obstacles.p[k])
+    safe = obstacles.radius[k]
+    slope = repulsion(u.single, x, safe + u.band, safe)[1]  # Eq. (5)
+    add_gradient(u.obstacles * slope, own.p, obstacles.p[k], x, total)
+    return total
+
+
+@compiled
+def gradient(u, law_state, start, own, neighbours, world):
+    """Gradient of Psi, Eq. (9), shape (d,) [N]; a_ij are in `law_state` from `start` on."""
+    total = pairs_gradient(u, law_state, start, own, neighbours)
+    for k in range(world.obstacles.p.shape[0]):
+        total += obstacle_gradient(u, own, world.obstacles, k)
+    return total
