@@ -3,25 +3,68 @@
 To add a law: write its file, then add one line to `Controller` and one to `make_law`.
 """
 
+from collections.abc import Sequence
+
 from controllers.bifurcating import BifurcatingParams, bifurcating
+from controllers.bounded_formation import BoundedFormationParams, bounded_formation
+from controllers.bounded_leader import BoundedLeaderParams, bounded_leader
+from controllers.bounded_leader_varying import BoundedLeaderVaryingParams, bounded_leader_varying
+from controllers.collision_sliding import CollisionSlidingParams, collision_sliding
+from controllers.connectivity_dynamic import ConnectivityDynamicParams, connectivity_dynamic
+from controllers.connectivity_static import ConnectivityStaticParams, connectivity_static
 from controllers.pd import PdParams, pd
 from controllers.scale import Scaled
 from controllers.smc import SmcParams, smc
 from controllers.sotsmc import SotsmcParams, sotsmc
 from testbed.core.law import Law
 
-Controller = SotsmcParams | SmcParams | PdParams | BifurcatingParams
+Controller = (
+    SotsmcParams
+    | SmcParams
+    | PdParams
+    | ConnectivityStaticParams
+    | ConnectivityDynamicParams
+    | CollisionSlidingParams
+    | BoundedFormationParams
+    | BoundedLeaderParams
+    | BoundedLeaderVaryingParams
+    | BifurcatingParams
+)
 
 
-def make_law(params: Controller, d: int = 2) -> Law:
-    """The law that `params` describe, in the units of this world, for positions of shape (d,)."""
+def make_law(params: Controller, names: Sequence[str] = (), d: int = 2) -> Law:
+    """The law that `params` describe, in the units of this world.
+
+    Args:
+        params: as an experiment file has them.
+        names: of all satellites, in the order of `Body.who`.
+        d: positions have shape (d,).
+
+    Raises:
+        ValueError: `params` do not fit `d`, or the satellites.
+    """
+    return Scaled(_law(params, names, d), params.scale)
+
+
+def _law(params: Controller, names: Sequence[str], d: int) -> Law:
     match params:
         case SotsmcParams():
-            law = sotsmc(params, d)
+            return sotsmc(params, d)
         case SmcParams():
-            law = smc(params, d)
+            return smc(params, d)
         case PdParams():
-            law = pd(params)
+            return pd(params)
+        case ConnectivityStaticParams():
+            return connectivity_static(params, names, d)
+        case ConnectivityDynamicParams():
+            return connectivity_dynamic(params, names, d)
+        case CollisionSlidingParams():
+            return collision_sliding(params, names, d)
+        case BoundedFormationParams():
+            return bounded_formation(params, names, d)
+        case BoundedLeaderParams():
+            return bounded_leader(params, names, d)
+        case BoundedLeaderVaryingParams():
+            return bounded_leader_varying(params, names, d)
         case BifurcatingParams():
-            law = bifurcating(params, d)
-    return Scaled(law, params.scale)
+            return bifurcating(params, d)

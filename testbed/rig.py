@@ -23,7 +23,7 @@ def make_guidance(experiment: Experiment, name: str) -> Guidance:
     setup = experiment.vehicles[name]
     return Guidance(
         experiment.guidance,
-        make_law(experiment.controller),
+        make_law(experiment.controller, list(experiment.vehicles)),
         setup.model,
         Pose(*setup.goal),
         list(experiment.obstacles.values()),

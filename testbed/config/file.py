@@ -62,7 +62,7 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     """What the types cannot say."""
     yield from chain(bad_layout(experiment), bad_hardware(experiment), bad_timing(experiment))
     try:
-        make_law(experiment.controller)
+        make_law(experiment.controller, list(experiment.vehicles))
     except ValueError as error:
         yield refused(("controller",), error)
     except ArithmeticError as error:

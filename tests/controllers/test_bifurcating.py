@@ -31,7 +31,7 @@ SURFACES = [
 
 
 def law_of(d, **numbers):
-    return make_law(BifurcatingParams(phases=(Phase(**numbers),)), d)
+    return make_law(BifurcatingParams(phases=(Phase(**numbers),)), d=d)
 
 
 def push(law, own, world, others, t=0.0):
@@ -428,7 +428,7 @@ def test_bad_parameters_are_refused(numbers, complaint):
 )
 def test_what_cannot_be_flown_is_refused(d, numbers, complaint):
     with pytest.raises(ValueError, match=complaint):
-        make_law(BifurcatingParams(**numbers), d)
+        make_law(BifurcatingParams(**numbers), d=d)
 
 
 def test_given_numbers_take_the_place_of_the_recipes():
