@@ -13,6 +13,21 @@ class Edge(NamedTuple):
     mask: int  # V0 is bit 0, 1 is open
 
 
+def settled(edges: Sequence[Edge]) -> list[Edge]:
+    """Edges that last: of several within one microsecond only the last, and only changes.
+
+    A plan that continues a pulse at the very microsecond it ended closes and opens the output
+    again; no solenoid notices.
+    """
+    kept: list[Edge] = []
+    for edge in edges:
+        while kept and kept[-1].t_us == edge.t_us:
+            kept.pop()
+        if edge.mask != (kept[-1].mask if kept else 0):
+            kept.append(edge)
+    return kept
+
+
 class Board(Protocol):
     """A board running the firmware, whichever way.
 

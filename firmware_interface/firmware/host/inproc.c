@@ -55,10 +55,7 @@ static void run(board *b)
 {
     const uint8_t before = b->outputs.mask;
     b->outputs = abt_run(&b->firmware, clock_of(b), b->sensors);
-    edge *last = b->edge_count ? &b->edges[b->edge_count - 1] : NULL;
-    if (b->outputs.mask != before && last && last->t_us == b->now_us) {
-        last->mask = b->outputs.mask; /* twice in one microsecond: the last one counts */
-    } else if (b->outputs.mask != before && b->edge_count < EDGES_MAX) {
+    if (b->outputs.mask != before && b->edge_count < EDGES_MAX) {
         b->edges[b->edge_count++] = (edge){b->now_us, b->outputs.mask};
     }
     drain(b);
