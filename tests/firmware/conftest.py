@@ -1,4 +1,5 @@
 import os
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -31,6 +32,11 @@ def need(tool_missing: str | None) -> None:
     pytest.skip(tool_missing)
 
 
+@pytest.fixture(scope="session")
+def need_tool():
+    return need
+
+
 @pytest.fixture(scope="session", autouse=True)
 def a_compiler():
     try:
@@ -38,6 +44,9 @@ def a_compiler():
     except CompilerError as error:
         need(str(error))
 
+
+# Another build of the same firmware: measured for coverage.
+LIBRARY = Path(os.environ["ABT_LIBRARY"]) if "ABT_LIBRARY" in os.environ else None
 
 # Small odd numbers, so that no two limits can be mistaken for each other.
 LIMITS = Config(
@@ -142,7 +151,7 @@ def new_host():
 
     def make(armed=True, board=None, **limits):
         config = msgspec.structs.replace(LIMITS, **limits)
-        host = Host(InprocBoard(config, **(board or {})), config)
+        host = Host(InprocBoard(config, path=LIBRARY, **(board or {})), config)
         host.hello()
         if armed:
             host.arm()
