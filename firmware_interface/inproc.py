@@ -31,6 +31,8 @@ def library(path: Path) -> ctypes.CDLL:
         ("board_take_bytes", u32, board, ctypes.c_char_p, u32),
         ("board_bearing", u32, board),
         ("board_entered", u32, board),
+        ("board_hold", None, board, u32),
+        ("board_oversleep", None, board, u32),
         ("board_flip_open", None, board, u32),
     ):
         function = getattr(lib, name)

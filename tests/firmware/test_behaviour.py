@@ -495,3 +495,55 @@ def test_bearing_air_after_a_trip_is_as_configured(new_host, policy):
     host.wait(host.limits.watchdog_us)
     assert host.ping().state == State.SAFE
     assert host.board.bearing is (policy == BearingPolicy.KEEP)
+
+
+# Limits that contradict each other, or not quite
+
+
+@pytest.mark.parametrize(
+    ("limits", "state"),
+    [
+        ({"opposing": (1, *(0,) * 7)}, State.BOOT),  # against itself
+        ({"opposing": (2, *(0,) * 7)}, State.BOOT),  # one-sided
+        ({"opposing": (2, 1, *(0,) * 6)}, State.SAFE),
+        ({"opposing": (4, 0, 1, *(0,) * 5), "valve_count": 2}, State.BOOT),  # not there
+        ({"opposing": (0, 0, 1, *(0,) * 5), "valve_count": 2}, State.BOOT),
+        ({"opposing": (0,) * 8, "valve_count": 0}, State.BOOT),
+        ({"valve_count": 9}, State.BOOT),
+        ({"max_on_us": 10_007}, State.SAFE),
+        ({"max_on_us": 10_006}, State.BOOT),
+        ({"duty_budget_us": 10_006}, State.BOOT),
+        ({"duty_budget_us": 10_007}, State.SAFE),
+        ({"duty_budget_us": 3_200_000}, State.SAFE),
+        ({"duty_budget_us": 3_200_001}, State.BOOT),
+        ({"duty_window_us": 3_200_001}, State.BOOT),
+        ({"watchdog_us": 2_000_001}, State.BOOT),
+        ({"watchdog_us": 999}, State.BOOT),
+    ],
+)
+def test_limits_are_checked_at_boot(new_host, limits, state):
+    assert new_host(armed=False, **limits).ping().state == state
+
+
+def test_edges_that_nobody_fetches_in_time_are_counted(host):
+    """A burst within one frame's time overflows the ring: the port sent nothing meanwhile."""
+    host.board.lib.board_hold(host.board.handle, 1)
+    for number in range(40):
+        host.plan(number, {0: 10_007})
+        host.wait(20_000)
+    host.board.lib.board_hold(host.board.handle, 0)
+    assert host.report().lost_edges == 80 - 64
+
+
+def test_a_late_run_is_reported(host):
+    host.board.lib.board_oversleep(host.board.handle, 700)
+    assert host.report().worst_late_us == 700
+
+
+def test_a_pulse_that_is_over_before_its_valve_is_free_is_not_played(new_host):
+    host = new_host(min_off_us=50_000)
+    host.plan(1, {0: 20_000})
+    host.wait(25_000)
+    host.plan(2, {0: 20_000})
+    assert host.wait(100_000) == [(0, 1), (20_000, 0)]
+    assert host.report().unplayed == 1

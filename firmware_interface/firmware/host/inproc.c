@@ -18,6 +18,7 @@ typedef struct {
     uint32_t clock_us; /* board's clock at now_us = 0 */
     abt_sensors sensors;
     abt_outputs outputs;
+    uint32_t held; /* nothing is sent */
     uint32_t entered; /* depth of the critical section, for tests */
     uint32_t edge_count;
     edge edges[EDGES_MAX];
@@ -42,7 +43,7 @@ static uint32_t clock_of(const board *b)
 
 static void drain(board *b)
 {
-    while (b->sent_count + ABT_FRAME_MAX <= SENT_MAX) { /* else the line back is full */
+    while (!b->held && b->sent_count + ABT_FRAME_MAX <= SENT_MAX) { /* else the line back is full */
         const size_t size = abt_transmit(&b->firmware, clock_of(b), b->sent + b->sent_count);
         if (size == 0) {
             return;
@@ -136,6 +137,19 @@ uint32_t board_bearing(const board *b)
 uint32_t board_entered(const board *b)
 {
     return b->entered;
+}
+
+/* Fault injection: the line back is blocked. */
+void board_hold(board *b, uint32_t held)
+{
+    b->held = held;
+}
+
+/* Fault injection: the alarm comes late. */
+void board_oversleep(board *b, uint32_t late_us)
+{
+    b->now_us += b->outputs.wake_us - clock_of(b) + late_us;
+    run(b);
 }
 
 /* Fault injection: bits flip in the scheduler's memory. */
