@@ -151,7 +151,7 @@ def module(schema: Schema) -> str:
         "from enum import IntEnum, IntFlag",
         "from typing import ClassVar",
         "",
-        "from msgspec import Struct",
+        "from firmware_interface.packed import Packed",
         "",
         f"VERSION = {schema.version}",
         *(f"{name.upper()} = {size}" for name, size in schema.sizes.items()),
@@ -187,10 +187,14 @@ def _py_enum(enum: Enum) -> list[str]:
 def _py_message(message: Message) -> list[str]:
     letter = {1: "B", 2: "H", 4: "I"}
     layout = "<" + "".join(f"{f.count or ''}{letter[f.width]}" for f in message.fields)
-    lines = [f"class {_camel(message.name)}(Struct, frozen=True, gc=False):"]
+    lines = [f"class {_camel(message.name)}(Packed, frozen=True, gc=False):"]
     lines += [f'    """{message.doc}"""', ""]
     lines += [f"    CODE: ClassVar[int] = {message.code}"] if message.code else []
     lines += [f'    LAYOUT: ClassVar[struct.Struct] = struct.Struct("{layout}")']
+    counts = "".join(f"{f.count}, " for f in message.fields)
+    enums = "".join(f'"{f.name}": {_camel(f.enum)}, ' for f in message.fields if f.enum)
+    lines += [f"    COUNTS: ClassVar[tuple[int, ...]] = ({counts.removesuffix(' ')})"]
+    lines += [f"    ENUMS: ClassVar[dict[str, type]] = {{{enums.removesuffix(', ')}}}"]
     lines += ["    LIMITS: ClassVar[dict[str, tuple[int, int]]] = {"]
     for f in message.fields:
         if f.least or f.most is not None:
@@ -201,20 +205,7 @@ def _py_message(message: Message) -> list[str]:
         note = " ".join(filter(None, (f.meaning, f"[{f.unit}]" if f.unit else "")))
         kind = "tuple[int, ...]" if f.count else _camel(f.enum) if f.enum else "int"
         lines.append(f"    {f.name}: {kind}" + (f"  # {note}" if note else ""))
-    lines += ["", "    def pack(self) -> bytes:", '        """The payload."""']
-    parts = [f"{'*' if f.count else ''}self.{f.name}" for f in message.fields]
-    lines += [f"        return self.LAYOUT.pack({', '.join(parts)})", ""]
-    lines += ["    @classmethod"]
-    lines += [f'    def unpack(cls, payload: bytes) -> "{_camel(message.name)}":']
-    lines += ['        """From a payload; struct.error or ValueError if it is none."""']
-    values, at = [], 0
-    for f in message.fields:
-        value = f"v[{at}:{at + f.count}]" if f.count else f"v[{at}]"
-        values.append(f"{_camel(f.enum)}({value})" if f.enum else value)
-        at += f.count or 1
-    call = "v = " if message.fields else ""
-    lines += [f"        {call}cls.LAYOUT.unpack(payload)"]
-    return [*lines, f"        return cls({', '.join(values)})", ""]
+    return [*lines, ""]
 
 
 def formatted(text: str) -> str:

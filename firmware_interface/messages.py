@@ -7,7 +7,7 @@ import struct
 from enum import IntEnum, IntFlag
 from typing import ClassVar
 
-from msgspec import Struct
+from firmware_interface.packed import Packed
 
 VERSION = 1
 VALVES = 8
@@ -68,69 +68,54 @@ class Fault(IntFlag):
     INTERLOCK = 8  # the output stage was asked to open opposing valves
 
 
-class Hello(Struct, frozen=True, gc=False):
+class Hello(Packed, frozen=True, gc=False):
     """Start a session: closes everything, disarms, forgets plans and sequence numbers."""
 
     CODE: ClassVar[int] = 1
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<I")
+    COUNTS: ClassVar[tuple[int, ...]] = (0,)
+    ENUMS: ClassVar[dict[str, type]] = {}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {}
 
     host_nonce: int  # echoed, so that the host knows its own answer
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack(self.host_nonce)
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Hello":
-        """From a payload; struct.error or ValueError if it is none."""
-        v = cls.LAYOUT.unpack(payload)
-        return cls(v[0])
-
-
-class Arm(Struct, frozen=True, gc=False):
+class Arm(Packed, frozen=True, gc=False):
     """SAFE to ARMED; clears latched faults and starts the watchdog."""
 
     CODE: ClassVar[int] = 2
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<I")
+    COUNTS: ClassVar[tuple[int, ...]] = (0,)
+    ENUMS: ClassVar[dict[str, type]] = {}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {}
 
     session: int  # from HELLO_ACK
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack(self.session)
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Arm":
-        """From a payload; struct.error or ValueError if it is none."""
-        v = cls.LAYOUT.unpack(payload)
-        return cls(v[0])
-
-
-class Disarm(Struct, frozen=True, gc=False):
+class Disarm(Packed, frozen=True, gc=False):
     """Close everything. Needs no session: anyone may close."""
 
     CODE: ClassVar[int] = 3
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    COUNTS: ClassVar[tuple[int, ...]] = ()
+    ENUMS: ClassVar[dict[str, type]] = {}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {}
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack()
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Disarm":
-        """From a payload; struct.error or ValueError if it is none."""
-        cls.LAYOUT.unpack(payload)
-        return cls()
-
-
-class Cmd(Struct, frozen=True, gc=False):
+class Cmd(Packed, frozen=True, gc=False):
     """A complete plan, a pulse per valve; sent again with a new age it only feeds the watchdog."""
 
     CODE: ClassVar[int] = 4
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IIII8I8I")
+    COUNTS: ClassVar[tuple[int, ...]] = (
+        0,
+        0,
+        0,
+        0,
+        8,
+        8,
+    )
+    ENUMS: ClassVar[dict[str, type]] = {}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {
         "age_us": (0, 10000000),
         "ttl_us": (1, 10000000),
@@ -145,24 +130,17 @@ class Cmd(Struct, frozen=True, gc=False):
     on_us: tuple[int, ...]  # open time [us]
     offset_us: tuple[int, ...]  # from the plan's beginning to opening [us]
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack(
-            self.session, self.plan, self.age_us, self.ttl_us, *self.on_us, *self.offset_us
-        )
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Cmd":
-        """From a payload; struct.error or ValueError if it is none."""
-        v = cls.LAYOUT.unpack(payload)
-        return cls(v[0], v[1], v[2], v[3], v[4:12], v[12:20])
-
-
-class Bearing(Struct, frozen=True, gc=False):
+class Bearing(Packed, frozen=True, gc=False):
     """Bearing air on or off; needs a session, not ARMED: a vehicle floats before it flies."""
 
     CODE: ClassVar[int] = 5
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IB")
+    COUNTS: ClassVar[tuple[int, ...]] = (
+        0,
+        0,
+    )
+    ENUMS: ClassVar[dict[str, type]] = {}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {
         "on": (0, 1),
     }
@@ -170,40 +148,34 @@ class Bearing(Struct, frozen=True, gc=False):
     session: int  # from HELLO_ACK
     on: int  # 1: on
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack(self.session, self.on)
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Bearing":
-        """From a payload; struct.error or ValueError if it is none."""
-        v = cls.LAYOUT.unpack(payload)
-        return cls(v[0], v[1])
-
-
-class Ping(Struct, frozen=True, gc=False):
+class Ping(Packed, frozen=True, gc=False):
     """Ask for an ACK: clocks and state. Feeds nothing."""
 
     CODE: ClassVar[int] = 6
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    COUNTS: ClassVar[tuple[int, ...]] = ()
+    ENUMS: ClassVar[dict[str, type]] = {}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {}
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack()
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Ping":
-        """From a payload; struct.error or ValueError if it is none."""
-        cls.LAYOUT.unpack(payload)
-        return cls()
-
-
-class HelloAck(Struct, frozen=True, gc=False):
+class HelloAck(Packed, frozen=True, gc=False):
     """Who the board is."""
 
     CODE: ClassVar[int] = 129
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IIIIIBBII")
+    COUNTS: ClassVar[tuple[int, ...]] = (
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+    )
+    ENUMS: ClassVar[dict[str, type]] = {"reset_cause": ResetCause, "state": State}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {}
 
     host_nonce: int  # of the HELLO answered
@@ -216,32 +188,23 @@ class HelloAck(Struct, frozen=True, gc=False):
     t1_us: int  # t_us of the HELLO, host's clock [us]
     t2_us: int  # when its last byte came in, board's clock [us]
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack(
-            self.host_nonce,
-            self.session,
-            self.boot_nonce,
-            self.firmware_id,
-            self.config_hash,
-            self.reset_cause,
-            self.state,
-            self.t1_us,
-            self.t2_us,
-        )
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "HelloAck":
-        """From a payload; struct.error or ValueError if it is none."""
-        v = cls.LAYOUT.unpack(payload)
-        return cls(v[0], v[1], v[2], v[3], v[4], ResetCause(v[5]), State(v[6]), v[7], v[8])
-
-
-class Ack(Struct, frozen=True, gc=False):
+class Ack(Packed, frozen=True, gc=False):
     """Answer to one frame; with its own t_us as T3 it gives clock offset and delay."""
 
     CODE: ClassVar[int] = 130
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<HBBBBBII")
+    COUNTS: ClassVar[tuple[int, ...]] = (
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+    )
+    ENUMS: ClassVar[dict[str, type]] = {"result": Result, "state": State, "faults": Fault}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {}
 
     seq: int  # of the frame answered
@@ -253,31 +216,38 @@ class Ack(Struct, frozen=True, gc=False):
     t1_us: int  # t_us of the frame answered, host's clock [us]
     t2_us: int  # when its last byte came in, board's clock [us]
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack(
-            self.seq,
-            self.type,
-            self.result,
-            self.state,
-            self.faults,
-            self.mask,
-            self.t1_us,
-            self.t2_us,
-        )
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Ack":
-        """From a payload; struct.error or ValueError if it is none."""
-        v = cls.LAYOUT.unpack(payload)
-        return cls(v[0], v[1], Result(v[2]), State(v[3]), Fault(v[4]), v[5], v[6], v[7])
-
-
-class Status(Struct, frozen=True, gc=False):
+class Status(Packed, frozen=True, gc=False):
     """Telemetry, every status_period_us from boot on. Counters wrap."""
 
     CODE: ClassVar[int] = 131
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IBBBBI8IHIIHHHHHHHHHHHHH")
+    COUNTS: ClassVar[tuple[int, ...]] = (
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        8,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+    )
+    ENUMS: ClassVar[dict[str, type]] = {"state": State, "faults": Fault}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {}
 
     session: int  # 0 before the first HELLO
@@ -304,70 +274,18 @@ class Status(Struct, frozen=True, gc=False):
     lost_acks: int  # answers never sent: more frames than the line back carries
     lost_edges: int  # edges not reported
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack(
-            self.session,
-            self.state,
-            self.faults,
-            self.mask,
-            self.bearing,
-            self.plan,
-            *self.open_us,
-            self.supply_mv,
-            self.supply_pa,
-            self.worst_late_us,
-            self.bad_length,
-            self.bad_crc,
-            self.bad_version,
-            self.unknown_type,
-            self.foreign,
-            self.replayed,
-            self.refused,
-            self.watchdog_trips,
-            self.unplayed,
-            self.cut_max_on,
-            self.cut_duty,
-            self.lost_acks,
-            self.lost_edges,
-        )
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Status":
-        """From a payload; struct.error or ValueError if it is none."""
-        v = cls.LAYOUT.unpack(payload)
-        return cls(
-            v[0],
-            State(v[1]),
-            Fault(v[2]),
-            v[3],
-            v[4],
-            v[5],
-            v[6:14],
-            v[14],
-            v[15],
-            v[16],
-            v[17],
-            v[18],
-            v[19],
-            v[20],
-            v[21],
-            v[22],
-            v[23],
-            v[24],
-            v[25],
-            v[26],
-            v[27],
-            v[28],
-            v[29],
-        )
-
-
-class Edges(Struct, frozen=True, gc=False):
+class Edges(Packed, frozen=True, gc=False):
     """Valve outputs as they were driven, oldest first."""
 
     CODE: ClassVar[int] = 132
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B8I8B")
+    COUNTS: ClassVar[tuple[int, ...]] = (
+        0,
+        8,
+        8,
+    )
+    ENUMS: ClassVar[dict[str, type]] = {}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {
         "count": (0, 8),
     }
@@ -376,21 +294,28 @@ class Edges(Struct, frozen=True, gc=False):
     at_us: tuple[int, ...]  # board's clock [us]
     mask: tuple[int, ...]  # valves open from then on
 
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack(self.count, *self.at_us, *self.mask)
 
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Edges":
-        """From a payload; struct.error or ValueError if it is none."""
-        v = cls.LAYOUT.unpack(payload)
-        return cls(v[0], v[1:9], v[9:17])
-
-
-class Config(Struct, frozen=True, gc=False):
+class Config(Packed, frozen=True, gc=False):
     """Valve map and limits."""
 
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B8BBIIIIIIIIHII")
+    COUNTS: ClassVar[tuple[int, ...]] = (
+        0,
+        8,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+    )
+    ENUMS: ClassVar[dict[str, type]] = {"bearing_after_trip": BearingPolicy}
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {
         "valve_count": (1, 8),
         "bearing_after_trip": (0, 1),
@@ -421,46 +346,6 @@ class Config(Struct, frozen=True, gc=False):
     undervoltage_mv: int  # 0: the board has no voltmeter [mV]
     undervoltage_us: int  # so long below before it trips [us]
     status_period_us: int  # [us]
-
-    def pack(self) -> bytes:
-        """The payload."""
-        return self.LAYOUT.pack(
-            self.valve_count,
-            *self.opposing,
-            self.bearing_after_trip,
-            self.min_on_us,
-            self.min_off_us,
-            self.dead_us,
-            self.max_on_us,
-            self.duty_window_us,
-            self.duty_budget_us,
-            self.max_ttl_us,
-            self.watchdog_us,
-            self.undervoltage_mv,
-            self.undervoltage_us,
-            self.status_period_us,
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> "Config":
-        """From a payload; struct.error or ValueError if it is none."""
-        v = cls.LAYOUT.unpack(payload)
-        return cls(
-            v[0],
-            v[1:9],
-            BearingPolicy(v[9]),
-            v[10],
-            v[11],
-            v[12],
-            v[13],
-            v[14],
-            v[15],
-            v[16],
-            v[17],
-            v[18],
-            v[19],
-            v[20],
-        )
 
 
 Message = Hello | Arm | Disarm | Cmd | Bearing | Ping | HelloAck | Ack | Status | Edges
