@@ -32,6 +32,9 @@ lint: $(DEV)  ## Check format, style, types and the direction of imports
 
 check: lint test  ## Everything CI runs: lint, then test
 
+firmware: $(DEV)  ## Build the valve board's firmware for this machine
+	@$(BIN)/python -m firmware_interface.compiler
+
 format: $(DEV)  ## Rewrite the code in the house format
 	@$(BIN)/ruff check --quiet --select I --fix
 	@$(BIN)/ruff format

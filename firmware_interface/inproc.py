@@ -1,0 +1,125 @@
+"""The firmware in this process, in virtual time: the same C core that the board's chip runs."""
+
+import ctypes
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+from firmware_interface.board import Edge
+from firmware_interface.compiler import firmware_id, shared_library
+from firmware_interface.messages import Config, ResetCause
+
+ROOM = 65536  # bytes and edges fetched at once
+
+
+class _Edge(ctypes.Structure):
+    _fields_ = (("t_us", ctypes.c_uint64), ("mask", ctypes.c_uint32))
+
+
+@cache
+def library(path: Path) -> ctypes.CDLL:
+    """Load the shared library and say what its functions take."""
+    lib = ctypes.CDLL(str(path))
+    board, u32, u64 = ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint64
+    for name, result, *arguments in (
+        ("board_new", board, ctypes.c_char_p, u32, u32, u32, u32, u32, u32),
+        ("board_free", None, board),
+        ("board_sense", None, board, u32, u32),
+        ("board_feed", None, board, ctypes.c_char_p, u32),
+        ("board_run_until", None, board, u64),
+        ("board_take_edges", u32, board, ctypes.POINTER(_Edge), u32),
+        ("board_take_bytes", u32, board, ctypes.c_char_p, u32),
+        ("board_bearing", u32, board),
+        ("board_entered", u32, board),
+        ("board_hold", None, board, u32),
+        ("board_oversleep", None, board, u32),
+        ("board_flip_open", None, board, u32),
+    ):
+        function = getattr(lib, name)
+        function.restype, function.argtypes = result, arguments
+    return lib
+
+
+class InprocBoard:
+    """A `Board` in virtual time.
+
+    Args:
+        config: limits, see `limits.limits_of`.
+        boot_nonce: of the first boot; every power cycle adds one.
+        clock_us: the board's own clock at power-on.
+        supply_mv, supply_pa: what the sensors say at first.
+        path: the shared library; built when not given.
+    """
+
+    virtual_time = True
+
+    def __init__(
+        self,
+        config: Config,
+        boot_nonce: int = 1,
+        clock_us: int = 0,
+        supply_mv: int = 24_000,
+        supply_pa: int = 500_000,
+        path: Path | None = None,
+    ) -> None:
+        self.lib = library(path or shared_library())
+        self._config = config.pack()
+        self._nonce = boot_nonce
+        self._clock_us = clock_us
+        self._sensed = (supply_mv, supply_pa)
+        self._edges = (_Edge * 4096)()
+        self._bytes = ctypes.create_string_buffer(ROOM)
+        self.handle: int | None = None
+        self._boot(ResetCause.POWER_ON)
+
+    def _boot(self, cause: ResetCause) -> None:
+        self._now_us = 0
+        self.handle = self.lib.board_new(
+            self._config, firmware_id(), self._nonce, cause, self._clock_us, *self._sensed
+        )
+        if self.handle is None:
+            raise MemoryError
+
+    @property
+    def now_us(self) -> int:
+        """Time since the board got power."""
+        return self._now_us
+
+    @property
+    def bearing(self) -> bool:
+        """Whether bearing air is on."""
+        return bool(self.lib.board_bearing(self.handle))
+
+    def feed(self, data: bytes) -> None:
+        """Bytes arrive at the board, now."""
+        self.lib.board_feed(self.handle, data, len(data))
+
+    def run_until(self, t_us: int) -> Sequence[Edge]:
+        """Let time pass up to and with `t_us`; edges since the last call, in order."""
+        if t_us < self._now_us:
+            raise ValueError(f"the board is at {self._now_us} us already, asked for {t_us} us")
+        self._now_us = t_us
+        self.lib.board_run_until(self.handle, t_us)
+        count = self.lib.board_take_edges(self.handle, self._edges, len(self._edges))
+        return [Edge(e.t_us, e.mask) for e in self._edges[:count]]
+
+    def read(self) -> bytes:
+        """Bytes the board has sent since the last call."""
+        count = self.lib.board_take_bytes(self.handle, self._bytes, ROOM)
+        return self._bytes.raw[:count]
+
+    def sense(self, supply_mv: int, supply_pa: int) -> None:
+        """What the board's sensors say from now on."""
+        self._sensed = (supply_mv, supply_pa)
+        self.lib.board_sense(self.handle, supply_mv, supply_pa)
+
+    def power_cycle(self, cause: ResetCause) -> None:
+        """Boot again for this reason; time starts at 0, sensors stay as they are."""
+        self.close()
+        self._nonce += 1
+        self._boot(cause)
+
+    def close(self) -> None:
+        """Give the memory back."""
+        self.lib.board_free(self.handle)
+        self.handle = None

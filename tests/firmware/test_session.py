@@ -1,0 +1,157 @@
+"""The sender's side against the firmware, over a line that loses frames."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from firmware_interface.frame import Frame, encode
+from firmware_interface.inproc import InprocBoard
+from firmware_interface.messages import Ack, Fault, Result, State
+from firmware_interface.session import REFRESH_US, Session, SessionError, exchange
+from testbed.core.types import ValveCommand
+
+
+class Line:
+    """Session and board with clocks apart, a delay each way, and a choice of what is lost."""
+
+    def __init__(self, limits, delay_us=2_000, lost=lambda: False, clock_us=123_456_789):
+        self.board = InprocBoard(limits, clock_us=clock_us)
+        self.session = Session(limits, nonce=5)
+        self.delay_us, self.lost = delay_us, lost
+        self.now_us = 0
+        self.under_way = []  # (arrives, to the board, bytes)
+        self.edges = []
+
+    def send(self, data):
+        if data and not self.lost():
+            self.under_way.append((self.now_us + self.delay_us, True, data))
+
+    def until(self, t_us):
+        while self.now_us < t_us:
+            self.now_us += 1_000
+            self.edges += self.board.run_until(self.now_us)
+            for item in [i for i in self.under_way if i[0] <= self.now_us]:
+                self.under_way.remove(item)
+                if item[1]:
+                    self.board.feed(item[2])
+                else:
+                    self.session.receive(item[2], self.now_us)
+            if data := self.board.read():
+                self.under_way.append((self.now_us + self.delay_us, False, data))
+            self.send(self.session.due(self.now_us))
+
+    def start(self):
+        self.send(self.session.hello(self.now_us))
+        self.until(self.now_us + 10_000)
+        self.send(self.session.arm(self.now_us))
+        self.until(self.now_us + 10_000)
+
+
+def command(seq, t_us, on, until_us=300_000):
+    t = t_us * 1e-6
+    return ValveCommand(seq, t, t + until_us * 1e-6, (on,) + (0,) * 7, (0,) * 8)
+
+
+@pytest.fixture
+def limits(host):
+    return host.limits
+
+
+def test_a_plan_is_flown_where_its_first_frame_put_it(limits):
+    line = Line(limits)
+    line.start()
+    line.send(line.session.apply(command(1, line.now_us, 100_000), line.now_us))
+    line.until(line.now_us + 200_000)
+    assert line.session.state == State.ARMED
+    assert line.edges == [(22_000, 1), (122_000, 0)]
+    assert line.session.edges[0][0] - 123_456_789 == 22_000
+
+
+def test_a_lost_frame_costs_one_refresh_period_at_the_front_only(limits):
+    losses = iter([False, False, True] + [False] * 1000)  # hello, arm, plan, ...
+    line = Line(limits, lost=lambda: next(losses))
+    line.start()
+    line.send(line.session.apply(command(1, line.now_us, 100_000), line.now_us))
+    line.until(line.now_us + 200_000)
+    assert line.edges == [(22_000 + REFRESH_US, 1), (122_000, 0)]
+
+
+def test_a_fifth_of_all_frames_lost_trips_nothing(limits):
+    rng = np.random.default_rng(3)
+    line = Line(limits)
+    line.start()
+    line.lost = lambda: rng.random() < 0.2
+    for seq in range(100):
+        line.send(line.session.apply(command(seq, line.now_us, 50_000), line.now_us))
+        line.until(line.now_us + 100_000)
+    assert line.session.state == State.ARMED
+    assert line.session.status.watchdog_trips == 0
+
+
+def test_a_sender_that_goes_silent_trips_the_watchdog(limits):
+    line = Line(limits)
+    line.start()
+    line.send(line.session.apply(command(1, line.now_us, 400_000), line.now_us))
+    line.lost = lambda: True
+    line.until(line.now_us + 300_000)
+    assert line.session.status.faults == Fault.WATCHDOG
+    assert line.edges == [(22_000, 1), (22_000 + limits.watchdog_us, 0)]
+
+
+def test_a_plan_past_its_time_to_live_is_repeated_no_more(limits):
+    session = Line(limits).session
+    board = Line(limits)
+    board.session = session
+    board.start()
+    session.apply(command(1, board.now_us, 50_000, until_us=50_000), board.now_us)
+    assert session.due(board.now_us + REFRESH_US - 1) == b""
+    assert session.due(board.now_us + REFRESH_US)
+    assert session.due(board.now_us + 50_000) == b""
+
+
+def test_hello_is_repeated_until_answered(limits):
+    losses = iter([True, True, False])
+    line = Line(limits, lost=lambda: next(losses))
+    line.send(line.session.hello(0))
+    line.until(190_000)
+    assert not line.session.greeted
+    line.until(220_000)
+    assert line.session.greeted
+
+
+def test_offset_and_delay_of_the_clock(limits):
+    line = Line(limits, delay_us=3_000, clock_us=(1 << 32) - 5_000)  # wraps meanwhile
+    line.start()
+    clock = line.session.clock
+    assert clock.offset_us == (1 << 32) - 5_000
+    assert clock.delay_us == 6_000
+
+
+def test_the_exchange_by_hand():
+    assert exchange(1000, 5010, 5110, 1130) == (3995.0, 30)
+    assert exchange((1 << 32) - 10, 100, 110, 20) == (100.0, 20)
+
+
+def test_refusals_are_counted_by_name(limits):
+    line = Line(limits)
+    line.start()
+    line.send(line.session.apply(command(1, line.now_us, 500_000), line.now_us))
+    line.until(line.now_us + 10_000)
+    assert line.session.refusals == {Result.ON_TOO_LONG: 1}
+
+
+def test_a_board_built_for_another_vehicle_is_refused(limits):
+    line = Line(limits)
+    line.session = Session(msgspec.structs.replace(limits, min_on_us=1), 5)
+    with pytest.raises(SessionError, match="build and flash the firmware for this vehicle"):
+        line.start()
+
+
+def test_a_board_of_another_protocol_is_refused(limits):
+    with pytest.raises(SessionError, match="speaks protocol 2, this program 1"):
+        Session(limits, 5).receive(encode(Frame(Ack.CODE, 1, 0, b"", version=2)), 0)
+
+
+def test_nothing_is_armed_before_hello_is_answered(limits):
+    with pytest.raises(SessionError, match="has not answered HELLO"):
+        Session(limits, 5).arm(0)
