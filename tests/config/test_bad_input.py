@@ -14,7 +14,6 @@ from controllers.catalogue import Controller
 from testbed.cli.main import main
 from testbed.config import SHIPPED
 
-
 LAWS = ", ".join(law.__struct_config__.tag for law in get_args(Controller))
 
 
