@@ -16,7 +16,11 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("testbed", "controllers", "sim_twin", "firmware_interface")
-LAWS = ("sotsmc.py", "smc.py", "potential.py")
+LAWS = (
+    "sotsmc.py", "smc.py", "potential.py", "bifurcating.py", "bounded_formation.py",
+    "bounded_leader.py", "bounded_leader_varying.py", "connectivity_static.py",
+    "connectivity_dynamic.py", "collision_sliding.py",
+)  # fmt: skip
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 
