@@ -1,0 +1,110 @@
+"""What an integrator needs of a system: how it is steered and how it moves.
+
+A system is a named tuple; its state `y` and its input `u` (thrust, say) are flat arrays.
+
+    input_of(system, t, y, u)              writes u: what the control asks for
+    derivative_of(system, t, y, u, rate)   writes y': how the state moves under that u
+    control_of(control, t, p, v, u)        writes u, shape (n, 3) [m/s^2], from positions and
+                                           velocities in a relative frame, shape (n, 3)
+
+Two steps, so that an integrator may hold `u` over a step. Compiled code picks the function by the
+type of the tuple, as `testbed.core.law` does and for the same reason: that can be kept on disk.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from numba import types
+from numba.extending import overload
+
+from testbed.core.compiled import compiled
+
+
+def input_of(system, t, y, u):
+    """Write the input of a system, see above; compiled code only."""
+    raise NotImplementedError(f"no compiled input for {type(system).__name__}")
+
+
+def derivative_of(system, t, y, u, rate):
+    """Write the derivative of a system's state, see above; compiled code only."""
+    raise NotImplementedError(f"no compiled derivative for {type(system).__name__}")
+
+
+def control_of(control, t, p, v, u):
+    """Write the accelerations that a control asks for, see above; compiled code only."""
+    raise NotImplementedError(f"no compiled control {type(control).__name__}")
+
+
+def _is(numba_type, tuple_type):
+    return isinstance(numba_type, types.BaseNamedTuple) and numba_type.instance_class is tuple_type
+
+
+def compiled_input(system_type: type) -> Callable[[Callable], Callable]:
+    """Compile a function and make it `input_of` for that type of system."""
+
+    def decorate(function: Callable) -> Callable:
+        kernel = compiled(function)
+
+        @overload(input_of)
+        def choose(system, t, y, u):
+            if _is(system, system_type):
+                return lambda system, t, y, u: kernel(system, t, y, u)
+            return None
+
+        return kernel
+
+    return decorate
+
+
+def compiled_derivative(system_type: type) -> Callable[[Callable], Callable]:
+    """Compile a function and make it `derivative_of` for that type of system."""
+
+    def decorate(function: Callable) -> Callable:
+        kernel = compiled(function)
+
+        @overload(derivative_of)
+        def choose(system, t, y, u, rate):
+            if _is(system, system_type):
+                return lambda system, t, y, u, rate: kernel(system, t, y, u, rate)
+            return None
+
+        return kernel
+
+    return decorate
+
+
+def compiled_control(control_type: type) -> Callable[[Callable], Callable]:
+    """Compile a function and make it `control_of` for that type of control."""
+
+    def decorate(function: Callable) -> Callable:
+        kernel = compiled(function)
+
+        @overload(control_of)
+        def choose(control, t, p, v, u):
+            if _is(control, control_type):
+                return lambda control, t, p, v, u: kernel(control, t, p, v, u)
+            return None
+
+        return kernel
+
+    return decorate
+
+
+class Coast(NamedTuple):
+    """No thrust."""
+
+    unused: float = 0.0  # numba knows no empty tuple's fields
+
+
+@compiled_control(Coast)
+def coast(control, t, p, v, u):
+    """Nothing is asked for."""
+    u[:] = 0.0
+
+
+@compiled
+def clip_each(u, limit):
+    """Bound every component of `u` by `limit`, in place; inf leaves it as it is."""
+    flat = u.reshape(-1)
+    for k in range(flat.shape[0]):
+        flat[k] = min(max(flat[k], -limit), limit)
