@@ -149,7 +149,7 @@ def test_a_law_names_its_source_and_equations(law):
     source = (ROOT / "controllers" / law).read_text()
     docstring = ast.get_docstring(ast.parse(source)) or ""
     assert re.search(r"^Source: .+?\b(19|20)\d\d\b", docstring, re.MULTILINE | re.DOTALL)
-    assert re.search(r"Eq\. \(\w+\)", source)
+    assert re.search(r"Eqs?\. \(\w+\)", source)
 
 
 # Files
