@@ -37,7 +37,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import ArrayLike, NDArray
 
-from testbed.core.compiled import compiled  # first: it says where machine code is kept
+from testbed.core.compiled import compiled  # says where numba keeps machine code, too
 
 Array = NDArray[np.float64]
 
@@ -276,6 +276,7 @@ def some_cells(stiffness, reach, start, who, row, places, first, end, force):
     d, mask, width = force.shape[1], start.shape[0] - 2, cell_width(reach)
     deep = 1 if d == 3 else 0
     xs, ys, zs = places[0], places[1], places[2]
+    limit = reach * reach
     ex, ey, ez, d2 = np.empty(HELD), np.empty(HELD), np.empty(HELD), np.empty(HELD)
     total = np.empty(3)
     for k in range(first, end):
@@ -283,20 +284,21 @@ def some_cells(stiffness, reach, start, who, row, places, first, end, force):
         cx, cy, cz = cell_of(x, width), cell_of(y, width), cell_of(z, width)
         total[0], total[1], total[2] = x - x, y - y, z - z  # 0, or nan at no finite place
         n = np.uint64(0)  # unsigned, as `j`: such an index needs no look at its sign
-        for dz in range(-deep, deep + 1):
-            for dy in range(-1, 2):
-                name = row_of(cy + dy, cz + dz)
+        for up in range(-deep, deep + 1):
+            for side in range(-1, 2):
+                name = row_of(cy + side, cz + up)
                 low = bucket_of(name, cx - 1, mask)
                 together = low + 2 <= mask  # three buckets in one piece, unless round the end
                 for part in range(1 if together else 3):
                     b = (low + part) & mask
                     for m in range(start[b], start[b + 3 if together else b + 1]):
                         j = np.uint64(m)
-                        ex[n], ey[n], ez[n] = x - xs[j], y - ys[j], z - zs[j]
-                        d2[n] = ex[n] * ex[n] + ey[n] * ey[n] + ez[n] * ez[n]
+                        dx, dy, dz = x - xs[j], y - ys[j], z - zs[j]
+                        square = dx * dx + dy * dy + dz * dz
+                        ex[n], ey[n], ez[n], d2[n] = dx, dy, dz, square
                         # another row in the same bucket is asked by its own name; no branch,
                         # because it would be guessed wrong too often
-                        near = (d2[n] > 0.0) & (d2[n] < reach * reach) & (row[j] == name)
+                        near = (square > 0.0) & (square < limit) & (row[j] == name)
                         n += np.uint64(near)
                         if n == np.uint64(HELD):
                             add_up(stiffness, reach, ex, ey, ez, d2, n, total)
