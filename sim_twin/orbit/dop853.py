@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import DOP853
 
-from sim_twin.orbit.system import derivative_of, input_of
+from sim_twin.orbit.system import Integrator, derivative_of, generic, input_of
 from testbed.core.compiled import compiled
 
 Array = NDArray[np.float64]
@@ -87,14 +87,14 @@ def size(y, scale, counted):
     return np.sqrt(total / counted)
 
 
-@compiled
+@generic
 def rate_at(system, t, y, u, out):
     """The derivative, with the input of that very instant."""
     input_of(system, t, y, u)
     derivative_of(system, t, y, u, out)
 
 
-@compiled
+@generic
 def first_step(system, t, y, f, span, rtol, atol, counted, u):
     """Hairer's guess for the first step [s]."""
     scale = atol + np.abs(y) * rtol
@@ -111,7 +111,7 @@ def first_step(system, t, y, f, span, rtol, atol, counted, u):
     return min(100.0 * h0, h1, span)
 
 
-@compiled
+@generic
 def attempt(system, t, y, h, k, u, new, rtol, atol, counted):
     """One step into `new`; k[0] is the derivative at `y`, k[12] becomes the one at `new`.
 
@@ -148,7 +148,7 @@ def attempt(system, t, y, h, k, u, new, rtol, atol, counted):
     return h * five / np.sqrt((five + 0.01 * three) * counted)
 
 
-@compiled
+@Integrator
 def run(system, y0, times, rtol, atol, inputs, max_steps):
     """See `solve`; returns samples, (steps, rejected, evaluations), time reached, how it ended."""
     n = y0.shape[0]

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sim_twin.orbit.system import derivative_of, input_of
-from testbed.core.compiled import compiled
+from sim_twin.orbit.system import Integrator, derivative_of, generic, input_of
 
 Array = NDArray[np.float64]
 
@@ -46,7 +45,7 @@ def solve(
     return run(system, y, float(start), float(step), steps, every, hold, inputs)
 
 
-@compiled
+@generic
 def stage(system, t, y, u, hold, rate):
     """One evaluation."""
     if not hold:
@@ -54,7 +53,7 @@ def stage(system, t, y, u, hold, rate):
     derivative_of(system, t, y, u, rate)
 
 
-@compiled
+@Integrator
 def run(system, y, start, h, steps, every, hold, inputs):
     """See `solve`."""
     n = y.shape[0]

@@ -8,16 +8,63 @@ A system is a named tuple; its state `y` and its input `u` (thrust, say) are fla
                                            velocities in a relative frame, shape (n, 3)
 
 Two steps, so that an integrator may hold `u` over a step. Compiled code picks the function by the
-type of the tuple, as `testbed.core.law` does and for the same reason: that can be kept on disk.
+type of the tuple, as `testbed.core.law` does.
+
+What is compiled for a type of someone else's must not be kept on disk: numba would not notice that
+their file has changed, and could not even read its list of kept code where their module is not
+imported. So everything here that depends on a system's type is compiled anew in each process,
+except the integrators, each of which is kept once per system made of our own types only.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+import hashlib
+from collections.abc import Callable, Iterator
+from types import FunctionType
+from typing import Any, NamedTuple, cast
 
+import numba
 from numba import types
 from numba.extending import overload
 
 from testbed.core.compiled import compiled
+
+OURS = ("testbed.core.", "controllers.", "sim_twin.")  # `compiled` notices when these change
+
+
+def generic(function: Callable) -> Callable:
+    """Compile a function that is handed a system; see above why it is not kept on disk."""
+    return numba.njit(error_model="numpy")(function)
+
+
+class Integrator:
+    """A function (system, ...) that is compiled once per composition of the system."""
+
+    def __init__(self, function: Callable) -> None:
+        self._function = cast(FunctionType, function)
+        self._versions: dict[tuple[type, ...], Callable] = {}
+
+    def __call__(self, system: Any, *arguments: Any) -> Any:
+        """Call the version for this system."""
+        return self.version(tuple(composition(system)))(system, *arguments)
+
+    def version(self, parts: tuple[type, ...]) -> Callable:
+        """The one for systems made of these types."""
+        if parts not in self._versions:
+            f = self._function
+            twin = FunctionType(f.__code__, f.__globals__, f.__name__, f.__defaults__)
+            names = "+".join(f"{part.__module__}.{part.__qualname__}" for part in parts)
+            digest = hashlib.blake2b(names.encode(), digest_size=8).hexdigest()
+            twin.__qualname__ = f"{f.__qualname__}_{digest}"  # numba keeps one list per name
+            kept = all(part.__module__.startswith(OURS) for part in parts)
+            self._versions[parts] = numba.njit(cache=kept, error_model="numpy")(twin)
+        return self._versions[parts]
+
+
+def composition(system: Any) -> Iterator[type]:
+    """The types of a named tuple and of the named tuples inside it."""
+    if isinstance(system, tuple):
+        yield type(system)
+        for value in system:
+            yield from composition(value)
 
 
 def input_of(system, t, y, u):
@@ -43,7 +90,7 @@ def compiled_input(system_type: type) -> Callable[[Callable], Callable]:
     """Compile a function and make it `input_of` for that type of system."""
 
     def decorate(function: Callable) -> Callable:
-        kernel = compiled(function)
+        kernel = generic(function)
 
         @overload(input_of)
         def choose(system, t, y, u):
@@ -60,7 +107,7 @@ def compiled_derivative(system_type: type) -> Callable[[Callable], Callable]:
     """Compile a function and make it `derivative_of` for that type of system."""
 
     def decorate(function: Callable) -> Callable:
-        kernel = compiled(function)
+        kernel = generic(function)
 
         @overload(derivative_of)
         def choose(system, t, y, u, rate):
@@ -77,7 +124,7 @@ def compiled_control(control_type: type) -> Callable[[Callable], Callable]:
     """Compile a function and make it `control_of` for that type of control."""
 
     def decorate(function: Callable) -> Callable:
-        kernel = compiled(function)
+        kernel = generic(function)
 
         @overload(control_of)
         def choose(control, t, p, v, u):

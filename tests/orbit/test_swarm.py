@@ -3,6 +3,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numba.core.caching import NullCache
 from scipy.integrate import solve_ivp
 
 from sim_twin.orbit import dop853, smooth
@@ -10,8 +11,8 @@ from sim_twin.orbit.frames import NADIR, RADIAL
 from sim_twin.orbit.gravity import EARTH, POINT_EARTH
 from sim_twin.orbit.kepler import Orbit
 from sim_twin.orbit.relative import chief_on, drift, frame_at
-from sim_twin.orbit.swarm import Deputies, fly
-from sim_twin.orbit.system import Coast, compiled_control
+from sim_twin.orbit.swarm import Deputies, Swarm, fly
+from sim_twin.orbit.system import Coast, compiled_control, composition
 
 ORBIT = Orbit(a=6978e3, e=0.0002, i=math.radians(98.0), node=0.4, perigee=1.1, theta=0.3)
 
@@ -131,3 +132,13 @@ def test_axes_name_the_same_motion():
 def test_shapes_that_do_not_fit_are_refused(centre, p, q):
     with pytest.raises(ValueError, match="expected a centre of shape"):
         fly(Coast(), np.ones(centre), np.zeros(p), np.zeros(q), (0.0, 1.0), axes=NADIR)
+
+
+def test_what_is_compiled_for_a_foreign_control_is_not_kept_on_disk():
+    # their file may change without numba noticing, and be unknown to the next process
+    def kept(control):
+        parts = tuple(composition(Swarm(control, EARTH, NADIR, 1.0)))
+        return not isinstance(dop853.run.version(parts)._cache, NullCache)
+
+    assert kept(Coast())
+    assert not kept(Push(1.0, 1.0))
