@@ -69,17 +69,17 @@ def composition(system: Any) -> Iterator[type]:
 
 def input_of(system, t, y, u):
     """Write the input of a system, see above; compiled code only."""
-    raise NotImplementedError(f"no compiled input for {type(system).__name__}")
+    raise TypeError(f"no compiled input for {type(system).__name__}")
 
 
 def derivative_of(system, t, y, u, rate):
     """Write the derivative of a system's state, see above; compiled code only."""
-    raise NotImplementedError(f"no compiled derivative for {type(system).__name__}")
+    raise TypeError(f"no compiled derivative for {type(system).__name__}")
 
 
 def control_of(control, t, p, v, u):
     """Write the accelerations that a control asks for, see above; compiled code only."""
-    raise NotImplementedError(f"no compiled control {type(control).__name__}")
+    raise TypeError(f"no compiled control {type(control).__name__}")
 
 
 def _is(numba_type, tuple_type):

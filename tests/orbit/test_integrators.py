@@ -229,9 +229,9 @@ def test_nonsense_is_refused_by_the_fixed_one(changes, message):
 
 
 def test_plain_python_is_told_that_this_is_compiled_code():
-    with pytest.raises(NotImplementedError, match="no compiled input for int"):
+    with pytest.raises(TypeError, match="no compiled input for int"):
         input_of(3, 0.0, None, None)
-    with pytest.raises(NotImplementedError, match="no compiled derivative for int"):
+    with pytest.raises(TypeError, match="no compiled derivative for int"):
         derivative_of(3, 0.0, None, None, None)
-    with pytest.raises(NotImplementedError, match="no compiled control int"):
+    with pytest.raises(TypeError, match="no compiled control int"):
         control_of(3, 0.0, None, None, None)
