@@ -37,6 +37,8 @@ from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
 
+FAR = 80.0  # (|r|/width)^2 where exp(-FAR) = 2e-35 is lost in the rounding of all else
+
 Diagonal = Positive | tuple[Positive, ...]  # one number for all axes, or one per axis
 
 
@@ -130,10 +132,14 @@ def add_repulsion(u, width, offset, error, g):
 def add_repulsions(u, own, discs, offset, error, g):
     """Add the shares of all `discs`; the rows of `offset` but the last are written to."""
     for n in range(discs.p.shape[0]):
+        width = u.width_ratio * (discs.radius[n] + u.standoff)
+        distance = 0.0
         for i in range(own.p.shape[0]):
             offset[0, i] = own.p[i] - discs.p[n, i]
             offset[1, i] = own.v[i] - discs.v[n, i]
-        add_repulsion(u, u.width_ratio * (discs.radius[n] + u.standoff), offset, error, g)
+            distance += offset[0, i] ** 2
+        if distance < FAR * width * width:
+            add_repulsion(u, width, offset, error, g)
 
 
 @compiled

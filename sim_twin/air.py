@@ -1,11 +1,10 @@
 """What leaving gas changes: supply pressure, mass, centre of mass, inertia."""
 
-import numpy as np
-
 from sim_twin.body import CX, CY, FX, INERTIA, MASS, A, B, C
 from testbed.core.compiled import compiled
 
 PASSES = 12
+FLOW, SHARE = range(2)  # columns of `Stages.gas`
 
 
 @compiled
@@ -42,7 +41,7 @@ def breathe(stages, now, rate, h, metal, v, used):
     supply pressure, and that on the gas that is left.
 
     Args:
-        stages: shape (3, 7), written to.
+        stages: `body` and `gas` are written to.
         now: fx, fy, tau and sum of thrust magnitudes at the start, at set pressure.
         rate: their slopes.
         h: [s].
@@ -53,30 +52,31 @@ def breathe(stages, now, rate, h, metal, v, used):
     Returns:
         gas gone at the end [kg], impulse of all jets together [N s].
     """
-    flow, share = np.zeros(3), np.ones(3)
+    body, gas = stages.body, stages.gas
+    gas[:] = 0.0
     for _ in range(PASSES):
         change = 0.0
         for i in range(3):
             gone = used
             for j in range(3):
-                gone += h * A[i, j] * flow[j]
-            share[i] = supply_share(metal, v, gone)
-            new = share[i] * (now[3] + C[i] * h * rate[3]) / metal.exhaust_speed[v]
+                gone += h * A[i, j] * gas[j, FLOW]
+            gas[i, SHARE] = supply_share(metal, v, gone)
+            new = gas[i, SHARE] * (now[3] + C[i] * h * rate[3]) / metal.exhaust_speed[v]
             if gone < metal.gas[v]:
                 new += metal.bearing_flow[v]
-            change = max(change, abs(new - flow[i]))
-            flow[i] = new
+            change = max(change, abs(new - gas[i, FLOW]))
+            gas[i, FLOW] = new
         if change < 1e-18:
             break
     end, impulse = used, 0.0
     for i in range(3):
         gone = used
         for j in range(3):
-            gone += h * A[i, j] * flow[j]
+            gone += h * A[i, j] * gas[j, FLOW]
         for axis in range(3):
-            stages[i, FX + axis] = share[i] * (now[axis] + C[i] * h * rate[axis])
+            body[i, FX + axis] = gas[i, SHARE] * (now[axis] + C[i] * h * rate[axis])
         mass, inertia, cx, cy = body_now(metal, v, min(gone, metal.gas[v]))
-        stages[i, MASS], stages[i, INERTIA], stages[i, CX], stages[i, CY] = mass, inertia, cx, cy
-        end += h * B[i] * flow[i]
-        impulse += h * B[i] * share[i] * (now[3] + C[i] * h * rate[3])
+        body[i, MASS], body[i, INERTIA], body[i, CX], body[i, CY] = mass, inertia, cx, cy
+        end += h * B[i] * gas[i, FLOW]
+        impulse += h * B[i] * gas[i, SHARE] * (now[3] + C[i] * h * rate[3])
     return min(end, metal.gas[v]), impulse

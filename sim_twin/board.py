@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_twin.randomness import Draws
 from testbed.core.compiled import compiled
 from testbed.core.types import ValveCommand
 from testbed.core.vehicle import Vehicle
@@ -94,15 +95,14 @@ class Board:
         self._min_on = nanoseconds(vehicle.valve.min_on_s)
         self._min_off = nanoseconds(vehicle.valve.min_off_s)
         self._spread = vehicle.tolerance.pulse
-        self._rng = rng
+        self._draws = Draws(rng.standard_normal, len(vehicle.jets))
         self.pulses = pulses
         self.openings = 0
 
     def apply(self, command: ValveCommand) -> None:
         """Play a plan."""
-        on = np.array(command.on_us, dtype=np.int64) * 1000
-        offset = np.array(command.offset_us, dtype=np.int64) * 1000
-        strength = 1.0 + self._spread * self._rng.standard_normal(len(on))
+        on, offset = 1000 * np.array((command.on_us, command.offset_us), dtype=np.int64)
+        strength = 1.0 + self._spread * self._draws.take(1)[0]
         start = nanoseconds(command.issued_at) + self._delay
         end = nanoseconds(command.valid_until) + self._delay
         self.openings += play(

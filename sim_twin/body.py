@@ -12,10 +12,15 @@ heading only and is exact in the first pass; tilt and drag contract by about dra
 With constant torque and no drag the heading is the exact parabola.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_twin.ground import tilt_at
 from testbed.core.compiled import compiled
+
+Array = NDArray[np.float64]
 
 _R = np.sqrt(15.0)
 _C = (0.5 - _R / 10.0, 0.5, 0.5 + _R / 10.0)
@@ -32,7 +37,27 @@ C, A, B = np.array(_C), np.array(_A), np.array(_B)
 AA, BB = np.array(_AA), np.array(_BB)
 PASSES = 12
 SMALL = 1e-12  # [m/s^2] a pass that changes less leaves a thousandth of it
-FX, FY, TAU, MASS, INERTIA, CX, CY = range(7)  # columns of `stages`
+FX, FY, TAU, MASS, INERTIA, CX, CY = range(7)  # columns of `Stages.body`
+
+
+class Stages(NamedTuple):
+    """A step at its three Gauss points; memory that steps share, what is in it before is lost."""
+
+    # what the body is: wrench about the origin, mass, inertia about the centre of mass, which is
+    # where in B; shape (3, 7)
+    body: Array
+    gas: Array  # (3, 2) flow [kg/s] and supply pressure over set pressure
+    spin: Array  # (3,) angular acceleration [rad/s^2]
+    accel: Array  # (3, 2) of the origin [m/s^2]
+    still: Array  # (3, 6) what no pass of the iteration changes
+
+
+@compiled
+def new_stages():
+    """Memory for `step`."""
+    return Stages(
+        np.empty((3, 7)), np.empty((3, 2)), np.empty(3), np.empty((3, 2)), np.empty((3, 6))
+    )
 
 
 @compiled
@@ -42,37 +67,37 @@ def step(x, h, stages, drag, spin_drag, ground):
     Args:
         x: see the module's first lines.
         h: [s].
-        stages: what the body is at the three Gauss points of the step, shape (3, 7): body wrench
-            about the origin, mass, inertia about the centre of mass, centre of mass in B.
+        stages: with what the body is; the rest is written to.
         drag: [N s/m].
         spin_drag: [N m s/rad].
         ground: the table.
     """
     theta, omega = x[2], x[5]
-    ax, ay, spin = np.zeros(3), np.zeros(3), np.zeros(3)
+    body, spin, accel, still = stages.body, stages.spin, stages.accel, stages.still
+    spin[:] = 0.0
+    accel[:] = 0.0
     for _ in range(PASSES):
         change = 0.0
         for i in range(3):
             w = omega
             for j in range(3):
                 w += h * A[i, j] * spin[j]
-            cx, cy = stages[i, CX], stages[i, CY]
-            torque = stages[i, TAU] - (cx * stages[i, FY] - cy * stages[i, FX])
-            new = (torque - spin_drag * w) / stages[i, INERTIA]
+            cx, cy = body[i, CX], body[i, CY]
+            torque = body[i, TAU] - (cx * body[i, FY] - cy * body[i, FX])
+            new = (torque - spin_drag * w) / body[i, INERTIA]
             change = max(change, abs(new - spin[i]))
             spin[i] = new
         if spin_drag == 0.0 or change < SMALL:
             break
-    still = np.empty((3, 6))  # no pass changes: r, w, drag / m, acceleration by jets and spin
-    for i in range(3):
+    for i in range(3):  # r, w, drag / m, acceleration by jets and spin
         angle, w = theta + C[i] * h * omega, omega
         for j in range(3):
             angle += h * h * AA[i, j] * spin[j]
             w += h * A[i, j] * spin[j]
         cos, sin = np.cos(angle), np.sin(angle)
-        fx, fy, mass = stages[i, FX], stages[i, FY], stages[i, MASS]
-        rx = cos * stages[i, CX] - sin * stages[i, CY]
-        ry = sin * stages[i, CX] + cos * stages[i, CY]
+        fx, fy, mass = body[i, FX], body[i, FY], body[i, MASS]
+        rx = cos * body[i, CX] - sin * body[i, CY]
+        ry = sin * body[i, CX] + cos * body[i, CY]
         still[i, 0], still[i, 1], still[i, 2], still[i, 3] = rx, ry, w, drag / mass
         still[i, 4] = (cos * fx - sin * fy) / mass + spin[i] * ry + w * w * rx
         still[i, 5] = (sin * fx + cos * fy) / mass - spin[i] * rx + w * w * ry
@@ -83,24 +108,24 @@ def step(x, h, stages, drag, spin_drag, ground):
             rx, ry, w, slow = still[i, 0], still[i, 1], still[i, 2], still[i, 3]
             qx, qy, ux, uy = x[0] + C[i] * h * x[3], x[1] + C[i] * h * x[4], x[3], x[4]
             for j in range(3):
-                qx += h * h * AA[i, j] * ax[j]
-                qy += h * h * AA[i, j] * ay[j]
-                ux += h * A[i, j] * ax[j]
-                uy += h * A[i, j] * ay[j]
+                qx += h * h * AA[i, j] * accel[j, 0]
+                qy += h * h * AA[i, j] * accel[j, 1]
+                ux += h * A[i, j] * accel[j, 0]
+                uy += h * A[i, j] * accel[j, 1]
             gx, gy = tilt_at(ground, qx + rx, qy + ry)
             new_x = still[i, 4] + gx - slow * (ux - w * ry)
             new_y = still[i, 5] + gy - slow * (uy + w * rx)
-            change = max(change, abs(new_x - ax[i]), abs(new_y - ay[i]))
-            ax[i], ay[i] = new_x, new_y
+            change = max(change, abs(new_x - accel[i, 0]), abs(new_y - accel[i, 1]))
+            accel[i, 0], accel[i, 1] = new_x, new_y
         if not weak or change < SMALL:
             break
     x[0] += h * x[3]
     x[1] += h * x[4]
     x[2] += h * x[5]
     for i in range(3):
-        x[0] += h * h * BB[i] * ax[i]
-        x[1] += h * h * BB[i] * ay[i]
+        x[0] += h * h * BB[i] * accel[i, 0]
+        x[1] += h * h * BB[i] * accel[i, 1]
         x[2] += h * h * BB[i] * spin[i]
-        x[3] += h * B[i] * ax[i]
-        x[4] += h * B[i] * ay[i]
+        x[3] += h * B[i] * accel[i, 0]
+        x[4] += h * B[i] * accel[i, 1]
         x[5] += h * B[i] * spin[i]

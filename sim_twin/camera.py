@@ -1,24 +1,81 @@
 """Motion capture: true states in, late and noisy poses out."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_twin.randomness import Draws
+from testbed.core.compiled import compiled
+from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.types import PoseSample
 
 Array = NDArray[np.float64]
 
 
+class Optics(NamedTuple):
+    """The camera system in numbers for compiled code."""
+
+    noise: float  # [m]
+    spin_noise: float  # [rad]
+    latency: float  # [s]
+    jitter: float  # [s]
+    losing: float  # chance of a frame to begin a loss
+    lost: float  # mean length of a loss [s]
+
+
+@compiled
+def photograph(times, states, noise, luck, optics, lost_until):
+    """Take pictures of one body.
+
+    Args:
+        times: of the exposures, shape (n,) [s].
+        states: true x, y, theta, ... then, shape (n, 6).
+        noise: standard normal, shape (n, 4).
+        luck: uniform in [0, 1), shape (n, 2).
+        optics: the cameras.
+        lost_until: end of the loss that began last [s].
+
+    Returns:
+        rows (arrival, time of exposure, x, y, theta) of those that show the body, shape (m, 5), and
+        the new `lost_until`.
+    """
+    rows = np.empty((times.shape[0], 5))
+    m = 0
+    for k in range(times.shape[0]):
+        t = times[k]
+        if t >= lost_until and luck[k, 0] < optics.losing:
+            lost_until = t - optics.lost * np.log1p(-luck[k, 1])
+        if t < lost_until:
+            continue
+        latency = optics.latency + optics.jitter * noise[k, 3]
+        rows[m, 0] = t + max(latency, 0.5 * optics.latency)
+        rows[m, 1] = t
+        rows[m, 2] = states[k, 0] + optics.noise * noise[k, 0]
+        rows[m, 3] = states[k, 1] + optics.noise * noise[k, 1]
+        rows[m, 4] = wrap_compiled(states[k, 2] + optics.spin_noise * noise[k, 2])
+        m += 1
+    return rows[:m], lost_until
+
+
 class Camera:
     """What the camera system reports of one body."""
 
     def __init__(self, mocap: Mocap, rng: np.random.Generator) -> None:
-        self._mocap = mocap
         # a fixed number of draws per exposure: what is seen does not depend on how often one looks
-        self._noise_rng, self._loss_rng = rng.spawn(2)
-        self._noise = np.array([mocap.noise, mocap.noise, np.radians(mocap.noise_deg)])
+        noise_rng, loss_rng = rng.spawn(2)
+        self._noise, self._luck = Draws(noise_rng.standard_normal, 4), Draws(loss_rng.random, 2)
+        self._optics = Optics(
+            mocap.noise,
+            float(np.radians(mocap.noise_deg)),
+            mocap.latency_s,
+            mocap.jitter_s,
+            mocap.dropout_rate / mocap.rate_hz,
+            mocap.dropout_s,
+        )
         self._lost_until = -np.inf
-        self._on_the_way: list[tuple[float, PoseSample]] = []  # (arrival, sample)
+        self._on_the_way: list[list[float]] = []  # (arrival, capture, x, y, theta)
 
     def expose(self, times: Array, states: Array) -> None:
         """Take pictures.
@@ -27,31 +84,14 @@ class Camera:
             times: of the exposures, shape (n,) [s].
             states: true x, y, theta, ... then, shape (n, 6).
         """
-        mocap, n = self._mocap, len(times)
-        chance = self._noise_rng.standard_normal((n, 4))
-        poses = states[:, :3] + self._noise * chance[:, :3]
-        poses[:, 2] = (poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        poses[poses[:, 2] >= np.pi, 2] = -np.pi  # rounded up, see se2.wrap
-        latency = mocap.latency_s + mocap.jitter_s * chance[:, 3]
-        arrival = times + np.maximum(latency, 0.5 * mocap.latency_s)
-        kept = self._kept(times)
-        rows = np.column_stack((arrival, times, poses))[kept].tolist()
-        self._on_the_way += [(row[0], PoseSample(*row[1:])) for row in rows]
-
-    def _kept(self, times: Array) -> NDArray[np.bool_]:
-        """Which exposures still show the body."""
-        mocap = self._mocap
-        kept = times >= self._lost_until
-        chance = self._loss_rng.random((len(times), 2))
-        begins = chance[:, 0] < mocap.dropout_rate / mocap.rate_hz
-        for k in np.nonzero(begins)[0].tolist():
-            if kept[k]:
-                self._lost_until = times[k] - mocap.dropout_s * np.log1p(-chance[k, 1])
-                kept &= (times < times[k]) | (times >= self._lost_until)
-        return kept
+        n = len(times)
+        rows, self._lost_until = photograph(
+            times, states, self._noise.take(n), self._luck.take(n), self._optics, self._lost_until
+        )
+        self._on_the_way += rows.tolist()
 
     def arrived(self, now: float) -> list[PoseSample]:
         """Poses that have arrived by `now` and were not asked for yet, in order of arrival."""
-        here = sorted((pair for pair in self._on_the_way if pair[0] <= now), key=lambda p: p[0])
-        self._on_the_way = [pair for pair in self._on_the_way if pair[0] > now]
-        return [sample for _, sample in here]
+        here = sorted(row for row in self._on_the_way if row[0] <= now)
+        self._on_the_way = [row for row in self._on_the_way if row[0] > now]
+        return [PoseSample(t, x, y, theta) for _, t, x, y, theta in here]

@@ -82,10 +82,9 @@ class Twin:
     def health(self, name: str) -> Health:
         """What the board's sensors read."""
         k = self.names.index(name)
-        air, metal = self.vehicles[name].air, self.plant.metal
-        left = metal.gas[k] - self.plant.used[k]
-        share = self.plant.supply_share(k)
-        return Health(self.now, share * air.set_pressure, air.pressure_in_tank(float(left)))
+        air = self.vehicles[name].air
+        left = air.gas - float(self.plant.used[k])
+        return Health(self.now, air.supply_pressure(left), air.pressure_in_tank(left))
 
 
 class TwinPoses:

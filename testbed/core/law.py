@@ -241,8 +241,10 @@ class CompiledLaw:
 @compiled
 def bounded(force, limit):
     """`force` (d,), shortened to the norm `limit` if it is longer, direction kept."""
-    size = np.sqrt(np.sum(force * force))
-    return force * (limit / size) if size > limit else force
+    square = 0.0
+    for i in range(force.shape[0]):
+        square += force[i] * force[i]
+    return force * (limit / np.sqrt(square)) if square > limit * limit else force
 
 
 @compiled

@@ -10,8 +10,8 @@ outputs bit for bit, which is what replay checks.
 import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
+from testbed.core.compiled import compiled
 from testbed.core.types import (
     Demand,
     Inputs,
@@ -29,8 +29,6 @@ from testbed.flight.gate import Gate, GateParams, closed
 from testbed.flight.guidance import Guidance
 from testbed.flight.modulation import ModulatorParams, SigmaDeltaParams, make_modulator
 from testbed.flight.tracker import Tracker, TrackerParams, brake, due
-
-Array = NDArray[np.float64]
 
 STILL = Wrench(0.0, 0.0, 0.0)
 
@@ -135,28 +133,43 @@ class Agent:
 
     def _plan(self, t: float, wanted: Wrench, share: float) -> ValveCommand:
         duty = self._allocator.allocate(wanted, max(share, 0.1))
-        jets_on = np.count_nonzero(duty)
-        if jets_on > 1:
-            duty = np.minimum(1.0, duty * (1.0 + self._vehicle.air.droop * (jets_on - 1)))
-        on, offset = self._modulator.pulses(duty)
-        if self._stretch != 0.0:
-            on, offset = self._stretched(on, offset)
+        pulses = self._modulator.pulses(against_droop(duty, self._vehicle.air.droop))
+        on, offset = in_microseconds(*pulses, self._stretch, self._period).tolist()
         self._seq += 1
-        return ValveCommand(
-            self._seq,
-            t,
-            t + self._period,
-            tuple(np.rint(1e6 * on).astype(int).tolist()),
-            tuple(np.rint(1e6 * offset).astype(int).tolist()),
-        )
-
-    def _stretched(self, on: Array, offset: Array) -> tuple[Array, Array]:
-        """Command times that give the wanted flow times."""
-        partial = (on > 0.0) & (on < self._period)
-        command = np.where(partial, np.clip(on + self._stretch, 0.0, self._period), on)
-        return command, np.clip(offset - 0.5 * (command - on), 0.0, self._period - command)
+        return ValveCommand(self._seq, t, t + self._period, tuple(on), tuple(offset))
 
     def _given(self, command: ValveCommand, share: float) -> Wrench:
         """Mean wrench of a plan, without droop, by the vehicle file's table."""
-        full = self._allocator.wrench([1e-6 * on / self._period for on in command.on_us])
-        return Wrench(full.fx * share, full.fy * share, full.tau * share)
+        scale = 1e-6 * share / self._period
+        full = self._allocator.wrench(command.on_us)
+        return Wrench(full.fx * scale, full.fy * scale, full.tau * scale)
+
+
+@compiled
+def against_droop(duty, droop):
+    """Duties (jets,) that give what was meant although open jets weaken each other."""
+    open_jets = 0
+    for j in range(duty.shape[0]):
+        open_jets += duty[j] > 0.0
+    return np.minimum(1.0, duty * (1.0 + droop * max(0, open_jets - 1)))
+
+
+@compiled
+def in_microseconds(on, offset, stretch, period):
+    """Command times, shape (2, jets), whole microseconds, that give the wanted times of flow.
+
+    Args:
+        on: shape (jets,) [s].
+        offset: shape (jets,) [s].
+        stretch: how much longer than the flow the command must be [s].
+        period: no command may be longer [s].
+    """
+    times = np.empty((2, on.shape[0]), dtype=np.int64)
+    for j in range(on.shape[0]):
+        command = on[j]
+        if 0.0 < on[j] < period:
+            command = min(max(on[j] + stretch, 0.0), period)
+        start = min(max(offset[j] - 0.5 * (command - on[j]), 0.0), period - command)
+        times[0, j] = np.rint(1e6 * command)
+        times[1, j] = np.rint(1e6 * start)
+    return times

@@ -170,14 +170,31 @@ def duties(effect, gas, ceiling, wrench, torque_first):
     return simplex(columns, cost, upper, np.array([n + 2, n + 3, n + 4]))[:n]
 
 
+@compiled
+def one_sided(effect, gas, thrust_share, wrench, torque_first, opposing):
+    """`duties` at this share of the thrust, without any two jets of `opposing` (n, 2) both open."""
+    weakened = effect * thrust_share
+    ceiling = np.ones(effect.shape[1])
+    while True:
+        duty = duties(weakened, gas, ceiling, wrench, torque_first)
+        shut = -1
+        for n in range(opposing.shape[0]):
+            i, j = opposing[n]
+            if min(duty[i], duty[j]) > TINY:
+                shut = i if duty[i] < duty[j] else j
+                break
+        if shut < 0:
+            return duty
+        ceiling[shut] = 0.0
+
+
 class Allocator:
     """Duty of each jet for a wanted wrench."""
 
     def __init__(self, params: AllocatorParams, vehicle: Vehicle) -> None:
         self._effect = effect_matrix(vehicle.jets, about=vehicle.com)
         self._gas = np.array([jet.thrust for jet in vehicle.jets])
-        self._ones = np.ones(len(vehicle.jets))
-        self._opposing = opposing_pairs(vehicle.jets)
+        self._opposing = np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2)
         self._torque_first = params.priority == "torque"
 
     def allocate(self, wanted: Wrench, thrust_share: float = 1.0) -> Array:
@@ -187,23 +204,10 @@ class Allocator:
             wanted: mean wrench over the period, torque about the centre of mass.
             thrust_share: supply pressure over set pressure.
         """
-        effect = self._effect if thrust_share == 1.0 else self._effect * thrust_share
         wrench = (wanted.fx, wanted.fy, wanted.tau)
-        duty = duties(effect, self._gas, self._ones, wrench, self._torque_first)
-        for one, other in self._opposing:
-            if min(duty[one], duty[other]) > TINY:
-                return self._one_sided(effect, wrench)
-        return duty
-
-    def _one_sided(self, effect: Array, wrench: tuple[float, float, float]) -> Array:
-        ceiling = self._ones.copy()
-        while True:
-            duty = duties(effect, self._gas, ceiling, wrench, self._torque_first)
-            both = [pair for pair in self._opposing if min(duty[list(pair)]) > TINY]
-            if not both:
-                return duty
-            one, other = both[0]
-            ceiling[one if duty[one] < duty[other] else other] = 0.0
+        return one_sided(
+            self._effect, self._gas, thrust_share, wrench, self._torque_first, self._opposing
+        )
 
     def wrench(self, duty: Sequence[float] | Array) -> Wrench:
         """Wrench of these duties at set pressure."""

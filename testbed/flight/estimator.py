@@ -62,6 +62,21 @@ class Fired(NamedTuple):
     offset: Array  # (m, n) [s]
 
 
+@compiled
+def note(fired, start, end, times_us):
+    """Add a plan, in place; `times_us` are on and offset in microseconds, shape (2, n)."""
+    last = fired.start.shape[0] - 1
+    fired.end[last] = min(fired.end[last], start)
+    for m in range(last):
+        fired.start[m], fired.end[m] = fired.start[m + 1], fired.end[m + 1]
+        fired.on[m] = fired.on[m + 1]
+        fired.offset[m] = fired.offset[m + 1]
+    fired.start[last], fired.end[last] = start, end
+    for j in range(times_us.shape[1]):
+        fired.on[last, j] = 1e-6 * times_us[0, j]
+        fired.offset[last, j] = 1e-6 * times_us[1, j]
+
+
 class Model(NamedTuple):
     """The vehicle in numbers."""
 
@@ -78,12 +93,16 @@ def mean_wrench(fired, model, start, end):
     jets = model.effect.shape[1]
     flow = np.zeros(jets)
     open_jets = 0.0
-    for j in range(jets):
-        for m in range(fired.start.shape[0]):
+    closing = model.valve.close_delay + model.valve.close_ramp
+    for m in range(fired.start.shape[0]):
+        if fired.start[m] >= end or fired.end[m] + closing <= start:
+            continue
+        for j in range(jets):
             if fired.on[m, j] > 0.0:
                 up = fired.start[m] + fired.offset[m, j]
                 down = min(up + fired.on[m, j], fired.end[m])
                 flow[j] += open_time(up, down, model.valve, start, end)
+    for j in range(jets):
         open_jets += flow[j]
     span = end - start
     share = 1.0 / (1.0 + model.droop * max(0.0, open_jets / span - 1.0))
@@ -106,18 +125,21 @@ def predict_covariance(cov, h, white, walk):
         white: spectral density of the acceleration noise [m^2/s^3].
         walk: spectral density of the bias walk [m^2/s^5].
     """
-    f = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
-    cov[:] = f @ cov @ f.T
-    h2, h3, h4, h5 = h**2, h**3, h**4, h**5
-    cov[0, 0] += white * h3 / 3.0 + walk * h5 / 20.0
-    cov[0, 1] += white * h2 / 2.0 + walk * h4 / 8.0
-    cov[1, 0] += white * h2 / 2.0 + walk * h4 / 8.0
-    cov[1, 1] += white * h + walk * h3 / 3.0
-    cov[0, 2] += walk * h3 / 6.0
-    cov[2, 0] += walk * h3 / 6.0
-    cov[1, 2] += walk * h2 / 2.0
-    cov[2, 1] += walk * h2 / 2.0
-    cov[2, 2] += walk * h
+    h2, h3 = h * h, h * h * h
+    pp, pv, pb = cov[0, 0], cov[0, 1], cov[0, 2]
+    vv, vb, bb = cov[1, 1], cov[1, 2], cov[2, 2]
+    # F cov F' with p' = p + h v + h^2/2 b, v' = v + h b, written out: it is called for every frame
+    pp += 2.0 * h * pv + h2 * (vv + pb) + h3 * vb + 0.25 * h2 * h2 * bb
+    pv += h * (vv + pb) + 1.5 * h2 * vb + 0.5 * h3 * bb
+    pb += h * vb + 0.5 * h2 * bb
+    vv += 2.0 * h * vb + h2 * bb
+    vb += h * bb
+    cov[0, 0] = pp + white * h3 / 3.0 + walk * h2 * h3 / 20.0
+    cov[1, 1] = vv + white * h + walk * h3 / 3.0
+    cov[2, 2] = bb + walk * h
+    cov[0, 1] = cov[1, 0] = pv + white * h2 / 2.0 + walk * h2 * h2 / 8.0
+    cov[0, 2] = cov[2, 0] = pb + walk * h3 / 6.0
+    cov[1, 2] = cov[2, 1] = vb + walk * h2 / 2.0
 
 
 @compiled
@@ -143,13 +165,19 @@ def predict_mean(x, fired, model, start, end):
 
 @compiled
 def correct(cov, noise):
-    """Kalman gain (3,) for a position of variance `noise`; `cov` is updated in place."""
-    gain = cov[:, 0] / (cov[0, 0] + noise)
-    row = cov[0, :].copy()
-    for i in range(3):
-        for j in range(3):
-            cov[i, j] -= gain[i] * row[j]
-    return gain
+    """Kalman gain of position, velocity and bias for a position of variance `noise`.
+
+    `cov` (3, 3) is updated in place.
+    """
+    pp, pv, pb = cov[0, 0], cov[0, 1], cov[0, 2]
+    by = 1.0 / (pp + noise)
+    cov[1, 1] -= by * pv * pv
+    cov[2, 2] -= by * pb * pb
+    cov[1, 2] = cov[2, 1] = cov[1, 2] - by * pv * pb
+    cov[0, 0] = pp * noise * by
+    cov[0, 1] = cov[1, 0] = pv * noise * by
+    cov[0, 2] = cov[2, 0] = pb * noise * by
+    return pp * by, pv * by, pb * by
 
 
 class Clock(NamedTuple):
@@ -243,16 +271,8 @@ class Estimator:
 
     def remember(self, command: ValveCommand) -> None:
         """Note a plan that was really sent: the prediction is driven by it."""
-        fired, start = self._fired, command.issued_at + self._delay
-        fired.end[-1] = min(fired.end[-1], start)
-        for column in fired:
-            column[:-1] = column[1:]
-        fired.start[-1] = start
-        fired.end[-1] = command.valid_until + self._delay
-        fired.on[-1] = command.on_us
-        fired.offset[-1] = command.offset_us
-        fired.on[-1] *= 1e-6
-        fired.offset[-1] *= 1e-6
+        start, end = command.issued_at + self._delay, command.valid_until + self._delay
+        note(self._fired, start, end, np.array((command.on_us, command.offset_us), dtype=np.int64))
 
     def update(self, samples: Sequence[PoseSample], now: float) -> None:
         """Absorb poses in order of arrival; the first one ever starts the filter, at rest.

@@ -84,7 +84,7 @@ def realisable(on, period, min_on, min_off):
 
 @compiled
 def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
-    """On-times (jets,) for a duty and what is owed from before; `carry` is updated in place.
+    """Centred pulses for a duty and what is owed from before; `carry` is updated in place.
 
     Args:
         duty: shape (jets,).
@@ -94,6 +94,9 @@ def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
         period: [s].
         min_on: [s].
         min_off: [s].
+
+    Returns:
+        on-times and offsets, both of shape (jets,) [s].
     """
     # one period's worth at most: a saturated jet must not repay for minutes afterwards
     wish = duty * period + np.minimum(np.maximum(carry, -period), period)
@@ -108,7 +111,7 @@ def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
         due = wish[j] >= min_on
         on[j] = realisable(wish[j], period, min_on, min_off) if due else 0.0
         carry[j] = wish[j] - on[j]
-    return on
+    return on, 0.5 * (period - on)
 
 
 class Pwm:
@@ -135,8 +138,7 @@ class SigmaDelta:
 
     def pulses(self, duty: Array) -> Pulses:
         """See `Modulator`."""
-        on = fire_with_carry(duty, self._carry, self._thrust, self._opposing, *self._limits)
-        return on, 0.5 * (self._limits[0] - on)
+        return fire_with_carry(duty, self._carry, self._thrust, self._opposing, *self._limits)
 
 
 class Pwpf:
