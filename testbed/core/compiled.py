@@ -4,6 +4,11 @@ Numba keys its disk cache on the file that defines a function, not on the files 
 calls, so an edit in a callee would silently run old machine code. We therefore keep one cache
 folder per content of *all* our source files: an edit anywhere means a new folder and a fresh
 compilation.
+
+What involves other people's files is compiled anew in every process. Beside the machine code of a
+function, numba keeps a list of the argument types it has code for. A type from somebody's own file
+in that list could not be read where that file is not imported, which makes the function unusable
+there; and an edit of that file would go unnoticed.
 """
 
 import hashlib
@@ -13,7 +18,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba import types
 from numba.core import config
+from numba.core.caching import FunctionCache
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -34,14 +41,45 @@ def _cache_folder() -> Path:
     return Path(base) / "airbearing-testbed" / _source_digest()
 
 
+def is_ours(thing: Callable[..., Any]) -> bool:
+    """Whether a function or class is from a file whose edits mean a new cache folder."""
+    names = (package.replace("/", ".") for package in _PACKAGES)
+    return any(thing.__module__ == n or thing.__module__.startswith(f"{n}.") for n in names)
+
+
+def _is_ours_throughout(kind: Any) -> bool:
+    """The same for a type as numba knows it; one that we do not know is not ours."""
+    named, several = isinstance(kind, types.BaseNamedTuple), isinstance(kind, types.BaseTuple)
+    if named and not is_ours(kind.instance_class):
+        return False
+    if several:
+        return all(_is_ours_throughout(part) for part in kind)
+    if isinstance(kind, types.Array):
+        return _is_ours_throughout(kind.dtype)
+    known = (types.Number, types.Boolean, types.UnicodeType, types.Literal, types.NoneType)
+    return isinstance(kind, (*known, types.Omitted))
+
+
+class OwnTypesCache(FunctionCache):
+    """Keeps machine code for arguments of our own types only."""
+
+    def save_overload(self, sig: tuple[Any, ...], data: Any) -> None:
+        """Keep `data`, compiled for arguments of these types, or do not."""
+        if all(_is_ours_throughout(kind) for kind in sig):
+            super().save_overload(sig, data)
+
+
 if "NUMBA_CACHE_DIR" not in os.environ:
     vars(config)["CACHE_DIR"] = str(_cache_folder())
 
 
 def compiled(function: F) -> F:
-    """Compile `function` to machine code on first use and keep the result on disk.
+    """Compile `function` to machine code on first use; keep the result on disk if it is all ours.
 
     No fast-math: results must be the same bit for bit on every run. The plain Python function
     stays reachable as `function.py_func`.
     """
-    return cast(F, numba.njit(cache=True, error_model="numpy")(function))
+    dispatcher: Any = numba.njit(error_model="numpy")(function)
+    if is_ours(function):
+        dispatcher._cache = OwnTypesCache(function)  # what `cache=True` does, but for the class
+    return cast(F, dispatcher)
