@@ -9,11 +9,24 @@ and a time scale T
 and the nominal mass of the paper's satellite stands for the vehicle's.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.law import Ahead, Body, Discs, Goal, Law, Neighbours, World
+from testbed.core.compiled import compiled
+from testbed.core.law import (
+    Ahead,
+    Body,
+    CompiledLaw,
+    Discs,
+    Goal,
+    Law,
+    Neighbours,
+    World,
+    fly_ahead,
+)
 from testbed.core.vehicle import Positive
 
 Array = NDArray[np.float64]
@@ -27,83 +40,109 @@ class Scale(Struct, frozen=True, forbid_unknown_fields=True):
     mass: Positive | None = None  # of the paper's satellite; null: as heavy as the vehicle [kg]
 
 
+class Units(NamedTuple):
+    """What one unit of this world is in the paper's."""
+
+    length: float
+    speed: float
+    accel: float
+    jerk: float
+    time: float
+    force: float
+    mass: float  # of the paper's satellite [kg]
+
+
+@compiled
+def discs_in(units, discs):
+    """Discs as the paper sees them."""
+    return Discs(discs.p * units.length, discs.v * units.speed, discs.radius * units.length)
+
+
+@compiled
+def scene_in(units, own, neighbours, world):
+    """All that a law sees, as the paper sees it; what the laws tell each other is that already."""
+    goal, heard = world.goal, neighbours
+    body = Body(
+        own.p * units.length,
+        own.v * units.speed,
+        units.mass,
+        own.drift * units.accel,
+        own.drift_rate * units.jerk,
+        own.max_force * units.force,
+        own.who,
+    )
+    others = Neighbours(
+        heard.p * units.length,
+        heard.v * units.speed,
+        heard.radius * units.length,
+        heard.who,
+        heard.told,
+        heard.told_at * units.time,
+    )
+    target = Goal(
+        goal.p * units.length,
+        goal.v * units.speed,
+        goal.a * units.accel,
+        goal.jerk * units.jerk,
+    )
+    return body, others, World(target, discs_in(units, world.obstacles))
+
+
+@compiled
+def home(units, ahead):
+    """Where the law takes the satellite, as this world sees it."""
+    return Ahead(
+        ahead.law_state,
+        ahead.p / units.length,
+        ahead.v / units.speed,
+        ahead.mean_force / units.force,
+        ahead.told,
+    )
+
+
+@compiled
+def fly_scaled(gains, units, law_state, own, neighbours, world, t, duration, steps):
+    """`fly_ahead` in the paper's world: one call, because crossing into compiled code costs."""
+    body, others, scene = scene_in(units, own, neighbours, world)
+    t, duration = t * units.time, duration * units.time
+    return home(units, fly_ahead(gains, law_state, body, others, scene, t, duration, steps))
+
+
 class Scaled:
     """A law of a paper's world, flown in this one."""
 
     def __init__(self, law: Law, scale: Scale) -> None:
-        self._law, self._mass, self.words = law, scale.mass, law.words
-        self._length, self._time = scale.length, scale.time
-        self._speed = scale.length / scale.time
-        self._accel = scale.length / scale.time**2
-        self._jerk = scale.length / scale.time**3
+        self._law, self._scale, self.words = law, scale, law.words
 
-    def _force(self, own: Body) -> float:
-        """Paper's newtons per newton."""
-        return self._accel * (self._mass or own.mass) / own.mass
-
-    def _body(self, own: Body) -> Body:
-        return Body(
-            own.p * self._length,
-            own.v * self._speed,
-            self._mass or own.mass,
-            own.drift * self._accel,
-            own.drift_rate * self._jerk,
-            own.max_force * self._force(own),
-            own.who,
-        )
-
-    def _discs(self, discs: Discs) -> Discs:
-        length = self._length
-        return Discs(discs.p * length, discs.v * self._speed, discs.radius * length)
-
-    def _others(self, others: Neighbours) -> Neighbours:
-        """What the laws tell each other stays in the paper's units."""
-        discs = self._discs(Discs(*others[:3]))
-        return Neighbours(*discs, others.who, others.told, others.told_at * self._time)
-
-    def _world(self, world: World) -> World:
-        goal = world.goal
-        return World(
-            Goal(
-                goal.p * self._length,
-                goal.v * self._speed,
-                goal.a * self._accel,
-                goal.jerk * self._jerk,
-            ),
-            self._discs(world.obstacles),
-        )
-
-    def _scene(
-        self, own: Body, neighbours: Neighbours, world: World
-    ) -> tuple[Body, Neighbours, World]:
-        return self._body(own), self._others(neighbours), self._world(world)
+    def _units(self, own: Body) -> Units:
+        length, time, mass = self._scale.length, self._scale.time, self._scale.mass or own.mass
+        accel = length / time**2
+        force = accel * mass / own.mass
+        return Units(length, length / time, accel, length / time**3, time, force, mass)
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`; the law's state stays in the paper's units."""
-        return self._law.initial(*self._scene(own, neighbours, world))
+        return self._law.initial(*scene_in(self._units(own), own, neighbours, world))
 
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """See `Law`; force in newtons here, law state in the paper's units per second here."""
-        force, change = self._law.rate(
-            law_state, *self._scene(own, neighbours, world), t * self._time
-        )
-        return force / self._force(own), change * self._time
+        units = self._units(own)
+        scene = scene_in(units, own, neighbours, world)
+        force, change = self._law.rate(law_state, *scene, t * units.time)
+        return force / units.force, change * units.time
 
     def fly_ahead(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        ahead = self._law.fly_ahead(
-            law_state, *self._scene(own, neighbours, world),
-            t * self._time, duration * self._time, steps,
-        )  # fmt: skip
-        return Ahead(
-            ahead.law_state,
-            ahead.p / self._length,
-            ahead.v / self._speed,
-            ahead.mean_force / self._force(own),
-            ahead.told,
-        )
+        units, law = self._units(own), self._law
+        if isinstance(law, CompiledLaw):
+            return fly_scaled(
+                law.gains, units, law_state, own, neighbours, world, t, duration, steps
+            )
+        scene = scene_in(units, own, neighbours, world)
+        t, duration = t * units.time, duration * units.time
+        return home(units, law.fly_ahead(law_state, *scene, t, duration, steps))

@@ -44,6 +44,7 @@ from testbed.flight.allocation import Allocator, AllocatorParams
 Array = NDArray[np.float64]
 
 DIRECTIONS = 360
+ZERO = np.zeros(2)  # nobody writes to what a law is handed
 
 
 class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -126,11 +127,14 @@ class Guidance:
         self._who = {one: k for k, one in enumerate(formation)}
         self._own = self._who.get(name, 0)
         self._path = path
-        zero = np.zeros(2)
-        self._fixed_goal = Goal(np.array([goal.x, goal.y]), zero, zero, zero)
-        self._centres = np.array([o.position for o in obstacles]).reshape(-1, 2)
-        self._speeds = np.array([o.velocity for o in obstacles]).reshape(-1, 2)
-        self._radii = np.array([o.radius for o in obstacles])
+        self._fixed_goal = Goal(np.array([goal.x, goal.y]), ZERO, ZERO, ZERO)
+        self._obstacles = Discs(
+            np.array([o.position for o in obstacles]).reshape(-1, 2),
+            np.array([o.velocity for o in obstacles]).reshape(-1, 2),
+            np.array([o.radius for o in obstacles]),
+        )
+        self._they_move = bool(self._obstacles.v.any())
+        self._company: tuple[tuple[str, ...], Neighbours] | None = None  # who was heard last
         self._law_state: Array | None = None
         self.told: Told | None = None  # what the law says to the others, if it talks
         self._turn: Turn | None = None
@@ -178,7 +182,7 @@ class Guidance:
     def _reference(self, heard: _Heard, turn: Turn) -> Reference:
         """Where the reference model is now; then it flies on by one period."""
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
-        ahead = self._fly(t, self._p, self._v, np.zeros(2), heard)
+        ahead = self._fly(t, self._p, self._v, ZERO, heard)
         self._t, self._p, self._v = t + self._period, ahead.p, ahead.v
         ax, ay = (ahead.mean_force / self._mass).tolist()
         theta, omega, alpha = turn.at(t)
@@ -186,8 +190,10 @@ class Guidance:
 
     def _fly(self, t: float, p: Array, v: Array, drift: Array, heard: _Heard) -> Ahead:
         """Fly the law ahead over one period; its state is carried on."""
-        own = Body(p, v, self._mass, drift, np.zeros(2), self._max_force, self._own)
-        obstacles = Discs(self._centres + t * self._speeds, self._speeds, self._radii)
+        own = Body(p, v, self._mass, drift, ZERO, self._max_force, self._own)
+        obstacles = self._obstacles
+        if self._they_move:
+            obstacles = Discs(obstacles.p + t * obstacles.v, obstacles.v, obstacles.radius)
         world, others = World(self._goal_at(t), obstacles), self._others(heard, t)
         if self._law_state is None:
             self._law_state = self._law.initial(own, others, world)
@@ -228,15 +234,30 @@ class Guidance:
     def _others(self, heard: _Heard, t: float) -> Neighbours:
         """The others, moved to time `t`; of a law that talks, those whose words were heard."""
         words, k = heard.told, self._law.words
-        names = sorted(heard.states.keys() & words.keys() if k else heard.states)
-        states = [heard.states[name] for name in names]
-        p = [(s.pose.x + (t - s.t) * s.twist.vx, s.pose.y + (t - s.t) * s.twist.vy) for s in states]
-        v = [(s.twist.vx, s.twist.vy) for s in states]
+        names = tuple(sorted(heard.states.keys() & words.keys() if k else heard.states))
+        if self._company is None or self._company[0] != names:
+            self._company = names, self._strangers(names)
+        company = self._company[1]
+        p, v = np.empty_like(company.p), np.empty_like(company.v)
+        for n, name in enumerate(names):
+            state = heard.states[name]
+            ago, pose, twist = t - state.t, state.pose, state.twist
+            p[n] = pose.x + ago * twist.vx, pose.y + ago * twist.vy
+            v[n] = twist.vx, twist.vy
+        said, said_at = company.told, company.told_at
+        if k and names:
+            said = np.array([words[name].values for name in names])
+            said_at = np.array([words[name].t for name in names])
+        return Neighbours(p, v, company.radius, company.who, said, said_at)
+
+    def _strangers(self, names: tuple[str, ...]) -> Neighbours:
+        """What is known of them before they are heard."""
+        n, k = len(names), self._law.words
         return Neighbours(
-            np.array(p).reshape(-1, 2),
-            np.array(v).reshape(-1, 2),
-            np.full(len(names), self._params.neighbour_distance),
+            np.zeros((n, 2)),
+            np.zeros((n, 2)),
+            np.full(n, self._params.neighbour_distance),
             np.array([self._who.get(name, -1) for name in names], dtype=np.int64),
-            np.array([words[name].values if k else () for name in names]).reshape(len(names), k),
-            np.array([words[name].t if k else t for name in names]),
+            np.zeros((n, k)),
+            np.zeros(n),
         )
