@@ -32,7 +32,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import inlined
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ def potential(params: PotentialParams, d: int) -> Potential:
     )
 
 
-@compiled
+@inlined
 def add_repulsion(u, width, offset, error, g):
     """Add one disc's share of Eq. (16) and of its first two time derivatives to the rows of `g`.
 
@@ -128,7 +128,7 @@ def add_repulsion(u, width, offset, error, g):
         g[2, i] += m * (s2 * e + 2.0 * s1 * e1 + s * e2) - (b2 * r + 2.0 * b1 * r1 + b * r2)
 
 
-@compiled
+@inlined
 def add_repulsions(u, own, discs, offset, error, g):
     """Add the shares of all `discs`; the rows of `offset` but the last are written to."""
     for n in range(discs.p.shape[0]):
@@ -142,7 +142,7 @@ def add_repulsions(u, own, discs, offset, error, g):
             add_repulsion(u, width, offset, error, g)
 
 
-@compiled
+@inlined
 def gradient(u, own, force, neighbours, world):
     """Position error and gradient of U where the satellite is, and how they change on the way.
 

@@ -43,7 +43,7 @@ from controllers.potential import (
     potential,
 )
 from controllers.scale import Scale
-from testbed.core.compiled import compiled
+from testbed.core.compiled import inlined
 from testbed.core.law import Body, CompiledLaw, Law, bounded, compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
 
@@ -83,7 +83,7 @@ class Gains(NamedTuple):
     potential: Potential
 
 
-@compiled
+@inlined
 def bound_change(u, change, max_force, length, outward):
     """Keep u within max_force, in place: no rate outwards at the bound, none faster than SLEW.
 

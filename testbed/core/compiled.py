@@ -19,8 +19,10 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba import types
+from numba.core import cgutils
 from numba.core import config
 from numba.core.caching import FunctionCache
+from numba.extending import intrinsic
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -79,7 +81,60 @@ def compiled(function: F) -> F:
     No fast-math: results must be the same bit for bit on every run. The plain Python function
     stays reachable as `function.py_func`.
     """
-    dispatcher: Any = numba.njit(error_model="numpy")(function)
+    return _compiled(function)
+
+
+def inlined(function: F) -> F:
+    """The same, copied into every compiled function that calls it.
+
+    For innermost loops: what a law sees is two hundred words, and a call would hand over them all.
+    """
+    return _compiled(function, forceinline=True)
+
+
+def _compiled(function: F, **options: bool) -> F:
+    dispatcher: Any = numba.njit(error_model="numpy", **options)(function)
     if is_ours(function):
         dispatcher._cache = OwnTypesCache(function)  # what `cache=True` does, but for the class
     return cast(F, dispatcher)
+
+
+def _without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """Code for `value` with the owner of every array in it struck out."""
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder, value=value)
+        array.meminfo = cgutils.get_null_value(array.meminfo.type)
+        array.parent = cgutils.get_null_value(array.parent.type)
+        return array._getvalue()
+    if isinstance(kind, types.BaseTuple):
+        parts = cgutils.unpack_tuple(builder, value, len(kind))
+        lent = [
+            _without_counts(context, builder, k, part) for k, part in zip(kind, parts, strict=True)
+        ]
+        return context.make_tuple(builder, kind, lent)
+    return value
+
+
+@intrinsic
+def borrowed(typingctx: Any, value: Any) -> Any:
+    """The same arrays, or (nested) tuples of arrays, without counting who uses them.
+
+    In compiled code every use of an array of a tuple counts references up and down, with atomic
+    instructions: two thirds of a law's time. What is borrowed is not counted. The owner must
+    outlive it: arguments that came from Python do, and so does what is handed to `keep` afterwards.
+    """
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return _without_counts(context, builder, signature.args[0], args[0])
+
+    return value(value), code
+
+
+@intrinsic
+def keep(typingctx: Any, value: Any) -> Any:
+    """Make `value` live until here."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return context.get_dummy_value()
+
+    return types.void(value), code

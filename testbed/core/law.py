@@ -24,7 +24,7 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import borrowed, compiled, inlined, keep
 
 Array = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
@@ -178,7 +178,7 @@ _dispatch(tell_of, _TELLS, _say_nothing)
 
 def _compiled_into(table: dict[type, Callable], gains_type: type) -> Callable[[F], F]:
     def decorate(function: F) -> F:
-        table[gains_type] = compiled(function)
+        table[gains_type] = inlined(function)
         return cast(F, table[gains_type])
 
     return decorate
@@ -238,7 +238,7 @@ class CompiledLaw:
         return fly_ahead(self.gains, law_state, own, neighbours, world, t, duration, steps)
 
 
-@compiled
+@inlined
 def bounded(force, limit):
     """`force` (d,), shortened to the norm `limit` if it is longer, direction kept."""
     square = 0.0
@@ -275,18 +275,23 @@ def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
     drift = own.drift.copy()
     goal_p, goal_v, goal_a = world.goal.p.copy(), world.goal.v.copy(), world.goal.a.copy()
     rocks_p, others_p = world.obstacles.p.copy(), neighbours.p.copy()
-    body = Body(p, v, own.mass, drift, own.drift_rate, own.max_force, own.who)
-    others = Neighbours(
-        others_p, neighbours.v, neighbours.radius,
-        neighbours.who, neighbours.told, neighbours.told_at,
+    body = borrowed(Body(p, v, own.mass, drift, own.drift_rate, own.max_force, own.who))
+    others = borrowed(
+        Neighbours(
+            others_p, neighbours.v, neighbours.radius,
+            neighbours.who, neighbours.told, neighbours.told_at,
+        )
     )  # fmt: skip
-    scene = World(
-        Goal(goal_p, goal_v, goal_a, world.goal.jerk),
-        Discs(rocks_p, world.obstacles.v, world.obstacles.radius),
+    scene = borrowed(
+        World(
+            Goal(goal_p, goal_v, goal_a, world.goal.jerk),
+            Discs(rocks_p, world.obstacles.v, world.obstacles.radius),
+        )
     )
+    gains, state = borrowed(gains), borrowed(z)
     mean_force = np.zeros(p.shape[0])
     for k in range(steps):
-        force, z_rate = rate_of(gains, z, body, others, scene, t + k * h)
+        force, z_rate = rate_of(gains, state, body, others, scene, t + k * h)
         for i in range(p.shape[0]):
             mean_force[i] += force[i] / steps
             a = force[i] / own.mass + drift[i]
@@ -302,5 +307,6 @@ def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
                 others_p[n, i] += h * neighbours.v[n, i]
         for i in range(z.shape[0]):  # last: the force may be a view of the law's state
             z[i] += h * z_rate[i]
-    told = tell_of(gains, z, body, others, scene, t + duration)
+    told = tell_of(gains, state, body, others, scene, t + duration)
+    keep((own, neighbours, world, drift, goal_p, goal_v, goal_a, rocks_p, others_p))
     return Ahead(z, p, v, mean_force, told)
