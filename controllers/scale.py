@@ -129,8 +129,8 @@ class Scaled:
     ) -> tuple[Array, Array]:
         """See `Law`; force in newtons here, law state in the paper's units per second here."""
         units = self._units(own)
-        scene = scene_in(units, own, neighbours, world)
-        force, change = self._law.rate(law_state, *scene, t * units.time)
+        body, others, scene = scene_in(units, own, neighbours, world)
+        force, change = self._law.rate(law_state, body, others, scene, t * units.time)
         return force / units.force, change * units.time
 
     def fly_ahead(
@@ -143,6 +143,7 @@ class Scaled:
             return fly_scaled(
                 law.gains, units, law_state, own, neighbours, world, t, duration, steps
             )
-        scene = scene_in(units, own, neighbours, world)
+        body, others, scene = scene_in(units, own, neighbours, world)
         t, duration = t * units.time, duration * units.time
-        return home(units, law.fly_ahead(law_state, *scene, t, duration, steps))
+        ahead = law.fly_ahead(law_state, body, others, scene, t, duration, steps)
+        return home(units, ahead)

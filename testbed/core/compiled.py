@@ -19,8 +19,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba import types
-from numba.core import cgutils
-from numba.core import config
+from numba.core import cgutils, config
 from numba.core.caching import FunctionCache
 from numba.extending import intrinsic
 
@@ -92,8 +91,8 @@ def inlined(function: F) -> F:
     return _compiled(function, forceinline=True)
 
 
-def _compiled(function: F, **options: bool) -> F:
-    dispatcher: Any = numba.njit(error_model="numpy", **options)(function)
+def _compiled(function: F, *, forceinline: bool = False) -> F:
+    dispatcher: Any = numba.njit(error_model="numpy", forceinline=forceinline)(function)
     if is_ours(function):
         dispatcher._cache = OwnTypesCache(function)  # what `cache=True` does, but for the class
     return cast(F, dispatcher)
@@ -107,10 +106,8 @@ def _without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
         array.parent = cgutils.get_null_value(array.parent.type)
         return array._getvalue()
     if isinstance(kind, types.BaseTuple):
-        parts = cgutils.unpack_tuple(builder, value, len(kind))
-        lent = [
-            _without_counts(context, builder, k, part) for k, part in zip(kind, parts, strict=True)
-        ]
+        kinds, parts = list(cast(Any, kind)), cgutils.unpack_tuple(builder, value, len(kind))
+        lent = [_without_counts(context, builder, *pair) for pair in zip(kinds, parts, strict=True)]
         return context.make_tuple(builder, kind, lent)
     return value
 

@@ -12,7 +12,6 @@ The centre of mass is taken at the body's origin here; the few millimetres betwe
 the bias.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -197,16 +196,18 @@ def doubt(cov, error, shove):
 
 
 @compiled
-def absorb(x, cov, cov_spin, clock, samples, fired, model, noise, walk, gate):
+def absorb(x, cov, cov_spin, clock, samples, now, fired, model, noise, walk, gate):
     """Run the filter over `samples`, shape (n, 4), changing x, cov and cov_spin in place.
 
     A sample captured before the filter's time has come too late and is passed over: the ones after
-    it already said more. Returns the new clock.
+    it already said more; so is one from after `now`, and one that is not a number. Returns the new
+    clock.
     """
     t, newest, refused = clock
     for n in range(samples.shape[0]):
         captured = samples[n, 0]
-        if not captured > t:  # late, or not a number
+        whole = np.isfinite(samples[n, 1] + samples[n, 2] + samples[n, 3])
+        if not (t < captured <= now and whole):
             continue
         predict_mean(x, fired, model, t, captured)
         predict_covariance(cov, captured - t, walk[0], walk[1])
@@ -280,20 +281,20 @@ class Estimator:
         A pose captured after `now` [s] has a wrong clock. Believing it would make every later one
         come too late, so it is passed over.
         """
-        rows = [
-            (s.captured_at, s.x, s.y, s.theta)
-            for s in samples
-            if s.captured_at <= now and math.isfinite(s.x + s.y + s.theta)
-        ]
-        if not rows:
+        if not samples:
             return
-        table = np.array(rows)
+        flat: list[float] = []
+        for s in samples:
+            flat += s.captured_at, s.x, s.y, s.theta
+        table = np.array(flat).reshape(-1, 4)
         if self._x is None:
+            table = table[np.isfinite(table).all(axis=1) & (table[:, 0] <= now)]
+            if len(table) == 0:
+                return
             self._start(table[0])
-            table = table[1:]
         assert self._x is not None
         self._clock = absorb(
-            self._x, self._cov, self._cov_spin, self._clock, table, self._fired, self._model,
+            self._x, self._cov, self._cov_spin, self._clock, table, now, self._fired, self._model,
             self._noise, self._walk, self._params.gate_sigma,
         )  # fmt: skip
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_twin.body import C, step
+from sim_twin.body import C, new_stages, step
 from sim_twin.ground import lay
 
 SPAN = 1.6  # [s]
@@ -14,6 +14,7 @@ WARPED = {"uniform": (0.2, -0.1), "map": [[(-0.9, 0.5), (0.6, -0.7)], [(0.3, 0.8
 def end_after(make_table):
     """The end of a turning, draggy flight over a warped table in steps of equal length."""
     ground = lay(make_table(tilt=WARPED))
+    stages = new_stages()
     value, slope = np.array([3.0, -2.0, 0.3]), np.array([-1.5, 2.5, -0.4])
 
     def fly(steps):
@@ -21,7 +22,8 @@ def end_after(make_table):
         for k in range(steps):
             points = (k + C[:, None]) * h
             body = np.tile([12.5, 0.2, 0.03, -0.05], (3, 1))
-            step(x, h, np.hstack([value + points * slope, body]), 2.0, 0.05, ground)
+            stages.body[:] = np.hstack([value + points * slope, body])
+            step(x, h, stages, 2.0, 0.05, ground)
         return x
 
     return fly

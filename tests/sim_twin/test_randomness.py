@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim_twin.metal import forge
-from sim_twin.randomness import stream
+from sim_twin.randomness import Draws, stream
 from testbed.core.jets import effect_matrix
 
 
@@ -51,3 +51,10 @@ def test_one_vehicle_more_changes_no_other(shipped_vehicle):
     many = forge({"c": shipped_vehicle, "a": shipped_vehicle, "b": shipped_vehicle}, 1)
     for before, after in zip(few, many, strict=True):
         assert (before == after[1:]).all()
+
+
+def test_draws_do_not_depend_on_how_many_are_taken_at_a_time():
+    one_by_one = Draws(stream(1, "a").standard_normal, 3)
+    sizes = [1, 0, 5, 300, 2, 700, 10]
+    taken = np.concatenate([one_by_one.take(n) for n in sizes])
+    assert (taken == stream(1, "a").standard_normal((sum(sizes), 3))).all()
