@@ -87,6 +87,32 @@ def schema(kind: str) -> None:
     print_schema(kind)
 
 
+@main.command()
+@click.argument("file")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder; one begun before is gone on with.  [default: runs/campaign_<name>]",
+)
+@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
+              help="Processes on this machine.")  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead.")
+@click.option("--json", "as_json", is_flag=True, help="Print summary.json and nothing else.")
+@click.pass_context
+def campaign(
+    context: click.Context,
+    file: str,
+    out: Path | None,
+    jobs: int,
+    scheduler: str | None,
+    as_json: bool,
+) -> None:
+    """Fly the many runs of a campaign FILE and sum them up (docs/campaigns.md)."""
+    from testbed.cli.campaign import run_campaign
+
+    context.exit(run_campaign(file, out, jobs, scheduler, as_json))
+
+
 def entry() -> None:
     """Run the command as a program, with the exit codes above."""
     try:

@@ -1,0 +1,78 @@
+"""Numbers that a campaign compares and a single run does not print.
+
+goal_rms_m    true position against the goal, where it is by then, in the second half of the run
+shape_rms_m   a vehicle's distances to its partners of the formation against the wanted ones, in
+              the second half of the run
+clearance_m   smallest distance to an obstacle less its danger radius
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.config import Experiment, VehicleSetup
+from testbed.ops.metrics import Track, obstacle_distances
+
+Array = NDArray[np.float64]
+
+
+def beside_metrics(
+    experiment: Experiment, track: Track
+) -> dict[str, dict[str, float | int | None]]:
+    """By vehicle, the numbers above."""
+    if len(track.t) == 0:
+        return {}
+    late = track.t >= 0.5 * experiment.duration_s
+    wanted = wanted_distances(experiment)
+    numbers: dict[str, dict[str, float | int | None]] = {}
+    for k, (name, setup) in enumerate(experiment.vehicles.items()):
+        gaps = [
+            distance - experiment.obstacles[rock].radius
+            for rock, distance in obstacle_distances(track, k, experiment.obstacles).items()
+        ]
+        off = track.states[late, k, :2] - goal_at(setup, track.t[late])
+        numbers[name] = {
+            "goal_rms_m": _rms(np.hypot(*off.T)),
+            "shape_rms_m": _rms(shape_errors(experiment, track, late, name, wanted)),
+            "clearance_m": min(gaps) if gaps else None,
+        }
+    return numbers
+
+
+def goal_at(setup: VehicleSetup, times: Array) -> Array:
+    """Where a vehicle's goal is, shape (len(times), 2) [m]."""
+    start = np.array(setup.goal[:2])
+    if setup.path is None:
+        return np.broadcast_to(start, (len(times), 2))
+    return start + np.array([setup.path.at(t).p for t in times.tolist()]).reshape(-1, 2)
+
+
+def wanted_distances(experiment: Experiment) -> dict[tuple[str, str], float]:
+    """Pairs that the law's formation keeps together, and how far apart [m]; may be none."""
+    formation = getattr(experiment.controller, "formation", None)
+    distances: Mapping[str, float] = getattr(formation, "distances", {})
+    reach = getattr(formation, "far", np.inf)
+    pairs = {tuple(name.split("-", 1)): wanted for name, wanted in distances.items()}
+    return {(a, b): wanted for (a, b), wanted in pairs.items() if wanted < reach}
+
+
+def shape_errors(
+    experiment: Experiment,
+    track: Track,
+    late: NDArray[np.bool_],
+    name: str,
+    wanted: Mapping[tuple[str, str], float],
+) -> Array:
+    """One vehicle's distances to its partners less the wanted ones, all times together [m]."""
+    names = list(experiment.vehicles)
+    errors = [np.zeros(0)]
+    for (a, b), distance in wanted.items():
+        if name in (a, b) and a in names and b in names:
+            pair = track.states[late][:, [names.index(a), names.index(b)], :2]
+            errors.append(np.hypot(*(pair[:, 0] - pair[:, 1]).T) - distance)
+    return np.concatenate(errors)
+
+
+def _rms(values: Array) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
