@@ -10,7 +10,8 @@ from html import escape
 from typing import NamedTuple
 
 WIDTH, HEIGHT = 420.0, 260.0
-LEFT, RIGHT, TOP, BOTTOM = 54.0, 12.0, 14.0, 42.0
+LOG_FROM = 6.0  # largest over least number
+LEFT, RIGHT, TOP, BOTTOM = 60.0, 12.0, 14.0, 42.0
 
 
 class Point(NamedTuple):
@@ -30,10 +31,36 @@ class Axis(NamedTuple):
     start: float  # on the page
     end: float
     title: str
+    log: bool = False
 
     def at(self, value: float) -> float:
         """Where a number is on the page."""
-        return self.start + (self.end - self.start) * (value - self.low) / (self.high - self.low)
+        share = (value - self.low) / (self.high - self.low)
+        if self.log:
+            share = math.log(value / self.low) / math.log(self.high / self.low)
+        return self.start + (self.end - self.start) * share
+
+    def ticks(self) -> list[float]:
+        """Round numbers along it."""
+        return log_ticks(self.low, self.high) if self.log else ticks(self.low, self.high)
+
+
+def wants_log(values: Sequence[float]) -> bool:
+    """Whether the numbers span so much that the small ones would be lost."""
+    return min(values) > 0.0 and max(values) > LOG_FROM * min(values)
+
+
+def log_span(values: Sequence[float], room: float = 0.04) -> tuple[float, float]:
+    """Like `span`, for a logarithmic axis."""
+    more = (max(values) / min(values)) ** room
+    return min(values) / more, max(values) * more
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """1, 2, 5 of each power of ten, or the powers alone where those are many."""
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    steps = (1.0, 2.0, 5.0) if math.log10(high / low) < 3.0 else (1.0,)
+    return [m * 10.0**n for n in powers for m in steps if low <= m * 10.0**n <= high]
 
 
 def span(values: Sequence[float], room: float = 0.04) -> tuple[float, float]:
@@ -58,14 +85,14 @@ def number(value: float) -> str:
     return f"{0.0 if abs(value) < 1e-12 else value:.4g}".replace("-", "\N{MINUS SIGN}")
 
 
-def wide(low: float, high: float, title: str) -> Axis:
+def wide(low: float, high: float, title: str, log: bool = False) -> Axis:
     """The axis along the bottom."""
-    return Axis(low, high, LEFT, WIDTH - RIGHT, title)
+    return Axis(low, high, LEFT, WIDTH - RIGHT, title, log)
 
 
-def tall(low: float, high: float, title: str) -> Axis:
+def tall(low: float, high: float, title: str, log: bool = False) -> Axis:
     """The axis up the left side."""
-    return Axis(low, high, HEIGHT - BOTTOM, TOP, title)
+    return Axis(low, high, HEIGHT - BOTTOM, TOP, title, log)
 
 
 def page(parts: Sequence[str], label: str, height: float = HEIGHT) -> str:
@@ -84,11 +111,11 @@ def text(x: float, y: float, words: str, kind: str = "label", extra: str = "") -
 def frame(x: Axis, y: Axis, x_ticks: bool = True, y_ticks: bool = True) -> list[str]:
     """Grid, numbers and titles."""
     parts = []
-    for value in ticks(y.low, y.high) if y_ticks else ():
+    for value in y.ticks() if y_ticks else ():
         at = y.at(value)
         parts.append(f'<path class="grid" d="M{x.start:g} {at:.1f}H{x.end:g}"/>')
         parts.append(text(x.start - 7, at + 3.5, number(value), "tick", 'text-anchor="end"'))
-    for value in ticks(x.low, x.high) if x_ticks else ():
+    for value in x.ticks() if x_ticks else ():
         at = x.at(value)
         parts.append(f'<path class="grid" d="M{at:.1f} {y.start:g}V{y.end:g}"/>')
         parts.append(text(at, y.start + 15, number(value), "tick", 'text-anchor="middle"'))
@@ -105,27 +132,32 @@ def frame(x: Axis, y: Axis, x_ticks: bool = True, y_ticks: bool = True) -> list[
 def histogram(passed: Sequence[float], others: Sequence[float], title: str, bins: int = 24) -> str:
     """How often a number lies where; those that did not pass on top."""
     values = [*passed, *others]
-    low, high = span(values, 0.0)
-    step = (high - low) / bins
+    log = wants_log(values)
+    low, high = log_span(values, 0.0) if log else span(values, 0.0)
+    x = wide(low, high, title, log)
+    width = (x.end - x.start) / bins
 
     def count(of: Sequence[float]) -> list[int]:
         found = [0] * bins
         for value in of:
-            found[min(bins - 1, max(0, int((value - low) / step)))] += 1
+            found[min(bins - 1, max(0, int((x.at(value) - x.start) / width)))] += 1
         return found
 
+    def edge(k: int) -> float:
+        share = k / bins
+        return low * (high / low) ** share if log else low + share * (high - low)
+
     good, bad = count(passed), count(others)
-    x = wide(low, high, title)
     y = tall(0.0, 1.08 * max(g + b for g, b in zip(good, bad, strict=True)), "runs")
     parts = frame(x, y)
     for k, (g, b) in enumerate(zip(good, bad, strict=True)):
-        left, right = x.at(low + k * step) + 0.75, x.at(low + (k + 1) * step) - 0.75
-        hint = f"{number(low + k * step)} to {number(low + (k + 1) * step)}: {g} passed, {b} not"
+        left = x.start + k * width + 0.75
+        hint = f"{number(edge(k))} to {number(edge(k + 1))}: {g} passed, {b} not"
         for kind, bottom, top in (("good", 0, g), ("bad", g, g + b)):
             if top > bottom:
                 parts.append(
                     f'<rect class="{kind}" x="{left:.1f}" y="{y.at(top):.1f}" '
-                    f'width="{right - left:.1f}" height="{y.at(bottom) - y.at(top):.1f}">'
+                    f'width="{width - 1.5:.1f}" height="{y.at(bottom) - y.at(top):.1f}">'
                     f"<title>{escape(hint)}</title></rect>"
                 )
     return page(parts, f"distribution of {title}")
@@ -144,8 +176,9 @@ def scatter(
     points: Sequence[Point], x_title: str, y_title: str, front: Sequence[Point] = ()
 ) -> str:
     """Runs by two numbers; a front is drawn as a line from point to point."""
-    x = wide(*span([p.x for p in points]), x_title)
-    y = tall(*span([p.y for p in points]), y_title)
+    x_log, y_log = wants_log([p.x for p in points]), wants_log([p.y for p in points])
+    x = wide(*(log_span if x_log else span)([p.x for p in points]), x_title, x_log)
+    y = tall(*(log_span if y_log else span)([p.y for p in points]), y_title, y_log)
     parts = frame(x, y)
     parts += [mark(x.at(p.x), y.at(p.y), p) for p in points]
     if front:

@@ -27,9 +27,10 @@ def fields(values: Sequence[float]) -> tuple[list[int], list[str]]:
     distinct = sorted(set(values))
     if len(distinct) <= FEW:
         return [distinct.index(value) for value in values], [chart.number(v) for v in distinct]
-    edges = np.linspace(distinct[0], distinct[-1], BINS + 1)
+    even = np.geomspace if chart.wants_log(distinct) else np.linspace
+    edges = even(distinct[0], distinct[-1], BINS + 1)
     where = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
-    return where.tolist(), [chart.number(float(v)) for v in 0.5 * (edges[1:] + edges[:-1])]
+    return where.tolist(), [f"{v:.3g}" for v in 0.5 * (edges[1:] + edges[:-1])]
 
 
 def heat_map(table: Table, a: str, b: str, what: Quantity | None) -> str:

@@ -16,7 +16,7 @@ from testbed.campaign.sweep import Campaign
 
 MOST_POINTS = 1500  # in one scatter; more are no clearer and make a page of megabytes
 MOST_CASES = 40
-ERRORS = ("shape_rms_m", "goal_rms_m", "hold_rms_m", "track_rms_m", "final_error_m")
+ERRORS = ("shape_rms_m", "goal_rms_m", "track_rms_m", "final_error_m")
 
 
 def html_report(

@@ -1,6 +1,7 @@
 """Numbers that a campaign compares and a single run does not print.
 
-goal_rms_m    true position against the goal, where it is by then, in the second half of the run
+goal_rms_m    true position against the goal: in the last 30 s, or in the second half of the run
+              where that is shorter or the goal moves
 shape_rms_m   a vehicle's distances to its partners of the formation against the wanted ones, in
               the second half of the run
 clearance_m   smallest distance to an obstacle less its danger radius
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.config import Experiment, VehicleSetup
-from testbed.ops.metrics import Track, obstacle_distances
+from testbed.ops.metrics import HOLD_S, Track, obstacle_distances
 
 Array = NDArray[np.float64]
 
@@ -24,6 +25,7 @@ def beside_metrics(
     if len(track.t) == 0:
         return {}
     late = track.t >= 0.5 * experiment.duration_s
+    end = track.t > track.t[-1] - HOLD_S
     wanted = wanted_distances(experiment)
     numbers: dict[str, dict[str, float | int | None]] = {}
     for k, (name, setup) in enumerate(experiment.vehicles.items()):
@@ -31,7 +33,8 @@ def beside_metrics(
             distance - experiment.obstacles[rock].radius
             for rock, distance in obstacle_distances(track, k, experiment.obstacles).items()
         ]
-        off = track.states[late, k, :2] - goal_at(setup, track.t[late])
+        window = late & end if setup.path is None else late
+        off = track.states[window, k, :2] - goal_at(setup, track.t[window])
         numbers[name] = {
             "goal_rms_m": _rms(np.hypot(*off.T)),
             "shape_rms_m": _rms(shape_errors(experiment, track, late, name, wanted)),

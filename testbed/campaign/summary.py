@@ -23,9 +23,8 @@ class Quantity(Struct, frozen=True):
 
 
 QUANTITIES = (
-    Quantity("goal_rms_m", "RMS error to the goal, second half", "mm", 1e3),
-    Quantity("shape_rms_m", "RMS error of the formation, second half", "mm", 1e3),
-    Quantity("hold_rms_m", "hold RMS, last 30 s", "mm", 1e3),
+    Quantity("goal_rms_m", "RMS error to the goal", "mm", 1e3),
+    Quantity("shape_rms_m", "RMS error of the formation", "mm", 1e3),
     Quantity("track_rms_m", "tracking RMS", "mm", 1e3),
     Quantity("heading_rms_deg", "heading RMS", "deg"),
     Quantity("settle_s", "settled after", "s"),

@@ -161,7 +161,8 @@ def print_summary(
     rate = 100.0 * (summary.success_rate or 0.0)
     out.print(
         f"{title}, {summary.succeeded} passed: [bold]{rate:.1f} %[/] "
-        f"({100 * low:.1f} to {100 * high:.1f} % with {100 * summary.confidence:g} % confidence)"
+        f"({100 * low:.1f} to {100 * high:.1f} % with {100 * summary.confidence:g} % confidence)",
+        soft_wrap=True,
     )
     for reason, count in summary.reasons.items():
         out.print(f"  {count:5d}  {reason}", markup=False, style="red")
@@ -187,7 +188,7 @@ def print_summary(
 def _print_spreads(out: Console, summary: Summary) -> None:
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("", "best", "median", "95 %", "worst", "in run"):
-        grid.add_column(heading, justify="right" if heading else "left")
+        grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     for one in summary.spreads:
         unit = f" \\[{one.quantity.unit}]" if one.quantity.unit else ""
         numbers = (one.best, one.median, one.p95, one.worst)
