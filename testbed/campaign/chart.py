@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 WIDTH, HEIGHT = 420.0, 260.0
 LOG_FROM = 6.0  # largest over least number
-LEFT, RIGHT, TOP, BOTTOM = 60.0, 12.0, 14.0, 42.0
+LEFT, RIGHT, TOP, BOTTOM = 66.0, 12.0, 14.0, 42.0
 
 
 class Point(NamedTuple):

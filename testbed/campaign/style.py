@@ -50,7 +50,8 @@ figcaption { color: var(--soft); font-size: 12.5px; padding: 0 6px 4px; }
 th, td { text-align: left; padding: 7px 14px; border-bottom: 1px solid var(--line);
   vertical-align: top; } tr:last-child td { border-bottom: 0; }
 th { font-weight: 600; color: var(--soft); font-size: 12.5px; white-space: nowrap; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.n, th.n { text-align: right; width: 1%; white-space: nowrap;
+  font-variant-numeric: tabular-nums; }
 .passed { color: var(--good); } .failed, .fault, .error, .refused, .lost { color: var(--bad); }
 code { font: 12px/1.45 ui-monospace, "SF Mono", Menlo, Consolas, monospace; }
 td code { display: block; overflow-wrap: anywhere; } td.wide { width: 52%; min-width: 320px; }

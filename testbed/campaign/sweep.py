@@ -26,6 +26,7 @@ flown all combinations equally often.
 """
 
 import math
+import re
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
@@ -127,7 +128,7 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
 class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
     """A campaign as its file says it."""
 
-    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+    name: str  # of its folder
     experiment: str
     description: str = ""
     set: list[str] = []
@@ -219,6 +220,7 @@ def load_campaign(path: Path) -> Campaign:
         ConfigError: something is wrong, in either, or in a corner of the sweep.
     """
     file = read_file(path, CampaignFile)
+    check_name(path, file.name)
     names = [axis.label for axis in file.grid] + [draw.label for draw in file.draw]
     for name in names:
         if names.count(name) > 1 or name == "seed":
@@ -246,6 +248,13 @@ def read_file(path: Path, kind: type[Any]) -> Any:
         misfit = first_misfit(tree, kind)
         expected = misfit.expected if misfit.key else str(error)
         raise ConfigError(str(path), spell(misfit.key), expected, misfit.found) from None
+
+
+def check_name(path: Path, name: str) -> None:
+    """Refuse a name that cannot be part of a folder's."""
+    if not re.fullmatch(r"[A-Za-z0-9][\w.-]{0,63}", name, re.ASCII):
+        expected = "at most 64 letters, digits, `_`, `-`, `.`, the first a letter or digit"
+        raise ConfigError(str(path), "name", expected, show(name))
 
 
 def experiment_path(path: Path, name: str) -> Path:
