@@ -113,6 +113,32 @@ def campaign(
     context.exit(run_campaign(file, out, jobs, scheduler, as_json))
 
 
+@main.command()
+@click.argument("file")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder; one begun before is gone on with.  [default: runs/tuning_<name>]",
+)
+@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
+              help="Processes on this machine.")  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead.")
+@click.option("--json", "as_json", is_flag=True, help="Print tuning.json and nothing else.")
+@click.pass_context
+def tune(
+    context: click.Context,
+    file: str,
+    out: Path | None,
+    jobs: int,
+    scheduler: str | None,
+    as_json: bool,
+) -> None:
+    """Choose gains within the bounds of a tuning FILE and write the best as an experiment."""
+    from testbed.cli.tune import run_tuning
+
+    context.exit(run_tuning(file, out, jobs, scheduler, as_json))
+
+
 def entry() -> None:
     """Run the command as a program, with the exit codes above."""
     try:
