@@ -11,7 +11,8 @@ report.html      the same to look at
 
 import shlex
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.journal import Head, Journal
-from testbed.campaign.row import Flown, Kept, Task
+from testbed.campaign.row import Flown, Kept, Task, within
 from testbed.campaign.sweep import Campaign
 
 MOST_WARMED = 20  # combinations of a grid; others are compiled by their worker
@@ -36,6 +37,16 @@ class Crew(Struct, frozen=True):
     warm: Callable[[str, Sequence[Task]], None]  # a moment of each, so that all is compiled
     jobs: int = 1
     scheduler: str | None = None
+    client: Any = None  # workers that are there already
+
+    @contextmanager
+    def workers(self, tasks: int) -> Iterator[Any]:
+        """Those who fly so many tasks."""
+        if self.client is not None:
+            yield self.client
+            return
+        with workers(min(self.jobs, tasks), self.scheduler) as client:
+            yield client
 
 
 class Watch:
@@ -98,12 +109,12 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
         wall = 0.0
         if tasks or missing_folders(campaign, runs, folder):
             if crew.scheduler is None:
-                compile_first(
-                    campaign.base, tasks[: min(MOST_WARMED, campaign.combinations)], crew.warm
-                )
-            with workers(min(crew.jobs, max(1, len(tasks))), crew.scheduler) as client:
+                some = tasks[: min(MOST_WARMED, campaign.combinations)]
+                compile_first(campaign.base, some, crew.warm)
+            with crew.workers(max(1, len(tasks))) as client:
                 began = time.perf_counter()
-                for run in _fleet(client, campaign.base, crew).results(tasks):
+                for flown in _fleet(client, campaign.base, crew).results(tasks):
+                    run = within(flown, campaign.file.most, campaign.file.least)
                     journal.append(run)
                     runs[run.k] = run
                     watch.flown(run)

@@ -4,12 +4,14 @@ Vehicles are told apart as in "sat1.settle_s"; without a name it is all of them 
 of an error or a distance, the sum of what was used up.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Literal
 
 from msgspec import Struct
+from msgspec.structs import replace
 
-from testbed.config import Experiment
+from testbed.config import ConfigError, Experiment
+from testbed.config.mistake import did_you_mean
 from testbed.ops.metrics import Metrics, VehicleMetrics
 
 Task = tuple[int, tuple[str, ...]]  # run, "key=value" on top of the base experiment
@@ -69,6 +71,42 @@ def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
         return "fault", metrics.fault
     failed = [name for name, met in metrics.criteria.items() if not met]
     return ("failed", ", ".join(failed)) if failed else ("passed", "")
+
+
+def broken_bound(
+    columns: Mapping[str, Number], most: Mapping[str, float], least: Mapping[str, float]
+) -> str:
+    """The first bound that a run does not keep, in words; empty if it keeps all.
+
+    Raises:
+        ConfigError: there is no such column.
+    """
+    for bounds, sign, words in ((most, 1.0, "more"), (least, -1.0, "less")):
+        for name, bound in bounds.items():
+            value = column(columns, name)
+            if value is None:
+                return f"{name} does not apply, or was not reached"
+            if sign * (value - bound) > 0.0:
+                return f"{name} is {value:.4g}, {words} than {bound:g}"
+    return ""
+
+
+def column(columns: Mapping[str, Number], name: str) -> Number:
+    """A number of a run.
+
+    Raises:
+        ConfigError: there is no such column.
+    """
+    if name not in columns:
+        found = f"no such column{did_you_mean(name, columns)}"
+        raise ConfigError("cost, most, least", name, f"one of: {', '.join(sorted(columns))}", found)
+    return columns[name]
+
+
+def within(run: Flown, most: Mapping[str, float], least: Mapping[str, float]) -> Flown:
+    """The run as it counts: one that passed and breaks a bound has failed."""
+    reason = broken_bound(run.columns, most, least) if run.outcome == "passed" else ""
+    return replace(run, outcome="failed", reason=reason) if reason else run
 
 
 def columns_of(

@@ -8,12 +8,30 @@ clearance_m   smallest distance to an obstacle less its danger radius
 """
 
 from collections.abc import Mapping
+from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from controllers.bifurcating import BifurcatingParams
+from controllers.bounded_formation import BoundedFormationParams
+from controllers.bounded_leader import BoundedLeaderParams
+from controllers.bounded_leader_varying import BoundedLeaderVaryingParams
+from controllers.collision_sliding import CollisionSlidingParams
+from controllers.connectivity_dynamic import ConnectivityDynamicParams
+from controllers.connectivity_static import ConnectivityStaticParams
 from testbed.config import Experiment, VehicleSetup
 from testbed.ops.metrics import HOLD_S, Track, obstacle_distances
+
+FORMS = (  # laws that form something and do not care for the goal's position
+    BifurcatingParams,
+    BoundedFormationParams,
+    BoundedLeaderParams,
+    BoundedLeaderVaryingParams,
+    CollisionSlidingParams,
+    ConnectivityDynamicParams,
+    ConnectivityStaticParams,
+)
 
 Array = NDArray[np.float64]
 
@@ -27,6 +45,7 @@ def beside_metrics(
     late = track.t >= 0.5 * experiment.duration_s
     end = track.t > track.t[-1] - HOLD_S
     wanted = wanted_distances(experiment)
+    to_goal = not isinstance(experiment.controller, FORMS)
     numbers: dict[str, dict[str, float | int | None]] = {}
     for k, (name, setup) in enumerate(experiment.vehicles.items()):
         gaps = [
@@ -36,7 +55,7 @@ def beside_metrics(
         window = late & end if setup.path is None else late
         off = track.states[window, k, :2] - goal_at(setup, track.t[window])
         numbers[name] = {
-            "goal_rms_m": _rms(np.hypot(*off.T)),
+            "goal_rms_m": _rms(np.hypot(*off.T)) if to_goal else None,
             "shape_rms_m": _rms(shape_errors(experiment, track, late, name, wanted)),
             "clearance_m": min(gaps) if gaps else None,
         }
@@ -56,8 +75,11 @@ def wanted_distances(experiment: Experiment) -> dict[tuple[str, str], float]:
     formation = getattr(experiment.controller, "formation", None)
     distances: Mapping[str, float] = getattr(formation, "distances", {})
     reach = getattr(formation, "far", np.inf)
-    pairs = {tuple(name.split("-", 1)): wanted for name, wanted in distances.items()}
-    return {(a, b): wanted for (a, b), wanted in pairs.items() if wanted < reach}
+    return {
+        (a, b): distances[f"{a}-{b}"]
+        for a, b in permutations(experiment.vehicles, 2)
+        if distances.get(f"{a}-{b}", np.inf) < reach
+    }
 
 
 def shape_errors(
@@ -71,7 +93,7 @@ def shape_errors(
     names = list(experiment.vehicles)
     errors = [np.zeros(0)]
     for (a, b), distance in wanted.items():
-        if name in (a, b) and a in names and b in names:
+        if name in (a, b):
             pair = track.states[late][:, [names.index(a), names.index(b)], :2]
             errors.append(np.hypot(*(pair[:, 0] - pair[:, 1]).T) - distance)
     return np.concatenate(errors)

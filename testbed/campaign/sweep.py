@@ -137,6 +137,8 @@ class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
     design: Literal["random", "latin_hypercube"] = "random"
     grid: list[Axis] = []
     draw: list[Draw] = []
+    most: dict[str, float] = {}  # a run of which a column is more has not passed
+    least: dict[str, float] = {}  # ... or less
     keep: Annotated[int, Meta(ge=0, le=1000)] = 20  # failures whose log is kept
     confidence: Annotated[float, Meta(gt=0.5, lt=1.0)] = 0.95  # of the interval
     success: Probability | None = None  # what the interval's lower end must reach

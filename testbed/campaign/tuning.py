@@ -34,7 +34,7 @@ import tomli_w
 from msgspec import Meta, Struct
 
 from testbed.campaign.extra import needs_extra
-from testbed.campaign.row import Flown, Task
+from testbed.campaign.row import Flown, Task, broken_bound, column
 from testbed.campaign.sweep import (
     Count,
     base_experiment,
@@ -45,7 +45,6 @@ from testbed.campaign.sweep import (
 from testbed.config import ConfigError, dump, load
 from testbed.config.experiment import Seed
 from testbed.config.key import assignment
-from testbed.config.mistake import did_you_mean
 from testbed.core.vehicle import Positive
 
 BROKEN = 1e6  # what breaking the safety bounds costs, for each of the runs that do
@@ -173,19 +172,10 @@ def broken(file: TuningFile, run: Flown) -> str:
     """Why a run is not within the bounds; empty if it is."""
     if run.outcome != "passed":
         return f"{run.outcome}: {run.reason}"
-    for name in (*file.cost, *file.most, *file.least):
-        if name not in run.columns:
-            expected = f"one of: {', '.join(sorted(run.columns))}"
-            hint = did_you_mean(name, run.columns)
-            raise ConfigError("cost, most, least", name, expected, f"no such column{hint}")
-        if run.columns[name] is None:
+    for name in file.cost:
+        if column(run.columns, name) is None:
             return f"{name} does not apply, or was not reached"
-    for bounds, sign, words in ((file.most, 1.0, "more"), (file.least, -1.0, "less")):
-        for name, bound in bounds.items():
-            value = float(run.columns[name] or 0.0)
-            if sign * (value - bound) > 0.0:
-                return f"{name} is {value:.4g}, {words} than {bound:g}"
-    return ""
+    return broken_bound(run.columns, file.most, file.least)
 
 
 class Optimiser(Protocol):

@@ -117,17 +117,20 @@ def experiment_name(campaign: Campaign) -> str:
 class Bar(Watch):
     """Progress bar of a campaign; a context manager."""
 
-    def __init__(self, quiet: bool = False) -> None:
+    def __init__(self, name: str = "") -> None:
+        self._name = name
         self._progress = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
             TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-            console=errors, transient=True, disable=quiet or not errors.is_terminal,
+            console=errors, transient=True, disable=not errors.is_terminal,
         )  # fmt: skip
         self._passed = self._over = 0
 
     def __enter__(self) -> "Bar":
         self._progress.start()
-        self._bar = self._progress.add_task("getting ready (compiles on the first run)", total=None)
+        self._bar = self._progress.add_task(
+            f"{self._name} getting ready (compiles on the first run)", total=None
+        )
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -143,12 +146,12 @@ class Bar(Watch):
         """See `Watch`."""
         self._over += 1
         self._passed += run.outcome == "passed"
-        share = f"passed {100.0 * self._passed / self._over:.1f} %"
+        share = f"{self._name} passed {100.0 * self._passed / self._over:.1f} %"
         self._progress.update(self._bar, completed=self._over, description=share)
 
     def keeping(self, count: int) -> None:
         """See `Watch`."""
-        self._progress.update(self._bar, description=f"logs of {count} failures")
+        self._progress.update(self._bar, description=f"{self._name} logs of {count} failures")
 
 
 def print_summary(
