@@ -165,8 +165,8 @@ def numeric_parameters(campaign: Campaign, table: Table) -> list[str]:
     return [
         name
         for name in names
-        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in table[name])
-        and len(set(table[name])) > 1
+        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in table.get(name, ()))
+        and len(set(table.get(name, ()))) > 1
     ]
 
 
