@@ -31,13 +31,15 @@ from testbed.config import SHIPPED, ConfigError
 
 def run_benchmark(
     name: str | None, out: Path | None, jobs: int, scheduler: str | None, as_json: bool,
-    only: tuple[str, ...], runs: Path | None, commands: bool,
+    samples: int | None, only: tuple[str, ...], runs: Path | None, commands: bool,
 ) -> int:  # fmt: skip
     """Fly or score, and return the exit code."""
     interrupt, table = Interrupt(), None
     try:
         path = find_campaign(name or str(SHIPPED / "benchmark.toml"))
         file = chosen(load_benchmark(path), only)
+        if samples is not None:
+            file = msgspec.structs.replace(file, samples=samples)
         folder = out or Path("runs") / f"benchmark_{file.name}"
         if commands:
             print_commands(path, file, runs or folder)

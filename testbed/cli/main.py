@@ -149,6 +149,7 @@ def tune(
 @click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
               help="Processes on this machine.")  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead.")
+@click.option("--samples", type=click.IntRange(1, 10_000), help="Seeds; the file says how many.")
 @click.option("--only", multiple=True, metavar="SCENARIO", help="Some scenarios; may be repeated.")
 @click.option("--from", "runs", type=click.Path(path_type=Path, exists=True, file_okay=False),
               help="Score run folders in FOLDER/scenario/law/ instead of flying.")  # fmt: skip
@@ -161,6 +162,7 @@ def bench(
     out: Path | None,
     jobs: int,
     scheduler: str | None,
+    samples: int | None,
     only: tuple[str, ...],
     runs: Path | None,
     commands: bool,
@@ -169,7 +171,7 @@ def bench(
     """Fly the benchmark of record: standard scenarios under all laws (docs/benchmark.md)."""
     from testbed.cli.bench import run_benchmark
 
-    context.exit(run_benchmark(file, out, jobs, scheduler, as_json, only, runs, commands))
+    context.exit(run_benchmark(file, out, jobs, scheduler, as_json, samples, only, runs, commands))
 
 
 def entry() -> None:
