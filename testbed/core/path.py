@@ -1,4 +1,4 @@
-"""Where a goal that moves is: for a leader, or for a vehicle that follows a line or a circle."""
+"""Where a goal that moves is: of a leader, or of a vehicle along a line, a circle or a square."""
 
 import math
 from typing import NamedTuple
@@ -48,4 +48,34 @@ class Circle(Struct, frozen=True, forbid_unknown_fields=True, tag="circle"):
         )
 
 
-Path = Line | Circle
+class Square(Struct, frozen=True, forbid_unknown_fields=True, tag="square"):
+    """Round and round, counter-clockwise, from rest to rest along each side.
+
+    The goal of the experiment is the corner where it starts; the first side goes along `start_deg`.
+    Each side is the quintic in time with no velocity and no acceleration at its ends.
+    """
+
+    side: Positive  # [m]
+    period_s: Positive  # of a whole round
+    start_deg: float = 0.0
+
+    def at(self, t: float) -> Moved:
+        """Movement since the start of the run, at time `t` [s]."""
+        rate = 4.0 / self.period_s
+        sides, s = divmod(t * rate, 1.0)
+        way = s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        speed = rate * 30.0 * (s * (1.0 - s)) ** 2
+        accel = rate**2 * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+        jerk = rate**3 * 60.0 * (1.0 - 6.0 * s + 6.0 * s * s)
+        x, y = 0.0, 0.0
+        turned = math.radians(self.start_deg)
+        for k in range(int(sides % 4.0) + 1):
+            cx, cy = self.side * math.cos(turned), self.side * math.sin(turned)
+            share = way if k == int(sides % 4.0) else 1.0
+            x, y, turned = x + share * cx, y + share * cy, turned + 0.5 * math.pi
+        return Moved(
+            (x, y), (cx * speed, cy * speed), (cx * accel, cy * accel), (cx * jerk, cy * jerk)
+        )
+
+
+Path = Line | Circle | Square

@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
-from testbed.core.path import Circle, Line
+from testbed.core.path import Circle, Line, Square
 
-PATHS = [Line((0.02, -0.01)), Circle(radius=0.8, period_s=90.0, start_deg=30.0)]
+PATHS = [
+    Line((0.02, -0.01)),
+    Circle(radius=0.8, period_s=90.0, start_deg=30.0),
+    Square(side=0.7, period_s=120.0, start_deg=20.0),
+]
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -24,3 +28,19 @@ def test_each_derivative_is_the_rate_of_the_one_before(path, order):
 def test_a_circle_comes_round():
     assert Circle(0.5, 60.0).at(60.0).p == pytest.approx((0.0, 0.0), abs=1e-12)
     assert Circle(0.5, 60.0).at(30.0).p == pytest.approx((-1.0, 0.0))
+
+
+def test_a_square_has_its_corners_at_rest_and_comes_round():
+    square = Square(side=2.0, period_s=80.0)
+    corners = [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0), (0.0, 0.0), (2.0, 0.0)]
+    for k, corner in enumerate(corners):
+        moved = square.at(20.0 * k)
+        assert moved.p == pytest.approx(corner, abs=1e-12)
+        assert moved.v == pytest.approx((0.0, 0.0), abs=1e-12)
+        assert moved.a == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("t", np.linspace(0.1, 159.9, 17))
+def test_a_square_is_walked_along_its_sides(t):
+    x, y = Square(side=2.0, period_s=80.0).at(t).p
+    assert min(abs(x), abs(x - 2.0), abs(y), abs(y - 2.0)) == pytest.approx(0.0, abs=1e-12)

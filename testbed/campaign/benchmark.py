@@ -1,0 +1,188 @@
+"""The benchmark of record: standard scenarios under all laws, scored the same for everybody.
+
+A benchmark file says which laws fly which scenarios, with which gains, and what counts. Every
+scenario is a campaign over its laws, once with the vehicles as their file describes them and once
+with `trouble`, which the laws are not told about.
+"""
+
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import tomli_w
+from msgspec import Meta, Struct, field
+
+from testbed.campaign.row import Flown, Number
+from testbed.campaign.sweep import (
+    Axis,
+    Campaign,
+    CampaignFile,
+    base_experiment,
+    check_name,
+    corners,
+    experiment_path,
+    read_file,
+)
+from testbed.config import ConfigError, dump, load
+from testbed.config.experiment import Seed
+from testbed.config.mistake import did_you_mean
+
+SHIPPED, OFF = "as its file", "off"
+
+
+class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
+    """An experiment, and who flies it."""
+
+    experiment: str
+    laws: Annotated[list[str], Meta(min_length=1)]
+    set: list[str] = []
+    most: dict[str, float] = {}
+    least: dict[str, float] = {}
+
+
+class BenchmarkFile(Struct, frozen=True, forbid_unknown_fields=True):
+    """A benchmark as its file says it."""
+
+    name: str
+    laws: dict[str, list[str]]  # "key=value" that put a law and its gains into an experiment
+    scenarios: Annotated[dict[str, Scenario], Meta(min_length=1)]
+    samples: Annotated[int, Meta(ge=1, le=10_000)] = 4
+    seed: Seed = 0
+    trouble: list[str] = field(default_factory=list)
+
+
+class Score(Struct, frozen=True):
+    """One law in one scenario; null where a number does not apply."""
+
+    scenario: str
+    law: str
+    runs: int
+    passed: int
+    error_m: float | None  # median over the runs
+    worst_error_m: float | None
+    settle_s: float | None  # median; null if a run never settled
+    clearance_m: float | None  # to an obstacle's danger radius, smallest
+    vehicle_distance_m: float | None  # centre to centre, smallest
+    contacts: int
+    gas_g: float | None  # median, all vehicles together
+    valve_pulses: float | None
+    robust_runs: int
+    robust_passed: int
+
+
+def load_benchmark(path: Path) -> BenchmarkFile:
+    """Read and check a benchmark file.
+
+    Raises:
+        ConfigError: something is wrong.
+    """
+    file: BenchmarkFile = read_file(path, BenchmarkFile)
+    check_name(path, file.name)
+    for name, scenario in file.scenarios.items():
+        check_name(path, name)
+        for law in scenario.laws:
+            if law not in file.laws:
+                expected = f"one of [laws]: {', '.join(file.laws)}"
+                found = f"{law}{did_you_mean(law, file.laws)}"
+                raise ConfigError(str(path), f"scenarios.{name}.laws", expected, found)
+    return file
+
+
+def scenario_campaign(path: Path, file: BenchmarkFile, name: str) -> Campaign:
+    """One scenario as a campaign over its laws.
+
+    Raises:
+        ConfigError: the experiment is not there, or a law does not fit it.
+    """
+    scenario = file.scenarios[name]
+    states = {SHIPPED: [], OFF: file.trouble} if file.trouble else {SHIPPED: []}
+    campaign_file = CampaignFile(
+        name=f"{file.name}_{name}",
+        experiment=scenario.experiment,
+        set=scenario.set,
+        samples=file.samples,
+        seed=file.seed,
+        grid=[
+            Axis(name="law", cases={law: file.laws[law] for law in scenario.laws}),
+            Axis(name="vehicle", cases=states),
+        ],
+        most=scenario.most,
+        least=scenario.least,
+        keep=3,
+    )
+    base = base_experiment(path, scenario.experiment, scenario.set)
+    campaign = Campaign(campaign_file, tomli_w.dumps(dump(base)))
+    for texts in corners(campaign):
+        load(experiment_path(path, scenario.experiment), [*scenario.set, *texts])
+    return campaign
+
+
+def scores(campaign: Campaign, scenario: str, runs: Sequence[Flown]) -> list[Score]:
+    """Every law of a scenario."""
+    by_law: dict[str, tuple[list[Flown], list[Flown]]] = {}
+    for run in runs:
+        parameters = campaign.parameters(run.k)
+        pair = by_law.setdefault(str(parameters["law"]), ([], []))
+        pair[parameters["vehicle"] == OFF].append(run)
+    return [score(scenario, law, nominal, off) for law, (nominal, off) in by_law.items()]
+
+
+def score(scenario: str, law: str, runs: Sequence[Flown], off: Sequence[Flown] = ()) -> Score:
+    """One law in one scenario."""
+    over = [run for run in runs if run.columns]  # a law that raised has no numbers
+
+    def numbers(name: str) -> list[float]:
+        values: list[Number] = [run.columns.get(name) for run in over]
+        return [float(value) for value in values if value is not None]
+
+    def middle(name: str) -> float | None:
+        return statistics.median(numbers(name)) if numbers(name) else None
+
+    shape, goal, settled = numbers("shape_rms_m"), numbers("goal_rms_m"), numbers("settle_s")
+    errors = shape or goal
+    return Score(
+        scenario=scenario,
+        law=law,
+        runs=len(runs),
+        passed=sum(run.outcome == "passed" for run in runs),
+        error_m=statistics.median(errors) if errors else None,
+        worst_error_m=max(errors, default=None),
+        settle_s=statistics.median(settled) if goal and len(settled) == len(runs) else None,
+        clearance_m=min(numbers("clearance_m"), default=None),
+        vehicle_distance_m=min(numbers("min_vehicle_distance_m"), default=None),
+        contacts=int(sum(numbers("contacts"))),
+        gas_g=middle("gas_g"),
+        valve_pulses=middle("valve_pulses"),
+        robust_runs=len(off),
+        robust_passed=sum(run.outcome == "passed" for run in off),
+    )
+
+
+COLUMNS = (  # heading, key, scale, format
+    ("error [mm]", "error_m", 1e3, "{:.3g}"),
+    ("worst [mm]", "worst_error_m", 1e3, "{:.3g}"),
+    ("settled [s]", "settle_s", 1.0, "{:.0f}"),
+    ("obstacles [m]", "clearance_m", 1.0, "{:+.3f}"),
+    ("vehicles [m]", "vehicle_distance_m", 1.0, "{:.2f}"),
+    ("contacts", "contacts", 1.0, "{:.0f}"),
+    ("gas [g]", "gas_g", 1.0, "{:.1f}"),
+    ("valve pulses", "valve_pulses", 1.0, "{:.0f}"),
+)
+
+
+def markdown(table: Sequence[Score]) -> str:
+    """The table as it is published."""
+    headings = ["scenario", "law", "passed", *(h for h, *_ in COLUMNS), "robust"]
+    lines = ["| " + " | ".join(headings) + " |", "|---|---|" + "---:|" * (len(headings) - 2)]
+    before = ""
+    for row in table:
+        cells = [row.scenario if row.scenario != before else "", f"`{row.law}`"]
+        cells.append(f"{row.passed}/{row.runs}")
+        for _, key, scale, form in COLUMNS:
+            value = getattr(row, key)
+            cells.append("-" if value is None else form.format(scale * value))
+        cells.append(f"{row.robust_passed}/{row.robust_runs}" if row.robust_runs else "-")
+        lines.append("| " + " | ".join(cells) + " |")
+        before = row.scenario
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,162 @@
+"""Who flies the runs: Dask, on this machine or on a cluster.
+
+Here there is only what is particular to a campaign: a worker has one thread, because a flight holds
+the interpreter; runs travel in batches of about a second, because a scheduler does some thousand
+tasks a second and no more; a few batches per worker are under way, so that ten thousand runs take
+no more memory than ten; a batch whose workers die is taken apart to find the run that kills them.
+"""
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Generic, TypeVar
+
+from testbed.campaign.code import code_digest
+from testbed.campaign.extra import needs_extra
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+BATCH_S = 1.0  # of flying in one message [s]
+LARGEST_BATCH = 100
+AHEAD = 2  # batches per worker under way
+TRIES = 2  # workers that a batch may take with it before it is given up
+
+WORKER_ENVIRONMENT = {  # one thread each: runs are what is parallel
+    "NUMBA_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+}
+
+
+class EngineError(Exception):
+    """There is nobody to fly the runs, and why."""
+
+
+@contextmanager
+def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
+    """A Dask client: of `jobs` processes of this machine, or of the cluster at `scheduler`.
+
+    Raises:
+        EngineError: the cluster does not answer, or flies other code.
+    """
+    with needs_extra("campaign"):
+        import dask
+        from distributed import Client, LocalCluster
+    settings = {
+        "distributed.scheduler.allowed-failures": TRIES - 1,
+        "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
+        "distributed.worker.multiprocessing-method": "spawn",
+        "distributed.worker.preload": ["testbed.campaign.preload"],
+        "distributed.comm.timeouts.connect": "10s",
+    }
+    with dask.config.set(settings), _quiet():
+        if scheduler is None:
+            with (
+                LocalCluster(
+                    n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
+                    dashboard_address=None, memory_limit=0,
+                ) as cluster,
+                Client(cluster) as client,
+            ):  # fmt: skip
+                yield client
+            return
+        try:
+            client = Client(scheduler, timeout="10s")
+        except (OSError, TimeoutError, ValueError) as error:
+            raise EngineError(
+                f"{scheduler}\n  expected  a Dask scheduler, for instance tcp://10.0.0.1:8786\n"
+                f"  found     {error or 'no answer within 10 s'}"
+            ) from None
+        with client:
+            _same_code(client, scheduler)
+            yield client
+
+
+def _same_code(client: Any, scheduler: str) -> None:
+    digests = client.run(code_digest, on_error="return")
+    if not digests:
+        raise EngineError(f"{scheduler}\n  expected  workers\n  found     a scheduler without any")
+    for address, digest in digests.items():
+        if digest != code_digest():
+            raise EngineError(
+                f"{scheduler}\n  expected  workers with the code of this machine, {code_digest()}\n"
+                f"  found     {digest} on {address}"
+            )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What Dask tells its log when a worker goes is said by the campaign itself."""
+    logger = logging.getLogger("distributed")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+class Fleet(Generic[Task, Result]):
+    """Flies tasks on all workers of a client.
+
+    Args:
+        client: from `workers`.
+        fly: takes a list of tasks to the list of their results; in the worker.
+        lost: the result of a task that took its workers with it.
+        took: how long a result's task took [s].
+    """
+
+    def __init__(
+        self,
+        client: Any,
+        fly: Callable[[list[Task]], list[Result]],
+        lost: Callable[[Task], Result],
+        took: Callable[[Result], float],
+    ) -> None:
+        self._client, self._fly, self._lost, self._took = client, fly, lost, took
+        self._pace = 0.0  # mean of what a task takes [s]
+
+    def results(self, tasks: Sequence[Task]) -> Iterator[Result]:
+        """Results as they come, in any order."""
+        from distributed import as_completed
+        from distributed.scheduler import KilledWorker
+
+        waiting = list(reversed(tasks))
+        under_way: dict[Any, list[Task]] = {}
+        done = as_completed()
+
+        def submit(batch: list[Task]) -> None:
+            future = self._client.submit(self._fly, batch, pure=False)
+            under_way[future] = batch
+            done.add(future)
+
+        def fill() -> None:
+            most = AHEAD * max(1, len(self._client.nthreads()))
+            while waiting and len(under_way) < most:
+                share = -(-len(waiting) // most)  # the last ones are spread over all workers
+                size = max(1, min(self._batch(), share))
+                submit([waiting.pop() for _ in range(min(size, len(waiting)))])
+
+        fill()
+        while under_way:
+            future = next(done)
+            batch = under_way.pop(future)
+            try:
+                results = future.result()
+            except KilledWorker:
+                if len(batch) > 1:
+                    for task in batch:
+                        submit([task])
+                    continue
+                results = [self._lost(batch[0])]
+            for result in results:
+                self._pace += 0.3 * (self._took(result) - self._pace)
+                yield result
+            fill()
+
+    def _batch(self) -> int:
+        if self._pace <= 0.0:
+            return 1
+        return max(1, min(LARGEST_BATCH, round(BATCH_S / self._pace)))

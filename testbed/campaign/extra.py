@@ -1,0 +1,24 @@
+"""Packages that only some verbs need."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class MissingExtraError(Exception):
+    """A verb needs packages that are not installed."""
+
+
+@contextmanager
+def needs_extra(name: str) -> Iterator[None]:
+    """Import what the extra `name` brings.
+
+    Raises:
+        MissingExtraError: it is not installed; says how to.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f"the package `{error.name}` is not installed\n"
+            f"  expected  the extra `{name}`: pip install 'airbearing-testbed[{name}]'"
+        ) from None

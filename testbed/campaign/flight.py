@@ -1,0 +1,189 @@
+"""A campaign from its file to its folder.
+
+campaign.toml    the file as it was
+base.toml        the resolved experiment; a run is `testbed run base.toml` with some key=value
+journal.jsonl    every run that is over, as it ended (`journal.py`)
+failures/        run folders of runs that did not pass, as many as the file wants to keep
+results.parquet  all runs as one table; the same bytes whoever flew them
+summary.json     what `--json` prints
+report.html      the same to look at
+"""
+
+import shlex
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from msgspec import Struct
+
+from testbed.campaign.code import code_digest, digest_of
+from testbed.campaign.compilation import compile_first
+from testbed.campaign.engine import Fleet, workers
+from testbed.campaign.journal import Head, Journal
+from testbed.campaign.row import Flown, Kept, Task, within
+from testbed.campaign.sweep import Campaign
+
+MOST_WARMED = 20  # combinations of a grid; others are compiled by their worker
+
+
+class Crew(Struct, frozen=True):
+    """How runs are flown, handed in from above: both run in a worker."""
+
+    fly: Callable[[str, Sequence[Task]], list[Flown]]
+    fly_with_log: Callable[[str, Sequence[Task]], list[Kept]]
+    warm: Callable[[str, Sequence[Task]], None]  # a moment of each, so that all is compiled
+    jobs: int = 1
+    scheduler: str | None = None
+    client: Any = None  # workers that are there already
+
+    @contextmanager
+    def workers(self, tasks: int) -> Iterator[Any]:
+        """Those who fly so many tasks."""
+        if self.client is not None:
+            yield self.client
+            return
+        with workers(min(self.jobs, tasks), self.scheduler) as client:
+            yield client
+
+
+class Watch:
+    """Whoever watches a campaign; this one does not."""
+
+    def begun(self, total: int, runs: Sequence[Flown]) -> None:
+        """So many runs there are, and these were flown before."""
+
+    def flown(self, run: Flown) -> None:
+        """One more is over."""
+
+    def keeping(self, count: int) -> None:
+        """So many are flown once more for their logs."""
+
+
+class Ended(Struct, frozen=True):
+    """A campaign that is through."""
+
+    runs: list[Flown]
+    resumed: int  # of these, flown by an earlier call
+    wall_s: float  # of flying the others
+    unlike: list[int]  # runs that were not the same the second time
+
+
+def head_of(campaign: Campaign) -> Head:
+    """What its journal belongs to."""
+    return Head(digest_of(campaign.payload()), code_digest())
+
+
+def open_journal(campaign: Campaign, folder: Path) -> Journal[Flown]:
+    """The campaign's journal in its folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return Journal(folder / "journal.jsonl", head_of(campaign), Flown)
+
+
+def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watch: Watch) -> Ended:
+    """Fly what the journal does not have yet, and keep what failed.
+
+    Args:
+        campaign: to fly.
+        text: of its file.
+        folder: of the campaign; it may hold the beginning of the same one.
+        crew: who flies.
+        watch: who is told.
+
+    Raises:
+        JournalError: the folder holds something else, or somebody else writes there.
+        EngineError: nobody is there to fly.
+    """
+    with open_journal(campaign, folder) as journal:
+        write_whole(folder / "campaign.toml", text)
+        write_whole(folder / "base.toml", campaign.base.encode())
+        runs = {run.k: run for run in journal.found}
+        resumed = len(runs)
+        tasks = [
+            (k, campaign.overrides(k)) for k in range(campaign.count) if k not in runs
+        ]  # fmt: skip
+        watch.begun(campaign.count, journal.found)
+        unlike: list[int] = []
+        wall = 0.0
+        if tasks or missing_folders(campaign, runs, folder):
+            if crew.scheduler is None:
+                some = tasks[: min(MOST_WARMED, campaign.combinations)]
+                compile_first(campaign.base, some, crew.warm)
+            with crew.workers(max(1, len(tasks))) as client:
+                began = time.perf_counter()
+                for flown in _fleet(client, campaign.base, crew).results(tasks):
+                    run = within(flown, campaign.file.most, campaign.file.least)
+                    journal.append(run)
+                    runs[run.k] = run
+                    watch.flown(run)
+                wall = time.perf_counter() - began
+                unlike = keep_failures(client, campaign, runs, folder, crew, watch)
+    return Ended([runs[k] for k in sorted(runs)], resumed, wall, unlike)
+
+
+def _fleet(client: Any, base: str, crew: Crew) -> Fleet[Task, Flown]:
+    def lost(task: Task) -> Flown:
+        return Flown(task[0], "lost", "two workers died while flying it")
+
+    return Fleet(client, partial(crew.fly, base), lost, lambda run: run.wall_s)
+
+
+def failure_folder(folder: Path, k: int) -> Path:
+    """Where run k is kept when it did not pass."""
+    return folder / "failures" / f"run_{k:06d}"
+
+
+def missing_folders(campaign: Campaign, runs: dict[int, Flown], folder: Path) -> list[int]:
+    """Runs whose folder is still to be made: the first ones that did not pass."""
+    failed = [k for k in sorted(runs) if runs[k].outcome not in ("passed", "lost")]
+    kept = failed[: campaign.file.keep]
+    return [k for k in kept if not failure_folder(folder, k).exists()]
+
+
+def keep_failures(
+    client: Any,
+    campaign: Campaign,
+    runs: dict[int, Flown],
+    folder: Path,
+    crew: Crew,
+    watch: Watch,
+) -> list[int]:
+    """Fly failures once more, with a log; the runs that were not the same then."""
+    missing = missing_folders(campaign, runs, folder)
+    if not missing:
+        return []
+    watch.keeping(len(missing))
+    fleet: Fleet[Task, Kept] = Fleet(
+        client,
+        partial(crew.fly_with_log, campaign.base),
+        lambda task: Kept(task[0], {"error.txt": b"its workers died\n"}, {}),
+        lambda kept: 1.0,
+    )
+    unlike = []
+    for kept in fleet.results([(k, campaign.overrides(k)) for k in missing]):
+        place = failure_folder(folder, kept.k)
+        part = place.with_suffix(".part")
+        part.mkdir(parents=True, exist_ok=True)
+        for name, data in kept.files.items():
+            (part / name).write_bytes(data)
+        (part / "replay.txt").write_text(replay_command(campaign, folder, kept.k) + "\n")
+        part.replace(place)
+        first = runs[kept.k].columns
+        if any(first.get(n) != v for n, v in kept.columns.items() if v is not None):
+            unlike.append(kept.k)
+    return sorted(unlike)
+
+
+def replay_command(campaign: Campaign, folder: Path, k: int) -> str:
+    """The command that flies run k alone."""
+    words = ["testbed", "run", str(folder / "base.toml"), *campaign.overrides(k)]
+    return shlex.join(words)
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write the whole file or nothing."""
+    part = path.with_name(path.name + ".part")
+    part.write_bytes(data)
+    part.replace(path)

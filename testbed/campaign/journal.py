@@ -1,0 +1,125 @@
+"""Append-only record of a campaign: what is in it survives a kill, and nothing is in it twice.
+
+One line is one JSON message with a checksum in front. It is written by one call, so a kill leaves
+whole lines and at most one torn at the end, which is cut off when the journal is opened again. One
+process at a time may write; the head says for which campaign and which code.
+"""
+
+import errno
+import fcntl
+import os
+import time
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+import msgspec
+from msgspec import Struct
+
+Message = TypeVar("Message", bound=Struct)
+
+SYNC_S = 1.0  # what a power cut may cost [s]
+
+
+class JournalError(Exception):
+    """The journal cannot be used, and why."""
+
+
+class Head(Struct, frozen=True):
+    """First line: what the other lines belong to."""
+
+    campaign: str  # digest of everything that decides what is flown
+    code: str  # digest of the code that flies it
+    version: int = 1
+
+
+class Journal(Generic[Message]):
+    """The journal at `path`; a context manager that holds it alone."""
+
+    def __init__(self, path: Path, head: Head, kind: type[Message]) -> None:
+        self._path, self._head, self._kind = path, head, kind
+        self._synced = 0.0
+
+    def __enter__(self) -> "Journal[Message]":
+        try:
+            self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._file)
+            raise JournalError(f"{self._path}: another process is flying this campaign") from None
+        except OSError as error:
+            raise JournalError(f"{self._path}: {error.strerror}") from None
+        try:
+            self.found = list(self._open())
+        except BaseException:
+            os.close(self._file)
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        os.fsync(self._file)
+        os.close(self._file)
+
+    def _open(self) -> Iterator[Message]:
+        """What is in it already; afterwards it ends with a whole line."""
+        data = self._path.read_bytes()
+        whole = data.rfind(b"\n") + 1
+        if whole < len(data):
+            os.ftruncate(self._file, whole)
+        lines = data[:whole].splitlines()
+        if not lines:
+            self._append(self._head)
+            return
+        head: Head = self._read(lines[0], 1, Head)
+        if head.version != self._head.version:
+            raise JournalError(f"{self._path}: written by another version of this program")
+        for what, is_so in (
+            ("campaign or experiment has", head.campaign == self._head.campaign),
+            ("code of laws, flight or twin has", head.code == self._head.code),
+        ):
+            if not is_so:
+                raise JournalError(
+                    f"{self._path}: the {what} changed since these {len(lines) - 1} runs were "
+                    f"flown\n  expected  the same as then, or another folder (--out)\n"
+                    f"  found     another: runs of both would be mixed"
+                )
+        for number, line in enumerate(lines[1:], 2):
+            yield self._read(line, number, self._kind)
+
+    def _read(self, line: bytes, number: int, kind: type[Any]) -> Any:
+        check, _, text = line.partition(b" ")
+        try:
+            if int(check, 16) == zlib.crc32(text):
+                return msgspec.json.decode(text, type=kind)
+        except (ValueError, msgspec.DecodeError):
+            pass
+        raise JournalError(
+            f"{self._path}: line {number} is damaged\n  expected  a journal as it was written\n"
+            f"  found     {line[:60].decode(errors='replace')!r}; mend it or fly anew (--out)"
+        )
+
+    def _append(self, message: Struct) -> None:
+        text = msgspec.json.encode(message)
+        line = b"%08x %b\n" % (zlib.crc32(text), text)
+        before = os.fstat(self._file).st_size
+        try:
+            if os.write(self._file, line) != len(line):
+                os.ftruncate(self._file, before)
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            now = time.monotonic()
+            if now - self._synced > SYNC_S:
+                os.fsync(self._file)
+                self._synced = now
+        except OSError as error:
+            raise JournalError(f"{self._path}: {error.strerror}") from None
+
+    def append(self, message: Message) -> None:
+        """Add one message; after this returns, a kill does not take it away."""
+        self._append(message)

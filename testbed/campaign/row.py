@@ -1,0 +1,142 @@
+"""What is kept of a run: flat columns, the same for every run of a campaign.
+
+Vehicles are told apart as in "sat1.settle_s"; without a name it is all of them together: the worst
+of an error or a distance, the sum of what was used up.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Literal
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from testbed.config import ConfigError, Experiment
+from testbed.config.mistake import did_you_mean
+from testbed.ops.metrics import Metrics, VehicleMetrics
+
+Task = tuple[int, tuple[str, ...]]  # run, "key=value" on top of the base experiment
+Number = float | int | None
+Outcome = Literal["passed", "failed", "fault", "error", "refused", "lost"]
+
+OUTCOMES = {
+    "passed": "flown to the end, all criteria met",
+    "failed": "flown to the end, a criterion missed",
+    "fault": "ended by a fault",
+    "error": "ended by an exception",
+    "refused": "its configuration is not possible",
+    "lost": "its worker died, again and again",
+}
+
+TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
+    "final_error_m": max,
+    "settle_s": max,
+    "track_rms_m": max,
+    "hold_rms_m": max,
+    "heading_rms_deg": max,
+    "goal_rms_m": max,
+    "shape_rms_m": max,
+    "min_obstacle_distance_m": min,
+    "clearance_m": min,
+    "impulse_ns": sum,
+    "gas_g": sum,
+    "valve_pulses": sum,
+    "max_force_n": max,
+}
+BESIDE = ("goal_rms_m", "shape_rms_m", "clearance_m")  # not among a vehicle's metrics
+
+
+class Flown(Struct, frozen=True):
+    """One run that is over."""
+
+    k: int
+    outcome: Outcome
+    reason: str = ""  # why it did not pass
+    columns: dict[str, Number] = {}
+    criteria: dict[str, bool] = {}
+    wall_s: float = 0.0  # not among the columns: they are the same on every machine
+    memory_mb: float = 0.0  # of the worker, at most so far
+
+
+class Kept(Struct, frozen=True):
+    """A run flown once more for its log."""
+
+    k: int
+    files: dict[str, bytes]
+    columns: dict[str, Number]
+
+
+def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
+    """How a flight ended, and why it did not pass."""
+    if metrics.fault:
+        return "fault", metrics.fault
+    failed = [name for name, met in metrics.criteria.items() if not met]
+    return ("failed", ", ".join(failed)) if failed else ("passed", "")
+
+
+def broken_bound(
+    columns: Mapping[str, Number], most: Mapping[str, float], least: Mapping[str, float]
+) -> str:
+    """The first bound that a run does not keep, in words; empty if it keeps all.
+
+    Raises:
+        ConfigError: there is no such column.
+    """
+    for bounds, sign, words in ((most, 1.0, "more"), (least, -1.0, "less")):
+        for name, bound in bounds.items():
+            value = column(columns, name)
+            if value is None:
+                return f"{name} does not apply, or was not reached"
+            if sign * (value - bound) > 0.0:
+                return f"{name} is {value:.4g}, {words} than {bound:g}"
+    return ""
+
+
+def column(columns: Mapping[str, Number], name: str) -> Number:
+    """A number of a run.
+
+    Raises:
+        ConfigError: there is no such column.
+    """
+    if name not in columns:
+        found = f"no such column{did_you_mean(name, columns)}"
+        raise ConfigError("cost, most, least", name, f"one of: {', '.join(sorted(columns))}", found)
+    return columns[name]
+
+
+def within(run: Flown, most: Mapping[str, float], least: Mapping[str, float]) -> Flown:
+    """The run as it counts: one that passed and breaks a bound has failed."""
+    reason = broken_bound(run.columns, most, least) if run.outcome == "passed" else ""
+    return replace(run, outcome="failed", reason=reason) if reason else run
+
+
+def columns_of(
+    metrics: Metrics, experiment: Experiment, extra: dict[str, dict[str, Number]]
+) -> dict[str, Number]:
+    """All numbers of a flight.
+
+    Args:
+        metrics: of the flight.
+        experiment: that was flown.
+        extra: by vehicle, what is not among its metrics.
+    """
+    columns: dict[str, Number] = {
+        "duration_s": metrics.duration_s,
+        "contacts": metrics.contacts,
+        "min_vehicle_distance_m": metrics.min_vehicle_distance_m,
+    }
+    names = [*VehicleMetrics.__struct_fields__, *BESIDE]
+    each: dict[str, dict[str, Number]] = {}
+    for vehicle, one in metrics.vehicles.items():
+        beside = extra.get(vehicle, {})
+        each[vehicle] = {
+            name: beside.get(name) if name in BESIDE else getattr(one, name) for name in names
+        }
+    for name in names:
+        values = [numbers[name] for numbers in each.values()]
+        known = [value for value in values if value is not None]
+        unsettled = name == "settle_s" and len(known) < len(values)  # somebody never did
+        columns[name] = TOGETHER[name](known) if known and not unsettled else None
+    if len(experiment.vehicles) > 1:
+        for vehicle, numbers in each.items():
+            columns |= {f"{vehicle}.{name}": value for name, value in numbers.items()}
+    return columns

@@ -1,0 +1,103 @@
+"""Numbers that a campaign compares and a single run does not print.
+
+goal_rms_m    true position against the goal: in the last 30 s, or in the second half of the run
+              where that is shorter or the goal moves
+shape_rms_m   a vehicle's distances to its partners of the formation against the wanted ones, in
+              the second half of the run
+clearance_m   smallest distance to an obstacle less its danger radius
+"""
+
+from collections.abc import Mapping
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.bifurcating import BifurcatingParams
+from controllers.bounded_formation import BoundedFormationParams
+from controllers.bounded_leader import BoundedLeaderParams
+from controllers.bounded_leader_varying import BoundedLeaderVaryingParams
+from controllers.collision_sliding import CollisionSlidingParams
+from controllers.connectivity_dynamic import ConnectivityDynamicParams
+from controllers.connectivity_static import ConnectivityStaticParams
+from testbed.config import Experiment, VehicleSetup
+from testbed.ops.metrics import HOLD_S, Track, obstacle_distances
+
+FORMS = (  # laws that form something and do not care for the goal's position
+    BifurcatingParams,
+    BoundedFormationParams,
+    BoundedLeaderParams,
+    BoundedLeaderVaryingParams,
+    CollisionSlidingParams,
+    ConnectivityDynamicParams,
+    ConnectivityStaticParams,
+)
+
+Array = NDArray[np.float64]
+
+
+def beside_metrics(
+    experiment: Experiment, track: Track
+) -> dict[str, dict[str, float | int | None]]:
+    """By vehicle, the numbers above."""
+    if len(track.t) == 0:
+        return {}
+    late = track.t >= 0.5 * experiment.duration_s
+    end = track.t > track.t[-1] - HOLD_S
+    wanted = wanted_distances(experiment)
+    to_goal = not isinstance(experiment.controller, FORMS)
+    numbers: dict[str, dict[str, float | int | None]] = {}
+    for k, (name, setup) in enumerate(experiment.vehicles.items()):
+        gaps = [
+            distance - experiment.obstacles[rock].radius
+            for rock, distance in obstacle_distances(track, k, experiment.obstacles).items()
+        ]
+        window = late & end if setup.path is None else late
+        off = track.states[window, k, :2] - goal_at(setup, track.t[window])
+        numbers[name] = {
+            "goal_rms_m": _rms(np.hypot(*off.T)) if to_goal else None,
+            "shape_rms_m": _rms(shape_errors(experiment, track, late, name, wanted)),
+            "clearance_m": min(gaps) if gaps else None,
+        }
+    return numbers
+
+
+def goal_at(setup: VehicleSetup, times: Array) -> Array:
+    """Where a vehicle's goal is, shape (len(times), 2) [m]."""
+    start = np.array(setup.goal[:2])
+    if setup.path is None:
+        return np.broadcast_to(start, (len(times), 2))
+    return start + np.array([setup.path.at(t).p for t in times.tolist()]).reshape(-1, 2)
+
+
+def wanted_distances(experiment: Experiment) -> dict[tuple[str, str], float]:
+    """Pairs that the law's formation keeps together, and how far apart [m]; may be none."""
+    formation = getattr(experiment.controller, "formation", None)
+    distances: Mapping[str, float] = getattr(formation, "distances", {})
+    reach = getattr(formation, "far", np.inf)
+    return {
+        (a, b): distances[f"{a}-{b}"]
+        for a, b in permutations(experiment.vehicles, 2)
+        if distances.get(f"{a}-{b}", np.inf) < reach
+    }
+
+
+def shape_errors(
+    experiment: Experiment,
+    track: Track,
+    late: NDArray[np.bool_],
+    name: str,
+    wanted: Mapping[tuple[str, str], float],
+) -> Array:
+    """One vehicle's distances to its partners less the wanted ones, all times together [m]."""
+    names = list(experiment.vehicles)
+    errors = [np.zeros(0)]
+    for (a, b), distance in wanted.items():
+        if name in (a, b):
+            pair = track.states[late][:, [names.index(a), names.index(b)], :2]
+            errors.append(np.hypot(*(pair[:, 0] - pair[:, 1]).T) - distance)
+    return np.concatenate(errors)
+
+
+def _rms(values: Array) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None

@@ -1,0 +1,280 @@
+"""A campaign file, and the runs it stands for.
+
+    name = "margins"
+    experiment = "zhang2023_table"        # a shipped one, or a path relative to this file
+    set = ["duration_s=100"]              # on top of every run, as on the command line
+    samples = 200                         # runs for each combination of the grid
+    seed = 0                              # sample j flies with seed + j and has its own draws
+
+    [[grid]]
+    key = "controller.lambda"
+    values = [0.8, 1.0, 1.2]
+
+    [[grid]]                              # several keys that go together
+    name = "law"
+    cases.paper = []
+    cases.naive = ["controller={type='pd'}", "guidance.mode=wrench"]
+
+    [[draw]]
+    key = "vehicles.*.model.mass"
+    low = 11.0
+    high = 14.0
+
+Run k is sample k // G on the combination k % G of the grid's G: what it flies depends on the file
+and on k alone, every combination sees the same seeds and draws, and a campaign that is stopped has
+flown all combinations equally often.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+import tomli_w
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+from scipy.stats import norm, qmc
+
+from testbed.campaign.inline import inline
+from testbed.config import ConfigError, Experiment, dump, find, load, read_toml
+from testbed.config.experiment import Seed
+from testbed.config.key import spell
+from testbed.config.misfit import first_misfit
+from testbed.config.mistake import show
+from testbed.core.table import Probability
+from testbed.core.vehicle import Positive
+
+MOST_RUNS = 1_000_000
+MOST_CHECKED = 200  # combinations, before the first run
+
+Count = Annotated[int, Meta(ge=1, le=MOST_RUNS)]
+Overrides = tuple[str, ...]
+Parameters = dict[str, float | int | bool | str]
+
+
+class Axis(Struct, frozen=True, forbid_unknown_fields=True):
+    """One axis of the grid: the values of a key, or named cases of several keys."""
+
+    key: str = ""
+    name: str = ""  # of a column; the key if not given
+    values: list[Any] = []
+    cases: dict[str, list[str]] = {}
+
+    def __post_init__(self) -> None:
+        given = bool(self.key) and bool(self.values), bool(self.name) and bool(self.cases)
+        if given == (True, False) and not self.cases:
+            return
+        if given == (False, True) and not self.values and not self.key:
+            return
+        raise ValueError("expected either key and values, or name and cases, found neither or both")
+
+    @property
+    def label(self) -> str:
+        """What the column is called."""
+        return self.name or self.key
+
+    def points(self) -> list[tuple[float | int | bool | str, Overrides]]:
+        """Each value as it is shown, and what it puts on top."""
+        if self.cases:
+            return [(name, tuple(texts)) for name, texts in self.cases.items()]
+        return [(_shown(value), (f"{self.key}={inline(value)}",)) for value in self.values]
+
+
+class Draw(Struct, frozen=True, forbid_unknown_fields=True):
+    """A number drawn anew for each sample: even between two ends, or normal."""
+
+    key: str
+    name: str = ""
+    low: float | None = None
+    high: float | None = None
+    mean: float | None = None
+    sd: Positive | None = None
+    log: bool = False  # even in the logarithm
+    whole: bool = False  # rounded to a whole number
+
+    def __post_init__(self) -> None:
+        ends, bell = (self.low, self.high), (self.mean, self.sd)
+        if {ends.count(None), bell.count(None)} != {0, 2}:
+            raise ValueError("expected low and high, or mean and sd, found neither or both")
+        if self.low is not None and self.high is not None:
+            if not self.low < self.high:
+                raise ValueError(f"expected low < high, found {self.low:g} and {self.high:g}")
+            if self.log and self.low <= 0.0:
+                raise ValueError(f"expected low > 0 for log, found {self.low:g}")
+
+    @property
+    def label(self) -> str:
+        """What the column is called."""
+        return self.name or self.key
+
+    def at(self, share: float) -> float | int:
+        """The value below which this `share` of all draws are."""
+        if self.mean is not None and self.sd is not None:
+            value = float(norm.ppf(share, self.mean, self.sd))
+        else:
+            assert self.low is not None
+            assert self.high is not None
+            if self.log:
+                value = self.low * math.exp(share * math.log(self.high / self.low))
+            else:
+                value = self.low + share * (self.high - self.low)
+        return round(value) if self.whole else value
+
+
+class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
+    """A campaign as its file says it."""
+
+    name: str  # of its folder
+    experiment: str
+    description: str = ""
+    set: list[str] = []
+    samples: Count = 1
+    seed: Seed = 0
+    design: Literal["random", "latin_hypercube"] = "random"
+    grid: list[Axis] = []
+    draw: list[Draw] = []
+    most: dict[str, float] = {}  # a run of which a column is more has not passed
+    least: dict[str, float] = {}  # ... or less
+    keep: Annotated[int, Meta(ge=0, le=1000)] = 20  # failures whose log is kept
+    confidence: Annotated[float, Meta(gt=0.5, lt=1.0)] = 0.95  # of the interval
+    success: Probability | None = None  # what the interval's lower end must reach
+
+
+class Campaign:
+    """A campaign file with the experiment it is about."""
+
+    def __init__(self, file: CampaignFile, base: str) -> None:
+        self.file = file
+        self.base = base  # the resolved experiment, as TOML
+        self._grid = list(product(*(axis.points() for axis in file.grid)))
+        self._shares = shares(file)
+
+    @property
+    def count(self) -> int:
+        """Number of runs."""
+        return len(self._grid) * self.file.samples
+
+    @property
+    def combinations(self) -> int:
+        """Of the grid."""
+        return len(self._grid)
+
+    def parameters(self, k: int) -> Parameters:
+        """What is particular to run k, by column."""
+        sample, point = divmod(k, len(self._grid))
+        named = {
+            axis.label: shown
+            for axis, (shown, _) in zip(self.file.grid, self._grid[point], strict=True)
+        }
+        drawn = {draw.label: value for draw, value in self._drawn(sample)}
+        return {**named, **drawn, "seed": self.file.seed + sample}
+
+    def overrides(self, k: int) -> Overrides:
+        """What run k puts on top of the base experiment."""
+        sample, point = divmod(k, len(self._grid))
+        texts = [text for _, texts in self._grid[point] for text in texts]
+        texts += [f"{draw.key}={value!r}" for draw, value in self._drawn(sample)]
+        return (*texts, f"seed={self.file.seed + sample}")
+
+    def _drawn(self, sample: int) -> list[tuple[Draw, float | int]]:
+        row = self._shares[sample]
+        return [(draw, draw.at(float(u))) for draw, u in zip(self.file.draw, row, strict=True)]
+
+    def payload(self) -> bytes:
+        """Everything that decides what is flown."""
+        return msgspec.json.encode((self.file, self.base))
+
+
+def shares(file: CampaignFile) -> NDArray[np.float64]:
+    """Where each sample's draws stand between 0 and 1, shape (samples, draws).
+
+    A random one has a stream of its own for each key, so more samples or another key change none of
+    the draws there are; a Latin hypercube is made as a whole.
+    """
+    if not file.draw:
+        return np.zeros((file.samples, 0))
+    if file.design == "latin_hypercube":
+        rng = np.random.default_rng(_stream(file.seed, "latin hypercube"))
+        return qmc.LatinHypercube(len(file.draw), rng=rng).random(file.samples)
+    columns = [
+        np.random.default_rng(_stream(file.seed, f"draw {draw.key}")).random(file.samples)
+        for draw in file.draw
+    ]
+    return np.array(columns).T
+
+
+def _stream(seed: int, name: str) -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed, spawn_key=tuple(f"campaign/{name}".encode()))
+
+
+def _shown(value: Any) -> float | int | bool | str:
+    return value if isinstance(value, bool | int | float | str) else inline(value)
+
+
+def load_campaign(path: Path) -> Campaign:
+    """Read and check a campaign file and the experiment it names.
+
+    Raises:
+        ConfigError: something is wrong, in either, or in a corner of the sweep.
+    """
+    file = read_file(path, CampaignFile)
+    check_name(path, file.name)
+    names = [axis.label for axis in file.grid] + [draw.label for draw in file.draw]
+    for name in names:
+        if names.count(name) > 1 or name == "seed":
+            raise ConfigError(str(path), "", "each column once, none called seed", show(name))
+    size = math.prod(len(axis.points()) for axis in file.grid) * file.samples
+    if size > MOST_RUNS:
+        raise ConfigError(str(path), "", f"at most {MOST_RUNS} runs", str(size))
+    base = base_experiment(path, file.experiment, file.set)
+    campaign = Campaign(file, tomli_w.dumps(dump(base)))
+    for texts in corners(campaign):
+        load(experiment_path(path, file.experiment), [*file.set, *texts])
+    return campaign
+
+
+def read_file(path: Path, kind: type[Any]) -> Any:
+    """A TOML file as a struct.
+
+    Raises:
+        ConfigError: it is not one.
+    """
+    tree = read_toml(path)
+    try:
+        return msgspec.convert(tree, kind)
+    except msgspec.ValidationError as error:
+        misfit = first_misfit(tree, kind)
+        expected = misfit.expected if misfit.key else str(error)
+        raise ConfigError(str(path), spell(misfit.key), expected, misfit.found) from None
+
+
+def check_name(path: Path, name: str) -> None:
+    """Refuse a name that cannot be part of a folder's."""
+    if not re.fullmatch(r"[A-Za-z0-9][\w.-]{0,63}", name, re.ASCII):
+        expected = "at most 64 letters, digits, `_`, `-`, `.`, the first a letter or digit"
+        raise ConfigError(str(path), "name", expected, show(name))
+
+
+def experiment_path(path: Path, name: str) -> Path:
+    """The experiment that the file at `path` names."""
+    beside = path.parent / name
+    return beside if beside.is_file() else find(name)
+
+
+def base_experiment(path: Path, name: str, overrides: list[str]) -> Experiment:
+    """The experiment that the file at `path` names, with what is set for all runs."""
+    return load(experiment_path(path, name), overrides)
+
+
+def corners(campaign: Campaign) -> Iterator[Overrides]:
+    """Each combination of the grid with the first draws, and both ends of each draw."""
+    combinations = min(campaign.combinations, MOST_CHECKED)
+    yield from (campaign.overrides(k) for k in range(combinations))
+    first = campaign.overrides(0)
+    for draw in campaign.file.draw:
+        ends = (0.0, 1.0) if draw.mean is None else (0.001, 0.999)
+        yield from ((*first, f"{draw.key}={draw.at(share)!r}") for share in ends)

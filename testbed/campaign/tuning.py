@@ -1,0 +1,274 @@
+"""Tuning: an optimiser chooses gains, every choice is flown over the same seeds, the best is kept.
+
+    name = "hold_pd"
+    experiment = "hold"
+    set = ["duration_s=60"]
+    trials = 40                           # choices
+    samples = 3                           # runs of each, seeds seed, seed + 1, ...
+    sampler = "tpe"                       # or "cmaes"
+    cost = { goal_rms_m = 1000.0, gas_g = 0.02 }      # weights; the mean over the samples counts
+    most = { max_force_n = 0.8 }          # safety: no run may exceed it
+    least = { clearance_m = 0.02 }        # safety: no run may fall below it
+
+    [[gain]]
+    key = "controller.bandwidth"
+    low = 0.05
+    high = 0.6
+    log = true
+
+Columns are those of a campaign's results. Safety is also the experiment's own criteria: a choice of
+which any run ends by a fault, misses a criterion or breaks a bound loses to every choice that keeps
+all. The first choice is the experiment as it is.
+
+The optimiser is asked for `together` choices at a time, whatever the number of workers, and a
+journal keeps what each cost; a tuning that was stopped asks again, gets the same choices, and goes
+on.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, Protocol
+
+import msgspec
+import tomli_w
+from msgspec import Meta, Struct
+
+from testbed.campaign.extra import needs_extra
+from testbed.campaign.row import Flown, Task, broken_bound, column
+from testbed.campaign.sweep import (
+    Count,
+    base_experiment,
+    check_name,
+    experiment_path,
+    read_file,
+)
+from testbed.config import ConfigError, dump, load
+from testbed.config.experiment import Seed
+from testbed.config.key import assignment
+from testbed.core.vehicle import Positive
+
+BROKEN = 1e6  # what breaking the safety bounds costs, for each of the runs that do
+PROOF_SEEDS = 1_000_000  # further on: seeds that were not tuned on
+
+Fly = Callable[[Sequence[Task]], Iterator[Flown]]
+
+
+class Gain(Struct, frozen=True, forbid_unknown_fields=True):
+    """A number to choose, and between what."""
+
+    key: str
+    low: float
+    high: float
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high:
+            raise ValueError(f"expected low < high, found {self.low:g} and {self.high:g}")
+        if self.log and self.low <= 0.0:
+            raise ValueError(f"expected low > 0 for log, found {self.low:g}")
+
+
+class TuningFile(Struct, frozen=True, forbid_unknown_fields=True):
+    """A tuning as its file says it."""
+
+    name: str
+    experiment: str
+    gain: Annotated[list[Gain], Meta(min_length=1, max_length=50)]
+    cost: Annotated[dict[str, Positive], Meta(min_length=1)]
+    description: str = ""
+    set: list[str] = []
+    most: dict[str, float] = {}
+    least: dict[str, float] = {}
+    trials: Count = 40
+    samples: Count = 3
+    seed: Seed = 0
+    sampler: Literal["tpe", "cmaes"] = "tpe"
+    together: Annotated[int, Meta(ge=1, le=1000)] = 4
+    proof: Annotated[int, Meta(ge=0, le=10_000)] = 10  # seeds of the comparison at the end
+
+
+class Trial(Struct, frozen=True):
+    """One choice and what it was worth."""
+
+    number: int
+    gains: list[float]
+    cost: float
+    broken: int  # runs that were not within the bounds
+    reason: str = ""  # of the first of these
+
+
+class Tuning:
+    """A tuning file with the experiment it is about."""
+
+    def __init__(self, file: TuningFile, base: str, now: list[float]) -> None:
+        self.file = file
+        self.base = base  # the resolved experiment, as TOML
+        self.now = now  # its gains
+
+    def payload(self) -> bytes:
+        """Everything that decides what is flown."""
+        return msgspec.json.encode((self.file, self.base))
+
+    def overrides(self, gains: Sequence[float]) -> tuple[str, ...]:
+        """What a choice puts on top of the base experiment."""
+        pairs = zip(self.file.gain, gains, strict=True)
+        return tuple(f"{gain.key}={value!r}" for gain, value in pairs)
+
+    def tasks(self, first: int, gains: Sequence[float], seeds: Sequence[int]) -> list[Task]:
+        """The runs of a choice, numbered from `first`."""
+        texts = self.overrides(gains)
+        return [(first + j, (*texts, f"seed={seed}")) for j, seed in enumerate(seeds)]
+
+
+def load_tuning(path: Path) -> Tuning:
+    """Read and check a tuning file and the experiment it names.
+
+    Raises:
+        ConfigError: something is wrong, in either, or at an end of a gain.
+    """
+    file = read_file(path, TuningFile)
+    check_name(path, file.name)
+    base = base_experiment(path, file.experiment, file.set)
+    tree = dump(base)
+    for gain in file.gain:
+        for end in (gain.low, gain.high):
+            text = f"{gain.key}={float(end)!r}"
+            load(experiment_path(path, file.experiment), [*file.set, text])
+    now = [_value(path, tree, gain) for gain in file.gain]
+    return Tuning(file, tomli_w.dumps(tree), now)
+
+
+def _value(path: Path, tree: Any, gain: Gain) -> float:
+    """What the experiment has for a gain now, brought within its ends."""
+    value = tree
+    for part in assignment(f"{gain.key}=0")[0]:
+        if part == "*":
+            value = next(iter(value.values() if isinstance(value, dict) else value))
+        else:
+            value = value.get(part) if isinstance(value, dict) else value[part]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(str(path), gain.key, "a key that holds a number", str(value))
+    return min(gain.high, max(gain.low, float(value)))
+
+
+def judged(tuning: Tuning, number: int, gains: list[float], runs: Sequence[Flown]) -> Trial:
+    """What a choice was worth.
+
+    Raises:
+        ConfigError: a column of the costs or bounds does not exist.
+    """
+    file, cost, reasons = tuning.file, 0.0, []
+    for run in sorted(runs, key=lambda run: run.k):
+        if reason := broken(file, run):
+            reasons.append(reason)
+        for name, weight in file.cost.items():
+            cost += weight * float(run.columns.get(name) or 0.0) / len(runs)
+    return Trial(
+        number, gains, cost + BROKEN * len(reasons), len(reasons), reasons[0] if reasons else ""
+    )
+
+
+def broken(file: TuningFile, run: Flown) -> str:
+    """Why a run is not within the bounds; empty if it is."""
+    if run.outcome != "passed":
+        return f"{run.outcome}: {run.reason}"
+    for name in file.cost:
+        if column(run.columns, name) is None:
+            return f"{name} does not apply, or was not reached"
+    return broken_bound(run.columns, file.most, file.least)
+
+
+class Optimiser(Protocol):
+    """Proposes gains, and is told what they cost."""
+
+    def ask(self) -> list[float]:
+        """The next choice."""
+        ...
+
+    def tell(self, cost: float) -> None:
+        """The cost of the first choice that has none yet."""
+        ...
+
+
+class OptunaOptimiser:
+    """Optuna's TPE or CMA-ES; the same file gives the same choices."""
+
+    def __init__(self, tuning: Tuning) -> None:
+        with needs_extra("campaign"):
+            import optuna
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        file = tuning.file
+        samplers = optuna.samplers
+        sampler = (
+            samplers.CmaEsSampler(seed=file.seed)
+            if file.sampler == "cmaes"
+            else samplers.TPESampler(seed=file.seed)
+        )
+        self._gains = file.gain
+        self._study = optuna.create_study(sampler=sampler)
+        self._study.enqueue_trial(
+            {gain.key: value for gain, value in zip(file.gain, tuning.now, strict=True)}
+        )
+        self._open: list[Any] = []
+
+    def ask(self) -> list[float]:
+        """See `Optimiser`."""
+        trial = self._study.ask()
+        self._open.append(trial)
+        return [trial.suggest_float(g.key, g.low, g.high, log=g.log) for g in self._gains]
+
+    def tell(self, cost: float) -> None:
+        """See `Optimiser`."""
+        self._study.tell(self._open.pop(0), cost)
+
+
+def tune(
+    tuning: Tuning,
+    optimiser: Optimiser,
+    known: Sequence[Trial],
+    fly: Fly,
+    done: Callable[[Trial], None],
+) -> list[Trial]:
+    """All trials: the known ones, and the others flown.
+
+    Args:
+        tuning: what is chosen and what counts.
+        optimiser: who chooses.
+        known: trials of an earlier call, from the first one on.
+        fly: runs in, how they ended out.
+        done: is told each new trial.
+    """
+    file = tuning.file
+    seeds = range(file.seed, file.seed + file.samples)
+    trials: list[Trial] = []
+    while len(trials) < file.trials:
+        first = len(trials)
+        numbers = range(first, min(file.trials, first + file.together))
+        choices = {number: optimiser.ask() for number in numbers}
+        found = {t.number: t for t in known if t.number in choices}
+        if any(found[n].gains != choices[n] for n in found):
+            words = "the optimiser's version has changed: it no longer chooses the same"
+            raise ConfigError(file.name, "", "the choices of the journal", words)
+        tasks = [
+            task
+            for number, gains in choices.items()
+            if number not in found
+            for task in tuning.tasks(number * file.samples, gains, seeds)
+        ]
+        runs: dict[int, list[Flown]] = {}
+        for run in fly(tasks) if tasks else ():
+            number = run.k // file.samples
+            runs.setdefault(number, []).append(run)
+            if len(runs[number]) == file.samples:
+                found[number] = judged(tuning, number, choices[number], runs.pop(number))
+                done(found[number])
+        for number in numbers:
+            optimiser.tell(found[number].cost)
+            trials.append(found[number])
+    return trials
+
+
+def best_of(trials: Sequence[Trial]) -> Trial | None:
+    """The cheapest trial within the bounds, the earlier of equals; None if none is within them."""
+    inside = [trial for trial in trials if trial.broken == 0]
+    return min(inside, key=lambda trial: (trial.cost, trial.number)) if inside else None

@@ -1,0 +1,221 @@
+"""`testbed campaign`: fly a sweep, watch it, keep it, sum it up."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table as Grid
+
+from testbed.campaign.engine import EngineError
+from testbed.campaign.extra import MissingExtraError
+from testbed.campaign.flight import (
+    Crew,
+    Ended,
+    Watch,
+    fly_campaign,
+    open_journal,
+    replay_command,
+    write_whole,
+)
+from testbed.campaign.journal import JournalError
+from testbed.campaign.report import html_report
+from testbed.campaign.result import table_of, write_parquet
+from testbed.campaign.row import Flown
+from testbed.campaign.summary import Summary, summarise, worst_runs
+from testbed.campaign.sweep import Campaign, load_campaign
+from testbed.cli.main import BAD_INPUT, FAILED, INTERRUPTED, OK
+from testbed.cli.run import Interrupt, errors
+from testbed.cli.trial import fly_batch, fly_with_log, warm
+from testbed.config import ConfigError
+from testbed.config.tree import trouble_at
+
+TROUBLE = (ConfigError, JournalError, EngineError, MissingExtraError)
+
+
+def run_campaign(
+    name: str, out: Path | None, jobs: int, scheduler: str | None, as_json: bool
+) -> int:
+    """Fly and return the exit code."""
+    interrupt, ended, watch = Interrupt(), None, Bar()
+    try:
+        path = find_campaign(name)
+        campaign = load_campaign(path)
+        folder = out or Path("runs") / f"campaign_{campaign.file.name}"
+        crew = Crew(fly_batch, fly_with_log, warm, jobs, scheduler)
+        with interrupt.caught(), interrupt.at_once(), watch:
+            ended = fly_campaign(campaign, path.read_bytes(), folder, crew, watch)
+        if ended is None:
+            say_interrupted(campaign, folder)
+            return INTERRUPTED
+        summary = write_results(campaign, ended, folder)
+    except TROUBLE as error:
+        return say_trouble(error)
+    except OSError as error:
+        return say_trouble(f"{error.filename}: {error.strerror}")
+    if as_json:
+        sys.stdout.write((folder / "summary.json").read_text(encoding="utf-8"))
+    else:
+        print_summary(summary, campaign, ended.runs, folder)
+    wanted = campaign.file.success
+    return OK if wanted is None or summary.confidence_interval[0] >= wanted else FAILED
+
+
+def find_campaign(name: str) -> Path:
+    """The file of a campaign."""
+    path = Path(name)
+    if trouble := trouble_at(path):
+        raise ConfigError(name, "", "a campaign file", trouble)
+    return path
+
+
+def say_trouble(error: Exception | str) -> int:
+    """Tell the operator what is wrong with the input."""
+    errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+    return BAD_INPUT
+
+
+def say_interrupted(campaign: Campaign, folder: Path) -> None:
+    """Tell the operator how far it got."""
+    with open_journal(campaign, folder) as journal:
+        count = len(journal.found)
+    errors.print(
+        f"interrupted: {count} of {campaign.count} runs are kept in {folder}; "
+        "the same command goes on from there",
+        style="yellow", markup=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def write_results(campaign: Campaign, ended: Ended, folder: Path) -> Summary:
+    """Write Parquet, summary and report."""
+    summary = summarise(campaign, experiment_name(campaign), ended)
+    table = table_of(campaign, ended.runs)
+    facts = {"campaign": campaign.file.name, "description": campaign.file.description}
+    write_parquet(folder / "results.parquet", table, facts)
+    text = msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
+    write_whole(folder / "summary.json", text)
+    page = html_report(campaign, summary, ended.runs, table, folder)
+    write_whole(folder / "report.html", page.encode())
+    return summary
+
+
+def experiment_name(campaign: Campaign) -> str:
+    """Name of the base experiment."""
+    return Path(campaign.file.experiment).stem
+
+
+class Bar(Watch):
+    """Progress bar of a campaign; a context manager."""
+
+    def __init__(self, name: str = "") -> None:
+        self._name = name
+        self._progress = Progress(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+            TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+            console=errors, transient=True, disable=not errors.is_terminal,
+        )  # fmt: skip
+        self._passed = self._over = 0
+
+    def __enter__(self) -> "Bar":
+        self._progress.start()
+        self._bar = self._progress.add_task(
+            f"{self._name} getting ready (compiles on the first run)", total=None
+        )
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def begun(self, total: int, runs: Sequence[Flown]) -> None:
+        """See `Watch`."""
+        self._over = len(runs)
+        self._passed = sum(run.outcome == "passed" for run in runs)
+        self._progress.update(self._bar, total=total, completed=self._over)
+
+    def flown(self, run: Flown) -> None:
+        """See `Watch`."""
+        self._over += 1
+        self._passed += run.outcome == "passed"
+        share = f"{self._name} passed {100.0 * self._passed / self._over:.1f} %"
+        self._progress.update(self._bar, completed=self._over, description=share)
+
+    def keeping(self, count: int) -> None:
+        """See `Watch`."""
+        self._progress.update(self._bar, description=f"{self._name} logs of {count} failures")
+
+
+def print_summary(
+    summary: Summary, campaign: Campaign, runs: Sequence[Flown], folder: Path
+) -> None:
+    """Print what the campaign says."""
+    out = Console(highlight=False)
+    low, high = summary.confidence_interval
+    title = f"[bold]{summary.campaign}[/]: {summary.runs} runs of {summary.experiment}"
+    rate = 100.0 * (summary.success_rate or 0.0)
+    out.print(
+        f"{title}, {summary.succeeded} passed: [bold]{rate:.1f} %[/] "
+        f"({100 * low:.1f} to {100 * high:.1f} % with {100 * summary.confidence:g} % confidence)",
+        soft_wrap=True,
+    )
+    for reason, count in summary.reasons.items():
+        out.print(f"  {count:5d}  {reason}", markup=False, style="red")
+    _print_spreads(out, summary)
+    _print_cases(out, summary)
+    if summary.spreads:
+        out.print("\nworst", style="bold")
+        for run in worst_runs(runs, summary.spreads[0].quantity, 3):
+            out.print(f"  run {run.k} {run.outcome}", markup=False)
+            command = replay_command(campaign, folder, run.k)
+            out.print(f"    {command}", markup=False, soft_wrap=True)
+    if summary.runs_per_second:
+        out.print(
+            f"\n{summary.runs - summary.resumed} runs in {summary.wall_s:.1f} s, "
+            f"{summary.runs_per_second:.2f} a second; "
+            f"a worker had at most {summary.worker_memory_mb:.0f} MB"
+        )
+    if summary.not_repeatable:
+        out.print(f"NOT THE SAME when flown again: runs {summary.not_repeatable}", style="bold red")
+    out.print(f"report: {folder / 'report.html'}", markup=False, soft_wrap=True)
+
+
+def _print_spreads(out: Console, summary: Summary) -> None:
+    grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for heading in ("", "best", "median", "95 %", "worst", "in run"):
+        grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    for one in summary.spreads:
+        unit = f" \\[{one.quantity.unit}]" if one.quantity.unit else ""
+        numbers = (one.best, one.median, one.p95, one.worst)
+        grid.add_row(
+            one.quantity.title + unit, *(f"{number:.4g}" for number in numbers), str(one.worst_run)
+        )
+    out.print(grid)
+
+
+def _print_cases(out: Console, summary: Summary) -> None:
+    if not summary.cases:
+        return
+    grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for name in summary.cases[0].name:
+        grid.add_column(name)
+    for heading in ("passed", "rate", "interval"):
+        grid.add_column(heading, justify="right")
+    for case in summary.cases[:40]:
+        rate = case.rate
+        grid.add_row(
+            *case.name.values(), f"{rate.succeeded}/{rate.runs}", f"{100 * (rate.rate or 0):.1f} %",
+            f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %",
+        )  # fmt: skip
+    out.print("")
+    out.print(grid)
+    if len(summary.cases) > 40:
+        out.print(f"... and {len(summary.cases) - 40} more in the report")

@@ -1,0 +1,99 @@
+"""One run of a campaign, flown in a worker: no screen, no file, no signal."""
+
+import resource
+import tempfile
+import time
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+
+from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_of
+from testbed.campaign.score import beside_metrics
+from testbed.cli.run import fly_and_judge, measure, warm_up
+from testbed.config import ConfigError, dump, load
+from testbed.core.types import HostTick, Outputs, Tick
+from testbed.ops.folder import write_config, write_metrics
+from testbed.ops.steady import steady
+from testbed.rig import make_twin
+
+
+class _Memory:
+    """Observer that keeps what the metrics need."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.outputs: dict[str, list[Outputs]] = {name: [] for name in names}
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+        self.outputs[name].append(tick.outputs)
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
+
+
+def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
+    """Fly run k: the base experiment with these on top. Whatever happens is in the result."""
+    began = time.perf_counter()
+    try:
+        experiment = load(_file(base), overrides)
+        memory, rig = _Memory(list(experiment.vehicles)), make_twin(experiment)
+        with steady():
+            ending = rig.fly(memory)
+        completed = ending.fault is None
+        metrics = measure(rig, memory.outputs, ending, 0.0, completed=completed)
+        columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
+    except ConfigError as error:
+        return Flown(k, "refused", f"{error.key}: expected {error.expected}, found {error.found}")
+    except Exception:  # whatever a law does, the campaign goes on and shows it
+        return Flown(k, "error", traceback.format_exc(limit=-4))
+    outcome, reason = outcome_of(metrics)
+    wall = time.perf_counter() - began
+    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return Flown(k, outcome, reason, columns, metrics.criteria, wall, memory_mb)
+
+
+def fly_batch(base: str, batch: Sequence[Task]) -> list[Flown]:
+    """Fly some runs, one after the other."""
+    return [fly(base, *task) for task in batch]
+
+
+def warm(base: str, batch: Sequence[Task]) -> None:
+    """Fly a moment of some runs, so that all they need is compiled and on disk."""
+    for _, overrides in batch:
+        with suppress(Exception):  # what is wrong is said when it is flown
+            warm_up(load(_file(base), overrides), lambda: False)
+
+
+def fly_with_log(base: str, batch: Sequence[Task]) -> list[Kept]:
+    """Fly some runs once more, now with their logs."""
+    return [_keep(base, *task) for task in batch]
+
+
+def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
+    columns: dict[str, Number] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        try:
+            experiment = load(_file(base), overrides)
+            write_config(folder, dump(experiment), version("airbearing-testbed"))
+            metrics = fly_and_judge(experiment, folder)
+            write_metrics(folder, metrics)
+            columns = columns_of(metrics, experiment, {})
+        except Exception:  # the same that ended the first flight
+            (folder / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
+        files = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+    return Kept(k, files, columns)
+
+
+@lru_cache(maxsize=4)
+def _file(base: str) -> Path:
+    """The base experiment as a file, which is what `load` reads."""
+    path = Path(tempfile.mkdtemp(prefix="campaign-")) / "base.toml"
+    path.write_text(base, encoding="utf-8")
+    return path

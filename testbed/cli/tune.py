@@ -1,0 +1,180 @@
+"""`testbed tune`: choose gains, fly every choice, write the best as an experiment."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import msgspec
+import tomli_w
+from msgspec import Struct
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table as Grid
+
+from testbed.campaign.code import code_digest, digest_of
+from testbed.campaign.compilation import compile_first
+from testbed.campaign.engine import Fleet, workers
+from testbed.campaign.flight import write_whole
+from testbed.campaign.journal import Head, Journal
+from testbed.campaign.row import Flown, Task
+from testbed.campaign.tuning import (
+    PROOF_SEEDS,
+    OptunaOptimiser,
+    Trial,
+    Tuning,
+    best_of,
+    judged,
+    load_tuning,
+    tune,
+)
+from testbed.cli.campaign import TROUBLE, find_campaign, say_trouble
+from testbed.cli.main import FAILED, INTERRUPTED, OK
+from testbed.cli.run import Interrupt, errors
+from testbed.cli.trial import fly_batch, warm
+from testbed.config import dump, load
+
+
+class TuningResult(Struct, frozen=True):
+    """Content of tuning.json, and what `--json` prints."""
+
+    tuning: str
+    trials: int
+    within_bounds: int
+    best: Trial | None
+    start: Trial
+    proof_seeds: int
+    start_proof: float | None  # mean cost over seeds that were not tuned on
+    best_proof: float | None
+    best_proof_broken: int
+    gains: dict[str, float]
+
+
+def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as_json: bool) -> int:
+    """Tune and return the exit code."""
+    interrupt, result = Interrupt(), None
+    try:
+        tuning = load_tuning(find_campaign(name))
+        folder = out or Path("runs") / f"tuning_{tuning.file.name}"
+        folder.mkdir(parents=True, exist_ok=True)
+        with interrupt.caught(), interrupt.at_once():
+            result = fly_tuning(tuning, folder, jobs, scheduler)
+        if result is None:
+            errors.print(
+                f"interrupted: the trials so far are kept in {folder}; the same command goes on",
+                style="yellow", markup=False, soft_wrap=True,
+            )  # fmt: skip
+            return INTERRUPTED
+        text = msgspec.json.format(msgspec.json.encode(result), indent=2) + b"\n"
+        write_whole(folder / "tuning.json", text)
+        if result.best is not None:
+            write_experiment(tuning, result.best, folder)
+    except TROUBLE as error:
+        return say_trouble(error)
+    except OSError as error:
+        return say_trouble(f"{error.filename}: {error.strerror}")
+    if as_json:
+        sys.stdout.write(text.decode())
+    else:
+        print_result(tuning, result, folder)
+    return OK if result.best is not None and result.best_proof_broken == 0 else FAILED
+
+
+def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -> TuningResult:
+    """All trials, and the comparison on other seeds."""
+    head = Head(digest_of(tuning.payload()), code_digest())
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+    )  # fmt: skip
+    progress = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
+    optimiser = OptunaOptimiser(tuning)
+    with Journal(folder / "journal.jsonl", head, Trial) as journal, progress:
+        write_whole(folder / "base.toml", tuning.base.encode())
+        bar = progress.add_task("getting ready", total=tuning.file.trials)
+        progress.update(bar, completed=len(journal.found))
+        best = [trial.cost for trial in journal.found]
+        first = tuning.tasks(0, tuning.now, [tuning.file.seed])
+        if scheduler is None:
+            compile_first(tuning.base, first, warm)
+        with workers(jobs, scheduler) as client:
+
+            def fly(tasks: Sequence[Task]) -> Iterator[Flown]:
+                return _fleet(client, tuning.base).results(tasks)
+
+            def done(trial: Trial) -> None:
+                journal.append(trial)
+                best.append(trial.cost)
+                progress.update(bar, advance=1, description=f"best {min(best):.4g}")
+
+            trials = tune(tuning, optimiser, journal.found, fly, done)
+            progress.update(bar, description="comparing on other seeds")
+            return compare(tuning, trials, fly)
+
+
+def _fleet(client: object, base: str) -> Fleet[Task, Flown]:
+    def lost(task: Task) -> Flown:
+        return Flown(task[0], "lost", "two workers died while flying it")
+
+    return Fleet(client, partial(fly_batch, base), lost, lambda run: run.wall_s)
+
+
+def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResult:
+    """The best choice against the experiment as it was, on seeds that were not tuned on."""
+    assert callable(fly)
+    best, file = best_of(trials), tuning.file
+    seeds = range(file.seed + PROOF_SEEDS, file.seed + PROOF_SEEDS + file.proof)
+    proof: list[Trial] = []
+    if best is not None and file.proof:
+        for trial in (trials[0], best):
+            runs = list(fly(tuning.tasks(0, trial.gains, seeds)))
+            proof.append(judged(tuning, trial.number, trial.gains, runs))
+    return TuningResult(
+        tuning=file.name,
+        trials=len(trials),
+        within_bounds=sum(trial.broken == 0 for trial in trials),
+        best=best,
+        start=trials[0],
+        proof_seeds=len(seeds),
+        start_proof=proof[0].cost if proof else None,
+        best_proof=proof[1].cost if proof else None,
+        best_proof_broken=proof[1].broken if proof else 0,
+        gains=dict(zip([g.key for g in file.gain], best.gains, strict=True)) if best else {},
+    )
+
+
+def write_experiment(tuning: Tuning, best: Trial, folder: Path) -> None:
+    """The experiment with the best gains, everything in place."""
+    experiment = load(folder / "base.toml", tuning.overrides(best.gains))
+    head = f"# Tuned by `testbed tune`: trial {best.number}, cost {best.cost:g}.\n\n"
+    write_whole(folder / "tuned.toml", (head + tomli_w.dumps(dump(experiment))).encode())
+
+
+def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
+    """Print gains before and after, and what they cost."""
+    out = Console(highlight=False)
+    kept = f"{result.within_bounds} of {result.trials} trials within the bounds"
+    if result.best is None:
+        out.print(f"[bold red]no choice is safe[/]: {kept}; the first one: {result.start.reason}")
+        return
+    grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for heading in ("", "as it was", "tuned", "between"):
+        grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    for gain, before, after in zip(
+        tuning.file.gain, result.start.gains, result.best.gains, strict=True
+    ):
+        grid.add_row(gain.key, f"{before:.4g}", f"{after:.4g}", f"{gain.low:g} and {gain.high:g}")
+    grid.add_row("cost, tuned on", _cost(result.start.cost), _cost(result.best.cost), "")
+    if result.start_proof is not None and result.best_proof is not None:
+        words = f"cost, {result.proof_seeds} other seeds"
+        grid.add_row(words, _cost(result.start_proof), _cost(result.best_proof), "")
+    out.print(f"[bold]{result.tuning}[/]: {kept}, the best is trial {result.best.number}")
+    out.print(grid)
+    if result.best_proof_broken:
+        out.print(
+            f"[bold red]not safe on {result.best_proof_broken} of the other seeds[/]: more samples"
+        )
+    out.print(f"tuned experiment: {folder / 'tuned.toml'}", markup=False, soft_wrap=True)
+
+
+def _cost(cost: float) -> str:
+    return "not safe" if cost >= 1e5 else f"{cost:.4g}"

@@ -1,0 +1,170 @@
+"""The benchmark of record: every law flies, scores are what the runs were, folders count too."""
+
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from controllers.catalogue import Controller
+from testbed.campaign.benchmark import (
+    SHIPPED,
+    load_benchmark,
+    markdown,
+    scenario_campaign,
+    score,
+    scores,
+)
+from testbed.campaign.evidence import read_run, track_of
+from testbed.campaign.row import Flown, columns_of
+from testbed.campaign.score import beside_metrics, goal_at, wanted_distances
+from testbed.cli.run import fly_and_judge
+from testbed.config import SHIPPED as CONFIGS
+from testbed.config import ConfigError, dump, find, load
+from testbed.core.path import Circle
+from testbed.ops.folder import new_folder, write_config, write_metrics
+from testbed.ops.metrics import Track
+from testbed.rig import make_twin
+
+PATH = CONFIGS / "benchmark.toml"
+FILE = load_benchmark(PATH)
+
+
+@pytest.fixture(params=list(FILE.scenarios))
+def campaign(request):
+    return scenario_campaign(PATH, FILE, request.param)  # every law fits its scenario, or it raises
+
+
+def test_every_scenario_is_flown_by_its_laws_as_shipped_and_off(campaign):
+    cases = {
+        (row["law"], row["vehicle"])
+        for row in (campaign.parameters(k) for k in range(campaign.count))
+    }
+    assert {vehicle for _, vehicle in cases} == {SHIPPED, "off"}
+    vehicles = load(find("hold")).vehicles["sat1"].model
+    base = campaign.base
+    assert f"mass = {vehicles.mass}" in base  # the standard vehicle
+
+
+def test_every_law_of_the_catalogue_flies():
+    flown = set()
+    for name in FILE.scenarios:
+        one = scenario_campaign(PATH, FILE, name)
+        for k in range(one.combinations):
+            path = PATH.parent / FILE.scenarios[name].experiment
+            texts = [*FILE.scenarios[name].set, *one.overrides(k)]
+            flown.add(type(load(path, texts).controller))
+    assert {kind.__name__ for kind in set(get_args(Controller)) - flown} == set()
+
+
+def test_a_law_that_is_not_there_is_said(tmp_path):
+    path = tmp_path / "b.toml"
+    path.write_text(
+        'name = "b"\n[laws]\npd = []\n[scenarios.s]\nexperiment = "hold"\nlaws = ["pdd"]\n'
+    )
+    with pytest.raises(ConfigError, match="did you mean `pd`"):
+        load_benchmark(path)
+
+
+def run(k, outcome="passed", **columns):
+    return Flown(k, outcome, "", {"contacts": 0, **columns})
+
+
+def test_a_score_is_the_middle_and_the_worst():
+    runs = [run(0, goal_rms_m=0.1, gas_g=5.0), run(1, goal_rms_m=0.3, gas_g=7.0, contacts=2),
+            run(2, "failed", goal_rms_m=0.2, gas_g=9.0, clearance_m=-0.1)]  # fmt: skip
+    one = score("step", "pd", runs, [run(3), run(4, "fault")])
+    assert (one.runs, one.passed, one.contacts) == (3, 2, 2)
+    assert (one.error_m, one.worst_error_m, one.gas_g) == (0.2, 0.3, 7.0)
+    assert (one.clearance_m, one.settle_s) == (-0.1, None)
+    assert (one.robust_passed, one.robust_runs) == (1, 2)
+
+
+def test_a_law_that_raises_has_a_row_without_numbers():
+    table = markdown([score("step", "pd", [Flown(0, "error", "boom")])])
+    assert "| step | `pd` | 0/1 | - | - | - | - | - | 0 | - | - | - |" in table
+
+
+def test_scores_tell_laws_and_vehicles_apart():
+    campaign = scenario_campaign(PATH, FILE, "hold")
+    runs = [run(k, goal_rms_m=float(k)) for k in range(campaign.count)]
+    table = scores(campaign, "hold", runs)
+    assert [row.law for row in table] == FILE.scenarios["hold"].laws
+    assert all((row.runs, row.robust_runs) == (FILE.samples, FILE.samples) for row in table)
+    assert table[0].worst_error_m == float(10 * (FILE.samples - 1))  # 10 combinations, the first
+
+
+# Numbers beside the metrics
+
+
+def track_at(experiment, positions):
+    t = np.linspace(0.0, experiment.duration_s, len(positions))
+    states = np.zeros((len(t), len(experiment.vehicles), 6))
+    states[:, :, :2] = positions
+    return Track(t, states)
+
+
+def test_the_error_is_to_the_goal_where_it_is_by_then():
+    experiment = load(CONFIGS / "scenarios" / "circle.toml")
+    setup = experiment.vehicles["sat1"]
+    t = np.linspace(0.0, experiment.duration_s, 1000)
+    goal = goal_at(setup, t)
+    assert isinstance(setup.path, Circle)
+    assert np.hypot(*goal.T) == pytest.approx(0.8)  # about the table's middle
+    off = goal[:, None] + [0.003, 0.004]
+    assert beside_metrics(experiment, track_at(experiment, off))["sat1"]["goal_rms_m"] == (
+        pytest.approx(0.005)
+    )
+
+
+def test_the_shape_is_the_distances_of_the_formation():
+    experiment = load(CONFIGS / "scenarios" / "formation.toml")
+    assert wanted_distances(experiment) == {("sat1", "sat2"): 1.5, ("sat2", "sat3"): 1.5}
+    chain = np.tile([[-1.5, 0.0], [0.0, 0.0], [1.54, 0.0]], (100, 1, 1))
+    found = beside_metrics(experiment, track_at(experiment, chain))
+    assert found["sat1"]["shape_rms_m"] == pytest.approx(0.0, abs=1e-12)
+    assert found["sat2"]["shape_rms_m"] == pytest.approx(0.04 / 2**0.5)
+    assert found["sat3"]["shape_rms_m"] == pytest.approx(0.04)
+    assert found["sat1"]["goal_rms_m"] is None
+
+
+def test_the_clearance_is_to_the_danger_radius():
+    experiment = load(CONFIGS / "scenarios" / "crossing.toml")
+    places = np.tile([[3.0, 0.0], [3.0, 0.0], [-1.0, 0.6]], (10, 1, 1))  # 0.7 m from o1
+    found = beside_metrics(experiment, track_at(experiment, places))
+    assert found["sat3"]["clearance_m"] == pytest.approx(-0.1)
+
+
+# From run folders
+
+
+class Nobody:
+    """Observer of a flight."""
+
+    def vehicle(self, name, tick): ...
+
+    def host(self, name, tick): ...
+
+    def done(self, t): ...
+
+
+def test_a_run_folder_scores_like_the_flight(tmp_path):
+    experiment = load(find("hold"), ["duration_s=8", "vehicles.sat1.start=[0.0, -0.02, 0.0]"])
+    folder = new_folder(tmp_path / "run", "hold")
+    write_config(folder, dump(experiment), "test")
+    metrics = fly_and_judge(experiment, folder)
+    write_metrics(folder, metrics)
+    rig = make_twin(experiment)
+    rig.fly(Nobody())
+    truth = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
+    read = read_run(folder, 0, {}, {})
+    assert read.columns["goal_rms_m"] == pytest.approx(truth["goal_rms_m"], abs=0.0005)
+    assert read.columns["gas_g"] == truth["gas_g"]
+    track = track_of(folder, experiment)
+    assert track.states.shape[1:] == (1, 6)
+    assert track.t[-1] == pytest.approx(7.9)
+
+
+def test_a_folder_that_is_no_run_is_said(tmp_path):
+    with pytest.raises(ConfigError, match=r"no config\.toml"):
+        read_run(Path(tmp_path), 0, {}, {})

@@ -1,0 +1,127 @@
+"""From a campaign file to its folder, with workers that only pretend to fly."""
+
+import shlex
+
+import pyarrow.parquet
+import pytest
+from scipy.stats import beta
+
+from testbed.campaign.engine import EngineError, workers
+from testbed.campaign.flight import Watch, failure_folder, fly_campaign, replay_command
+from testbed.campaign.interval import success_rate
+from testbed.campaign.journal import JournalError
+from testbed.campaign.result import table_of, write_parquet
+from testbed.campaign.summary import summarise, worst_runs
+from testbed.campaign.sweep import load_campaign
+
+MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
+GRID = {"key": "controller.bandwidth", "values": [0.1, 0.2]}
+
+
+class StopAfter(Watch):
+    """An operator who interrupts."""
+
+    def __init__(self, count):
+        self.left = count
+
+    def flown(self, run):
+        self.left -= 1
+        if self.left == 0:
+            raise KeyboardInterrupt
+
+
+def fly(campaign, folder, crew, watch=None):
+    return fly_campaign(campaign, b"text", folder, crew, watch or Watch())
+
+
+def test_every_run_once_whoever_flies_and_however_often_it_is_stopped(write, crew, tmp_path):
+    campaign = load_campaign(write(grid=[GRID], draw=[MASS], samples=20, keep=3))
+    straight = fly(campaign, tmp_path / "a", crew(1))
+    assert [run.k for run in straight.runs] == list(range(40))
+    assert straight.unlike == []
+    for count in (1, 7, 13):
+        with pytest.raises(KeyboardInterrupt):
+            fly(campaign, tmp_path / "b", crew(2), StopAfter(count))
+    resumed = fly(campaign, tmp_path / "b", crew(2))
+    assert resumed.resumed >= 21
+    assert resumed.runs == straight.runs
+    for name, ended in (("a", straight), ("b", resumed)):
+        write_parquet(tmp_path / f"{name}.parquet", table_of(campaign, ended.runs), {})
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+
+    kept = sorted(path.name for path in (tmp_path / "b" / "failures").iterdir())
+    assert kept == ["run_000000", "run_000003", "run_000006"]
+    folder = failure_folder(tmp_path / "b", 3)
+    assert (folder / "log.mcap").read_bytes() == b"log"
+    assert (folder / "replay.txt").read_text().strip() == replay_command(
+        campaign, tmp_path / "b", 3
+    )
+
+    again = fly(campaign, tmp_path / "b", crew(2))  # nothing is left to fly
+    assert (again.resumed, again.runs) == (40, straight.runs)
+
+
+def test_a_changed_file_does_not_go_on_in_an_old_folder(write, crew, tmp_path):
+    fly(load_campaign(write(samples=2)), tmp_path / "a", crew())
+    with pytest.raises(JournalError, match="campaign or experiment has changed"):
+        fly(load_campaign(write(samples=3)), tmp_path / "a", crew())
+
+
+def test_a_run_that_kills_its_workers_is_found_and_the_others_fly(write, crew, tmp_path):
+    campaign = load_campaign(write(samples=9, keep=0, set=["description='deadly.4.'"]))
+    ended = fly(campaign, tmp_path / "a", crew(1))
+    assert [run.k for run in ended.runs] == list(range(9))
+    assert [run.k for run in ended.runs if run.outcome == "lost"] == [4]
+
+
+def test_a_cluster_that_is_not_there_is_said():
+    with pytest.raises(EngineError, match="a Dask scheduler"), workers(1, "tcp://127.0.0.1:9"):
+        pass
+
+
+def test_the_table_has_a_row_per_run_and_types_a_reader_expects(write, crew, tmp_path):
+    campaign = load_campaign(write(grid=[GRID], draw=[MASS], samples=3))
+    ended = fly(campaign, tmp_path / "a", crew())
+    write_parquet(tmp_path / "r.parquet", table_of(campaign, ended.runs), {"campaign": "try"})
+    table = pyarrow.parquet.read_table(tmp_path / "r.parquet")
+    assert table.column_names[:6] == [
+        "run", "controller.bandwidth", "vehicles.*.model.mass", "seed", "outcome", "reason",
+    ]  # fmt: skip
+    assert table["run"].to_pylist() == list(range(6))
+    assert str(table.schema.field("goal_rms_m").type) == "double"
+    assert str(table.schema.field("contacts").type) == "int64"
+    assert table.schema.metadata[b"campaign"] == b"try"
+
+
+def test_the_summary_counts(write, crew, tmp_path):
+    campaign = load_campaign(write(grid=[GRID], samples=15, keep=0))
+    ended = fly(campaign, tmp_path / "a", crew())
+    summary = summarise(campaign, "hold", ended)
+    assert (summary.runs, summary.succeeded) == (30, 20)
+    assert summary.outcomes == {"failed": 10, "passed": 20}
+    assert summary.reasons == {"failed: settle_s": 10}
+    assert [(case.rate.runs, case.rate.succeeded) for case in summary.cases] == [(15, 10)] * 2
+    error = summary.spreads[0]
+    values = sorted(1e3 * run.columns["goal_rms_m"] for run in ended.runs)
+    assert (error.best, error.worst) == (values[0], values[-1])
+    assert error.p95 == values[28]  # 29 of 30 are at least as good
+    assert [run.outcome for run in worst_runs(ended.runs, error.quantity, 11)] == [
+        *["failed"] * 10, "passed",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("succeeded", "runs"), [(0, 10), (10, 10), (7, 10), (993, 1000)])
+def test_the_interval_is_near_the_exact_one_and_holds_the_rate(succeeded, runs):
+    rate = success_rate(succeeded, runs, 0.95)
+    assert rate.low - 1e-12 <= succeeded / runs <= rate.high + 1e-12
+    low = beta.ppf(0.025, succeeded, runs - succeeded + 1) if succeeded else 0.0
+    high = beta.ppf(0.975, succeeded + 1, runs - succeeded) if succeeded < runs else 1.0
+    assert (rate.low, rate.high) == (pytest.approx(low, abs=0.05), pytest.approx(high, abs=0.05))
+
+
+def test_a_replay_command_survives_the_shell(write, tmp_path):
+    campaign = load_campaign(write(draw=[MASS]))
+    words = shlex.split(replay_command(campaign, tmp_path / "a b", 0))
+    assert words == [
+        "testbed", "run", str(tmp_path / "a b" / "base.toml"), *campaign.overrides(0)
+    ]  # fmt: skip

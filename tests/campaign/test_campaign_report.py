@@ -1,0 +1,131 @@
+"""The page of a campaign stands alone, shows every run, and lets nothing through unescaped."""
+
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from testbed.campaign import chart
+from testbed.campaign.chart import Point
+from testbed.campaign.flight import Ended, replay_command
+from testbed.campaign.grouping import best_front, fields
+from testbed.campaign.report import MOST_POINTS, html_report
+from testbed.campaign.result import table_of
+from testbed.campaign.row import Flown
+from testbed.campaign.summary import summarise
+from testbed.campaign.sweep import load_campaign
+
+MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
+GRID = {"key": "controller.bandwidth", "values": [0.1, 0.2, 0.3]}
+
+
+def page_of(campaign, runs, folder):
+    summary = summarise(campaign, "hold", Ended(runs, 0, 1.0, []))
+    return html_report(campaign, summary, runs, table_of(campaign, runs), folder)
+
+
+def some_runs(count):
+    rng = np.random.default_rng(1)
+    return [
+        Flown(
+            k, "failed" if k % 5 == 0 else "passed", "settle_s" * (k % 5 == 0),
+            {"goal_rms_m": float(rng.lognormal(-7)), "gas_g": float(rng.uniform(5, 20)),
+             "settle_s": None if k % 5 == 0 else float(rng.uniform(5, 9))},
+        )
+        for k in range(count)
+    ]  # fmt: skip
+
+
+def pictures(page):
+    return [ET.fromstring(svg) for svg in re.findall(r"<svg.*?</svg>", page, re.DOTALL)]
+
+
+def test_the_page_fetches_nothing_and_every_picture_is_sound(write, tmp_path):
+    campaign = load_campaign(write(grid=[GRID], draw=[MASS], samples=20))
+    page = page_of(campaign, some_runs(60), tmp_path)
+    assert not re.search(r"(https?:)?//[a-z]|@import|url\(|src=|<link", page)
+    assert "prefers-color-scheme: dark" in page
+    assert len(pictures(page)) > 8
+    for label in ("success rate", "distribution of", "gas [g]", "by controller.bandwidth"):
+        assert any(label in svg.get("aria-label") for svg in pictures(page) if svg.get("role"))
+
+
+def test_the_worst_runs_come_with_the_command_that_flies_them(write, tmp_path):
+    campaign = load_campaign(write(draw=[MASS], samples=60))
+    runs = some_runs(60)
+    page = page_of(campaign, runs, tmp_path)
+    worst = max((r for r in runs if r.outcome == "failed"), key=lambda r: r.columns["goal_rms_m"])
+    command = replay_command(campaign, tmp_path, worst.k).replace("'", "&#x27;")
+    assert command in page
+
+
+def test_words_of_a_file_are_words_on_the_page(write, tmp_path):
+    evil = "<script>alert(1)</script>"
+    campaign = load_campaign(write(description=evil, draw=[{**MASS, "name": evil}], samples=9))
+    runs = [*some_runs(8), Flown(8, "error", f"Traceback\n{evil}")]
+    assert evil not in page_of(campaign, runs, tmp_path)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_few_runs_make_a_page_too(write, tmp_path, count):
+    campaign = load_campaign(write(draw=[MASS], samples=3))
+    assert "</html>" in page_of(campaign, some_runs(count), tmp_path)
+
+
+def test_runs_without_numbers_make_a_page_too(write, tmp_path):
+    campaign = load_campaign(write(samples=2))
+    runs = [Flown(0, "error", "boom"), Flown(1, "lost", "two workers died")]
+    assert "boom" in page_of(campaign, runs, tmp_path)
+
+
+def test_ten_thousand_runs_make_a_page_of_some_megabytes_with_every_failure(write, tmp_path):
+    campaign = load_campaign(write(draw=[MASS], samples=7000))
+    page = page_of(campaign, some_runs(7000), tmp_path)
+    assert len(page) < 3e6
+    scatter = next(s for s in pictures(page) if "against vehicles" in (s.get("aria-label") or ""))
+    marks = [e for e in scatter if "bad-mark" in e.get("class", "")]
+    assert len(marks) == 1400
+    assert len(scatter) < MOST_POINTS + 100
+
+
+def test_the_front_is_what_nobody_beats():
+    rng = np.random.default_rng(2)
+    points = [Point(*rng.uniform(0, 1, 2), bool(rng.integers(2)), "") for _ in range(300)]
+    good = [p for p in points if p.passed]
+    unbeaten = {
+        p for p in good
+        if not any(q.x <= p.x and q.y <= p.y and (q.x, q.y) != (p.x, p.y) for q in good)
+    }  # fmt: skip
+    assert set(best_front(points)) == unbeaten
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.0, 1.0), (-3e-7, 2e-7), (1e6, 1e6 + 3), (0.5, 0.5 + 1e-3)]
+)
+def test_ticks_are_few_round_and_inside(low, high):
+    found = chart.ticks(low, high)
+    assert 3 <= len(found) <= 8
+    assert all(low - 1e-9 * abs(high) <= t <= high + 1e-9 * abs(high) for t in found)
+
+
+def test_log_ticks_are_inside():
+    assert chart.log_ticks(0.09, 3.0) == pytest.approx([0.1, 0.2, 0.5, 1.0, 2.0])
+    assert chart.log_ticks(1e-6, 1e3) == pytest.approx([10.0**n for n in range(-6, 4)])
+
+
+def test_a_histogram_counts_every_run_once():
+    values = np.random.default_rng(3).lognormal(0, 2, 500)
+    svg = ET.fromstring(chart.histogram(values[:300].tolist(), values[300:].tolist(), "x"))
+    hints = {e.find("title").text for e in svg if e.find("title") is not None}
+    counts = [re.search(r": (\d+) passed, (\d+) not", hint).groups() for hint in hints]
+    assert sum(int(g) for g, _ in counts) == 300
+    assert sum(int(b) for _, b in counts) == 200
+
+
+def test_fields_of_a_map_hold_every_value():
+    values = np.random.default_rng(4).uniform(1.0, 3.0, 100).tolist()
+    where, names = fields(values)
+    assert (min(where), max(where), len(names)) == (0, 5, 6)
+    few, labels = fields([2.0, 1.0, 2.0])
+    assert (few, labels) == ([1, 0, 1], ["1", "2"])

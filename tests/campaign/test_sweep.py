@@ -1,0 +1,128 @@
+"""Which runs a campaign file stands for."""
+
+import numpy as np
+import pytest
+import tomli_w
+
+from testbed.campaign.inline import inline
+from testbed.campaign.sweep import load_campaign
+from testbed.config import ConfigError, load
+from testbed.config.tree import parse
+
+BANDWIDTH = {"key": "controller.bandwidth", "values": [0.1, 0.2, 0.4]}
+LAWS = {
+    "name": "law",
+    "cases": {"slow": ["controller.bandwidth=0.1"], "smc": ["controller={type='smc'}"]},
+}
+MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
+LATENCY = {"key": "table.mocap.latency_s", "mean": 0.05, "sd": 0.005}
+
+
+def all_runs(campaign):
+    return [campaign.overrides(k) for k in range(campaign.count)]
+
+
+def test_a_grid_is_every_combination_with_every_sample(write):
+    campaign = load_campaign(write(grid=[BANDWIDTH, LAWS], samples=2, seed=7))
+    runs = {tuple(campaign.parameters(k).values()) for k in range(campaign.count)}
+    assert runs == {
+        (bandwidth, law, seed)
+        for bandwidth in (0.1, 0.2, 0.4) for law in ("slow", "smc") for seed in (7, 8)
+    }  # fmt: skip
+
+
+def test_a_sample_is_the_same_wherever_on_the_grid(write):
+    campaign = load_campaign(write(grid=[BANDWIDTH], draw=[MASS], samples=4))
+    for k in range(0, campaign.count, 3):
+        rows = [campaign.parameters(k + i) for i in range(3)]
+        assert len({(row["seed"], row["vehicles.*.model.mass"]) for row in rows}) == 1
+
+
+def test_more_samples_or_another_key_change_no_random_draw(write):
+    few = load_campaign(write(draw=[MASS], samples=5))
+    more = load_campaign(write(draw=[LATENCY, MASS], samples=50))
+    for k in range(5):
+        assert few.parameters(k).items() <= more.parameters(k).items()
+
+
+@pytest.mark.parametrize("design", ["random", "latin_hypercube"])
+def test_the_file_alone_decides(write, design):
+    path = write(grid=[BANDWIDTH], draw=[MASS, LATENCY], samples=9, design=design)
+    assert all_runs(load_campaign(path)) == all_runs(load_campaign(path))
+
+
+def test_another_seed_draws_anew(write):
+    a, b = (load_campaign(write(draw=[MASS], samples=3, seed=s)) for s in (0, 100))
+    assert {r[0] for r in all_runs(a)}.isdisjoint(r[0] for r in all_runs(b))
+
+
+def test_a_latin_hypercube_has_one_draw_in_each_slice(write):
+    campaign = load_campaign(write(draw=[MASS, LATENCY], samples=20, design="latin_hypercube"))
+    masses = [campaign.parameters(k)["vehicles.*.model.mass"] for k in range(20)]
+    slices = np.floor((np.array(masses) - 11.0) / 3.0 * 20).astype(int)
+    assert sorted(slices) == list(range(20))
+
+
+def test_draws_keep_their_ends_and_their_shape(write):
+    log = {"key": "controller.bandwidth", "low": 0.01, "high": 1.0, "log": True}
+    campaign = load_campaign(write(draw=[log, LATENCY], samples=2000))
+    rows = [campaign.parameters(k) for k in range(2000)]
+    bandwidth = np.array([row["controller.bandwidth"] for row in rows])
+    latency = np.array([row["table.mocap.latency_s"] for row in rows])
+    assert bandwidth.min() >= 0.01
+    assert bandwidth.max() <= 1.0
+    assert np.median(bandwidth) == pytest.approx(0.1, rel=0.15)
+    assert latency.mean() == pytest.approx(0.05, abs=5e-4)
+    assert latency.std() == pytest.approx(0.005, rel=0.1)
+
+
+def test_a_run_is_what_its_command_line_flies(write, tmp_path):
+    campaign = load_campaign(write(grid=[LAWS], draw=[MASS], set=["duration_s=5"], seed=3))
+    base = tmp_path / "base.toml"
+    base.write_text(campaign.base)
+    experiment = load(base, campaign.overrides(1))
+    assert type(experiment.controller).__name__ == "SmcParams"
+    assert experiment.duration_s == 5.0
+    assert experiment.seed == 3
+    assert experiment.vehicles["sat1"].model.mass == campaign.parameters(1)["vehicles.*.model.mass"]
+
+
+@pytest.mark.parametrize(
+    "value",
+    [1, -2.5e-7, 0.1 + 0.2, True, 'quo"ted\\', [1.0, [2, 3]], {"type": "pd", "a b": {"c": []}}],
+)
+def test_a_value_on_one_line_reads_back(value):
+    assert parse(f"value = {inline(value)}".encode())["value"] == value
+    assert "\n" not in inline(value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"grid": [{"key": "controller.bandwith", "values": [1.0]}]}, "did you mean `bandwidth`"),
+        ({"grid": [{"key": "controller.bandwidth", "values": [-1.0]}]}, "> 0"),
+        ({"grid": [{"key": "controller.bandwidth"}]}, "either key and values, or name and cases"),
+        ({"draw": [{"key": "duration_s", "low": 2.0, "high": 1.0}]}, "low < high"),
+        ({"draw": [{"key": "duration_s", "low": 0.0, "high": 1.0, "log": True}]}, "low > 0"),
+        ({"draw": [{"key": "duration_s", "low": 1.0}]}, "low and high, or mean and sd"),
+        ({"draw": [{"key": "duration_s", "low": -1.0, "high": 9.0}]}, "duration_s"),
+        ({"draw": [{"key": "seed", "low": 1.0, "high": 9.0}]}, "none called seed"),
+        ({"grid": [BANDWIDTH, BANDWIDTH]}, "each column once"),
+        ({"samples": 0}, ">= 1"),
+        ({"sampels": 3}, "did you mean `samples`"),
+        ({"experiment": "hodl"}, "did you mean `hold`"),
+        ({"set": ["duration_s"]}, "key=value"),
+        ({"name": "../up"}, "letters, digits"),
+        ({"grid": [BANDWIDTH], "samples": 999_999}, "at most 1000000 runs"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_flies(write, keys, words):
+    with pytest.raises(ConfigError) as error:
+        load_campaign(write(**keys))
+    assert words in str(error.value)
+
+
+def test_the_experiment_may_stand_beside_the_campaign(write, tmp_path):
+    campaign = load_campaign(write(set=["duration_s=4"]))
+    (tmp_path / "mine.toml").write_text(campaign.base)
+    assert tomli_w.dumps(parse(load_campaign(write(experiment="mine.toml")).base.encode()))

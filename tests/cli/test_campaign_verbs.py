@@ -1,0 +1,175 @@
+"""`testbed campaign`, `tune`, `bench` as an operator uses them, with real flights of a second."""
+
+import json
+import signal
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+FILE = """
+name = "try"
+experiment = "hold"
+set = ["duration_s=1", "criteria={settle_s=0.9}", "vehicles.sat1.start=[0.0,0.0,1.57]"]
+samples = 40
+keep = 1
+
+[[grid]]
+name = "law"
+cases.quick = []
+cases.far = ["vehicles.sat1.start=[0.5,0.0,0.0]"]
+"""
+SUMMARY = {
+    "campaign", "experiment", "runs", "planned", "succeeded", "success_rate",
+    "confidence_interval", "confidence", "wall_s", "runs_per_second", "resumed",
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    (folder / "try.toml").write_text(FILE)
+    return folder
+
+
+def lines(folder: Path) -> int:
+    journal = folder / "journal.jsonl"
+    return len(journal.read_bytes().splitlines()) if journal.exists() else 0
+
+
+def wait_for_lines(process: subprocess.Popen, folder: Path, count: int) -> None:
+    """Until the journal is so long; the process must still run then."""
+    for _ in range(20_000):
+        if lines(folder) >= count:
+            return
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=0.02)
+            pytest.fail(f"ended too early: {process.communicate()}")
+    pytest.fail("some minutes are enough")
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, here):
+    rng = np.random.default_rng(8)
+    for kill in range(5):
+        process = start("campaign", "try.toml", "--jobs", "2", "--out", "a")
+        if kill == 0:
+            wait_for_lines(process, here / "a", 1)  # before any run
+        else:
+            wait_for_lines(process, here / "a", lines(here / "a") + int(rng.integers(1, 12)))
+        process.kill()
+        process.communicate()
+
+    process = start("campaign", "try.toml", "--jobs", "2", "--out", "a")
+    wait_for_lines(process, here / "a", lines(here / "a") + 2)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert stderr.startswith("interrupted: ")
+    assert stderr.endswith("the same command goes on from there\n")
+    assert stderr.count("\n") == 1
+
+    process = start("campaign", "try.toml", "--jobs", "2", "--out", "a", "--json")
+    stdout, stderr = process.communicate(timeout=600)
+    assert (process.returncode, stderr) == (0, "")
+    summary = json.loads(stdout)
+    assert summary.keys() > SUMMARY
+    assert (summary["runs"], summary["succeeded"]) == (80, 40)
+    assert summary["resumed"] > 8
+    low, high = summary["confidence_interval"]
+    assert low < 0.5 < high
+    assert summary["not_repeatable"] == []
+
+    messages = (here / "a" / "journal.jsonl").read_bytes().splitlines()[1:]
+    assert sorted(json.loads(m.split(b" ", 1)[1])["k"] for m in messages) == list(range(80))
+    kept = here / "a" / "failures" / "run_000001"
+    assert {p.name for p in kept.iterdir()} == {
+        "config.toml", "log.mcap", "metrics.json", "replay.txt",
+    }  # fmt: skip
+
+    process = start("campaign", "try.toml", "--jobs", "1", "--out", "b")
+    assert process.communicate(timeout=600)[1] == ""
+    for name in ("results.parquet", "base.toml"):
+        assert (here / "a" / name).read_bytes() == (here / "b" / name).read_bytes()
+
+    (here / "try.toml").write_text(FILE.replace("samples = 40", "samples = 41"))
+    process = start("campaign", "try.toml", "--out", "a")
+    stdout, stderr = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert "has changed since these 80 runs were flown" in stderr
+
+
+@pytest.mark.slow
+def test_the_command_of_a_run_repeats_it(start, testbed, here):
+    (here / "try.toml").write_text(FILE.replace("samples = 40", "samples = 1"))
+    process = start("campaign", "try.toml", "--out", "a")
+    assert process.communicate(timeout=600)[1] == ""
+    messages = (here / "a" / "journal.jsonl").read_bytes().splitlines()[1:]
+    flown = {run["k"]: run for run in (json.loads(m.split(b" ", 1)[1]) for m in messages)}
+    words = (here / "a" / "failures" / "run_000001" / "replay.txt").read_text().split()
+    result = testbed(*words[1:], "--json")
+    assert result.exit_code == 1
+    vehicle = json.loads(result.stdout)["vehicles"]["sat1"]
+    assert {name: flown[1]["columns"][name] for name in vehicle} == vehicle
+
+
+@pytest.mark.slow
+def test_a_detuned_law_is_tuned(start, here):
+    (here / "tune.toml").write_text("""
+        name = "slow"
+        experiment = "hold"
+        set = ["duration_s=20", "criteria={}", "controller.bandwidth=0.03"]
+        trials = 8
+        samples = 1
+        proof = 1
+        cost = { goal_rms_m = 1000.0 }
+        [[gain]]
+        key = "controller.bandwidth"
+        low = 0.02
+        high = 0.6
+        log = true
+    """)
+    process = start("tune", "tune.toml", "--out", "t", "--json")
+    stdout, stderr = process.communicate(timeout=600)
+    assert (process.returncode, stderr) == (0, "")
+    result = json.loads(stdout)
+    assert result["start"]["gains"] == [0.03]
+    assert result["best"]["cost"] < 0.5 * result["start"]["cost"]
+    assert result["best_proof"] < 0.5 * result["start_proof"]
+    process = start("check", "t/tuned.toml")
+    assert process.communicate(timeout=60)[0].startswith("ok: ")
+
+
+# What is wrong is said
+
+
+@pytest.mark.parametrize("verb", ["campaign", "tune", "bench"])
+def test_a_file_that_is_not_there(testbed, verb):
+    result = testbed(verb, "nothing.toml")
+    assert result.exit_code == 2
+    assert "no such file" in result.stderr
+
+
+def test_a_missing_package_is_named_and_how_to_get_it(testbed, monkeypatch, here):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    result = testbed("campaign", "try.toml", "--scheduler", "tcp://127.0.0.1:9")
+    assert result.exit_code == 2
+    assert "pip install 'airbearing-testbed[campaign]'" in result.stderr
+
+
+def test_bench_says_the_commands_for_a_table(testbed):
+    result = testbed("bench", "--commands", "--only", "hold")
+    assert result.exit_code == 0
+    assert result.stdout.count("--out runs/benchmark_standard/hold/pd/") == 4
+
+
+def test_bench_knows_its_scenarios(testbed):
+    result = testbed("bench", "--only", "holt")
+    assert result.exit_code == 2
+    assert "hold" in result.stderr
