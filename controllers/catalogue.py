@@ -12,6 +12,7 @@ from controllers.bounded_leader_varying import BoundedLeaderVaryingParams, bound
 from controllers.collision_sliding import CollisionSlidingParams, collision_sliding
 from controllers.connectivity_dynamic import ConnectivityDynamicParams, connectivity_dynamic
 from controllers.connectivity_static import ConnectivityStaticParams, connectivity_static
+from controllers.own_law import OwnLawParams, own_law
 from controllers.pd import PdParams, pd
 from controllers.scale import Scaled
 from controllers.smc import SmcParams, smc
@@ -29,6 +30,7 @@ Controller = (
     | BoundedLeaderParams
     | BoundedLeaderVaryingParams
     | BifurcatingParams
+    | OwnLawParams
 )
 
 
@@ -68,3 +70,5 @@ def _law(params: Controller, names: Sequence[str], d: int) -> Law:
             return bounded_leader_varying(params, names, d)
         case BifurcatingParams():
             return bifurcating(params, d)
+        case OwnLawParams():
+            return own_law(params, names, d)
