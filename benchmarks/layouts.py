@@ -1,6 +1,6 @@
-"""How near the law comes to obstacles in shifted layouts, with and without standoff.
+"""How near laws come to obstacles in shifted layouts: SOTSMC with and without standoff, MPC.
 
-    python benchmarks/layouts.py [--runs 300] [--shift 0.3]
+    python benchmarks/layouts.py [--runs 300] [--shift 0.3] [--laws sotsmc,standoff,mpc]
 
 Obstacles and goals of zhang2023's table experiment are moved at random; starts and goals stay at
 least 0.9 m from obstacle centres. No vehicle, no noise: the law on a double integrator.
@@ -11,6 +11,7 @@ import argparse
 import numpy as np
 
 from controllers.catalogue import make_law
+from controllers.mpc import MpcParams
 from controllers.potential import PotentialParams
 from controllers.scale import Scale
 from controllers.sotsmc import SotsmcParams
@@ -18,6 +19,12 @@ from testbed.config import find, load
 from testbed.core.law import Body, Discs, Goal, World, silent
 
 DURATION, PERIOD, STEPS = 150.0, 0.1, 100
+SCALE = Scale(length=62.5, time=10.0, mass=1.0)
+LAWS = {
+    "sotsmc": SotsmcParams(potential=PotentialParams(standoff=0.0), scale=SCALE),
+    "standoff": SotsmcParams(potential=PotentialParams(standoff=2.5), scale=SCALE),
+    "mpc": MpcParams(),
+}
 MASS, MAX_FORCE = 12.5, 0.72  # as the shipped vehicle and guidance have them
 
 
@@ -26,7 +33,8 @@ def fly(law, start, goal, obstacles, radius):
     zero = np.zeros(2)
     world = World(Goal(goal, zero, zero, zero), Discs(obstacles, 0.0 * obstacles, radius))
     nobody = silent(Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
-    p, v, state = start, zero, np.zeros(3)
+    p, v = start, zero
+    state = law.initial(Body(p, v, MASS, zero, zero, MAX_FORCE), nobody, world)
     nearest, settled = np.inf, 0.0
     for k in range(round(DURATION / PERIOD)):
         body = Body(p, v, MASS, zero, zero, MAX_FORCE)
@@ -42,12 +50,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("--shift", type=float, default=0.3)
+    parser.add_argument("--laws", default=",".join(LAWS))
     options = parser.parse_args()
     shipped = load(find("zhang2023_table"))
     radius = np.array([rock.radius for rock in shipped.obstacles.values()])
-    for standoff in (0.0, 2.5):
-        scale = Scale(length=62.5, time=10.0, mass=1.0)
-        law = make_law(SotsmcParams(potential=PotentialParams(standoff=standoff), scale=scale))
+    for name in options.laws.split(","):
+        law = make_law(LAWS[name])
         rng = np.random.default_rng(1)
         rows = []
         while len(rows) < options.runs:
@@ -61,7 +69,7 @@ def main() -> None:
                     rows.append(fly(law, start, goal, rocks, radius))
         nearest, settled = np.array(rows).T
         print(
-            f"standoff {standoff:g}: {len(rows)} runs, worst clearance {nearest.min():.4f} m, "
+            f"{name}: {len(rows)} runs, worst clearance {nearest.min():.4f} m, "
             f"below 0.80 m: {np.mean(nearest < 0.80):.1%}, slowest {settled.max():.1f} s"
         )
 

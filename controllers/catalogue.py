@@ -12,6 +12,9 @@ from controllers.bounded_leader_varying import BoundedLeaderVaryingParams, bound
 from controllers.collision_sliding import CollisionSlidingParams, collision_sliding
 from controllers.connectivity_dynamic import ConnectivityDynamicParams, connectivity_dynamic
 from controllers.connectivity_static import ConnectivityStaticParams, connectivity_static
+from controllers.lqr import LqrParams, lqr
+from controllers.mpc import MpcParams, mpc
+from controllers.own_law import OwnLawParams, own_law
 from controllers.pd import PdParams, pd
 from controllers.scale import Scaled
 from controllers.smc import SmcParams, smc
@@ -22,6 +25,8 @@ Controller = (
     SotsmcParams
     | SmcParams
     | PdParams
+    | LqrParams
+    | MpcParams
     | ConnectivityStaticParams
     | ConnectivityDynamicParams
     | CollisionSlidingParams
@@ -29,6 +34,7 @@ Controller = (
     | BoundedLeaderParams
     | BoundedLeaderVaryingParams
     | BifurcatingParams
+    | OwnLawParams
 )
 
 
@@ -54,6 +60,10 @@ def _law(params: Controller, names: Sequence[str], d: int) -> Law:
             return smc(params, d)
         case PdParams():
             return pd(params)
+        case LqrParams():
+            return lqr(params, d)
+        case MpcParams():
+            return mpc(params, d)
         case ConnectivityStaticParams():
             return connectivity_static(params, names, d)
         case ConnectivityDynamicParams():
@@ -68,3 +78,5 @@ def _law(params: Controller, names: Sequence[str], d: int) -> Law:
             return bounded_leader_varying(params, names, d)
         case BifurcatingParams():
             return bifurcating(params, d)
+        case OwnLawParams():
+            return own_law(params, names, d)

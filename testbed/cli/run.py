@@ -13,6 +13,7 @@ import msgspec
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from controllers.plain_law import LawError
 from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
@@ -166,8 +167,9 @@ def fly_and_judge(
                 with steady():
                     ending = rig.fly(watcher, stopped=lambda: interrupt.asked)
                 wall = time.perf_counter() - began
-    except RecorderError as error:
-        ending = Ending(rig.twin.now, f"log: {error}")
+    except (RecorderError, LawError) as error:
+        what = "law" if isinstance(error, LawError) else "log"
+        ending = Ending(rig.twin.now, f"{what}: {error}")
     planned = experiment.ticks * experiment.flight.jet_period_s
     completed = ending.fault is None and ending.t >= planned
     return measure(rig, outputs, ending, wall, completed=completed)

@@ -14,6 +14,7 @@ from testbed.config.layout import bad_layout
 from testbed.config.misfit import first_misfit
 from testbed.config.mistake import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.number import bad_numbers
+from testbed.config.own_law import bad_own_law, with_content
 from testbed.config.source import Source
 from testbed.config.timing import bad_timing
 from testbed.config.tree import trouble_at
@@ -55,12 +56,13 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
         raise source.error(first_misfit(source.tree, Experiment)) from None
     for mistake in mistakes(experiment):
         raise source.error(mistake)
-    return experiment
+    return with_content(experiment)
 
 
 def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     """What the types cannot say."""
     yield from chain(bad_layout(experiment), bad_hardware(experiment), bad_timing(experiment))
+    yield from bad_own_law(experiment)
     try:
         make_law(experiment.controller, list(experiment.vehicles))
     except ValueError as error:

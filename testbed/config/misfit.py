@@ -46,6 +46,8 @@ def describe(kind: inspect.Type) -> str:
             return "a table" + " or the path of a TOML file" * (cls in INCLUDED)
         case inspect.DictType():
             return "a table"
+        case inspect.AnyType():
+            return "a value"
         case inspect.UnionType(types=types):
             if tagged := _tagged(kind):
                 return f"a table whose `type` is one of: {', '.join(tagged)}"
@@ -108,6 +110,8 @@ def _fits(value: Any, kind: inspect.Type) -> bool:
             return isinstance(value, bool)
         case inspect.LiteralType(values=values):
             return value in values
+        case inspect.AnyType():
+            return True
     return False
 
 

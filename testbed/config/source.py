@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from testbed.config.key import Key, assignment, spell
 from testbed.config.mistake import ConfigError, Mistake, show
+from testbed.config.own_law import place_law
 from testbed.config.tree import parse, read_toml, trouble_at
 
 _BARE_WORD = re.compile(r"[^\W\d][\w./-]*|\.{0,2}/[\w./-]+")
@@ -75,6 +76,7 @@ class Source:
 
     def _include(self, folder: Path) -> None:
         """Put the content of files in the place of their paths."""
+        place_law(self.tree, folder)
         slots: list[tuple[Key, Any]] = [(("table",), self.tree)]
         vehicles = self.tree.get("vehicles")
         if isinstance(vehicles, dict):

@@ -101,6 +101,13 @@ class Ahead(NamedTuple):
     told: Array  # (k,) what the law says to the others at the end
 
 
+class Concern(NamedTuple):
+    """Something about a law that whoever flies it should know; no error."""
+
+    name: str
+    text: str
+
+
 class Law(Protocol):
     """A control law of a paper, for one satellite."""
 

@@ -3,9 +3,11 @@
 config.toml   the resolved experiment: `testbed run config.toml` repeats the run
 log.mcap      every tick's inputs and outputs
 metrics.json  what it was worth; "completed": false if it did not reach its end
+law.py        a copy of the law, where it is a file outside the package; config.toml then means it
 """
 
 import os
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,10 @@ from typing import Any
 import msgspec
 import tomli_w
 
+from controllers.law_file import digest, file_of
 from testbed.ops.metrics import Metrics
+
+LAW = "law.py"
 
 
 class FolderError(Exception):
@@ -54,9 +59,25 @@ def new_folder(out: Path | None, name: str) -> Path:
 
 
 def write_config(folder: Path, tree: dict[str, Any], version: str) -> None:
-    """Write the resolved experiment."""
+    """Write the resolved experiment, and the law with it if that is a file of somebody's."""
+    tree = {**tree, "controller": _keep_law(folder, tree.get("controller", {}))}
     head = f"# Resolved by airbearing-testbed {version}; everything is in place.\n\n"
     _replace(folder / "config.toml", head + tomli_w.dumps(tree))
+
+
+def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
+    """[controller], with a copy of a law's file in the folder in its place."""
+    path = file_of(controller["law"]) if controller.get("type") == "python" else None
+    if path is None:
+        return controller
+    copy = folder / LAW
+    try:
+        shutil.copyfile(path, copy)
+    except OSError as error:
+        raise FolderError(f"{path}: {error.strerror}") from None
+    if digest(copy) != controller.get("sha256"):
+        raise FolderError(f"{path}\n  expected  the law as it was read\n  found     an edited one")
+    return {**controller, "law": f"{LAW}:{controller['law'].rpartition(':')[2]}"}
 
 
 def write_metrics(folder: Path, metrics: Metrics) -> None:

@@ -1,0 +1,118 @@
+"""The file of a law outside the package: found, executed, blamed where it fails."""
+
+import hashlib
+import re
+import sys
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from pathlib import Path
+from traceback import extract_tb
+from types import ModuleType
+from typing import Any
+
+GROUP = "airbearing_testbed.laws"  # of entry points
+
+
+class UnusableLawError(ValueError):
+    """A law cannot be made; `key` is what to mend in [controller]."""
+
+    def __init__(self, key: str, expected: str, found: str) -> None:
+        super().__init__(f"expected {expected}, found {found}")
+        self.key = key
+
+
+def file_of(law: str) -> Path | None:
+    """The file that "path.py:Name" names; None for an entry point."""
+    path, colon, name = law.rpartition(":")
+    return Path(path) if colon and name.isidentifier() else None
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(_content(path)).hexdigest()
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        expected = 'the path of a Python file and a name in it, "my_law.py:Name"'
+        raise UnusableLawError("law", expected, f"{path}: {reason}") from None
+
+
+def maker(law: str, sha256: str | None = None) -> Callable[..., Any]:
+    """What "path.py:Name", or an entry point, stands for.
+
+    Raises:
+        UnusableLawError: there is no such file or name, the file fails, or is not the one meant.
+    """
+    path = file_of(law)
+    if path is None:
+        return _published(law)
+    content = _content(path)
+    found = hashlib.sha256(content).hexdigest()
+    if sha256 not in (None, found):
+        expected = f"{sha256}, the content that is meant; without the key, any"
+        raise UnusableLawError("sha256", expected, f"{found}: {path.name} was edited")
+    names = vars(_executed(path, content, f"own_law_{found}"))
+    name = law.rpartition(":")[2]
+    made = names.get(name)
+    if not callable(made):
+        own = [n for n, v in names.items() if getattr(v, "__module__", "") == names["__name__"]]
+        expected = f"a class or function of {path.name}: {', '.join(own) or 'it has none'}"
+        raise UnusableLawError(
+            "law", expected, f"`{name}`" + ", which is neither" * (made is not None)
+        )
+    return made
+
+
+def _published(name: str) -> Callable[..., Any]:
+    published = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in published:
+        known = ", ".join(sorted(published)) or f"there is none in the group {GROUP}"
+        expected = f'"my_law.py:Name" or an entry point of an installed package ({known})'
+        raise UnusableLawError("law", expected, f'"{name}"')
+    try:
+        return published[name].load()
+    except Exception as error:  # it is somebody's code
+        expected = "an entry point that can be imported"
+        raise UnusableLawError("law", expected, f"{type(error).__name__}: {error}") from error
+
+
+def _executed(path: Path, content: bytes, name: str) -> ModuleType:
+    """The module of a file, executed once per content."""
+    if name in sys.modules:
+        return sys.modules[name]
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    sys.modules[name] = module  # where annotations are looked up
+    try:
+        exec(compile(content, str(path), "exec"), vars(module))
+    except Exception as error:  # it is somebody's code
+        del sys.modules[name]
+        raise UnusableLawError(
+            "law", "a Python file that can be executed", blame(error, path)
+        ) from error
+    return module
+
+
+def blame(error: BaseException, path: Path | None) -> str:
+    """Where in a law's file it failed, and why, in one line."""
+    whole = re.sub(r"\x1b\[[\d;]*m", "", str(error))  # numba writes in bold
+    reason = next((line for line in whole.splitlines() if _says_something(line)), "")
+    text = f"{type(error).__name__}: {reason.strip()}"
+    if path is None:
+        return text
+    if isinstance(error, SyntaxError) and error.lineno:
+        return f"{path.name}:{error.lineno}: {text}"
+    frames = [frame for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
+    if frames:
+        return f"{path.name}:{frames[-1].lineno}, in {frames[-1].name}: {text}"
+    lines = re.findall(rf'File "[^"]*{re.escape(path.name)}", line (\d+)', whole)
+    return f"{path.name}:{lines[-1]}: {text}" if lines else f"{path.name}: {text}"
+
+
+def _says_something(line: str) -> bool:
+    """Numba says first in which of its steps it failed."""
+    return bool(line.strip()) and not line.startswith("Failed in nopython mode pipeline")

@@ -1,0 +1,115 @@
+"""A law of one's own: a Python file outside the package, named in the experiment.
+
+    [controller]
+    type = "python"
+    law = "my_law.py:Mine"              # a file, relative to this one, and a name in it
+    parameters = { stiffness = 0.2 }
+
+`Mine` is called with the parameters, which must fit its annotations; if it has parameters `names`
+or `d`, it is also told the satellites' names in the order of `Body.who`, and how many coordinates a
+position has. What it returns is a law whole, such as a `CompiledLaw`, or an object that has
+
+    force(own, neighbours, world, t)            the force, shape (d,) [N], or
+    rate(law_state, own, neighbours, world, t)  the force and the rate of a state (n,) of its own
+
+and, where it needs them, `initial`, `jump`, `tell` and `words` as in `testbed.core.law`. An object
+in plain Python takes steps of `guidance.step_s`, or of its own `step_s` [s] if that is longer.
+
+Instead of a file, `law` may name an entry point of an installed package, in the group
+`airbearing_testbed.laws`.
+
+The file is executed once per content, so an edit is always noticed. `sha256` is the content that is
+meant; another is refused.
+"""
+
+import inspect
+import typing
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct, field
+
+from controllers.law_file import UnusableLawError, blame, file_of, maker
+from controllers.plain_law import PlainLaw, Watched
+from controllers.scale import Scale
+from testbed.core.law import Body, Discs, Goal, Law, Neighbours, World
+
+TOLD = ("names", "d")  # parameters that do not come from the experiment
+
+
+class OwnLawParams(Struct, frozen=True, forbid_unknown_fields=True, tag="python"):
+    """Where the law is and what it is called with."""
+
+    law: str  # "path.py:Name", or an entry point
+    parameters: dict[str, Any] = field(default_factory=dict)
+    sha256: str | None = None  # of the file; null: whatever it holds
+    scale: Scale = field(default_factory=Scale)
+
+
+def parameter_type(made: Callable[..., Any]) -> type[Struct]:
+    """The parameters of a law as a struct that refuses unknown keys."""
+    if inspect.isclass(made) and issubclass(made, Struct):
+        return msgspec.defstruct(made.__name__, [], bases=(made,), forbid_unknown_fields=True)
+    function = getattr(made, "__init__", made) if inspect.isclass(made) else made
+    hints = typing.get_type_hints(function, include_extras=True)
+    fields: list[tuple[str, Any, Any]] = []
+    for name, one in inspect.signature(made).parameters.items():
+        if one.kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD, one.POSITIONAL_ONLY):
+            expected = "a law whose parameters all have names"
+            raise UnusableLawError("law", expected, f"`{one}` among those of {made.__name__}")
+        if name not in TOLD:
+            default = msgspec.NODEFAULT if one.default is one.empty else one.default
+            fields.append((name, hints.get(name, Any), default))
+    name = made.__name__
+    return msgspec.defstruct(name, fields, forbid_unknown_fields=True, kw_only=True)
+
+
+def own_law(params: OwnLawParams, names: Sequence[str], d: int) -> Law:
+    """The law for positions of shape (d,).
+
+    Raises:
+        UnusableLawError: see `maker`; or the parameters do not fit, or what is made is no law.
+    """
+    made, path = maker(params.law, params.sha256), file_of(params.law)
+    try:
+        values = msgspec.convert(params.parameters, parameter_type(made))
+    except msgspec.ValidationError as error:
+        raise UnusableLawError("parameters", f"those of {made.__name__}", str(error)) from None
+    try:
+        law = _made(made, values, {"names": tuple(names), "d": d})
+    except Exception as error:  # it is somebody's code
+        raise UnusableLawError("parameters", "some that it accepts", blame(error, path)) from error
+    whole = callable(getattr(law, "fly_ahead", None))
+    return Watched(law if whole else PlainLaw(law, path), path)
+
+
+def _made(made: Callable[..., Any], values: Struct, told: dict[str, Any]) -> Any:
+    if isinstance(made, type) and isinstance(values, made):
+        return values
+    asked = inspect.signature(made).parameters
+    given = {name: getattr(values, name) for name in values.__struct_fields__}
+    return made(**given, **{name: told[name] for name in TOLD if name in asked})
+
+
+def try_out(law: Law, satellites: int, d: int = 2) -> None:
+    """Ask a law once what it would do, so that it fails before a flight rather than in one.
+
+    Raises:
+        LawError: it fails.
+    """
+
+    def somewhere(first: float, n: int) -> np.ndarray:
+        return first + 0.7 * np.arange(n * d).reshape(n, d)
+
+    still = np.zeros(d)
+    own = Body(somewhere(-1.3, 1)[0], still + 0.01, 10.0, still, still, 1.0, 0)
+    goal = Goal(somewhere(1.1, 1)[0], still, still, still)
+    n = max(0, satellites - 1)
+    told = np.zeros((n, law.words))
+    others = Neighbours(
+        somewhere(0.4, n), np.zeros((n, d)), np.full(n, 0.5), np.arange(1, n + 1), told, np.zeros(n)
+    )
+    world = World(goal, Discs(somewhere(3.0, 1), np.zeros((1, d)), np.full(1, 0.5)))
+    law.rate(law.initial(own, others, world), own, others, world, 0.0)

@@ -1,0 +1,57 @@
+"""What can be wrong with a law of the user's own, and which content of its file is meant."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec.structs import replace
+
+from controllers.law_file import UnusableLawError, digest, file_of, maker
+from controllers.own_law import OwnLawParams, own_law, parameter_type, try_out
+from controllers.plain_law import LawError
+from testbed.config.experiment import Experiment
+from testbed.config.misfit import first_misfit
+from testbed.config.mistake import Mistake, refused
+
+
+def place_law(tree: Any, folder: Path) -> None:
+    """Make the path of a law's file, which is relative to `folder`, absolute."""
+    controller = tree.get("controller")
+    if isinstance(controller, dict) and controller.get("type") == "python":
+        law = controller.get("law")
+        if isinstance(law, str) and file_of(law) is not None:
+            path, _, name = law.rpartition(":")
+            controller["law"] = f"{(folder / path).resolve()}:{name}"
+
+
+def bad_own_law(experiment: Experiment) -> Iterator[Mistake]:
+    """All that is wrong with a law of one's own."""
+    params = experiment.controller
+    if not isinstance(params, OwnLawParams):
+        return
+    try:
+        kind = parameter_type(maker(params.law, params.sha256))
+        try:
+            msgspec.convert(params.parameters, kind)
+        except msgspec.ValidationError:
+            key, expected, found = first_misfit(params.parameters, kind)
+            yield Mistake(("controller", "parameters", *key), expected, found)
+            return
+        names = list(experiment.vehicles)
+        try_out(own_law(params, names, 2), len(names))
+    except UnusableLawError as error:
+        yield refused(("controller", error.key), error)
+    except LawError as error:
+        yield Mistake(("controller", "law"), "a law that says what to do", str(error))
+
+
+def with_content(experiment: Experiment) -> Experiment:
+    """The experiment, with the content of its law's file as it is now."""
+    params = experiment.controller
+    if not isinstance(params, OwnLawParams) or params.sha256 is not None:
+        return experiment
+    path = file_of(params.law)
+    if path is None:
+        return experiment
+    return replace(experiment, controller=replace(params, sha256=digest(path)))

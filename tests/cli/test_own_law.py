@@ -1,0 +1,239 @@
+"""A law in a file of the user's own, from the command line: flown, kept, noticed, blamed."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+SPRING = """
+import numpy as np
+from msgspec import Struct
+
+
+class Spring(Struct, frozen=True):
+    stiffness: float = 0.04
+    damping: float = 0.4
+    step_s: float = 0.02
+
+    def force(self, own, neighbours, world, t):
+        a = self.stiffness * (world.goal.p - own.p) - self.damping * own.v
+        return {factor} * own.mass * a
+"""
+SHORT = ("duration_s=2", "criteria={}")
+LAW = 'controller={type="python", law="law_of_mine.py:Spring"}'
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.fixture
+def mine(here):
+    file = here / "law_of_mine.py"
+    file.write_text(SPRING.format(factor=1.0))
+    return file
+
+
+def final_error(folder: str) -> float:
+    metrics = json.loads((Path(folder) / "metrics.json").read_text())
+    return metrics["vehicles"]["sat1"]["final_error_m"]
+
+
+def refusal(result) -> tuple[str, str, str]:
+    """Key, expected, found."""
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    form = r"error: .*\n  key       (.*)\n  expected  (.*)\n  found     (.*)\n"
+    match = re.fullmatch(form, result.stderr)
+    assert match, result.stderr
+    return match[1], match[2], match[3]
+
+
+# Flown
+
+
+def test_it_flies_in_every_process_and_the_folder_repeats_the_run(testbed, start, mine):
+    process = start("run", "hold", *SHORT, LAW, "--out", "one")
+    _, errors = process.communicate()
+    assert process.returncode == 0, errors
+    assert testbed("run", "hold", *SHORT, LAW, "--out", "two").exit_code == 0
+    mine.unlink()  # the folder has a copy
+    assert testbed("run", "one/config.toml", "--out", "three").exit_code == 0
+    assert final_error("one") == final_error("two") == final_error("three")
+    assert Path("one/law.py").read_text() == SPRING.format(factor=1.0)
+
+
+def test_an_edit_is_noticed(testbed, mine):
+    testbed("run", "hold", *SHORT, LAW, "--out", "before")
+    mine.write_text(SPRING.format(factor=0.0))
+    testbed("run", "hold", *SHORT, LAW, "--out", "after")
+    assert abs(final_error("before") - final_error("after")) > 1e-4
+    hashes = [
+        re.search(r'sha256 = "(\w{64})"', Path(name, "config.toml").read_text())[1]
+        for name in ("before", "after")
+    ]
+    assert hashes[0] != hashes[1]
+
+
+def test_an_edited_copy_is_not_the_run_that_was(testbed, mine):
+    testbed("run", "hold", *SHORT, LAW, "--out", "out")
+    Path("out/law.py").write_text(SPRING.format(factor=2.0))
+    key, expected, found = refusal(testbed("check", "out/config.toml"))
+    assert key == "controller.sha256"
+    assert "without the key, any" in expected
+    assert found.endswith("law.py was edited")
+
+
+def test_a_parameter_on_the_command_line(testbed, mine):
+    testbed("run", "hold", *SHORT, LAW, "--out", "soft")
+    testbed("run", "hold", *SHORT, LAW, "controller.parameters.stiffness=0.4", "--out", "stiff")
+    assert final_error("stiff") < final_error("soft")
+
+
+def test_it_is_listed(testbed):
+    assert "python" in json.loads(testbed("list", "--json").stdout)["laws"]
+
+
+def test_a_package_may_publish_laws(testbed, here, monkeypatch):
+    (here / "orbital_labs.py").write_text(SPRING.format(factor=1.0))
+    about = here / "orbital_labs-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: orbital-labs\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        "[airbearing_testbed.laws]\nlabs-spring = orbital_labs:Spring\n"
+        "labs-broken = orbital_labs:Nothing\n"
+    )
+    monkeypatch.syspath_prepend(here)
+    named = 'controller={type="python", law="labs-%s"}'
+    assert testbed("run", "hold", *SHORT, named % "spring", "--out", "out").exit_code == 0
+    assert testbed("check", "out/config.toml").exit_code == 0
+    key, expected, _ = refusal(testbed("check", "hold", named % "sprung"))
+    assert (key, "labs-broken, labs-spring" in expected) == ("controller.law", True)
+    found = refusal(testbed("check", "hold", named % "broken"))[2]
+    assert found == "AttributeError: module 'orbital_labs' has no attribute 'Nothing'"
+
+
+# Bad input
+
+NAMED = "my_law.py:Law"
+PARAMETERS = "class Law:\n    def __init__(self, gain: float, axes: tuple[int, int] = (0, 1)):\n"
+FORCE = "    def force(self, own, neighbours, world, t):\n"
+BAD = {  # name: (content of my_law.py, [controller] law, parameters, key, expected, found)
+    "no file": (None, NAMED, "{}", "law", "the path of a Python file and a name", "No such file"),
+    "no colon": ("", "my_law.py", "{}", "law", "entry point", '"my_law.py"'),
+    "no name": (
+        "class Mine:\n    pass\n", NAMED, "{}", "law", "a class or function of my_law.py: Mine",
+        "`Law`",
+    ),
+    "an empty file": ("", NAMED, "{}", "law", "it has none", "`Law`"),
+    "no law": ("Law = 3\n", NAMED, "{}", "law", "class or function", "`Law`, which is neither"),
+    "syntax": ("x = 1\nclass Law\n", NAMED, "{}", "law", "can be executed", "my_law.py:2: Synt"),
+    "import": (
+        "import nothing_of_the_kind\n", NAMED, "{}", "law", "can be executed",
+        "my_law.py:1, in <module>: ModuleNotFoundError: No module named 'nothing_of_the_kind'",
+    ),
+    "no verb": (
+        "class Law:\n    pass\n", NAMED, "{}", "law", "force(own, neighbours, world, t)",
+        "Law with neither",
+    ),
+    "signature": (
+        "class Law:\n    def force(self, own, t):\n        return own.p\n", NAMED, "{}", "law",
+        "force(own, neighbours, world, t)", "my_law.py: force(own, t)",
+    ),
+    "parameters without names": (
+        "class Law:\n    def __init__(self, *gains):\n        pass\n", NAMED, "{}", "law",
+        "parameters all have names", "`*gains` among those of Law",
+    ),
+    "missing parameter": (
+        PARAMETERS + "        pass\n", NAMED, "{}", "parameters.gain", "a number",
+        "the key is missing",
+    ),
+    "wrong parameter": (
+        PARAMETERS + "        pass\n", NAMED, "{gain='x'}", "parameters.gain", "a number", '"x"',
+    ),
+    "deeper": (
+        PARAMETERS + "        pass\n", NAMED, "{gain=1.0,axes=[0,0.5]}", "parameters.axes[1]",
+        "a whole number", "0.5",
+    ),
+    "unknown parameter": (
+        PARAMETERS + "        pass\n", NAMED, "{gain=1,gian=2}", "parameters.gian",
+        "one of: axes, gain", "did you mean `gain`",
+    ),
+    "refused parameter": (
+        PARAMETERS + "        if gain < 0:\n            raise ValueError('gain < 0')\n", NAMED,
+        "{gain=-1}", "parameters", "some that it accepts",
+        "my_law.py:4, in __init__: ValueError: gain < 0",
+    ),
+    "shape": (
+        "class Law:\n" + FORCE + "        return 1.0\n", NAMED, "{}", "law",
+        "a law that says what to do", "expected a force of shape (2,)",
+    ),
+    "exception": (
+        "class Law:\n" + FORCE + "        return own.p / own.q\n", NAMED, "{}", "law",
+        "a law that says what to do", "my_law.py:3, in force: AttributeError: 'Body' object has",
+    ),
+    "compiled": (
+        "from typing import NamedTuple\nimport numpy as np\n"
+        "from testbed.core.law import CompiledLaw, compiled_rate, no_state\n"
+        "class Gains(NamedTuple):\n    k: float\n"
+        "@compiled_rate(Gains)\n"
+        "def rate(gains, law_state, own, neighbours, world, t):\n"
+        "    return gains.k * own.q, np.empty(0)\n"
+        "def Law():\n    return CompiledLaw(Gains(1.0), no_state, rate)\n",
+        NAMED, "{}", "law", "a law that says what to do", "my_law.py:8: TypingError: Unknown attr",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_laws_are_refused(testbed, here, name):
+    content, law, parameters, key, expected, found = BAD[name]
+    if content is not None:
+        (here / "my_law.py").write_text(content)
+    setting = f'controller={{type="python", law="{law}", parameters={parameters}}}'
+    message = refusal(testbed("run", "hold", setting))
+    assert message[0] == f"controller.{key}"
+    assert expected in message[1]
+    assert found in message[2]
+    assert not Path("runs").exists()
+
+
+def test_a_mistake_elsewhere_is_not_blamed_on_the_parameters(testbed, mine):
+    mistake = "controller={type='python',law='law_of_mine.py:Spring',parameters={stiffness=1}}"
+    key, _, found = refusal(testbed("check", "hold", mistake, "guidance.mode=wrnch"))
+    assert (key, found) == ("guidance.mode", '"wrnch"')
+
+
+# Failures in flight
+
+LATE = """
+class Law:
+    def force(self, own, neighbours, world, t):
+        if t > 1.0:
+            {what}
+        return 0.0 * own.p
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "reason"),
+    [
+        ("1.0 / 0.0", "law: my_law.py:5, in force: ZeroDivisionError: "),
+        ("return float('nan') * own.p", "law: my_law.py: a force that is no number, "),
+    ],
+)
+def test_a_law_that_fails_in_flight_ends_the_run_as_a_fault(testbed, here, what, reason):
+    (here / "my_law.py").write_text(LATE.format(what=what))
+    setting = f'controller={{type="python", law="{NAMED}"}}'
+    result = testbed("run", "hold", *SHORT, setting, "--out", "out")
+    assert result.exit_code == 3
+    assert "aborted after" in result.stdout
+    metrics = json.loads(Path("out/metrics.json").read_text())
+    assert metrics["fault"].startswith(reason)
+    assert metrics["completed"] is False
+    assert 0.3 < metrics["duration_s"] < 1.0  # references are sent ahead
