@@ -1,7 +1,7 @@
-"""The board's image on QEMU's STM32F405, on the wall clock: a smoke test of start-up and interrupts.
+"""The board's image on QEMU's STM32F405, on the wall clock: a smoke test of start and interrupts.
 
-QEMU models neither GPIO nor TIM2's alarm nor the reset flags, so this image keeps time by SysTick, in
-milliseconds, and everything else than the serial line goes nowhere. A process behind a shell that
+QEMU models neither GPIO nor TIM2's alarm nor the reset flags, so this image keeps time by SysTick,
+in milliseconds, and only the serial line leads anywhere. The process stands behind a shell that
 waits for the end of its input, so that it cannot outlive whoever started it.
 """
 

@@ -9,11 +9,11 @@ Its valves will click: shut off the air.
 """
 
 import os
-import random
 import shutil
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from firmware_interface.board import settled
@@ -389,8 +389,8 @@ def test_bad_frames_are_counted_and_feed_nothing(new_bench):
 
 def test_garbage_between_frames_costs_nothing(new_bench):
     bench = new_bench()
-    noise = random.Random(4)
-    bench.board.feed(bytes(noise.randrange(1, 256) for _ in range(300)) + b"\0")
+    noise = np.random.default_rng(4).integers(1, 256, 300, dtype=np.uint8)
+    bench.board.feed(noise.tobytes() + b"\0")
     assert bench.plan(1, {0: 50_000}).result == Result.OK
     bench.wait_for_masks([V0, 0])
 
@@ -450,13 +450,13 @@ def test_a_session_of_the_sender_stays_armed_and_plays_every_plan(new_bench):
 
 def fly(make, seed):
     """A random flight; its edges and all bytes that the board sent."""
-    bench, dice = make(), random.Random(seed)
+    bench, dice = make(), np.random.default_rng(seed)
     said = b""
     for number in range(100):
-        on = {dice.randrange(8): dice.randrange(60_000) for _ in range(3)}
+        on = {int(v): int(dice.integers(60_000)) for v in dice.integers(0, 8, 3)}
         bench.seq += 1
         bench.board.feed(encode_message(bench.cmd(number, on), bench.seq, bench.board.now_us))
-        bench.edges += bench.board.run_until(bench.board.now_us + dice.randrange(40_000))
+        bench.edges += bench.board.run_until(bench.board.now_us + int(dice.integers(40_000)))
         said += bench.board.read()
     return bench.edges, said
 
