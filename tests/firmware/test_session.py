@@ -7,7 +7,7 @@ import pytest
 from firmware_interface.frame import Frame, encode
 from firmware_interface.inproc import InprocBoard
 from firmware_interface.messages import Ack, Fault, Result, State
-from firmware_interface.session import REFRESH_US, Session, SessionError, exchange
+from firmware_interface.session import CARRY_US, REFRESH_US, Session, SessionError, exchange
 from testbed.core.types import ValveCommand
 
 
@@ -106,7 +106,8 @@ def test_a_plan_past_its_time_to_live_is_repeated_no_more(limits):
     session.apply(command(1, board.now_us, 50_000, until_us=50_000), board.now_us)
     assert session.due(board.now_us + REFRESH_US - 1) == b""
     assert session.due(board.now_us + REFRESH_US)
-    assert session.due(board.now_us + 50_000) == b""
+    assert session.due(board.now_us + 50_000 + CARRY_US - 1)
+    assert session.due(board.now_us + 50_000 + CARRY_US + REFRESH_US) == b""
 
 
 def test_hello_is_repeated_until_answered(limits):
@@ -117,6 +118,17 @@ def test_hello_is_repeated_until_answered(limits):
     assert not line.session.greeted
     line.until(220_000)
     assert line.session.greeted
+
+
+def test_of_several_sessions_the_newest_counts(limits):
+    """On a slow line HELLO is repeated before its answer comes, and each one starts a session."""
+    line = Line(limits, delay_us=60_000)
+    line.send(line.session.hello(0))
+    line.until(300_000)
+    line.send(line.session.arm(line.now_us))
+    line.until(line.now_us + 130_000)
+    assert line.session.state == State.ARMED
+    assert line.session.refusals == {}
 
 
 def test_offset_and_delay_of_the_clock(limits):
