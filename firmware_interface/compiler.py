@@ -81,5 +81,10 @@ def shared_library() -> Path:
     return build((*CORE, host), ("-O2", "-g", "-shared", "-fPIC"), ".so")
 
 
+def host_program() -> Path:
+    """The core as a process on a pseudo-terminal."""
+    return build((*CORE, FIRMWARE / "host" / "pty.c"), ("-O2", "-g"), "")
+
+
 if __name__ == "__main__":
-    print(shared_library())  # noqa: T201
+    print(shared_library(), host_program(), sep="\n")  # noqa: T201
