@@ -115,6 +115,15 @@ class Ear:
         return sorted((m for m in messages if m[0] <= now), key=lambda m: m[0])
 
 
+def on_word(session: zenoh.Session, key: str, do: Callable[[], object]) -> Any:
+    """Call `do` at once, in Zenoh's own thread, whenever somebody says something on a key."""
+
+    def hear(sample: Any) -> None:
+        do()
+
+    return session.declare_subscriber(key, zenoh.handlers.Callback(hear, indirect=False))
+
+
 class Mouth:
     """Says things on a key. Must be kept: Zenoh forgets a publisher that nobody holds."""
 
