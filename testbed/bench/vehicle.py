@@ -134,13 +134,14 @@ class Flight:
             msgspec.msgpack.Decoder(Permit).decode, party.run, party.lab.late_s
         )
         self._k = 0
+        self._arrived_ns: int | None = None  # of the newest pose in the tick before
         self.fault: str | None = None
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
-        clock, sent, arrived = self._clock, self._thrusters.sent_us, self._poses.arrived_ns
-        fresh = sent is not None and arrived is not None and 1000 * sent >= arrived
-        delay = 1e-6 * sent - 1e-9 * arrived if fresh and sent and arrived else None
+        clock, sent, arrived = self._clock, self._thrusters.sent_us, self._arrived_ns
+        delay = None if sent is None or arrived is None else 1e-6 * sent - 1e-9 * arrived
+        self._arrived_ns = self._poses.arrived_ns  # its plan goes out a moment from now
         late = clock.lateness[-1] if clock.lateness else 0.0
         flown = Flown(self._k, tick, Pace(late, delay))
         self._k += 1

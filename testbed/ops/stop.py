@@ -1,7 +1,7 @@
 """`testbed stop`: shut every valve, from anywhere, knowing nothing.
 
-It needs no experiment and loads neither numpy nor anything else that takes its time. A host leaves a
-note on its machine that says where it listens; on another machine one has to say so oneself.
+It needs no experiment and loads neither numpy nor anything else that takes its time. A host leaves
+a note on its machine that says where it listens; on another machine one has to say so oneself.
 """
 
 import json

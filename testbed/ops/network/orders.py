@@ -44,7 +44,8 @@ class Pace(Struct, frozen=True, gc=False):
     """How a tick kept its time."""
 
     late_s: float  # the tick began so long after it was due
-    pose_to_valve_s: float | None  # newest pose's arrival to the plan's bytes on the line
+    # of the tick before: newest pose's arrival to the plan's first frame on its way to the line
+    pose_to_valve_s: float | None
 
 
 class Flown(Struct, frozen=True, gc=False):
