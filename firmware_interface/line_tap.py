@@ -19,7 +19,8 @@ from types import TracebackType
 
 from firmware_interface.board import Edge
 from firmware_interface.compiler import firmware_id, host_program
-from firmware_interface.messages import Config
+from firmware_interface.frame import Decoder
+from firmware_interface.messages import Config, Status
 from firmware_interface.serial_board import Reports, monotonic_us
 
 CHUNK = 4096
@@ -46,6 +47,8 @@ class LineTap:
     def __init__(self, config: Config, boot_nonce: int, link: Path) -> None:
         self._config, self._nonce, self.link = config, boot_nonce, link
         self._reports = Reports()
+        self._decoder = Decoder()
+        self.status: Status | None = None  # the newest
         self._offsets: deque[int] = deque(maxlen=REMEMBERED)
         self.board_name = f"host firmware {firmware_id():08x} on a pty"
         self.cut = False
@@ -137,6 +140,9 @@ class LineTap:
         if data := _read(self.board_fd):
             if self._reports.hear(data, now):
                 self._offsets.append(now - self._reports.board_us)
+            for frame in self._decoder.feed(data):
+                if frame.type == Status.CODE:
+                    self.status = Status.unpack(frame.payload)
             if not self.cut:
                 _write(self.port_fd, data)
 

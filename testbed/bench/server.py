@@ -19,6 +19,7 @@ from msgspec import Struct
 
 from firmware_interface.limits import limits_of
 from firmware_interface.line_tap import LineTap
+from firmware_interface.messages import Status
 from sim_twin.camera import Camera
 from sim_twin.plant import Plant, Touch
 from sim_twin.randomness import stream
@@ -54,6 +55,7 @@ class TableReport(Struct, frozen=True):
     late_edges: dict[str, int]  # reported after the plant had gone past them
     edges: dict[str, list[tuple[int, int]]]  # monotonic [us], mask: all of them
     boards: list[str]
+    left_as: dict[str, tuple[str, list[str]]]  # each board's state and faults at the end
 
 
 class TableServer:
@@ -156,6 +158,13 @@ class TableServer:
 
     # The lines
 
+    def cut_next(self) -> None:
+        """Cut the serial line of the next vehicle: what a broken cable does, on purpose."""
+        for tap in self._taps.values():
+            if not tap.cut:
+                tap.cut = True
+                return
+
     def _serve(self) -> None:
         for tap in self._taps.values():
             tap.serve()
@@ -239,7 +248,14 @@ class TableServer:
             late_edges={n: v.late for n, v in self._valves.items()},
             edges=self._edges,
             boards=[tap.board_name for tap in self._taps.values()],
+            left_as={name: _left_as(tap.status) for name, tap in self._taps.items()},
         )
+
+
+def _left_as(status: Status | None) -> tuple[str, list[str]]:
+    if status is None:
+        return "silent", []
+    return status.state.name, [fault.name or "" for fault in status.faults]
 
 
 def port_of(experiment: Experiment, name: str, folder: Path) -> Path:

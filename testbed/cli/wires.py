@@ -1,6 +1,7 @@
 """Verbs of the processes on the wires: `twin` and `agent`."""
 
 import contextlib
+import signal
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,6 +46,7 @@ def serve_twin(
                 for vehicle in experiment.vehicles:
                     errors.print(f"{vehicle}: {port_of(experiment, vehicle, ports)}")
             prefer(PRIORITY)
+            signal.signal(signal.SIGUSR1, lambda number, frame: server.cut_next())
             with steady(), contextlib.suppress(KeyboardInterrupt):
                 server.run(lambda: child and orphaned())
             if report is not None:

@@ -23,6 +23,7 @@ class MocapWire(Struct, frozen=True, forbid_unknown_fields=True):
     data_port: Port = 1511
     group: str | None = None  # frames are multicast to this address; none: sent to each client
     version: Literal["3.1", "4.1"] = "4.1"  # of NatNet; what the twin speaks, a server says its own
+    delay_s: Annotated[float, Meta(ge=0.0)] = 0.0  # exposure to arrival, where no stamp says it
     up: Literal["y", "z"] = "y"  # the axis that points up; Motive's default is y
     origin: Point = (0.0, 0.0)  # of the table's centre, in the floor plane of the cameras [m]
     turn_deg: float = 0.0  # of the table against the cameras, counter-clockwise
