@@ -33,6 +33,7 @@ CASES = (
 )  # fmt: skip
 LIMIT_MS = 200.0
 FLEET = "zhang2023_table_pd"
+CALM = "zhang2023_table"
 COAST = "flight.gate.link_timeout_s=0.001"  # no setpoint any more: shut, not braked
 # A law in a hurry: valves are open most of the time.
 BUSY = ["duration_s=30", "criteria={}", "controller.bandwidth=0.6"]
@@ -200,8 +201,9 @@ def one_agent(case, rng, folder, name="sat1"):
 def one_host(case, rng, folder):
     """The host is killed, stopped or cut off; the vehicle coasts or brakes."""
     report_path = folder / "report.json"
-    extra = [] if case.endswith("brake") else [COAST]
-    host = Host([FLEET, *BUSY, *extra], report_path)
+    # A vehicle that brakes must have the force to, within the time its gate leaves it.
+    words = [CALM, *BUSY[:2]] if case.endswith("brake") else [FLEET, *BUSY, COAST]
+    host = Host(words, report_path)
     try:
         pids, epoch = host.await_start()
         # The vehicles are moving, and firing, when they lose the host.

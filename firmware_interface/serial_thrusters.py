@@ -14,7 +14,7 @@ from types import TracebackType
 
 from msgspec.structs import replace
 
-from firmware_interface.messages import Config, Fault, State
+from firmware_interface.messages import Config, Fault, Result, State
 from firmware_interface.serial_board import BAUD, SerialBoard, monotonic_us
 from firmware_interface.session import Session, SessionError
 from testbed.core.types import Health, ValveCommand
@@ -191,10 +191,17 @@ class SerialThrusters:
             nonlocal sent
             if not done() and monotonic_us() - sent > REPEAT_US:
                 sent = monotonic_us()
-                self._feed(order(sent))
+                self._feed(self._greet_again(sent) or order(sent))
             return bool(done())
 
         self._await(obeyed, what)
+
+    def _greet_again(self, now: int) -> bytes:
+        """HELLO, if the board takes us for somebody else: it answered two of them in a row."""
+        foreign = self._session.refusals.pop(Result.FOREIGN_SESSION, 0)
+        if foreign == 0 and self._session.greeted:
+            return b""
+        return self._session.hello(now) if foreign else b"\0"
 
     def disarm(self) -> None:
         """Close everything, now."""

@@ -13,6 +13,7 @@ import math
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 from queue import Empty, SimpleQueue
 
 import msgspec
@@ -200,6 +201,8 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
             )
         agent = make_agent(experiment, name)
         warm_up(experiment)
+        if child:
+            await_port(port, gone)
         source = make_source(wires.mocap, session, keys)
         stack.callback(source.close)
         thrusters = stack.enter_context(
@@ -257,6 +260,13 @@ def ask_experiment(session: zenoh.Session, keys: Keys, gone: Callable[[], bool])
             if monotonic_ns() > end or gone():
                 raise
         sleep_until_ns(monotonic_ns() + 20 * LOOK_NS)
+
+
+def await_port(port: str, gone: Callable[[], bool]) -> None:
+    """On the bench the port may appear a little later than this process; then go on anyway."""
+    end = monotonic_ns() + round(1e9 * PATIENCE_S)
+    while not Path(port).exists() and monotonic_ns() < end and not gone():
+        sleep_until_ns(monotonic_ns() + LOOK_NS)
 
 
 def await_start(tower: Tower, poll: Callable[[], object], gone: Callable[[], bool]) -> Start | None:

@@ -36,8 +36,8 @@ def serve_twin(
     except ConfigError as error:
         return _failed(error, BAD_INPUT)
     try:
+        warm_up(experiment)
         with TableServer(experiment, ports) as server:
-            warm_up(experiment)
             wire = experiment.table.lab.mocap
             if not child:
                 errors.print(
