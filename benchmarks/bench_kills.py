@@ -31,20 +31,19 @@ CASES = (
     "agent-kill", "agent-stop", "serial-cut", "host-kill", "host-stop", "zenoh-cut",
     "host-kill-brake",
 )  # fmt: skip
-LIMIT_MS = 200.0
 FLEET = "zhang2023_table_pd"
 CALM = "zhang2023_table"
 COAST = "flight.gate.link_timeout_s=0.001"  # no setpoint any more: shut, not braked
 # A law in a hurry: valves are open most of the time.
 BUSY = ["duration_s=30", "criteria={}", "controller.bandwidth=0.6"]
-PATIENCE_S = 90.0
+PATIENCE_S = 300.0
 
 HOST = """
 import json, signal, socket, sys, threading
 from pathlib import Path
 from testbed.bench.host import WireRig
 from testbed.config import find, load
-from testbed.rig import Nobody
+from testbed.rig import Nobody, warm_up
 
 class Told(Nobody):
     def host(self, name, tick):
@@ -89,6 +88,7 @@ def cut(number, frame):
     relays[0].cut = True
 
 experiment = load(find(sys.argv[1]), sys.argv[3:])
+warm_up(experiment)
 rig = WireRig(experiment, bench=True, keep=Path(sys.argv[2]))
 rig.way = way
 signal.signal(signal.SIGUSR1, cut)
@@ -256,6 +256,7 @@ def main():
     parser.add_argument("cases", nargs="*", default=CASES)
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--limit-ms", type=float, default=200.0)
     args = parser.parse_args()
     bad = 0
     for case in args.cases:
@@ -272,7 +273,7 @@ def main():
             line += f"; speed then at most {max(latched):.2f} mm/s"
         else:
             line += f"; latched {all(latched)}"
-            bad += max(late) > LIMIT_MS or not all(latched)
+            bad += max(late) > args.limit_ms or not all(latched)
         bad += not shut or left > 0
         print(line, flush=True)
     return int(bad > 0)

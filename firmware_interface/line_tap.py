@@ -21,6 +21,7 @@ from firmware_interface.board import Edge
 from firmware_interface.compiler import firmware_id, host_program
 from firmware_interface.frame import Decoder
 from firmware_interface.messages import Config, Status
+from firmware_interface.qemu import qemu_command, terminal_of
 from firmware_interface.serial_board import Reports, monotonic_us
 
 CHUNK = 4096
@@ -39,45 +40,57 @@ class LineTap:
         config: limits, see `limits.limits_of`.
         boot_nonce: tells this board from others.
         link: becomes a symbolic link to the terminal that stands for the vehicle's serial port.
+        chip: run the image for the board's chip in QEMU, not the core on this machine.
 
     Raises:
-        TapError: the firmware's process said something else than "ok".
+        TapError, BoardError: the firmware's process did not start as it should.
+        CompilerError: the firmware cannot be built here.
     """
 
-    def __init__(self, config: Config, boot_nonce: int, link: Path) -> None:
-        self._config, self._nonce, self.link = config, boot_nonce, link
+    def __init__(self, config: Config, boot_nonce: int, link: Path, *, chip: bool = False) -> None:
+        self._config, self._nonce, self.link, self._chip = config, boot_nonce, link, chip
         self._reports = Reports()
         self._decoder = Decoder()
         self.status: Status | None = None  # the newest
         self._offsets: deque[int] = deque(maxlen=REMEMBERED)
-        self.board_name = f"host firmware {firmware_id():08x} on a pty"
+        where = "an STM32F405 in QEMU" if chip else "this machine"
+        self.board_name = f"firmware {firmware_id():08x} on {where}, behind a pty"
         self.cut = False
         self.spoken_us = 0  # when whoever flies said something last
 
     def __enter__(self) -> "LineTap":
         with ExitStack() as stack:
             inner = self.link.with_name(f".{self.link.name}-board")
+            command = qemu_command(self._config) if self._chip else self._host_command(inner)
             self._process = subprocess.Popen(
-                [
-                    *(host_program(), self._config.pack().hex(), str(firmware_id())),
-                    *(str(self._nonce), inner),
-                ],
+                command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT if self._chip else None,
                 start_new_session=True,
             )
             stack.callback(self._stop)
             assert self._process.stdout is not None
             assert self._process.stdin is not None
-            if (answer := self._process.stdout.readline()) != b"ok\n":
+            answer = self._process.stdout.readline().decode()
+            if self._chip:
+                terminal = terminal_of(answer)
+            elif answer == "ok\n":
+                terminal = str(inner)
+            else:
                 raise TapError(f"the firmware's process answered {answer!r}, expected 'ok'")
             os.set_blocking(self._process.stdout.fileno(), False)
             os.set_blocking(self._process.stdin.fileno(), False)
-            self.board_fd = os.open(inner, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            self.board_fd = os.open(terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
             stack.callback(os.close, self.board_fd)
+            tty.setraw(self.board_fd)
             self._open_port(stack)
             self._rest = stack.pop_all()
         return self
+
+    def _host_command(self, link: Path) -> list[str]:
+        identity = [str(firmware_id()), str(self._nonce)]
+        return [str(host_program()), self._config.pack().hex(), *identity, str(link)]
 
     def _open_port(self, stack: ExitStack) -> None:
         self.port_fd, other = pty.openpty()
@@ -100,7 +113,10 @@ class LineTap:
 
     def _stop(self) -> None:
         process = self._process
-        process.terminate()
+        if self._chip and process.stdin is not None:
+            process.stdin.close()  # its guard waits for that
+        else:
+            process.terminate()
         try:
             process.wait(GRACE_S)
         except subprocess.TimeoutExpired:
@@ -122,7 +138,9 @@ class LineTap:
         return self._reports.bearing
 
     def sense(self, supply_mv: int, supply_pa: int) -> None:
-        """What the board's sensors say from now on."""
+        """What the board's sensors say from now on; QEMU has none."""
+        if self._chip:
+            return
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with suppress(BlockingIOError, BrokenPipeError):

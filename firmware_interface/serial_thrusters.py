@@ -14,7 +14,7 @@ from types import TracebackType
 
 from msgspec.structs import replace
 
-from firmware_interface.messages import Config, Fault, Result, State
+from firmware_interface.messages import Config, Result, State
 from firmware_interface.serial_board import BAUD, SerialBoard, monotonic_us
 from firmware_interface.session import Session, SessionError
 from testbed.core.types import Health, ValveCommand
@@ -48,8 +48,7 @@ class SerialThrusters:
         self._port_name, self._delay_us = port, round(1e6 * delay_s)
         self._config, self._nonce, self._baud = config, nonce, baud
         self.epoch_us = 0
-        self.sent_us: int | None = None  # when the newest plan went out
-        self.times: deque[int] = deque(maxlen=100_000)  # of all plans
+        self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plans' numbers, and when [us]
         self.trouble: str | None = None  # latched
         self._armed = False
 
@@ -119,9 +118,11 @@ class SerialThrusters:
             return
         if not self._board.connected:
             self.trouble = "the serial line to the board is lost"
-        elif session.state is not None and session.state is not State.ARMED:
-            faults = session.status.faults if session.status is not None else Fault(0)
-            why = ", ".join(f.name or "" for f in faults) or "no fault reported"
+        elif session.state is not State.ARMED and session.status is not None:
+            status = session.status
+            if status.state is State.ARMED:
+                return  # the answer that says so is ahead of the report that says why
+            why = ", ".join(f.name or "" for f in status.faults) or "no fault, somebody disarmed it"
             self.trouble = f"the board has left ARMED: {why.lower()}"
 
     def _feed(self, data: bytes) -> None:
@@ -233,8 +234,7 @@ class SerialThrusters:
         )
         now = monotonic_us()
         self._feed(self._session.apply(moved, now))
-        self.sent_us = now
-        self.times.append(now)
+        self.sent.append((command.seq, now))
 
     def health(self) -> Health:
         """See `Thrusters`. The board has no gauge at the tank."""

@@ -15,7 +15,7 @@ from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Blackboard, Party, ZenohHostLink, host_states
 from testbed.ops.network.orders import Answer, Ended, Flown, Order, Permit, Stop
 from testbed.ops.network.session import Ear, Mouth, NetworkError, ask, on_word
-from testbed.ops.steady import prefer
+from testbed.ops.steady import preferred
 from testbed.ops.ticking import monotonic_ns, sleep_until_ns
 from testbed.rig import make_guidance
 
@@ -93,11 +93,11 @@ class HostFlight:
             if experiment.deploy.law == "host"
         ]  # fmt: skip
         self._observer = observer
-        prefer(PRIORITY)
-        ending = fly(
-            clock, [], hosts, period, experiment.ticks, self,
-            stopped=lambda: stopped() or self._over(),
-        )  # fmt: skip
+        with preferred(PRIORITY):
+            ending = fly(
+                clock, [], hosts, period, experiment.ticks, self,
+                stopped=lambda: stopped() or self._over(),
+            )  # fmt: skip
         early = ending.t < experiment.ticks * period
         if early:
             self._stop_all(self.fault or "the host has ended the flight")

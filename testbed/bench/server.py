@@ -93,7 +93,8 @@ class TableServer:
             for k, name in enumerate(self.names):
                 link = port_of(self.experiment, name, self._folder)
                 limits = limits_of(self.models[name])
-                self._taps[name] = stack.enter_context(LineTap(limits, 1 + k, link))
+                chip = self.experiment.table.lab.board == "qemu"
+                self._taps[name] = stack.enter_context(LineTap(limits, 1 + k, link, chip=chip))
             wire = self.experiment.table.lab.mocap
             major, minor = wire.version.split(".")
             self._mocap = stack.enter_context(

@@ -47,7 +47,7 @@ from testbed.ops.network.orders import (
 )
 from testbed.ops.network.session import Ear, Mouth, NetworkError, answer_to, ask, dial, on_word
 from testbed.ops.offset import Offset
-from testbed.ops.steady import prefer, steady
+from testbed.ops.steady import preferred, steady
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig import make_agent, warm_up
 
@@ -135,18 +135,27 @@ class Flight:
             msgspec.msgpack.Decoder(Permit).decode, party.run, party.lab.late_s
         )
         self._k = 0
-        self._arrived_ns: int | None = None  # of the newest pose in the tick before
+        self._arrived_ns: dict[int, int] = {}  # the newest pose, by the plan it went into
         self.fault: str | None = None
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
-        clock, sent, arrived = self._clock, self._thrusters.sent_us, self._arrived_ns
-        delay = None if sent is None or arrived is None else 1e-6 * sent - 1e-9 * arrived
-        self._arrived_ns = self._poses.arrived_ns  # its plan goes out a moment from now
+        clock, delay = self._clock, self._pose_to_valve()
+        if self._poses.arrived_ns is not None:
+            self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
         late = clock.lateness[-1] if clock.lateness else 0.0
         flown = Flown(self._k, tick, Pace(late, delay))
         self._k += 1
         self._mouth.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
+
+    def _pose_to_valve(self) -> float | None:
+        """Of the newest plan that is known to have gone out [s]."""
+        delay = None
+        while self._thrusters.sent:
+            seq, at_us = self._thrusters.sent.popleft()
+            arrived = self._arrived_ns.pop(seq, None)
+            delay = None if arrived is None else 1e-6 * at_us - 1e-9 * arrived
+        return delay
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
@@ -213,6 +222,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
         )  # fmt: skip
         clock_of_host = read_clock(session, keys)
         tower = Tower(session, keys, name, thrusters.board)
+        stack.enter_context(steady())  # now: the last collection of garbage takes its time
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
         start = await_start(tower, source.poll, gone)
@@ -228,17 +238,16 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
         poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
         event = Mouth(session, keys.of(name, "event"))
         flight = Flight(party, thrusters, poses, tower, on_board=on_board)
-        prefer(PRIORITY)
+        stack.enter_context(preferred(PRIORITY))
         thrusters.bearing(on=True)
         sleep_until_ns(epoch - LOOK_NS)
         thrusters.arm()
         tower.take_off(thrusters.disarm)
         node = VehicleNode(name, agent, poses, thrusters, link)
-        with steady():
-            ending = fly(
-                clock, [node], [], experiment.flight.jet_period_s, experiment.ticks, flight,
-                stopped=flight.over,
-            )  # fmt: skip
+        ending = fly(
+            clock, [node], [], experiment.flight.jet_period_s, experiment.ticks, flight,
+            stopped=flight.over,
+        )  # fmt: skip
         thrusters.disarm()
         fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
         if poses.trouble is not None and fault is not None:

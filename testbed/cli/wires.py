@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
+from firmware_interface.compiler import CompilerError
 from firmware_interface.limits import LimitsError
 from firmware_interface.line_tap import TapError
 from firmware_interface.serial_board import BoardError
@@ -18,7 +19,7 @@ from testbed.cli.main import BAD_INPUT, FAULT, INTERRUPTED, OK
 from testbed.config import ConfigError, find, load
 from testbed.ops.children import end_on_terminate, orphaned
 from testbed.ops.network.session import NetworkError
-from testbed.ops.steady import prefer, steady
+from testbed.ops.steady import prefer_process, preferred, steady
 from testbed.rig import warm_up
 
 PRIORITY = 30  # the table does not wait for anybody
@@ -45,15 +46,16 @@ def serve_twin(
                 )
                 for vehicle in experiment.vehicles:
                     errors.print(f"{vehicle}: {port_of(experiment, vehicle, ports)}")
-            prefer(PRIORITY)
             signal.signal(signal.SIGUSR1, lambda number, frame: server.cut_next())
-            with steady(), contextlib.suppress(KeyboardInterrupt):
+            for pid in server.pids.values():  # a chip does not wait for a turn either
+                prefer_process(pid, PRIORITY + 10)
+            with steady(), preferred(PRIORITY), contextlib.suppress(KeyboardInterrupt):
                 server.run(lambda: child and orphaned())
             if report is not None:
                 part = report.with_suffix(".part")
                 part.write_bytes(msgspec.json.encode(server.report()))
                 part.replace(report)
-    except (OSError, TapError, LimitsError) as error:
+    except (OSError, TapError, BoardError, CompilerError, LimitsError) as error:
         return _failed(error, FAULT)
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -4,7 +4,7 @@ import gc
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -25,16 +25,35 @@ def steady() -> Iterator[None]:
         gc.unfreeze()
 
 
-def prefer(priority: int) -> bool:
-    """Run all threads before everything ordinary, where the system allows it: root, or an rtprio.
-
-    Threads of Python hand over within half a millisecond then, not five: one of them sends the
-    valve commands. Returns whether the system allowed it; without it a busy machine is felt.
-    """
-    sys.setswitchinterval(0.0005)
+def _schedule(policy: int, priority: int, process: int | str = "self") -> bool:
+    """All threads of a process; whether the system allowed it."""
     try:
-        for thread in Path("/proc/self/task").iterdir():
-            os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
+        for thread in Path(f"/proc/{process}/task").iterdir():
+            with suppress(ProcessLookupError):  # it has just ended
+                os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
     except OSError:
         return False
     return True
+
+
+def prefer_process(pid: int, priority: int) -> bool:
+    """As `preferred`, for good, for another process and what it starts."""
+    return _schedule(os.SCHED_FIFO, priority, pid)
+
+
+@contextmanager
+def preferred(priority: int) -> Iterator[bool]:
+    """Run all threads before everything ordinary meanwhile; gives whether the system allows it.
+
+    It takes root or an rtprio limit; without, a busy machine is felt. Threads of Python hand over
+    within half a millisecond then, not five: one of them sends the valve commands.
+    """
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(0.0005)
+    allowed = _schedule(os.SCHED_FIFO, priority)
+    try:
+        yield allowed
+    finally:
+        if allowed:
+            _schedule(os.SCHED_OTHER, 0)
+        sys.setswitchinterval(interval)

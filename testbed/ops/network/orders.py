@@ -44,7 +44,7 @@ class Pace(Struct, frozen=True, gc=False):
     """How a tick kept its time."""
 
     late_s: float  # the tick began so long after it was due
-    # of the tick before: newest pose's arrival to the plan's first frame on its way to the line
+    # of the newest plan that has gone out: newest pose's arrival to its first frame
     pose_to_valve_s: float | None
 
 
