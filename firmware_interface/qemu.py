@@ -33,6 +33,26 @@ def emulator() -> str:
     )
 
 
+def qemu_command(config: Config) -> list[str]:
+    """What starts it."""
+    return [
+        *("sh", "-c", GUARD, "guard"),
+        *(emulator(), "-M", "netduinoplus2", "-kernel", str(image(config, "systick"))),
+        *("-display", "none", "-monitor", "none", "-serial", "pty"),
+    ]
+
+
+def terminal_of(said: str) -> str:
+    """The terminal that its first line announces.
+
+    Raises:
+        BoardError: it announces none.
+    """
+    if found := ANNOUNCED.search(said):
+        return found[1]
+    raise BoardError(f"{QEMU} said {said!r}, expected the name of its terminal")
+
+
 class QemuBoard(SerialBoard):
     """A `Board` on the wall clock.
 
@@ -41,13 +61,9 @@ class QemuBoard(SerialBoard):
     """
 
     def __init__(self, config: Config) -> None:
-        command = [
-            *(emulator(), "-M", "netduinoplus2", "-kernel", str(image(config, "systick"))),
-            *("-display", "none", "-monitor", "none", "-serial", "pty"),
-        ]
         with contextlib.ExitStack() as stack:
             self._process = subprocess.Popen(
-                ["sh", "-c", GUARD, "guard", *command],
+                qemu_command(config),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -60,10 +76,7 @@ class QemuBoard(SerialBoard):
 
     def _terminal(self) -> str:
         assert self._process.stdout is not None
-        said = self._process.stdout.readline()
-        if found := ANNOUNCED.search(said):
-            return found[1]
-        raise BoardError(f"{QEMU} said {said!r}, expected the name of its terminal")
+        return terminal_of(self._process.stdout.readline())
 
     def _stop(self) -> None:
         """An emulator whose line is full ignores SIGTERM: the guard kills it."""

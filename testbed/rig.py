@@ -3,16 +3,18 @@
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
+from typing import Any, Protocol
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from controllers.catalogue import make_law
 from sim_twin.board import DrivenBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.boards import Valves, WiredBoard, make_drivers
 from testbed.config import Experiment
-from testbed.core.types import Pose
+from testbed.core.types import HostTick, Pose, Tick
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.estimator import Estimator
 from testbed.flight.gate import Fence, Gate
@@ -52,6 +54,63 @@ def make_agent(experiment: Experiment, name: str) -> Agent:
         Gate(flight.gate, fence),
         make_guidance(experiment, name) if on_board else None,
     )
+
+
+class Rig(Protocol):
+    """An experiment on a rig, ready to fly."""
+
+    @property
+    def experiment(self) -> Experiment:
+        """What is flown."""
+        ...
+
+    @property
+    def name(self) -> str:
+        """Of the rig."""
+        ...
+
+    @property
+    def now(self) -> float:
+        """Time of the run [s]."""
+        ...
+
+    @property
+    def contacts(self) -> int:
+        """Touches so far, as far as anybody can know."""
+        ...
+
+    def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
+        """Fly to the end, to a fault, or until `stopped()`."""
+        ...
+
+    def track(self) -> Track:
+        """Where the vehicles really were so far, or what comes nearest to it."""
+        ...
+
+    def truth(self) -> Iterator[tuple[str, list[float]]]:
+        """Each vehicle and its true x, y, theta, vx, vy, omega now, where somebody knows."""
+        ...
+
+    def spent(self, name: str) -> Spent:
+        """What a vehicle has used so far."""
+        ...
+
+    def wires(self) -> dict[str, Any]:
+        """What metrics.json says of the wires; nothing where there are none."""
+        ...
+
+
+class Nobody:
+    """An observer that looks away."""
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
 
 
 class TwinRig(Struct, frozen=True):
@@ -101,6 +160,25 @@ class TwinRig(Struct, frozen=True):
         k = plant.names.index(name)
         return Spent(float(plant.impulse[k]), float(plant.used[k]), plant.boards[name].openings)
 
+    @property
+    def name(self) -> str:
+        """See `Rig`."""
+        return "twin"
+
+    @property
+    def now(self) -> float:
+        """See `Rig`."""
+        return self.twin.now
+
+    @property
+    def contacts(self) -> int:
+        """See `Rig`."""
+        return len(self.twin.plant.touches)
+
+    def wires(self) -> dict[str, Any]:
+        """See `Rig`."""
+        return {}
+
 
 def make_twin(experiment: Experiment) -> TwinRig:
     """Everything of the experiment on the twin."""
@@ -139,3 +217,9 @@ def make_twin(experiment: Experiment) -> TwinRig:
         if experiment.deploy.law == "host"
     ]
     return TwinRig(experiment, twin, vehicles, hosts, drivers or {})
+
+
+def warm_up(experiment: Experiment, stopped: Callable[[], bool] = lambda: False) -> None:
+    """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
+    short = replace(experiment, duration_s=4 * experiment.flight.jet_period_s)
+    make_twin(short).fly(Nobody(), stopped)

@@ -22,7 +22,11 @@ def main() -> None:
 @click.argument("experiment")
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
 @click.option(
-    "--rig", type=click.Choice(["twin"]), default="twin", show_default=True, help="What to fly on."
+    "--rig",
+    type=click.Choice(["twin", "bench", "table"]),
+    default="twin",
+    show_default=True,
+    help="What to fly on.",
 )
 @click.option("--seed", type=click.IntRange(min=0), help="Of all chance in the twin.")
 @click.option(
@@ -55,7 +59,62 @@ def run(
 
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
-    context.exit(run_experiment(experiment, overrides, out, as_json))
+    context.exit(run_experiment(experiment, overrides, out, as_json, rig))
+
+
+@main.command()
+@click.argument("experiment")
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option(
+    "--ports",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path(),
+    help="Folder in which the vehicles' serial ports appear.  [default: here]",
+)
+@click.option("--report", type=click.Path(path_type=Path), hidden=True)
+@click.option("--child", is_flag=True, hidden=True)
+@click.pass_context
+def twin(
+    context: click.Context,
+    experiment: str,
+    overrides: tuple[str, ...],
+    ports: Path,
+    report: Path | None,
+    child: bool,
+) -> None:
+    """Serve the table of an EXPERIMENT in real time: cameras, serial ports with firmware, truth."""
+    from testbed.cli.wires import serve_twin
+
+    context.exit(serve_twin(experiment, overrides, ports, report, child=child))
+
+
+@main.command()
+@click.argument("vehicle")
+@click.option(
+    "--connect", default="tcp/127.0.0.1:7450", show_default=True, help="Where the host listens."
+)
+@click.option("--lab", default="lab", show_default=True, help="First part of all keys.")
+@click.option("--serial", help="The board's port.  [default: the table file's]")
+@click.option("--child", is_flag=True, hidden=True)
+@click.pass_context
+def agent(
+    context: click.Context, vehicle: str, connect: str, lab: str, serial: str | None, child: bool
+) -> None:
+    """Fly a VEHICLE: on its own computer, with the board on a serial port."""
+    from testbed.cli.wires import fly_agent
+
+    context.exit(fly_agent(vehicle, connect, lab, serial, child=child))
+
+
+@main.command()
+@click.option("--connect", help="Where the host listens.  [default: every flight on this machine]")
+@click.option("--lab", default="lab", show_default=True, help="First part of all keys.")
+@click.pass_context
+def stop(context: click.Context, connect: str | None, lab: str) -> None:
+    """Stop whatever flies: shut every valve, now."""
+    from testbed.ops.stop import stop_everything
+
+    context.exit(stop_everything(connect, lab))
 
 
 @main.command()

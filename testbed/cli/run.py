@@ -9,7 +9,6 @@ from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 
-import msgspec
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -30,12 +29,14 @@ from testbed.ops.metrics import (
 )
 from testbed.ops.recorder import Motion, Recorder, RecorderError, Truth
 from testbed.ops.steady import steady
-from testbed.rig import TwinRig, make_twin
+from testbed.rig import Rig, make_twin, warm_up
 
 errors = Console(stderr=True, highlight=False)
 
 
-def run_experiment(name: str, overrides: Sequence[str], out: Path | None, as_json: bool) -> int:
+def run_experiment(
+    name: str, overrides: Sequence[str], out: Path | None, as_json: bool, rig: str = "twin"
+) -> int:
     """Fly and return the exit code."""
     interrupt = Interrupt()
     try:
@@ -43,7 +44,7 @@ def run_experiment(name: str, overrides: Sequence[str], out: Path | None, as_jso
         with interrupt.caught():
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
-            metrics = fly_and_judge(experiment, folder, interrupt)
+            metrics = fly_and_judge(experiment, folder, interrupt, maker(rig))
             write_metrics(folder, metrics)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
@@ -98,7 +99,7 @@ class Watcher:
 
     def __init__(
         self,
-        rig: TwinRig,
+        rig: Rig,
         outputs: dict[str, list[Outputs]],
         recorder: Recorder,
         progress: Progress,
@@ -131,29 +132,24 @@ class Watcher:
             self._progress.update(self._bar, completed=t)
 
 
-class _Nobody:
-    """Observer of the warm-up."""
+def maker(rig: str) -> Callable[[Experiment], Rig]:
+    """What builds this rig."""
+    if rig == "twin":
+        return make_twin
+    from testbed.bench.host import WireRig
 
-    def vehicle(self, name: str, tick: Tick) -> None: ...
-
-    def host(self, name: str, tick: HostTick) -> None: ...
-
-    def done(self, t: float) -> None: ...
-
-
-def warm_up(experiment: Experiment, stopped: Callable[[], bool]) -> None:
-    """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
-    period = experiment.flight.jet_period_s
-    short = msgspec.structs.replace(experiment, duration_s=4 * period)
-    make_twin(short).fly(_Nobody(), stopped)
+    return lambda experiment: WireRig(experiment, bench=rig == "bench")
 
 
 def fly_and_judge(
-    experiment: Experiment, folder: Path, interrupt: Interrupt | None = None
+    experiment: Experiment,
+    folder: Path,
+    interrupt: Interrupt | None = None,
+    make: Callable[[Experiment], Rig] | None = None,
 ) -> Metrics:
-    """Fly, with the log in `folder`, and judge."""
+    """Fly, with the log in `folder`, and judge. `make` builds the rig; by default the twin."""
     interrupt = interrupt or Interrupt()
-    rig, ending, wall = make_twin(experiment), Ending(0.0, None), 0.0
+    rig, ending, wall = (make or make_twin)(experiment), Ending(0.0, None), 0.0
     progress = Progress(
         TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
         TimeRemainingColumn(), console=errors, transient=True, disable=not errors.is_terminal,
@@ -173,14 +169,14 @@ def fly_and_judge(
                 wall = time.perf_counter() - began
     except (RecorderError, LawError) as error:
         what = "law" if isinstance(error, LawError) else "log"
-        ending = Ending(rig.twin.now, f"{what}: {error}")
+        ending = Ending(rig.now, f"{what}: {error}")
     planned = experiment.ticks * experiment.flight.jet_period_s
     completed = ending.fault is None and ending.t >= planned
     return measure(rig, outputs, ending, wall, completed=completed)
 
 
 def measure(
-    rig: TwinRig, outputs: dict[str, list[Outputs]], ending: Ending, wall: float, *, completed: bool
+    rig: Rig, outputs: dict[str, list[Outputs]], ending: Ending, wall: float, *, completed: bool
 ) -> Metrics:
     """Judge a flight."""
     experiment, track = rig.experiment, rig.track()
@@ -192,10 +188,10 @@ def measure(
         )
         distances = obstacle_distances(track, k, obstacles)
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
-    contacts = len(rig.twin.plant.touches)
+    contacts = rig.contacts
     return Metrics(
         experiment=experiment.name,
-        rig="twin",
+        rig=rig.name,
         seed=experiment.seed,
         completed=completed,
         duration_s=ending.t,
@@ -206,4 +202,5 @@ def measure(
         fault=ending.fault,
         criteria=judge(experiment.criteria, vehicles, contacts, clear),
         vehicles=vehicles,
+        **rig.wires(),
     )

@@ -2,8 +2,9 @@
 
 from typing import Annotated
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
+from testbed.core.lab import Lab
 from testbed.core.vehicle import NonNegative, Point, Positive
 
 Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -60,3 +61,4 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True):
     tilt: Tilt
     mocap: Mocap
     link: Link
+    lab: Lab = field(default_factory=Lab)

@@ -32,6 +32,15 @@ class Criteria(Struct, frozen=True, forbid_unknown_fields=True):
     impulse_ns: NonNegative | None = None
 
 
+class Commands(Struct, frozen=True):
+    """Setpoints from host to vehicles, and what became of them."""
+
+    sent: int
+    late: int  # too long on the way, duplicated or overtaken
+    expired: int  # worth nothing when they came
+    rejected: int  # of another session or version, garbled, or refused by a board
+
+
 class VehicleMetrics(Struct, frozen=True):
     """One vehicle's flight; null where a number does not apply."""
 
@@ -62,6 +71,11 @@ class Metrics(Struct, frozen=True):
     fault: str | None
     criteria: dict[str, bool]
     vehicles: dict[str, VehicleMetrics]
+    lateness_p99_ms: float | None = None  # of ticks, read after waking; null without a wall clock
+    pose_to_valve_p50_ms: float | None = None  # newest pose's arrival to the plan's first byte
+    pose_to_valve_p99_ms: float | None = None
+    commands: Commands | None = None
+    board: str | None = None
 
 
 class Track(Struct, frozen=True):

@@ -11,6 +11,9 @@ import pytest
 
 from testbed.config import find, load
 
+WIRES = {
+    "lateness_p99_ms", "pose_to_valve_p50_ms", "pose_to_valve_p99_ms", "commands", "board",
+}  # fmt: skip
 METRICS = {
     "experiment", "rig", "seed", "completed", "duration_s", "wall_s", "real_time_factor",
     "contacts", "min_vehicle_distance_m", "criteria", "vehicles",
@@ -146,7 +149,8 @@ def test_a_terminal_without_unicode(start, tmp_path, encoding):
 def test_metrics_have_the_keys_of_the_contract(testbed):
     testbed("run", "zhang2023_table", "duration_s=1", "--seed", "5", "--out", "out")
     metrics = metrics_of(Path("out"))
-    assert set(metrics) == METRICS | {"fault"}
+    assert set(metrics) == METRICS | WIRES | {"fault"}
+    assert {metrics[key] for key in WIRES} == {None}  # there are none
     assert (metrics["experiment"], metrics["rig"], metrics["seed"]) == (
         "zhang2023_table", "twin", 5,
     )  # fmt: skip

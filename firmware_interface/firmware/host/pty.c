@@ -217,14 +217,12 @@ static void serve(board *b)
         if (ppoll(watched, 2, &wait, NULL) < 0 && errno != EINTR) {
             die("ppoll");
         }
+        hear_line(b); /* first: this process may have been kept waiting, the sender was not silent */
         if (b->powered && abt_reached(now_us(b), b->outputs.wake_us)) {
             run(b);
         }
         if (watched[0].revents) {
             hear_parent(b);
-        }
-        if (watched[1].revents & POLLIN) {
-            hear_line(b);
         }
         talk(b);
     }

@@ -1,0 +1,244 @@
+"""`Thrusters` on a serial line: plans go out as frames, and again at 50 Hz until the next one.
+
+A plan starts `command_delay_s` after it was issued, as the estimator believes: one that is ready
+earlier waits here, because what the board is told starts when it is told. One that is ready later
+is told how old it is, and what is left of it is played.
+
+The time to live of a plan is that of the command: when the sender hangs, the plan runs out, what
+repeats it stops, and the board's watchdog closes everything and latches SAFE.
+"""
+
+import threading
+from collections import deque
+from types import TracebackType
+
+from msgspec.structs import replace
+
+from firmware_interface.messages import Config, Result, State
+from firmware_interface.serial_board import BAUD, SerialBoard, monotonic_us
+from firmware_interface.session import Session, SessionError
+from testbed.core.types import Health, ValveCommand
+
+KEEP_US = 4_000  # between two looks at what time alone asks for
+ANSWER_US = 3_000_000  # longest wait for a board's first words
+REPEAT_US = 30_000  # an order that is not obeyed by then is given again
+
+
+class ThrustersError(Exception):
+    """The valves cannot be used."""
+
+
+class SerialThrusters:
+    """See `Thrusters`. Between `__enter__` and `__exit__` one thread looks after the session.
+
+    Args:
+        port: the board's device.
+        config: limits, see `limits.limits_of`.
+        delay_s: from issuing a plan to its start, `Vehicle.command_delay_s`.
+        nonce: tells this program from others.
+        epoch_us: the run's time 0 on the monotonic clock; set it before the first plan.
+
+    Raises:
+        ThrustersError, BoardError: no board, another board, or one built for another vehicle.
+    """
+
+    def __init__(
+        self, port: str, config: Config, delay_s: float, nonce: int, baud: int = BAUD
+    ) -> None:
+        self._port_name, self._delay_us = port, round(1e6 * delay_s)
+        self._config, self._nonce, self._baud = config, nonce, baud
+        self.epoch_us = 0
+        self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plans' numbers, and when [us]
+        self.trouble: str | None = None  # latched
+        self._armed = False
+
+    def __enter__(self) -> "SerialThrusters":
+        self._board = SerialBoard(self._port_name, self._baud)
+        self._session = Session(self._config, self._nonce)
+        self._lock = threading.Condition()
+        self._waiting: ValveCommand | None = None
+        self._closing = False
+        self._thread = threading.Thread(target=self._keep, name="valves", daemon=True)
+        self._feed(self._session.hello(monotonic_us()))
+        self._thread.start()
+        try:
+            self._await(lambda: self._session.greeted and self._session.status, "HELLO")
+        except BaseException:
+            self._end()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.disarm()
+        end = monotonic_us() + REPEAT_US
+        with self._lock:  # the line must have taken it before it is given back
+            while self._session.state is State.ARMED and monotonic_us() < end:
+                self._lock.wait(0.001)
+        self._end()
+
+    def _end(self) -> None:
+        with self._lock:
+            self._closing = True
+            self._lock.notify_all()
+        self._thread.join()
+        self._board.close()
+
+    # The session
+
+    def _keep(self) -> None:
+        with self._lock:
+            while not self._closing:
+                self._lock.wait(self._look(monotonic_us()) * 1e-6)
+
+    def _look(self, now: int) -> int:
+        """Do what is due; how long there is nothing to do [us]."""
+        try:
+            self._session.receive(self._board.read(), now)
+        except SessionError as error:
+            self.trouble = str(error)
+        self._judge()
+        if self._waiting is not None:
+            left = self._start_us(self._waiting) - now
+            if left > 0:
+                return min(left, KEEP_US)
+            self._send(self._waiting)
+        if data := self._session.due(now):
+            self._feed(data)
+        return KEEP_US
+
+    def _judge(self) -> None:
+        """Whether a board that was armed still is."""
+        session = self._session
+        if self.trouble is not None or not self._armed:
+            return
+        if not self._board.connected:
+            self.trouble = "the serial line to the board is lost"
+        elif session.state is not State.ARMED and session.status is not None:
+            status = session.status
+            if status.state is State.ARMED:
+                return  # the answer that says so is ahead of the report that says why
+            why = ", ".join(f.name or "" for f in status.faults) or "no fault, somebody disarmed it"
+            self.trouble = f"the board has left ARMED: {why.lower()}"
+
+    def _feed(self, data: bytes) -> None:
+        if data:
+            self._board.feed(data)
+
+    def _await(self, done: object, what: str) -> None:
+        assert callable(done)
+        end = monotonic_us() + ANSWER_US
+        with self._lock:
+            while not done():
+                if self.trouble is not None:
+                    raise ThrustersError(self.trouble)
+                if monotonic_us() > end:
+                    raise ThrustersError(
+                        f"{self._port_name}: the board does not answer {what}; check its power, the"
+                        " cable, and that this is its port"
+                    )
+                self._lock.wait(0.005)
+
+    # What the vehicle says
+
+    @property
+    def board(self) -> str:
+        """What the valves hang on."""
+        hello = self._session.board
+        assert hello is not None
+        return f"firmware {hello.firmware_id:08x} at {self._port_name}"
+
+    @property
+    def reconnects(self) -> int:
+        """How often the line was lost and came back."""
+        return self._board.reconnects
+
+    @property
+    def refusals(self) -> dict[str, int]:
+        """Frames that the board refused, by its own word."""
+        return {result.name.lower(): count for result, count in self._session.refusals.items()}
+
+    def bearing(self, *, on: bool) -> None:
+        """Bearing air on or off.
+
+        Raises:
+            ThrustersError: the board does not say that it has done it.
+        """
+        self._insist(
+            lambda now: self._session.bearing(on, now),
+            lambda: self._session.status is not None and self._session.status.bearing == int(on),
+            "BEARING",
+        )
+
+    def arm(self) -> None:
+        """Arm; plans must follow at once.
+
+        Raises:
+            ThrustersError: the board refuses, or does not answer.
+        """
+        self._insist(self._session.arm, lambda: self._session.state is State.ARMED, "ARM")
+        self._armed = True
+
+    def _insist(self, order: object, done: object, what: str) -> None:
+        assert callable(order)
+        assert callable(done)
+        sent = 0
+
+        def obeyed() -> bool:
+            nonlocal sent
+            if not done() and monotonic_us() - sent > REPEAT_US:
+                sent = monotonic_us()
+                self._feed(self._greet_again(sent) or order(sent))
+            return bool(done())
+
+        self._await(obeyed, what)
+
+    def _greet_again(self, now: int) -> bytes:
+        """HELLO, if the board takes us for somebody else: it answered two of them in a row."""
+        foreign = self._session.refusals.pop(Result.FOREIGN_SESSION, 0)
+        if foreign == 0 and self._session.greeted:
+            return b""
+        return self._session.hello(now) if foreign else b"\0"
+
+    def disarm(self) -> None:
+        """Close everything, now."""
+        with self._lock:
+            self._armed, self._waiting = False, None
+            self._feed(self._session.disarm(monotonic_us()))
+
+    def _start_us(self, command: ValveCommand) -> int:
+        return self.epoch_us + round(1e6 * command.issued_at) + self._delay_us
+
+    def apply(self, command: ValveCommand) -> None:
+        """See `Thrusters`."""
+        with self._lock:
+            self._waiting = command
+            if self._start_us(command) <= monotonic_us():
+                self._send(command)
+            else:
+                self._lock.notify_all()
+
+    def _send(self, command: ValveCommand) -> None:
+        self._waiting = None
+        if not self._armed:
+            return
+        shift = 1e-6 * (self.epoch_us + self._delay_us)
+        moved = replace(
+            command,
+            issued_at=command.issued_at + shift,
+            valid_until=command.valid_until + shift,
+        )
+        now = monotonic_us()
+        self._feed(self._session.apply(moved, now))
+        self.sent.append((command.seq, now))
+
+    def health(self) -> Health:
+        """See `Thrusters`. The board has no gauge at the tank."""
+        with self._lock:
+            status = self._session.status
+            assert status is not None
+            return Health(1e-6 * (monotonic_us() - self.epoch_us), float(status.supply_pa), 0.0)

@@ -1,0 +1,322 @@
+"""The host's process: laws that run here, the log, and the beginning and end of a flight.
+
+On the bench it also starts everything else: the twin's server and one process per vehicle. On the
+table those run where they belong, and it waits for them.
+"""
+
+import math
+import secrets
+import socket
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import tomli_w
+import zenoh
+from msgspec.structs import replace
+
+from testbed.bench.flight import HostFlight, order
+from testbed.bench.server import TableReport
+from testbed.config import Experiment, dump
+from testbed.flight.loop import Ending, Observer
+from testbed.ops.children import ChildError, Children
+from testbed.ops.metrics import Commands, Spent, Track
+from testbed.ops.network.envelope import Verdict
+from testbed.ops.network.keys import Keys
+from testbed.ops.network.links import Party
+from testbed.ops.network.orders import (
+    Accepted,
+    Ended,
+    Flown,
+    Pace,
+    Refused,
+    Start,
+)
+from testbed.ops.network.session import Ear, NetworkError, answer_to, listen
+from testbed.ops.stop import noted
+from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
+
+READY_S = 180.0  # for vehicles to get ready; the first start compiles
+AHEAD_NS = 1_000_000_000  # from the order to start until the run's time 0
+LOOK_NS = 20_000_000
+
+
+class HostError(Exception):
+    """The flight cannot begin."""
+
+
+def loopback(experiment: Experiment, folder: Path) -> Experiment:
+    """The experiment with every address on this machine, and free."""
+    table = experiment.table
+    wire = replace(
+        table.lab.mocap,
+        system="natnet", server="127.0.0.1", interface="127.0.0.1",
+        command_port=free_port(socket.SOCK_DGRAM), data_port=free_port(socket.SOCK_DGRAM),
+    )  # fmt: skip
+    network = replace(table.lab.network, endpoint=f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}")
+    ports = {name: str(folder / f"serial-{name}") for name in experiment.vehicles}
+    serial = replace(table.lab.serial, ports=ports)
+    lab = replace(table.lab, mocap=wire, network=network, serial=serial)
+    return replace(experiment, table=replace(table, lab=lab))
+
+
+def free_port(kind: int) -> int:
+    """A port of the loopback interface that nobody has now."""
+    with socket.socket(socket.AF_INET, kind) as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+class WireRig:
+    """The experiment on real wires.
+
+    Args:
+        experiment: what is flown.
+        bench: start the twin and the vehicles here; else wait for those of the lab.
+        keep: where the twin leaves its report; None: with the rest, in a folder that is removed.
+    """
+
+    def __init__(self, experiment: Experiment, *, bench: bool, keep: Path | None = None) -> None:
+        self.experiment, self._bench, self._keep = experiment, bench, keep
+        self._flown_s = math.inf
+        self.way = str  # from where the host listens to where vehicles dial: a relay, in tests
+        self.name = "bench" if bench else "table"
+        self._clock: WallClock | None = None
+        self._truth: dict[str, list[float]] = {}
+        self._report: TableReport | None = None
+        self._ended: dict[str, Ended] = {}
+        self._boards: dict[str, str] = {}
+        self._paces: list[Pace] = []
+        self._lateness: list[float] = []
+        self._sent = 0
+        self._states: dict[str, list[tuple[float, list[float]]]] = {}
+        self._fired_us: dict[str, int] = {}
+        self.children: dict[str, int] = {}  # processes of the bench, by name
+        self.on_start: Callable[[WireRig], None] | None = None  # told when the flight begins
+
+    # The flight
+
+    def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
+        """See `Rig`."""
+        try:
+            with ExitStack() as stack:
+                ending = self._fly(stack, observer, stopped)
+                self._flown_s = ending.t
+                return ending
+        except (NetworkError, ChildError, HostError) as error:
+            return Ending(self.now, str(error))
+
+    def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], bool]) -> Ending:
+        children = None
+        if self._bench:
+            children = stack.enter_context(Children())
+            self.experiment = loopback(self.experiment, children.folder)
+        network = self.experiment.table.lab.network
+        session = stack.enter_context(listen(network.endpoint))
+        stack.enter_context(noted(network.endpoint, network.lab))
+        keys = Keys(network.lab)
+        text = msgspec.json.encode(self.experiment)
+        answering = [
+            answer_to(session, keys.experiment, lambda _: text),
+            answer_to(session, keys.clock, lambda _: monotonic_ns().to_bytes(8, "little")),
+        ]
+        truth = Ear(session, keys.truth)
+        if children is not None:
+            self._start_children(children)
+        try:
+            flight = self._prepare(session, keys, children, stopped)
+            if flight is None:
+                return Ending(0.0, None)
+            flight.truth = truth
+            if self.on_start is not None:
+                self.on_start(self)
+            ending = flight.fly(observer, stopped)
+        finally:
+            del answering
+            if children is not None:
+                self._end_children(children)
+        return ending
+
+    def _start_children(self, children: Children) -> None:
+        config = children.folder / "experiment.toml"
+        config.write_text(tomli_w.dumps(dump(self.experiment)), encoding="utf-8")
+        report = self._keep or children.folder / "report.json"
+        network = self.experiment.table.lab.network
+        command = [sys.executable, "-m", "testbed.cli.main"]
+        children.start(
+            "twin",
+            [*command, "twin", str(config), "--report", str(report), "--child"],
+        )
+        for name in self.experiment.vehicles:
+            where = ["--connect", self.way(network.endpoint), "--lab", network.lab]
+            children.start(name, [*command, "agent", name, *where, "--child"])
+        self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
+
+    def _end_children(self, children: Children) -> None:
+        children.end(list(self.experiment.vehicles))
+        children.end(["twin"])  # the boards last: they hold the valves
+        report = self._keep or children.folder / "report.json"
+        if report.exists():
+            self._report = msgspec.json.decode(report.read_bytes(), type=TableReport)
+
+    def _prepare(
+        self,
+        session: zenoh.Session,
+        keys: Keys,
+        children: Children | None,
+        stopped: Callable[[], bool],
+    ) -> "HostFlight | None":
+        """Wait for the vehicles, and order them to start; None: the operator has changed his mind.
+
+        Raises:
+            HostError: one of them cannot.
+        """
+        missing = set(self.experiment.vehicles)
+        end = monotonic_ns() + round(1e9 * READY_S)
+        while missing:
+            if stopped():
+                return None
+            if children is not None:
+                children.check()
+            if monotonic_ns() > end:
+                raise HostError(
+                    f"not ready after {READY_S:g} s: {', '.join(sorted(missing))}; is `testbed"
+                    " agent` running there, and does it reach"
+                    f" {self.experiment.table.lab.network.endpoint}?"
+                )
+            sleep_until_ns(monotonic_ns() + LOOK_NS)
+            missing = {
+                name for name in missing
+                if not list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0))
+            }  # fmt: skip
+        run, epoch = secrets.randbits(32), monotonic_ns() + AHEAD_NS
+        self._clock = WallClock(epoch)
+        party = Party(
+            session, self.experiment.table.lab, run, self._clock, self.experiment.seed, "host"
+        )
+        flight = HostFlight(self.experiment, self, party)
+        for name in self.experiment.vehicles:
+            match order(session, keys, name, Start(run, epoch)):
+                case Accepted(board):
+                    self._boards[name] = board
+                case Refused(reason):
+                    raise HostError(f"{name} refuses to start: {reason}")
+        return flight
+
+    # What is known of it
+
+    @property
+    def now(self) -> float:
+        """See `Rig`."""
+        return max(0.0, self._clock.now) if self._clock is not None else 0.0
+
+    @property
+    def contacts(self) -> int:
+        """See `Rig`."""
+        if self._report is None:
+            return 0
+        end = self._flown_s - self._released_late()
+        return sum(touch.t <= end for touch in self._report.touches)
+
+    def _released_late(self) -> float:
+        """The twin's time 0, by the run's clock [s]."""
+        if self._report is None or self._report.released_ns is None or self._clock is None:
+            return 0.0
+        return 1e-9 * (self._report.released_ns - self._clock.epoch_ns)
+
+    def note_truth(self, poses: dict[str, list[float]]) -> None:
+        """The newest truth."""
+        self._truth = poses
+
+    def note_tick(self, name: str, flown: Flown) -> None:
+        """A vehicle's tick."""
+        self._paces.append(flown.pace)
+        state = flown.tick.outputs.state
+        if state is not None:
+            row = [
+                state.pose.x, state.pose.y, state.pose.theta,
+                state.twist.vx, state.twist.vy, state.twist.omega,
+            ]  # fmt: skip
+            self._states.setdefault(name, []).append((state.t, row))
+        fired = sum(flown.tick.outputs.command.on_us)
+        self._fired_us[name] = self._fired_us.get(name, 0) + fired
+
+    def note_end(self, name: str, ended: Ended) -> None:
+        """A vehicle's last words."""
+        self._ended[name] = ended
+
+    def note_host(self, lateness: list[float], sent: int) -> None:
+        """How the host kept its time."""
+        self._lateness, self._sent = lateness, sent
+
+    def truth(self) -> Iterator[tuple[str, list[float]]]:
+        """See `Rig`."""
+        return iter(self._truth.items())
+
+    def track(self) -> Track:
+        """See `Rig`. Without a twin: what the vehicles believed."""
+        names = list(self.experiment.vehicles)
+        report = self._report
+        if report is not None and report.released_ns is not None and self._clock is not None:
+            t = np.array(report.t) + self._released_late()
+            flown = t <= self._flown_s  # afterwards they drift
+            states = np.array(report.states).reshape(-1, len(names), 6)
+            return Track(t[flown], states[flown])
+        rows = [self._states.get(name, []) for name in names]
+        count = min((len(row) for row in rows), default=0)
+        if count == 0:
+            return Track(np.zeros(0), np.zeros((0, len(names), 6)))
+        states = np.array([[state for _, state in row[:count]] for row in rows])
+        return Track(np.array([t for t, _ in rows[0][:count]]), states.transpose(1, 0, 2))
+
+    def spent(self, name: str) -> Spent:
+        """See `Rig`. Without a twin: what was commanded, by the vehicle file's thrust."""
+        report = self._report
+        if report is not None:
+            return Spent(report.impulse[name], report.gas[name], report.openings[name])
+        model = self.experiment.vehicles[name].model
+        thrust = float(np.mean([jet.thrust for jet in model.jets]))
+        impulse = 1e-6 * self._fired_us.get(name, 0) * thrust
+        return Spent(impulse, impulse / model.air.exhaust_speed, 0)
+
+    @property
+    def report(self) -> TableReport | None:
+        """The twin's own, on the bench."""
+        return self._report
+
+    @property
+    def ended(self) -> dict[str, Ended]:
+        """The vehicles' last words."""
+        return self._ended
+
+    def wires(self) -> dict[str, Any]:
+        """See `Rig`."""
+        late = [1e3 * p.late_s for p in self._paces] + [1e3 * late for late in self._lateness]
+        delays = [1e3 * p.pose_to_valve_s for p in self._paces if p.pose_to_valve_s is not None]
+        counts = [ended.counts for ended in self._ended.values()]
+
+        def total(*verdicts: Verdict) -> int:
+            return sum(c.commands.get(v, 0) for c in counts for v in verdicts)
+
+        boards = self._report.boards if self._report is not None else self._boards.values()
+        return {
+            "lateness_p99_ms": _percentile(late, 99),
+            "pose_to_valve_p50_ms": _percentile(delays, 50),
+            "pose_to_valve_p99_ms": _percentile(delays, 99),
+            "commands": Commands(
+                sent=self._sent,
+                late=total(Verdict.LATE, Verdict.DUPLICATED, Verdict.REORDERED),
+                expired=total(Verdict.EXPIRED),
+                rejected=total(Verdict.FOREIGN, Verdict.SCHEMA, Verdict.GARBLED)
+                + sum(sum(c.refusals.values()) for c in counts),
+            ),
+            "board": "; ".join(sorted(set(boards))) or None,
+        }
+
+
+def _percentile(values: list[float], share: float) -> float | None:
+    return float(np.percentile(values, share)) if values else None

@@ -1,0 +1,79 @@
+"""Verbs of the processes on the wires: `twin` and `agent`."""
+
+import contextlib
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+
+from firmware_interface.compiler import CompilerError
+from firmware_interface.limits import LimitsError
+from firmware_interface.line_tap import TapError
+from firmware_interface.serial_board import BoardError
+from firmware_interface.serial_thrusters import ThrustersError
+from testbed.bench.server import TableServer, port_of
+from testbed.bench.vehicle import VehicleError, fly_vehicle
+from testbed.cli.main import BAD_INPUT, FAULT, INTERRUPTED, OK
+from testbed.config import ConfigError, find, load
+from testbed.ops.children import end_on_terminate, orphaned
+from testbed.ops.network.session import NetworkError
+from testbed.ops.steady import prefer_process, preferred, steady
+from testbed.rig import warm_up
+
+PRIORITY = 30  # the table does not wait for anybody
+
+errors = Console(stderr=True, highlight=False)
+
+
+def serve_twin(
+    name: str, overrides: Sequence[str], ports: Path, report: Path | None, *, child: bool
+) -> int:
+    """Serve until told to end; the exit code."""
+    end_on_terminate()
+    try:
+        experiment = load(find(name), overrides)
+    except ConfigError as error:
+        return _failed(error, BAD_INPUT)
+    try:
+        warm_up(experiment)
+        with TableServer(experiment, ports) as server:
+            wire = experiment.table.lab.mocap
+            if not child:
+                errors.print(
+                    f"NatNet {wire.version} at {wire.server}, commands at {wire.command_port}"
+                )
+                for vehicle in experiment.vehicles:
+                    errors.print(f"{vehicle}: {port_of(experiment, vehicle, ports)}")
+            signal.signal(signal.SIGUSR1, lambda number, frame: server.cut_next())
+            for pid in server.pids.values():  # a chip does not wait for a turn either
+                prefer_process(pid, PRIORITY + 10)
+            with steady(), preferred(PRIORITY), contextlib.suppress(KeyboardInterrupt):
+                server.run(lambda: child and orphaned())
+            if report is not None:
+                part = report.with_suffix(".part")
+                part.write_bytes(msgspec.json.encode(server.report()))
+                part.replace(report)
+    except (OSError, TapError, BoardError, CompilerError, LimitsError) as error:
+        return _failed(error, FAULT)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    return OK
+
+
+def fly_agent(name: str, endpoint: str, lab: str, port: str | None, *, child: bool) -> int:
+    """Fly one vehicle; the exit code."""
+    end_on_terminate()
+    try:
+        fly_vehicle(name, endpoint, lab, port, child=child)
+    except (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError) as error:
+        return _failed(error, FAULT)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    return OK
+
+
+def _failed(error: Exception, code: int) -> int:
+    errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+    return code

@@ -1,0 +1,1 @@
+"""Motion capture on the wire: what lab systems send, and poses out of it."""

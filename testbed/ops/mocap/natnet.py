@@ -1,0 +1,371 @@
+"""OptiTrack's NatNet on the wire, 3.0 to 4.1: bytes to frames and back. No socket, no clock.
+
+Source: the layout that OptiTrack publishes for direct depacketization (NatNet SDK, "NatNet: Data
+Types" and "NatNet: Direct Depacketization Sample"). Little endian throughout.
+
+    packet   u16 id, u16 size of what follows
+    frame    number; then a count of each kind of data and the data: marker sets, unlabelled
+             markers, rigid bodies, skeletons, [4.1: assets], labelled markers, force plates,
+             devices; then time stamps. From 4.1 a byte size follows every count.
+
+Only rigid bodies are kept. What else a frame carries is stepped over, so that a lab may stream
+whatever it likes besides.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from typing import Any
+
+from msgspec import Struct
+
+HEAD = struct.Struct("<HH")
+BODY = struct.Struct("<i3f4ffh")
+STAMPS = struct.Struct("<QQQ")
+OFFSET = struct.Struct("<ii3f")
+INFO = struct.Struct("<256s4B4BQHB4B")
+LARGEST = 65507  # [bytes] of a UDP datagram
+
+Version = tuple[int, int]
+
+
+class Packet(IntEnum):
+    """What a packet is."""
+
+    CONNECT = 0
+    SERVER_INFO = 1
+    REQUEST = 2
+    RESPONSE = 3
+    REQUEST_MODEL_DEF = 4
+    MODEL_DEF = 5
+    REQUEST_FRAME = 6
+    FRAME = 7
+    MESSAGE = 8
+    DISCONNECT = 9
+    KEEP_ALIVE = 10
+    ECHO_REQUEST = 12
+    ECHO_RESPONSE = 13
+    UNRECOGNIZED = 100
+
+
+class NatNetError(ValueError):
+    """These bytes are not what they should be."""
+
+
+class RigidBody(Struct, frozen=True, gc=False):
+    """One body in one frame, in the axes of the motion-capture system."""
+
+    id: int
+    position: tuple[float, float, float]  # [m]
+    rotation: tuple[float, float, float, float]  # quaternion x, y, z, w
+    error: float  # mean distance of the markers from where they should be [m]
+    tracked: bool
+
+
+class MocapFrame(Struct, frozen=True, gc=False):
+    """One exposure of all cameras. Stamps are in ticks of the server's clock."""
+
+    number: int
+    bodies: tuple[RigidBody, ...]
+    timestamp: float  # since the software began [s]
+    exposed: int  # middle of the exposure
+    received: int  # camera data complete at the server
+    sent: int
+
+
+class Described(Struct, frozen=True, gc=False):
+    """A rigid body as the model definition names it."""
+
+    id: int
+    name: str
+
+
+class ServerInfo(Struct, frozen=True, gc=False):
+    """The server's answer to CONNECT."""
+
+    application: str
+    version: Version  # of NatNet
+    clock_hz: int
+    data_port: int
+    group: str | None  # address that frames are multicast to; None: unicast
+
+
+def packet(kind: Packet, payload: bytes = b"") -> bytes:
+    """A whole datagram."""
+    return HEAD.pack(kind, len(payload)) + payload
+
+
+def unpack(datagram: bytes) -> tuple[int, memoryview]:
+    """Kind and payload of a datagram.
+
+    Raises:
+        NatNetError: it is shorter than it says.
+    """
+    if len(datagram) < HEAD.size:
+        raise NatNetError(f"{len(datagram)} bytes are no packet")
+    kind, size = HEAD.unpack_from(datagram)
+    if len(datagram) < HEAD.size + size:
+        raise NatNetError(f"{len(datagram) - HEAD.size} bytes of {size}")
+    return kind, memoryview(datagram)[HEAD.size : HEAD.size + size]
+
+
+# What a server says
+
+
+def _sized(data: bytes, version: Version) -> bytes:
+    """From 4.1 a section says how long it is."""
+    return struct.pack("<i", len(data)) + data if version >= (4, 1) else data
+
+
+def encode_frame(frame: MocapFrame, version: Version) -> bytes:
+    """The datagram of a frame."""
+    empty = struct.pack("<i", 0) + _sized(b"", version)
+    bodies = b"".join(
+        BODY.pack(b.id, *b.position, *b.rotation, b.error, b.tracked) for b in frame.bodies
+    )
+    assets = empty if version >= (4, 1) else b""
+    return packet(
+        Packet.FRAME,
+        b"".join((
+            struct.pack("<i", frame.number),
+            empty,  # marker sets
+            empty,  # unlabelled markers
+            struct.pack("<i", len(frame.bodies)), _sized(bodies, version),
+            empty,  # skeletons
+            assets,
+            empty * 3,  # labelled markers, force plates, devices
+            struct.pack("<IId", 0, 0, frame.timestamp),  # time code, its fraction
+            STAMPS.pack(frame.exposed, frame.received, frame.sent),
+            struct.pack("<II", 0, 0) if version >= (4, 1) else b"",  # precision time stamp
+            struct.pack("<hi", 0, 0),  # parameters, end of data
+        )),
+    )  # fmt: skip
+
+
+def encode_models(models: Sequence[Described], version: Version) -> bytes:
+    """The datagram that names the bodies."""
+    parts = [struct.pack("<i", len(models))]
+    for model in models:
+        body = model.name.encode() + b"\0" + OFFSET.pack(model.id, -1, 0.0, 0.0, 0.0)
+        body += struct.pack("<i", 0)  # markers
+        parts += struct.pack("<i", 1), _sized(body, version)
+    return packet(Packet.MODEL_DEF, b"".join(parts))
+
+
+def encode_server_info(info: ServerInfo) -> bytes:
+    """The datagram that answers CONNECT."""
+    group = [int(part) for part in (info.group or "0.0.0.0").split(".")]
+    name = info.application.encode()[:255]
+    major, minor = info.version
+    version = (major, minor, 0, 0)
+    return packet(
+        Packet.SERVER_INFO,
+        INFO.pack(
+            name, *version, *version, info.clock_hz, info.data_port, info.group is not None, *group
+        ),
+    )
+
+
+def encode_echo(asked: int, now: int) -> bytes:
+    """The datagram that answers ECHO_REQUEST: its stamp, and the server's clock."""
+    return packet(Packet.ECHO_RESPONSE, struct.pack("<QQ", asked, now))
+
+
+# What a client understands
+
+
+class _Reader:
+    """Steps through a payload."""
+
+    def __init__(self, data: memoryview, version: Version) -> None:
+        self.data, self.at, self.version = data, 0, version
+        self.sized = version >= (4, 1)
+
+    def take(self, layout: struct.Struct) -> tuple[Any, ...]:
+        """The next fields."""
+        try:
+            values = layout.unpack_from(self.data, self.at)
+        except struct.error:
+            raise NatNetError(f"it ends at byte {len(self.data)}, in the middle") from None
+        self.at += layout.size
+        return values
+
+    def skip(self, size: int) -> None:
+        """Step over bytes."""
+        if size < 0 or self.at + size > len(self.data):
+            raise NatNetError(f"a size of {size} at byte {self.at} of {len(self.data)}")
+        self.at += size
+
+    def number(self) -> int:
+        """A whole number."""
+        return int(self.take(_I32)[0])
+
+    def count(self) -> int:
+        """How many of something that has at least one byte each."""
+        count = self.number()
+        if not 0 <= count <= len(self.data) - self.at:
+            raise NatNetError(f"a count of {count} at byte {self.at - 4} of {len(self.data)}")
+        return count
+
+    def text(self) -> str:
+        """A name that ends with a zero."""
+        rest = bytes(self.data[self.at : self.at + 512])
+        end = rest.find(b"\0")
+        if end < 0:
+            raise NatNetError(f"a name without an end at byte {self.at}")
+        self.at += end + 1
+        return rest[:end].decode(errors="replace")
+
+    def section(self, each: Callable[["_Reader"], object]) -> None:
+        """Step over a section of a frame."""
+        count = self.count()
+        if self.sized:
+            self.skip(self.number())
+            return
+        for _ in range(count):
+            each(self)
+
+
+_I32 = struct.Struct("<i")
+_FLOAT = struct.Struct("<d")
+
+
+def _marker_set(r: _Reader) -> None:
+    r.text()
+    r.skip(12 * r.count())
+
+
+def _skeleton(r: _Reader) -> None:
+    r.number()
+    r.skip(BODY.size * r.count())
+
+
+def _channels(r: _Reader) -> None:
+    """Of a force plate or a device."""
+    r.number()
+    for _ in range(r.count()):
+        r.skip(4 * r.count())
+
+
+def _body(values: tuple[Any, ...]) -> RigidBody:
+    number, x, y, z, qx, qy, qz, qw, error, bits = values
+    return RigidBody(number, (x, y, z), (qx, qy, qz, qw), error, bool(bits & 1))
+
+
+def decode_frame(payload: memoryview, version: Version) -> MocapFrame:
+    """A frame.
+
+    Raises:
+        NatNetError: the payload is none of this version.
+    """
+    r = _Reader(payload, version)
+    number = r.number()
+    r.section(_marker_set)
+    r.section(lambda r: r.skip(12))  # unlabelled markers
+    count = r.count()
+    if r.sized and r.number() != count * BODY.size:
+        raise NatNetError(f"{count} rigid bodies of another size")
+    bodies = tuple(_body(r.take(BODY)) for _ in range(count))
+    r.section(_skeleton)
+    if r.sized:
+        r.section(_skeleton)  # assets; stepped over by size
+    r.section(lambda r: r.skip(26))  # labelled markers
+    r.section(_channels)  # force plates
+    r.section(_channels)  # devices
+    r.skip(8)  # time code
+    timestamp = r.take(_FLOAT)[0]
+    exposed, received, sent = r.take(STAMPS)
+    return MocapFrame(number, bodies, timestamp, exposed, received, sent)
+
+
+def _names(r: _Reader) -> None:
+    for _ in range(r.count()):
+        r.text()
+
+
+def _described(r: _Reader) -> Described:
+    name = r.text()
+    number = r.take(OFFSET)[0]
+    count = r.count()
+    r.skip(16 * count)  # where its markers are, and their labels
+    if r.version >= (4, 0):
+        for _ in range(count):
+            r.text()
+    return Described(number, name)
+
+
+def _other(r: _Reader, kind: int) -> None:
+    """Step over something that is not a rigid body, before 4.1."""
+    match kind:
+        case 0:  # marker set
+            r.text()
+            _names(r)
+        case 2:  # skeleton
+            r.text()
+            r.number()
+            for _ in range(r.count()):
+                _described(r)
+        case 3:  # force plate: size, origin, calibration, corners
+            r.number()
+            r.text()
+            r.skip(8 + 12 + 576 + 48 + 8)
+            _names(r)
+        case 4:  # device
+            r.number()
+            r.text()
+            r.text()
+            r.skip(8)
+            _names(r)
+        case 5:  # camera
+            r.text()
+            r.skip(28)
+        case _:
+            raise NatNetError(f"a description of kind {kind}")
+
+
+def decode_models(payload: memoryview, version: Version) -> list[Described]:
+    """The rigid bodies of a model definition.
+
+    Raises:
+        NatNetError: the payload is none of this version.
+    """
+    r = _Reader(payload, version)
+    models = []
+    for _ in range(r.count()):
+        kind = r.number()
+        size = r.number() if r.sized else 0
+        start = r.at
+        if kind == 1:
+            models.append(_described(r))
+        elif not r.sized:
+            _other(r, kind)
+        if r.sized:
+            r.at = start
+            r.skip(size)
+    return models
+
+
+def decode_server_info(payload: memoryview) -> ServerInfo:
+    """The answer to CONNECT.
+
+    Raises:
+        NatNetError: the payload is none.
+    """
+    if len(payload) < INFO.size:
+        raise NatNetError(f"a server's answer of {len(payload)} bytes, expected {INFO.size}")
+    values = INFO.unpack_from(payload)
+    name = values[0].partition(b"\0")[0].decode(errors="replace")
+    group = ".".join(map(str, values[12:16])) if values[11] else None
+    return ServerInfo(name, (values[5], values[6]), values[9], values[10], group)
+
+
+def decode_echo(payload: memoryview) -> tuple[int, int]:
+    """The client's stamp and the server's clock.
+
+    Raises:
+        NatNetError: the payload is none.
+    """
+    if len(payload) < 16:
+        raise NatNetError(f"an echo of {len(payload)} bytes, expected 16")
+    asked, now = struct.unpack_from("<QQ", payload)
+    return asked, now

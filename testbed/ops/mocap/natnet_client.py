@@ -1,0 +1,152 @@
+"""A NatNet client that waits for nothing: poll it, and it says what has come in since.
+
+Arrival is stamped by the kernel, so it does not matter when one polls. The server's clock is read
+with echoes once a second; a server that does not answer them is believed by its quickest frame.
+"""
+
+import socket
+import struct
+from contextlib import suppress
+
+from testbed.core.lab import MocapWire
+from testbed.ops.mocap.exposure import Exposure, Sighting
+from testbed.ops.mocap.natnet import (
+    LARGEST,
+    MocapFrame,
+    NatNetError,
+    Packet,
+    ServerInfo,
+    decode_echo,
+    decode_frame,
+    decode_models,
+    decode_server_info,
+    packet,
+    unpack,
+)
+from testbed.ops.offset import Offset
+from testbed.ops.ticking import monotonic_ns, monotonic_of_wall
+
+SO_TIMESTAMPNS = 35  # Linux, asm-generic/socket.h; Python does not name it
+TIMESPEC = struct.Struct("qq")
+ASK_NS = 1_000_000_000  # between two questions to the server
+FIRST_ASK_NS = 100_000_000  # until it has answered
+
+
+class NatNetClient:
+    """A `MocapSource`.
+
+    Raises:
+        OSError: the address is none of this machine's, or the port is taken.
+    """
+
+    def __init__(self, wire: MocapWire) -> None:
+        self._server = (wire.server, wire.command_port)
+        self._sockets = [_stamped(wire.interface, 0)]
+        if wire.group:
+            data = _stamped(wire.group, wire.data_port, shared=True)
+            membership = socket.inet_aton(wire.group) + socket.inet_aton(wire.interface)
+            data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+            self._sockets.append(data)
+        self._ask_due = 0
+        self.info: ServerInfo | None = None
+        self.names: dict[int, str] = {}
+        self.clock = Offset()
+        self.bad = 0  # datagrams that were none
+        self.newest: MocapFrame | None = None
+
+    def fileno(self) -> int:
+        """Of the socket that frames come in on."""
+        return self._sockets[-1].fileno()
+
+    def close(self) -> None:
+        """See `MocapSource`."""
+        for one in self._sockets:
+            one.close()
+
+    def poll(self) -> list[Exposure]:
+        """See `MocapSource`."""
+        exposures: list[Exposure] = []
+        for one in self._sockets:
+            while (got := _receive(one)) is not None:
+                try:
+                    exposure = self._take(*got)
+                except NatNetError:
+                    self.bad += 1
+                    continue
+                if exposure is not None:
+                    exposures.append(exposure)
+        self._ask()
+        return exposures
+
+    def _ask(self) -> None:
+        now = monotonic_ns()
+        if now < self._ask_due:
+            return
+        known = self.info is not None and self.names
+        self._ask_due = now + (ASK_NS if known else FIRST_ASK_NS)
+        questions = [packet(Packet.ECHO_REQUEST, now.to_bytes(8, "little"))]
+        if self.info is None:
+            questions = [packet(Packet.CONNECT)]
+        elif not self.names:
+            questions.append(packet(Packet.REQUEST_MODEL_DEF))
+        if self.info is not None and self.info.group is None:
+            questions.append(packet(Packet.KEEP_ALIVE))
+        for question in questions:
+            with suppress(OSError):  # no network: the poses stay away, which is noticed elsewhere
+                self._sockets[0].sendto(question, self._server)
+
+    def _take(self, data: bytes, arrived_ns: int) -> Exposure | None:
+        kind, payload = unpack(data)
+        match kind:
+            case Packet.SERVER_INFO:
+                self.info = decode_server_info(payload)
+                self._ask_due = 0
+            case Packet.MODEL_DEF if self.info:
+                models = decode_models(payload, self.info.version)
+                self.names = {model.id: model.name for model in models}
+            case Packet.ECHO_RESPONSE if self.info:
+                asked, server = decode_echo(payload)
+                self.clock.exchanged(asked, self._ns(server), arrived_ns)
+            case Packet.FRAME if self.info and self.names:
+                return self._expose(decode_frame(payload, self.info.version), arrived_ns)
+        return None
+
+    def _ns(self, ticks: int) -> float:
+        assert self.info is not None
+        return ticks * (1e9 / self.info.clock_hz) if self.info.clock_hz != 10**9 else ticks
+
+    def _expose(self, frame: MocapFrame, arrived_ns: int) -> Exposure | None:
+        self.newest = frame
+        if any(body.id not in self.names for body in frame.bodies):
+            self._ask_due, self.names = 0, {}  # the operator has changed the bodies: ask again
+            return None
+        self.clock.heard(self._ns(frame.sent), arrived_ns)
+        exposed = self.clock.to_own(self._ns(frame.exposed))
+        assert exposed is not None
+        bodies = {
+            self.names[b.id]: Sighting(b.position, b.rotation, b.tracked) for b in frame.bodies
+        }
+        return Exposure(frame.number, exposed, arrived_ns, bodies)
+
+
+def _stamped(host: str, port: int, *, shared: bool = False) -> socket.socket:
+    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    if shared:
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    one.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    one.setblocking(False)
+    one.bind((host, port))
+    return one
+
+
+def _receive(one: socket.socket) -> tuple[bytes, int] | None:
+    """A datagram and when it came in."""
+    try:
+        data, ancillary, _, _ = one.recvmsg(LARGEST, 64)
+    except (BlockingIOError, ConnectionRefusedError):
+        return None
+    for level, kind, value in ancillary:
+        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS:
+            seconds, rest = TIMESPEC.unpack_from(value)
+            return data, monotonic_of_wall(seconds * 1_000_000_000 + rest)
+    return data, monotonic_ns()

@@ -1,0 +1,53 @@
+"""The cameras as one vehicle hears them: a `PoseSource` on top of any motion-capture system."""
+
+from collections import deque
+from collections.abc import Sequence
+
+from testbed.core.lab import MocapWire
+from testbed.core.types import PoseSample
+from testbed.ops.mocap.exposure import Axes, MocapSource
+from testbed.ops.mocap.watch import BodyWatch
+from testbed.ops.ticking import WallClock
+
+
+class MocapPoses:
+    """Poses of one vehicle, in W and in the run's time.
+
+    The watch sees all bodies, because a swap takes two.
+    """
+
+    def __init__(
+        self, source: MocapSource, wire: MocapWire, clock: WallClock, name: str, watch: BodyWatch
+    ) -> None:
+        self._source, self._axes, self._clock = source, Axes(wire), clock
+        self._body = wire.bodies.get(name, name)
+        self.watch = watch
+        self.arrived_ns: int | None = None  # of the newest pose handed on
+        self.latencies: deque[float] = deque(maxlen=1000)  # exposure to arrival [s]
+        self.lost_frames = 0  # by their numbers
+        self._number: int | None = None
+
+    def samples(self) -> Sequence[PoseSample]:
+        """See `PoseSource`."""
+        samples = []
+        for exposure in self._source.poll():
+            if self._number is not None and exposure.number > self._number + 1:
+                self.lost_frames += exposure.number - self._number - 1
+            self._number = exposure.number
+            t = self._clock.of(exposure.exposed_ns)
+            poses = {
+                name: self._axes.to_table(seen) if seen.tracked else None
+                for name, seen in exposure.bodies.items()
+            }
+            pose = self.watch.look(t, poses).get(self._body)
+            self.latencies.append(1e-9 * (exposure.arrived_ns - exposure.exposed_ns))
+            if pose is not None:
+                samples.append(PoseSample(t, pose.x, pose.y, pose.theta))
+                self.arrived_ns = exposure.arrived_ns
+        self.watch.pass_time(self._clock.now)
+        return samples
+
+    @property
+    def trouble(self) -> str | None:
+        """What is wrong with this vehicle's body now."""
+        return self.watch.troubles.get(self._body)
