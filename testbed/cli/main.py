@@ -87,6 +87,18 @@ def schema(kind: str) -> None:
     print_schema(kind)
 
 
+@main.command()
+@click.argument("run", type=click.Path(exists=True, path_type=Path))
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+@click.pass_context
+def replay(context: click.Context, run: Path, overrides: tuple[str, ...], as_json: bool) -> None:
+    """Feed the log of a RUN folder to today's code: exit code 1 if it does anything else."""
+    from testbed.cli.replay import replay_run
+
+    context.exit(replay_run(run, overrides, as_json))
+
+
 def entry() -> None:
     """Run the command as a program, with the exit codes above."""
     try:
