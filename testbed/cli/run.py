@@ -10,6 +10,7 @@ from pathlib import Path
 from types import FrameType
 
 import msgspec
+from msgspec import Struct
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -107,20 +108,37 @@ class Watcher:
         total = rig.experiment.duration_s
         self._bar = progress.add_task(rig.experiment.name, total=total)
         self._shown, self._stride = 0.0, total / 100.0
+        self.trouble: str | None = None  # the log cannot be written: the flight has to end
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
-        self._recorder.write(f"/{name}/tick", tick.inputs.t, tick)
+        self._record(f"/{name}/tick", tick.inputs.t, tick)
         self._outputs[name].append(tick.outputs)
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
-        self._recorder.write(f"/{name}/host", tick.inputs.t, tick)
+        self._record(f"/{name}/host", tick.inputs.t, tick)
+
+    def _record(self, topic: str, t: float, message: Struct) -> None:
+        if self.trouble is None:
+            try:
+                self._recorder.write(topic, t, message)
+            except RecorderError as error:
+                self.trouble = str(error)
+
+    def _mark(self, t: float) -> None:
+        if self.trouble is None:
+            try:
+                for line in self._recorder.mark(t):
+                    errors.print(line, style="yellow", markup=False, soft_wrap=True)
+            except RecorderError as error:
+                self.trouble = str(error)
 
     def done(self, t: float) -> None:
         """See `Observer`."""
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
-        self._recorder.write("/truth", t, Truth(t, motions))
+        self._record("/truth", t, Truth(t, motions))
+        self._mark(t)
         if t - self._shown >= self._stride:
             self._shown = t
             self._progress.update(self._bar, completed=t)
@@ -164,8 +182,12 @@ def fly_and_judge(
                 watcher = Watcher(rig, outputs, recorder, progress)
                 began = time.perf_counter()
                 with steady():
-                    ending = rig.fly(watcher, stopped=lambda: interrupt.asked)
+                    ending = rig.fly(
+                        watcher, stopped=lambda: interrupt.asked or watcher.trouble is not None
+                    )
                 wall = time.perf_counter() - began
+                if watcher.trouble is not None:
+                    raise RecorderError(watcher.trouble)
     except RecorderError as error:
         ending = Ending(rig.twin.now, f"log: {error}")
     planned = experiment.ticks * experiment.flight.jet_period_s
