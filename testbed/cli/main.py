@@ -99,6 +99,32 @@ def replay(context: click.Context, run: Path, overrides: tuple[str, ...], as_jso
     context.exit(replay_run(run, overrides, as_json))
 
 
+@main.command()
+@click.argument("run", type=click.Path(exists=True, path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.pass_context
+def log(context: click.Context, run: Path, as_json: bool) -> None:
+    """Show the topics of a RUN's log, their rates and gaps."""
+    from testbed.cli.log import show_log
+
+    context.exit(show_log(run, as_json))
+
+
+@main.command()
+@click.argument("run", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--to", "kind", type=click.Choice(["parquet", "csv", "npz", "rrd"]), required=True,
+    help="What to write.",
+)  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Folder.  [default: RUN/export]")
+@click.pass_context
+def export(context: click.Context, run: Path, kind: str, out: Path | None) -> None:
+    """Write the log of a RUN as tables, or for the rerun viewer."""
+    from testbed.cli.log import export_run
+
+    context.exit(export_run(run, kind, out))
+
+
 def entry() -> None:
     """Run the command as a program, with the exit codes above."""
     try:
