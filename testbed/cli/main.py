@@ -125,6 +125,16 @@ def export(context: click.Context, run: Path, kind: str, out: Path | None) -> No
     context.exit(export_run(run, kind, out))
 
 
+@main.command()
+@click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.pass_context
+def report(context: click.Context, run: Path) -> None:
+    """Make report.html and figures/*.svg of a RUN again, for instance of an older one."""
+    from testbed.cli.report import report_run
+
+    context.exit(report_run(run))
+
+
 def entry() -> None:
     """Run the command as a program, with the exit codes above."""
     try:

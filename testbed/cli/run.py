@@ -15,11 +15,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
+from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.flight.loop import Ending
 from testbed.ops.folder import FolderError, new_folder, write_config, write_metrics
+from testbed.ops.logbook import LogError
 from testbed.ops.metrics import (
     Metrics,
     aim,
@@ -29,6 +31,7 @@ from testbed.ops.metrics import (
     vehicle_metrics,
 )
 from testbed.ops.recorder import Motion, Recorder, RecorderError, Truth
+from testbed.ops.report import ReportError
 from testbed.ops.steady import steady
 from testbed.rig import TwinRig, make_twin
 
@@ -45,11 +48,12 @@ def run_experiment(name: str, overrides: Sequence[str], out: Path | None, as_jso
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             metrics = fly_and_judge(experiment, folder, interrupt)
             write_metrics(folder, metrics)
+            make_report(folder)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
             else:
                 print_result(metrics, experiment, folder)
-    except (ConfigError, FolderError) as error:
+    except (ConfigError, FolderError, LogError, ReportError) as error:
         errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
         return BAD_INPUT
     if metrics.fault:
