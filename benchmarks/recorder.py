@@ -76,6 +76,7 @@ def lost_by_kill(path: Path, instant: float) -> float:
         [sys.executable, __file__, "--announce", str(path)], stdout=subprocess.PIPE
     )
     scribe = int(flight.stdout.readline())
+    flight.stdout.readline()  # the first tick is handed over
     Event().wait(instant)
     os.kill(flight.pid, signal.SIGKILL)
     os.kill(scribe, signal.SIGKILL)

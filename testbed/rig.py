@@ -9,6 +9,7 @@ from msgspec import Struct
 from controllers.catalogue import make_law
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.config import Experiment
+from testbed.core.ports import Clock
 from testbed.core.types import Pose
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.estimator import Estimator
@@ -59,11 +60,16 @@ class TwinRig(Struct, frozen=True):
     vehicles: list[VehicleNode]
     hosts: list[HostNode]
 
-    def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
-        """Fly to the end, to a fault, or until `stopped()`."""
+    def fly(
+        self,
+        observer: Observer,
+        stopped: Callable[[], bool] = lambda: False,
+        clock: Clock | None = None,
+    ) -> Ending:
+        """Fly to the end, to a fault, or until `stopped()`; `clock` may pace the twin's own."""
         experiment = self.experiment
         return fly(
-            self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
+            clock or self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
             experiment.ticks, observer, stopped=stopped,
         )  # fmt: skip
 

@@ -12,14 +12,15 @@ from types import FrameType
 import msgspec
 from msgspec import Struct
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from testbed.cli.live import LiveTable
 from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
 from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.flight.loop import Ending
+from testbed.ops.feed import Loop
 from testbed.ops.folder import FolderError, new_folder, write_config, write_metrics
 from testbed.ops.logbook import LogError
 from testbed.ops.metrics import (
@@ -30,32 +31,51 @@ from testbed.ops.metrics import (
     smallest_separation,
     vehicle_metrics,
 )
+from testbed.ops.pace import Pace
 from testbed.ops.recorder import Motion, Recorder, RecorderError, Truth
 from testbed.ops.report import ReportError
 from testbed.ops.steady import steady
+from testbed.ops.viewer import ViewerError
 from testbed.rig import TwinRig, make_twin
 
 errors = Console(stderr=True, highlight=False)
 
 
-def run_experiment(name: str, overrides: Sequence[str], out: Path | None, as_json: bool) -> int:
+def run_experiment(
+    name: str,
+    overrides: Sequence[str],
+    out: Path | None,
+    as_json: bool,
+    view: str | None = None,
+    speed: float | None = None,
+) -> int:
     """Fly and return the exit code."""
-    interrupt = Interrupt()
+    interrupt, board = Interrupt(), None
+    if view is not None and speed is None:
+        speed = 1.0  # to be looked at
     try:
         experiment = load(find(name), overrides)
         with interrupt.caught():
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
-            metrics = fly_and_judge(experiment, folder, interrupt)
+            if view is not None:
+                from testbed.cli.dash import beside_run
+
+                board = beside_run(folder, view)
+            metrics = fly_and_judge(experiment, folder, interrupt, speed)
             write_metrics(folder, metrics)
             make_report(folder)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
             else:
                 print_result(metrics, experiment, folder)
-    except (ConfigError, FolderError, LogError, ReportError) as error:
+    except (ConfigError, FolderError, LogError, ReportError, ViewerError) as error:
         errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
         return BAD_INPUT
+    if view == "web" and board is not None:
+        from testbed.cli.dash import leave
+
+        leave(board)
     if metrics.fault:
         return FAULT
     if not metrics.completed:
@@ -98,26 +118,25 @@ class Interrupt:
 
 
 class Watcher:
-    """Observer of a flight: log and progress bar, and the outputs kept for the metrics."""
+    """Observer of a flight: log and live table, and the outputs kept for the metrics."""
 
     def __init__(
         self,
         rig: TwinRig,
         outputs: dict[str, list[Outputs]],
         recorder: Recorder,
-        progress: Progress,
+        live: LiveTable,
+        pace: Pace | None = None,
     ) -> None:
         self._rig, self._outputs = rig, outputs
-        self._recorder, self._progress = recorder, progress
-        total = rig.experiment.duration_s
-        self._bar = progress.add_task(rig.experiment.name, total=total)
-        self._shown, self._stride = 0.0, total / 100.0
+        self._recorder, self._live, self._pace = recorder, live, pace
         self.trouble: str | None = None  # the log cannot be written: the flight has to end
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
         self._record(f"/{name}/tick", tick.inputs.t, tick)
         self._outputs[name].append(tick.outputs)
+        self._live.vehicle(name, tick)
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
@@ -142,10 +161,10 @@ class Watcher:
         """See `Observer`."""
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
         self._record("/truth", t, Truth(t, motions))
+        if self._pace is not None:
+            self._record("/loop", t, Loop(t, self._pace.late_s, self._pace.busy_s))
         self._mark(t)
-        if t - self._shown >= self._stride:
-            self._shown = t
-            self._progress.update(self._bar, completed=t)
+        self._live.done(t)
 
 
 class _Nobody:
@@ -166,28 +185,30 @@ def warm_up(experiment: Experiment, stopped: Callable[[], bool]) -> None:
 
 
 def fly_and_judge(
-    experiment: Experiment, folder: Path, interrupt: Interrupt | None = None
+    experiment: Experiment,
+    folder: Path,
+    interrupt: Interrupt | None = None,
+    speed: float | None = None,
 ) -> Metrics:
     """Fly, with the log in `folder`, and judge."""
     interrupt = interrupt or Interrupt()
     rig, ending, wall = make_twin(experiment), Ending(0.0, None), 0.0
-    progress = Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
-        TimeRemainingColumn(), console=errors, transient=True, disable=not errors.is_terminal,
-    )  # fmt: skip
+    live = LiveTable(experiment, errors)
+    pace = None if speed is None else Pace(rig.twin, speed)
     outputs: dict[str, list[Outputs]] = {name: [] for name in experiment.vehicles}
     try:
-        with Recorder(folder / "log.mcap") as recorder, progress:
-            warming = progress.add_task("getting ready (compiles on the first run)", total=None)
+        with Recorder(folder / "log.mcap") as recorder, live:
             with interrupt.at_once():
                 warm_up(experiment, lambda: interrupt.asked)
-            progress.remove_task(warming)
             if not interrupt.asked:
-                watcher = Watcher(rig, outputs, recorder, progress)
+                watcher = Watcher(rig, outputs, recorder, live, pace)
+                live.flies()
                 began = time.perf_counter()
                 with steady():
                     ending = rig.fly(
-                        watcher, stopped=lambda: interrupt.asked or watcher.trouble is not None
+                        watcher,
+                        stopped=lambda: interrupt.asked or watcher.trouble is not None,
+                        clock=pace,
                     )
                 wall = time.perf_counter() - began
                 if watcher.trouble is not None:
