@@ -14,6 +14,7 @@ from sim_twin.board import DrivenBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.boards import Valves, WiredBoard, make_drivers
 from testbed.config import Experiment
+from testbed.core.ports import Clock
 from testbed.core.types import HostTick, Pose, Tick
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.estimator import Estimator
@@ -121,12 +122,13 @@ class TwinRig(Struct, frozen=True):
     vehicles: list[VehicleNode]
     hosts: list[HostNode]
     boards: dict[str, WiredBoard]  # with firmware; empty with the twin's own
+    pace: Clock | None = None  # slows the twin down, for whoever looks
 
     def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
-        """Fly to the end, to a fault, or until `stopped()`."""
+        """See `Rig`."""
         experiment = self.experiment
         ending = fly(
-            self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
+            self.pace or self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
             experiment.ticks, observer, stopped=lambda: bool(self._trouble()) or stopped(),
         )  # fmt: skip
         return Ending(ending.t, ending.fault or self._trouble())

@@ -35,6 +35,13 @@ def main() -> None:
     help="Folder of the run, new or empty.  [default: runs/<UTC time>_<name>]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print metrics.json and nothing else.")
+@click.option("--view", "view", flag_value="window", help="Open the dashboard in a window.")
+@click.option("--web", "view", flag_value="web", help="Open the dashboard for a browser.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Times real time.  [default: as fast as it goes; 1 with --view or --web]",
+)
 @click.pass_context
 def run(
     context: click.Context,
@@ -44,6 +51,8 @@ def run(
     seed: int | None,
     out: Path | None,
     as_json: bool,
+    view: str | None,
+    speed: float | None,
 ) -> None:
     """Fly an EXPERIMENT: a file, or the name of a shipped one (see `testbed list`).
 
@@ -59,7 +68,7 @@ def run(
 
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
-    context.exit(run_experiment(experiment, overrides, out, as_json, rig))
+    context.exit(run_experiment(experiment, overrides, out, as_json, rig, view, speed))
 
 
 @main.command()
@@ -231,6 +240,75 @@ def bench(
     from testbed.cli.bench import run_benchmark
 
     context.exit(run_benchmark(file, out, jobs, scheduler, as_json, samples, only, runs, commands))
+
+
+@main.command()
+@click.argument("run", type=click.Path(exists=True, path_type=Path))
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+@click.option("--view", is_flag=True, help="Play it in the dashboard afterwards.")
+@click.pass_context
+def replay(
+    context: click.Context, run: Path, overrides: tuple[str, ...], as_json: bool, view: bool
+) -> None:
+    """Feed the log of a RUN folder to today's code: exit code 1 if it does anything else."""
+    from testbed.cli.replay import replay_run
+
+    code = replay_run(run, overrides, as_json)
+    if view and code != BAD_INPUT:
+        from testbed.cli.dash import play_run
+
+        play_run(run)
+    context.exit(code)
+
+
+@main.command()
+@click.argument("run", type=click.Path(exists=True, path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.pass_context
+def log(context: click.Context, run: Path, as_json: bool) -> None:
+    """Show the topics of a RUN's log, their rates and gaps."""
+    from testbed.cli.log import show_log
+
+    context.exit(show_log(run, as_json))
+
+
+@main.command()
+@click.argument("run", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "--to", "kind", type=click.Choice(["parquet", "csv", "npz", "rrd"]), required=True,
+    help="What to write.",
+)  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), help="Folder.  [default: RUN/export]")
+@click.pass_context
+def export(context: click.Context, run: Path, kind: str, out: Path | None) -> None:
+    """Write the log of a RUN as tables, or for the rerun viewer."""
+    from testbed.cli.log import export_run
+
+    context.exit(export_run(run, kind, out))
+
+
+@main.command()
+@click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.pass_context
+def report(context: click.Context, run: Path) -> None:
+    """Make report.html and figures/*.svg of a RUN again, for instance of an older one."""
+    from testbed.cli.report import report_run
+
+    context.exit(report_run(run))
+
+
+@main.command()
+@click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--web", is_flag=True, help="In the browser instead of a window.")
+@click.option("--bind", default="127.0.0.1", show_default=True, help="Who may connect.")
+@click.option("--port", type=click.IntRange(1, 65534), help="Of the data; the page is one above.")
+@click.pass_context
+def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | None) -> None:
+    """Open the dashboard on a RUN folder, while it is flown or afterwards."""
+    from testbed.cli.dash import show_run
+
+    context.exit(show_run(run, "web" if web else "window", bind, port))
 
 
 def entry() -> None:

@@ -9,16 +9,21 @@ from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 
+from msgspec import Struct
+from msgspec.structs import replace
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from controllers.plain_law import LawError
+from testbed.cli.live import LiveTable
 from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
+from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.flight.loop import Ending
+from testbed.ops.feed import Loop
 from testbed.ops.folder import FolderError, new_folder, write_config, write_metrics
+from testbed.ops.logbook import LogError
 from testbed.ops.metrics import (
     Metrics,
     aim,
@@ -27,32 +32,52 @@ from testbed.ops.metrics import (
     smallest_separation,
     vehicle_metrics,
 )
+from testbed.ops.pace import Pace
 from testbed.ops.recorder import Motion, Recorder, RecorderError, Truth
+from testbed.ops.report import ReportError
 from testbed.ops.steady import steady
-from testbed.rig import Rig, make_twin, warm_up
+from testbed.ops.viewer import ViewerError
+from testbed.rig import Rig, TwinRig, make_twin, warm_up
 
 errors = Console(stderr=True, highlight=False)
 
 
 def run_experiment(
-    name: str, overrides: Sequence[str], out: Path | None, as_json: bool, rig: str = "twin"
+    name: str,
+    overrides: Sequence[str],
+    out: Path | None,
+    as_json: bool,
+    rig: str = "twin",
+    view: str | None = None,
+    speed: float | None = None,
 ) -> int:
     """Fly and return the exit code."""
-    interrupt = Interrupt()
+    interrupt, board = Interrupt(), None
+    if view is not None and speed is None:
+        speed = 1.0  # to be looked at
     try:
         experiment = load(find(name), overrides)
         with interrupt.caught():
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
-            metrics = fly_and_judge(experiment, folder, interrupt, maker(rig))
+            if view is not None:
+                from testbed.cli.dash import beside_run
+
+                board = beside_run(folder, view)
+            metrics = fly_and_judge(experiment, folder, interrupt, maker(rig), speed)
             write_metrics(folder, metrics)
+            make_report(folder)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
             else:
                 print_result(metrics, experiment, folder)
-    except (ConfigError, FolderError) as error:
+    except (ConfigError, FolderError, LogError, ReportError, ViewerError) as error:
         errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
         return BAD_INPUT
+    if view == "web" and board is not None:
+        from testbed.cli.dash import leave
+
+        leave(board)
     if metrics.fault:
         return FAULT
     if not metrics.completed:
@@ -95,41 +120,57 @@ class Interrupt:
 
 
 class Watcher:
-    """Observer of a flight: log and progress bar, and the outputs kept for the metrics."""
+    """Observer of a flight: log and live table, and the outputs kept for the metrics."""
 
     def __init__(
         self,
         rig: Rig,
         outputs: dict[str, list[Outputs]],
         recorder: Recorder,
-        progress: Progress,
+        live: LiveTable,
+        pace: Pace | None = None,
     ) -> None:
         self._rig, self._outputs = rig, outputs
-        self._recorder, self._progress = recorder, progress
-        total = rig.experiment.duration_s
-        self._bar = progress.add_task(rig.experiment.name, total=total)
-        self._shown, self._stride = 0.0, total / 100.0
+        self._recorder, self._live, self._pace = recorder, live, pace
         self._seen = -1.0  # up to here the valves are in the log
+        self.trouble: str | None = None  # the log cannot be written: the flight has to end
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
-        self._recorder.write(f"/{name}/tick", tick.inputs.t, tick)
+        self._record(f"/{name}/tick", tick.inputs.t, tick)
         self._outputs[name].append(tick.outputs)
+        self._live.vehicle(name, tick)
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
-        self._recorder.write(f"/{name}/host", tick.inputs.t, tick)
+        self._record(f"/{name}/host", tick.inputs.t, tick)
+
+    def _record(self, topic: str, t: float, message: Struct) -> None:
+        if self.trouble is None:
+            try:
+                self._recorder.write(topic, t, message)
+            except RecorderError as error:
+                self.trouble = str(error)
+
+    def _mark(self, t: float) -> None:
+        if self.trouble is None:
+            try:
+                for line in self._recorder.mark(t):
+                    errors.print(line, style="yellow", markup=False, soft_wrap=True)
+            except RecorderError as error:
+                self.trouble = str(error)
 
     def done(self, t: float) -> None:
         """See `Observer`."""
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
-        self._recorder.write("/truth", t, Truth(t, motions))
+        self._record("/truth", t, Truth(t, motions))
         for name, valves in self._rig.valves(since=self._seen):
-            self._recorder.write(f"/{name}/valves", valves.t, valves)
+            self._record(f"/{name}/valves", valves.t, valves)
         self._seen = t
-        if t - self._shown >= self._stride:
-            self._shown = t
-            self._progress.update(self._bar, completed=t)
+        if self._pace is not None:
+            self._record("/loop", t, Loop(t, self._pace.late_s, self._pace.busy_s))
+        self._mark(t)
+        self._live.done(t)
 
 
 def maker(rig: str) -> Callable[[Experiment], Rig]:
@@ -146,27 +187,33 @@ def fly_and_judge(
     folder: Path,
     interrupt: Interrupt | None = None,
     make: Callable[[Experiment], Rig] | None = None,
+    speed: float | None = None,
 ) -> Metrics:
     """Fly, with the log in `folder`, and judge. `make` builds the rig; by default the twin."""
     interrupt = interrupt or Interrupt()
     rig, ending, wall = (make or make_twin)(experiment), Ending(0.0, None), 0.0
-    progress = Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
-        TimeRemainingColumn(), console=errors, transient=True, disable=not errors.is_terminal,
-    )  # fmt: skip
+    live = LiveTable(experiment, errors)
+    pace = None
+    if speed is not None and isinstance(rig, TwinRig):
+        pace = Pace(rig.twin, speed)
+        rig = replace(rig, pace=pace)
     outputs: dict[str, list[Outputs]] = {name: [] for name in experiment.vehicles}
     try:
-        with Recorder(folder / "log.mcap") as recorder, progress:
-            warming = progress.add_task("getting ready (compiles on the first run)", total=None)
+        with Recorder(folder / "log.mcap") as recorder, live:
             with interrupt.at_once():
                 warm_up(experiment, lambda: interrupt.asked)
-            progress.remove_task(warming)
             if not interrupt.asked:
-                watcher = Watcher(rig, outputs, recorder, progress)
+                watcher = Watcher(rig, outputs, recorder, live, pace)
+                live.flies()
                 began = time.perf_counter()
                 with steady():
-                    ending = rig.fly(watcher, stopped=lambda: interrupt.asked)
+                    ending = rig.fly(
+                        watcher,
+                        stopped=lambda: interrupt.asked or watcher.trouble is not None,
+                    )
                 wall = time.perf_counter() - began
+                if watcher.trouble is not None:
+                    raise RecorderError(watcher.trouble)
     except (RecorderError, LawError) as error:
         what = "law" if isinstance(error, LawError) else "log"
         ending = Ending(rig.now, f"{what}: {error}")

@@ -9,9 +9,12 @@ JSON messages, each topic with the JSON Schema of its struct: any MCAP reader ca
 this code. Times are the run's, so the same seed gives the same bytes.
 
 The file is written by a process of its own (`scribe.py`) at the other end of a pipe: the flight
-does not wait for the disk, and when it is killed, the scribe still finishes the file.
+does not wait for the disk, and when it is killed, the scribe still finishes the file. Every SPAN_NS
+of the run a chunk of the file is closed, so a scribe that is killed loses no more than that and
+what was under way.
 """
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +25,11 @@ import msgspec
 from msgspec import Struct
 
 BUFFER = 256 * 1024  # [bytes] between the flight and the scribe; a third of a second of messages
+SPAN_NS = 100_000_000  # of the run between two chunks; the same run gives the same chunks
+WARN_BELOW = 500_000_000  # [bytes] free on the disk: say so
+END_BELOW = 20_000_000  # [bytes] free on the disk: end the log properly while there is room
+
+READY = b"ready\n"  # the scribe's first words
 
 
 class RecorderError(Exception):
@@ -62,7 +70,11 @@ class Entry(Struct, frozen=True, tag=True, array_like=True, gc=False):
     data: bytes
 
 
-Frame = Topic | Entry
+class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
+    """To the scribe: put everything so far where a reader finds it."""
+
+
+Frame = Topic | Entry | Mark
 
 
 class Recorder:
@@ -72,18 +84,27 @@ class Recorder:
         RecorderError: on leaving or writing, when the scribe could not do its work.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(
+        self, path: Path, warn_below: int = WARN_BELOW, end_below: int = END_BELOW
+    ) -> None:
+        self._command = [
+            *(sys.executable, "-m", "testbed.ops.scribe"),
+            *(str(path), str(warn_below), str(end_below)),
+        ]
+        self._marked = -SPAN_NS  # time of the last mark [ns]
+        self._said = b""  # by the scribe and not yet handed on
+        self._reason = ""  # the newest line that it said
         self._encode = msgspec.json.Encoder().encode
         self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
 
     def __enter__(self) -> "Recorder":
         self._scribe = subprocess.Popen(
-            [sys.executable, "-m", "testbed.ops.scribe", str(self._path)],
+            self._command,
             bufsize=BUFFER,
             pipesize=BUFFER,
             stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C is for the flight; the scribe ends when the pipe does
         )
@@ -95,18 +116,54 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        _, said = self._scribe.communicate()
+        said = self._last_words()
         if self._scribe.returncode != 0 and kind is None:
-            raise RecorderError(said.decode().strip())
+            raise RecorderError(said)
 
     def write(self, topic: str, t: float, message: Struct) -> None:
         """Append one message of time `t` [s] to `topic`."""
+        if not self._topics:
+            self._meet()
         number = self._topics.get(topic)
         if number is None:
             number = self._topics[topic] = len(self._topics)
             kind = type(message)
             self._send(Topic(topic, kind.__name__, self._encode(json_schema(kind))))
         self._send(Entry(number, round(t * 1e9), self._encode(message)))
+
+    def _meet(self) -> None:
+        """Wait until the scribe has made its file: from then on a kill costs next to nothing."""
+        assert self._scribe.stderr is not None
+        self._said = self._scribe.stderr.readline()
+        if self._said != READY:
+            raise RecorderError(self._last_words())
+        self._said = b""
+        os.set_blocking(self._scribe.stderr.fileno(), False)
+
+    def mark(self, t: float) -> list[str]:
+        """A tick is whole: hand it over; what the scribe has to say, for instance of the disk.
+
+        Raises:
+            RecorderError: the scribe has ended; nothing is recorded any more.
+        """
+        now = round(t * 1e9)
+        if now - self._marked >= SPAN_NS:
+            self._marked = now
+            self._send(Mark())
+        assert self._scribe.stdin is not None
+        assert self._scribe.stderr is not None
+        try:
+            self._scribe.stdin.flush()
+            heard = os.read(self._scribe.stderr.fileno(), 4096)
+        except BlockingIOError:
+            return []  # it has nothing to say
+        except BrokenPipeError:
+            heard = b""
+        if not heard:
+            raise RecorderError(self._last_words())
+        *lines, self._said = (self._said + heard).split(b"\n")
+        self._reason = lines[-1].decode() if lines else self._reason
+        return [line.decode() for line in lines if line.startswith(b"warning")]
 
     def _send(self, frame: Frame) -> None:
         assert self._scribe.stdin is not None
@@ -115,8 +172,13 @@ class Recorder:
             self._scribe.stdin.write(len(packed).to_bytes(4, "little"))
             self._scribe.stdin.write(packed)
         except BrokenPipeError:
-            _, said = self._scribe.communicate()
-            raise RecorderError(said.decode().strip()) from None
+            raise RecorderError(self._last_words()) from None
+
+    def _last_words(self) -> str:
+        """Wait for the scribe's end; the last line that it said."""
+        _, said = self._scribe.communicate()
+        lines = [self._reason, *(self._said + said).decode().strip().splitlines()]
+        return lines[-1] or f"the scribe ended with {self._scribe.returncode}"
 
 
 def json_schema(kind: type[Struct]) -> dict[str, Any]:

@@ -46,7 +46,9 @@ def exit_code(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 
 def assert_incomplete(folder: Path, read_log) -> dict:
     """The folder is readable and says that the run did not reach its end."""
-    assert sorted(p.name for p in folder.iterdir()) == ["config.toml", "log.mcap", "metrics.json"]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "config.toml", "figures", "log.mcap", "metrics.json", "report.html",
+    ]  # fmt: skip
     assert load(folder / "config.toml").name
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["completed"] is False

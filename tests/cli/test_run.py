@@ -22,7 +22,7 @@ VEHICLE_METRICS = {
     "final_error_m", "settle_s", "track_rms_m", "hold_rms_m", "heading_rms_deg",
     "min_obstacle_distance_m", "impulse_ns", "gas_g", "valve_pulses", "max_force_n",
 }  # fmt: skip
-FILES = ["config.toml", "log.mcap", "metrics.json"]
+FILES = ["config.toml", "figures", "log.mcap", "metrics.json", "report.html"]
 LOST = ("table.mocap.dropout_rate=5", "table.mocap.dropout_s=100")  # every body, soon and for good
 SHORT = "duration_s=3"
 
@@ -245,12 +245,12 @@ def test_runs_go_to_runs_by_default(testbed, here):
 
 def test_an_older_run_is_not_touched(testbed, here):
     testbed("run", "hold", "duration_s=1", "--out", "out")
-    before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in (here / "out").iterdir()}
+    before = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in (here / "out").rglob("*.*")}
     result = testbed("run", "hold", "duration_s=2", "--out", "out")
     assert result.exit_code == 2
     assert result.stdout == ""
     assert "expected  a new or empty folder" in result.stderr
-    after = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in (here / "out").iterdir()}
+    after = {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in (here / "out").rglob("*.*")}
     assert after == before
 
 

@@ -1,0 +1,100 @@
+"""What an operator at a terminal sees while it flies; nothing at all in a pipe or in CI.
+
+The flight only leaves its newest tick here; a thread of the terminal's draws a few times a second.
+"""
+
+import math
+from types import TracebackType
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table as Grid
+
+from testbed.config import Experiment
+from testbed.core.types import Tick
+
+REFRESH_HZ = 8
+
+
+class LiveTable:
+    """Everybody's state in one table, and how far the flight is."""
+
+    def __init__(self, experiment: Experiment, console: Console) -> None:
+        self._experiment = experiment
+        self._ticks: dict[str, Tick] = {}
+        self._t = 0.0
+        self._progress = Progress(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
+            TimeRemainingColumn(), console=console,
+        )  # fmt: skip
+        self._bar = self._progress.add_task("getting ready (compiles on the first run)", total=None)
+        self._live = Live(
+            console=console, transient=True, refresh_per_second=REFRESH_HZ,
+            get_renderable=self.picture,
+        ) if console.is_terminal else None  # fmt: skip
+
+    def __enter__(self) -> "LiveTable":
+        if self._live is not None:
+            self._live.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._live is not None:
+            self._live.__exit__(kind, error, trace)
+
+    def flies(self) -> None:
+        """It is ready and takes off."""
+        self._progress.update(
+            self._bar, description=self._experiment.name, total=self._experiment.duration_s
+        )
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """The newest of a vehicle."""
+        self._ticks[name] = tick
+
+    def done(self, t: float) -> None:
+        """The newest time."""
+        self._t = t
+
+    def picture(self) -> RenderableType:
+        """The table as it is now."""
+        self._progress.update(self._bar, completed=self._t)
+        if not self._ticks:
+            return self._progress
+        grid = Grid(box=None, pad_edge=False)
+        for heading in ("vehicle", "state"):
+            grid.add_column(heading, no_wrap=True)
+        for heading in ("error [mm]", "clearance [m]", "speed [mm/s]", "gas [%]", "pose age [ms]"):
+            grid.add_column(heading.replace("[", "\\["), justify="right", no_wrap=True)
+        for name, tick in list(self._ticks.items()):
+            grid.add_row(*self._row(name, tick))
+        return Group(self._progress, grid)
+
+    def _row(self, name: str, tick: Tick) -> tuple[str, ...]:
+        setup, out = self._experiment.vehicles[name], tick.outputs
+        gas = 100.0 * tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
+        said = out.fault or out.closed_because
+        state = f"[red]{said}[/]" if out.fault else f"[yellow]{said}[/]" if said else "flies"
+        if (now := out.state) is None:
+            return name, state, "-", "-", "-", f"{gas:.0f}", "-"
+        pose = now.pose
+        gaps = [
+            math.hypot(
+                pose.x - rock.position[0] - now.t * rock.velocity[0],
+                pose.y - rock.position[1] - now.t * rock.velocity[1],
+            )
+            - rock.radius
+            for rock in self._experiment.obstacles.values()
+        ]
+        error = math.hypot(pose.x - setup.goal[0], pose.y - setup.goal[1])
+        speed = math.hypot(now.twist.vx, now.twist.vy)
+        return (
+            name, state, f"{1e3 * error:.1f}", f"{min(gaps):.3f}" if gaps else "-",
+            f"{1e3 * speed:.1f}", f"{gas:.0f}", f"{1e3 * now.pose_age:.0f}",
+        )  # fmt: skip

@@ -1,0 +1,68 @@
+"""`testbed log` and `testbed export`: what is in a log, and the same for other programs."""
+
+import sys
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.table import Table as Grid
+
+from testbed.cli.main import BAD_INPUT, OK
+from testbed.ops.export import WRITERS, ExportError, tables
+from testbed.ops.logbook import Logbook, LogError, log_of
+from testbed.ops.topics import Contents, survey
+
+errors = Console(stderr=True, highlight=False)
+
+
+def show_log(run: Path, as_json: bool) -> int:
+    """Print what is in a log."""
+    try:
+        book = Logbook(log_of(run))
+        topics = survey(book.read(), book.kinds)
+    except LogError as error:
+        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    contents = Contents(book.finished, topics)
+    if as_json:
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(contents)).decode() + "\n")
+        return OK
+    out, grid = Console(highlight=False), Grid()
+    for heading in ("topic", "kind"):
+        grid.add_column(heading, no_wrap=True)
+    for heading in ("count", "Hz", "to \\[s]", "gaps", "longest \\[s]", "MB"):
+        grid.add_column(heading, justify="right", no_wrap=True)
+    for topic in topics:
+        longest = topic.longest_gap_s
+        grid.add_row(
+            topic.topic, topic.kind, str(topic.messages),
+            "-" if topic.rate_hz is None else f"{topic.rate_hz:.1f}",
+            f"{topic.last_s:.1f}", str(topic.gaps),
+            "-" if longest is None else f"{longest:.2f}", f"{topic.megabytes:.2f}",
+        )  # fmt: skip
+    out.print(grid)
+    if not book.finished:
+        out.print("the log was not ended: its writer was killed or is still at work")
+    return OK
+
+
+def export_run(run: Path, kind: str, out: Path | None) -> int:
+    """Write the log in another form."""
+    try:
+        folder = out or log_of(run).parent / "export"
+        folder.mkdir(parents=True, exist_ok=True)
+        if kind == "rrd":
+            from testbed.cli.picture import write_recording
+
+            paths = [write_recording(run, folder / "run.rrd")]
+        else:
+            paths = WRITERS[kind](tables(Logbook(log_of(run)).read()), folder)
+    except (LogError, ExportError, ValueError) as error:
+        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    except OSError as error:
+        errors.print(f"error: {error.filename}: {error.strerror}", style="red", markup=False)
+        return BAD_INPUT
+    for path in paths:
+        Console(highlight=False).print(str(path), markup=False, soft_wrap=True)
+    return OK

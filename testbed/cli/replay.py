@@ -1,0 +1,70 @@
+"""`testbed replay`: does today's code do what the log says was done?"""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+
+from testbed.cli.main import BAD_INPUT, FAILED, OK
+from testbed.config import ConfigError, Experiment, load
+from testbed.flight.agent import lead_time
+from testbed.flight.loop import HostNode
+from testbed.ops.logbook import Logbook, LogError, log_of
+from testbed.ops.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
+from testbed.rig import make_agent, make_guidance
+
+errors = Console(stderr=True, highlight=False)
+
+
+def config_of(run: Path) -> Path:
+    """The experiment that a run folder, or the log in it, belongs to."""
+    return (run if run.is_dir() else run.parent) / "config.toml"
+
+
+def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
+    """Replay, say what came of it, and return the exit code."""
+    try:
+        experiment = load(config_of(run), overrides)
+        verdict = replay_experiment(experiment, log_of(run))
+    except (ConfigError, LogError) as error:
+        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    if as_json:
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(verdict)).decode() + "\n")
+    else:
+        _print(verdict)
+    return OK if verdict.first_difference is None else FAILED
+
+
+def replay_experiment(experiment: Experiment, log: Path) -> Replay:
+    """The log through the agents and laws that the experiment makes today."""
+    hosts = experiment.vehicles if experiment.deploy.law == "host" else {}
+    return replay(
+        Logbook(log).read(),
+        {name: make_agent(experiment, name).step for name in experiment.vehicles},
+        {name: LoggedHost(_law_of(experiment, name)) for name in hosts},
+    )
+
+
+def _law_of(experiment: Experiment, name: str) -> Callable[[LoggedLink], AtHost]:
+    def plug(link: LoggedLink) -> AtHost:
+        lead = lead_time(experiment.vehicles[name].model)
+        guidance = make_guidance(experiment, name)
+        return HostNode(name, guidance, link, experiment.flight.jet_period_s, lead).tick
+
+    return plug
+
+
+def _print(verdict: Replay) -> None:
+    out, first = Console(highlight=False), verdict.first_difference
+    if first is None:
+        out.print(f"[bold green]bit-exact[/]: {verdict.ticks} ticks")
+        return
+    out.print(
+        f"[bold red]different[/] ({verdict.ticks} ticks), first at tick "
+        f"{first.tick}, t = {first.t:.3f} s, {first.topic}"
+    )
+    size = "" if first.size is None else f", off by {first.size:.3g}"
+    out.print(f"  {first.field}: {first.logged!r} then, {first.now!r} now{size}", markup=False)

@@ -1,0 +1,34 @@
+"""`testbed report`: the page of a run, made from its folder."""
+
+from pathlib import Path
+
+from rich.console import Console
+
+from testbed.cli.main import BAD_INPUT, OK
+from testbed.config import ConfigError, load
+from testbed.ops.feed import LogFeed
+from testbed.ops.history import gather
+from testbed.ops.logbook import Logbook, LogError, log_of
+from testbed.ops.report import ReportError, read_metrics, write_report
+
+errors = Console(stderr=True, highlight=False)
+
+
+def report_run(folder: Path) -> int:
+    """Make the page and say where it is."""
+    try:
+        paths = make_report(folder)
+    except (ReportError, LogError, ConfigError) as error:
+        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    Console(highlight=False).print(str(paths[0]), markup=False, soft_wrap=True)
+    return OK
+
+
+def make_report(folder: Path) -> list[Path]:
+    """The files of the page; all that it says is in the folder."""
+    config = folder / "config.toml"
+    scenario = load(config)
+    history = gather(LogFeed(Logbook(log_of(folder))).news())
+    text = config.read_text(encoding="utf-8")
+    return write_report(folder, scenario, history, read_metrics(folder), text)

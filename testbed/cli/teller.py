@@ -1,0 +1,69 @@
+"""The dashboard's own process: follows a run's log and tells a viewer.
+
+    python -m testbed.cli.teller RUN URL
+
+It is started and watched by `testbed dash`. A viewer that does not answer blocks this process and
+no other: the flight has nothing to do with it, and its log is what keeps the news meanwhile.
+"""
+
+import os
+import sys
+from itertools import islice
+from pathlib import Path
+from threading import Event
+
+import rerun as rr
+
+from testbed.cli.replay import config_of
+from testbed.config import ConfigError, load
+from testbed.ops.blueprint import blueprint
+from testbed.ops.feed import Feed, LogFeed
+from testbed.ops.logbook import Logbook, LogError, log_of
+from testbed.ops.scene import Scene
+
+PERIOD_S = 0.04  # between two pictures: 25 Hz
+BATCH = 5000  # messages in one picture, when there is something to catch up with
+
+
+def tell(run: Path, url: str) -> None:
+    """Show a run from its beginning until it ends."""
+    scenario = load(config_of(run))
+    recording = rr.RecordingStream("airbearing-testbed", recording_id=f"{run.name}-{os.getpid()}")
+    plan = blueprint(scenario, live=True)
+    recording.connect_grpc(url, default_blueprint=plan)
+    recording.send_blueprint(plan)
+    feed: Feed = LogFeed(wait_for(log_of(run)))
+    scene, pause = Scene(scenario, recording), Event()
+    while True:
+        ended, news = feed.ended, feed.news()
+        while batch := list(islice(news, BATCH)):
+            scene.draw(batch)
+        if ended:
+            break
+        pause.wait(PERIOD_S)
+    recording.flush()
+
+
+def wait_for(path: Path) -> Logbook:
+    """The log, as soon as the run has begun it."""
+    pause = Event()
+    while True:
+        if path.exists() and path.stat().st_size > 8:
+            return Logbook(path)
+        pause.wait(PERIOD_S)
+
+
+def main() -> int:
+    """1 and a line on stderr if there is nothing to tell."""
+    try:
+        tell(Path(sys.argv[1]), sys.argv[2])
+    except (LogError, ConfigError) as error:
+        sys.stderr.write(f"dashboard: {error}\n")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stderr.flush()
+    os._exit(code)  # rerun's exit may wait for a viewer that is gone

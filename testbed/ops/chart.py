@@ -1,0 +1,314 @@
+"""Figures as SVG, drawn here: no plotting library in the runtime, and colours follow the page.
+
+A chart is axes with units and a list of things in them. Every colour is a class of the style sheet
+below, so the same figure is right on light and on dark; a file of its own carries the light one.
+Long series are thinned to the largest and smallest value per pixel column, which draws the same.
+"""
+
+import math
+from collections.abc import Sequence
+from html import escape
+from itertools import pairwise
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+WIDTH = 600  # of a figure; it scales with the page
+HUES = 6
+THINNEST = 0.7  # of a bar, so that a pulse of milliseconds is seen in a run of minutes
+LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 44
+
+LIGHT = """
+svg { --ink: #1c2430; --soft: #5b6675; --grid: #e3e7ec; --paper: #ffffff; --stone: #eef1f4;
+  --danger: #c62828; --h0: #0069b4; --h1: #d95f02; --h2: #00876c; --h3: #b0479a; --h4: #7a6a00;
+  --h5: #4b4fa8; }
+"""
+STYLE = """
+text { font: 12px system-ui, 'Helvetica Neue', Arial, sans-serif; fill: var(--soft); }
+.name { fill: var(--ink); } .grid { stroke: var(--grid); stroke-width: 1; fill: none; }
+.axis { stroke: var(--soft); stroke-width: 1; fill: none; }
+.line { fill: none; stroke-width: 1.6; stroke-linejoin: round; stroke-linecap: round; }
+.thin { stroke-width: 1; opacity: .55; } .dashed { stroke-dasharray: 5 4; }
+.limit { stroke: var(--danger); stroke-width: 1.3; stroke-dasharray: 7 4; fill: none; }
+.limitname { fill: var(--danger); } .table { fill: var(--stone); stroke: var(--soft); }
+.danger { fill: var(--danger); fill-opacity: .09; stroke: var(--danger); stroke-dasharray: 5 4; }
+.solid { fill: var(--soft); fill-opacity: .55; stroke: none; }
+.ghost { fill-opacity: .10; stroke-opacity: .5; stroke-width: 1; }
+""" + "".join(
+    f".s{k} {{ stroke: var(--h{k}); }} .f{k} {{ fill: var(--h{k}); }}\n" for k in range(HUES)
+)
+
+
+class Line(Struct, frozen=True):
+    """A series; NaN interrupts it."""
+
+    x: Array
+    y: Array
+    hue: int
+    name: str = ""  # in the legend
+    style: str = ""  # thin, dashed
+
+
+class Limit(Struct, frozen=True):
+    """A value that must not be crossed."""
+
+    y: float
+    name: str
+
+
+class Disc(Struct, frozen=True):
+    """A circle in the figure's units."""
+
+    x: float
+    y: float
+    radius: float
+    style: str  # danger, solid, or ghost with a hue
+    hue: int = 0
+
+
+class Point(Struct, frozen=True):
+    """A place."""
+
+    x: float
+    y: float
+    hue: int
+    shape: str  # ring: a start; cross: a goal
+    name: str = ""
+
+
+class Raster(Struct, frozen=True):
+    """One row of bars, such as a valve's pulses."""
+
+    row: int
+    start: Array
+    length: Array
+    hue: int
+    name: str
+
+
+Item = Line | Limit | Disc | Point | Raster
+
+
+class Chart(Struct, frozen=True):
+    """Axes and what is in them."""
+
+    key: str  # its file's name
+    title: str
+    x_label: str
+    y_label: str
+    items: Sequence[Item]
+    x_range: tuple[float, float]
+    y_range: tuple[float, float] | None = None  # from the items
+    log: bool = False  # y
+    equal: bool = False  # one unit is as long along x as along y; the range is a table
+    height: int = 210
+    width: int = WIDTH
+    note: str = ""  # below the figure
+
+
+def draw(chart: Chart) -> str:
+    """The figure as an SVG element."""
+    frame = _Frame(chart)
+    body = [*frame.axes(), *(frame.item(item) for item in chart.items), *frame.legend()]
+    return (
+        f'<svg viewBox="0 0 {chart.width} {frame.height:.0f}" xmlns="http://www.w3.org/2000/svg" '
+        f'role="img" aria-label="{escape(chart.title)}">' + "".join(body) + "</svg>"
+    )
+
+
+def alone(chart: Chart) -> str:
+    """The figure as a file of its own, on white."""
+    svg = draw(chart)
+    head, _, rest = svg.partition(">")
+    height = head.split()[4].rstrip('"')
+    return (
+        f'{head} width="{chart.width}" height="{height}"><style>{LIGHT}{STYLE}</style>'
+        f'<rect width="100%" height="100%" fill="#ffffff"/>{rest}\n'
+    )
+
+
+def ticks(low: float, high: float, about: int) -> list[float]:
+    """Round numbers between `low` and `high`."""
+    raw = max(high - low, 1e-300) / max(about, 1)
+    unit = 10.0 ** math.floor(math.log10(raw))
+    step = next(k * unit for k in (1.0, 2.0, 5.0, 10.0) if k * unit >= raw * 0.999)
+    first = math.ceil(low / step - 1e-9)
+    return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
+
+
+def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
+    """The largest and smallest y per column, in order of x."""
+    if len(x) <= 4 * columns:
+        return x, y
+    edges = np.linspace(0, len(x), columns + 1).astype(int)
+    keep = {0, len(x) - 1}
+    for a, b in pairwise(edges.tolist()):
+        part = y[a:b]
+        if np.isnan(part).all():
+            keep.add(int(a))
+        else:
+            keep.update((int(a + np.nanargmin(part)), int(a + np.nanargmax(part))))
+    index = np.array(sorted(keep))
+    return x[index], y[index]
+
+
+def number(value: float) -> str:
+    """A tick's label."""
+    return f"{0.0 if abs(value) < 1e-12 else value:.10g}".replace("-", "\N{MINUS SIGN}")
+
+
+class _Frame:
+    """Where things are."""
+
+    def __init__(self, chart: Chart) -> None:
+        self.chart = chart
+        self.x0, self.x1 = chart.x_range
+        self.y0, self.y1 = chart.y_range or _range(chart)
+        named = [i for i in chart.items if isinstance(i, Line) and i.name]
+        self.top = TOP + (22 if named else 0)
+        self.left = max(LEFT, 22 + 7 * max([len(r.name) for r in chart.items
+                                             if isinstance(r, Raster)], default=0))  # fmt: skip
+        self.right = chart.width - RIGHT
+        self.width = self.right - self.left
+        inner = float(chart.height)
+        if chart.equal:
+            inner = self.width * (self.y1 - self.y0) / (self.x1 - self.x0)
+        self.bottom = self.top + inner
+        self.height = self.bottom + BOTTOM
+
+    def x(self, value: float) -> float:
+        return self.left + self.width * (value - self.x0) / (self.x1 - self.x0)
+
+    def y(self, value: float) -> float:
+        low, high = self.y0, self.y1
+        if self.chart.log:
+            value, low, high = math.log10(max(value, low)), math.log10(low), math.log10(high)
+        share = (value - low) / (high - low)
+        return self.bottom - (self.bottom - self.top) * min(max(share, -0.02), 1.02)
+
+    def axes(self) -> list[str]:
+        chart, out = self.chart, []
+        if chart.equal:
+            out.append(f'<rect class="table" x="{self.left}" y="{self.top}" width="{self.width}" '
+                       f'height="{self.bottom - self.top:.1f}"/>')  # fmt: skip
+        for value in ticks(self.x0, self.x1, 8):
+            at = self.x(value)
+            out.append(f'<path class="grid" d="M{at:.1f} {self.top}V{self.bottom:.1f}"/>'
+                       f'<text x="{at:.1f}" y="{self.bottom + 17:.1f}" text-anchor="middle">'
+                       f"{number(value)}</text>")  # fmt: skip
+        rasters = [i for i in chart.items if isinstance(i, Raster)]
+        for value in () if rasters else self._y_ticks():
+            at = self.y(value)
+            out.append(f'<path class="grid" d="M{self.left} {at:.1f}H{self.right}"/>'
+                       f'<text x="{self.left - 7}" y="{at + 4:.1f}" text-anchor="end">'
+                       f"{number(value)}</text>")  # fmt: skip
+        for raster in rasters:
+            at = self.y(raster.row + 0.5)
+            out.append(f'<text x="{self.left - 7}" y="{at + 3:.1f}" text-anchor="end" '
+                       f'style="font-size:10px">{escape(raster.name)}</text>')  # fmt: skip
+        middle = (self.top + self.bottom) / 2
+        out.append(f'<path class="axis" d="M{self.left} {self.bottom:.1f}H{self.right}'
+                   f'M{self.left} {self.top}V{self.bottom:.1f}"/>'
+                   f'<text class="name" x="{self.left + self.width / 2:.0f}" '
+                   f'y="{self.bottom + 36:.1f}" text-anchor="middle">{escape(chart.x_label)}</text>'
+                   f'<text class="name" transform="translate(13 {middle:.1f}) rotate(-90)" '
+                   f'text-anchor="middle">{escape(chart.y_label)}</text>')  # fmt: skip
+        return out
+
+    def _y_ticks(self) -> list[float]:
+        if not self.chart.log:
+            return ticks(self.y0, self.y1, round((self.bottom - self.top) / 45))
+        decades = range(math.ceil(math.log10(self.y0)), math.floor(math.log10(self.y1)) + 1)
+        return [10.0**k for k in decades]
+
+    def item(self, item: Item) -> str:
+        match item:
+            case Line(x, y, hue, _, style):
+                return f'<path class="line s{hue % HUES} {style}" d="{self._path(x, y)}"/>'
+            case Limit(y, name):
+                at = self.y(y)
+                return (f'<path class="limit" d="M{self.left} {at:.1f}H{self.right}"/>'
+                        f'<text class="limitname" x="{self.right - 4}" y="{at - 5:.1f}" '
+                        f'text-anchor="end">{escape(name)}</text>')  # fmt: skip
+            case Disc(x, y, radius, style, hue):
+                r = radius * self.width / (self.x1 - self.x0)
+                paint = f"{style} s{hue % HUES} f{hue % HUES}" if style == "ghost" else style
+                return (f'<circle class="{paint}" cx="{self.x(x):.1f}" cy="{self.y(y):.1f}" '
+                        f'r="{r:.1f}"/>')  # fmt: skip
+            case Point():
+                return self._point(item)
+            case Raster(row, start, length, hue):
+                at = self.y(row + 0.5)
+                thick = 0.72 * abs(self.y(1.0) - self.y(0.0))
+                per = self.width / (self.x1 - self.x0)
+                inside = (start + length > self.x0) & (start < self.x1)
+                bars = "".join(
+                    f"M{self.x(max(s, self.x0)):.1f} {at:.1f}h{w:.2f}"
+                    for s, w in zip(
+                        start[inside].tolist(),
+                        np.maximum(length[inside] * per, THINNEST).tolist(),
+                        strict=True,
+                    )
+                )
+                return f'<path class="s{hue % HUES}" style="stroke-width:{thick:.1f}" d="{bars}"/>'
+
+    def _path(self, x: Array, y: Array) -> str:
+        if not self.chart.equal:
+            x, y = thinned(x, y, self.chart.width)
+        elif len(x) > 1500:
+            x, y = x[:: len(x) // 1500 + 1], y[:: len(y) // 1500 + 1]
+        pieces, pen = [], "M"
+        for a, b in zip(x.tolist(), y.tolist(), strict=True):
+            if math.isnan(a) or math.isnan(b):
+                pen = "M"
+                continue
+            pieces.append(f"{pen}{self.x(a):.1f} {self.y(b):.1f}")
+            pen = "L"
+        return "".join(pieces)
+
+    def _point(self, point: Point) -> str:
+        a, b, hue = self.x(point.x), self.y(point.y), point.hue % HUES
+        name = (f'<text class="name f{hue}" x="{a + 9:.1f}" y="{b - 9:.1f}">'
+                f"{escape(point.name)}</text>" if point.name else "")  # fmt: skip
+        if point.shape == "ring":
+            return f'<circle class="line s{hue}" cx="{a:.1f}" cy="{b:.1f}" r="5"/>{name}'
+        return f'<path class="line s{hue}" d="M{a - 5:.1f} {b - 5:.1f}l10 10m0 -10l-10 10"/>{name}'
+
+    def legend(self) -> list[str]:
+        out, at = [], float(self.left)
+        for item in self.chart.items:
+            if not isinstance(item, Line) or not item.name:
+                continue
+            out.append(f'<path class="line s{item.hue % HUES} {item.style}" '
+                       f'd="M{at:.0f} {TOP + 4}h22"/>'
+                       f'<text class="name" x="{at + 28:.0f}" y="{TOP + 8}">'
+                       f"{escape(item.name)}</text>")  # fmt: skip
+            at += 28 + 7.2 * len(item.name) + 18
+        return out
+
+
+def _range(chart: Chart) -> tuple[float, float]:
+    """Of y, with a little air, limits included."""
+    values: list[float] = []
+    for item in chart.items:
+        match item:
+            case Line(_, y):
+                seen = y[np.isfinite(y)]
+                if len(seen):
+                    values += [float(seen.min()), float(seen.max())]
+            case Limit(y):
+                values.append(y)
+            case Raster(row):
+                values += [row, row + 1]
+    low, high = (min(values), max(values)) if values else (0.0, 1.0)
+    if any(isinstance(item, Raster) for item in chart.items):
+        return low, high
+    if chart.log:
+        high = max(high, 1e-9)
+        low = max(low, 1e-5 * high)
+        return 10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high) + 0.01)
+    air = 0.06 * (high - low) or max(abs(high), 1.0) * 0.06
+    return (low if low == 0.0 else low - air), high + air

@@ -1,0 +1,150 @@
+"""A flight as arrays: what figures, exports and comparisons are made of."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from msgspec import Struct, field
+from numpy.typing import NDArray
+
+from testbed.core.types import Demand, Pose
+from testbed.ops.feed import Loop, News, SeenHost, SeenTick, pose_of
+from testbed.ops.recorder import Truth
+
+Array = NDArray[np.float64]
+NAN3 = (math.nan,) * 3
+
+
+class VehicleHistory(Struct, frozen=True):
+    """One vehicle, tick by tick; NaN where there was nothing."""
+
+    t: Array  # (n,) of the tick [s]
+    at: Array  # (n,) what the estimate and the reference are for: when the plan takes effect [s]
+    pose: Array  # (n, 3) estimate [m, m, rad]
+    twist: Array  # (n, 3) estimate [m/s, m/s, rad/s]
+    reference: Array  # (n, 3) [m, m, rad]
+    force_asked: Array  # (n, 2) in W by a law in wrench mode [N]
+    wanted: Array  # (n, 3) mean over the period, in B [N, N, N m]
+    planned: Array  # (n, 3) what the pulses give by the jet table [N, N, N m]
+    on: Array  # (n, jets) open time [s]
+    offset: Array  # (n, jets) from the plan's start to the opening [s]
+    supply: Array  # (n,) [Pa]
+    tank: Array  # (n,) [Pa]
+    pose_age: Array  # (n,) [s]
+    filtered: Array  # (n, 2) what the safety filter changed, in W [N]
+    events: list[tuple[float, str]]  # what the gate, the fault table and the filter said, and when
+    true: Array  # (m, 6) x, y, theta, vx, vy, omega; empty if nobody knew
+
+
+class History(Struct, frozen=True):
+    """A flight."""
+
+    vehicles: dict[str, VehicleHistory]
+    true_t: Array  # (m,) [s]
+    heard: dict[str, tuple[Array, Array]]  # of each vehicle at the host: t, age of the newest state
+    loop: Array  # (k, 3) t, late, busy [s]; empty if the clock was virtual
+
+    @property
+    def end(self) -> float:
+        """Last tick [s]."""
+        return max((float(v.t[-1]) for v in self.vehicles.values() if len(v.t)), default=0.0)
+
+    def where(self, name: str) -> tuple[Array, Array]:
+        """Times and states (m, 6) of a vehicle: the truth if anybody knew it, else the estimate."""
+        vehicle = self.vehicles[name]
+        if len(vehicle.true) == len(self.true_t) > 0:
+            return self.true_t, vehicle.true
+        known = ~np.isnan(vehicle.pose[:, 0])
+        return vehicle.at[known], np.hstack([vehicle.pose, vehicle.twist])[known]
+
+
+class _Vehicle(Struct):
+    ticks: list[SeenTick] = field(default_factory=list)
+    true: list[tuple[float, ...]] = field(default_factory=list)
+
+
+def gather(news: Iterable[News]) -> History:
+    """Put a flight together."""
+    vehicles: dict[str, _Vehicle] = {}
+    true_t: list[float] = []
+    heard: dict[str, list[tuple[float, float]]] = {}
+    loop: list[tuple[float, float, float]] = []
+    for one in news:
+        match one.message:
+            case SeenTick() as tick:
+                vehicles.setdefault(one.who, _Vehicle()).ticks.append(tick)
+            case SeenHost(inputs=inputs):
+                if inputs.own is not None:
+                    age = inputs.t - inputs.own.t
+                    heard.setdefault(one.who, []).append((inputs.t, age))
+            case Truth(t=t, vehicles=motions):
+                true_t.append(t)
+                for name, m in motions.items():
+                    row = (m.x, m.y, m.theta, m.vx, m.vy, m.omega)
+                    vehicles.setdefault(name, _Vehicle()).true.append(row)
+            case Loop(t=t, late_s=late, busy_s=busy):
+                loop.append((t, late, busy))
+    return History(
+        {name: _arrays(v.ticks, v.true) for name, v in vehicles.items()},
+        np.array(true_t),
+        {name: (np.array(r)[:, 0], np.array(r)[:, 1]) for name, r in heard.items()},
+        np.array(loop).reshape(-1, 3),
+    )
+
+
+def _table(rows: Sequence[Sequence[float]], width: int) -> Array:
+    return np.array(rows, dtype=float).reshape(-1, width)
+
+
+def _pose(pose: Pose | None) -> tuple[float, ...]:
+    return NAN3 if pose is None else (pose.x, pose.y, pose.theta)
+
+
+def _arrays(ticks: list[SeenTick], true: list[tuple[float, ...]]) -> VehicleHistory:
+    outs = [tick.outputs for tick in ticks]
+    jets = max((len(out.command.on_us) for out in outs), default=0)
+    states = [out.state for out in outs]
+    twists = [
+        NAN3 if s is None else (s.twist.vx, s.twist.vy, s.twist.omega) for s in states
+    ]  # fmt: skip
+    asked = [
+        (o.flown.fx_w, o.flown.fy_w) if isinstance(o.flown, Demand) else NAN3[:2] for o in outs
+    ]
+    changed = [(o.filtered.dfx_w, o.filtered.dfy_w) if o.filtered else (0.0, 0.0) for o in outs]
+    return VehicleHistory(
+        t=np.array([tick.inputs.t for tick in ticks]),
+        at=np.array([math.nan if s is None else s.t for s in states]),
+        pose=_table([_pose(None if s is None else s.pose) for s in states], 3),
+        twist=_table(twists, 3),
+        reference=_table([_pose(pose_of(out.flown)) for out in outs], 3),
+        force_asked=_table(asked, 2),
+        wanted=_table([(o.wanted.fx, o.wanted.fy, o.wanted.tau) for o in outs], 3),
+        planned=_table([(o.planned.fx, o.planned.fy, o.planned.tau) for o in outs], 3),
+        on=1e-6 * _table([o.command.on_us for o in outs], max(jets, 1)),
+        offset=1e-6 * _table([o.command.offset_us for o in outs], max(jets, 1)),
+        supply=np.array([tick.inputs.health.supply_pressure for tick in ticks]),
+        tank=np.array([tick.inputs.health.tank_pressure for tick in ticks]),
+        pose_age=np.array([math.nan if s is None else s.pose_age for s in states]),
+        filtered=_table(changed, 2),
+        events=list(events(ticks)),
+        true=_table(true, 6),
+    )
+
+
+def events(ticks: Iterable[SeenTick]) -> list[tuple[float, str]]:
+    """What changed in the words of gate, fault table and filter, and when [s]."""
+    said: list[tuple[float, str]] = []
+    shut, response, kept = None, "", ""
+    for tick in ticks:
+        t, out = tick.inputs.t, tick.outputs
+        because = out.filtered.because if out.filtered else ""
+        if out.closed_because != shut:
+            said.append(
+                (t, f"valves shut: {out.closed_because}" if out.closed_because else "flies")
+            )
+        if out.response != response and out.response:
+            said.append((t, out.response))
+        if because and because != kept:
+            said.append((t, f"filter: {because}"))
+        shut, response, kept = out.closed_because, out.response, because
+    return said

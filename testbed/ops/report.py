@@ -1,0 +1,310 @@
+"""report.html: a run as a page that needs nothing else, to read, to print and to show."""
+
+import math
+import platform
+from collections.abc import Iterable, Mapping
+from html import escape
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import msgspec
+
+from testbed.ops.chart import STYLE, Chart, alone, draw
+from testbed.ops.figures import analogue, figures
+from testbed.ops.history import History
+from testbed.ops.metrics import Criteria, Metrics
+from testbed.ops.scenario import Scenario, law_of
+
+CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
+PACKAGES = ("airbearing-testbed", "numpy", "numba", "scipy", "msgspec", "mcap")
+SHOWN_EVENTS = 40
+
+ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
+    ("final error [mm]", "final_error_m", 1e3, 2, "final_error_m"),
+    ("settled after [s]", "settle_s", 1.0, 1, "settle_s"),
+    ("tracking RMS [mm]", "track_rms_m", 1e3, 2, "track_rms_m"),
+    ("hold RMS [mm]", "hold_rms_m", 1e3, 2, "hold_rms_m"),
+    ("heading RMS [deg]", "heading_rms_deg", 1.0, 3, "heading_rms_deg"),
+    ("nearest obstacle [m]", "min_obstacle_distance_m", 1.0, 3, ""),
+    ("impulse [N s]", "impulse_ns", 1.0, 1, "impulse_ns"),
+    ("gas [g]", "gas_g", 1.0, 1, ""),
+    ("valve pulses", "valve_pulses", 1.0, 0, ""),
+    ("largest force [N]", "max_force_n", 1.0, 2, ""),
+)
+CRITERIA = {  # unit, scale from the file's
+    "max_contacts": ("contacts", "", 1.0), "clear_of_obstacles": ("danger radii kept", "", 1.0),
+    "final_error_m": ("final error", "mm", 1e3), "settle_s": ("settled", "s", 1.0),
+    "hold_rms_m": ("hold RMS, last 30 s", "mm", 1e3),
+    "track_rms_m": ("tracking RMS", "mm", 1e3), "heading_rms_deg": ("heading RMS", "deg", 1.0),
+    "impulse_ns": ("impulse", "N s", 1.0),
+}  # fmt: skip
+
+
+class ReportError(Exception):
+    """It cannot be made."""
+
+
+def write_report(
+    folder: Path, scenario: Scenario, history: History, metrics: Metrics, config: str
+) -> list[Path]:
+    """Write report.html and figures/*.svg into a run folder; the files, the report first."""
+    charts = figures(scenario, history)
+    try:
+        drawings = folder / "figures"
+        drawings.mkdir(exist_ok=True)
+        paths = [folder / "report.html"]
+        for chart in charts:
+            paths.append(drawings / f"{chart.key}.svg")
+            paths[-1].write_text(alone(chart), encoding="utf-8")
+        text = render(scenario, history, metrics, config, charts)
+        paths[0].write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ReportError(f"{error.filename}: {error.strerror}") from None
+    return paths
+
+
+def render(
+    scenario: Scenario, history: History, metrics: Metrics, config: str, charts: Iterable[Chart]
+) -> str:
+    """The page."""
+    sections = [
+        _header(scenario, metrics),
+        _tiles(metrics),
+        _flown(scenario, metrics),
+        _results(metrics),
+        "<h2>Figures</h2>", _figures(scenario, charts),
+        _happened(history),
+        _repeat(scenario, metrics, config),
+    ]  # fmt: skip
+    return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections))
+
+
+def page(title: str, body: str) -> str:
+    """A whole page around `body`."""
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{CSS}{STYLE}</style></head>\n"
+        f"<body><main>\n{body}\n</main></body></html>\n"
+    )
+
+
+def _verdict(metrics: Metrics) -> tuple[str, str]:
+    failed = [CRITERIA.get(k, (k,))[0] for k, met in metrics.criteria.items() if not met]
+    if metrics.fault:
+        return "stopped", "aborted by a fault"
+    if not metrics.completed:
+        return "stopped", "interrupted"
+    if failed:
+        return "failed", f"failed: {', '.join(failed)}"
+    return "passed", "passed"
+
+
+def _header(scenario: Scenario, metrics: Metrics) -> str:
+    look, words = _verdict(metrics)
+    where = f"on the {metrics.rig}, seed {metrics.seed}"
+    fault = f'<p class="not">{escape(metrics.fault)}</p>' if metrics.fault else ""
+    note = ""
+    if metrics.rig == "twin" and look == "passed":
+        note = '<p class="soft">A result of the twin, not of a table.</p>'
+    return (
+        f"<header><div><h1>{escape(metrics.experiment)}</h1>"
+        f'<p class="soft">{escape(scenario.description)} &middot; {where}</p>{fault}{note}</div>'
+        f'<div class="verdict {look}">{escape(words)}</div></header>'
+    )
+
+
+def _tiles(metrics: Metrics) -> str:
+    def worst(key: str) -> float | None:
+        values = [getattr(v, key) for v in metrics.vehicles.values()]
+        known = [v for v in values if v is not None]
+        return max(known) if known else None
+
+    nearest = [v.min_obstacle_distance_m for v in metrics.vehicles.values()]
+    near = [v for v in nearest if v is not None]
+    gas = [v.gas_g for v in metrics.vehicles.values() if v.gas_g is not None]
+    tiles = (
+        ("flown", _number(metrics.duration_s, 1.0, 0), "s"),
+        ("settled, the last one", _number(worst("settle_s"), 1.0, 1), "s"),
+        ("hold RMS, worst", _number(worst("hold_rms_m"), 1e3, 2), "mm"),
+        ("tracking RMS, worst", _number(worst("track_rms_m"), 1e3, 2), "mm"),
+        ("nearest obstacle", _number(min(near) if near else None, 1.0, 2), "m"),
+        ("nearest two vehicles", _number(metrics.min_vehicle_distance_m, 1.0, 2), "m"),
+        ("contacts", str(metrics.contacts), ""),
+        ("gas, all together", _number(sum(gas) if gas else None, 1.0, 0), "g"),
+    )
+    return '<div class="tiles">' + "".join(
+        f'<div class="tile"><b>{value}{f" {unit}" if value != DASH else ""}</b>'
+        f"<span>{name}</span></div>"
+        for name, value, unit in tiles
+    ) + "</div>"  # fmt: skip
+
+
+DASH = "\N{EN DASH}"
+
+
+def _number(value: float | None, scale: float, digits: int) -> str:
+    if value is None or math.isnan(value):
+        return DASH
+    return f"{scale * value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _pose(pose: tuple[float, float, float]) -> str:
+    x, y, theta = pose
+    return f"({x:.2f}, {y:.2f}) m, {math.degrees(theta):.0f}\N{DEGREE SIGN}"
+
+
+def _flown(scenario: Scenario, metrics: Metrics) -> str:
+    size = scenario.table.size
+    rocks = [
+        f"{escape(name)} at ({o.position[0]:g}, {o.position[1]:g}) m, danger radius {o.radius:g} m"
+        for name, o in scenario.obstacles.items()
+    ]
+    words = (
+        f"Law <b>{escape(law_of(scenario))}</b> in {scenario.guidance.mode} mode, jet period "
+        f"{1e3 * scenario.flight.jet_period_s:g} ms, on a table of {size[0]:g} m "
+        f"\N{MULTIPLICATION SIGN} {size[1]:g} m."
+        + (f" Obstacles: {'; '.join(rocks)}." if rocks else " No obstacles.")
+        + f" Planned: {scenario.duration_s:g} s."
+    )
+    rows = "".join(
+        f'<tr><td><span class="dot" style="background:var(--h{k % 6})"></span>{escape(name)}</td>'
+        f"<td>{_pose(s.start)}</td><td>{_pose(s.goal)}</td><td>{s.model.mass:g}</td>"
+        f"<td>{s.model.radius:g}</td><td>{len(s.model.jets)} "
+        f"\N{MULTIPLICATION SIGN} {s.model.jets[0].thrust:g} N</td></tr>"
+        for k, (name, s) in enumerate(scenario.vehicles.items())
+    )
+    return (
+        f"<h2>What was flown</h2><p>{words}</p>"
+        '<div class="wide"><table><tr><th>vehicle</th><th>start</th><th>goal</th>'
+        f"<th>mass [kg]</th><th>radius [m]</th><th>jets</th></tr>{rows}</table></div>"
+        f"{_criteria(scenario.criteria, metrics)}"
+    )
+
+
+def _criteria(criteria: Criteria, metrics: Metrics) -> str:
+    if not metrics.criteria:
+        return ""
+    rows = []
+    for key, met in metrics.criteria.items():
+        name, unit, scale = CRITERIA.get(key, (key, "", 1.0))
+        limit = getattr(criteria, key, None)
+        values = [getattr(v, key, None) for v in metrics.vehicles.values()]
+        known = [v for v in values if isinstance(v, int | float)]
+        found = f"{scale * max(known):.3g} {unit}" if known and len(known) == len(values) else DASH
+        if key == "max_contacts":
+            found = str(metrics.contacts)
+        if key == "clear_of_obstacles":
+            near = [v.min_obstacle_distance_m for v in metrics.vehicles.values()]
+            seen = [v for v in near if v is not None]
+            found = f"{min(seen):.3f} m" if seen else DASH
+        bound = "yes" if isinstance(limit, bool) else "\N{LESS-THAN OR EQUAL TO} "
+        if not isinstance(limit, bool):
+            bound = DASH if limit is None else f"{bound}{scale * limit:g} {unit}"
+        verdict = '<span class="met">met</span>' if met else '<span class="not">not met</span>'
+        rows.append(f"<tr><td>{name}</td><td>{bound}</td><td>{found}</td><td>{verdict}</td></tr>")
+    return (
+        '<h2>Criteria</h2><div class="wide"><table><tr><th>criterion</th><th>limit</th>'
+        f"<th>found, worst vehicle</th><th></th></tr>{''.join(rows)}</table></div>"
+    )
+
+
+def _results(metrics: Metrics) -> str:
+    names = "".join(
+        f'<th><span class="dot" style="background:var(--h{k % 6})"></span>{escape(name)}</th>'
+        for k, name in enumerate(metrics.vehicles)
+    )
+    rows = []
+    for heading, key, scale, digits, criterion in ROWS:
+        look = ' class="missed"' if metrics.criteria.get(criterion) is False else ""
+        cells = "".join(
+            f"<td>{_number(getattr(v, key), scale, digits)}</td>" for v in metrics.vehicles.values()
+        )
+        rows.append(f"<tr{look}><td>{heading}</td>{cells}</tr>")
+    return (
+        '<h2>Results</h2><div class="wide"><table>'
+        f"<tr><th></th>{names}</tr>{''.join(rows)}</table></div>"
+    )
+
+
+def _figures(scenario: Scenario, charts: Iterable[Chart]) -> str:
+    return '<div class="figures">' + "".join(
+        figure(chart, analogue(scenario, chart.key)) for chart in charts
+    ) + "</div>"  # fmt: skip
+
+
+def figure(chart: Chart, paper: str = "") -> str:
+    """One figure of a page."""
+    looks = {"valves": ' class="full"', "trajectory": ' class="tall"'}
+    full = looks.get(chart.key, "")
+    also = f' <span class="soft">({escape(paper)})</span>' if paper else ""
+    note = f"<p>{escape(chart.note)}</p>" if chart.note else ""
+    return (
+        f'<figure id="{chart.key}"{full}><figcaption><b>{escape(chart.title)}</b>{also}'
+        f"</figcaption>{draw(chart)}{note}</figure>"
+    )
+
+
+def _happened(history: History) -> str:
+    said = sorted((t, name, words) for name, v in history.vehicles.items() for t, words in v.events)
+    if not said:
+        return "<h2>Faults and interventions</h2><p>None.</p>"
+    rows = "".join(
+        f'<tr><td>{t:.1f}</td><td class="words">{escape(name)}</td>'
+        f'<td class="words">{escape(words)}</td></tr>'
+        for t, name, words in said[:SHOWN_EVENTS]
+    )
+    more = len(said) - SHOWN_EVENTS
+    rest = f'<p class="soft">and {more} more, in the log.</p>' if more > 0 else ""
+    return (
+        '<h2>Faults and interventions</h2><div class="wide"><table><tr><th>time [s]</th>'
+        '<th style="text-align:left">vehicle</th><th style="text-align:left">what</th></tr>'
+        f"{rows}</table></div>{rest}"
+    )
+
+
+def versions() -> Mapping[str, str]:
+    """What this process runs on."""
+    found = {"Python": platform.python_version(), "system": platform.platform(terse=True)}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _repeat(scenario: Scenario, metrics: Metrics, config: str) -> str:
+    used = ", ".join(f"{escape(k)} {escape(v)}" for k, v in versions().items())
+    pace = ""
+    if metrics.real_time_factor:
+        pace = (
+            f"<p>The flight took {metrics.wall_s:.1f} s of wall time, "
+            f"{metrics.real_time_factor:.1f} times real time.</p>"
+        )
+    return (
+        f"<h2>How to repeat it</h2>{pace}<p>In this folder:</p>"
+        "<pre>testbed run config.toml           # the same flight, to the last bit on the twin\n"
+        "testbed replay .                  # the log through today's code\n"
+        "testbed export . --to parquet     # the log as tables</pre>"
+        f'<p class="soft">Made with {used}. Figures as files of their own: figures/*.svg.</p>'
+        "<details><summary>The whole configuration (config.toml)</summary>"
+        f"<pre>{escape(config)}</pre></details>"
+    )
+
+
+def read_metrics(folder: Path) -> Metrics:
+    """metrics.json of a run.
+
+    Raises:
+        ReportError: it is not there or not of this version.
+    """
+    path = folder / "metrics.json"
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Metrics)
+    except OSError as error:
+        raise ReportError(f"{path}: {error.strerror}") from None
+    except msgspec.DecodeError as error:
+        raise ReportError(
+            f"{path}\n  expected  the metrics of a run\n  found     {error}"
+        ) from None

@@ -1,0 +1,105 @@
+"""Viewer processes: rerun's own program, on loopback unless told otherwise, with a memory cap.
+
+The `rerun` command that pip installs is a wrapper, and ending it would leave the viewer behind; so
+the program itself is started. Left to itself it would listen on every interface.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from msgspec import Struct
+
+LOOPBACK = "127.0.0.1"
+MEMORY = "1GB"
+SERVER_MEMORY = "300MB"
+
+Kind = Literal["window", "web", "headless"]
+
+
+class ViewerError(Exception):
+    """There is no viewer to be had."""
+
+
+class Address(Struct, frozen=True):
+    """Where a viewer listens."""
+
+    bind: str
+    port: int  # for data
+    web_port: int  # for browsers
+
+    @property
+    def data(self) -> str:
+        """For those who have something to show."""
+        return f"rerun+http://{_reachable(self.bind)}:{self.port}/proxy"
+
+    @property
+    def page(self) -> str:
+        """For browsers."""
+        host = _reachable(self.bind)
+        source = f"rerun%2Bhttp%3A%2F%2F{host}%3A{self.port}%2Fproxy"
+        return f"http://{host}:{self.web_port}/?url={source}&theme=dark&hide_welcome_screen"
+
+
+def _reachable(bind: str) -> str:
+    return LOOPBACK if bind in ("0.0.0.0", "::") else bind
+
+
+def free_port(bind: str = LOOPBACK) -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as one:
+        one.bind((bind, 0))
+        return int(one.getsockname()[1])
+
+
+def program() -> Path:
+    """Rerun's viewer.
+
+    Raises:
+        ViewerError: it is not installed.
+    """
+    try:
+        import rerun_cli
+    except ImportError:
+        raise ViewerError(
+            "the dashboard needs rerun: pip install 'airbearing-testbed[dashboard]'"
+        ) from None
+    return Path(rerun_cli.__file__).parent / "rerun"
+
+
+def command(kind: Kind, address: Address, files: Sequence[Path] = ()) -> list[str]:
+    """The viewer's command line."""
+    words = [
+        str(program()), *map(str, files), "--bind", address.bind, "--port", str(address.port),
+        "--memory-limit", MEMORY, "--server-memory-limit", SERVER_MEMORY,
+    ]  # fmt: skip
+    match kind:
+        case "web":
+            return [*words, "--serve-web", "--web-viewer-port", str(address.web_port)]
+        case "headless":
+            return [*words, "--headless", "--window-size", "1600x1000", "--hide-welcome-screen"]
+        case "window":
+            return [*words, "--window-size", "1600x1000", "--hide-welcome-screen"]
+
+
+def start(kind: Kind, address: Address, files: Sequence[Path] = ()) -> "subprocess.Popen[bytes]":
+    """Start a viewer; what it says is of no interest to the operator."""
+    if kind == "window" and sys.platform.startswith("linux"):
+        if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise ViewerError("there is no screen here for a window; try --web")
+    return subprocess.Popen(
+        command(kind, address, files),
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env=os.environ | {"XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR", "/tmp")},
+    )  # fmt: skip
+
+
+def listens(address: Address) -> bool:
+    """Whether it is ready for data."""
+    with socket.socket() as one:
+        one.settimeout(0.2)
+        return one.connect_ex((_reachable(address.bind), address.port)) == 0

@@ -1,0 +1,53 @@
+"""`testbed log` and `testbed export`."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def run(tmp_path, monkeypatch, testbed) -> Path:
+    monkeypatch.chdir(tmp_path)
+    testbed("run", "hold", "duration_s=2", "--out", "out")
+    return Path("out")
+
+
+def test_topics_rates_and_gaps(testbed):
+    result = testbed("log", "out", "--json")
+    assert result.exit_code == 0
+    contents = json.loads(result.stdout)
+    assert contents["finished"] is True
+    assert [t["topic"] for t in contents["topics"]] == ["/sat1/host", "/sat1/tick", "/truth"]
+    for topic in contents["topics"]:
+        assert (topic["messages"], topic["gaps"]) == (20, 0)
+        assert topic["rate_hz"] == pytest.approx(10.0)
+    words = testbed("log", "out/log.mcap").stdout
+    assert "/sat1/tick" in words
+    assert "Truth" in words
+
+
+def test_a_log_without_an_end_is_said(testbed, run):
+    log = run / "log.mcap"
+    log.write_bytes(log.read_bytes()[:9000])
+    result = testbed("log", "out")
+    assert result.exit_code == 0
+    assert "not ended" in result.stdout
+
+
+def test_export_writes_files_and_never_over_others(testbed):
+    result = testbed("export", "out", "--to", "csv")
+    assert result.exit_code == 0
+    paths = [Path(line) for line in result.stdout.split()]
+    assert [p.name for p in paths] == ["sat1_tick.csv", "sat1_host.csv", "truth.csv"]
+    assert all(p.parent == Path("out/export") and p.stat().st_size > 0 for p in paths)
+    assert testbed("export", "out", "--to", "csv").exit_code == 2
+    assert testbed("export", "out", "--to", "csv", "--out", "elsewhere").exit_code == 0
+
+
+def test_what_is_no_log(testbed):
+    Path("out/log.mcap").write_bytes(b"nonsense")
+    for words in (["log", "out"], ["export", "out", "--to", "npz"]):
+        result = testbed(*words)
+        assert result.exit_code == 2
+        assert result.stderr.startswith("error: ")

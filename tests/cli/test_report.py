@@ -1,0 +1,98 @@
+"""report.html: there after every run, whole, and true."""
+
+import re
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+VOID = {"meta", "br", "link", "img", "input"}
+
+
+class Page(HTMLParser):
+    """Tags must nest; text and addresses are kept."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.text: list[str] = []
+        self.links: list[str] = []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.links += [v for k, v in attributes if k in ("src", "href") and v]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def read(folder: str = "out") -> tuple[str, str]:
+    text = Path(folder, "report.html").read_text()
+    return text, " ".join(Page(text).text)
+
+
+def test_a_flight_of_the_paper(testbed):
+    testbed("run", "zhang2023_table", "duration_s=4", "--out", "out")
+    page, words = read()
+    for said in ("failed: settled", "sotsmc", "SOTSMC", "danger radius 0.8 m", "Figure 15",
+                 "Figure 16", "Figure 18", "testbed replay .", "numba", "not met",
+                 "valves shut: no pose yet"):  # fmt: skip
+        assert said in words, said
+    assert Page(page).links == []  # nothing is fetched
+    assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
+    drawn = {path.stem for path in Path("out/figures").iterdir()}
+    assert drawn >= {"trajectory", "error", "error_xy", "tracking", "obstacles", "valves", "tank"}
+    assert set(re.findall(r'<figure id="(\w+)"', page)) == drawn
+    for path in Path("out/figures").iterdir():
+        texts = [t.text for t in ET.parse(path).iter("{http://www.w3.org/2000/svg}text")]
+        with_units = [t for t in texts if t and re.search(r"\[.+\]", t)]
+        assert len(with_units) + ("vehicle and jet" in texts) >= 2, path
+
+
+@pytest.mark.parametrize(
+    ("experiment", "overrides"),
+    [
+        ("hold", ("criteria={}",)),
+        ("hold", ("guidance.mode=wrench",)),
+        ("xue2024_table_constant", ()),
+        ("hold", ("table.mocap.dropout_rate=5", "table.mocap.dropout_s=100")),
+    ],
+    ids=["passed", "wrench", "moving goal", "fault"],
+)
+def test_other_flights(testbed, experiment, overrides):
+    testbed("run", experiment, "duration_s=2", *overrides, "--out", "out")
+    page, words = read()
+    assert experiment in words
+    assert "nan" not in re.sub(r"<pre>.*?</pre>", "", page, flags=re.DOTALL).replace("finance", "")
+
+
+def test_an_older_run_gets_its_page_again(testbed):
+    testbed("run", "hold", "duration_s=1", "--out", "out")
+    before = Path("out/report.html").read_text()
+    Path("out/report.html").unlink()
+    result = testbed("report", "out")
+    assert result.exit_code == 0
+    assert result.stdout == "out/report.html\n"
+    assert Path("out/report.html").read_text() == before
+
+
+def test_a_run_without_metrics(testbed):
+    testbed("run", "hold", "duration_s=1", "--out", "out")
+    Path("out/metrics.json").write_text("{}")
+    assert "expected  the metrics of a run" in testbed("report", "out").stderr
+    Path("out/metrics.json").unlink()
+    result = testbed("report", "out")
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ")
