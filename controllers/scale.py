@@ -31,7 +31,7 @@ class Scaled:
     """A law of a paper's world, flown in this one."""
 
     def __init__(self, law: Law, scale: Scale) -> None:
-        self._law, self._mass, self.words = law, scale.mass, law.words
+        self.law, self._mass, self.words = law, scale.mass, law.words
         self._length, self._time = scale.length, scale.time
         self._speed = scale.length / scale.time
         self._accel = scale.length / scale.time**2
@@ -80,13 +80,13 @@ class Scaled:
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`; the law's state stays in the paper's units."""
-        return self._law.initial(*self._scene(own, neighbours, world))
+        return self.law.initial(*self._scene(own, neighbours, world))
 
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """See `Law`; force in newtons here, law state in the paper's units per second here."""
-        force, change = self._law.rate(
+        force, change = self.law.rate(
             law_state, *self._scene(own, neighbours, world), t * self._time
         )
         return force / self._force(own), change * self._time
@@ -96,7 +96,7 @@ class Scaled:
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        ahead = self._law.fly_ahead(
+        ahead = self.law.fly_ahead(
             law_state, *self._scene(own, neighbours, world),
             t * self._time, duration * self._time, steps,
         )  # fmt: skip
