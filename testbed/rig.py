@@ -13,8 +13,9 @@ from testbed.core.types import Pose
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.estimator import Estimator
 from testbed.flight.gate import Fence, Gate
-from testbed.flight.guidance import Guidance
+from testbed.flight.guidance import Guidance, weakest_force
 from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
+from testbed.ops.formation import Crew
 from testbed.ops.metrics import Spent, Track
 
 
@@ -48,6 +49,27 @@ def make_agent(experiment: Experiment, name: str) -> Agent:
         Estimator(flight.estimator, vehicle, table.mocap, memory),
         Gate(flight.gate, fence),
         make_guidance(experiment, name) if on_board else None,
+    )
+
+
+def crew_of(experiment: Experiment) -> Crew:
+    """Who flies; the leader is the goal of the first vehicle that has a path, or the first's."""
+    setups = list(experiment.vehicles.values())
+    led = next((setup for setup in setups if setup.path), setups[0])
+
+    def leader(t: float) -> tuple[np.ndarray, np.ndarray]:
+        start = np.array(led.goal[:2])
+        if led.path is None:
+            return start, np.zeros(2)
+        moved = led.path.at(t)
+        return start + moved.p, np.array(moved.v)
+
+    return Crew(
+        list(experiment.vehicles),
+        np.array([setup.model.radius for setup in setups]),
+        np.array([setup.model.mass for setup in setups]),
+        experiment.guidance.force_share * min(weakest_force(setup.model) for setup in setups),
+        leader,
     )
 
 

@@ -110,9 +110,7 @@ def reproduce(
     from testbed.cli.reproduce import reproduce_papers
 
     context.exit(
-        reproduce_papers(
-            key, quick=quick, as_json=as_json, as_markdown=as_markdown, plots=plots
-        )
+        reproduce_papers(key, quick=quick, as_json=as_json, as_markdown=as_markdown, plots=plots)
     )
 
 

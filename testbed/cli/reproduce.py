@@ -94,9 +94,7 @@ def print_json(rows: Mapping[str, list[Row]], *, as_list: bool) -> None:
     papers = [
         {
             "paper": name,
-            "claims": [
-                msgspec.to_builtins(row) | {"as_expected": row.as_expected} for row in some
-            ],
+            "claims": [msgspec.to_builtins(row) | {"as_expected": row.as_expected} for row in some],
         }
         for name, some in rows.items()
     ]
@@ -142,9 +140,7 @@ def say_how_it_went(
 ) -> None:
     """A line on the counts, and one per surprise, beside the output."""
     every = [row for some in rows.values() for row in some]
-    counts = ", ".join(
-        f"{sum(row.outcome == kind for row in every)} {kind}" for kind in STYLES
-    )
+    counts = ", ".join(f"{sum(row.outcome == kind for row in every)} {kind}" for kind in STYLES)
     seeds = " (quick: fewer seeds, coarser steps)" if any(row.quick for row in every) else ""
     errors.print(f"{len(every)} claims in {wall:.0f} s{seeds}: {counts}")
     for row in surprises:

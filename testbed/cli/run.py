@@ -10,6 +10,7 @@ from pathlib import Path
 from types import FrameType
 
 import msgspec
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -18,20 +19,25 @@ from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.flight.loop import Ending
+from testbed.ops.characterisation import characterise
 from testbed.ops.folder import FolderError, new_folder, write_config, write_metrics
+from testbed.ops.formation import formation_metrics
 from testbed.ops.metrics import (
     Metrics,
     aim,
     judge,
+    judge_formation,
     obstacle_distances,
     smallest_separation,
     vehicle_metrics,
 )
 from testbed.ops.recorder import Motion, Recorder, RecorderError, Truth
 from testbed.ops.steady import steady
-from testbed.rig import TwinRig, make_twin
+from testbed.rig import TwinRig, crew_of, make_twin
 
 errors = Console(stderr=True, highlight=False)
+
+FORMATION_S = 1.0  # between two entries of the five elements in the log [s]
 
 
 def run_experiment(name: str, overrides: Sequence[str], out: Path | None, as_json: bool) -> int:
@@ -107,6 +113,7 @@ class Watcher:
         total = rig.experiment.duration_s
         self._bar = progress.add_task(rig.experiment.name, total=total)
         self._shown, self._stride = 0.0, total / 100.0
+        self._next = 0.0
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
@@ -121,6 +128,10 @@ class Watcher:
         """See `Observer`."""
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
         self._recorder.write("/truth", t, Truth(t, motions))
+        if len(motions) > 1 and t >= self._next:  # the five elements, live
+            self._next = t + FORMATION_S
+            states = np.array([(m.x, m.y, m.vx, m.vy) for m in motions.values()])
+            self._recorder.write("/formation", t, characterise(states[:, :2], states[:, 2:]))
         if t - self._shown >= self._stride:
             self._shown = t
             self._progress.update(self._bar, completed=t)
@@ -141,6 +152,7 @@ def warm_up(experiment: Experiment, stopped: Callable[[], bool]) -> None:
     period = experiment.flight.jet_period_s
     short = msgspec.structs.replace(experiment, duration_s=4 * period)
     make_twin(short).fly(_Nobody(), stopped)
+    characterise(np.eye(2))
 
 
 def fly_and_judge(
@@ -187,6 +199,8 @@ def measure(
         distances = obstacle_distances(track, k, obstacles)
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
     contacts = len(rig.twin.plant.touches)
+    together = formation_metrics(experiment.controller, crew_of(experiment), track, obstacles)
+    wanted = experiment.criteria.formation
     return Metrics(
         experiment=experiment.name,
         rig="twin",
@@ -198,6 +212,8 @@ def measure(
         contacts=contacts,
         min_vehicle_distance_m=smallest_separation(track),
         fault=ending.fault,
-        criteria=judge(experiment.criteria, vehicles, contacts, clear),
+        criteria=judge(experiment.criteria, vehicles, contacts, clear)
+        | (judge_formation(wanted, together) if wanted else {}),
         vehicles=vehicles,
+        formation=together,
     )

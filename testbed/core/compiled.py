@@ -18,7 +18,9 @@ from numba.core import config
 F = TypeVar("F", bound=Callable[..., Any])
 
 _ROOT = Path(__file__).resolve().parents[2]
-_PACKAGES = ("testbed/core", "testbed/flight", "controllers", "sim_twin")
+_PACKAGES = (
+    "testbed/core", "testbed/flight", "testbed/reproduction/kernel", "controllers", "sim_twin",
+)  # fmt: skip
 
 
 def _source_digest() -> str:

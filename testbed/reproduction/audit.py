@@ -6,7 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from multiprocessing.pool import Pool
+from multiprocessing.pool import AsyncResult, Pool
 
 from msgspec import Struct
 
@@ -96,7 +96,7 @@ def made(tasks: Sequence[Task], cores: int | None = None) -> Iterator[Made]:
     with _pool(size) as pool:
         pioneers = {id(group): pool.apply_async(make, (group[0],)) for group in groups}
         waiting = list(groups)
-        followers = []
+        followers: list[AsyncResult[Made]] = []
         while waiting or followers:
             for group in [g for g in waiting if pioneers[id(g)].ready()]:
                 waiting.remove(group)

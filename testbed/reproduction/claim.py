@@ -1,14 +1,14 @@
 """A paper, what it claims, and what is to be done to see whether that holds.
 
-`configs/papers/<key>.toml` has all of it: how the print has to be read (`corrections`), what it does
-not say (`assumptions`), the simulations (`runs`) and one entry per claim. What is measured is
+`configs/papers/<key>.toml` has all of it: how the print has to be read (`corrections`), what it
+does not say (`assumptions`), the simulations (`runs`) and one entry per claim. What is measured is
 compared here with what is claimed; no verdict stands in a file. `expected` is the outcome of the
 day the entry was written, so that a change of it is noticed.
 """
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 from msgspec import Meta, Struct
 
@@ -181,9 +181,7 @@ def values_of(key: str, claim: Claim, made: Mapping[str, Values]) -> list[float 
     return [None if a is None or not b else a / b for a, b in zip(*found, strict=False)]
 
 
-def judge(
-    key: str, paper: Paper, claim: Claim, made: Mapping[str, Values], *, quick: bool
-) -> Row:
+def judge(key: str, paper: Paper, claim: Claim, made: Mapping[str, Values], *, quick: bool) -> Row:
     """One row of the audit.
 
     Args:
@@ -202,11 +200,13 @@ def judge(
     notes = [f"{paper.corrections[n].at} read as {paper.corrections[n].read}" for n in readings]
     notes += [paper.assumptions[n].what for n in guesses]
     assumption = "; ".join(dict.fromkeys(notes))
-    measured, outcome, seeds = None, UNTESTABLE, 0
+    measured: float | None = None
+    outcome, seeds = cast(Outcome, UNTESTABLE), 0
     if claim.untestable is None:
         found = values_of(key, claim, made)
         measured, seeds = worst(claim, found), len(found)
-        outcome = FAILS if not met(claim, measured) else CORRECTED if assumption else HOLDS
+        kind = FAILS if not met(claim, measured) else CORRECTED if assumption else HOLDS
+        outcome = cast(Outcome, kind)
     return Row(
         f"{key}.{claim.id}", claim.source, claim.claim, claim.paper, measured, claim.unit,
         verdict(claim, outcome, measured, assumption), assumption, outcome, claim.expected,

@@ -31,7 +31,8 @@ from sim_twin.orbit.kepler import Orbit
 from sim_twin.orbit.swarm import Flight, fly
 from testbed.core.vehicle import Positive
 from testbed.ops.characterisation import characterise
-from testbed.reproduction.cluster_control import (
+from testbed.reproduction.figure import Figure
+from testbed.reproduction.kernel.cluster import (
     ATTRACT,
     INERTIAL,
     RIGHT,
@@ -39,7 +40,6 @@ from testbed.reproduction.cluster_control import (
     cluster,
     in_metres,
 )
-from testbed.reproduction.figure import Figure
 from testbed.reproduction.targets import Measures, settled_after
 
 Array = NDArray[np.float64]
@@ -109,7 +109,7 @@ def distance_to(phase: Phase, p: Array) -> Array:
 
 
 def level_of(phase: Phase, p: Array) -> Array:
-    """q / (a b r) of a planar formation: 1 on the curve of size r."""
+    """Q / (a b r) of a planar formation: 1 on the curve of size r."""
     a, b, r = float(phase.a or 0.0), float(phase.b or 0.0), float(phase.r or 0.0)
     q = np.hypot(b * p[..., 0], a * p[..., 2])
     return q / (1e3 * a * b * r) if a * b * r > 0.0 else np.ones(p.shape[:-1])
@@ -134,7 +134,7 @@ def snapshot(phase: Phase, p: Array, v: Array) -> dict[str, float]:
 
 def measure(run: Swarming, f: Flight) -> dict[str, float | None]:
     """What one flight shows."""
-    t = run.sample_s * np.arange(len(f.p))
+    t: Array = run.sample_s * np.arange(len(f.p), dtype=float)
     last = run.phases[-1]
     since = t >= last.at
     found: dict[str, float | None] = {}
@@ -177,12 +177,10 @@ def run_swarming(run: Swarming, *, quick: bool) -> tuple[Measures, list[Figure]]
 
 def figures(run: Swarming, f: Flight) -> list[Figure]:
     """Where they went, and how even they are."""
-    t = run.sample_s * np.arange(len(f.p))
+    t: Array = run.sample_s * np.arange(len(f.p), dtype=float)
     ways = {f"{i + 1}": (f.p[:, i, 0] / 1e3, f.p[:, i, 2] / 1e3) for i in range(f.p.shape[1])}
     even = np.array([characterise(p).uniformity or 0.0 for p in f.p])
-    spent = {
-        axis: (t, f.spent[:, :, k].max(axis=1)) for k, axis in enumerate(("x", "y", "z"))
-    }
+    spent = {axis: (t, f.spent[:, :, k].max(axis=1)) for k, axis in enumerate(("x", "y", "z"))}
     return [
         Figure("relative motion", "x [km]", "z [km]", ways, dots=True),
         Figure("distribution uniformity", "time [s]", "L", {"L": (t, even)}),

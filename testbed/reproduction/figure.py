@@ -1,7 +1,7 @@
 """What a run draws: curves over an axis, as a paper's figure has them."""
 
-from msgspec import Struct
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]

@@ -1,8 +1,8 @@
 """gao2022, Table 3: L of formations that are as even as they get, without a simulation.
 
-Curves: equal arcs. Areas and solids: the densest lattice (hexagonal, face-centred cubic), cut so that
-exactly so many are inside, from the centre and size that give the largest L. Surfaces: points on a
-Fibonacci spiral that push each other apart until they rest.
+Curves: equal arcs. Areas and solids: the densest lattice (hexagonal, face-centred cubic), cut so
+that exactly so many are inside, from the centre and size that give the largest L. Surfaces: points
+on a Fibonacci spiral that push each other apart until they rest.
 """
 
 from collections.abc import Iterator

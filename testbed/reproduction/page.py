@@ -5,7 +5,7 @@ from testbed.reproduction.claim import CORRECTED, FAILS, HOLDS, UNTESTABLE, Pape
 
 def page(key: str, paper: Paper, rows: list[Row]) -> str:
     """Markdown."""
-    counts = {kind: 0 for kind in (HOLDS, CORRECTED, FAILS, UNTESTABLE)}
+    counts = dict.fromkeys((HOLDS, CORRECTED, FAILS, UNTESTABLE), 0)
     for row in rows:
         counts[row.outcome] += 1
     said = ", ".join(f"{n} {kind}" for kind, n in counts.items())

@@ -11,9 +11,9 @@ from typing import Any
 import msgspec
 
 from testbed.config import SHIPPED, ConfigError, read_toml
+from testbed.config.key import spell
 from testbed.config.misfit import first_misfit
 from testbed.config.mistake import did_you_mean
-from testbed.config.key import spell
 from testbed.reproduction.claim import Paper
 
 PAPERS = SHIPPED / "papers"
@@ -55,9 +55,7 @@ def read_paper(path: Path) -> Paper:
         return msgspec.convert(tree, Paper)
     except msgspec.ValidationError:
         mistake = first_misfit(tree, Paper)
-        raise ConfigError(
-            str(path), spell(mistake.key), mistake.expected, mistake.found
-        ) from None
+        raise ConfigError(str(path), spell(mistake.key), mistake.expected, mistake.found) from None
 
 
 def complete_runs(runs: Any) -> None:

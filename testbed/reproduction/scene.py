@@ -1,4 +1,4 @@
-"""Where the papers' satellites fly: orbits, leaders, obstacles and disturbances, as files say them."""
+"""Where the papers' satellites fly: orbits, leaders, obstacles, disturbances, as files say."""
 
 import math
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sim_twin.orbit.kepler import Orbit
 from sim_twin.orbit.relative import Chief, chief_on
 from testbed.core.vehicle import NonNegative, Positive
-from testbed.reproduction.fleet import Place, Wave
+from testbed.reproduction.kernel.fleet import Place, Wave
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -30,8 +30,10 @@ class OrbitParams(Struct, frozen=True, forbid_unknown_fields=True):
 
     def orbit(self) -> Orbit:
         """The orbit."""
-        angles = (self.i_deg, self.node_deg, self.perigee_deg, self.theta_deg)
-        return Orbit(1e3 * self.a_km, self.e, *(math.radians(x) for x in angles), mu=self.mu)
+        return Orbit(
+            1e3 * self.a_km, self.e, math.radians(self.i_deg), math.radians(self.node_deg),
+            math.radians(self.perigee_deg), math.radians(self.theta_deg), self.mu,
+        )  # fmt: skip
 
     def chief(self) -> Chief:
         """Whoever flies there."""

@@ -1,5 +1,7 @@
 """zhang2023 in space: each satellite goes to a place of its own, round obstacles of its own."""
 
+from typing import Any
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
@@ -8,7 +10,7 @@ from controllers.catalogue import Controller
 from testbed.core.vehicle import Positive
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
-from testbed.reproduction.fleet import Flight, fly
+from testbed.reproduction.kernel.fleet import Flight, fly
 from testbed.reproduction.scene import STILL, OrbitParams, Rocks, Vector, WaveParams, place
 
 Array = NDArray[np.float64]
@@ -48,9 +50,7 @@ def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
     """One satellite; the others do not matter to it."""
     law = gains_of(run.controller, ["sat"], 3)
     rocks = Rocks(satellite.obstacles, run.radius)
-    where = place(
-        run.orbit, satellite.goal, rocks=rocks, push=run.disturbance, told_rate=True
-    )
+    where = place(run.orbit, satellite.goal, rocks=rocks, push=run.disturbance, told_rate=True)
     steps = round(run.duration_s / step)
     every = max(1, round(0.5 / step))
     start = np.array([satellite.start])
@@ -60,7 +60,7 @@ def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
     )  # fmt: skip
 
 
-def settled_after(t: Array, off: Array) -> float | None:
+def settled_after(t: Array, off: NDArray[Any]) -> float | None:
     """First time after which nothing is `off`; null if the end is."""
     late = np.flatnonzero(off)
     if len(late) == 0:
@@ -79,7 +79,7 @@ def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str,
         "final_error_m": float(error[-1]),
         "moved_m": float(np.linalg.norm(p[-1] - p[0])),
         "peak_control": float(flight.peak.max() / run.mass),
-        "control_s": settled_after(t, (np.abs(u) > BUSY).any(axis=1)),
+        "control_s": settled_after(t, np.abs(u).max(axis=1) > BUSY),
         "vibration": float(flight.travel.sum() / run.mass),
     }
     gaps = [np.linalg.norm(p - np.array(rock), axis=1) for rock in satellite.obstacles]
@@ -89,9 +89,9 @@ def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str,
         nearest = np.min(gaps, axis=0)
         size = np.abs(u).max(axis=1)
         found["obstacles_m"] = float(nearest.min())
-        found["near_control"] = float(size[nearest < NEAR].max(initial=0.0))
-        found["far_control"] = float(size[nearest >= NEAR].max(initial=0.0))
-        found["near_to_far"] = found["near_control"] / found["far_control"]
+        near = float(size[nearest < NEAR].max(initial=0.0))
+        far = float(size[nearest >= NEAR].max(initial=0.0))
+        found |= {"near_control": near, "far_control": far, "near_to_far": near / far}
     return found
 
 

@@ -11,12 +11,13 @@ Measures of a run, where "i-j" is a pair of names and `leader` may be one of the
     force_n, raw_n                          largest on any axis; raw: before the thruster's bound
     speed_end                               largest |v - v_leader| in the last hundredth [m/s]
     proxy_m, proxy_end_m, proxy_speed_end   satellite against its proxy
-    v0, phi_min, pq, height_needed_m        the certificate; eps/2 with which phi_min were P Q [J, m]
-    v_rise, v_end                           largest rise of V between two samples, V at the end / V(0)
+    v0, phi_min, pq, height_needed_m        the certificate; eps/2 with which phi_min = P Q [J, m]
+    v_rise, v_end                           largest rise of V between samples; V at the end / V(0)
     concern <name>                          1 if the certificate raises it, else 0
 """
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
@@ -36,7 +37,7 @@ from testbed.core.law import CompiledLaw
 from testbed.core.vehicle import NonNegative, Positive
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
-from testbed.reproduction.fleet import Flight, Place, fly, goal_at, wave_at, wave_integral
+from testbed.reproduction.kernel.fleet import Flight, Place, fly, goal_at, wave_at, wave_integral
 from testbed.reproduction.scene import NO_ROCKS, Leader, OrbitParams, Rocks, Vector, place
 from testbed.reproduction.targets import Measures, settled_after
 
@@ -90,9 +91,10 @@ class Tracks(Struct, frozen=True):
 
 def formation_of(controller: Controller, law: CompiledLaw) -> tuple[Formation, int]:
     """Who is tied to whom, and where in the law's state a_ij begins, if it has them."""
+    gains: Any = law.gains
     if isinstance(controller, Bounded):
-        return law.gains.coupling.formation, 6
-    return law.gains.potential.formation, 1
+        return gains.coupling.formation, 6
+    return gains.potential.formation, 1
 
 
 def scene_of(run: Together, edges_at: int) -> Place:
@@ -126,7 +128,8 @@ def tracks_of(run: Together, where: Place, shape: Formation, edges_at: int, f: F
 
 def distances(run: Together, shape: Formation, track: Tracks) -> Measures:
     """What the distances show."""
-    names, found = [*run.names, "leader"], {}
+    names = [*run.names, "leader"]
+    found: Measures = {}
     last = track.t >= (1.0 - END) * track.t[-1]
     off, longest, lost = np.zeros(len(track.t)), [], 0
     closest = []
@@ -192,9 +195,14 @@ def energies(run: Together, c: Coupling, track: Tracks, f: Flight) -> Array:
             proof.energy(
                 c,
                 proof.Fleet(
-                    mass, f.p[k], f.v[k], f.z[k, :, :3], f.z[k, :, 3:6],
-                    track.p[k, -1] if led else still, track.v[k, -1] if led else still,
-                ),  # fmt: skip
+                    mass,
+                    f.p[k],
+                    f.v[k],
+                    f.z[k, :, :3],
+                    f.z[k, :, 3:6],
+                    track.p[k, -1] if led else still,
+                    track.v[k, -1] if led else still,
+                ),
                 track.edge[k],
             )
             for k in range(len(f.t))
@@ -204,7 +212,8 @@ def energies(run: Together, c: Coupling, track: Tracks, f: Flight) -> Array:
 
 def certificates(run: Together, law: CompiledLaw, params: Bounded) -> Measures:
     """What the proof asks for."""
-    c: Coupling = law.gains.coupling
+    gains: Any = law.gains
+    c: Coupling = gains.coupling
     mass, p = np.array(run.mass), np.array(run.start)
     v = np.zeros_like(p) if run.velocity is None else np.array(run.velocity)
     leader = run.leader
@@ -234,12 +243,14 @@ def certificates(run: Together, law: CompiledLaw, params: Bounded) -> Measures:
 
 
 def static_energy(run: Together, law: CompiledLaw, track: Tracks, f: Flight) -> Array:
-    """V_1 of xue2021, Eq. (10), over a flight; a pair out of range counts as psi^d's level there."""
-    u: FormationPotential = law.gains.potential
+    """V_1 of xue2021, Eq. (10), over a flight; a pair out of range has psi^d's level."""
+    gains: Any = law.gains
+    u: FormationPotential = gains.potential
     mass, total = np.array(run.mass), np.zeros(len(f.t))
+    x: Any
     for k in range(len(f.t)):
         total[k] = 0.5 * mass @ (f.v[k] ** 2).sum(axis=1)
-        total[k] += 0.5 / law.gains.alpha * ((mass - f.z[k, :, 0]) ** 2).sum()
+        total[k] += 0.5 / gains.alpha * ((mass - f.z[k, :, 0]) ** 2).sum()
         for i, j in combinations(range(len(mass)), 2):
             x = np.linalg.norm(f.p[k, i] - f.p[k, j])
             x = x if track.edge[k, i, j] > 0.5 else u.single.range
@@ -280,7 +291,8 @@ def run_together(run: Together, *, quick: bool) -> tuple[Measures, list[Figure]]
     found = distances(run, shape, track) | obstacles(where, track) | efforts(run, track, f)
     if isinstance(run.controller, Bounded):
         found |= proxies(track, f) | certificates(run, law, run.controller)
-        found |= rises(energies(run, law.gains.coupling, track, f))
+        gains: Any = law.gains
+        found |= rises(energies(run, gains.coupling, track, f))
     if isinstance(run.controller, ConnectivityStaticParams):
         found |= rises(static_energy(run, law, track, f))
     return found, figures(run, track, f)

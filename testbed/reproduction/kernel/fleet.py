@@ -1,4 +1,4 @@
-r"""Some satellites under one law, in orbit or nowhere, each hearing the others at once: compiled RK4.
+r"""Some satellites under one law, in orbit or nowhere, hearing each other at once: compiled RK4.
 
 The papers' simulations know no radio, no estimator and no jets. Every satellite's law is asked in
 every stage; it sees its own state and what the others are and tell at that instant. What is not
