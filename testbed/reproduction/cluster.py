@@ -8,7 +8,7 @@ Measures, one value per seed; "at T" is for every time T of `times` [s] (whole s
     plane_m at T        largest distance from the plane
     outer_m, inner_m, uniformity at T   of the five elements
     inside, outside at T    how many are within, beyond a b r
-    formed_s            after which nobody is further than `formed_m` away for good, to the end
+    formed_s            after which the mean distance to it stays below `formed_m`
     spent_ms            velocity increment per axis, the most any satellite used up, in all
     window_ms           the same, the most within any 10 s
     inner_ever_m        nearest two ever come
@@ -142,7 +142,7 @@ def measure(run: Swarming, f: Flight) -> dict[str, float | None]:
         k = round(at / run.sample_s)
         phase = [phase for phase in run.phases if phase.at <= max(at - 1e-6, 0.0)][-1]
         found |= {f"{n} at {at}": x for n, x in snapshot(phase, f.p[k], f.q[k]).items()}
-    off = distance_to(last, f.p).max(axis=1) > run.formed_m
+    off = distance_to(last, f.p).mean(axis=1) > run.formed_m
     after = settled_after(t[since], off[since])
     found["formed_s"] = None if after is None else after - last.at
     found["spent_ms"] = float(f.spent[-1].max())
@@ -152,7 +152,6 @@ def measure(run: Swarming, f: Flight) -> dict[str, float | None]:
     radius = np.hypot(f.p[:, :, 0], f.p[:, :, 2]).mean(axis=1)
     found["overshoot_m"] = float(radius[since].max() - radius[-1])
     found["inner_ever_m"] = min(_inner(p) for p in f.p)
-    found["uniformity_drop"] = None
     if len(run.phases) > 1:
         k = int(np.flatnonzero(since)[0])
         before = level_of(last, f.p[k])

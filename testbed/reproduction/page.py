@@ -3,6 +3,9 @@
 from testbed.reproduction.claim import CORRECTED, FAILS, HOLDS, UNTESTABLE, Paper, Row
 
 
+QUICK = " These numbers are of `--quick`: fewer seeds, coarser steps."
+
+
 def page(key: str, paper: Paper, rows: list[Row]) -> str:
     """Markdown."""
     counts = dict.fromkeys((HOLDS, CORRECTED, FAILS, UNTESTABLE), 0)
@@ -15,7 +18,7 @@ def page(key: str, paper: Paper, rows: list[Row]) -> str:
         f"The runs and every number in them are in `configs/papers/{key}.toml`. "
         f"{len(rows)} claims: {said}.",
         "", "## Claims", "",
-        "The worst of all seeds is measured.", "",
+        "The worst of all seeds is measured." + QUICK * any(row.quick for row in rows), "",
         "| id | where | claim | paper | measured | verdict |",
         "|---|---|---|---|---|---|",
     ]  # fmt: skip
