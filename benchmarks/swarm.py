@@ -1,11 +1,13 @@
-"""gao2022's 50 satellites, two-body + J2 over 2000 s: this project's integrator and Basilisk's.
+"""gao2022's 50 satellites, two-body + J2 over 2000 s: this project's flights and Basilisk's.
 
     pip install '.[peers]'
     python benchmarks/swarm.py [--runs 5]
 
 Both propagate the same uncontrolled satellites with the same constants; Basilisk with its default
-integrator at a step of 1 s, as its users run it. Printed: wall times in the same run, after
-compilation, and the largest distance between the two after 2000 s.
+integrator at a step of 1 s, as its users run it. Beside that, the paper's closed loop: a circle of
+0.5 km out of a ball of 0.1 km (section 3.1.2), in both readings of its unit of force. Printed: wall
+times in the same run, after compilation; the closed loop's share of Basilisk's time; and the
+largest distance between the two uncontrolled flights after 2000 s.
 """
 
 import argparse
@@ -20,11 +22,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from controllers.bifurcating import Phase
 from sim_twin.orbit.frames import NADIR
 from sim_twin.orbit.gravity import EARTH
 from sim_twin.orbit.kepler import Orbit
 from sim_twin.orbit.swarm import Flight, fly
 from sim_twin.orbit.system import Coast
+from testbed.reproduction.cluster import ball
+from testbed.reproduction.kernel.cluster import cluster, in_metres
 
 Array = NDArray[np.float64]
 
@@ -34,6 +39,13 @@ CENTRE = Orbit(a=EARTH.radius + 600e3, e=0.0002, i=math.radians(98.0))
 SIZE = 500.0  # [m]
 SECONDS = 2000.0
 SAMPLE = 10.0  # [s]
+MASS = 100.0  # [kg]
+AIRSPACE = 100.0  # [m]
+CIRCLE = Phase(  # section 3.1.2, lengths in km; sigma is not printed
+    a=1.0, b=1.0, r=0.5, mu=-5.0, k_f=3.0, k_v=2000.0, k_c=0.25, s=0.5, sigma=5.0
+)
+UNITS = {"N": 1.0, "kN": 1000.0}  # readings of the paper's force
+TOLERANCES = (1e-8, 1e-9)  # relative; for whom the closed loop is timed
 
 
 def start(seed: int = 0) -> tuple[Array, Array]:
@@ -48,6 +60,25 @@ def ours(control: NamedTuple) -> Flight:
     """Fly under a control that `sim_twin.orbit.system` knows; `Coast()` is none."""
     times = np.arange(0.0, SECONDS + 0.5 * SAMPLE, SAMPLE)
     return fly(control, np.concatenate(CENTRE.eci()), *start(), times, axes=NADIR)
+
+
+def closed_loop(newtons: float, rtol: float) -> Flight:
+    """Fly the circle's control."""
+    control = cluster((in_metres(CIRCLE, newtons),), MASS, CENTRE.mean_motion)
+    p = ball(AIRSPACE, 0, COUNT)
+    times = np.arange(0.0, SECONDS + 0.5 * SAMPLE, SAMPLE)
+    hub = np.concatenate(CENTRE.eci())
+    return fly(control, hub, p, np.zeros_like(p), times, axes=NADIR, rtol=rtol, atol=1e5 * rtol)
+
+
+def timed(runs: int, rtol: float, newtons: float) -> tuple[list[float], Flight]:
+    """Wall times of the closed loop [s], and one of its flights."""
+    walls = []
+    for _ in range(runs):
+        began = time.perf_counter()
+        flight = closed_loop(newtons, rtol)
+        walls.append(time.perf_counter() - began)
+    return walls, flight
 
 
 def gravity_file(folder: Path) -> Path:
@@ -112,6 +143,12 @@ def main() -> None:
         f"{COUNT} satellites, two-body + J2, {SECONDS:.0f} s, uncontrolled, sampled every "
         f"{SAMPLE:.0f} s: {1e3 * min(walls):.2f}-{1e3 * max(walls):.2f} ms, {flight.steps} steps"
     )
+    closed_loop(1.0, 1e-6)  # compiles
+    loops = {
+        (unit, rtol): timed(options.runs, rtol, newtons)
+        for unit, newtons in UNITS.items()
+        for rtol in TOLERANCES
+    }
     try:
         import Basilisk
     except ImportError:
@@ -123,6 +160,14 @@ def main() -> None:
         f"{1e3 * min(walls):.0f}-{1e3 * max(walls):.0f} ms, "
         f"and {1e3 * min(t for _, _, t in theirs):.0f} ms to set up"
     )
+    best = min(walls)
+    for (unit, rtol), (ours_walls, loop) in loops.items():
+        radius = np.hypot(loop.p[-1, :, 0], loop.p[-1, :, 2]).mean()
+        print(
+            f"closed loop, force in {unit}, rtol {rtol:g}: {1e3 * min(ours_walls):.0f}-"
+            f"{1e3 * max(ours_walls):.0f} ms, {loop.evaluations} evaluations, "
+            f"{min(ours_walls) / best:.2f} of Basilisk's; circle of {radius:.1f} m"
+        )
     gap = np.linalg.norm(theirs[0][0] - flight.r[-1], axis=1).max()
     print(f"largest distance between the two after {SECONDS:.0f} s: {gap:.2e} m")
 

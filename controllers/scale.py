@@ -112,7 +112,7 @@ class Scaled:
     """A law of a paper's world, flown in this one."""
 
     def __init__(self, law: Law, scale: Scale) -> None:
-        self._law, self._scale, self.words = law, scale, law.words
+        self.law, self._scale, self.words = law, scale, law.words
 
     def _units(self, own: Body) -> Units:
         length, time, mass = self._scale.length, self._scale.time, self._scale.mass or own.mass
@@ -122,7 +122,7 @@ class Scaled:
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`; the law's state stays in the paper's units."""
-        return self._law.initial(*scene_in(self._units(own), own, neighbours, world))
+        return self.law.initial(*scene_in(self._units(own), own, neighbours, world))
 
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
@@ -130,7 +130,7 @@ class Scaled:
         """See `Law`; force in newtons here, law state in the paper's units per second here."""
         units = self._units(own)
         body, others, scene = scene_in(units, own, neighbours, world)
-        force, change = self._law.rate(law_state, body, others, scene, t * units.time)
+        force, change = self.law.rate(law_state, body, others, scene, t * units.time)
         return force / units.force, change * units.time
 
     def fly_ahead(
@@ -138,7 +138,7 @@ class Scaled:
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        units, law = self._units(own), self._law
+        units, law = self._units(own), self.law
         if isinstance(law, CompiledLaw):
             return fly_scaled(
                 law.gains, units, law_state, own, neighbours, world, t, duration, steps

@@ -19,8 +19,10 @@ from testbed.core.types import HostTick, Pose, Tick
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.estimator import Estimator
 from testbed.flight.gate import Fence, Gate
-from testbed.flight.guidance import Guidance
+from testbed.flight.guidance import Guidance, weakest_force
 from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
+from testbed.ops.characterisation import characterise
+from testbed.ops.formation import Crew
 from testbed.ops.metrics import Spent, Track
 
 
@@ -92,6 +94,10 @@ class Rig(Protocol):
         """Each vehicle and its true x, y, theta, vx, vy, omega now, where somebody knows."""
         ...
 
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """What each vehicle's board drove after `since` [s], where it reports that."""
+        ...
+
     def spent(self, name: str) -> Spent:
         """What a vehicle has used so far."""
         ...
@@ -112,6 +118,27 @@ class Nobody:
 
     def done(self, t: float) -> None:
         """See `Observer`."""
+
+
+def crew_of(experiment: Experiment) -> Crew:
+    """Who flies; the leader is the goal of the first vehicle that has a path, or the first's."""
+    setups = list(experiment.vehicles.values())
+    led = next((setup for setup in setups if setup.path), setups[0])
+
+    def leader(t: float) -> tuple[np.ndarray, np.ndarray]:
+        start = np.array(led.goal[:2])
+        if led.path is None:
+            return start, np.zeros(2)
+        moved = led.path.at(t)
+        return start + moved.p, np.array(moved.v)
+
+    return Crew(
+        list(experiment.vehicles),
+        np.array([setup.model.radius for setup in setups]),
+        np.array([setup.model.mass for setup in setups]),
+        experiment.guidance.force_share * min(weakest_force(setup.model) for setup in setups),
+        leader,
+    )
 
 
 class TwinRig(Struct, frozen=True):
@@ -225,3 +252,4 @@ def warm_up(experiment: Experiment, stopped: Callable[[], bool] = lambda: False)
     """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
     short = replace(experiment, duration_s=4 * experiment.flight.jet_period_s)
     make_twin(short).fly(Nobody(), stopped)
+    characterise(np.eye(2))

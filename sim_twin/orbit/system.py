@@ -27,7 +27,8 @@ from numba.extending import overload
 
 from testbed.core.compiled import compiled
 
-OURS = ("testbed.core.", "controllers.", "sim_twin.")  # `compiled` notices when these change
+# `compiled` notices when these change
+OURS = ("testbed.core.", "testbed.reproduction.kernel.", "controllers.", "sim_twin.")
 
 
 def generic(function: Callable) -> Callable:

@@ -21,6 +21,7 @@ from msgspec.structs import replace
 
 from testbed.bench.flight import HostFlight, order
 from testbed.bench.server import TableReport
+from testbed.boards import Valves
 from testbed.config import Experiment, dump
 from testbed.flight.loop import Ending, Observer
 from testbed.ops.children import ChildError, Children
@@ -272,6 +273,10 @@ class WireRig:
             return Track(np.zeros(0), np.zeros((0, len(names), 6)))
         states = np.array([[state for _, state in row[:count]] for row in rows])
         return Track(np.array([t for t, _ in rows[0][:count]]), states.transpose(1, 0, 2))
+
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """See `Rig`. The boards' reports are with the vehicles."""
+        return iter(())
 
     def spent(self, name: str) -> Spent:
         """See `Rig`. Without a twin: what was commanded, by the vehicle file's thrust."""

@@ -311,6 +311,33 @@ def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | No
     context.exit(show_run(run, "web" if web else "window", bind, port))
 
 
+@main.command()
+@click.argument("key")
+@click.option("--quick", is_flag=True, help="Fewer seeds and coarser steps.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--markdown", "as_markdown", is_flag=True, help="Print the page of the docs.")
+@click.option("--plots", type=click.Path(path_type=Path), help="Folder for redrawn figures.")
+@click.pass_context
+def reproduce(
+    context: click.Context,
+    key: str,
+    quick: bool,
+    as_json: bool,
+    as_markdown: bool,
+    plots: Path | None,
+) -> None:
+    """Fly the simulations of a paper again and say which of its claims hold.
+
+    KEY is a paper (gao2022, xue2021, xue2022, xue2024, zhang2023) or all. The exit code is 1 if a
+    verdict is not the one that configs/papers expects.
+    """
+    from testbed.cli.reproduce import reproduce_papers
+
+    context.exit(
+        reproduce_papers(key, quick=quick, as_json=as_json, as_markdown=as_markdown, plots=plots)
+    )
+
+
 def entry() -> None:
     """Run the command as a program, with the exit codes above."""
     try:

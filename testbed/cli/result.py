@@ -6,7 +6,10 @@ from rich.console import Console
 from rich.table import Table as Grid
 
 from testbed.config import Experiment
-from testbed.ops.metrics import Metrics, VehicleMetrics
+from testbed.ops.formation import FormationMetrics, has_formation
+from testbed.ops.metrics import FormationCriteria, Metrics, VehicleMetrics
+
+OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 
 ROWS = (  # heading, key, scale, format, criterion
     ("final error \\[mm]", "final_error_m", 1e3, "{:.2f}", "final_error_m"),
@@ -31,7 +34,11 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
     for name in metrics.vehicles:
         grid.add_column(name, justify="right")
     grid.add_column("limit", justify="right", style="dim")
+    together = metrics.formation
+    has_goals = not has_formation(experiment.controller)
     for heading, key, scale, form, criterion in ROWS:
+        if key in OF_A_GOAL and not has_goals:
+            continue
         cells = [_cell(m, key, scale, form) for m in metrics.vehicles.values()]
         met = metrics.criteria.get(criterion or "")
         style = "red" if met is False else None
@@ -47,8 +54,29 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
             f"{metrics.duration_s:.0f} s in {metrics.wall_s:.2f} s ({factor:.0f} x real time)"
         )
     out.print(", ".join(pieces))
+    if together is not None and not has_goals:
+        print_formation(out, together, experiment)
     out.print(_verdict(metrics))
     out.print(f"run folder: {folder}", markup=False, soft_wrap=True)
+
+
+def print_formation(out: Console, f: FormationMetrics, experiment: Experiment) -> None:
+    """How good the formation was, and what its law's proof has against the start."""
+    limits = experiment.criteria.formation or FormationCriteria()
+    pieces = [
+        f"{what} {value:.3g} {unit}" + (f" (<= {limit:g})" if limit is not None else "")
+        for what, value, unit, limit in (
+            ("error at the end", f.error_m, "m", limits.error_m),
+            ("settled after", f.settled_s, "s", limits.settled_s),
+            ("longest edge", f.longest_edge_m, "m", limits.longest_edge_m),
+        )
+        if value is not None
+    ]
+    if f.error_m is not None and f.settled_s is None:
+        pieces.append("never settled")
+    out.print(f"formation: {', '.join(pieces) or 'no error known'}")
+    for concern in f.concerns:
+        out.print(f"concern {concern.name}: {concern.text}", style="yellow", markup=False)
 
 
 def _cell(metrics: VehicleMetrics, key: str, scale: float, form: str) -> str:

@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 from rich.console import Console
@@ -21,13 +22,16 @@ from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.flight.loop import Ending
+from testbed.ops.characterisation import characterise
 from testbed.ops.feed import Loop
 from testbed.ops.folder import FolderError, new_folder, write_config, write_metrics
+from testbed.ops.formation import formation_metrics
 from testbed.ops.logbook import LogError
 from testbed.ops.metrics import (
     Metrics,
     aim,
     judge,
+    judge_formation,
     obstacle_distances,
     smallest_separation,
     vehicle_metrics,
@@ -37,9 +41,11 @@ from testbed.ops.recorder import Motion, Recorder, RecorderError, Truth
 from testbed.ops.report import ReportError
 from testbed.ops.steady import steady
 from testbed.ops.viewer import ViewerError
-from testbed.rig import Rig, TwinRig, make_twin, warm_up
+from testbed.rig import Rig, TwinRig, crew_of, make_twin, warm_up
 
 errors = Console(stderr=True, highlight=False)
+
+FORMATION_S = 1.0  # between two entries of the five elements in the log [s]
 
 
 def run_experiment(
@@ -134,6 +140,7 @@ class Watcher:
         self._recorder, self._live, self._pace = recorder, live, pace
         self._seen = -1.0  # up to here the valves are in the log
         self.trouble: str | None = None  # the log cannot be written: the flight has to end
+        self._next = 0.0  # when the five elements are due [s]
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
@@ -164,6 +171,10 @@ class Watcher:
         """See `Observer`."""
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
         self._record("/truth", t, Truth(t, motions))
+        if len(motions) > 1 and t >= self._next:  # the five elements, live
+            self._next = t + FORMATION_S
+            states = np.array([(m.x, m.y, m.vx, m.vy) for m in motions.values()])
+            self._record("/formation", t, characterise(states[:, :2], states[:, 2:]))
         for name, valves in self._rig.valves(since=self._seen):
             self._record(f"/{name}/valves", valves.t, valves)
         self._seen = t
@@ -236,6 +247,8 @@ def measure(
         distances = obstacle_distances(track, k, obstacles)
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
     contacts = rig.contacts
+    together = formation_metrics(experiment.controller, crew_of(experiment), track, obstacles)
+    wanted = experiment.criteria.formation
     return Metrics(
         experiment=experiment.name,
         rig=rig.name,
@@ -247,7 +260,9 @@ def measure(
         contacts=contacts,
         min_vehicle_distance_m=smallest_separation(track),
         fault=ending.fault,
-        criteria=judge(experiment.criteria, vehicles, contacts, clear),
+        criteria=judge(experiment.criteria, vehicles, contacts, clear)
+        | (judge_formation(wanted, together) if wanted else {}),
         vehicles=vehicles,
         **rig.wires(),
+        formation=together,
     )

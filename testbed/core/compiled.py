@@ -26,7 +26,9 @@ from numba.extending import intrinsic
 F = TypeVar("F", bound=Callable[..., Any])
 
 _ROOT = Path(__file__).resolve().parents[2]
-_PACKAGES = ("testbed/core", "testbed/flight", "controllers", "sim_twin")
+_PACKAGES = (
+    "testbed/core", "testbed/flight", "testbed/reproduction/kernel", "controllers", "sim_twin",
+)  # fmt: skip
 
 
 def _source_digest() -> str:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -19,6 +19,14 @@ SETTLED_M = 0.05  # "settled" means closer than this for good [m]
 HOLD_S = 30.0  # length of the end of a run that counts as holding [s]
 
 
+class FormationCriteria(Struct, frozen=True, forbid_unknown_fields=True):
+    """When a formation is good enough; the numbers are those of `testbed.ops.formation`."""
+
+    error_m: Positive | None = None
+    settled_s: Positive | None = None
+    longest_edge_m: Positive | None = None
+
+
 class Criteria(Struct, frozen=True, forbid_unknown_fields=True):
     """When an experiment counts as passed; a criterion that is not given is not judged."""
 
@@ -30,6 +38,7 @@ class Criteria(Struct, frozen=True, forbid_unknown_fields=True):
     track_rms_m: Positive | None = None
     heading_rms_deg: Positive | None = None
     impulse_ns: NonNegative | None = None
+    formation: FormationCriteria | None = None
 
 
 class Commands(Struct, frozen=True):
@@ -76,6 +85,7 @@ class Metrics(Struct, frozen=True):
     pose_to_valve_p99_ms: float | None = None
     commands: Commands | None = None
     board: str | None = None
+    formation: Any = None  # `testbed.ops.formation.FormationMetrics` of two or more vehicles
 
 
 class Track(Struct, frozen=True):
@@ -205,6 +215,16 @@ def vehicle_metrics(
         valve_pulses=spent.openings,
         max_force_n=float(np.max(aimed.force)) if len(aimed.force) else None,
     )
+
+
+def judge_formation(criteria: FormationCriteria, formation: object) -> dict[str, bool]:
+    """Each limit that was given; a run without a formation meets none."""
+    verdict = {}
+    for key in FormationCriteria.__struct_fields__:
+        limit, value = getattr(criteria, key), getattr(formation, key, None)
+        if limit is not None:
+            verdict[f"formation.{key}"] = value is not None and value <= limit
+    return verdict
 
 
 def judge(

@@ -37,7 +37,7 @@ from testbed.ops.metrics import (
 LIMITS = [
     name
     for name in Criteria.__struct_fields__
-    if name not in ("max_contacts", "clear_of_obstacles")
+    if name not in ("max_contacts", "clear_of_obstacles", "formation")
 ]
 GOAL = (0.0, 0.0, 0.0)
 NOTHING_SPENT = Spent(0.0, 0.0, 0)

@@ -1,0 +1,184 @@
+"""`testbed reproduce`: make the papers' simulations again and say which of their claims hold."""
+
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table as Grid
+from rich.text import Text
+
+from testbed.cli.main import BAD_INPUT, FAILED, INTERRUPTED, OK
+from testbed.config import ConfigError
+from testbed.reproduction.audit import Made, made, rows_of, tasks_of
+from testbed.reproduction.claim import CORRECTED, FAILS, HOLDS, UNTESTABLE, MeasureError, Paper, Row
+from testbed.reproduction.page import page
+from testbed.reproduction.paper import EVERY, chosen, read_papers
+
+STYLES = {HOLDS: "green", CORRECTED: "cyan", FAILS: "red", UNTESTABLE: "yellow"}
+errors = Console(stderr=True, highlight=False)
+
+
+def reproduce_papers(
+    key: str, *, quick: bool, as_json: bool, as_markdown: bool, plots: Path | None
+) -> int:
+    """Make the runs, print the rows, return the exit code."""
+    try:
+        papers = read_papers(chosen(key))
+        if plots is not None:
+            ready_for_plots(plots)
+        found, interrupted, wall = make_all(papers, quick=quick)
+        audited = {
+            name: rows_of(name, paper, found[name], quick=quick) for name, paper in papers.items()
+        }
+    except (ConfigError, MeasureError) as error:
+        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    rows = {name: rows for name, (rows, _) in audited.items()}
+    missing = [one for _, lost in audited.values() for one in lost]
+    if as_json:
+        print_json(rows, as_list=key == EVERY)
+    elif as_markdown:
+        sys.stdout.write("\n".join(page(name, papers[name], rows[name]) for name in papers))
+    else:
+        for name, paper in papers.items():
+            print_table(name, paper, rows[name])
+    surprises = [row for some in rows.values() for row in some if not row.as_expected]
+    say_how_it_went(rows, surprises, missing, wall)
+    if plots is not None:
+        draw_all(plots, papers, found)
+    if interrupted:
+        return INTERRUPTED
+    return FAILED if surprises else OK
+
+
+class Results(dict[str, dict[str, Any]]):
+    """Measures by paper and run, and the figures beside them."""
+
+    def __init__(self, names: Mapping[str, Paper]) -> None:
+        super().__init__({name: {} for name in names})
+        self.made: list[Made] = []
+
+    def add(self, done: Made) -> None:
+        """Keep a run."""
+        self[done.paper][done.run] = done.values
+        self.made.append(done)
+
+
+def make_all(papers: Mapping[str, Paper], *, quick: bool) -> tuple[Results, bool, float]:
+    """All runs with a progress bar on a terminal: results, whether interrupted, wall time [s]."""
+    tasks, found = tasks_of(papers, quick=quick), Results(papers)
+    began = time.perf_counter()
+    progress = Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        console=errors, transient=True, disable=not errors.is_terminal,
+    )  # fmt: skip
+    interrupted = False
+    try:
+        with progress:
+            bar = progress.add_task("runs (the first ones compile)", total=len(tasks))
+            for done in made(tasks):
+                found.add(done)
+                progress.update(bar, advance=1, description=f"{done.paper} {done.run}")
+    except KeyboardInterrupt:
+        interrupted = True
+    return found, interrupted, time.perf_counter() - began
+
+
+def print_json(rows: Mapping[str, list[Row]], *, as_list: bool) -> None:
+    """One object per paper; a list of them for all."""
+    papers = [
+        {
+            "paper": name,
+            "claims": [msgspec.to_builtins(row) | {"as_expected": row.as_expected} for row in some],
+        }
+        for name, some in rows.items()
+    ]
+    content = msgspec.json.encode(papers if as_list else papers[0])
+    sys.stdout.write(msgspec.json.format(content).decode() + "\n")
+
+
+def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
+    """A table for people."""
+    grid = Grid(title=f"{name}: {paper.title}", title_justify="left", title_style="bold",
+                show_lines=False, expand=True)  # fmt: skip
+    grid.add_column("where", ratio=2)
+    grid.add_column("claim", ratio=6)
+    grid.add_column("paper", justify="right", ratio=2)
+    grid.add_column("measured", justify="right", no_wrap=True)
+    grid.add_column("verdict", ratio=3)
+    for row in rows:
+        mark = "" if row.as_expected else f" (expected: {row.expected})"
+        grid.add_row(
+            Text(row.source), Text(row.claim), Text(claimed(row)), Text(measured(row)),
+            Text(row.outcome + mark, style=STYLES[row.outcome]),
+        )  # fmt: skip
+    Console(highlight=False).print(grid)
+
+
+def claimed(row: Row) -> str:
+    """What the paper says, with its unit."""
+    sign = {"at most": "<= ", "at least": ">= ", "equal": ""}[row.must]
+    if isinstance(row.paper, str):
+        return row.paper
+    return f"{sign}{row.paper:.6g} {row.unit}".strip()
+
+
+def measured(row: Row) -> str:
+    """What came out, with its unit."""
+    if row.measured is None:
+        return "-" if row.outcome == UNTESTABLE else "never"
+    return f"{row.measured:.4g} {row.unit}".strip()
+
+
+def say_how_it_went(
+    rows: Mapping[str, list[Row]], surprises: list[Row], missing: list[str], wall: float
+) -> None:
+    """A line on the counts, and one per surprise, beside the output."""
+    every = [row for some in rows.values() for row in some]
+    counts = ", ".join(f"{sum(row.outcome == kind for row in every)} {kind}" for kind in STYLES)
+    seeds = " (quick: fewer seeds, coarser steps)" if any(row.quick for row in every) else ""
+    errors.print(f"{len(every)} claims in {wall:.0f} s{seeds}: {counts}")
+    for row in surprises:
+        errors.print(
+            f"changed: {row.id}: expected \"{row.expected}\", found \"{row.outcome}\" "
+            f"({measured(row)}, claimed {claimed(row)})",
+            style="red", markup=False, soft_wrap=True,
+        )  # fmt: skip
+    if missing:
+        errors.print(
+            f"interrupted: {len(missing)} claims were not reached: {', '.join(missing)}",
+            style="yellow", markup=False, soft_wrap=True,
+        )  # fmt: skip
+
+
+def ready_for_plots(folder: Path) -> None:
+    """Find out before the runs whether there will be plots.
+
+    Raises:
+        ConfigError: there is nothing to draw with, or nowhere to put it.
+    """
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        what = "matplotlib: pip install 'airbearing-testbed[plots]'"
+        raise ConfigError("--plots", "", what, "it is not installed") from None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError("--plots", "", "a folder", f"{folder}: {error.strerror}") from None
+
+
+def draw_all(folder: Path, papers: Mapping[str, Paper], found: Results) -> None:
+    """One file per figure of each run."""
+    from testbed.reproduction.plot import draw
+
+    for done in found.made:
+        for figure in done.figures:
+            name = f"{done.paper} {done.run} {figure.name}".replace(" ", "_").replace(",", "")
+            draw(folder / f"{name}.png", f"{done.paper}, {done.run}", figure)
+    errors.print(f"plots: {folder}", markup=False, soft_wrap=True)

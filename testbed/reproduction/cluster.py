@@ -1,0 +1,187 @@
+"""gao2022: fifty satellites in ECI under J2 that take up formations.
+
+Measures, one value per seed; "at T" is for every time T of `times` [s] (whole seconds):
+
+    error_m at T        largest distance of a satellite from the formation (first order)
+    error_mean_m at T   mean of it
+    radius_m at T       mean distance from the centre in the plane
+    plane_m at T        largest distance from the plane
+    outer_m, inner_m, uniformity at T   of the five elements
+    inside, outside at T    how many are within, beyond a b r
+    formed_s            after which the mean distance to it stays below `formed_m`
+    spent_ms            velocity increment per axis, the most any satellite used up, in all
+    window_ms           the same, the most within any 10 s
+    inner_ever_m        nearest two ever come
+    overshoot_m         how far the mean radius went past its last value
+    switched_rank       only with two or more phases: of those who are outside in the last phase the
+                        share that was further out than the median before it began
+"""
+
+import math
+from typing import Literal
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from controllers.bifurcating import Phase
+from sim_twin.orbit.frames import NADIR
+from sim_twin.orbit.gravity import EARTH
+from sim_twin.orbit.kepler import Orbit
+from sim_twin.orbit.swarm import Flight, fly
+from testbed.core.vehicle import Positive
+from testbed.ops.characterisation import characterise
+from testbed.reproduction.figure import Figure
+from testbed.reproduction.kernel.cluster import (
+    ATTRACT,
+    INERTIAL,
+    RIGHT,
+    Cluster,
+    cluster,
+    in_metres,
+)
+from testbed.reproduction.targets import Measures, settled_after
+
+Array = NDArray[np.float64]
+
+COUNT, MASS = 50, 100.0  # section 3 [-], [kg]
+CENTRE = Orbit(a=EARTH.radius + 600e3, e=0.0002, i=math.radians(98.0))  # section 3.1
+WINDOW = 10.0  # [s]
+PRINTS = {"nothing": RIGHT, "13": ATTRACT, "10": INERTIAL}
+
+
+class Swarming(Struct, frozen=True, forbid_unknown_fields=True, tag="swarming"):
+    """A simulation of section 3; lengths of `phases` in km as in the paper."""
+
+    phases: tuple[Phase, ...]
+    newtons: Literal[1, 1000]  # the paper's unit of force
+    duration_s: Positive = 2000.0
+    sample_s: Positive = 10.0
+    times: tuple[int, ...] = (2000,)  # [s]
+    seeds: int = 3
+    quick_seeds: int = 1
+    airspace_m: Positive = 100.0  # radius of the ball of the start
+    formed_m: Positive = 25.0
+    uncorrected: Literal["nothing", "13", "10"] = "nothing"
+    corrections: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()
+
+
+def ball(radius: float, seed: int, count: int = COUNT) -> Array:
+    """Places in a ball, even at random, (count, 3) [m]."""
+    rng = np.random.default_rng([seed, 2022])
+    p = rng.normal(size=(count, 3))
+    return p * (
+        radius * (rng.uniform(size=count) ** (1.0 / 3.0) / np.linalg.norm(p, axis=1))[:, None]
+    )
+
+
+def control_of(run: Swarming) -> Cluster:
+    """The law in SI units."""
+    phases = tuple(in_metres(phase, run.newtons) for phase in run.phases)
+    control = cluster(phases, MASS, CENTRE.mean_motion)
+    speed = float(np.linalg.norm(CENTRE.eci()[1]))
+    return control._replace(speed=speed, as_printed=PRINTS[run.uncorrected])
+
+
+def fly_seed(run: Swarming, seed: int) -> Flight:
+    """From rest in a ball, relative to the centre."""
+    p = ball(run.airspace_m, seed)
+    times = np.arange(0.0, run.duration_s + 0.5 * run.sample_s, run.sample_s)
+    hub = np.concatenate(CENTRE.eci())
+    return fly(
+        control_of(run), hub, p, np.zeros_like(p), times, axes=NADIR, rtol=1e-8, atol=1e-3,
+    )  # fmt: skip
+
+
+def distance_to(phase: Phase, p: Array) -> Array:
+    """First-order distance to a formation given in km, p of shape (..., 3) [m]; shape (...) [m]."""
+    a, b, c = float(phase.a or 0.0), float(phase.b or 0.0), phase.c
+    r, mu = float(phase.r or 0.0), float(phase.mu or 0.0)
+    if c is None:
+        weight, level = np.array([b * b, 0.0, a * a]), 1e3 * a * b * r
+    else:
+        weight = np.array([(b * c) ** 2, (a * c) ** 2, (a * b) ** 2])
+        level = 1e3 * a * b * c * r
+    q = np.sqrt((weight * p**2).sum(axis=-1))
+    slope = np.sqrt((weight**2 * p**2).sum(axis=-1)) / np.maximum(q, 1e-9)
+    return np.abs(np.abs(q - level) - max(1e3 * mu, 0.0)) / np.maximum(slope, 1e-9)
+
+
+def level_of(phase: Phase, p: Array) -> Array:
+    """Q / (a b r) of a planar formation: 1 on the curve of size r."""
+    a, b, r = float(phase.a or 0.0), float(phase.b or 0.0), float(phase.r or 0.0)
+    q = np.hypot(b * p[..., 0], a * p[..., 2])
+    return q / (1e3 * a * b * r) if a * b * r > 0.0 else np.ones(p.shape[:-1])
+
+
+def snapshot(phase: Phase, p: Array, v: Array) -> dict[str, float]:
+    """What one instant shows."""
+    error, level = distance_to(phase, p), level_of(phase, p)
+    five = characterise(p, v)
+    return {
+        "error_m": float(error.max()),
+        "error_mean_m": float(error.mean()),
+        "radius_m": float(np.hypot(p[:, 0], p[:, 2]).mean()),
+        "plane_m": float(np.abs(p[:, 1]).max()),
+        "outer_m": five.outer,
+        "inner_m": five.inner or 0.0,
+        "uniformity": five.uniformity or 0.0,
+        "inside": float((level < 1.0).sum()),
+        "outside": float((level > 1.0).sum()),
+    }
+
+
+def measure(run: Swarming, f: Flight) -> dict[str, float | None]:
+    """What one flight shows."""
+    t: Array = run.sample_s * np.arange(len(f.p), dtype=float)
+    last = run.phases[-1]
+    since = t >= last.at
+    found: dict[str, float | None] = {}
+    for at in run.times:
+        k = round(at / run.sample_s)
+        phase = [phase for phase in run.phases if phase.at <= max(at - 1e-6, 0.0)][-1]
+        found |= {f"{n} at {at}": x for n, x in snapshot(phase, f.p[k], f.q[k]).items()}
+    off = distance_to(last, f.p).mean(axis=1) > run.formed_m
+    after = settled_after(t[since], off[since])
+    found["formed_s"] = None if after is None else after - last.at
+    found["spent_ms"] = float(f.spent[-1].max())
+    found["spent_mean_ms"] = float(f.spent[-1].mean())
+    w = max(1, round(WINDOW / run.sample_s))
+    found["window_ms"] = float((f.spent[w:] - f.spent[:-w]).max())
+    radius = np.hypot(f.p[:, :, 0], f.p[:, :, 2]).mean(axis=1)
+    found["overshoot_m"] = float(radius[since].max() - radius[-1])
+    found["inner_ever_m"] = min(_inner(p) for p in f.p)
+    if len(run.phases) > 1:
+        k = int(np.flatnonzero(since)[0])
+        before = level_of(last, f.p[k])
+        out = level_of(last, f.p[-1]) > 1.0
+        found["switched_rank"] = (
+            float((before[out] > np.median(before)).mean()) if out.any() and not out.all() else None
+        )
+    return found
+
+
+def _inner(p: Array) -> float:
+    return characterise(p).inner or 0.0
+
+
+def run_swarming(run: Swarming, *, quick: bool) -> tuple[Measures, list[Figure]]:
+    """Fly all seeds; a swarm that the integrator cannot follow measures nothing."""
+    seeds = run.quick_seeds if quick else run.seeds
+    flights = [fly_seed(run, seed) for seed in range(seeds)]
+    rows = [measure(run, f) for f in flights]
+    return {name: [row[name] for row in rows] for name in rows[0]}, figures(run, flights[0])
+
+
+def figures(run: Swarming, f: Flight) -> list[Figure]:
+    """Where they went, and how even they are."""
+    t: Array = run.sample_s * np.arange(len(f.p), dtype=float)
+    ways = {f"{i + 1}": (f.p[:, i, 0] / 1e3, f.p[:, i, 2] / 1e3) for i in range(f.p.shape[1])}
+    even = np.array([characterise(p).uniformity or 0.0 for p in f.p])
+    spent = {axis: (t, f.spent[:, :, k].max(axis=1)) for k, axis in enumerate(("x", "y", "z"))}
+    return [
+        Figure("relative motion", "x [km]", "z [km]", ways, dots=True),
+        Figure("distribution uniformity", "time [s]", "L", {"L": (t, even)}),
+        Figure("velocity increment, the most of all", "time [s]", "[m/s]", spent),
+    ]

@@ -1,0 +1,79 @@
+r"""gao2022's law for a whole cluster at once, as `sim_twin.orbit.swarm` flies it.
+
+The same field and the same repulsion as `controllers.bifurcating`; only that each pair is looked at
+once and not twice. Drift is that of Clohessy and Wiltshire, as in the paper, and the axes are its:
+x forward, y against the normal, z down.
+
+    as_printed    what of the print is left uncorrected, to see what comes of it
+    RIGHT         nothing
+    ATTRACT       Eq. (13) with its sign
+    INERTIAL      Eq. (10) with the velocity in ECI, of which the centre's is most
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.bifurcating import BifurcatingParams, Gains, Phase, bifurcating, formation_force
+from controllers.repulsion import pairs
+from sim_twin.orbit.clohessy_wiltshire import drift_all
+from sim_twin.orbit.system import compiled_control
+
+Array = NDArray[np.float64]
+
+RIGHT, ATTRACT, INERTIAL = 0, 1, 2
+
+
+class Cluster(NamedTuple):
+    """The law and what it needs to know of the satellites."""
+
+    gains: Gains
+    mass: float  # of each [kg]
+    w: float  # mean motion of the centre [rad/s]
+    speed: float  # of the centre in ECI [m/s]
+    as_printed: int
+
+
+@compiled_control(Cluster)
+def cluster_control(control, t, p, v, u):
+    """Accelerations asked of n satellites, (n, 3)."""
+    g, k = control.gains, 0
+    while k + 1 < g.at.shape[0] and g.at[k + 1] <= t:
+        k += 1
+    drift = np.empty_like(p)
+    drift_all(control.w, p, v, drift)
+    pairs(g.k_c[k], g.s[k], p, u)  # Eqs. (13), (14)
+    if control.as_printed == ATTRACT:
+        u *= -1.0
+    lead = control.speed if control.as_printed == INERTIAL else 0.0
+    for i in range(p.shape[0]):
+        force = formation_force(g, k, p[i])  # Eq. (23), (26)
+        for a in range(3):
+            speed = v[i, a] + (lead if a == 0 else 0.0)
+            force[a] += u[i, a] - g.k_v[k] * speed  # Eq. (10)
+            u[i, a] = force[a] / control.mass - drift[i, a]
+
+
+def cluster(phases: tuple[Phase, ...], mass: float, w: float) -> Cluster:
+    """The control for formations in SI units."""
+    law = bifurcating(BifurcatingParams(phases=phases, centre=(0.0, 0.0, 0.0)), 3)
+    return Cluster(law.gains, mass, w, 0.0, RIGHT)  # type: ignore[attr-defined]
+
+
+def in_metres(phase: Phase, newtons: float) -> Phase:
+    """A phase of the paper, in km, kg and s, in SI units.
+
+    Args:
+        phase: as printed; `at` is in seconds already.
+        newtons: what the paper's unit of force is: 1000 if it is coherent, 1 if it is newton.
+    """
+    length = {n: None if (x := getattr(phase, n)) is None else 1e3 * x for n in _LENGTHS}
+    return Phase(
+        at=phase.at, a=phase.a, b=phase.b, c=phase.c,
+        k_f=newtons * 1e-6 * (phase.k_f or 0.0), k_v=newtons * 1e-3 * (phase.k_v or 0.0),
+        k_c=newtons * 1e-3 * (phase.k_c or 0.0), **length,
+    )  # fmt: skip
+
+
+_LENGTHS = ("r", "mu", "sigma", "s")

@@ -1,0 +1,93 @@
+"""The shipped papers: find one, read it.
+
+A run may be `like` another one of the file: it has all of that run's keys, and its own on top.
+"""
+
+from collections.abc import Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from testbed.config import SHIPPED, ConfigError, read_toml
+from testbed.config.key import spell
+from testbed.config.misfit import first_misfit
+from testbed.config.mistake import did_you_mean
+from testbed.reproduction.claim import Paper
+
+PAPERS = SHIPPED / "papers"
+EVERY = "all"
+
+
+def keys() -> list[str]:
+    """Of all papers."""
+    return sorted(path.stem for path in PAPERS.glob("*.toml"))
+
+
+def chosen(key: str) -> list[str]:
+    """The papers that `key` means.
+
+    Raises:
+        ConfigError: none.
+    """
+    known = keys()
+    if key == EVERY:
+        return known
+    if key not in known:
+        expected = f"one of: {', '.join([*known, EVERY])}"
+        raise ConfigError("command line", "", expected, key + did_you_mean(key, known))
+    return [key]
+
+
+def read_paper(path: Path) -> Paper:
+    """A paper's file.
+
+    Raises:
+        ConfigError: something in it is wrong.
+    """
+    tree = read_toml(path)
+    try:
+        complete_runs(tree.get("runs"))
+    except ValueError as error:
+        raise ConfigError(str(path), "runs", "a run to be like", str(error)) from None
+    try:
+        return msgspec.convert(tree, Paper)
+    except msgspec.ValidationError:
+        mistake = first_misfit(tree, Paper)
+        raise ConfigError(str(path), spell(mistake.key), mistake.expected, mistake.found) from None
+
+
+def complete_runs(runs: Any) -> None:
+    """Fill in, in place, what runs take from others.
+
+    Raises:
+        ValueError: there is no such run.
+    """
+    if not isinstance(runs, dict):
+        return
+    for name, run in runs.items():
+        chain = [name]
+        while isinstance(run, dict) and "like" in run:
+            model = run.pop("like")
+            if model not in runs or model in chain:
+                raise ValueError(f"{chain[-1]} is like {model}")
+            chain.append(model)
+            run = merged(runs[model], run)
+        runs[name] = run
+
+
+def merged(under: Any, over: Any) -> Any:
+    """Tables are put together, everything else of `over` replaces what is under it."""
+    if not (isinstance(under, dict) and isinstance(over, dict)):
+        return deepcopy(over)
+    names = dict.fromkeys([*under, *over])
+    return {
+        name: merged(under.get(name), over[name]) if name in over else deepcopy(under[name])
+        for name in names
+    }
+
+
+def read_papers(names: Sequence[str]) -> dict[str, Paper]:
+    """Papers by key."""
+    return {name: read_paper(PAPERS / f"{name}.toml") for name in names}

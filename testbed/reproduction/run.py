@@ -1,0 +1,31 @@
+"""Every kind of run that a paper's file can ask for, and who makes it."""
+
+from testbed.reproduction.centre import Centre, run_centre
+from testbed.reproduction.cluster import Swarming, run_swarming
+from testbed.reproduction.figure import Figure
+from testbed.reproduction.layout import Layouts, run_layouts
+from testbed.reproduction.refusal import Refusal, run_refusal
+from testbed.reproduction.table import Table, run_table
+from testbed.reproduction.targets import Measures, Targets, run_targets
+from testbed.reproduction.together import Together, run_together
+
+Run = Targets | Together | Swarming | Layouts | Centre | Table | Refusal
+
+
+def execute(run: Run, *, quick: bool) -> tuple[Measures, list[Figure]]:
+    """Make a run: what it measures, one value per seed, and its figures."""
+    match run:
+        case Targets():
+            return run_targets(run, quick=quick)
+        case Together():
+            return run_together(run, quick=quick)
+        case Swarming():
+            return run_swarming(run, quick=quick)
+        case Layouts():
+            return run_layouts(run, quick=quick)
+        case Centre():
+            return run_centre(run, quick=quick)
+        case Table():
+            return run_table(run, quick=quick)
+        case Refusal():
+            return run_refusal(run, quick=quick)

@@ -1,0 +1,79 @@
+"""A paper's experiment on the table, on the twin: the whole chain, seed after seed.
+
+Measures are the worst vehicle's, one value per seed: those of `testbed.ops.metrics.VehicleMetrics`,
+and `contacts`, `fault` (1 if there was one), `vehicles_m` (nearest two).
+"""
+
+from msgspec import Struct
+
+from testbed.config import find, load
+from testbed.core.types import HostTick, Outputs, Tick
+from testbed.ops.metrics import VehicleMetrics, aim, smallest_separation, vehicle_metrics
+from testbed.reproduction.figure import Figure
+from testbed.reproduction.targets import Measures
+from testbed.rig import make_twin
+
+SMALLEST = ("min_obstacle_distance_m",)  # the worst is the smallest
+
+
+class Table(Struct, frozen=True, forbid_unknown_fields=True, tag="table"):
+    """An experiment and what is changed in it."""
+
+    experiment: str
+    overrides: tuple[str, ...] = ()
+    seeds: int = 3
+    quick_seeds: int = 1
+    corrections: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()
+
+
+class Listener:
+    """Observer that keeps the outputs."""
+
+    def __init__(self, names: list[str]) -> None:
+        self.outputs: dict[str, list[Outputs]] = {name: [] for name in names}
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+        self.outputs[name].append(tick.outputs)
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
+
+
+def fly_seed(run: Table, seed: int) -> tuple[dict[str, float | None], list[Figure]]:
+    """One flight: its measures, and where the vehicles went."""
+    experiment = load(find(run.experiment), [*run.overrides, f"seed={seed}"])
+    rig, listener = make_twin(experiment), Listener(list(experiment.vehicles))
+    ending = rig.fly(listener)
+    track = rig.track()
+    judged = [
+        vehicle_metrics(
+            track, k, setup.goal, aim(listener.outputs[name]), rig.spent(name),
+            experiment.obstacles,
+        )
+        for k, (name, setup) in enumerate(experiment.vehicles.items())
+    ]  # fmt: skip
+    found: dict[str, float | None] = {}
+    for what in VehicleMetrics.__struct_fields__:
+        values = [getattr(one, what) for one in judged]
+        known = [float(value) for value in values if value is not None]
+        pick = min if what in SMALLEST else max
+        found[what] = pick(known) if len(known) == len(values) else None
+    found["contacts"] = float(len(rig.twin.plant.touches))
+    found["fault"] = float(ending.fault is not None)
+    found["vehicles_m"] = smallest_separation(track)
+    ways = {
+        name: (track.states[::10, k, 0], track.states[::10, k, 1])
+        for k, name in enumerate(experiment.vehicles)
+    }
+    return found, [Figure("obstacle avoidance trajectory", "x [m]", "y [m]", ways, dots=True)]
+
+
+def run_table(run: Table, *, quick: bool) -> tuple[Measures, list[Figure]]:
+    """Fly all seeds."""
+    flown = [fly_seed(run, seed) for seed in range(run.quick_seeds if quick else run.seeds)]
+    return {name: [found[name] for found, _ in flown] for name in flown[0][0]}, flown[0][1]

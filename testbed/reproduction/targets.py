@@ -1,0 +1,128 @@
+"""zhang2023 in space: each satellite goes to a place of its own, round obstacles of its own."""
+
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from controllers.catalogue import Controller
+from testbed.core.vehicle import Positive
+from testbed.reproduction.compiled_law import gains_of
+from testbed.reproduction.figure import Figure, thinned
+from testbed.reproduction.kernel.fleet import Flight, fly
+from testbed.reproduction.scene import STILL, OrbitParams, Rocks, Vector, WaveParams, place
+
+Array = NDArray[np.float64]
+Measures = dict[str, list[float | None]]
+
+SETTLED = 0.1  # "reached": closer than this for good [m]
+REST = 100.0  # of the end of a run count as steady [s]
+BUSY = 3e-3  # control that more than cancels disturbance and orbit [m/s^2]
+NEAR = 75.0  # "close to the obstacle": half as far again as its danger radius [m]
+
+
+class Satellite(Struct, frozen=True, forbid_unknown_fields=True):
+    """Table 1."""
+
+    start: Vector  # [m]
+    goal: Vector  # [m]
+    obstacles: tuple[Vector, ...] = ()  # [m]
+
+
+class Targets(Struct, frozen=True, forbid_unknown_fields=True, tag="targets"):
+    """A simulation of section 4."""
+
+    controller: Controller
+    satellites: dict[str, Satellite]
+    radius: Positive  # of the danger areas [m]
+    orbit: OrbitParams
+    duration_s: Positive
+    step_s: Positive
+    quick_step_s: Positive
+    disturbance: WaveParams = STILL  # [m/s^2]
+    mass: Positive = 1.0  # [kg]
+    corrections: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()
+
+
+def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
+    """One satellite; the others do not matter to it."""
+    law = gains_of(run.controller, ["sat"], 3)
+    rocks = Rocks(satellite.obstacles, run.radius)
+    where = place(run.orbit, satellite.goal, rocks=rocks, push=run.disturbance, told_rate=True)
+    steps = round(run.duration_s / step)
+    every = max(1, round(0.5 / step))
+    start = np.array([satellite.start])
+    return fly(
+        law, where, np.array([run.mass]), start, np.zeros_like(start),
+        step=step, steps=steps - steps % every, every=every,
+    )  # fmt: skip
+
+
+def settled_after(t: Array, off: NDArray[Any]) -> float | None:
+    """First time after which nothing is `off`; null if the end is."""
+    late = np.flatnonzero(off)
+    if len(late) == 0:
+        return float(t[0])
+    return float(t[late[-1] + 1]) if late[-1] + 1 < len(t) else None
+
+
+def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str, float | None]:
+    """What one flight shows."""
+    t, p = flight.t, flight.p[:, 0]
+    error = np.linalg.norm(p - np.array(satellite.goal), axis=1)
+    u = flight.wanted[:, 0] / run.mass
+    found: dict[str, float | None] = {
+        "settle_s": settled_after(t, error > SETTLED),
+        "steady_error_m": float(error[t > t[-1] - REST].max()),
+        "final_error_m": float(error[-1]),
+        "moved_m": float(np.linalg.norm(p[-1] - p[0])),
+        "peak_control": float(flight.peak.max() / run.mass),
+        "control_s": settled_after(t, np.abs(u).max(axis=1) > BUSY),
+        "vibration": float(flight.travel.sum() / run.mass),
+    }
+    gaps = [np.linalg.norm(p - np.array(rock), axis=1) for rock in satellite.obstacles]
+    for k, gap in enumerate(gaps, 1):
+        found[f"obstacle{k}_m"] = float(gap.min())
+    if gaps:
+        nearest = np.min(gaps, axis=0)
+        size = np.abs(u).max(axis=1)
+        found["obstacles_m"] = float(nearest.min())
+        near = float(size[nearest < NEAR].max(initial=0.0))
+        far = float(size[nearest >= NEAR].max(initial=0.0))
+        found |= {"near_control": near, "far_control": far, "near_to_far": near / far}
+    return found
+
+
+def run_targets(run: Targets, *, quick: bool) -> tuple[Measures, list[Figure]]:
+    """Fly all satellites; measures are called "sat1 settle_s" and so on."""
+    step = run.quick_step_s if quick else run.step_s
+    measures: Measures = {}
+    curves: dict[str, dict[str, tuple[Array, Array]]] = {"d": {}, "e": {}, "u": {}, "xy": {}}
+    ends = []
+    for name, satellite in run.satellites.items():
+        flight = fly_one(run, satellite, step)
+        for what, value in measure_one(run, satellite, flight).items():
+            measures[f"{name} {what}"] = [value]
+        ends.append(flight.p[-1, 0])
+        t, p = thinned(flight.t), thinned(flight.p[:, 0])
+        for k, rock in enumerate(satellite.obstacles, 1):
+            gap = np.linalg.norm(p - np.array(rock), axis=1)
+            curves["d"][f"{name}, obstacle {k}"] = (t, gap)
+        curves["xy"][name] = (p[:, 0], p[:, 1])
+        for k, axis in enumerate("xyz"):
+            curves["e"][f"{name} {axis}"] = (t, p[:, k] - satellite.goal[k])
+            curves["u"][f"{name} {axis}"] = (t, thinned(flight.wanted[:, 0, k]) / run.mass)
+    sides = [np.linalg.norm(a - b) for i, a in enumerate(ends) for b in ends[:i]]
+    if sides:
+        measures["triangle_side_min_m"] = [float(min(sides))]
+        measures["triangle_side_max_m"] = [float(max(sides))]
+    radius = run.orbit.a_km * (1.0 - run.orbit.e)
+    measures["perigee_km"] = [radius]
+    return measures, [
+        Figure("trajectory", "x [m]", "y [m]", curves["xy"], dots=True),
+        Figure("distance to the obstacles", "time [s]", "distance [m]", curves["d"]),
+        Figure("relative position error", "time [s]", "error [m]", curves["e"]),
+        Figure("controller output", "time [s]", "u [m/s^2]", curves["u"]),
+    ]

@@ -1,0 +1,333 @@
+"""xue2021, xue2022, xue2024: a few satellites that must not lose each other, in orbit.
+
+Measures of a run, where "i-j" is a pair of names and `leader` may be one of them:
+
+    final i-j, longest i-j, shortest i-j    distance [m]
+    edges_off_m                             largest gap between an edge and its desired length, end
+    edges_settle_s                          after which all edges stay within `settle_m` of it
+    edges_longest_m, closest_m              over the run; any pair, the leader's included
+    obstacle_m                              nearest anybody comes to an obstacle's centre
+    lost_edges                              edges of the start that were out of range or given up
+    force_n, raw_n                          largest on any axis; raw: before the thruster's bound
+    speed_end                               largest |v - v_leader| in the last hundredth [m/s]
+    proxy_m, proxy_end_m, proxy_speed_end   satellite against its proxy
+    v0, phi_min, pq, height_needed_m        the certificate; eps/2 with which phi_min = P Q [J, m]
+    v_rise, v_end                           largest rise of V between samples; V at the end / V(0)
+    concern <name>                          1 if the certificate raises it, else 0
+"""
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from controllers import certificate as proof
+from controllers.bounded_formation import BoundedFormationParams
+from controllers.bounded_leader import BoundedLeaderParams
+from controllers.bounded_leader_varying import BoundedLeaderVaryingParams
+from controllers.catalogue import Controller
+from controllers.connectivity_static import ConnectivityStaticParams
+from controllers.formation_potential import FormationPotential
+from controllers.graph import Formation, pinned, smallest_eigenvalue
+from controllers.log_potential import log_potential, repulsion
+from controllers.proxy import Coupling
+from testbed.core.law import CompiledLaw
+from testbed.core.vehicle import NonNegative, Positive
+from testbed.reproduction.compiled_law import gains_of
+from testbed.reproduction.figure import Figure, thinned
+from testbed.reproduction.kernel.fleet import Flight, Place, fly, goal_at, wave_at, wave_integral
+from testbed.reproduction.scene import NO_ROCKS, Leader, OrbitParams, Rocks, Vector, place
+from testbed.reproduction.targets import Measures, settled_after
+
+Array = NDArray[np.float64]
+
+SAMPLES = 2000  # of a run that are kept
+END = 0.01  # of a run counts as its end
+KINDS = (
+    "edge-outside-potential", "start-energy", "barrier-height", "limit-beyond-thrust",
+    "alpha-too-small", "beta-too-small", "boundary-layer", "lock-in",
+)  # fmt: skip
+
+Bounded = BoundedFormationParams | BoundedLeaderParams | BoundedLeaderVaryingParams
+
+
+class Together(Struct, frozen=True, forbid_unknown_fields=True, tag="together"):
+    """A simulation of one of the three papers."""
+
+    controller: Controller
+    orbit: OrbitParams
+    mass: tuple[Positive, ...]  # [kg]
+    start: tuple[Vector, ...]  # [m]
+    duration_s: Positive
+    step_s: Positive
+    quick_step_s: Positive
+    velocity: tuple[Vector, ...] | None = None  # null: at rest [m/s]
+    leader: Leader | None = None
+    obstacles: Rocks = NO_ROCKS
+    max_axis_n: Positive = 1e9  # of the thrusters
+    settle_m: Positive = 1.0
+    literal_graph: tuple[NonNegative, Positive] | None = None  # an edge only inside [m]
+    told_sign: float = 1.0  # of g in the feed-forward; -1: as printed
+    told_coriolis: bool = True
+    corrections: tuple[str, ...] = ()
+    assumptions: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """The paper's numbers."""
+        return [str(k + 1) for k in range(len(self.mass))]
+
+
+class Tracks(Struct, frozen=True):
+    """A flight with its leader as the last satellite."""
+
+    t: Array
+    p: Array  # (m, n + 1, 3)
+    v: Array
+    edge: Array  # (m, n + 1, n + 1)
+
+
+def formation_of(controller: Controller, law: CompiledLaw) -> tuple[Formation, int]:
+    """Who is tied to whom, and where in the law's state a_ij begins, if it has them."""
+    gains: Any = law.gains
+    if isinstance(controller, Bounded):
+        return gains.coupling.formation, 6
+    return gains.potential.formation, 1
+
+
+def scene_of(run: Together, edges_at: int) -> Place:
+    """Where it flies."""
+    near, far = run.literal_graph or (0.0, 0.0)
+    leader = run.leader
+    return place(
+        run.orbit,
+        leader.start if leader else (0.0, 0.0, 0.0),
+        leader.velocity if leader else NO_ROCKS.velocity,
+        run.obstacles,
+        told_sign=run.told_sign, told_coriolis=float(run.told_coriolis),
+        near=near, far=far, edges_at=edges_at, max_axis=run.max_axis_n,
+    )  # fmt: skip
+
+
+def tracks_of(run: Together, where: Place, shape: Formation, edges_at: int, f: Flight) -> Tracks:
+    """Positions and edges, the leader last; a law without a_ij has those of the start."""
+    goals = [goal_at(where, t) for t in f.t]
+    p = np.concatenate([f.p, np.array([g.p for g in goals])[:, None]], axis=1)
+    v = np.concatenate([f.v, np.array([g.v for g in goals])[:, None]], axis=1)
+    n = len(run.mass)
+    edge = np.zeros((len(f.t), n + 1, n + 1))
+    if f.z.shape[2] >= edges_at + n + 1:
+        edge[:, :n] = f.z[:, :, edges_at : edges_at + n + 1]
+        edge[:, n, :n] = edge[:, :n, n]
+    else:
+        edge[:] = shape.first
+    return Tracks(f.t, p, v, edge)
+
+
+def distances(run: Together, shape: Formation, track: Tracks) -> Measures:
+    """What the distances show."""
+    names = [*run.names, "leader"]
+    found: Measures = {}
+    last = track.t >= (1.0 - END) * track.t[-1]
+    off, longest, lost = np.zeros(len(track.t)), [], 0
+    closest = []
+    for i, j in combinations(range(len(names) if run.leader else len(names) - 1), 2):
+        gap = np.linalg.norm(track.p[:, i] - track.p[:, j], axis=1)
+        pair = f"{names[i]}-{names[j]}"
+        found[f"final {pair}"] = [float(gap[last].mean())]
+        found[f"longest {pair}"] = [float(gap.max())]
+        found[f"shortest {pair}"] = [float(gap.min())]
+        closest.append(gap.min())
+        if shape.first[i, j] > 0.0:
+            off = np.maximum(off, np.abs(gap - shape.desired[i, j]))
+            longest.append(gap.max())
+            lost += bool(gap.max() >= shape.range or (track.edge[:, i, j] < 0.5).any())
+    found["edges_off_m"] = [float(off[last].max())]
+    found["edges_settle_s"] = [settled_after(track.t, off > run.settle_m)]
+    found["edges_longest_m"] = [float(max(longest))]
+    found["closest_m"] = [float(min(closest))]
+    found["lost_edges"] = [float(lost)]
+    return found
+
+
+def obstacles(where: Place, track: Tracks) -> Measures:
+    """How near they come."""
+    gaps = []
+    for k, t in enumerate(track.t):
+        way = wave_integral(where.rocks_v, t)
+        gaps += [np.linalg.norm(track.p[k, :-1] - rock - way, axis=1) for rock in where.rocks]
+    return {"obstacle_m": [float(np.min(gaps))]} if gaps else {}
+
+
+def efforts(run: Together, track: Tracks, f: Flight) -> Measures:
+    """Forces and velocities."""
+    last = track.t >= (1.0 - END) * track.t[-1]
+    relative = track.v[:, :-1] - (track.v[:, -1:] if run.leader else 0.0)
+    clipped = np.minimum(f.peak, run.max_axis_n)
+    return {
+        "raw_n": [float(f.peak.max())],
+        "force_n": [float(clipped.max())],
+        "speed_end": [float(np.linalg.norm(relative[last], axis=2).max())],
+        "speed_axis_end": [float(np.abs(relative[last]).max())],
+    }
+
+
+def proxies(track: Tracks, f: Flight) -> Measures:
+    """Satellite against proxy."""
+    last = track.t >= (1.0 - END) * track.t[-1]
+    gap = np.linalg.norm(f.p - f.z[:, :, :3], axis=2)
+    slip = np.linalg.norm(f.v - f.z[:, :, 3:6], axis=2)
+    return {
+        "proxy_m": [float(gap.max())],
+        "proxy_end_m": [float(gap[last].max())],
+        "proxy_speed_end": [float(slip[last].max())],
+    }
+
+
+def energies(run: Together, c: Coupling, track: Tracks, f: Flight) -> Array:
+    """V over a flight, with the edges of the moment."""
+    mass, still = np.array(run.mass), np.zeros(3)
+    led = run.leader is not None
+    return np.array(
+        [
+            proof.energy(
+                c,
+                proof.Fleet(
+                    mass,
+                    f.p[k],
+                    f.v[k],
+                    f.z[k, :, :3],
+                    f.z[k, :, 3:6],
+                    track.p[k, -1] if led else still,
+                    track.v[k, -1] if led else still,
+                ),
+                track.edge[k],
+            )
+            for k in range(len(f.t))
+        ]
+    )
+
+
+def certificates(run: Together, law: CompiledLaw, params: Bounded) -> Measures:
+    """What the proof asks for."""
+    gains: Any = law.gains
+    c: Coupling = gains.coupling
+    mass, p = np.array(run.mass), np.array(run.start)
+    v = np.zeros_like(p) if run.velocity is None else np.array(run.velocity)
+    leader = run.leader
+    at = np.array(leader.start) if leader else np.zeros(3)
+    moving = wave_at(leader.velocity.wave(), 0.0) if leader else np.zeros(3)
+    fleet = proof.starting(mass, p, v, at, moving)
+    # the papers' thrusters have their bound on each axis
+    concerns = proof.certificate(c, fleet, run.max_axis_n * np.sqrt(3.0))
+    least, height = proof.least_spring_energy(c), c.weight * c.potential.height
+    corner = c.limit / c.spring
+    found: Measures = {
+        "v0": [proof.energy(c, fleet, c.formation.first)],
+        "phi_min": [least],
+        "pq": [height],
+        "height_needed_m": [height / c.limit + 0.5 * corner],
+        "kinetic0": [proof.energy(c, fleet, np.zeros_like(c.formation.first))],
+    }
+    if isinstance(params, BoundedLeaderVaryingParams) and leader:
+        accel = leader.top_accel
+        concerns += proof.sgn_certificate(c, params.alpha, params.beta, params.layer, mass, accel)
+        root = np.sqrt(smallest_eigenvalue(pinned(c.formation.first)))
+        gamma = np.sqrt(len(mass)) * accel
+        found["alpha_min"], found["beta_min"] = [c.mass * gamma / root], [mass.max() * gamma / root]
+        found["mass_max"] = [params.beta * root / gamma]
+    raised = {concern.name for concern in concerns}
+    return found | {f"concern {kind}": [float(kind in raised)] for kind in KINDS}
+
+
+def static_energy(run: Together, law: CompiledLaw, track: Tracks, f: Flight) -> Array:
+    """V_1 of xue2021, Eq. (10), over a flight; a pair out of range has psi^d's level."""
+    gains: Any = law.gains
+    u: FormationPotential = gains.potential
+    mass, total = np.array(run.mass), np.zeros(len(f.t))
+    x: Any
+    for k in range(len(f.t)):
+        total[k] = 0.5 * mass @ (f.v[k] ** 2).sum(axis=1)
+        total[k] += 0.5 / gains.alpha * ((mass - f.z[k, :, 0]) ** 2).sum()
+        for i, j in combinations(range(len(mass)), 2):
+            x = np.linalg.norm(f.p[k, i] - f.p[k, j])
+            x = x if track.edge[k, i, j] > 0.5 else u.single.range
+            held = bool(u.formation.first[i, j] > 0.5)
+            total[k] += u.pairs * log_potential(u.single, x, u.formation.desired[i, j], held)[0]
+        for rock in run.obstacles.start:
+            for p in f.p[k]:
+                x, safe = np.linalg.norm(p - np.array(rock)), run.obstacles.radius
+                total[k] += u.obstacles * repulsion(u.single, x, safe + u.band, safe)[0]
+    return total
+
+
+def rises(v: Array) -> Measures:
+    """Whether V falls."""
+    return {
+        "v_rise": [float(np.diff(v).max(initial=0.0))],
+        "v_rise_total": [float(np.maximum(np.diff(v), 0.0).sum())],
+        "v_start": [float(v[0])],
+        "v_end": [float(v[-1] / v[0])],
+    }
+
+
+def run_together(run: Together, *, quick: bool) -> tuple[Measures, list[Figure]]:
+    """Fly and measure."""
+    law = gains_of(run.controller, run.names, 3)
+    shape, edges_at = formation_of(run.controller, law)
+    where = scene_of(run, edges_at)
+    step = run.quick_step_s if quick else run.step_s
+    steps = round(run.duration_s / step)
+    every = max(1, steps // SAMPLES)
+    start = np.array(run.start)
+    v = np.zeros_like(start) if run.velocity is None else np.array(run.velocity)
+    f = fly(
+        law, where, np.array(run.mass), start, v,
+        step=step, steps=steps - steps % every, every=every,
+    )  # fmt: skip
+    track = tracks_of(run, where, shape, edges_at, f)
+    found = distances(run, shape, track) | obstacles(where, track) | efforts(run, track, f)
+    if isinstance(run.controller, Bounded):
+        found |= proxies(track, f) | certificates(run, law, run.controller)
+        gains: Any = law.gains
+        found |= rises(energies(run, gains.coupling, track, f))
+    if isinstance(run.controller, ConnectivityStaticParams):
+        found |= rises(static_energy(run, law, track, f))
+    return found, figures(run, track, f)
+
+
+def figures(run: Together, track: Tracks, f: Flight) -> list[Figure]:
+    """Distances, velocities, forces."""
+    names = [*run.names, "leader"] if run.leader else run.names
+    t = thinned(track.t)
+    gaps = {
+        f"{names[i]}-{names[j]}": (
+            t, thinned(np.linalg.norm(track.p[:, i] - track.p[:, j], axis=1)),
+        )
+        for i, j in combinations(range(len(names)), 2)
+    }  # fmt: skip
+    speeds = {
+        f"{name} {axis}": (t, thinned(f.v[:, k, d]))
+        for k, name in enumerate(run.names)
+        for d, axis in enumerate("xyz")
+    }
+    clipped = np.clip(f.wanted, -run.max_axis_n, run.max_axis_n)
+    forces = {
+        f"{name} {axis}": (t, thinned(clipped[:, k, d]))
+        for k, name in enumerate(run.names)
+        for d, axis in enumerate("xyz")
+    }
+    found = [
+        Figure("distances between the spacecraft", "time [s]", "distance [m]", gaps),
+        Figure("velocities", "time [s]", "velocity [m/s]", speeds),
+        Figure("control forces", "time [s]", "force [N]", forces),
+    ]
+    if isinstance(run.controller, Bounded):
+        slack = {
+            name: (t, thinned(np.linalg.norm(f.p[:, k] - f.z[:, k, :3], axis=1)))
+            for k, name in enumerate(run.names)
+        }
+        found.append(Figure("distances to the proxies", "time [s]", "distance [m]", slack))
+    return found
