@@ -13,9 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 FIRMWARE = Path(__file__).with_name("firmware")
-CORE = tuple(
-    FIRMWARE / "core" / f"{name}.c" for name in ("abt_frame", "abt_valves", "abt_firmware")
-)
+CORE = tuple(sorted((FIRMWARE / "core").glob("*.c")))
 WARNINGS = (
     *("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"),
     f"-I{FIRMWARE / 'core'}",

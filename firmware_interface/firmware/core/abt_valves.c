@@ -1,10 +1,5 @@
 #include "abt_valves.h"
 
-static uint8_t bit(unsigned valve)
-{
-    return (uint8_t)(1u << valve);
-}
-
 static uint32_t later(uint32_t a_us, uint32_t b_us)
 {
     return abt_reached(a_us, b_us) ? a_us : b_us;
@@ -13,76 +8,6 @@ static uint32_t later(uint32_t a_us, uint32_t b_us)
 static uint32_t sooner(uint32_t a_us, uint32_t b_us)
 {
     return abt_reached(a_us, b_us) ? b_us : a_us;
-}
-
-/* ---- Limits ------------------------------------------------------------------------------- */
-
-static bool opposing_symmetric(const abt_config *config)
-{
-    const unsigned all = (1u << config->valve_count) - 1u;
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        const uint8_t against = config->opposing[i];
-        if ((against & bit(i)) || (against & ~all) || (i >= config->valve_count && against)) {
-            return false;
-        }
-        for (unsigned j = 0; j < ABT_VALVES; j++) {
-            if ((against & bit(j)) && !(config->opposing[j] & bit(i))) {
-                return false;
-            }
-        }
-    }
-    return true;
-}
-
-bool abt_config_valid(const abt_config *config)
-{
-    return abt_config_in_range(config) && config->max_on_us >= config->min_on_us &&
-           config->duty_budget_us >= config->min_on_us &&
-           config->duty_budget_us <= config->duty_window_us &&
-           config->duty_window_us % ABT_DUTY_SLOTS == 0 && opposing_symmetric(config);
-}
-
-/* Whether two pulses overlap, or follow each other within the dead time. */
-static bool too_close(const abt_config *config, const abt_cmd *cmd, unsigned i, unsigned j)
-{
-    const uint32_t i_free_us = cmd->offset_us[i] + cmd->on_us[i] + config->dead_us;
-    const uint32_t j_free_us = cmd->offset_us[j] + cmd->on_us[j] + config->dead_us;
-    return cmd->on_us[i] > 0 && cmd->on_us[j] > 0 && cmd->offset_us[i] < j_free_us &&
-           cmd->offset_us[j] < i_free_us;
-}
-
-static bool opposing_apart(const abt_config *config, const abt_cmd *cmd)
-{
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        for (unsigned j = i + 1u; j < ABT_VALVES; j++) {
-            if ((config->opposing[i] & bit(j)) && too_close(config, cmd, i, j)) {
-                return false;
-            }
-        }
-    }
-    return true;
-}
-
-abt_result abt_cmd_check(const abt_config *config, const abt_cmd *cmd)
-{
-    if (!abt_cmd_in_range(cmd)) {
-        return ABT_RESULT_OUT_OF_RANGE;
-    }
-    if (cmd->ttl_us > config->max_ttl_us) {
-        return ABT_RESULT_TTL_TOO_LONG;
-    }
-    if (cmd->age_us >= cmd->ttl_us) {
-        return ABT_RESULT_EXPIRED;
-    }
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        if (i >= config->valve_count && cmd->on_us[i] > 0) {
-            return ABT_RESULT_NO_SUCH_VALVE;
-        }
-        if (cmd->on_us[i] > config->max_on_us) {
-            return ABT_RESULT_ON_TOO_LONG;
-        }
-    }
-    return opposing_apart(config, cmd) ? ABT_RESULT_OK : ABT_RESULT_OPPOSING;
 }
 
 /* ---- Open time and duty ------------------------------------------------------------------- */
@@ -154,7 +79,7 @@ static uint32_t free_us(const abt_valves *valves, unsigned i, uint32_t us)
         us = later(us, valves->valve[i].closed_us + config->min_off_us);
     }
     for (unsigned j = 0; j < ABT_VALVES; j++) {
-        if ((config->opposing[i] & bit(j)) && valves->valve[j].resting) {
+        if ((config->opposing[i] & abt_bit(j)) && valves->valve[j].resting) {
             us = later(us, valves->valve[j].closed_us + config->dead_us);
         }
     }
@@ -325,47 +250,7 @@ uint8_t abt_valves_mask(const abt_valves *valves)
 {
     unsigned mask = 0;
     for (unsigned i = 0; i < ABT_VALVES; i++) {
-        mask |= valves->valve[i].open ? bit(i) : 0u;
+        mask |= valves->valve[i].open ? abt_bit(i) : 0u;
     }
     return (uint8_t)mask;
-}
-
-/* ---- Output stage ------------------------------------------------------------------------- */
-
-static void note_falls(abt_output *output, unsigned falling, uint32_t now_us)
-{
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        if (falling & bit(i)) {
-            output->fallen = (uint8_t)(output->fallen | bit(i));
-            output->fell_us[i] = now_us;
-        }
-    }
-}
-
-static void forget_falls(abt_output *output, uint32_t dead_us, uint32_t now_us)
-{
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        if (now_us - output->fell_us[i] >= dead_us) {
-            output->fallen = (uint8_t)(output->fallen & ~bit(i));
-        }
-    }
-}
-
-bool abt_output_step(abt_output *output, const abt_config *config, uint8_t mask, uint32_t now_us)
-{
-    const unsigned rising = mask & ~(unsigned)output->mask;
-    bool apart = true;
-    note_falls(output, output->mask & ~(unsigned)mask, now_us);
-    forget_falls(output, config->dead_us, now_us);
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        const bool both = (mask & bit(i)) && (mask & config->opposing[i]);
-        const bool early = (rising & bit(i)) && (output->fallen & config->opposing[i]);
-        apart = apart && !both && !early;
-    }
-    if (!apart) {
-        note_falls(output, output->mask, now_us);
-        mask = 0;
-    }
-    output->mask = mask;
-    return apart;
 }
