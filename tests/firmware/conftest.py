@@ -45,8 +45,10 @@ def a_compiler():
         need(str(error))
 
 
-# Another build of the same firmware: measured for coverage.
-LIBRARY = Path(os.environ["ABT_LIBRARY"]) if "ABT_LIBRARY" in os.environ else None
+def another_build() -> Path | None:
+    """Of the same firmware: measured for coverage, or with a fault in it."""
+    return Path(os.environ["ABT_LIBRARY"]) if "ABT_LIBRARY" in os.environ else None
+
 
 # Small odd numbers, so that no two limits can be mistaken for each other.
 LIMITS = Config(
@@ -151,7 +153,7 @@ def new_host():
 
     def make(armed=True, board=None, **limits):
         config = msgspec.structs.replace(LIMITS, **limits)
-        host = Host(InprocBoard(config, path=LIBRARY, **(board or {})), config)
+        host = Host(InprocBoard(config, path=another_build(), **(board or {})), config)
         host.hello()
         if armed:
             host.arm()

@@ -8,8 +8,9 @@ import pytest
 
 from firmware_interface import frame, messages
 from firmware_interface.compiler import FIRMWARE, build
+from firmware_interface.published import path_of
 
-GOLDEN = json.loads((FIRMWARE / "golden" / "frames.json").read_text())
+GOLDEN = json.loads(path_of(messages.VERSION).read_text())["frames"]
 NAMES = [one["message"] for one in GOLDEN]
 
 
