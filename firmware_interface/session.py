@@ -9,6 +9,12 @@ answered by the board, T4 received by the host:
 
     offset = ((T2 - T1) + (T3 - T4)) / 2        board's clock minus host's
     delay  = (T4 - T1) - (T3 - T2)              on the line, both ways
+
+A pulse that lasts to the end of its plan is meant to go on into the next plan, if that says so, and
+plans never come exactly on time. Were it sent as it is, the board would close the valve, and rest it
+for its minimum off-time, whenever the next plan comes a microsecond late. The board cannot know what
+the sender will want next and must not guess; so the sender grants such a pulse `HOLD_US` beyond the
+end. The next plan cuts it or continues it when it comes; the board's limits hold as ever.
 """
 
 import struct
@@ -38,6 +44,7 @@ from firmware_interface.messages import (
 from testbed.core.types import ValveCommand
 
 REFRESH_US = 20_000  # 50 Hz: six frames in a row may be lost before the watchdog bites
+HOLD_US = 2 * REFRESH_US  # one frame lost, and as much again for a late sender [assumed]
 HELLO_RETRY_US = 100_000
 EXCHANGES = 16  # clock exchanges remembered; the one with the shortest delay counts
 
@@ -70,6 +77,7 @@ class Session:
     """
 
     def __init__(self, config: Config, nonce: int) -> None:
+        self._limits = config
         self._hash = config_hash(config)
         self._nonce = nonce
         self._seq = 0
@@ -79,6 +87,7 @@ class Session:
         self._hello_due_us: int | None = None
         self._plan: Cmd | None = None
         self._plan_issued_us = 0
+        self._plan_ends_us = 0  # what the commander wanted, without hold
         self._refresh_due_us = 0
         self.board: HelloAck | None = None
         self.status: Status | None = None
@@ -143,22 +152,38 @@ class Session:
     def apply(self, command: ValveCommand, now_us: int) -> bytes:
         """Send a plan; `due` repeats it until the next one."""
         issued_us = round(command.issued_at * 1e6)
+        ends_us = round(command.valid_until * 1e6)
         spare = (0,) * (VALVES - len(command.on_us))
+        ttl_us, on_us = self._held(ends_us - issued_us, command)
         self._plan = Cmd(
             session=self._need_session(),
             plan=command.seq % WRAP,
             age_us=0,
-            ttl_us=round(command.valid_until * 1e6) - issued_us,
-            on_us=(*command.on_us, *spare),
+            ttl_us=ttl_us,
+            on_us=(*on_us, *spare),
             offset_us=(*command.offset_us, *spare),
         )
-        self._plan_issued_us = issued_us
+        self._plan_issued_us, self._plan_ends_us = issued_us, ends_us
         return self._repeat(self._plan, now_us)
+
+    def _held(self, ttl_us: int, command: ValveCommand) -> tuple[int, tuple[int, ...]]:
+        """Time to live and on-times, with `HOLD_US` for pulses that last to the end."""
+        last = ttl_us - 1  # [us]; times in seconds are rounded to the nearest
+        pulses = tuple(zip(command.on_us, command.offset_us, strict=True))
+        if not any(0 < on and on + offset >= last for on, offset in pulses):
+            return ttl_us, command.on_us
+        most = self._limits.max_on_us
+        longer = min(ttl_us + HOLD_US, max(ttl_us, self._limits.max_ttl_us))
+        on_us = tuple(
+            max(on, min(longer - offset, most)) if 0 < on and on + offset >= last else on
+            for on, offset in pulses
+        )
+        return longer, on_us
 
     def _repeat(self, plan: Cmd, now_us: int) -> bytes:
         self._refresh_due_us = now_us + REFRESH_US
         age_us = max(0, now_us - self._plan_issued_us)
-        if age_us >= plan.ttl_us:  # worth nothing any more: let the watchdog see that
+        if now_us >= self._plan_ends_us:  # worth nothing any more: let the watchdog see that
             self._plan = None
             return b""
         aged = Cmd(plan.session, plan.plan, age_us, plan.ttl_us, plan.on_us, plan.offset_us)
