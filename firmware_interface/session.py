@@ -10,11 +10,11 @@ answered by the board, T4 received by the host:
     offset = ((T2 - T1) + (T3 - T4)) / 2        board's clock minus host's
     delay  = (T4 - T1) - (T3 - T2)              on the line, both ways
 
-A pulse that lasts to the end of its plan is meant to go on into the next plan, if that says so, and
-plans never come exactly on time. Were it sent as it is, the board would close the valve, and rest it
-for its minimum off-time, whenever the next plan comes a microsecond late. The board cannot know what
-the sender will want next and must not guess; so the sender grants such a pulse `HOLD_US` beyond the
-end. The next plan cuts it or continues it when it comes; the board's limits hold as ever.
+A pulse that lasts to the end of its plan is meant to go on into the next plan, if that says so,
+and plans never come exactly on time. Were it sent as it is, the board would close the valve, and
+rest it for its minimum off-time, whenever the next plan comes a microsecond late. The board cannot
+know what the sender will want next and must not guess; so the sender grants such a pulse `HOLD_US`
+beyond the end. The next plan cuts it or continues it when it comes; the board's limits hold.
 """
 
 import struct
@@ -170,15 +170,15 @@ class Session:
         """Time to live and on-times, with `HOLD_US` for pulses that last to the end."""
         last = ttl_us - 1  # [us]; times in seconds are rounded to the nearest
         pulses = tuple(zip(command.on_us, command.offset_us, strict=True))
-        if not any(0 < on and on + offset >= last for on, offset in pulses):
+        lasting = [on > 0 and offset + on >= last for on, offset in pulses]
+        if not any(lasting):
             return ttl_us, command.on_us
-        most = self._limits.max_on_us
-        longer = min(ttl_us + HOLD_US, max(ttl_us, self._limits.max_ttl_us))
-        on_us = tuple(
-            max(on, min(longer - offset, most)) if 0 < on and on + offset >= last else on
-            for on, offset in pulses
+        limits = self._limits
+        longer = max(ttl_us, min(ttl_us + HOLD_US, limits.max_ttl_us))
+        return longer, tuple(
+            max(on, min(longer - offset, limits.max_on_us)) if lasts else on
+            for (on, offset), lasts in zip(pulses, lasting, strict=True)
         )
-        return longer, on_us
 
     def _repeat(self, plan: Cmd, now_us: int) -> bytes:
         self._refresh_due_us = now_us + REFRESH_US
