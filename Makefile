@@ -2,6 +2,7 @@
 
 PYTHON ?= python3
 JOBS ?= 4
+VEHICLE ?= configs/vehicles/floater.toml
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -13,7 +14,7 @@ DEV := $(VENV)/.installed-dev
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test lint check format constraints clean venv
+.PHONY: help demo test lint check format constraints clean venv firmware
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -32,8 +33,8 @@ lint: $(DEV)  ## Check format, style, types and the direction of imports
 
 check: lint test  ## Everything CI runs: lint, then test
 
-firmware: $(DEV)  ## Build the valve board's firmware for this machine
-	@$(BIN)/python -m firmware_interface.compiler
+firmware: $(DEV)  ## Build the valve board's image (VEHICLE=configs/vehicles/floater.toml)
+	@$(BIN)/python -m firmware_interface.compiler $(VEHICLE) build/firmware
 
 format: $(DEV)  ## Rewrite the code in the house format
 	@$(BIN)/ruff check --quiet --select I --fix

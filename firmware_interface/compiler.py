@@ -1,6 +1,10 @@
-"""Build the firmware for this machine, once per state of its sources.
+"""Build the firmware, for this machine and for the board's chip, once per state of its sources.
 
-The result is kept under ~/.cache/airbearing-testbed, named by a hash of sources, flags and
+    python -m firmware_interface.compiler VEHICLE FOLDER
+
+builds the image of a vehicle's board and puts it into a folder, to be flashed.
+
+What is built is kept under ~/.cache/airbearing-testbed, named by a hash of sources, flags and
 compiler, so that nothing stale is ever loaded and nobody has to clean up.
 """
 
@@ -8,15 +12,27 @@ import hashlib
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+
+import msgspec
+
+from firmware_interface.limits import LimitsError, board_header, config_hash, limits_of
+from firmware_interface.messages import Config
+from testbed.core.vehicle import Vehicle
 
 FIRMWARE = Path(__file__).with_name("firmware")
 CORE = tuple(sorted((FIRMWARE / "core").glob("*.c")))
 WARNINGS = (
     *("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"),
     f"-I{FIRMWARE / 'core'}",
+)
+CHIP_FLAGS = (
+    *("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=soft", "-O2", "-g", "-ffreestanding"),
+    *("-fno-tree-loop-distribute-patterns", "-ffunction-sections", "-nostdlib"),
+    *("-Wl,--gc-sections", "-Wl,--fatal-warnings"),
 )
 CACHE = Path.home() / ".cache" / "airbearing-testbed"
 
@@ -48,28 +64,36 @@ def firmware_id() -> int:
     return int.from_bytes(digest.digest()[:4], "big")
 
 
+def _named(sources: Sequence[Path], command: Sequence[str], extra: str = "") -> str:
+    """A name for what this compiler makes of these sources with these flags."""
+    version = subprocess.run([command[0], "--version"], capture_output=True, check=True).stdout
+    digest = hashlib.sha256(repr((version, tuple(command), extra)).encode())
+    for path in sorted({*sources, *FIRMWARE.rglob("*.h")}):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:20]
+
+
+def _run(command: Sequence[str | Path]) -> str:
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise CompilerError(f"{' '.join(map(str, command))} failed:\n{result.stderr}")
+    return result.stdout
+
+
 def build(sources: Sequence[Path], flags: Sequence[str], suffix: str) -> Path:
-    """Compile and link `sources`; the file in the cache.
+    """Compile and link `sources` for this machine; the file in the cache.
 
     Raises:
         CompilerError: no compiler, or it refuses; its words are in the message.
     """
-    cc = compiler()
-    version = subprocess.run([cc, "--version"], capture_output=True, check=True).stdout
-    digest = hashlib.sha256(repr((cc, version, tuple(flags))).encode())
-    for path in sorted({*sources, *FIRMWARE.rglob("*.h")}):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    target = CACHE / f"{digest.hexdigest()[:20]}{suffix}"
-    if target.exists():
-        return target
-    CACHE.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=CACHE) as folder:
-        built = Path(folder) / "built"
-        command = [cc, *WARNINGS, *flags, *map(str, sources), "-o", str(built)]
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
-        if result.returncode:
-            raise CompilerError(f"{' '.join(command)} failed:\n{result.stderr}")
-        built.replace(target)  # atomic: another process may be doing the same
+    command = [compiler(), *WARNINGS, *flags]
+    target = CACHE / f"{_named(sources, command)}{suffix}"
+    if not target.exists():
+        CACHE.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=CACHE) as folder:
+            built = Path(folder) / "built"
+            _run([*command, *sources, "-o", built])
+            built.replace(target)  # atomic: another process may be doing the same
     return target
 
 
@@ -79,5 +103,82 @@ def shared_library() -> Path:
     return build((*CORE, host), ("-O2", "-g", "-shared", "-fPIC"), ".so")
 
 
+def host_program() -> Path:
+    """The core as a process on a pseudo-terminal."""
+    return build((*CORE, FIRMWARE / "host" / "pty.c"), ("-O2", "-g"), "")
+
+
+def cross_compiler() -> str:
+    """The compiler for the board's chip; it needs no C library.
+
+    Raises:
+        CompilerError: there is none.
+    """
+    if found := shutil.which("arm-none-eabi-gcc"):
+        return found
+    raise CompilerError(
+        "arm-none-eabi-gcc not found: it builds the image for the board's chip; on Debian"
+        " `apt install --no-install-recommends gcc-arm-none-eabi`"
+    )
+
+
+def image(config: Config, timer: str = "tim2", flags: Sequence[str] = ()) -> Path:
+    """The firmware of a board with these limits, for an STM32F405: an ELF file in the cache.
+
+    Beside it lies the same as .bin, which is what gets flashed.
+
+    Args:
+        config: limits, see `limits.limits_of`.
+        timer: "tim2", or "systick" for QEMU.
+        flags: more of the compiler's, such as -DCRYSTAL_MHZ=12u.
+
+    Raises:
+        CompilerError: no cross-compiler, or it refuses.
+    """
+    chip = FIRMWARE / "stm32f4"
+    script = chip / "stm32f405.ld"
+    sources = (*CORE, *(chip / f"{n}.c" for n in ("startup", "main", f"timer_{timer}")))
+    header = board_header(config)
+    command = [
+        *(cross_compiler(), *WARNINGS, *CHIP_FLAGS, *flags, f"-I{chip}", f"-T{script}"),
+        f"-DABT_FIRMWARE_ID={firmware_id():#x}u",
+    ]
+    target = CACHE / f"{_named((*sources, script), command, header)}.elf"
+    if not target.with_suffix(".bin").exists():
+        CACHE.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=CACHE) as folder:
+            elf, flat = Path(folder) / "elf", Path(folder) / "bin"
+            (Path(folder) / "abt_board_config.h").write_text(header)
+            _run([*command, f"-I{folder}", *sources, "-lgcc", "-o", elf])
+            _run(["arm-none-eabi-objcopy", "-O", "binary", elf, flat])
+            elf.replace(target)
+            flat.replace(target.with_suffix(".bin"))
+    return target
+
+
+def _install(vehicle: Path, folder: Path) -> None:
+    """Build for a vehicle file and put the image into `folder`."""
+    config = limits_of(msgspec.toml.decode(vehicle.read_bytes(), type=Vehicle))
+    folder.mkdir(parents=True, exist_ok=True)
+    built = image(config)
+    for suffix in (".elf", ".bin"):
+        target = folder / f"{vehicle.stem}{suffix}"
+        shutil.copyfile(built.with_suffix(suffix), target)
+        print(target)  # noqa: T201
+    print(f"limits {config_hash(config):08x}, firmware {firmware_id():08x}")  # noqa: T201
+
+
+def _main() -> int:
+    if len(sys.argv) != 3:
+        sys.stderr.write("usage: python -m firmware_interface.compiler VEHICLE FOLDER\n")
+        return 2
+    try:
+        _install(Path(sys.argv[1]), Path(sys.argv[2]))
+    except (CompilerError, LimitsError, OSError, msgspec.DecodeError) as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 2
+    return 0
+
+
 if __name__ == "__main__":
-    print(shared_library())  # noqa: T201
+    sys.exit(_main())

@@ -1,0 +1,87 @@
+"""The firmware as a process on a pseudo-terminal, in real time, behind the same port as a board."""
+
+import contextlib
+import subprocess
+import tempfile
+from pathlib import Path
+
+from firmware_interface.compiler import firmware_id, host_program
+from firmware_interface.messages import Config, ResetCause
+from firmware_interface.serial_board import BoardError, Reports, SerialBoard
+
+GRACE_S = 5.0
+
+
+class HostPtyBoard(SerialBoard):
+    """A `Board` on the wall clock. Its process ends with it, and with this process in any case.
+
+    Args:
+        config: limits, see `limits.limits_of`.
+        boot_nonce: of the first boot; every power cycle adds one.
+        link: becomes a symbolic link to the terminal, for others to open; by default in a folder
+            that is removed in the end.
+    """
+
+    def __init__(self, config: Config, boot_nonce: int = 1, link: Path | None = None) -> None:
+        with contextlib.ExitStack() as stack:
+            if link is None:
+                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="abt-board-"))
+                link = Path(folder) / "board"
+            self._process = subprocess.Popen(
+                [host_program(), config.pack().hex(), str(firmware_id()), str(boot_nonce), link],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                bufsize=1,
+                start_new_session=True,  # Ctrl-C is for the operator's program, which disarms first
+            )
+            stack.callback(self._stop)
+            self._confirm()
+            super().__init__(str(link))
+            self._rest = stack.pop_all()
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    def _confirm(self) -> None:
+        assert self._process.stdout is not None
+        answer = self._process.stdout.readline()
+        if answer != "ok\n":
+            raise BoardError(f"the board's process answered {answer!r}, expected 'ok'; see above")
+
+    def _order(self, text: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(text + "\n")
+        self._confirm()
+
+    def sense(self, supply_mv: int, supply_pa: int) -> None:
+        """What the board's sensors say from now on."""
+        self._order(f"sense {supply_mv} {supply_pa}")
+
+    def power_cycle(self, cause: ResetCause) -> None:
+        """Boot again for this reason; time starts at 0, sensors stay as they are."""
+        self._order("down")
+        with self._changed:
+            self._waiting.clear()
+            self._received.clear()
+            self._reports = Reports()
+        self._order(f"up {cause:d}")
+
+    def _stop(self) -> None:
+        process = self._process
+        process.terminate()
+        try:
+            process.wait(GRACE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                pipe.close()
+
+    def close(self) -> None:
+        """End the process and give everything back."""
+        super().close()
+        self._rest.close()

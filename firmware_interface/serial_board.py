@@ -1,0 +1,254 @@
+"""The board on a serial port.
+
+One thread owns the port: it reads from the first moment on, writes what is due, and opens the
+port again when it was lost. `feed` never waits. Of plans not yet written only the newest counts,
+and what was meant for a line that is gone is dropped: a valve command is worth nothing late.
+"""
+
+import contextlib
+import os
+import select
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+
+import serial
+
+from firmware_interface.board import Edge
+from firmware_interface.frame import CODED_MAX, WRAP, BadFrameError, Decoder, Frame, decode
+from firmware_interface.messages import Cmd, Edges, ResetCause, Status
+
+BAUD = 460_800  # 8N1: a plan of 94 bytes takes 2.0 ms
+RETRY_S = 0.2  # between attempts to open a lost port
+SILENCE_S = 5.0  # a board sends STATUS at 20 Hz: it is gone
+WAITING_MAX = 64  # frames not yet written; more are not worth sending
+JUMP_US = 1_000_000  # a clock further off than that is the clock of another boot
+
+
+class BoardError(Exception):
+    """The board cannot be reached, or cannot do that."""
+
+
+class Reports:
+    """What the board says of itself on the way to whoever reads its bytes: time, edges, bearing."""
+
+    def __init__(self) -> None:
+        self._decoder = Decoder()
+        self._stamp: int | None = None  # of the newest frame
+        self._heard_us = 0  # host's clock then
+        self.board_us = 0  # since the board got power, at that frame
+        self.bearing = False
+        self.edges: list[Edge] = []
+
+    def hear(self, data: bytes, host_us: int) -> bool:
+        """Take bytes that came in at `host_us`; whether a frame was among them."""
+        frames = self._decoder.feed(data)
+        for frame in frames:
+            self._take(frame, host_us)
+        return bool(frames)
+
+    def now_us(self, host_us: int) -> int:
+        """The board's clock, as far as known."""
+        return self.board_us if self._stamp is None else self.board_us + host_us - self._heard_us
+
+    def _take(self, frame: Frame, host_us: int) -> None:
+        ahead = 0 if self._stamp is None else (frame.t_us - self._stamp) % WRAP
+        if self._stamp is None or ahead > host_us - self._heard_us + JUMP_US:
+            self.board_us, ahead = frame.t_us, 0  # heard for the first time, or booted again
+        self.board_us += ahead
+        self._stamp, self._heard_us = frame.t_us, host_us
+        with contextlib.suppress(KeyError, ValueError, struct.error):  # the session says so
+            match frame.message:
+                case Edges(count, at_us, mask):
+                    for t, open_valves in zip(at_us[:count], mask[:count], strict=True):
+                        back = (frame.t_us - t) % WRAP
+                        self.edges.append(Edge(self.board_us - back, open_valves))
+                case Status(bearing=on):
+                    self.bearing = bool(on)
+
+
+def monotonic_us() -> int:
+    """The host's clock."""
+    return time.monotonic_ns() // 1000
+
+
+def is_plan(coded: bytes) -> bool:
+    """Whether these bytes of a line are a CMD."""
+    try:
+        return decode(coded).type == Cmd.CODE
+    except BadFrameError:
+        return False
+
+
+class SerialBoard:
+    """A `Board` behind a serial port, on the wall clock.
+
+    Args:
+        port: device, such as /dev/ttyUSB0 or a link to it.
+        baud: the firmware's, see the port's board file.
+
+    Raises:
+        BoardError: the port cannot be opened, or somebody else has it.
+    """
+
+    virtual_time = False
+
+    def __init__(self, port: str, baud: int = BAUD) -> None:
+        self._port_name, self._baud = port, baud
+        self._changed = threading.Condition()
+        self._reports = Reports()
+        self._received = bytearray()
+        self._waiting: deque[bytes] = deque()
+        self._closing = False
+        self.connected = True
+        self.reconnects = 0
+        self.superseded = 0  # plans never written because a newer one came
+        try:
+            opened = self._open()
+        except (serial.SerialException, OSError) as error:
+            raise BoardError(
+                f"{port} cannot be opened: {error}; expected the serial port of a board that no"
+                " other program uses (`ls -l /dev/serial/by-id` shows what is plugged in)"
+            ) from error
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_write, False)
+        self._thread = threading.Thread(target=self._serve, args=(opened,), daemon=True)
+        self._thread.start()
+
+    # The thread
+
+    def _open(self) -> serial.Serial:
+        return serial.Serial(self._port_name, self._baud, timeout=0, exclusive=True)
+
+    def _serve(self, opened: serial.Serial | None) -> None:
+        while not self._closing:
+            try:
+                with opened or self._open() as port:
+                    if not self.connected:
+                        self.reconnects += 1
+                        self.connected = True
+                    self._exchange(port)
+            except (serial.SerialException, OSError):
+                self._lost()
+            opened = None
+
+    def _lost(self) -> None:
+        with self._changed:
+            self.connected = False
+            self._waiting.clear()
+            self._changed.notify_all()
+        select.select([self._wake_read], [], [], RETRY_S)
+        self._calm()
+
+    def _calm(self) -> None:
+        """Forget why the thread was woken."""
+        while select.select([self._wake_read], [], [], 0)[0]:
+            os.read(self._wake_read, 4096)
+
+    def _exchange(self, port: serial.Serial) -> None:
+        line, rest = port.fileno(), b"\0"  # ends whatever half a frame the board has heard
+        while not self._closing:
+            # At most about a frame in the driver: what is in there cannot be taken back.
+            free = port.out_waiting <= CODED_MAX
+            rest = rest or (self._next() if free else b"")
+            wait = 0.001 if not free else 0.1
+            ready, writable, _ = select.select(
+                [line, self._wake_read], [line] if rest else [], [], wait
+            )
+            if self._wake_read in ready:
+                self._calm()
+            if line in ready:
+                self._hear(os.read(line, 4096))
+            if writable:
+                rest = rest[os.write(line, rest) :]
+
+    def _next(self) -> bytes:
+        with self._changed:
+            return self._waiting.popleft() if self._waiting else b""
+
+    def _hear(self, data: bytes) -> None:
+        if not data:
+            raise serial.SerialException("the port is gone")
+        with self._changed:
+            self._received += data
+            del self._received[:-65536]  # nobody reads: keep the newest
+            if self._reports.hear(data, monotonic_us()):
+                self._changed.notify_all()
+
+    # The board
+
+    @property
+    def now_us(self) -> int:
+        """Time since the board got power, modulo 71.6 minutes when it was first heard."""
+        with self._changed:
+            return self._reports.now_us(monotonic_us())
+
+    @property
+    def bearing(self) -> bool:
+        """Whether bearing air was on at the board's last STATUS."""
+        with self._changed:
+            return self._reports.bearing
+
+    def feed(self, data: bytes) -> None:
+        """Bytes for the board, as soon as the line is free; nothing if there is no line."""
+        with self._changed:
+            if not self.connected:
+                return
+            for coded in data.split(b"\0")[:-1]:
+                self._put(coded + b"\0")
+            if not data.endswith(b"\0"):
+                self._put(data.rpartition(b"\0")[2])
+        with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well
+            os.write(self._wake_write, b"x")
+
+    def _put(self, coded: bytes) -> None:
+        if is_plan(coded[:-1]):
+            kept = [one for one in self._waiting if not is_plan(one[:-1])]
+            self.superseded += len(self._waiting) - len(kept)
+            self._waiting = deque(kept)
+        if len(self._waiting) == WAITING_MAX:
+            self._waiting.popleft()
+        self._waiting.append(coded)
+
+    def run_until(self, t_us: int) -> Sequence[Edge]:
+        """Wait until the board has said that `t_us` is past; edges it reported since the last call.
+
+        Raises:
+            BoardError: it says nothing any more.
+        """
+        with self._changed:
+            while self._reports.board_us < t_us:
+                still = (t_us - self._reports.now_us(monotonic_us())) * 1e-6
+                if not self._changed.wait(max(still, 0.0) + SILENCE_S):
+                    raise BoardError(
+                        f"{self._port_name}: nothing heard for {SILENCE_S:g} s; expected STATUS:"
+                        " check power, cable and the baud rate"
+                    )
+            edges, self._reports.edges = self._reports.edges, []
+            return edges
+
+    def read(self) -> bytes:
+        """Bytes the board has sent since the last call."""
+        with self._changed:
+            data = bytes(self._received)
+            self._received.clear()
+            return data
+
+    def sense(self, supply_mv: int, supply_pa: int) -> None:
+        """Not here: a real board measures."""
+        raise BoardError("the sensors of a board on a serial port measure; they cannot be told")
+
+    def power_cycle(self, cause: ResetCause) -> None:
+        """Not here: somebody has to pull the plug."""
+        raise BoardError("a board on a serial port cannot be power-cycled from here")
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._closing = True
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._wake_write, b"x")
+        self._thread.join()
+        os.close(self._wake_read)
+        os.close(self._wake_write)

@@ -1,0 +1,391 @@
+"""An STM32F405 in this process: the unmodified image on Unicorn's Cortex-M4, in virtual time.
+
+Instructions take no time; time passes only while the program sleeps (WFI), from one event to the
+next. So everything is exact and the same every time: alarms come at their microsecond, bytes when
+they are fed, and what the program stores into GPIO registers is noted with the time.
+
+Modelled as in ST's RM0090, as far as the image uses it: clocks and reset flags (RCC), GPIOC, TIM2,
+USART1, ADC1's injected channels, the independent watchdog, the random generator; and the interrupts
+of TIM2 and USART1, which do not nest. Everything else that is touched is listed in `unknown`. Not
+modelled: cycles, baud rate, interrupt priorities, floating point.
+
+Unicorn has no exceptions of its own for M-profile interrupts: the handler is called with a return
+address that ends the emulation, and what the core would stack is kept here.
+"""
+
+import copy
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import unicorn
+from unicorn import arm_const as arm
+
+from firmware_interface.messages import ResetCause
+
+FLASH, FLASH_SIZE = 0x0800_0000, 0x10_0000
+RAM, RAM_SIZE = 0x2000_0000, 0x2_0000
+SYSTEM, SYSTEM_SIZE = 0x1FFF_7000, 0x1000  # holds the chip's number
+PERIPHERALS, PERIPHERALS_SIZE = 0x4000_0000, 0x3_0000
+RANDOM, RANDOM_SIZE = 0x5006_0000, 0x1000
+CORE, CORE_SIZE = 0xE000_E000, 0x1000
+LANDING = 0x0010_0000  # where handlers return to
+
+RCC_CR, RCC_CFGR, RCC_CSR = 0x4002_3800, 0x4002_3808, 0x4002_3874
+GPIOC_MODER, GPIOC_ODR, GPIOC_BSRR = 0x4002_0800, 0x4002_0814, 0x4002_0818
+IWDG_KR, IWDG_PR, IWDG_RLR = 0x4000_3000, 0x4000_3004, 0x4000_3008
+TIM2_CR1, TIM2_DIER, TIM2_SR = 0x4000_0000, 0x4000_000C, 0x4000_0010
+TIM2_EGR, TIM2_CNT, TIM2_CCR1 = 0x4000_0014, 0x4000_0024, 0x4000_0034
+USART1_SR, USART1_DR, USART1_CR1 = 0x4001_1000, 0x4001_1004, 0x4001_100C
+ADC1_JDR1, ADC1_JDR2 = 0x4001_203C, 0x4001_2040
+RNG_SR, RNG_DR = 0x5006_0804, 0x5006_0808
+NVIC_ISER0, NVIC_ISER1, NVIC_ISPR0 = 0xE000_E100, 0xE000_E104, 0xE000_E200
+PLAIN = frozenset({  # stored and read back, without effect here
+    RCC_CR, RCC_CFGR, 0x4002_3804, 0x4002_3830, 0x4002_3834, 0x4002_3840, 0x4002_3844,
+    0x4002_3C00,  # FLASH_ACR
+    0x4002_0000, 0x4002_000C, 0x4002_0024,  # GPIOA
+    TIM2_DIER, TIM2_CCR1, 0x4000_0028, 0x4000_002C,
+    0x4001_1008, USART1_CR1,
+    0x4001_2004, 0x4001_2008, 0x4001_2010, 0x4001_2034, 0x4001_2038, 0x4001_2304,
+    0x5006_0800, NVIC_ISER0, NVIC_ISER1, 0xE000_E41C, 0xE000_E425,
+    IWDG_PR, IWDG_RLR,
+})  # fmt: skip
+
+TIM2, USART1, HARD_FAULT = 28, 37, 3 - 16  # numbers of interrupts; exceptions come before
+RXNE, TXE, TC, CC1 = 1 << 5, 1 << 7, 1 << 6, 1 << 1
+LSI_HZ = 32_000
+CAUSES = {  # flags in RCC_CSR; power-on sets all of a reset's, RM0090 7.3.21
+    ResetCause.UNKNOWN: 0,
+    ResetCause.POWER_ON: 0x0E00_0000,
+    ResetCause.BROWN_OUT: 0x0600_0000,
+    ResetCause.PIN: 0x0400_0000,
+    ResetCause.SOFTWARE: 0x1400_0000,
+    ResetCause.WATCHDOG: 0x2400_0000,
+}
+NEVER = 1 << 62
+WRAP = 1 << 32
+STACKED = [
+    arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2, arm.UC_ARM_REG_R3, arm.UC_ARM_REG_R12,
+    arm.UC_ARM_REG_LR, arm.UC_ARM_REG_XPSR,
+]  # fmt: skip
+WFI, CPSIE_I, ISB = b"\x30\xbf", b"\x62\xb6", b"\xbf\xf3\x6f\x8f"
+
+
+class Store(NamedTuple):
+    """The program wrote to a GPIO register of the valves."""
+
+    t_us: int
+    register: int
+    value: int
+
+
+class MachineError(Exception):
+    """The image does something that this machine does not model, or never sleeps again."""
+
+
+class Machine:
+    """The chip with an image in its flash.
+
+    Args:
+        image: the .bin that gets flashed.
+        cause: of the first boot.
+        random: what the random generator gives first; it counts up.
+        clock_us: what TIM2 starts to count from, to be near its wrap.
+        adc: supply and pressure [counts].
+    """
+
+    def __init__(
+        self,
+        image: Path,
+        cause: ResetCause = ResetCause.POWER_ON,
+        random: int = 1,
+        clock_us: int = 0,
+        adc: tuple[int, int] = (0, 0),
+    ) -> None:
+        self.now_us = 0  # since power came
+        self.adc = adc
+        self.sent = bytearray()
+        self.outputs: list[tuple[int, int]] = []  # changes of the pins of port C (time, pins)
+        self.stores: list[Store] = []  # of the first millisecond after a reset
+        self.unknown: set[int] = set()
+        self.feeds = 0  # of the independent watchdog
+        self.resets: list[ResetCause] = []
+        self.mute_alarm = False  # fault injection: TIM2's interrupt never comes
+        self._random, self._clock_us = random, clock_us
+        self._in_handler = False
+        self._countdown = self._block = 0  # see feed_preempted
+        self._stopped_at = -1
+        self._image = image.read_bytes()
+        self.pins = 0  # of port C, by the outside
+        self._uc = self._chip()
+        self.reset(cause)
+        self._moving = tuple(k for k in self.__dict__ if k not in ("_uc", "_image"))
+
+    def _chip(self) -> unicorn.Uc:
+        uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
+        uc.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
+        for start, size in ((FLASH, FLASH_SIZE), (RAM, RAM_SIZE), (SYSTEM, SYSTEM_SIZE)):
+            uc.mem_map(start, size)
+        uc.mem_map(LANDING, 0x1000)
+        uc.mem_write(FLASH, self._image)
+        for start, size in (
+            (PERIPHERALS, PERIPHERALS_SIZE), (RANDOM, RANDOM_SIZE), (CORE, CORE_SIZE),
+        ):  # fmt: skip
+            uc.mmio_map(start, size, self._load, start, self._store, start)
+        at = -1
+        while (at := self._image.find(ISB, at + 1)) >= 0:
+            behind = FLASH + at + len(ISB)
+            uc.hook_add(unicorn.UC_HOOK_CODE, self._behind_barrier, None, behind, behind)
+        return uc
+
+    def _behind_barrier(self, uc: unicorn.Uc, address: int, size: int, _: None) -> None:
+        """What the program has made pending is taken here at the latest."""
+        if self._pending() is not None:
+            uc.emu_stop()
+
+    # Reset
+
+    def reset(self, cause: ResetCause) -> None:
+        """Registers as after a reset, RAM as it is, and the program up to its first sleep."""
+        self._reg: dict[int, int] = {}
+        self._csr = CAUSES[cause]
+        self._moder = self._odr = 0
+        self._compared = self._pended = False
+        self._counting_from = NEVER  # time at which TIM2 was 0
+        self._alarm_at = self._bite_at = NEVER
+        self._receive = bytearray()
+        self._reset_at = self.now_us
+        self._update_pins()
+        self.resets.append(cause)
+        uc = self._uc
+        uc.reg_write(arm.UC_ARM_REG_PRIMASK, 0)
+        uc.reg_write(arm.UC_ARM_REG_SP, self._word(FLASH))
+        self._pc = self._word(FLASH + 4)
+        self._asleep = False
+        self.settle()
+
+    def _word(self, address: int) -> int:
+        return int.from_bytes(self._uc.mem_read(address, 4), "little")
+
+    def save(self) -> tuple[Any, ...]:
+        """Everything that moves, for `restore`."""
+        context, ram = self._uc.context_save(), bytes(self._uc.mem_read(RAM, RAM_SIZE))
+        return context, ram, copy.deepcopy({k: self.__dict__[k] for k in self._moving})
+
+    def restore(self, saved: tuple[Any, ...]) -> None:
+        """As it was."""
+        context, ram, moving = saved
+        self._uc.context_restore(context)
+        self._uc.mem_write(RAM, ram)
+        self.__dict__.update(copy.deepcopy(moving))
+
+    # Time
+
+    def run_until(self, t_us: int) -> None:
+        """Let time pass up to and with `t_us`."""
+        while (event := min(self._alarm_at, self._bite_at)) <= t_us:
+            self.now_us = event
+            if event == self._bite_at:
+                self.reset(ResetCause.WATCHDOG)
+                continue
+            self._compared = True
+            self._set_alarm()
+            self.settle()
+        self.now_us = t_us
+
+    def _count(self) -> int:
+        if self._counting_from == NEVER:
+            return 0
+        return (self._clock_us + self.now_us - self._counting_from) % WRAP
+
+    def _set_alarm(self) -> None:
+        """The next instant at which the counter comes to the compare register."""
+        if self._counting_from != NEVER:
+            ahead = (self._reg.get(TIM2_CCR1, 0) - self._count()) % WRAP
+            self._alarm_at = self.now_us + (ahead or WRAP)
+
+    # The program
+
+    def feed(self, data: bytes) -> None:
+        """Bytes arrive on the serial line, now."""
+        self._receive += data
+        self.settle()
+
+    def feed_preempted(self, data: bytes, after: int) -> bool:
+        """As `feed`, but TIM2's interrupt becomes pending in the middle of what that causes.
+
+        Args:
+            data: what arrives.
+            after: so many instructions of the main program later; interrupts' do not count.
+
+        Returns:
+            whether there were so many; if not, no interrupt was added.
+        """
+        self._receive += data
+        self._countdown, self._block = after, 0
+        hook = self._uc.hook_add(unicorn.UC_HOOK_CODE, self._count_down, None, FLASH, RAM)
+        self._uc.ctl_flush_tb()  # type: ignore[attr-defined] # translated code would not call it
+        try:
+            self.settle()
+        finally:
+            self._uc.hook_del(hook)
+            self._uc.ctl_flush_tb()  # type: ignore[attr-defined]
+        return self._countdown < 0
+
+    def _count_down(self, uc: unicorn.Uc, address: int, size: int, _: None) -> None:
+        """Before every instruction."""
+        if self._in_handler or address == self._stopped_at:
+            self._stopped_at = -1  # the one after a stop comes twice
+            return
+        in_block, self._block = self._block > 0, max(0, self._block - 1)
+        code = self._image[address - FLASH : address - FLASH + 2]
+        if code[1] == 0xBF and code[0] & 15:  # IT: the next one to four belong together
+            self._block = 4 - ((code[0] & -code[0]) & 15).bit_length() + 1
+        self._countdown -= 1
+        if self._countdown == -1:
+            self._pended = True
+        masked = uc.reg_read(arm.UC_ARM_REG_PRIMASK)
+        if self._countdown < 0 and self._pended and not masked and not in_block:
+            self._stopped_at = address
+            uc.emu_stop()
+
+    def settle(self) -> None:
+        """Interrupts and main program until it sleeps and nothing is pending."""
+        while True:
+            irq = self._pending()
+            if irq is not None and self._interruptible():
+                self._interrupt(irq)
+            elif self._asleep:  # with nothing to do, or with interrupts off for good
+                return
+            else:
+                self._main()
+
+    def _pending(self) -> int | None:
+        reg = self._reg
+        alarm = self._pended or (self._compared and reg.get(TIM2_DIER, 0) & CC1)
+        if alarm and reg.get(NVIC_ISER0, 0) >> TIM2 & 1 and not self.mute_alarm:
+            return TIM2
+        wanted = reg.get(USART1_CR1, 0)
+        if wanted & (TXE | (RXNE if self._receive else 0)) and reg.get(NVIC_ISER1, 0) >> 5 & 1:
+            return USART1
+        return None
+
+    def _interruptible(self) -> bool:
+        """Whether an interrupt would be taken here; a sleeper wakes and goes on until it is."""
+        if not self._uc.reg_read(arm.UC_ARM_REG_PRIMASK):
+            return True
+        if self._asleep and self._uc.mem_read(self._pc & ~1, 2) == CPSIE_I:
+            self._uc.reg_write(arm.UC_ARM_REG_PRIMASK, 0)
+            self._pc += 2
+            return True
+        return False
+
+    def _interrupt(self, number: int) -> None:
+        uc = self._uc
+        if number == TIM2:
+            self._pended = False
+        self._asleep, self._in_handler = False, True
+        kept = [uc.reg_read(register) for register in STACKED]
+        uc.reg_write(arm.UC_ARM_REG_LR, LANDING | 1)
+        self._emulate(self._word(FLASH + 4 * (16 + number)), LANDING)
+        for register, value in zip(STACKED, kept, strict=True):
+            uc.reg_write(register, value)
+        self._in_handler = False
+
+    def _main(self) -> None:
+        self._asleep = False
+        self._emulate(self._pc, 0xFFFF_FFFE)
+        pc = self._uc.reg_read(arm.UC_ARM_REG_PC)
+        self._asleep = self._uc.mem_read(pc - 2, 2) == WFI
+        self._pc = pc | 1
+
+    def _emulate(self, start: int, end: int) -> None:
+        try:
+            self._uc.emu_start(start | 1, end)
+        except unicorn.UcError as error:
+            raise MachineError(f"{error} at {self._uc.reg_read(arm.UC_ARM_REG_PC):#x}") from error
+
+    # Registers
+
+    def _load(self, uc: unicorn.Uc, offset: int, size: int, start: int) -> int:
+        at = start + offset
+        if at == TIM2_CNT:
+            return self._count()
+        if at == USART1_SR:
+            return TXE | TC | (RXNE if self._receive else 0)
+        if at == USART1_DR:
+            return self._receive.pop(0) if self._receive else 0
+        if at == ADC1_JDR1:
+            return self.adc[0]
+        if at == ADC1_JDR2:
+            return self.adc[1]
+        if at == RCC_CR:  # oscillators are ready at once
+            value = self._reg.get(at, 0)
+            return value | (value & 0x0101_0000) << 1
+        if at == RCC_CFGR:
+            value = self._reg.get(at, 0)
+            return value | (value & 3) << 2
+        if at == RCC_CSR:
+            return self._csr
+        if at == RNG_SR:
+            return 1
+        if at == RNG_DR:
+            self._random += 1
+            return self._random - 1
+        if at not in PLAIN:
+            self.unknown.add(at)
+        return self._reg.get(at, 0)
+
+    def _store(self, uc: unicorn.Uc, offset: int, size: int, value: int, start: int) -> None:
+        at = start + offset
+        if at == GPIOC_BSRR:
+            self._odr = (self._odr & ~(value >> 16) | value) & 0xFFFF
+            self._note(at, value)
+        elif at == TIM2_SR:
+            self._compared = self._compared and bool(value & CC1)
+        elif at == TIM2_CCR1:
+            self._reg[at] = value
+            self._set_alarm()
+        elif at == USART1_DR:
+            self.sent.append(value & 0xFF)
+        elif at == IWDG_KR:
+            self._feed_watchdog(value)
+        elif at == NVIC_ISPR0:
+            self._pended = self._pended or bool(value >> TIM2 & 1)
+        elif at == TIM2_EGR:
+            if value & 1:
+                self._counting_from = self.now_us
+                self._set_alarm()
+            self._compared = self._compared or bool(value & CC1)
+        elif at == TIM2_CR1:
+            self._reg[at] = value
+        elif at == GPIOC_MODER:
+            self._moder = value
+            self._note(at, value)
+        elif at == RCC_CSR:
+            self._csr = 0 if value >> 24 & 1 else self._csr
+        else:
+            if at not in PLAIN:
+                self.unknown.add(at)
+            self._reg[at] = value
+
+    def _note(self, register: int, value: int) -> None:
+        if self.now_us < self._reset_at + 1000:
+            self.stores.append(Store(self.now_us, register, value))
+        self._update_pins()
+
+    def _update_pins(self) -> None:
+        """A pin is high if it is an output and driven so; else the pull-down has it."""
+        driven = sum(1 << i for i in range(16) if self._moder >> 2 * i & 3 == 1)
+        if (pins := self._odr & driven) != self.pins:
+            self.pins = pins
+            self.outputs.append((self.now_us, pins))
+
+    def _feed_watchdog(self, key: int) -> None:
+        if key == 0xCCCC:
+            self._bite_at = self.now_us
+        if key == 0xAAAA:
+            self.feeds += 1
+        if key in (0xCCCC, 0xAAAA) and self._bite_at != NEVER:
+            per_count = 4 << self._reg.get(IWDG_PR, 0)
+            counts = self._reg.get(IWDG_RLR, 0xFFF) + 1
+            self._bite_at = self.now_us + counts * per_count * 1_000_000 // LSI_HZ

@@ -1,0 +1,96 @@
+"""The board's unmodified image in virtual time: what gets flashed, in lock-step with its host."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from firmware_interface.board import Edge
+from firmware_interface.compiler import image
+from firmware_interface.messages import Config, ResetCause
+from firmware_interface.stm32 import Machine
+
+# As in the board file, firmware/stm32f4/board.h.
+VALVE_PINS, BEARING_PIN = 0x00FF, 0x0100
+SUPPLY_FULL_MV, PRESSURE_FULL_PA, FULL = 33_000, 1_000_000, 4095
+
+
+class UnicornBoard:
+    """A `Board` in virtual time.
+
+    Args:
+        config: limits, see `limits.limits_of`.
+        random: what the chip's random generator gives; the boot nonce follows from it.
+        clock_us: the board's own clock at power-on.
+        supply_mv, supply_pa: what the sensors say at first; the converter has steps of 8 mV.
+        path: the image (.bin); built when not given.
+    """
+
+    virtual_time = True
+
+    def __init__(
+        self,
+        config: Config,
+        random: int = 1,
+        clock_us: int = 0,
+        supply_mv: int = 24_000,
+        supply_pa: int = 500_000,
+        path: Path | None = None,
+    ) -> None:
+        self._path = path or image(config).with_suffix(".bin")
+        self._random, self._clock_us = random, clock_us
+        self._sensed = (supply_mv, supply_pa)
+        self._boot(ResetCause.POWER_ON)
+
+    def _boot(self, cause: ResetCause) -> None:
+        self._mask = 0
+        self.machine = Machine(self._path, cause, self._random, self._clock_us, self._counts())
+
+    def _counts(self) -> tuple[int, int]:
+        """What the converter makes of the sensors: the least that reads as no less."""
+        supply, pressure = self._sensed
+        return -(-supply * FULL // SUPPLY_FULL_MV), -(-pressure * FULL // PRESSURE_FULL_PA)
+
+    @property
+    def now_us(self) -> int:
+        """Time since the board got power."""
+        return self.machine.now_us
+
+    @property
+    def bearing(self) -> bool:
+        """Whether bearing air is on."""
+        return bool(self.machine.pins & BEARING_PIN)
+
+    def feed(self, data: bytes) -> None:
+        """Bytes arrive at the board, now."""
+        self.machine.feed(data)
+
+    def run_until(self, t_us: int) -> Sequence[Edge]:
+        """Let time pass up to and with `t_us`; edges since the last call, in order."""
+        if t_us < self.now_us:
+            raise ValueError(f"the board is at {self.now_us} us already, asked for {t_us} us")
+        self.machine.run_until(t_us)
+        edges = []
+        for at, pins in self.machine.outputs:
+            if pins & VALVE_PINS != self._mask:
+                self._mask = pins & VALVE_PINS
+                edges.append(Edge(at, self._mask))
+        self.machine.outputs.clear()
+        return edges
+
+    def read(self) -> bytes:
+        """Bytes the board has sent since the last call."""
+        data = bytes(self.machine.sent)
+        self.machine.sent.clear()
+        return data
+
+    def sense(self, supply_mv: int, supply_pa: int) -> None:
+        """What the board's sensors say from now on; looked at with the next alarm."""
+        self._sensed = (supply_mv, supply_pa)
+        self.machine.adc = self._counts()
+
+    def power_cycle(self, cause: ResetCause) -> None:
+        """Boot again for this reason; time starts at 0, sensors stay as they are."""
+        self._random += 1
+        self._boot(cause)
+
+    def close(self) -> None:
+        """Nothing to give back."""
