@@ -69,6 +69,11 @@ LIMITS = Config(
 )
 
 
+@pytest.fixture(scope="session")
+def limits():
+    return LIMITS
+
+
 class Host:
     """Talks to a board in frames, by hand: the tests choose every field."""
 

@@ -53,11 +53,6 @@ def command(seq, t_us, on, until_us=300_000):
     return ValveCommand(seq, t, t + until_us * 1e-6, (on,) + (0,) * 7, (0,) * 8)
 
 
-@pytest.fixture
-def limits(host):
-    return host.limits
-
-
 def test_a_plan_is_flown_where_its_first_frame_put_it(limits):
     line = Line(limits)
     line.start()
