@@ -25,7 +25,7 @@ static void trip(abt_control *control, abt_fault fault)
 static void judge_supply(abt_control *control, uint32_t now_us, abt_sensors sensors)
 {
     const bool low = sensors.supply_mv < control->config->undervoltage_mv;
-    if (low && !control->supply_low) {
+    if (!control->supply_low) {
         control->low_since_us = now_us;
     }
     control->supply_low = low;

@@ -2,12 +2,12 @@
 
 #include "abt_frame.h"
 
+/* Each valve opposes those that oppose it; not itself, and none that is not there. */
 static bool opposing_symmetric(const abt_config *config)
 {
-    const unsigned all = (1u << config->valve_count) - 1u;
     for (unsigned i = 0; i < ABT_VALVES; i++) {
         const uint8_t against = config->opposing[i];
-        if ((against & abt_bit(i)) || (against & ~all) || (i >= config->valve_count && against)) {
+        if ((against & abt_bit(i)) || (i >= config->valve_count && against)) {
             return false;
         }
         for (unsigned j = 0; j < ABT_VALVES; j++) {

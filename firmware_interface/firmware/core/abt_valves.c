@@ -54,7 +54,6 @@ static void open_valve(abt_valve *valve, uint32_t now_us)
 {
     valve->open = true;
     valve->due = false;
-    valve->resting = false;
     valve->opened_us = now_us;
 }
 
@@ -115,23 +114,19 @@ static void close_if_due(abt_valves *valves, abt_valve *valve, uint32_t now_us)
 static bool worth_opening(const abt_valves *valves, const abt_valve *valve, uint32_t open_us)
 {
     const uint32_t min_on_us = valves->config->min_on_us;
-    return !abt_reached(open_us, valve->down_us) && valve->down_us - open_us >= min_on_us &&
-           duty_left_us(valves, valve) >= min_on_us && duty_left_us(valves, valve) > 0;
+    const uint32_t duty_us = duty_left_us(valves, valve);
+    return valve->down_us - open_us >= min_on_us && duty_us >= min_on_us && duty_us > 0;
 }
 
 static void open_if_due(abt_valves *valves, unsigned i, uint32_t now_us)
 {
     abt_valve *valve = &valves->valve[i];
-    if (!valve->due) {
+    const uint32_t open_us = free_us(valves, i, valve->up_us);
+    const bool over = abt_reached(now_us, valve->down_us);
+    if (!valve->due || (!over && (opposing_open(valves, i) || !abt_reached(now_us, open_us)))) {
         return;
     }
-    const uint32_t open_us = free_us(valves, i, valve->up_us);
-    if (abt_reached(now_us, valve->down_us)) {
-        valve->due = false; /* never free in time */
-        valves->unplayed++;
-    } else if (opposing_open(valves, i) || !abt_reached(now_us, open_us)) {
-        return; /* wait */
-    } else if (worth_opening(valves, valve, open_us)) {
+    if (!over && worth_opening(valves, valve, open_us)) {
         open_valve(valve, now_us);
     } else {
         valve->due = false;
@@ -154,7 +149,7 @@ static bool still_open(const abt_valves *valves, unsigned i, uint32_t received_u
 static void continue_opening(abt_valve *valve, uint32_t down_us)
 {
     valve->open = true;
-    valve->resting = false;
+    valve->due = false;
     valve->down_us = down_us;
 }
 
@@ -164,8 +159,7 @@ static void take_pulse(abt_valves *valves, unsigned i, const abt_plan *plan, uin
     const uint32_t on_us = plan->on_us[i];
     const uint32_t up_us = later(plan->start_us + plan->offset_us[i], plan->received_us);
     const uint32_t down_us = sooner(plan->start_us + plan->offset_us[i] + on_us, plan->end_us);
-    valve->due = false;
-    if (on_us > 0 && up_us == plan->received_us && !abt_reached(up_us, down_us) &&
+    if (up_us == plan->received_us && !abt_reached(up_us, down_us) &&
         still_open(valves, i, plan->received_us)) {
         continue_opening(valve, down_us);
         return;
@@ -173,13 +167,9 @@ static void take_pulse(abt_valves *valves, unsigned i, const abt_plan *plan, uin
     if (valve->open) {
         close_valve(valve, now_us);
     }
+    valve->due = on_us > 0;
     valve->up_us = up_us;
     valve->down_us = down_us;
-    if (on_us == 0) {
-        return;
-    }
-    valve->due = on_us >= valves->config->min_on_us && !abt_reached(up_us, down_us);
-    valves->unplayed = (uint16_t)(valves->unplayed + (valve->due ? 0u : 1u));
 }
 
 void abt_valves_init(abt_valves *valves, const abt_config *config, uint32_t now_us)
