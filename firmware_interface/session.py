@@ -240,8 +240,8 @@ class Session:
                 self.edges += zip(message.at_us[:count], message.mask[:count], strict=True)
 
     def _take_hello(self, message: HelloAck, frame: Frame, now_us: int) -> None:
-        if message.host_nonce != self._nonce or self._hello_due_us is None:
-            return  # somebody else's, or one answered already
+        if message.host_nonce != self._nonce:
+            return  # somebody else's
         if message.config_hash != self._hash:
             raise SessionError(
                 f"the board was built with limits {message.config_hash:08x}, the vehicle file gives"

@@ -24,7 +24,6 @@ from firmware_interface.messages import ResetCause
 
 FLASH, FLASH_SIZE = 0x0800_0000, 0x10_0000
 RAM, RAM_SIZE = 0x2000_0000, 0x2_0000
-SYSTEM, SYSTEM_SIZE = 0x1FFF_7000, 0x1000  # holds the chip's number
 PERIPHERALS, PERIPHERALS_SIZE = 0x4000_0000, 0x3_0000
 RANDOM, RANDOM_SIZE = 0x5006_0000, 0x1000
 CORE, CORE_SIZE = 0xE000_E000, 0x1000
@@ -63,10 +62,6 @@ CAUSES = {  # flags in RCC_CSR; power-on sets all of a reset's, RM0090 7.3.21
 }
 NEVER = 1 << 62
 WRAP = 1 << 32
-STACKED = [
-    arm.UC_ARM_REG_R0, arm.UC_ARM_REG_R1, arm.UC_ARM_REG_R2, arm.UC_ARM_REG_R3, arm.UC_ARM_REG_R12,
-    arm.UC_ARM_REG_LR, arm.UC_ARM_REG_XPSR,
-]  # fmt: skip
 WFI, CPSIE_I, ISB = b"\x30\xbf", b"\x62\xb6", b"\xbf\xf3\x6f\x8f"
 
 
@@ -117,13 +112,16 @@ class Machine:
         self._image = image.read_bytes()
         self.pins = 0  # of port C, by the outside
         self._uc = self._chip()
+        self._main_program = self._uc.context_save()  # while an interrupt runs
         self.reset(cause)
-        self._moving = tuple(k for k in self.__dict__ if k not in ("_uc", "_image"))
+        self._moving = tuple(
+            k for k in self.__dict__ if k not in ("_uc", "_image", "_main_program")
+        )
 
     def _chip(self) -> unicorn.Uc:
         uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
         uc.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
-        for start, size in ((FLASH, FLASH_SIZE), (RAM, RAM_SIZE), (SYSTEM, SYSTEM_SIZE)):
+        for start, size in ((FLASH, FLASH_SIZE), (RAM, RAM_SIZE)):
             uc.mem_map(start, size)
         uc.mem_map(LANDING, 0x1000)
         uc.mem_write(FLASH, self._image)
@@ -148,7 +146,7 @@ class Machine:
         """Registers as after a reset, RAM as it is, and the program up to its first sleep."""
         self._reg: dict[int, int] = {}
         self._csr = CAUSES[cause]
-        self._moder = self._odr = 0
+        self._driven = self._odr = 0
         self._compared = self._pended = False
         self._counting_from = NEVER  # time at which TIM2 was 0
         self._alarm_at = self._bite_at = NEVER
@@ -158,13 +156,10 @@ class Machine:
         self.resets.append(cause)
         uc = self._uc
         uc.reg_write(arm.UC_ARM_REG_PRIMASK, 0)
-        uc.reg_write(arm.UC_ARM_REG_SP, self._word(FLASH))
-        self._pc = self._word(FLASH + 4)
+        uc.reg_write(arm.UC_ARM_REG_SP, self._vector(-16))
+        self._pc = self._vector(-15)
         self._asleep = False
         self.settle()
-
-    def _word(self, address: int) -> int:
-        return int.from_bytes(self._uc.mem_read(address, 4), "little")
 
     def save(self) -> tuple[Any, ...]:
         """Everything that moves, for `restore`."""
@@ -237,7 +232,7 @@ class Machine:
             self._stopped_at = -1  # the one after a stop comes twice
             return
         in_block, self._block = self._block > 0, max(0, self._block - 1)
-        code = self._image[address - FLASH : address - FLASH + 2]
+        code = self._code(address)
         if code[1] == 0xBF and code[0] & 15:  # IT: the next one to four belong together
             self._block = 4 - ((code[0] & -code[0]) & 15).bit_length() + 1
         self._countdown -= 1
@@ -271,32 +266,38 @@ class Machine:
 
     def _interruptible(self) -> bool:
         """Whether an interrupt would be taken here; a sleeper wakes and goes on until it is."""
-        if not self._uc.reg_read(arm.UC_ARM_REG_PRIMASK):
-            return True
-        if self._asleep and self._uc.mem_read(self._pc & ~1, 2) == CPSIE_I:
+        if self._asleep and self._code(self._pc) == CPSIE_I:
             self._uc.reg_write(arm.UC_ARM_REG_PRIMASK, 0)
             self._pc += 2
+            self._asleep = False
             return True
-        return False
+        return not self._uc.reg_read(arm.UC_ARM_REG_PRIMASK)
 
     def _interrupt(self, number: int) -> None:
         uc = self._uc
         if number == TIM2:
             self._pended = False
         self._asleep, self._in_handler = False, True
-        kept = [uc.reg_read(register) for register in STACKED]
+        uc.context_update(self._main_program)
         uc.reg_write(arm.UC_ARM_REG_LR, LANDING | 1)
-        self._emulate(self._word(FLASH + 4 * (16 + number)), LANDING)
-        for register, value in zip(STACKED, kept, strict=True):
-            uc.reg_write(register, value)
+        self._emulate(self._vector(number), LANDING)
+        uc.context_restore(self._main_program)
         self._in_handler = False
 
     def _main(self) -> None:
         self._asleep = False
         self._emulate(self._pc, 0xFFFF_FFFE)
         pc = self._uc.reg_read(arm.UC_ARM_REG_PC)
-        self._asleep = self._uc.mem_read(pc - 2, 2) == WFI
+        self._asleep = self._code(pc - 2) == WFI
         self._pc = pc | 1
+
+    def _code(self, address: int) -> bytes:
+        """The halfword of the program there."""
+        at = (address & ~1) - FLASH
+        return self._image[at : at + 2]
+
+    def _vector(self, number: int) -> int:
+        return int.from_bytes(self._image[4 * (16 + number) :][:4], "little")
 
     def _emulate(self, start: int, end: int) -> None:
         try:
@@ -359,7 +360,7 @@ class Machine:
         elif at == TIM2_CR1:
             self._reg[at] = value
         elif at == GPIOC_MODER:
-            self._moder = value
+            self._driven = sum(1 << i for i in range(16) if value >> 2 * i & 3 == 1)
             self._note(at, value)
         elif at == RCC_CSR:
             self._csr = 0 if value >> 24 & 1 else self._csr
@@ -375,8 +376,7 @@ class Machine:
 
     def _update_pins(self) -> None:
         """A pin is high if it is an output and driven so; else the pull-down has it."""
-        driven = sum(1 << i for i in range(16) if self._moder >> 2 * i & 3 == 1)
-        if (pins := self._odr & driven) != self.pins:
+        if (pins := self._odr & self._driven) != self.pins:
             self.pins = pins
             self.outputs.append((self.now_us, pins))
 

@@ -196,6 +196,17 @@ def test_hello_is_repeated_until_answered(limits):
     assert line.session.greeted
 
 
+def test_of_several_sessions_the_newest_counts(limits):
+    """On a slow line HELLO is repeated before its answer comes, and each one starts a session."""
+    line = Line(limits, delay_us=60_000)
+    line.send(line.session.hello(0))
+    line.until(300_000)
+    line.send(line.session.arm(line.now_us))
+    line.until(line.now_us + 130_000)
+    assert line.session.state == State.ARMED
+    assert line.session.refusals == {}
+
+
 def test_offset_and_delay_of_the_clock(limits):
     line = Line(limits, delay_us=3_000, clock_us=(1 << 32) - 5_000)  # wraps meanwhile
     line.start()

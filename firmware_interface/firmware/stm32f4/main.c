@@ -90,8 +90,8 @@ static abt_reset_cause reset_cause(void)
     return flags & RCC_CSR_PINRSTF ? ABT_RESET_CAUSE_PIN : ABT_RESET_CAUSE_UNKNOWN;
 }
 
-/* From the random generator, from what RAM held, and from the chip's number: differs after every
- * boot also if the generator does not work. */
+/* From the random generator, and from what RAM held: differs after every boot also if the generator
+ * does not work. */
 static uint32_t new_boot_nonce(void)
 {
     static struct {
@@ -102,9 +102,8 @@ static uint32_t new_boot_nonce(void)
     RNG_CR = RNG_CR_RNGEN;
     kept.count++;
     kept.noise[0] ^= comes(&RNG_SR, RNG_SR_DRDY, RNG_SR_DRDY) ? RNG_DR : 0;
-    kept.noise[1] ^= UNIQUE_ID_0 ^ UNIQUE_ID_1 ^ UNIQUE_ID_2;
-    kept.noise[2] = abt_crc32((const uint8_t *)&kept, sizeof kept);
-    return kept.noise[2];
+    kept.noise[1] = abt_crc32((const uint8_t *)&kept, sizeof kept);
+    return kept.noise[1];
 }
 
 /* ---- Sensors ------------------------------------------------------------------------------ */
@@ -147,6 +146,20 @@ static void start_line(uint32_t usart_hz)
     NVIC_ISER(USART1_IRQ) = NVIC_BIT(USART1_IRQ);
 }
 
+/* As much as the line takes now; the interrupt goes on with the rest. */
+static void send_on(void)
+{
+    while (to_send.out != to_send.in && (USART1_SR & USART_SR_TXE)) {
+        USART1_DR = to_send.bytes[to_send.out % SEND_MAX];
+        to_send.out++;
+    }
+    if (to_send.out == to_send.in) {
+        USART1_CR1 &= ~USART_CR1_TXEIE;
+    } else {
+        USART1_CR1 |= USART_CR1_TXEIE;
+    }
+}
+
 void USART1_IRQHandler(void)
 {
     while (USART1_SR & (USART_SR_RXNE | USART_SR_ORE)) {
@@ -157,13 +170,7 @@ void USART1_IRQHandler(void)
         }
         received.stamp_us = timer_now_us();
     }
-    while (to_send.out != to_send.in && (USART1_SR & USART_SR_TXE)) {
-        USART1_DR = to_send.bytes[to_send.out % SEND_MAX];
-        to_send.out++;
-    }
-    if (to_send.out == to_send.in) {
-        USART1_CR1 &= ~USART_CR1_TXEIE;
-    }
+    send_on();
 }
 
 /* ---- Critical section and alarm ----------------------------------------------------------- */
@@ -217,7 +224,7 @@ static void talk(void)
         }
         to_send.in += size;
         enter(NULL);
-        USART1_CR1 |= USART_CR1_TXEIE; /* the interrupt changes this register, too */
+        send_on();
         leave(NULL);
     }
 }

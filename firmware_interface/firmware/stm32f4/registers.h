@@ -107,10 +107,6 @@
 #define RNG_SR_DRDY (1u << 0)
 #define RNG_DR REG(0x50060808u)
 
-#define UNIQUE_ID_0 REG(0x1fff7a10u)
-#define UNIQUE_ID_1 REG(0x1fff7a14u)
-#define UNIQUE_ID_2 REG(0x1fff7a18u)
-
 #define SYSTICK_CSR REG(0xe000e010u)
 #define SYSTICK_CSR_ENABLE (1u << 0)
 #define SYSTICK_CSR_TICKINT (1u << 1)
