@@ -155,16 +155,20 @@ class Host:
 @pytest.fixture
 def new_host():
     """Makes a host with a board of its own; `armed=False` leaves it in SAFE."""
+    boards = []
 
     def make(armed=True, board=None, **limits):
         config = msgspec.structs.replace(LIMITS, **limits)
-        host = Host(InprocBoard(config, path=another_build(), **(board or {})), config)
+        boards.append(InprocBoard(config, path=another_build(), **(board or {})))
+        host = Host(boards[-1], config)
         host.hello()
         if armed:
             host.arm()
         return host
 
-    return make
+    yield make
+    for board in boards:
+        assert board.entered == 0, "a critical section was left open, or left twice"
 
 
 @pytest.fixture

@@ -158,7 +158,10 @@ def compiled(flags: tuple[str, ...], sources: tuple[Path, ...], target: Path, fi
 
 
 # what no C program may do ends the process, so that a test that runs into it fails
-TRAPS = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
+TRAPS = (
+    *("-fsanitize=undefined", "-fsanitize=bounds-strict"),
+    "-fsanitize-undefined-trap-on-error",
+)
 
 
 @cache

@@ -39,7 +39,7 @@ def test_every_line_of_the_core_is_run(tmp_path, need_tool):
         compiler(), *flags, "-O0", "-g", "--coverage", "-shared", "-fPIC", *sources,
         "-o", library, cwd=tmp_path,
     )  # fmt: skip
-    tests = (HERE / "test_behaviour.py", HERE / "test_line.py")
+    tests = [HERE / f"test_{name}.py" for name in ("behaviour", "line", "finer_points")]
     run(
         sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests,
         cwd=ROOT, env=os.environ | {"ABT_LIBRARY": str(library), "PYTHONPATH": str(ROOT)},
