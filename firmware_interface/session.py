@@ -46,6 +46,7 @@ from testbed.core.types import ValveCommand
 REFRESH_US = 20_000  # 50 Hz: six frames in a row may be lost before the watchdog bites
 HOLD_US = 2 * REFRESH_US  # one frame lost, and as much again for a late sender [assumed]
 HELLO_RETRY_US = 100_000
+EDGES_KEPT = 4096  # if nobody takes them, the oldest go
 EXCHANGES = 16  # clock exchanges remembered; the one with the shortest delay counts
 
 
@@ -238,6 +239,7 @@ class Session:
             case Edges():
                 count = message.count
                 self.edges += zip(message.at_us[:count], message.mask[:count], strict=True)
+                del self.edges[:-EDGES_KEPT]
 
     def _take_hello(self, message: HelloAck, frame: Frame, now_us: int) -> None:
         if message.host_nonce != self._nonce:

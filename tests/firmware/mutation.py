@@ -30,7 +30,6 @@ from mutants import Mutant, all_mutants, library, same_machine_code, unchanged
 HERE = Path(__file__).parent
 TESTS = tuple(HERE / f"test_{name}.py" for name in ("behaviour", "line", "finer_points"))
 LIMIT_S = 2  # of CPU for one test: several times what the longest takes
-PROCESSES = 2
 
 LEAST = 90  # of faults noticed [%]
 RECORD = HERE / "survivors.toml"
@@ -49,8 +48,8 @@ class Trial(NamedTuple):
 class Campaign:
     """A pytest plugin that runs the collected tests once for each fault."""
 
-    def __init__(self, faults: tuple[Mutant, ...]) -> None:
-        self.faults = faults
+    def __init__(self, faults: tuple[Mutant, ...], processes: int) -> None:
+        self.faults, self.processes = faults, processes
         self.outcome: dict[Mutant, str] = {}
         self.healthy = False
 
@@ -66,7 +65,7 @@ class Campaign:
             running: dict[int, Trial] = {}
             waiting = iter(self.faults)
             while running or len(self.outcome) < len(self.faults):
-                fault = next(waiting, None) if len(running) < PROCESSES else None
+                fault = next(waiting, None) if len(running) < self.processes else None
                 if fault is None:
                     child, status = os.wait()
                     self._note(running.pop(child), status, order)
@@ -121,13 +120,13 @@ class Campaign:
         return None
 
 
-def outcomes(faults: tuple[Mutant, ...]) -> dict[Mutant, str]:
+def outcomes(faults: tuple[Mutant, ...], processes: int) -> dict[Mutant, str]:
     """What became of each fault.
 
     Raises:
         RuntimeError: the tests fail without any fault.
     """
-    campaign = Campaign(faults)
+    campaign = Campaign(faults, processes)
     options = [
         "-o",
         "addopts=",
@@ -178,6 +177,7 @@ def main() -> str | None:
     """Why the run fails, if it does."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--survivors", action="store_true")
     options = parser.parse_args()
     before = tomllib.loads(RECORD.read_text()) if RECORD.exists() else {"survivor": []}
@@ -185,7 +185,7 @@ def main() -> str | None:
     faults = all_mutants()[:: options.every]
     if options.survivors:
         faults = tuple(fault for fault in faults if fault.name in reasons)
-    found = outcomes(faults)
+    found = outcomes(faults, options.processes)
     counts = {name: Counter(found.values())[name] for name in OUTCOMES}
     survivors = [fault for fault, what in found.items() if what == "survived"]
     if options.survivors:
