@@ -13,8 +13,8 @@ answered by the board, T4 received by the host:
 A pulse that lasts to the end of its plan is meant to go on into the next plan, if that says so,
 and plans never come exactly on time. Were it sent as it is, the board would close the valve, and
 rest it for its minimum off-time, whenever the next plan comes a microsecond late. The board cannot
-know what the sender will want next and must not guess; so the sender grants such a pulse `HOLD_US`
-beyond the end. The next plan cuts it or continues it when it comes; the board's limits hold.
+know what the sender will want next and must not guess; so the sender carries such a pulse on by
+`CARRY_US`. The next plan cuts it or continues it when it comes; the board's limits hold.
 """
 
 import struct
@@ -44,8 +44,8 @@ from firmware_interface.messages import (
 from testbed.core.types import ValveCommand
 
 REFRESH_US = 20_000  # 50 Hz: six frames in a row may be lost before the watchdog bites
-HOLD_US = 2 * REFRESH_US  # one frame lost, and as much again for a late sender [assumed]
 HELLO_RETRY_US = 100_000
+CARRY_US = 2 * REFRESH_US  # one frame lost, and as much again for a host that wakes late [assumed]
 EDGES_KEPT = 4096  # if nobody takes them, the oldest go
 EXCHANGES = 16  # clock exchanges remembered; the one with the shortest delay counts
 
@@ -69,16 +69,32 @@ def exchange(t1_us: int, t2_us: int, t3_us: int, t4_us: int) -> Exchange:
     return Exchange((there + apart / 2) % WRAP, -apart)
 
 
+def carried(plan: Cmd, carry_us: int, config: Config) -> Cmd:
+    """The plan, with its pulses that last to its end carried on, and so the plan itself."""
+    last = plan.ttl_us - 1  # times in seconds are rounded to the nearest microsecond
+    pulses = tuple(zip(plan.on_us, plan.offset_us, strict=True))
+    lasting = [on > 0 and offset + on >= last for on, offset in pulses]
+    if not any(lasting):
+        return plan
+    ttl_us = max(plan.ttl_us, min(plan.ttl_us + carry_us, config.max_ttl_us))
+    on_us = tuple(
+        max(on, min(ttl_us - offset, config.max_on_us)) if lasts else on
+        for (on, offset), lasts in zip(pulses, lasting, strict=True)
+    )
+    return Cmd(plan.session, plan.plan, plan.age_us, ttl_us, on_us, plan.offset_us)
+
+
 class Session:
     """One host and one board.
 
     Args:
         config: the limits that the board must have been built with.
         nonce: tells this program's HELLO from others'.
+        carry_us: see `carried`.
     """
 
-    def __init__(self, config: Config, nonce: int) -> None:
-        self._limits = config
+    def __init__(self, config: Config, nonce: int, carry_us: int = CARRY_US) -> None:
+        self._config, self._carry_us = config, carry_us
         self._hash = config_hash(config)
         self._nonce = nonce
         self._seq = 0
@@ -88,7 +104,7 @@ class Session:
         self._hello_due_us: int | None = None
         self._plan: Cmd | None = None
         self._plan_issued_us = 0
-        self._plan_ends_us = 0  # what the commander wanted, without hold
+        self._plan_ends_us = 0  # without what is carried on
         self._refresh_due_us = 0
         self.board: HelloAck | None = None
         self.status: Status | None = None
@@ -155,31 +171,17 @@ class Session:
         issued_us = round(command.issued_at * 1e6)
         ends_us = round(command.valid_until * 1e6)
         spare = (0,) * (VALVES - len(command.on_us))
-        ttl_us, on_us = self._held(ends_us - issued_us, command)
-        self._plan = Cmd(
+        plan = Cmd(
             session=self._need_session(),
             plan=command.seq % WRAP,
             age_us=0,
-            ttl_us=ttl_us,
-            on_us=(*on_us, *spare),
+            ttl_us=ends_us - issued_us,
+            on_us=(*command.on_us, *spare),
             offset_us=(*command.offset_us, *spare),
         )
+        self._plan = carried(plan, self._carry_us, self._config)
         self._plan_issued_us, self._plan_ends_us = issued_us, ends_us
         return self._repeat(self._plan, now_us)
-
-    def _held(self, ttl_us: int, command: ValveCommand) -> tuple[int, tuple[int, ...]]:
-        """Time to live and on-times, with `HOLD_US` for pulses that last to the end."""
-        last = ttl_us - 1  # [us]; times in seconds are rounded to the nearest
-        pulses = tuple(zip(command.on_us, command.offset_us, strict=True))
-        lasting = [on > 0 and offset + on >= last for on, offset in pulses]
-        if not any(lasting):
-            return ttl_us, command.on_us
-        limits = self._limits
-        longer = max(ttl_us, min(ttl_us + HOLD_US, limits.max_ttl_us))
-        return longer, tuple(
-            max(on, min(longer - offset, limits.max_on_us)) if lasts else on
-            for (on, offset), lasts in zip(pulses, lasting, strict=True)
-        )
 
     def _repeat(self, plan: Cmd, now_us: int) -> bytes:
         self._refresh_due_us = now_us + REFRESH_US
@@ -189,6 +191,13 @@ class Session:
             return b""
         aged = Cmd(plan.session, plan.plan, age_us, plan.ttl_us, plan.on_us, plan.offset_us)
         return self._send(aged, now_us)
+
+    @property
+    def due_us(self) -> int | None:
+        """When `due` has something to send next; None: nothing to come."""
+        if self._hello_due_us is not None:
+            return self._hello_due_us
+        return None if self._plan is None else self._refresh_due_us
 
     def due(self, now_us: int) -> bytes:
         """What time alone asks for: HELLO again, or the plan again. Call it often."""

@@ -8,6 +8,7 @@ from msgspec import Struct
 
 from controllers.catalogue import make_law
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
+from testbed.boards import WiredBoard, make_drivers
 from testbed.config import Experiment
 from testbed.core.types import Pose
 from testbed.flight.agent import Agent, lead_time
@@ -58,14 +59,21 @@ class TwinRig(Struct, frozen=True):
     twin: Twin
     vehicles: list[VehicleNode]
     hosts: list[HostNode]
+    boards: dict[str, WiredBoard]  # with firmware; empty with the twin's own
 
     def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
         """Fly to the end, to a fault, or until `stopped()`."""
         experiment = self.experiment
-        return fly(
+        ending = fly(
             self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
-            experiment.ticks, observer, stopped=stopped,
+            experiment.ticks, observer, stopped=lambda: bool(self._trouble()) or stopped(),
         )  # fmt: skip
+        return Ending(ending.t, ending.fault or self._trouble())
+
+    def _trouble(self) -> str | None:
+        """The first board that does not play plans any more, and why."""
+        found = ((name, board.trouble) for name, board in self.boards.items())
+        return next((f"{name}: {trouble}" for name, trouble in found if trouble), None)
 
     def track(self) -> Track:
         """The truth at every camera frame so far."""
@@ -87,13 +95,16 @@ class TwinRig(Struct, frozen=True):
 def make_twin(experiment: Experiment) -> TwinRig:
     """Everything of the experiment on the twin."""
     setups = experiment.vehicles
+    models = {name: setup.model for name, setup in setups.items()}
+    drivers = make_drivers(experiment.board, models)
     twin = Twin(
-        {name: setup.model for name, setup in setups.items()},
+        models,
         {name: Pose(*setup.start) for name, setup in setups.items()},
         experiment.table,
         experiment.obstacles,
         experiment.seed,
         listeners=list(setups) if experiment.deploy.law == "vehicle" else (),
+        drivers=drivers,
     )
     period = experiment.flight.jet_period_s
     vehicles = [
@@ -117,4 +128,4 @@ def make_twin(experiment: Experiment) -> TwinRig:
         for name, setup in setups.items()
         if experiment.deploy.law == "host"
     ]
-    return TwinRig(experiment, twin, vehicles, hosts)
+    return TwinRig(experiment, twin, vehicles, hosts, drivers or {})

@@ -11,7 +11,7 @@ import pytest
 
 from firmware_interface.frame import CODED_MAX, Frame, encode, encode_message
 from firmware_interface.messages import TYPES, VERSION, HelloAck, ResetCause, State
-from firmware_interface.serial_board import Reports
+from firmware_interface.reports import Reports
 from firmware_interface.session import EDGES_KEPT, EXCHANGES, Session, SessionError
 
 CHUNKS = int(os.environ.get("ABT_FUZZ", "9000"))

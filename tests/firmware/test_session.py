@@ -8,7 +8,7 @@ from firmware_interface.board import settled
 from firmware_interface.frame import Frame, encode
 from firmware_interface.inproc import InprocBoard
 from firmware_interface.messages import Ack, Fault, Result, State
-from firmware_interface.session import HOLD_US, REFRESH_US, Session, SessionError, exchange
+from firmware_interface.session import CARRY_US, REFRESH_US, Session, SessionError, exchange
 from testbed.core.types import ValveCommand
 
 
@@ -163,21 +163,21 @@ def test_it_still_ends_at_the_maximum_on_time(limits):
     assert edges[1].mask == 0
 
 
-def test_a_sender_that_falls_silent_leaves_it_open_for_the_hold_only(limits):
+def test_a_sender_that_falls_silent_leaves_it_open_for_the_carry_only(limits):
     line = Line(limits)
     line.start()
     _, edges = fly(line, [PERIOD])
-    assert edges == [(22_000, 1), (22_000 + PERIOD + HOLD_US, 0)]
+    assert edges == [(22_000, 1), (22_000 + PERIOD + CARRY_US, 0)]
 
 
-def test_a_pulse_that_ends_before_its_plan_is_not_held(limits):
+def test_a_pulse_that_ends_before_its_plan_is_not_carried_on(limits):
     line = Line(limits)
     line.start()
     _, edges = fly(line, [PERIOD - 10_000])
     assert edges == [(22_000, 1), (22_000 + PERIOD - 10_000, 0)]
 
 
-def test_the_hold_asks_for_nothing_that_the_board_refuses(limits):
+def test_the_carry_asks_for_nothing_that_the_board_refuses(limits):
     limits = msgspec.structs.replace(limits, max_ttl_us=PERIOD, max_on_us=PERIOD)
     line = Line(limits)
     line.start()
