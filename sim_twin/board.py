@@ -138,6 +138,7 @@ class DrivenBoard:
         self._spread = vehicle.tolerance.pulse
         self._rng, self._driver = rng, driver
         self._mask = 0
+        self.edges: list[tuple[int, int]] = []  # all so far, as the driver gave them
         self.pulses = pulses
         self.openings = 0
 
@@ -152,6 +153,7 @@ class DrivenBoard:
                 if (mask ^ self._mask) >> jet & 1:
                     self._switch(jet, at_us * 1000, opens=bool(mask >> jet & 1))
             self._mask = mask
+            self.edges.append((at_us, mask))
 
     def _switch(self, jet: int, at: int, *, opens: bool) -> None:
         up, down, strength = (array[jet] for array in self.pulses)

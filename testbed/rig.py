@@ -1,14 +1,16 @@
 """Who is plugged into what: the only module that knows everybody."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 
 import numpy as np
 from msgspec import Struct
 
 from controllers.catalogue import make_law
+from sim_twin.board import DrivenBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
-from testbed.boards import WiredBoard, make_drivers
+from testbed.boards import Valves, WiredBoard, make_drivers
 from testbed.config import Experiment
 from testbed.core.types import Pose
 from testbed.flight.agent import Agent, lead_time
@@ -69,6 +71,14 @@ class TwinRig(Struct, frozen=True):
             experiment.ticks, observer, stopped=lambda: bool(self._trouble()) or stopped(),
         )  # fmt: skip
         return Ending(ending.t, ending.fault or self._trouble())
+
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """What each vehicle's board drove after `since` [s]; nothing with the twin's own."""
+        for name, board in self.twin.plant.boards.items():
+            if isinstance(board, DrivenBoard):
+                new = bisect_right(board.edges, round(since * 1e6), key=lambda edge: edge[0])
+                for at_us, mask in board.edges[new:]:
+                    yield name, Valves(at_us * 1e-6, mask)
 
     def _trouble(self) -> str | None:
         """The first board that does not play plans any more, and why."""
