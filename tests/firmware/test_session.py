@@ -102,8 +102,7 @@ def test_a_plan_past_its_time_to_live_is_repeated_no_more(limits):
     session.apply(command(1, board.now_us, 50_000, until_us=50_000), board.now_us)
     assert session.due(board.now_us + REFRESH_US - 1) == b""
     assert session.due(board.now_us + REFRESH_US)
-    assert session.due(board.now_us + 50_000 + CARRY_US - 1)
-    assert session.due(board.now_us + 50_000 + CARRY_US + REFRESH_US) == b""
+    assert session.due(board.now_us + 50_000) == b""  # though carried on: let the watchdog see it
 
 
 # A pulse to the end of its plan
