@@ -14,7 +14,7 @@ DEV := $(VENV)/.installed-dev
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test lint check format constraints clean venv firmware
+.PHONY: help demo test lint check format constraints clean venv firmware mutants fuzz
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -35,6 +35,15 @@ check: lint test  ## Everything CI runs: lint, then test
 
 firmware: $(DEV)  ## Build the valve board's image (VEHICLE=configs/vehicles/floater.toml)
 	@$(BIN)/python -m firmware_interface.compiler $(VEHICLE) build/firmware
+
+mutants: $(DEV)  ## Put every small fault into the firmware's core; do the tests notice? 10 minutes
+	@PYTHONPATH=. $(BIN)/python tests/firmware/mutation.py
+
+fuzz: $(DEV)  ## Feed rubbish to all that reads from outside (ROUNDS=10, two minutes each)
+	@for round in $$(seq $(or $(ROUNDS),10)); do ABT_FUZZ=100000 ABT_ROUND=$$round \
+		$(BIN)/python -m pytest --hypothesis-seed=$$round tests/config/test_fuzz.py \
+		tests/firmware/test_hostile_board.py tests/firmware/test_assurance.py -k 'not line_of' \
+		|| exit 1; done
 
 format: $(DEV)  ## Rewrite the code in the house format
 	@$(BIN)/ruff check --quiet --select I --fix

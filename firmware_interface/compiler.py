@@ -24,9 +24,7 @@ from firmware_interface.messages import Config
 from testbed.core.vehicle import Vehicle
 
 FIRMWARE = Path(__file__).with_name("firmware")
-CORE = tuple(
-    FIRMWARE / "core" / f"{name}.c" for name in ("abt_frame", "abt_valves", "abt_firmware")
-)
+CORE = tuple(sorted((FIRMWARE / "core").glob("*.c")))
 WARNINGS = (
     *("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"),
     f"-I{FIRMWARE / 'core'}",

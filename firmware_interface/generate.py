@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from firmware_interface import published
 from firmware_interface.schema import SOURCE, Enum, Field, Message, Schema, SchemaError, read
 
 HERE = Path(__file__).parent
@@ -221,7 +222,7 @@ def formatted(text: str) -> str:
 def main() -> None:
     """Write both files."""
     schema = read(SOURCE.read_text())
-    schema.check_version()
+    published.check(schema)
     HEADER.write_text(header(schema))
     MODULE.write_text(formatted(module(schema)))
 

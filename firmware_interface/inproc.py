@@ -33,6 +33,7 @@ def library(path: Path) -> ctypes.CDLL:
         ("board_entered", u32, board),
         ("board_hold", None, board, u32),
         ("board_oversleep", None, board, u32),
+        ("board_skip", None, board, u32),
         ("board_flip_open", None, board, u32),
     ):
         function = getattr(lib, name)
@@ -90,6 +91,11 @@ class InprocBoard:
         """Whether bearing air is on."""
         return bool(self.lib.board_bearing(self.handle))
 
+    @property
+    def entered(self) -> int:
+        """How deep inside critical sections the firmware is; 0 whenever it can be asked."""
+        return int(self.lib.board_entered(self.handle))
+
     def feed(self, data: bytes) -> None:
         """Bytes arrive at the board, now."""
         self.lib.board_feed(self.handle, data, len(data))
@@ -112,6 +118,11 @@ class InprocBoard:
         """What the board's sensors say from now on."""
         self._sensed = (supply_mv, supply_pa)
         self.lib.board_sense(self.handle, supply_mv, supply_pa)
+
+    def skip(self, us: int) -> None:
+        """Fault injection: time passes and no alarm comes; only what is fed makes it run."""
+        self._now_us += us
+        self.lib.board_skip(self.handle, us)
 
     def power_cycle(self, cause: ResetCause) -> None:
         """Boot again for this reason; time starts at 0, sensors stay as they are."""

@@ -1,7 +1,6 @@
 """What messages.toml says, as structs; `generate` writes both languages from it."""
 
 import tomllib
-import zlib
 from pathlib import Path
 
 import msgspec
@@ -64,33 +63,22 @@ class Schema(Struct, frozen=True):
     sizes: dict[str, int]  # of arrays
     enums: tuple[Enum, ...]
     messages: tuple[Message, ...]
-    published: dict[str, str]
+    sealed: str  # see `published`
 
     @property
-    def digest(self) -> str:
-        """Changes with everything that matters on the line; not with documentation."""
+    def lines(self) -> tuple[str, ...]:
+        """Everything that matters on the line; not the documentation."""
         lines = [f"{name} {size}" for name, size in self.sizes.items()]
         for enum in self.enums:
             lines += [f"{enum.name}.{name} {code}" for name, (code, _) in enum.names.items()]
         for message in self.messages:
             lines.append(f"{message.name} {message.code} {message.sender}")
             for f in message.fields:
-                lines.append(f"{f.name} {f.width} {f.count} {f.enum} {f.unit} {f.least} {f.most}")
-        return f"{zlib.crc32(chr(10).join(lines).encode()):08x}"
-
-    def check_version(self) -> None:
-        """Refuse fields that differ from what was published under this version.
-
-        Raises:
-            SchemaError: it says which number to raise.
-        """
-        known = self.published.get(str(self.version))
-        if known != self.digest:
-            raise SchemaError(
-                f"{SOURCE.name}: version {self.version} was published with digest {known}, its"
-                f" fields now have {self.digest}. Boards in the field speak the old one: raise"
-                f' `version` and add `{self.version + 1} = "{self.digest}"` under [published].'
-            )
+                lines.append(
+                    f"{message.name}.{f.name} {f.width} {f.count} {f.enum} {f.unit} {f.least}"
+                    f" {f.most}"
+                )
+        return tuple(lines)
 
 
 def read(text: str) -> Schema:
@@ -117,7 +105,7 @@ def read(text: str) -> Schema:
     codes = [message.code for message in messages if message.code]
     if len(set(codes)) < len(codes):
         raise SchemaError(f"{SOURCE.name}: two messages share a code: {sorted(codes)}")
-    return Schema(tree["version"], sizes, tuple(enums), tuple(messages), tree["published"])
+    return Schema(tree["version"], sizes, tuple(enums), tuple(messages), tree["sealed"])
 
 
 def _field(message: str, row: list, sizes: dict[str, int], enums: set[str]) -> Field:

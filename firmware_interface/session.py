@@ -9,6 +9,12 @@ answered by the board, T4 received by the host:
 
     offset = ((T2 - T1) + (T3 - T4)) / 2        board's clock minus host's
     delay  = (T4 - T1) - (T3 - T2)              on the line, both ways
+
+A pulse that lasts to the end of its plan is meant to go on into the next plan, if that says so,
+and plans never come exactly on time. Were it sent as it is, the board would close the valve, and
+rest it for its minimum off-time, whenever the next plan comes a microsecond late. The board cannot
+know what the sender will want next and must not guess; so the sender carries such a pulse on by
+`CARRY_US`. The next plan cuts it or continues it when it comes; the board's limits hold.
 """
 
 import struct
@@ -39,9 +45,8 @@ from testbed.core.types import ValveCommand
 
 REFRESH_US = 20_000  # 50 Hz: six frames in a row may be lost before the watchdog bites
 HELLO_RETRY_US = 100_000
-CARRY_US = (
-    5_000  # lateness of a plan that nobody feels: two frames' time, and a host that wakes late
-)
+CARRY_US = 2 * REFRESH_US  # one frame lost, and as much again for a host that wakes late [assumed]
+EDGES_KEPT = 4096  # if nobody takes them, the oldest go
 EXCHANGES = 16  # clock exchanges remembered; the one with the shortest delay counts
 
 
@@ -65,17 +70,16 @@ def exchange(t1_us: int, t2_us: int, t3_us: int, t4_us: int) -> Exchange:
 
 
 def carried(plan: Cmd, carry_us: int, config: Config) -> Cmd:
-    """The plan, its pulses that last to its very end carried on a little, and so the plan.
-
-    The next plan replaces it at once in any case. Without this, a valve that is open all the time
-    would close for the minimum off-time whenever the next plan comes a microsecond late.
-    """
-    ttl_us = min(plan.ttl_us + carry_us, max(plan.ttl_us, config.max_ttl_us))
+    """The plan, with its pulses that last to its end carried on, and so the plan itself."""
+    last = plan.ttl_us - 1  # times in seconds are rounded to the nearest microsecond
+    pulses = tuple(zip(plan.on_us, plan.offset_us, strict=True))
+    lasting = [on > 0 and offset + on >= last for on, offset in pulses]
+    if not any(lasting):
+        return plan
+    ttl_us = max(plan.ttl_us, min(plan.ttl_us + carry_us, config.max_ttl_us))
     on_us = tuple(
-        min(on + ttl_us - plan.ttl_us, max(on, config.max_on_us))
-        if on and offset + on == plan.ttl_us
-        else on
-        for on, offset in zip(plan.on_us, plan.offset_us, strict=True)
+        max(on, min(ttl_us - offset, config.max_on_us)) if lasts else on
+        for (on, offset), lasts in zip(pulses, lasting, strict=True)
     )
     return Cmd(plan.session, plan.plan, plan.age_us, ttl_us, on_us, plan.offset_us)
 
@@ -100,6 +104,7 @@ class Session:
         self._hello_due_us: int | None = None
         self._plan: Cmd | None = None
         self._plan_issued_us = 0
+        self._plan_ends_us = 0  # without what is carried on
         self._refresh_due_us = 0
         self.board: HelloAck | None = None
         self.status: Status | None = None
@@ -164,23 +169,24 @@ class Session:
     def apply(self, command: ValveCommand, now_us: int) -> bytes:
         """Send a plan; `due` repeats it until the next one."""
         issued_us = round(command.issued_at * 1e6)
+        ends_us = round(command.valid_until * 1e6)
         spare = (0,) * (VALVES - len(command.on_us))
         plan = Cmd(
             session=self._need_session(),
             plan=command.seq % WRAP,
             age_us=0,
-            ttl_us=round(command.valid_until * 1e6) - issued_us,
+            ttl_us=ends_us - issued_us,
             on_us=(*command.on_us, *spare),
             offset_us=(*command.offset_us, *spare),
         )
         self._plan = carried(plan, self._carry_us, self._config)
-        self._plan_issued_us = issued_us
+        self._plan_issued_us, self._plan_ends_us = issued_us, ends_us
         return self._repeat(self._plan, now_us)
 
     def _repeat(self, plan: Cmd, now_us: int) -> bytes:
         self._refresh_due_us = now_us + REFRESH_US
         age_us = max(0, now_us - self._plan_issued_us)
-        if age_us >= plan.ttl_us:  # worth nothing any more: let the watchdog see that
+        if now_us >= self._plan_ends_us:  # worth nothing any more: let the watchdog see that
             self._plan = None
             return b""
         aged = Cmd(plan.session, plan.plan, age_us, plan.ttl_us, plan.on_us, plan.offset_us)
@@ -242,6 +248,7 @@ class Session:
             case Edges():
                 count = message.count
                 self.edges += zip(message.at_us[:count], message.mask[:count], strict=True)
+                del self.edges[:-EDGES_KEPT]
 
     def _take_hello(self, message: HelloAck, frame: Frame, now_us: int) -> None:
         if message.host_nonce != self._nonce:

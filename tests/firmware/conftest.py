@@ -45,8 +45,10 @@ def a_compiler():
         need(str(error))
 
 
-# Another build of the same firmware: measured for coverage.
-LIBRARY = Path(os.environ["ABT_LIBRARY"]) if "ABT_LIBRARY" in os.environ else None
+def another_build() -> Path | None:
+    """Of the same firmware: measured for coverage, or with a fault in it."""
+    return Path(os.environ["ABT_LIBRARY"]) if "ABT_LIBRARY" in os.environ else None
+
 
 # Small odd numbers, so that no two limits can be mistaken for each other.
 LIMITS = Config(
@@ -65,6 +67,11 @@ LIMITS = Config(
     undervoltage_us=1_999,
     status_period_us=50_000,
 )
+
+
+@pytest.fixture(scope="session")
+def limits():
+    return LIMITS
 
 
 class Host:
@@ -148,16 +155,20 @@ class Host:
 @pytest.fixture
 def new_host():
     """Makes a host with a board of its own; `armed=False` leaves it in SAFE."""
+    boards = []
 
     def make(armed=True, board=None, **limits):
         config = msgspec.structs.replace(LIMITS, **limits)
-        host = Host(InprocBoard(config, path=LIBRARY, **(board or {})), config)
+        boards.append(InprocBoard(config, path=another_build(), **(board or {})))
+        host = Host(boards[-1], config)
         host.hello()
         if armed:
             host.arm()
         return host
 
-    return make
+    yield make
+    for board in boards:
+        assert board.entered == 0, "a critical section was left open, or left twice"
 
 
 @pytest.fixture

@@ -26,7 +26,8 @@ def run(*command, **options):
 def test_half_a_million_random_frames_keep_the_invariants():
     flags = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     program = build((*CORE, FIRMWARE / "test" / "fuzz.c"), flags, "")
-    opened = re.search(r"500000 frames, (\d+) us open", run(program, 500_000, 1))
+    seed = os.environ.get("ABT_ROUND", "1")  # of `make fuzz`
+    opened = re.search(r"500000 frames, (\d+) us open", run(program, 500_000, seed))
     assert int(opened[1]) > 100_000_000  # it did something
 
 
@@ -39,7 +40,7 @@ def test_every_line_of_the_core_is_run(tmp_path, need_tool):
         compiler(), *flags, "-O0", "-g", "--coverage", "-shared", "-fPIC", *sources,
         "-o", library, cwd=tmp_path,
     )  # fmt: skip
-    tests = (HERE / "test_behaviour.py", HERE / "test_line.py")
+    tests = [HERE / f"test_{name}.py" for name in ("behaviour", "line", "finer_points")]
     run(
         sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests,
         cwd=ROOT, env=os.environ | {"ABT_LIBRARY": str(library), "PYTHONPATH": str(ROOT)},

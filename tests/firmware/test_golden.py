@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from firmware_interface import frame, messages
-from firmware_interface.compiler import CORE, FIRMWARE, build
+from firmware_interface.compiler import FIRMWARE, build
+from firmware_interface.published import path_of
 
-GOLDEN = json.loads((FIRMWARE / "golden" / "frames.json").read_text())
+GOLDEN = json.loads(path_of(messages.VERSION).read_text())["frames"]
 NAMES = [one["message"] for one in GOLDEN]
 
 
@@ -69,7 +70,7 @@ def test_c_reads_and_writes_them(tmp_path):
         "#define CHECK(x) do { if (!(x)) { puts(#x); bad = 1; } } while (0)\n"
         "int main(void)\n{\nint bad = 0;\n" + "\n".join(map(c_check, GOLDEN)) + "\nreturn bad;\n}\n"
     )
-    program = build((CORE[0], source), ("-O1",), "")
+    program = build((FIRMWARE / "core" / "abt_frame.c", source), ("-O1",), "")
     result = subprocess.run([program], capture_output=True, text=True, check=False)
     program.unlink()
     assert (result.returncode, result.stdout) == (0, "")

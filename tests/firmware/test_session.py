@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from firmware_interface.board import settled
 from firmware_interface.frame import Frame, encode
 from firmware_interface.inproc import InprocBoard
 from firmware_interface.messages import Ack, Fault, Result, State
@@ -50,11 +51,6 @@ class Line:
 def command(seq, t_us, on, until_us=300_000):
     t = t_us * 1e-6
     return ValveCommand(seq, t, t + until_us * 1e-6, (on,) + (0,) * 7, (0,) * 8)
-
-
-@pytest.fixture
-def limits(host):
-    return host.limits
 
 
 def test_a_plan_is_flown_where_its_first_frame_put_it(limits):
@@ -106,8 +102,88 @@ def test_a_plan_past_its_time_to_live_is_repeated_no_more(limits):
     session.apply(command(1, board.now_us, 50_000, until_us=50_000), board.now_us)
     assert session.due(board.now_us + REFRESH_US - 1) == b""
     assert session.due(board.now_us + REFRESH_US)
-    assert session.due(board.now_us + 50_000 + CARRY_US - 1)
-    assert session.due(board.now_us + 50_000 + CARRY_US + REFRESH_US) == b""
+    assert session.due(board.now_us + 50_000) == b""  # though carried on: let the watchdog see it
+
+
+# A pulse to the end of its plan
+
+PERIOD = 100_000
+
+
+class Unsteady(Line):
+    """A line whose delay changes from frame to frame."""
+
+    def __init__(self, limits, rng, most_us=4_000):
+        super().__init__(limits)
+        self.rng, self.most_us = rng, most_us
+
+    def send(self, data):
+        self.delay_us = 1_000 * self.rng.integers(1, self.most_us // 1_000 + 1)
+        super().send(data)
+
+
+def fly(line, wanted, period_us=PERIOD):
+    """One plan per period, V0 open for `wanted` us of each; when the first left, and edges."""
+    first = line.now_us
+    for number, on_us in enumerate(wanted):
+        # the time to live ends with the period, as the flight chain has it
+        line.send(line.session.apply(command(number, line.now_us, on_us, period_us), line.now_us))
+        line.until(line.now_us + period_us)
+    line.until(line.now_us + period_us)
+    return first, settled(line.edges)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_continuous_demand_keeps_the_valve_open_though_plans_come_unsteadily(limits, seed):
+    limits = msgspec.structs.replace(limits, max_on_us=5_000_000, duty_budget_us=3_000_000)
+    line = Unsteady(limits, np.random.default_rng(seed))
+    line.start()
+    first, edges = fly(line, [PERIOD] * 20 + [0])
+    (up, down) = edges
+    assert first < up.t_us <= first + line.most_us
+    assert first + 20 * PERIOD < down.t_us <= first + 20 * PERIOD + line.most_us
+
+
+def test_a_lost_frame_does_not_interrupt_it_either(limits):
+    limits = msgspec.structs.replace(limits, max_on_us=5_000_000, duty_budget_us=3_000_000)
+    line = Line(limits)
+    line.start()
+    losses = iter([False] * 5 + [True] + [False] * 1000)  # the second plan's first frame
+    line.lost = lambda: next(losses)
+    _, edges = fly(line, [PERIOD, PERIOD, PERIOD, 0])
+    assert [edge.mask for edge in edges] == [1, 0]
+    assert edges[1].t_us - edges[0].t_us == 3 * PERIOD
+
+
+def test_it_still_ends_at_the_maximum_on_time(limits):
+    line = Unsteady(limits, np.random.default_rng(1))
+    line.start()
+    _, edges = fly(line, [PERIOD] * 5)
+    assert edges[1].t_us - edges[0].t_us == limits.max_on_us
+    assert edges[1].mask == 0
+
+
+def test_a_sender_that_falls_silent_leaves_it_open_for_the_carry_only(limits):
+    line = Line(limits)
+    line.start()
+    _, edges = fly(line, [PERIOD])
+    assert edges == [(22_000, 1), (22_000 + PERIOD + CARRY_US, 0)]
+
+
+def test_a_pulse_that_ends_before_its_plan_is_not_carried_on(limits):
+    line = Line(limits)
+    line.start()
+    _, edges = fly(line, [PERIOD - 10_000])
+    assert edges == [(22_000, 1), (22_000 + PERIOD - 10_000, 0)]
+
+
+def test_the_carry_asks_for_nothing_that_the_board_refuses(limits):
+    limits = msgspec.structs.replace(limits, max_ttl_us=PERIOD, max_on_us=PERIOD)
+    line = Line(limits)
+    line.start()
+    _, edges = fly(line, [PERIOD])
+    assert edges == [(22_000, 1), (22_000 + PERIOD, 0)]
+    assert line.session.refusals == {}
 
 
 def test_hello_is_repeated_until_answered(limits):

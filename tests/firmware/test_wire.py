@@ -143,10 +143,10 @@ def test_it_closes_at_once_when_the_next_plan_says_so(wired):
 def test_a_pulse_that_ends_before_its_plan_is_not_carried_on(limits):
     session = Session(limits, 1)
     session._session = 1
-    session.apply(command(0, (PERIOD_US - 1, PERIOD_US, 40_000), offset_us=(0, 0, 60_000)), 0)
+    session.apply(command(0, (PERIOD_US - 2, PERIOD_US, 40_000), offset_us=(0, 0, 60_000)), 0)
     plan = session._plan
     assert plan.ttl_us == PERIOD_US + CARRY_US
-    assert plan.on_us[:3] == (PERIOD_US - 1, PERIOD_US + CARRY_US, 40_000 + CARRY_US)
+    assert plan.on_us[:3] == (PERIOD_US - 2, PERIOD_US + CARRY_US, 40_000 + CARRY_US)
 
 
 def test_nothing_is_carried_beyond_the_boards_limits(limits):

@@ -1,4 +1,5 @@
-/* The valve driver board: session with the host, BOOT/SAFE/ARMED, watchdog, telemetry.
+/* The valve driver board as a port sees it: frames in (abt_session.c), what the outputs are
+ * (abt_control.c), frames out (abt_telemetry.c).
  *
  * A port calls four functions, each with its clock in microseconds:
  *
@@ -13,13 +14,11 @@
 #ifndef ABT_FIRMWARE_H
 #define ABT_FIRMWARE_H
 
+#include "abt_control.h"
 #include "abt_frame.h"
-#include "abt_valves.h"
 
-#define ABT_HOUSEKEEPING_US 1000u /* runs are never further apart */
 #define ABT_BOOT_STATUS_US 100000u /* period of STATUS while the limits are unusable */
 #define ABT_ACKS 8u /* answers waiting for the line */
-#define ABT_EDGE_RING 64u
 
 /* How the port keeps abt_run away. */
 typedef struct {
@@ -33,43 +32,6 @@ typedef struct {
     uint32_t boot_nonce; /* differs after every boot */
     abt_reset_cause reset_cause;
 } abt_identity;
-
-typedef struct {
-    uint16_t supply_mv;
-    uint32_t supply_pa;
-} abt_sensors;
-
-typedef struct {
-    uint8_t mask; /* valves to be open */
-    bool bearing;
-    uint32_t wake_us; /* run again then */
-} abt_outputs;
-
-/* Written by abt_run, and by the main loop inside the critical section. */
-typedef struct {
-    abt_state state;
-    uint8_t faults;
-    bool bearing;
-    bool plan_waiting; /* `plan` is for the next run */
-    bool close_waiting; /* the next run closes everything first */
-    bool plan_known; /* `plan_id` is one of this session */
-    bool supply_low; /* since `low_since_us` */
-    uint32_t plan_id;
-    abt_plan plan;
-    uint32_t fed_us; /* watchdog */
-    uint32_t low_since_us;
-    uint32_t wake_us; /* what the last run asked for */
-    uint32_t worst_late_us;
-    uint16_t watchdog_trips;
-    uint16_t lost_edges;
-    abt_sensors sensors;
-    abt_valves valves;
-    abt_output output;
-    uint32_t edge_us[ABT_EDGE_RING];
-    uint8_t edge_mask[ABT_EDGE_RING];
-    uint8_t edge_first;
-    uint8_t edge_count;
-} abt_control;
 
 typedef struct {
     uint32_t session;
@@ -114,7 +76,15 @@ abt_outputs abt_run(abt_firmware *firmware, uint32_t now_us, abt_sensors sensors
 /* The next frame for the host into `out`, ABT_FRAME_MAX long; its length, 0 for none. */
 size_t abt_transmit(abt_firmware *firmware, uint32_t now_us, uint8_t *out);
 
-/* CRC-32 of the limits record: both sides check that they mean the same vehicle. */
-uint32_t abt_config_hash(const abt_config *config);
+/* For the core itself. */
+static inline void abt_enter(abt_firmware *firmware)
+{
+    firmware->port.enter(firmware->port.context);
+}
+
+static inline void abt_leave(abt_firmware *firmware)
+{
+    firmware->port.leave(firmware->port.context);
+}
 
 #endif

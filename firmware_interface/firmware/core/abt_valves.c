@@ -1,10 +1,5 @@
 #include "abt_valves.h"
 
-static uint8_t bit(unsigned valve)
-{
-    return (uint8_t)(1u << valve);
-}
-
 static uint32_t later(uint32_t a_us, uint32_t b_us)
 {
     return abt_reached(a_us, b_us) ? a_us : b_us;
@@ -13,76 +8,6 @@ static uint32_t later(uint32_t a_us, uint32_t b_us)
 static uint32_t sooner(uint32_t a_us, uint32_t b_us)
 {
     return abt_reached(a_us, b_us) ? b_us : a_us;
-}
-
-/* ---- Limits ------------------------------------------------------------------------------- */
-
-static bool opposing_symmetric(const abt_config *config)
-{
-    const unsigned all = (1u << config->valve_count) - 1u;
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        const uint8_t against = config->opposing[i];
-        if ((against & bit(i)) || (against & ~all) || (i >= config->valve_count && against)) {
-            return false;
-        }
-        for (unsigned j = 0; j < ABT_VALVES; j++) {
-            if ((against & bit(j)) && !(config->opposing[j] & bit(i))) {
-                return false;
-            }
-        }
-    }
-    return true;
-}
-
-bool abt_config_valid(const abt_config *config)
-{
-    return abt_config_in_range(config) && config->max_on_us >= config->min_on_us &&
-           config->duty_budget_us >= config->min_on_us &&
-           config->duty_budget_us <= config->duty_window_us &&
-           config->duty_window_us % ABT_DUTY_SLOTS == 0 && opposing_symmetric(config);
-}
-
-/* Whether two pulses overlap, or follow each other within the dead time. */
-static bool too_close(const abt_config *config, const abt_cmd *cmd, unsigned i, unsigned j)
-{
-    const uint32_t i_free_us = cmd->offset_us[i] + cmd->on_us[i] + config->dead_us;
-    const uint32_t j_free_us = cmd->offset_us[j] + cmd->on_us[j] + config->dead_us;
-    return cmd->on_us[i] > 0 && cmd->on_us[j] > 0 && cmd->offset_us[i] < j_free_us &&
-           cmd->offset_us[j] < i_free_us;
-}
-
-static bool opposing_apart(const abt_config *config, const abt_cmd *cmd)
-{
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        for (unsigned j = i + 1u; j < ABT_VALVES; j++) {
-            if ((config->opposing[i] & bit(j)) && too_close(config, cmd, i, j)) {
-                return false;
-            }
-        }
-    }
-    return true;
-}
-
-abt_result abt_cmd_check(const abt_config *config, const abt_cmd *cmd)
-{
-    if (!abt_cmd_in_range(cmd)) {
-        return ABT_RESULT_OUT_OF_RANGE;
-    }
-    if (cmd->ttl_us > config->max_ttl_us) {
-        return ABT_RESULT_TTL_TOO_LONG;
-    }
-    if (cmd->age_us >= cmd->ttl_us) {
-        return ABT_RESULT_EXPIRED;
-    }
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        if (i >= config->valve_count && cmd->on_us[i] > 0) {
-            return ABT_RESULT_NO_SUCH_VALVE;
-        }
-        if (cmd->on_us[i] > config->max_on_us) {
-            return ABT_RESULT_ON_TOO_LONG;
-        }
-    }
-    return opposing_apart(config, cmd) ? ABT_RESULT_OK : ABT_RESULT_OPPOSING;
 }
 
 /* ---- Open time and duty ------------------------------------------------------------------- */
@@ -129,7 +54,6 @@ static void open_valve(abt_valve *valve, uint32_t now_us)
 {
     valve->open = true;
     valve->due = false;
-    valve->resting = false;
     valve->opened_us = now_us;
 }
 
@@ -154,7 +78,7 @@ static uint32_t free_us(const abt_valves *valves, unsigned i, uint32_t us)
         us = later(us, valves->valve[i].closed_us + config->min_off_us);
     }
     for (unsigned j = 0; j < ABT_VALVES; j++) {
-        if ((config->opposing[i] & bit(j)) && valves->valve[j].resting) {
+        if ((config->opposing[i] & abt_bit(j)) && valves->valve[j].resting) {
             us = later(us, valves->valve[j].closed_us + config->dead_us);
         }
     }
@@ -190,23 +114,19 @@ static void close_if_due(abt_valves *valves, abt_valve *valve, uint32_t now_us)
 static bool worth_opening(const abt_valves *valves, const abt_valve *valve, uint32_t open_us)
 {
     const uint32_t min_on_us = valves->config->min_on_us;
-    return !abt_reached(open_us, valve->down_us) && valve->down_us - open_us >= min_on_us &&
-           duty_left_us(valves, valve) >= min_on_us && duty_left_us(valves, valve) > 0;
+    const uint32_t duty_us = duty_left_us(valves, valve);
+    return valve->down_us - open_us >= min_on_us && duty_us >= min_on_us && duty_us > 0;
 }
 
 static void open_if_due(abt_valves *valves, unsigned i, uint32_t now_us)
 {
     abt_valve *valve = &valves->valve[i];
-    if (!valve->due) {
+    const uint32_t open_us = free_us(valves, i, valve->up_us);
+    const bool over = abt_reached(now_us, valve->down_us);
+    if (!valve->due || (!over && (opposing_open(valves, i) || !abt_reached(now_us, open_us)))) {
         return;
     }
-    const uint32_t open_us = free_us(valves, i, valve->up_us);
-    if (abt_reached(now_us, valve->down_us)) {
-        valve->due = false; /* never free in time */
-        valves->unplayed++;
-    } else if (opposing_open(valves, i) || !abt_reached(now_us, open_us)) {
-        return; /* wait */
-    } else if (worth_opening(valves, valve, open_us)) {
+    if (!over && worth_opening(valves, valve, open_us)) {
         open_valve(valve, now_us);
     } else {
         valve->due = false;
@@ -229,7 +149,7 @@ static bool still_open(const abt_valves *valves, unsigned i, uint32_t received_u
 static void continue_opening(abt_valve *valve, uint32_t down_us)
 {
     valve->open = true;
-    valve->resting = false;
+    valve->due = false;
     valve->down_us = down_us;
 }
 
@@ -239,8 +159,7 @@ static void take_pulse(abt_valves *valves, unsigned i, const abt_plan *plan, uin
     const uint32_t on_us = plan->on_us[i];
     const uint32_t up_us = later(plan->start_us + plan->offset_us[i], plan->received_us);
     const uint32_t down_us = sooner(plan->start_us + plan->offset_us[i] + on_us, plan->end_us);
-    valve->due = false;
-    if (on_us > 0 && up_us == plan->received_us && !abt_reached(up_us, down_us) &&
+    if (up_us == plan->received_us && !abt_reached(up_us, down_us) &&
         still_open(valves, i, plan->received_us)) {
         continue_opening(valve, down_us);
         return;
@@ -248,13 +167,9 @@ static void take_pulse(abt_valves *valves, unsigned i, const abt_plan *plan, uin
     if (valve->open) {
         close_valve(valve, now_us);
     }
+    valve->due = on_us > 0;
     valve->up_us = up_us;
     valve->down_us = down_us;
-    if (on_us == 0) {
-        return;
-    }
-    valve->due = on_us >= valves->config->min_on_us && !abt_reached(up_us, down_us);
-    valves->unplayed = (uint16_t)(valves->unplayed + (valve->due ? 0u : 1u));
 }
 
 void abt_valves_init(abt_valves *valves, const abt_config *config, uint32_t now_us)
@@ -325,47 +240,7 @@ uint8_t abt_valves_mask(const abt_valves *valves)
 {
     unsigned mask = 0;
     for (unsigned i = 0; i < ABT_VALVES; i++) {
-        mask |= valves->valve[i].open ? bit(i) : 0u;
+        mask |= valves->valve[i].open ? abt_bit(i) : 0u;
     }
     return (uint8_t)mask;
-}
-
-/* ---- Output stage ------------------------------------------------------------------------- */
-
-static void note_falls(abt_output *output, unsigned falling, uint32_t now_us)
-{
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        if (falling & bit(i)) {
-            output->fallen = (uint8_t)(output->fallen | bit(i));
-            output->fell_us[i] = now_us;
-        }
-    }
-}
-
-static void forget_falls(abt_output *output, uint32_t dead_us, uint32_t now_us)
-{
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        if (now_us - output->fell_us[i] >= dead_us) {
-            output->fallen = (uint8_t)(output->fallen & ~bit(i));
-        }
-    }
-}
-
-bool abt_output_step(abt_output *output, const abt_config *config, uint8_t mask, uint32_t now_us)
-{
-    const unsigned rising = mask & ~(unsigned)output->mask;
-    bool apart = true;
-    note_falls(output, output->mask & ~(unsigned)mask, now_us);
-    forget_falls(output, config->dead_us, now_us);
-    for (unsigned i = 0; i < ABT_VALVES; i++) {
-        const bool both = (mask & bit(i)) && (mask & config->opposing[i]);
-        const bool early = (rising & bit(i)) && (output->fallen & config->opposing[i]);
-        apart = apart && !both && !early;
-    }
-    if (!apart) {
-        note_falls(output, output->mask, now_us);
-        mask = 0;
-    }
-    output->mask = mask;
-    return apart;
 }

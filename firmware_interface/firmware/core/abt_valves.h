@@ -8,9 +8,7 @@
 #ifndef ABT_VALVES_H
 #define ABT_VALVES_H
 
-#include "abt_messages.h"
-
-#define ABT_DUTY_SLOTS 16u /* a duty window is counted in so many slots, and the running one */
+#include "abt_limits.h"
 
 static inline bool abt_reached(uint32_t now_us, uint32_t then_us)
 {
@@ -51,12 +49,6 @@ typedef struct {
     uint16_t cut_duty;
 } abt_valves;
 
-/* Whether the limits can be kept all at once; nothing else may be called if not. */
-bool abt_config_valid(const abt_config *config);
-
-/* Whether a command may be played; ABT_RESULT_OK or the reason. */
-abt_result abt_cmd_check(const abt_config *config, const abt_cmd *cmd);
-
 void abt_valves_init(abt_valves *valves, const abt_config *config, uint32_t now_us);
 
 /* Replace the plan being played. What it does not continue closes at once. */
@@ -72,16 +64,5 @@ void abt_valves_close(abt_valves *valves, uint32_t now_us);
 uint32_t abt_valves_wake(const abt_valves *valves, uint32_t latest_us);
 
 uint8_t abt_valves_mask(const abt_valves *valves);
-
-/* Output stage: knows nothing of plans, only what it drove before. */
-typedef struct {
-    uint8_t mask; /* valves driven open */
-    uint8_t fallen; /* valves driven closed within the dead time, at `fell_us` */
-    uint32_t fell_us[ABT_VALVES];
-} abt_output;
-
-/* Drive `mask`. If that would open opposing valves together, or within the dead time, drive
- * everything closed instead and return false. */
-bool abt_output_step(abt_output *output, const abt_config *config, uint8_t mask, uint32_t now_us);
 
 #endif
