@@ -20,6 +20,8 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from testbed.ops.message import to_json
+
 BUFFER = 256 * 1024  # [bytes] between the flight and the scribe; a third of a second of messages
 
 
@@ -105,7 +107,7 @@ class Recorder:
             number = self._topics[topic] = len(self._topics)
             kind = type(message)
             self._send(Topic(topic, kind.__name__, self._encode(json_schema(kind))))
-        self._send(Entry(number, round(t * 1e9), self._encode(message)))
+        self._send(Entry(number, round(t * 1e9), to_json(message)))
 
     def _send(self, frame: Frame) -> None:
         assert self._scribe.stdin is not None
