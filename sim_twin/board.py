@@ -11,6 +11,7 @@ same as the firmware's:
   without a gap is the same opening.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -97,9 +98,25 @@ class Board:
         self._rng = rng
         self.pulses = pulses
         self.openings = 0
+        self._down = (math.inf, math.inf)  # without power from .. to [s]
+
+    def lose_power(self, since: float, until: float) -> None:
+        """Without power from `since` to `until` [s]: every valve falls shut, no plan is heard."""
+        if self._down == (since, until):
+            return
+        self._down, at = (since, until), nanoseconds(since)
+        never = self.pulses.up >= at
+        self.pulses.up[never] = self.pulses.down[never] = LONG_AGO
+        np.minimum(self.pulses.down, at, out=self.pulses.down)
+
+    def last_closing(self) -> float:
+        """When the last commanded pulse ends or ended [s]."""
+        return 1e-9 * float(self.pulses.down.max())
 
     def apply(self, command: ValveCommand) -> None:
         """Play a plan."""
+        if self._down[0] <= command.issued_at < self._down[1]:
+            return
         on = np.array(command.on_us, dtype=np.int64) * 1000
         offset = np.array(command.offset_us, dtype=np.int64) * 1000
         strength = 1.0 + self._spread * self._rng.standard_normal(len(on))

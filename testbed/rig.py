@@ -11,10 +11,14 @@ from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehi
 from testbed.config import Experiment
 from testbed.core.types import Pose
 from testbed.flight.agent import Agent, lead_time
+from testbed.flight.barrier import Barrier, reaches
+from testbed.flight.detectors import Detectors
 from testbed.flight.estimator import Estimator
 from testbed.flight.gate import Fence, Gate
-from testbed.flight.guidance import Guidance
+from testbed.flight.guidance import Guidance, weakest_force
 from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
+from testbed.flight.safety import Safety
+from testbed.flight.watch import Watch
 from testbed.ops.metrics import Spent, Track
 
 
@@ -31,15 +35,60 @@ def make_guidance(experiment: Experiment, name: str) -> Guidance:
         name=name,
         formation=list(experiment.vehicles),
         path=setup.path,
+        barrier=make_barrier(experiment, name, experiment.guidance.force_share),
+    )
+
+
+SPARE_FORCE = 0.95  # of the weakest direction: droop, and a jet that is weaker than its file
+
+
+def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) -> Barrier | None:
+    """One vehicle's safety filter, for a share of what its jets can do; None: switched off.
+
+    A reference model has a smaller share, and plans its stops with more of it: it has no errors.
+    """
+    params, setup = experiment.flight.barrier, experiment.vehicles[name]
+    if not params.on:
+        return None
+    force = SPARE_FORCE * weakest_force(setup.model)
+    radii = {other: one.model.radius for other, one in experiment.vehicles.items()}
+    return Barrier(
+        params,
+        setup.model.mass,
+        force_share * force,
+        experiment.flight.jet_period_s,
+        fence_of(experiment, name),
+        experiment.obstacles,
+        reaches(radii, name),
+        effort=min(1.0, params.effort / force_share),
+    )
+
+
+def fence_of(experiment: Experiment, name: str) -> tuple[float, float]:
+    """Where the vehicle's centre may be, either way from the middle [m]."""
+    size, rim = experiment.table.size, experiment.vehicles[name].model.radius
+    rim += experiment.flight.gate.fence_margin
+    return size[0] / 2 - rim, size[1] / 2 - rim
+
+
+def make_safety(experiment: Experiment, name: str) -> Safety:
+    """One vehicle's watch, brake and filter."""
+    vehicle, period = experiment.vehicles[name].model, experiment.flight.jet_period_s
+    return Safety(
+        vehicle,
+        period,
+        Watch(experiment.faults),
+        Detectors(vehicle, period, noisy=experiment.table.mocap.noise > 0.0),
+        make_barrier(experiment, name),
+        SPARE_FORCE * weakest_force(vehicle) / vehicle.mass,
     )
 
 
 def make_agent(experiment: Experiment, name: str) -> Agent:
     """One vehicle's flight chain."""
     flight, table, vehicle = experiment.flight, experiment.table, experiment.vehicles[name].model
-    rim = vehicle.radius + flight.gate.fence_margin
-    fence = Fence(table.size[0] / 2 - rim, table.size[1] / 2 - rim)
-    blind = flight.gate.pose_timeout_s + table.mocap.latency_s
+    fence = Fence(*fence_of(experiment, name))
+    blind = max(flight.gate.pose_timeout_s, flight.gate.blind_s) + table.mocap.latency_s
     memory = 2 + math.ceil(blind / flight.jet_period_s)
     on_board = experiment.deploy.law == "vehicle"
     return Agent(
@@ -48,6 +97,7 @@ def make_agent(experiment: Experiment, name: str) -> Agent:
         Estimator(flight.estimator, vehicle, table.mocap, memory),
         Gate(flight.gate, fence),
         make_guidance(experiment, name) if on_board else None,
+        make_safety(experiment, name),
     )
 
 
@@ -93,7 +143,8 @@ def make_twin(experiment: Experiment) -> TwinRig:
         experiment.table,
         experiment.obstacles,
         experiment.seed,
-        listeners=list(setups) if experiment.deploy.law == "vehicle" else (),
+        listeners=list(setups),
+        injections=experiment.inject,
     )
     period = experiment.flight.jet_period_s
     vehicles = [

@@ -14,11 +14,10 @@ from testbed.config.layout import bad_layout
 from testbed.config.misfit import first_misfit
 from testbed.config.mistake import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.number import bad_numbers
+from testbed.config.shipped import SHIPPED
 from testbed.config.source import Source
 from testbed.config.timing import bad_timing
 from testbed.config.tree import trouble_at
-
-SHIPPED = Path(__file__).resolve().parents[2] / "configs"
 
 
 def find(name: str) -> Path:
