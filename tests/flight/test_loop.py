@@ -5,7 +5,9 @@ from msgspec.structs import replace
 
 from testbed.core.types import (
     Health,
+    HostInputs,
     HostOutputs,
+    HostTick,
     Inputs,
     Outputs,
     PoseSample,
@@ -54,6 +56,12 @@ class Node:
         )
 
 
+class Host(Node):
+    def tick(self, t, *armed):
+        self.diary.append((self.name, t, *armed))
+        return HostTick(HostInputs(t, None, {}), HostOutputs(t, None))
+
+
 class Observer:
     def __init__(self, diary):
         self.diary = diary
@@ -79,7 +87,7 @@ def flown(diary, vehicles, hosts=(), ticks=3, **options):
 
 def test_vehicles_first_then_hosts_then_everybody_waits(diary):
     nodes = [Node(diary, "a"), Node(diary, "b")]
-    hosts = [Node(diary, "host a")]
+    hosts = [Host(diary, "host a")]
     ending = flown(diary, nodes, hosts, ticks=1)
     assert diary == [
         ("wait", 0.0),
