@@ -195,7 +195,7 @@ class Plant:
         self.metal.bearing_flow[k] = 0.0
         self.metal.drag[k], self.metal.spin_drag[k] = GROUNDED, GROUNDED_SPIN
 
-    def _played(self) -> Pulses:
+    def played(self) -> Pulses:
         """What the valves do: what the boards say, but for those that are stuck."""
         if not self._stuck:
             return self._pulses
@@ -222,7 +222,7 @@ class Plant:
             self.metal,
             self._ground,
             self._solids,
-            self._played(),
+            self.played(),
             origin,
             span,
             np.clip(np.asarray(marks, dtype=np.float64) - 1e-9 * origin, 0.0, span),

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 from msgspec import Struct
@@ -20,14 +21,18 @@ from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
 from testbed.flight.safety import Safety
 from testbed.flight.watch import Watch
 from testbed.ops.metrics import Spent, Track
+from testbed.ops.rehearsal import MortalNode, SpoiltLaw
 
 
-def make_guidance(experiment: Experiment, name: str) -> Guidance:
-    """One vehicle's law and the world it is told about."""
+def make_guidance(
+    experiment: Experiment, name: str, spoilt: Callable[[], str] | None = None
+) -> Guidance:
+    """One vehicle's law and the world it is told about; `spoilt` is for rehearsals."""
     setup = experiment.vehicles[name]
+    law = make_law(experiment.controller, list(experiment.vehicles))
     return Guidance(
         experiment.guidance,
-        make_law(experiment.controller, list(experiment.vehicles)),
+        law if spoilt is None else SpoiltLaw(law, spoilt),
         setup.model,
         Pose(*setup.goal),
         list(experiment.obstacles.values()),
@@ -84,7 +89,7 @@ def make_safety(experiment: Experiment, name: str) -> Safety:
     )
 
 
-def make_agent(experiment: Experiment, name: str) -> Agent:
+def make_agent(experiment: Experiment, name: str, spoilt: Callable[[], str] | None = None) -> Agent:
     """One vehicle's flight chain."""
     flight, table, vehicle = experiment.flight, experiment.table, experiment.vehicles[name].model
     fence = Fence(*fence_of(experiment, name))
@@ -96,7 +101,7 @@ def make_agent(experiment: Experiment, name: str) -> Agent:
         vehicle,
         Estimator(flight.estimator, vehicle, table.mocap, memory),
         Gate(flight.gate, fence),
-        make_guidance(experiment, name) if on_board else None,
+        make_guidance(experiment, name, spoilt) if on_board else None,
         make_safety(experiment, name),
     )
 
@@ -106,7 +111,7 @@ class TwinRig(Struct, frozen=True):
 
     experiment: Experiment
     twin: Twin
-    vehicles: list[VehicleNode]
+    vehicles: list[VehicleNode | MortalNode]
     hosts: list[HostNode]
 
     def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
@@ -147,20 +152,27 @@ def make_twin(experiment: Experiment) -> TwinRig:
         injections=experiment.inject,
     )
     period = experiment.flight.jet_period_s
-    vehicles = [
-        VehicleNode(
+    sabotage = twin.sabotage
+    spoilt = {n: None if sabotage is None else partial(sabotage.spoilt, n) for n in setups}
+    vehicles: list[VehicleNode | MortalNode] = []
+    for name, setup in setups.items():
+        node = VehicleNode(
             name,
-            make_agent(experiment, name),
+            make_agent(experiment, name, spoilt[name]),
             TwinPoses(twin, name),
             TwinThrusters(twin, name),
             TwinVehicleLink(twin, name),
+            partial(twin.vitals, name),
         )
-        for name in setups
-    ]
+        if sabotage is None:
+            vehicles.append(node)
+        else:
+            jets = len(setup.model.jets)
+            vehicles.append(MortalNode(node, jets, partial(sabotage.dead, name)))
     hosts = [
         HostNode(
             name,
-            make_guidance(experiment, name),
+            make_guidance(experiment, name, spoilt[name]),
             TwinHostLink(twin, name),
             period,
             lead_time(setup.model),

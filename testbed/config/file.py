@@ -14,6 +14,7 @@ from testbed.config.layout import bad_layout
 from testbed.config.misfit import first_misfit
 from testbed.config.mistake import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.number import bad_numbers
+from testbed.config.rehearsal import bad_injections
 from testbed.config.shipped import SHIPPED
 from testbed.config.source import Source
 from testbed.config.timing import bad_timing
@@ -60,6 +61,7 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
 def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     """What the types cannot say."""
     yield from chain(bad_layout(experiment), bad_hardware(experiment), bad_timing(experiment))
+    yield from bad_injections(experiment)
     try:
         make_law(experiment.controller, list(experiment.vehicles))
     except ValueError as error:

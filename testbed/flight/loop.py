@@ -23,6 +23,7 @@ from testbed.core.types import (
 from testbed.flight.agent import Agent
 from testbed.flight.guidance import Guidance
 
+SILENT = 1.2  # [s] a host that has not heard of its vehicle for so long stops all
 LONGEST_STOP = 15.0  # [s] the flight ends so long after a fault, whoever still moves
 
 
@@ -71,6 +72,16 @@ class VehicleNode:
         return Tick(inputs, outputs)
 
 
+class Node(Protocol):
+    """A vehicle as the loop sees it."""
+
+    name: str
+
+    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
+        """See `VehicleNode`."""
+        ...
+
+
 class HostNode:
     """One vehicle's law on the host.
 
@@ -103,6 +114,16 @@ class HostNode:
         return HostTick(inputs, HostOutputs(t, setpoint, guidance.told, "", guidance.filtered))
 
 
+def _trouble(tick: HostTick) -> str:
+    """What a host has to complain of: its law, or a vehicle that is silent."""
+    if tick.outputs.raised:
+        return f"law on the host: {tick.outputs.raised}"
+    own, t = tick.inputs.own, tick.inputs.t
+    if own is not None and not t - own.t <= SILENT:
+        return f"vehicle_silent: nothing heard for {t - own.t:.2f} s"
+    return ""
+
+
 class Observer(Protocol):
     """Whoever watches: recorder, progress bar, dashboard. Must not slow the loop down."""
 
@@ -128,7 +149,7 @@ class Ending(Struct, frozen=True):
 
 def fly(
     clock: Clock,
-    vehicles: Sequence[VehicleNode],
+    vehicles: Sequence[Node],
     hosts: Sequence[HostNode],
     period: float,
     ticks: int,
@@ -155,8 +176,8 @@ def fly(
         for host in hosts:
             answer = host.tick(t, armed)
             observer.host(host.name, answer)
-            if answer.outputs.raised and fault is None:
-                fault, failed_at = f"{host.name}: law on the host: {answer.outputs.raised}", t
+            if fault is None and (trouble := _trouble(answer)):
+                fault, failed_at = f"{host.name}: {trouble}", t
         observer.done(t)
         if not armed:
             return Ending(t, fault)

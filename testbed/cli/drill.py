@@ -1,0 +1,207 @@
+"""`testbed drill`: rehearse the whole catalogue of faults and print what became of each."""
+
+import math
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table as Grid
+
+from testbed.cli.main import BAD_INPUT, FAILED, OK
+from testbed.config import ConfigError, Experiment, find, load
+from testbed.core.injection import Injection
+from testbed.core.types import HostTick, Tick
+from testbed.flight.faults import SEVERITY
+from testbed.ops.drill import NAMES, Drill, Drilled, deadline, draw, summarise
+from testbed.rig import TwinRig, make_twin
+
+EXPERIMENTS = ("zhang2023_table", "zhang2023_table_wrench")
+AFTERWARDS = 5.0  # [s] contacts are looked for so long after the last valve is shut
+NEEDED = {"stick_closed": 90.0}  # [s] to show itself, a jet must be asked for; others: 8 s
+SOON = 8.0
+
+
+class Notes:
+    """Observer: what was said, by whom, when."""
+
+    def __init__(self) -> None:
+        self.first: dict[str, float] = {}  # row -> time
+        self.responses: list[tuple[float, str]] = []
+        self.words: list[tuple[float, str]] = []  # hosts' complaints and gates' faults
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+        out = tick.outputs
+        for row in out.faults:
+            self.first.setdefault(f"{name} {row}", out.t)
+        if out.response:
+            self.responses.append((out.t, out.response))
+        if out.fault:
+            self.words.append((out.t, out.fault))
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
+
+
+def fly_case(experiment: Experiment, what: Injection) -> Drilled:
+    """Fly one injection on the twin and judge it."""
+    rig, notes = make_twin(experiment), Notes()
+    ending = rig.fly(notes)
+    twin, plant = rig.twin, rig.twin.plant
+    if ending.fault is not None:
+        twin.wait_until(twin.now + AFTERWARDS)
+        if "law on the host" in ending.fault or "vehicle_silent" in ending.fault:
+            notes.words.append((_stopped_at(notes, ending.t), ending.fault))
+    assert twin.sabotage is not None
+    began = twin.sabotage.began()[0]
+    named, found = _named(what, notes, began)
+    after = [r for t, r in notes.responses if t >= began]
+    response = max(after, key=SEVERITY.__getitem__, default="")
+    last = max(board.last_closing() for board in plant.boards.values())
+    over = ending.fault is not None
+    limit = math.inf if found is None else began + found + deadline(response)
+    early = tuple(
+        sorted({words for t, words in notes.words if t < began})
+    )  # something ended the run before it was to
+    return Drilled(
+        what.kind,
+        experiment.name,
+        what.vehicle,
+        experiment.seed,
+        began,
+        named,
+        found,
+        response,
+        last - began if over else None,
+        _open_after(rig, limit) if over else 0,
+        sum(touch.t >= began for touch in plant.touches),
+        _travelled(rig, began),
+        ending.fault,
+        early,
+    )
+
+
+def _stopped_at(notes: Notes, end: float) -> float:
+    """When the others were told of a fault that no vehicle has; a tick after it was found."""
+    told = [t for row, t in notes.first.items() if row.endswith(" fleet")]
+    return min(told, default=end)
+
+
+def _named(what: Injection, notes: Notes, began: float) -> tuple[str, float | None]:
+    """The first right name, and how long after the beginning it was said."""
+    rows = [
+        (t, row.split()[1]) for row, t in notes.first.items() if row.split()[1] in NAMES[what.kind]
+    ]
+    for t, words in notes.words:
+        rows += [(t, name) for name in NAMES[what.kind] if name in words]
+    right = [(t, name) for t, name in rows if t >= began]
+    if not right:
+        return "", None
+    t, name = min(right)
+    return name, t - began
+
+
+def _open_after(rig: TwinRig, limit: float) -> int:
+    """Valves through which air flows after `limit` [s], the stuck ones of a landed vehicle not."""
+    plant, count = rig.twin.plant, 0
+    played = plant.played()
+    for k in range(len(plant.names)):
+        flows = plant.metal.thrust[k].sum() > 0.0
+        late = (played.down[k] > 1e9 * limit) & (played.down[k] > played.up[k])
+        count += int(flows) * int(late.any(axis=1).sum())
+    return count
+
+
+def _travelled(rig: TwinRig, began: float) -> float:
+    """The farthest that any vehicle got from where it was at `began` [m]."""
+    truth = rig.track()
+    since = truth.states[truth.t >= began, :, :2]
+    if len(since) == 0:
+        return 0.0
+    return float(np.hypot(*(since - since[0]).transpose(2, 0, 1)).max())
+
+
+def case(number: int, seed: int) -> Drilled:
+    """Case `number` of a drill: kinds and experiments take turns, the rest is drawn."""
+    rng = np.random.default_rng([seed, number])
+    kinds: list[Any] = list(NAMES)
+    kind = kinds[number % len(kinds)]
+    shipped = load(find(EXPERIMENTS[(number // len(kinds)) % len(EXPERIMENTS)]))
+    jets = min(len(setup.model.jets) for setup in shipped.vehicles.values())
+    what = draw(kind, list(shipped.vehicles), jets, rng)
+    duration = (what.at_s or 0.0) + NEEDED.get(kind, SOON)
+    experiment = replace(shipped, seed=int(rng.integers(2**31)), duration_s=duration, inject=[what])
+    return fly_case(experiment, what)
+
+
+def _one(pair: tuple[int, int]) -> Drilled:
+    return case(*pair)
+
+
+def run_drill(rig: str, injections: int, seed: int, jobs: int, as_json: bool) -> int:
+    """Fly the drill, print the table, return the exit code."""
+    errors = Console(stderr=True, highlight=False)
+    try:
+        first = case(0, seed)  # compiles, before the others are started
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            rest = pool.map(_one, [(k, seed) for k in range(1, injections)], chunksize=4)
+            watched = track(
+                rest, "drilling", injections - 1, console=errors, transient=True,
+                disable=not errors.is_terminal,
+            )  # fmt: skip
+            cases = [first, *watched]
+    except ConfigError as error:
+        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    drill = summarise(rig, cases)
+    if as_json:
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(drill)).decode() + "\n")
+    else:
+        print_drill(drill, cases)
+    clean = not (drill.undetected or drill.valves_open_after_deadline or drill.contacts)
+    return OK if clean else FAILED
+
+
+def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
+    """The table, and every case that went wrong."""
+    out = Console(highlight=False)
+    title = f"{drill.injections} injected faults on the {drill.rig}"
+    grid = Grid(title=title, title_justify="left", title_style="bold")
+    grid.add_column("fault")
+    grid.add_column("response")
+    for heading in (
+        "cases", "undetected", "detected in \\[s]", "worst \\[s]", "shut in \\[s]",
+        "travelled \\[m]", "contacts", "open late",
+    ):  # fmt: skip
+        grid.add_column(heading, justify="right")
+    for row in drill.rows:
+        bad = row.undetected or row.contacts or row.valves_open_after_deadline
+        grid.add_row(
+            row.kind, row.response or "-", str(row.cases), str(row.undetected),
+            _number(row.detected_median_s), _number(row.detected_worst_s),
+            _number(row.shut_worst_s), _number(row.travelled_worst_m), str(row.contacts),
+            str(row.valves_open_after_deadline), style="red" if bad else None,
+        )  # fmt: skip
+    out.print(grid)
+    out.print(
+        f"undetected: {drill.undetected}, valves open after the deadline: "
+        f"{drill.valves_open_after_deadline}, contacts: {drill.contacts}, "
+        f"false alarms before the fault: {drill.false_alarms}"
+    )
+    for one in cases:
+        if one.detected_s is None or one.late or one.contacts or one.early:
+            out.print(f"  {msgspec.json.encode(one).decode()}", markup=False, soft_wrap=True)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
