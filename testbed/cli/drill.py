@@ -1,8 +1,7 @@
 """`testbed drill`: rehearse the whole catalogue of faults and print what became of each."""
 
-import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any
@@ -19,35 +18,50 @@ from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.injection import Injection
 from testbed.core.types import HostTick, Tick
 from testbed.flight.faults import SEVERITY
-from testbed.ops.drill import NAMES, Drill, Drilled, deadline, draw, summarise
+from testbed.flight.loop import complaint
+from testbed.ops.drill import (
+    ASKED,
+    DEAD_WITHIN,
+    NAMES,
+    OTHERS,
+    Drill,
+    Drilled,
+    deadline,
+    draw,
+    summarise,
+)
 from testbed.rig import TwinRig, make_twin
 
 EXPERIMENTS = ("zhang2023_table", "zhang2023_table_wrench")
 AFTERWARDS = 5.0  # [s] contacts are looked for so long after the last valve is shut
 NEEDED = {"stick_closed": 90.0}  # [s] to show itself, a jet must be asked for; others: 8 s
 SOON = 8.0
+WIDTH = 140  # of the table in a file
 
 
 class Notes:
     """Observer: what was said, by whom, when."""
 
     def __init__(self) -> None:
-        self.first: dict[str, float] = {}  # row -> time
-        self.responses: list[tuple[float, str]] = []
-        self.words: list[tuple[float, str]] = []  # hosts' complaints and gates' faults
+        self.rows: list[tuple[float, str, str]] = []  # time, vehicle, row of the fault table
+        self.responses: list[tuple[float, str, str]] = []  # time, vehicle, response
+        self.words: list[tuple[float, str, str]] = []  # time, vehicle, fault
+        self.asked: list[tuple[float, str, tuple[int, ...]]] = []  # time, vehicle, open times
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
         out = tick.outputs
-        for row in out.faults:
-            self.first.setdefault(f"{name} {row}", out.t)
+        self.rows += [(out.t, name, row) for row in out.faults]
         if out.response:
-            self.responses.append((out.t, out.response))
+            self.responses.append((out.t, name, out.response))
         if out.fault:
-            self.words.append((out.t, out.fault))
+            self.words.append((out.t, name, out.fault))
+        self.asked.append((out.t, name, out.command.on_us))
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
+        if words := complaint(tick):
+            self.words.append((tick.inputs.t, name, words))
 
     def done(self, t: float) -> None:
         """See `Observer`."""
@@ -60,19 +74,18 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
     twin, plant = rig.twin, rig.twin.plant
     if ending.fault is not None:
         twin.wait_until(twin.now + AFTERWARDS)
-        if "law on the host" in ending.fault or "vehicle_silent" in ending.fault:
-            notes.words.append((_stopped_at(notes, ending.t), ending.fault))
     assert twin.sabotage is not None
     began = twin.sabotage.began()[0]
     named, found = _named(what, notes, began)
-    after = [r for t, r in notes.responses if t >= began]
-    response = max(after, key=SEVERITY.__getitem__, default="")
+    after = [(t, name, one) for t, name, one in notes.responses if t >= began]
+    response = max((one for _, _, one in after), key=SEVERITY.__getitem__, default="")
     last = max(board.last_closing() for board in plant.boards.values())
     over = ending.fault is not None
-    limit = math.inf if found is None else began + found + deadline(response)
-    early = tuple(
-        sorted({words for t, words in notes.words if t < began})
-    )  # something ended the run before it was to
+    limits = {name: _limit(name, what, after, began) for name in plant.names}
+    early = tuple(sorted({words for t, _, words in notes.words if t < began}))
+    asked = sum(
+        on[what.jet - 1] for t, name, on in notes.asked if name == what.vehicle and t >= began
+    )
     return Drilled(
         what.kind,
         experiment.name,
@@ -83,41 +96,49 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
         found,
         response,
         last - began if over else None,
-        _open_after(rig, limit) if over else 0,
+        _open_after(rig, limits) if over else 0,
         sum(touch.t >= began for touch in plant.touches),
         _travelled(rig, began),
         ending.fault,
         early,
+        what.kind == "stick_closed" and found is None and asked < 1e6 * ASKED,
     )
 
 
-def _stopped_at(notes: Notes, end: float) -> float:
-    """When the others were told of a fault that no vehicle has; a tick after it was found."""
-    told = [t for row, t in notes.first.items() if row.endswith(" fleet")]
-    return min(told, default=end)
+def _limit(
+    name: str, what: Injection, after: Sequence[tuple[float, str, str]], began: float
+) -> float:
+    """When every valve of a vehicle must be shut: after its severest response, or its death."""
+    if what.kind == "kill_process" and name == what.vehicle:
+        return began + DEAD_WITHIN
+    own = [(t, one) for t, who, one in after if who == name]
+    severest = max((one for _, one in own), key=SEVERITY.__getitem__, default="")
+    return min((t for t, one in own if one == severest), default=0.0) + deadline(severest)
 
 
 def _named(what: Injection, notes: Notes, began: float) -> tuple[str, float | None]:
-    """The first right name, and how long after the beginning it was said."""
-    rows = [
-        (t, row.split()[1]) for row, t in notes.first.items() if row.split()[1] in NAMES[what.kind]
-    ]
-    for t, words in notes.words:
-        rows += [(t, name) for name in NAMES[what.kind] if name in words]
-    right = [(t, name) for t, name in rows if t >= began]
+    """The first right name, and how long after the beginning it was said by whom it concerns."""
+    names = NAMES[what.kind]
+    concerned = (what.vehicle, what.other)
+    right = [
+        (t, row) for t, who, row in notes.rows
+        if t >= began and row in names and (who in concerned or what.kind in OTHERS)
+    ]  # fmt: skip
+    for t, _, words in notes.words:
+        right += [(t, name) for name in names if name in words and t >= began]
     if not right:
         return "", None
     t, name = min(right)
     return name, t - began
 
 
-def _open_after(rig: TwinRig, limit: float) -> int:
-    """Valves through which air flows after `limit` [s], the stuck ones of a landed vehicle not."""
+def _open_after(rig: TwinRig, limits: Mapping[str, float]) -> int:
+    """Valves through which air flows after their limit [s]; of a landed vehicle none does."""
     plant, count = rig.twin.plant, 0
     played = plant.played()
-    for k in range(len(plant.names)):
+    for k, name in enumerate(plant.names):
         flows = plant.metal.thrust[k].sum() > 0.0
-        late = (played.down[k] > 1e9 * limit) & (played.down[k] > played.up[k])
+        late = (played.down[k] > 1e9 * limits[name]) & (played.down[k] > played.up[k])
         count += int(flows) * int(late.any(axis=1).sum())
     return count
 
@@ -175,12 +196,14 @@ def run_drill(rig: str, injections: int, seed: int, jobs: int, as_json: bool) ->
 def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
     """The table, and every case that went wrong."""
     out = Console(highlight=False)
+    if not out.is_terminal:
+        out.width = WIDTH
     title = f"{drill.injections} injected faults on the {drill.rig}"
     grid = Grid(title=title, title_justify="left", title_style="bold")
     grid.add_column("fault")
     grid.add_column("response")
     for heading in (
-        "cases", "undetected", "detected in \\[s]", "worst \\[s]", "shut in \\[s]",
+        "cases", "undetected", "dormant", "detected in \\[s]", "worst \\[s]", "shut in \\[s]",
         "travelled \\[m]", "contacts", "open late",
     ):  # fmt: skip
         grid.add_column(heading, justify="right")
@@ -188,18 +211,19 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
         bad = row.undetected or row.contacts or row.valves_open_after_deadline
         grid.add_row(
             row.kind, row.response or "-", str(row.cases), str(row.undetected),
-            _number(row.detected_median_s), _number(row.detected_worst_s),
+            str(row.dormant), _number(row.detected_median_s), _number(row.detected_worst_s),
             _number(row.shut_worst_s), _number(row.travelled_worst_m), str(row.contacts),
             str(row.valves_open_after_deadline), style="red" if bad else None,
         )  # fmt: skip
     out.print(grid)
     out.print(
-        f"undetected: {drill.undetected}, valves open after the deadline: "
-        f"{drill.valves_open_after_deadline}, contacts: {drill.contacts}, "
+        f"undetected: {drill.undetected}, dormant: {drill.dormant}, "
+        f"valves open after the deadline: {drill.valves_open_after_deadline}, "
+        f"contacts: {drill.contacts}, "
         f"false alarms before the fault: {drill.false_alarms}"
     )
     for one in cases:
-        if one.detected_s is None or one.late or one.contacts or one.early:
+        if (one.detected_s is None and not one.dormant) or one.late or one.contacts or one.early:
             out.print(f"  {msgspec.json.encode(one).decode()}", markup=False, soft_wrap=True)
 
 

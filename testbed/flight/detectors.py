@@ -12,6 +12,9 @@ from testbed.core.vehicle import Vehicle
 from testbed.flight.evidence import Evidence
 
 SAME_PLACE = 0.15  # [m] a pose so near to where another vehicle should be is that one's
+TRUSTED_AGE = 0.1  # [s]
+TRUSTED = 8  # poses refused in a row
+SAME_CLOCK = 0.005  # [s]
 FAR = 0.05  # [m] a pose so far from the own prediction is not the own
 
 
@@ -100,7 +103,9 @@ class Detectors:
         age = rejected = push = turn = 0.0
         if state is not None:
             age, rejected, bias = state.pose_age, state.rejected, state.bias
-            push, turn = math.hypot(bias.ax, bias.ay), abs(bias.alpha)
+            # poses that are old, refused or of another clock say nothing about valves
+            if age < TRUSTED_AGE and rejected <= TRUSTED and abs(vitals.clock_offset) < SAME_CLOCK:
+                push, turn = math.hypot(bias.ax, bias.ay), abs(bias.alpha)
         jumped = jump(self._before, samples)
         other = whose(jumped, samples, inputs.neighbours) if jumped > FAR else None
         self._before = state

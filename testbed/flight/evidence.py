@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 MEMORY = 10.0  # [s]
 SETTLING = 20.0  # [s]
 LAG = 0.35  # [s] of the velocity estimate behind the pulses
-ENOUGH = 0.2  # share of a jet's effect that has to be missing; thrust spread is 0.05
+ENOUGH = 0.3  # share of a jet's effect that has to be missing; thrust spread is 0.05
 SPREAD = 1.5e-3  # of a velocity residual at the start, one sigma [m/s]
 SPIN_SPREAD = 5e-3  # [rad/s]
 

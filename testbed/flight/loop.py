@@ -4,6 +4,7 @@ Tick k is due at k * period of the clock it is handed. In each tick every vehicl
 first, on what has arrived so far; then the host answers for the next one.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -13,10 +14,12 @@ from msgspec.structs import replace
 from testbed.core.ports import Clock, HostLink, PoseSource, Thrusters, VehicleLink
 from testbed.core.types import (
     ALL_WELL,
+    Demand,
     HostInputs,
     HostOutputs,
     HostTick,
     Inputs,
+    Setpoint,
     Tick,
     Vitals,
 )
@@ -72,6 +75,14 @@ class VehicleNode:
         return Tick(inputs, outputs)
 
 
+def _is_number(setpoint: Setpoint) -> bool:
+    """Whether a setpoint is fit to be sent; of a trajectory the newest reference."""
+    if isinstance(setpoint, Demand):
+        return math.isfinite(setpoint.fx_w + setpoint.fy_w)
+    pose = setpoint.references[-1].pose
+    return math.isfinite(pose.x + pose.y)
+
+
 class Node(Protocol):
     """A vehicle as the loop sees it."""
 
@@ -108,13 +119,16 @@ class HostNode:
         except Exception as error:  # whatever a law dies of, the vehicles are brought to a stop
             self._raised = f"{type(error).__name__}: {error}"
             return HostTick(inputs, HostOutputs(t, None, raised=self._raised))
+        if not _is_number(setpoint):
+            self._raised = "asks for something that is not a number"
+            return HostTick(inputs, HostOutputs(t, None, raised=self._raised))
         link.publish(setpoint)
         if guidance.told is not None:
             link.tell(guidance.told)
         return HostTick(inputs, HostOutputs(t, setpoint, guidance.told, "", guidance.filtered))
 
 
-def _trouble(tick: HostTick) -> str:
+def complaint(tick: HostTick) -> str:
     """What a host has to complain of: its law, or a vehicle that is silent."""
     if tick.outputs.raised:
         return f"law on the host: {tick.outputs.raised}"
@@ -176,7 +190,7 @@ def fly(
         for host in hosts:
             answer = host.tick(t, armed)
             observer.host(host.name, answer)
-            if fault is None and (trouble := _trouble(answer)):
+            if fault is None and (trouble := complaint(answer)):
                 fault, failed_at = f"{host.name}: {trouble}", t
         observer.done(t)
         if not armed:

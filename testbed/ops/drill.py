@@ -28,8 +28,8 @@ NAMES: dict[str, tuple[str, ...]] = {
     "leak": ("supply_weak", "supply_low"),
     "brown_out": ("battery_low", "board_silent"),
     "clock_step": ("clock_off",),
-    "nan_law": ("not_a_number",),
-    "raise_law": ("law_raised", "law on the host"),
+    "nan_law": ("not_a_number", "law on the host: asks for something that is not a number"),
+    "raise_law": ("law_raised", "law on the host: SabotageError"),
     "operator_gone": ("operator_gone",),
     "disk_full": ("disk_full",),
     "config_differs": ("config_differs",),
@@ -38,7 +38,10 @@ NAMES: dict[str, tuple[str, ...]] = {
 # how long after it is detected every valve must be shut: a plan in flight, or a stop; see docs
 SHUT_WITHIN = {"": math.inf, "warn": math.inf, "hold": math.inf, "coast": 0.15, "land": 0.15}
 BRAKE_WITHIN = 7.0  # [s] the longest stop on board, and the ticks before and after it
+DEAD_WITHIN = 0.25  # [s] a plan that a dead process has sent, and its time to live
 POSE_LOSS_WITHIN = 0.15  # [s]
+ASKED = 1.5  # [s] of open time that a jet must be asked for before its silence can be noticed
+OTHERS = ("kill_process",)  # faults that only the others can name
 SPREAD = {  # sizes that are drawn, as factors of what is usual
     "jump_mocap": (0.5, 3.0),
     "noisy_mocap": (0.5, 3.0),
@@ -67,6 +70,7 @@ class Drilled(Struct, frozen=True):
     travelled_m: float  # the farthest that any vehicle got from where it was when it began
     fault: str | None  # how the run ended
     early: tuple[str, ...]  # faults that were latched before it began
+    dormant: bool  # it had no occasion to show: a valve that is stuck shut and not asked for
 
 
 class Row(Struct, frozen=True):
@@ -74,7 +78,8 @@ class Row(Struct, frozen=True):
 
     kind: str
     cases: int
-    undetected: int
+    undetected: int  # without the dormant
+    dormant: int
     detected_median_s: float | None
     detected_worst_s: float | None
     response: str
@@ -90,6 +95,7 @@ class Drill(Struct, frozen=True):
     rig: str
     injections: int
     undetected: int
+    dormant: int
     valves_open_after_deadline: int
     contacts: int
     false_alarms: int
@@ -128,7 +134,8 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
             Row(
                 kind,
                 len(own),
-                sum(one.detected_s is None for one in own),
+                sum(one.detected_s is None and not one.dormant for one in own),
+                sum(one.dormant for one in own),
                 float(np.median(found)) if found else None,
                 max(found, default=None),
                 ", ".join(sorted(responses, key=SEVERITY.__getitem__)),
@@ -142,6 +149,7 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
         rig,
         len(cases),
         sum(row.undetected for row in rows),
+        sum(row.dormant for row in rows),
         sum(row.valves_open_after_deadline for row in rows),
         sum(row.contacts for row in rows),
         sum(bool(one.early) for one in cases),
