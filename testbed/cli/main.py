@@ -79,6 +79,24 @@ def list_all(as_json: bool) -> None:
 
 
 @main.command()
+@click.argument("experiment")
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--flights", type=click.IntRange(min=1), default=8, show_default=True)
+@click.option("--force", is_flag=True, help="Ask for its name to admit it all the same.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+@click.pass_context
+def admit(
+    context: click.Context, experiment: str, overrides: tuple[str, ...], flights: int,
+    force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Predict in the twin whether an EXPERIMENT may be flown on hardware."""
+    from testbed.cli.admit import run_admission
+
+    code = run_admission(experiment, overrides, flights, force=force, as_json=as_json)
+    context.exit(code)
+
+
+@main.command()
 @click.option("--rig", type=click.Choice(["twin"]), default="twin", show_default=True)
 @click.option("--injections", type=click.IntRange(min=1), default=513, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Of what is drawn.")
