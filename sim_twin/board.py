@@ -13,6 +13,7 @@ same as the firmware's:
   without a gap is the same opening.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
@@ -86,6 +87,11 @@ def play(pulses, start, end, on, offset, min_on, min_off, strength):
     return openings
 
 
+def last_closing(pulses: Pulses) -> float:
+    """When the last commanded pulse ends or ended [s]."""
+    return 1e-9 * float(pulses.down.max())
+
+
 def nanoseconds(seconds: float) -> int:
     """The nearest whole nanosecond."""
     return round(seconds * 1e9)
@@ -102,9 +108,21 @@ class Board:
         self._draws = Draws(rng.standard_normal, len(vehicle.jets))
         self.pulses = pulses
         self.openings = 0
+        self._down = (math.inf, math.inf)  # without power from .. to [s]
+
+    def lose_power(self, since: float, until: float) -> None:
+        """Without power from `since` to `until` [s]: every valve falls shut, no plan is heard."""
+        if self._down == (since, until):
+            return
+        self._down, at = (since, until), nanoseconds(since)
+        never = self.pulses.up >= at
+        self.pulses.up[never] = self.pulses.down[never] = LONG_AGO
+        np.minimum(self.pulses.down, at, out=self.pulses.down)
 
     def apply(self, command: ValveCommand) -> None:
         """Play a plan."""
+        if self._down[0] <= command.issued_at < self._down[1]:
+            return
         on, offset = 1000 * np.array((command.on_us, command.offset_us), dtype=np.int64)
         strength = 1.0 + self._spread * self._draws.take(1)[0]
         start = nanoseconds(command.issued_at) + self._delay

@@ -24,8 +24,11 @@ class Channel(Generic[M]):
         self._heard: tuple[int, M | None] = (0, None)  # number and message heard last
         self._on_the_way: list[tuple[float, int, M]] = []  # (arrival, number, message)
 
-    def send(self, t: float, message: M) -> None:
-        """Put a message on the air at time `t` [s]."""
+    def send(self, t: float, message: M, trouble: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Put a message on the air at time `t` [s].
+
+        `trouble` is an injected delay [s] and probability of loss on top of the link's own.
+        """
         link, rng = self._link, self._rng
         turn, lose, delay = rng.random(), rng.random(), rng.exponential()
         if turn < (link.burst_leave if self._bad else link.burst_enter):
@@ -33,7 +36,9 @@ class Channel(Generic[M]):
         self._sent += 1
         if lose < (link.burst_loss if self._bad else link.loss):
             return
-        arrival = t + link.delay_s + link.jitter_s * delay
+        if trouble[1] > 0.0 and rng.random() < trouble[1]:
+            return
+        arrival = t + trouble[0] + link.delay_s + link.jitter_s * delay
         self._on_the_way.append((arrival, self._sent, message))
 
     def newest(self, t: float) -> M | None:

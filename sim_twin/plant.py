@@ -12,7 +12,16 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from sim_twin.air import breathe
-from sim_twin.board import SLOTS, Board, DrivenBoard, Driver, Pulses, nanoseconds, no_pulses
+from sim_twin.board import (
+    LONG_AGO,
+    SLOTS,
+    Board,
+    DrivenBoard,
+    Driver,
+    Pulses,
+    nanoseconds,
+    no_pulses,
+)
 from sim_twin.body import new_stages, step
 from sim_twin.contact import Solids, closing, keys, resolve
 from sim_twin.flow import pieces
@@ -30,6 +39,11 @@ MAX_STEP = 0.01  # [s]
 HAIR = 1e-9  # [s] a piece shorter than this, left by rounding, joins the one before it
 REST = 0.002  # [s] between two looks at a contact that persists
 BISECTIONS = 40  # of MAX_STEP: 1e-14 s
+FAR_AHEAD = 10**15  # [ns]
+# A vehicle without bearing air stands on the stone. Dry friction of 0.2 would stop it within
+# millimetres; here it is viscous, and softer.                                          [assumed]
+GROUNDED = 200.0  # [N s/m]
+GROUNDED_SPIN = 4.0  # [N m s/rad]
 
 
 @compiled
@@ -170,12 +184,44 @@ class Plant:
         for k, (name, vehicle) in enumerate(vehicles.items()):
             own = vehicle, self._pulses_of(k), stream(seed, name, "pulses")
             self.boards[name] = DrivenBoard(*own, drivers[name]) if drivers else Board(*own)
+        self._stuck: dict[tuple[int, int], tuple[bool, int, int]] = {}
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
 
     def _pulses_of(self, k: int) -> Pulses:
         return Pulses(self._pulses.up[k], self._pulses.down[k], self._pulses.strength[k])
+
+    def stick(self, k: int, jet: int, is_open: bool, since: float, until: float) -> None:
+        """Valve number `jet` of vehicle number `k` stays open or shut from `since` to `until`."""
+        span = nanoseconds(since), min(FAR_AHEAD, nanoseconds(until))
+        self._stuck[k, jet] = (is_open, *span)
+
+    def leak(self, k: int, gas: float) -> None:
+        """Vehicle number `k` loses `gas` [kg]."""
+        self.used[k] = min(self.used[k] + gas, self.metal.gas[k])
+
+    def land(self, k: int) -> None:
+        """Shut the air of vehicle number `k` off at the tank: no jet, and no bearing."""
+        self.metal.effect[k] = self.metal.thrust[k] = 0.0
+        self.metal.bearing_flow[k] = 0.0
+        self.metal.drag[k], self.metal.spin_drag[k] = GROUNDED, GROUNDED_SPIN
+
+    def played(self) -> Pulses:
+        """What the valves do: what the boards say, but for those that are stuck."""
+        if not self._stuck:
+            return self._pulses
+        ours = self._pulses
+        played = Pulses(ours.up.copy(), ours.down.copy(), ours.strength.copy())
+        for (k, jet), (is_open, since, until) in self._stuck.items():
+            up, down = played.up[k, jet], played.down[k, jet]
+            inside = (up >= since) & (up < until)
+            up[inside] = down[inside] = LONG_AGO
+            across = (up < since) & (down > since)
+            down[across] = since
+            if is_open:  # the oldest pulse gives its place
+                up[0], down[0], played.strength[k, jet, 0] = since, until, 1.0
+        return played
 
     def advance(self, t: float, marks: Array | Sequence[float] = ()) -> Array:
         """Move on to time `t` and give the states at the `marks` on the way, (n, v, 6)."""
@@ -190,7 +236,7 @@ class Plant:
             self.metal,
             self._ground,
             self._solids,
-            self._pulses,
+            self.played(),
             origin,
             span,
             np.clip(np.asarray(marks, dtype=np.float64) - 1e-9 * origin, 0.0, span),

@@ -14,8 +14,20 @@ from sim_twin.camera import Camera
 from sim_twin.channel import Channel
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
+from sim_twin.sabotage import Sabotage
+from testbed.core.injection import Injection
 from testbed.core.table import Obstacle, Table
-from testbed.core.types import Health, Pose, PoseSample, Setpoint, State, Told, ValveCommand
+from testbed.core.types import (
+    ALL_WELL,
+    Health,
+    Pose,
+    PoseSample,
+    Setpoint,
+    State,
+    Told,
+    ValveCommand,
+    Vitals,
+)
 from testbed.core.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -37,10 +49,15 @@ class Twin:
         seed: int,
         listeners: Collection[str] = (),
         drivers: Mapping[str, Driver] | None = None,
+        injections: Sequence[Injection] = (),
     ) -> None:
         self.names = list(vehicles)
         self.vehicles = vehicles
         self.plant = Plant(vehicles, starts, table, obstacles, seed, drivers)
+        half = (table.size[0] / 2, table.size[1] / 2)
+        self.sabotage = (
+            Sabotage(injections, self.plant, obstacles, half, seed) if injections else None
+        )
         self.cameras = {n: Camera(table.mocap, stream(seed, n, "camera")) for n in self.names}
         self._rate = table.mocap.rate_hz
         self._phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))
@@ -76,29 +93,48 @@ class Twin:
         frames = np.arange(self._frame, last + 1)
         self._frame = max(self._frame, last + 1)
         times = ((frames + self._phase) / self._rate).astype(np.float64)
+        if self.sabotage is not None:
+            self.sabotage.before(t)
         seen = self.plant.advance(t, times)
         self.seen_at += times.tolist()
         self.seen.append(seen)
+        shown = seen
+        if self.sabotage is not None:
+            self.sabotage.look(t)
+            if (rows := self.sabotage.sources(self.names, times)) is not None:
+                shown = np.stack([one[row] for one, row in zip(seen, rows, strict=True)])
         for k, name in enumerate(self.names):
-            self.cameras[name].expose(times, seen[:, k])
+            self.cameras[name].expose(times, shown[:, k])
+
+    def trouble(self, receiver: str) -> tuple[float, float]:
+        """Injected delay and loss of messages to a vehicle."""
+        return (0.0, 0.0) if self.sabotage is None else self.sabotage.air(receiver)
+
+    def vitals(self, name: str) -> Vitals:
+        """What the process round a vehicle's chain knows; all is well in a twin, but for faults."""
+        return ALL_WELL if self.sabotage is None else self.sabotage.vitals(name)
 
     def health(self, name: str) -> Health:
         """What the board's sensors read."""
         k = self.names.index(name)
         air = self.vehicles[name].air
         left = air.gas - float(self.plant.used[k])
-        return Health(self.now, air.supply_pressure(left), air.pressure_in_tank(left))
+        pressures = air.supply_pressure(left), air.pressure_in_tank(left)
+        if self.sabotage is None:
+            return Health(self.now, *pressures)
+        return Health(self.now, *pressures, *self.sabotage.power(name))
 
 
 class TwinPoses:
     """PoseSource of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._camera = twin, twin.cameras[name]
+        self._twin, self._name, self._camera = twin, name, twin.cameras[name]
 
     def samples(self) -> Sequence[PoseSample]:
         """See `PoseSource`."""
-        return self._camera.arrived(self._twin.now)
+        twin, samples = self._twin, self._camera.arrived(self._twin.now)
+        return samples if twin.sabotage is None else twin.sabotage.poses(self._name, samples)
 
 
 class TwinThrusters:
@@ -110,6 +146,11 @@ class TwinThrusters:
     def apply(self, command: ValveCommand) -> None:
         """See `Thrusters`."""
         self._board.apply(command)
+
+    def land(self) -> None:
+        """See `Thrusters`."""
+        plant = self._twin.plant
+        plant.land(plant.names.index(self._name))
 
     def health(self) -> Health:
         """See `Thrusters`."""
@@ -136,9 +177,9 @@ class TwinVehicleLink:
         """See `VehicleLink`."""
         twin = self._twin
         twin.to_host[self._name].send(twin.now, state)
-        for (sender, _), air in twin.between.items():
+        for (sender, receiver), air in twin.between.items():
             if sender == self._name:
-                air.send(twin.now, state)
+                air.send(twin.now, state, twin.trouble(receiver))
 
     def told(self) -> dict[str, Told]:
         """See `VehicleLink`."""
@@ -171,7 +212,8 @@ class TwinHostLink:
 
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
-        self._twin.setpoints[self._name].send(self._twin.now, setpoint)
+        twin = self._twin
+        twin.setpoints[self._name].send(twin.now, setpoint, twin.trouble(self._name))
 
     def told(self) -> dict[str, Told]:
         """See `HostLink`. The laws share a computer, and hear what was said before this tick."""

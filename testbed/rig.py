@@ -3,6 +3,7 @@
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,21 +18,29 @@ from testbed.config import Experiment
 from testbed.core.ports import Clock
 from testbed.core.types import HostTick, Pose, Tick
 from testbed.flight.agent import Agent, lead_time
+from testbed.flight.barrier import Barrier, reaches
+from testbed.flight.detectors import Detectors
 from testbed.flight.estimator import Estimator
 from testbed.flight.gate import Fence, Gate
 from testbed.flight.guidance import Guidance, weakest_force
 from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
+from testbed.flight.safety import Safety
+from testbed.flight.watch import Watch
 from testbed.ops.characterisation import characterise
 from testbed.ops.formation import Crew
 from testbed.ops.metrics import Spent, Track
+from testbed.ops.rehearsal import MortalNode, SpoiltLaw
 
 
-def make_guidance(experiment: Experiment, name: str) -> Guidance:
-    """One vehicle's law and the world it is told about."""
+def make_guidance(
+    experiment: Experiment, name: str, spoilt: Callable[[], str] | None = None
+) -> Guidance:
+    """One vehicle's law and the world it is told about; `spoilt` is for rehearsals."""
     setup = experiment.vehicles[name]
+    law = make_law(experiment.controller, list(experiment.vehicles))
     return Guidance(
         experiment.guidance,
-        make_law(experiment.controller, list(experiment.vehicles)),
+        law if spoilt is None else SpoiltLaw(law, spoilt),
         setup.model,
         Pose(*setup.goal),
         list(experiment.obstacles.values()),
@@ -39,15 +48,60 @@ def make_guidance(experiment: Experiment, name: str) -> Guidance:
         name=name,
         formation=list(experiment.vehicles),
         path=setup.path,
+        barrier=make_barrier(experiment, name, experiment.guidance.force_share),
     )
 
 
-def make_agent(experiment: Experiment, name: str) -> Agent:
+SPARE_FORCE = 0.95  # of the weakest direction: droop, and a jet that is weaker than its file
+
+
+def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) -> Barrier | None:
+    """One vehicle's safety filter, for a share of what its jets can do; None: switched off.
+
+    A reference model has a smaller share, and plans its stops with more of it: it has no errors.
+    """
+    params, setup = experiment.flight.barrier, experiment.vehicles[name]
+    if not params.on:
+        return None
+    force = SPARE_FORCE * weakest_force(setup.model)
+    radii = {other: one.model.radius for other, one in experiment.vehicles.items()}
+    return Barrier(
+        params,
+        setup.model.mass,
+        force_share * force,
+        experiment.flight.jet_period_s,
+        fence_of(experiment, name),
+        experiment.obstacles,
+        reaches(radii, name),
+        effort=min(1.0, params.effort / force_share),
+    )
+
+
+def fence_of(experiment: Experiment, name: str) -> tuple[float, float]:
+    """Where the vehicle's centre may be, either way from the middle [m]."""
+    size, rim = experiment.table.size, experiment.vehicles[name].model.radius
+    rim += experiment.flight.gate.fence_margin
+    return size[0] / 2 - rim, size[1] / 2 - rim
+
+
+def make_safety(experiment: Experiment, name: str) -> Safety:
+    """One vehicle's watch, brake and filter."""
+    vehicle, period = experiment.vehicles[name].model, experiment.flight.jet_period_s
+    return Safety(
+        vehicle,
+        period,
+        Watch(experiment.faults),
+        Detectors(vehicle, period, noisy=experiment.table.mocap.noise > 0.0),
+        make_barrier(experiment, name),
+        SPARE_FORCE * weakest_force(vehicle) / vehicle.mass,
+    )
+
+
+def make_agent(experiment: Experiment, name: str, spoilt: Callable[[], str] | None = None) -> Agent:
     """One vehicle's flight chain."""
     flight, table, vehicle = experiment.flight, experiment.table, experiment.vehicles[name].model
-    rim = vehicle.radius + flight.gate.fence_margin
-    fence = Fence(table.size[0] / 2 - rim, table.size[1] / 2 - rim)
-    blind = flight.gate.pose_timeout_s + table.mocap.latency_s
+    fence = Fence(*fence_of(experiment, name))
+    blind = max(flight.gate.pose_timeout_s, flight.gate.blind_s) + table.mocap.latency_s
     memory = 2 + math.ceil(blind / flight.jet_period_s)
     on_board = experiment.deploy.law == "vehicle"
     return Agent(
@@ -55,7 +109,8 @@ def make_agent(experiment: Experiment, name: str) -> Agent:
         vehicle,
         Estimator(flight.estimator, vehicle, table.mocap, memory),
         Gate(flight.gate, fence),
-        make_guidance(experiment, name) if on_board else None,
+        make_guidance(experiment, name, spoilt) if on_board else None,
+        make_safety(experiment, name),
     )
 
 
@@ -146,7 +201,7 @@ class TwinRig(Struct, frozen=True):
 
     experiment: Experiment
     twin: Twin
-    vehicles: list[VehicleNode]
+    vehicles: list[VehicleNode | MortalNode]
     hosts: list[HostNode]
     boards: dict[str, WiredBoard]  # with firmware; empty with the twin's own
     pace: Clock | None = None  # slows the twin down, for whoever looks
@@ -220,24 +275,32 @@ def make_twin(experiment: Experiment) -> TwinRig:
         experiment.table,
         experiment.obstacles,
         experiment.seed,
-        listeners=list(setups) if experiment.deploy.law == "vehicle" else (),
+        listeners=list(setups),
         drivers=drivers,
+        injections=experiment.inject,
     )
     period = experiment.flight.jet_period_s
-    vehicles = [
-        VehicleNode(
+    sabotage = twin.sabotage
+    spoilt = {n: None if sabotage is None else partial(sabotage.spoilt, n) for n in setups}
+    vehicles: list[VehicleNode | MortalNode] = []
+    for name, setup in setups.items():
+        node = VehicleNode(
             name,
-            make_agent(experiment, name),
+            make_agent(experiment, name, spoilt[name]),
             TwinPoses(twin, name),
             TwinThrusters(twin, name),
             TwinVehicleLink(twin, name),
+            partial(twin.vitals, name),
         )
-        for name in setups
-    ]
+        if sabotage is None:
+            vehicles.append(node)
+        else:
+            jets = len(setup.model.jets)
+            vehicles.append(MortalNode(node, jets, partial(sabotage.dead, name)))
     hosts = [
         HostNode(
             name,
-            make_guidance(experiment, name),
+            make_guidance(experiment, name, spoilt[name]),
             TwinHostLink(twin, name),
             period,
             lead_time(setup.model),

@@ -184,7 +184,8 @@ class TableServer:
 
     def _sense(self) -> None:
         for k, name in enumerate(self.names):
-            pressure = self.plant.supply_share(k) * self.models[name].air.set_pressure
+            air = self.models[name].air
+            pressure = air.supply_pressure(air.gas - float(self.plant.used[k]))
             self._taps[name].sense(SUPPLY_MV, round(pressure))
 
     # The cameras

@@ -147,6 +147,40 @@ def list_all(as_json: bool) -> None:
 
 
 @main.command()
+@click.argument("experiment")
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--flights", type=click.IntRange(min=1), default=8, show_default=True)
+@click.option("--force", is_flag=True, help="Ask for its name to admit it all the same.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+@click.pass_context
+def admit(
+    context: click.Context, experiment: str, overrides: tuple[str, ...], flights: int,
+    force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Predict in the twin whether an EXPERIMENT may be flown on hardware."""
+    from testbed.cli.admit import run_admission
+
+    code = run_admission(experiment, overrides, flights, force=force, as_json=as_json)
+    context.exit(code)
+
+
+@main.command()
+@click.option("--rig", type=click.Choice(["twin"]), default="twin", show_default=True)
+@click.option("--injections", type=click.IntRange(min=1), default=513, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of what is drawn.")
+@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+@click.pass_context
+def drill(
+    context: click.Context, rig: str, injections: int, seed: int, jobs: int, as_json: bool
+) -> None:
+    """Rehearse the whole catalogue of faults: what is found, how soon, and what is done."""
+    from testbed.cli.drill import run_drill
+
+    context.exit(run_drill(rig, injections, seed, jobs, as_json))
+
+
+@main.command()
 @click.argument("kind", type=click.Choice(["experiment", "vehicle", "table"]), default="experiment")
 def schema(kind: str) -> None:
     """Print the JSON Schema of an experiment, vehicle or table file, for editors."""

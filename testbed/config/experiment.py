@@ -5,10 +5,13 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct, field
 
 from controllers.catalogue import Controller
+from testbed.config.shipped import shipped_faults
+from testbed.core.injection import Injection
 from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Positive, Vehicle
 from testbed.flight.agent import FlightParams
+from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import GuidanceParams
 from testbed.ops.metrics import Criteria
 
@@ -46,6 +49,8 @@ class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
     deploy: Deploy = field(default_factory=Deploy)
     criteria: Criteria = field(default_factory=Criteria)
     board: Literal["model", "inproc", "unicorn"] = "model"  # who plays the plans, see boards.py
+    faults: FaultTable = field(default_factory=shipped_faults)
+    inject: list[Injection] = []
 
     @property
     def ticks(self) -> int:

@@ -16,11 +16,11 @@ from testbed.config.misfit import first_misfit
 from testbed.config.mistake import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.number import bad_numbers
 from testbed.config.own_law import bad_own_law, with_content
+from testbed.config.rehearsal import bad_injections
+from testbed.config.shipped import SHIPPED
 from testbed.config.source import Source
 from testbed.config.timing import bad_timing
 from testbed.config.tree import trouble_at
-
-SHIPPED = Path(__file__).resolve().parents[2] / "configs"
 
 
 def find(name: str) -> Path:
@@ -65,6 +65,7 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     yield from chain(bad_layout(experiment), bad_hardware(experiment), bad_timing(experiment))
     yield from bad_own_law(experiment)
     yield from bad_board(experiment)
+    yield from bad_injections(experiment)
     try:
         make_law(experiment.controller, list(experiment.vehicles))
     except ValueError as error:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from testbed.config.key import Key, assignment, spell
 from testbed.config.mistake import ConfigError, Mistake, show
 from testbed.config.own_law import place_law
+from testbed.config.shipped import FAULTS
 from testbed.config.tree import parse, read_toml, trouble_at
 
 _BARE_WORD = re.compile(r"[^\W\d][\w./-]*|\.{0,2}/[\w./-]+")
@@ -26,6 +27,8 @@ class Source:
     def __init__(self, path: Path) -> None:
         self.tree = read_toml(path)
         self._origins: dict[Key, Origin] = {(): Origin(str(path))}
+        if isinstance(self.tree, dict) and "faults" not in self.tree:
+            self.tree["faults"] = str(FAULTS)
         self._include(path.parent)
 
     def error(self, mistake: Mistake) -> ConfigError:
@@ -77,7 +80,7 @@ class Source:
     def _include(self, folder: Path) -> None:
         """Put the content of files in the place of their paths."""
         place_law(self.tree, folder)
-        slots: list[tuple[Key, Any]] = [(("table",), self.tree)]
+        slots: list[tuple[Key, Any]] = [(("table",), self.tree), (("faults",), self.tree)]
         vehicles = self.tree.get("vehicles")
         if isinstance(vehicles, dict):
             slots += [(("vehicles", name, "model"), entry) for name, entry in vehicles.items()]

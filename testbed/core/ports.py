@@ -33,6 +33,10 @@ class Thrusters(Protocol):
         """Send a plan; it replaces the one before."""
         ...
 
+    def land(self) -> None:
+        """Shut the air off, the bearings' too; may be said again and again."""
+        ...
+
     def health(self) -> Health:
         """Newest report of the board."""
         ...

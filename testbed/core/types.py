@@ -119,12 +119,41 @@ class Told(Struct, frozen=True, gc=False):
     values: tuple[float, ...]  # by the law's own convention, in the law's own units
 
 
-class Health(Struct, frozen=True, gc=False):
+class Health(Struct, frozen=True, gc=False, omit_defaults=True):
     """What the board reports of itself."""
 
     t: float  # board's time [s]
     supply_pressure: float  # behind the regulator [Pa]
     tank_pressure: float  # [Pa]
+    battery: float = 12.0  # [V]
+    silent_s: float = 0.0  # since the board last answered [s]
+
+
+class Vitals(Struct, frozen=True, gc=False, omit_defaults=True):
+    """What the process round a vehicle's chain knows of itself, the network and the operator.
+
+    The defaults are what it is when all is well: a rig fills in what it can tell.
+    """
+
+    session_ok: bool = True  # setpoints are of the session that armed the vehicle
+    operator_age: float = 0.0  # since the operator's presence was last heard [s]
+    clock_offset: float = 0.0  # the host's clock minus the vehicle's [s]
+    late_s: float = 0.0  # how long after its time this tick began [s]
+    disk_free: float = 1e12  # where the log goes [bytes]
+    same_config: bool = True  # host and vehicle have the same configuration hash
+    raised: str = ""  # what the law on the host died of
+    fleet: str = ""  # a fault of another vehicle that stops all
+
+
+ALL_WELL = Vitals()
+
+
+class Intervention(Struct, frozen=True, gc=False):
+    """What the safety filter made of the demanded force."""
+
+    dfx_w: float  # change of the mean force in W [N]
+    dfy_w: float  # [N]
+    because: str  # what it kept the vehicle away from
 
 
 class Inputs(Struct, frozen=True, gc=False, omit_defaults=True):
@@ -137,6 +166,7 @@ class Inputs(Struct, frozen=True, gc=False, omit_defaults=True):
     neighbours: dict[str, State]  # the newest one heard of each, however old
     health: Health
     told: dict[str, Told] = {}  # by the laws of the others, the newest of each
+    vitals: Vitals = ALL_WELL
 
 
 class Outputs(Struct, frozen=True, gc=False, omit_defaults=True):
@@ -148,9 +178,12 @@ class Outputs(Struct, frozen=True, gc=False, omit_defaults=True):
     wanted: Wrench  # what tracker or law asks for, mean over the period
     planned: Wrench  # what the pulses of `command` give, by the vehicle's jet table
     command: ValveCommand
-    closed_because: str | None  # the gate's reason, None while it is open
-    fault: str | None  # a reason that ends the run, latched
+    closed_because: str | None = None  # the gate's reason, None while it is open
+    fault: str | None = None  # a reason that ends the run, latched
     told: Told | None = None  # by its law, if that runs on board and talks
+    faults: tuple[str, ...] = ()  # ids of all rows of the fault table that hold now
+    response: str = ""  # the most severe response in force; empty: none
+    filtered: Intervention | None = None  # None: the demand was left as it was
 
 
 class Tick(Struct, frozen=True, gc=False):
@@ -175,6 +208,8 @@ class HostOutputs(Struct, frozen=True, gc=False, omit_defaults=True):
     t: float  # [s]
     setpoint: Setpoint | None
     told: Told | None = None  # by the law, if it talks
+    raised: str = ""  # what the law died of
+    filtered: Intervention | None = None  # of the reference model's force
 
 
 class HostTick(Struct, frozen=True, gc=False):

@@ -1,7 +1,7 @@
 """One vehicle's flight chain: a pure step from what it is told to what it does.
 
-    samples -> estimator -> [guidance, if the law runs here] -> tracker -> allocator -> modulator
-            -> gate -> valve command
+    samples -> estimator -> [guidance, if the law runs here] -> tracker -> watch -> safety filter
+            -> allocator -> modulator -> gate -> valve command
 
 No clock, no socket, no file, no randomness. The same inputs in the same order give the same
 outputs bit for bit, which is what replay checks.
@@ -19,15 +19,18 @@ from testbed.core.types import (
     Reference,
     Setpoint,
     State,
+    Told,
     ValveCommand,
     Wrench,
 )
 from testbed.core.vehicle import Positive, Vehicle
 from testbed.flight.allocation import Allocator, AllocatorParams
+from testbed.flight.barrier import BarrierParams
 from testbed.flight.estimator import Estimator, EstimatorParams
 from testbed.flight.gate import Gate, GateParams, closed
 from testbed.flight.guidance import Guidance
 from testbed.flight.modulation import ModulatorParams, SigmaDeltaParams, make_modulator
+from testbed.flight.safety import CALM, Safety
 from testbed.flight.tracker import Tracker, TrackerParams, brake, due
 
 STILL = Wrench(0.0, 0.0, 0.0)
@@ -42,6 +45,7 @@ class FlightParams(Struct, frozen=True, forbid_unknown_fields=True):
     tracker: TrackerParams = field(default_factory=TrackerParams)
     allocator: AllocatorParams = field(default_factory=AllocatorParams)
     gate: GateParams = field(default_factory=GateParams)
+    barrier: BarrierParams = field(default_factory=BarrierParams)
 
 
 def lead_time(vehicle: Vehicle) -> float:
@@ -59,7 +63,9 @@ class Agent:
         estimator: Estimator,
         gate: Gate,
         guidance: Guidance | None = None,
+        safety: Safety | None = None,
     ) -> None:
+        self._safety = safety
         self._vehicle, self._period = vehicle, params.jet_period_s
         self._lead = lead_time(vehicle)
         self._estimator, self._gate, self._guidance = estimator, gate, guidance
@@ -67,6 +73,7 @@ class Agent:
         self._allocator = Allocator(params.allocator, vehicle)
         self._brake_decel = params.tracker.brake_decel
         self._stop: Reference | None = None
+        self._raised = ""  # what the law on board died of
         self._seq = 0
         valve = vehicle.valve
         # how much longer than the flow the commanded time must be
@@ -84,8 +91,8 @@ class Agent:
 
     @property
     def hears_neighbours(self) -> bool:
-        """Whether neighbours' states are of any use to it: its law runs on board."""
-        return self._guidance is not None
+        """Whether neighbours' states are of any use to it: to its law, or to stay clear of them."""
+        return self._guidance is not None or self._safety is not None
 
     def step(self, inputs: Inputs) -> Outputs:
         """One tick: call it once per jet period, with time increasing."""
@@ -94,20 +101,45 @@ class Agent:
         self._estimator.update(inputs.samples, t)
         state = self._estimator.predict(effect_at, now=t)
         setpoint, told = inputs.setpoint, None
-        if self._guidance is not None and state is not None:
-            setpoint = self._guidance.step(effect_at, state, inputs.neighbours, inputs.told)
-            told = self._guidance.told
+        if self._guidance is not None:
+            setpoint, told = self._guided(effect_at, state, inputs)
         flown, wanted = self._aim(setpoint, state, effect_at)
-        refused = self._gate.refuse(effect_at, inputs.armed, state, setpoint, wanted, inputs.health)
         share = inputs.health.supply_pressure / self._vehicle.air.set_pressure
+        acted, braking, done = CALM, False, None
+        if self._safety is not None:
+            acted = self._safety.act(
+                inputs, effect_at, state, setpoint, wanted, share, self._raised
+            )
+            wanted, braking, done = acted.wanted, acted.braking, acted.closed_because
+        refused = self._gate.refuse(
+            effect_at, inputs.armed, state, setpoint, wanted, inputs.health,
+            session_ok=inputs.vitals.session_ok, braking=braking,
+        )  # fmt: skip
+        refused = refused or done
         command = self._plan(t, wanted if refused is None else STILL, share)
         if refused is not None:
             command = closed(command)
         self._estimator.remember(command)
+        if self._safety is not None:
+            self._safety.remember(command, share)
         return Outputs(
             t, state, flown, wanted, self._given(command, share), command,
-            refused, self._gate.fault, told,
+            refused, acted.fault or self._gate.fault, told,
+            acted.holding, acted.response, acted.filtered,
         )  # fmt: skip
+
+    def _guided(
+        self, t: float, state: State | None, inputs: Inputs
+    ) -> tuple[Setpoint | None, Told | None]:
+        """What the law on board wants; its model starts when the vehicle is armed, not before."""
+        if self._guidance is None or state is None or not inputs.armed or self._raised:
+            return None, None
+        try:
+            setpoint = self._guidance.step(t, state, inputs.neighbours, inputs.told)
+        except Exception as error:  # whatever a law dies of, the vehicle flies on to a stop
+            self._raised = f"{type(error).__name__}: {error}"
+            return None, None
+        return setpoint, self._guidance.told
 
     def _aim(
         self, setpoint: Setpoint | None, state: State | None, t: float

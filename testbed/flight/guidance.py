@@ -29,6 +29,7 @@ from testbed.core.table import Obstacle
 from testbed.core.types import (
     Accel,
     Demand,
+    Intervention,
     Pose,
     Reference,
     Setpoint,
@@ -40,6 +41,7 @@ from testbed.core.types import (
 )
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import Allocator, AllocatorParams
+from testbed.flight.barrier import Barrier
 
 Array = NDArray[np.float64]
 
@@ -118,8 +120,15 @@ class Guidance:
         name: str = "",
         formation: Sequence[str] = (),
         path: Path | None = None,
+        barrier: Barrier | None = None,
     ) -> None:
-        """Guide vehicle `name` of `formation`; its law knows the others by their place in it."""
+        """Guide vehicle `name` of `formation`; its law knows the others by their place in it.
+
+        `barrier` filters what the law does to a reference model; a demanded force is filtered on
+        the vehicle.
+        """
+        self._barrier = barrier
+        self.filtered: Intervention | None = None  # of the newest reference
         self._params, self._law, self._goal, self._period = params, law, goal, period
         self._mass = vehicle.mass
         self._max_force = params.force_share * weakest_force(vehicle)
@@ -183,8 +192,16 @@ class Guidance:
         """Where the reference model is now; then it flies on by one period."""
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
         ahead = self._fly(t, self._p, self._v, ZERO, heard)
-        self._t, self._p, self._v = t + self._period, ahead.p, ahead.v
-        ax, ay = (ahead.mean_force / self._mass).tolist()
+        self._t, p, v = t + self._period, ahead.p, ahead.v
+        fx, fy = ahead.mean_force.tolist()
+        if self._barrier is not None:
+            motion = (px, py, vx, vy, 0.0, 0.0)
+            fx, fy, self.filtered = self._barrier.filter(t, (fx, fy), motion, heard.states)
+            if self.filtered is not None:
+                h, accel = self._period, np.array([fx, fy]) / self._mass
+                p, v = self._p + h * (self._v + 0.5 * h * accel), self._v + h * accel
+        self._p, self._v = p, v
+        ax, ay = fx / self._mass, fy / self._mass
         theta, omega, alpha = turn.at(t)
         return Reference(t, Pose(px, py, theta), Twist(vx, vy, omega), Accel(ax, ay, alpha))
 

@@ -4,29 +4,56 @@ Tick k is due at k * period of the clock it is handed. In each tick every vehicl
 first, on what has arrived so far; then the host answers for the next one.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from testbed.core.ports import Clock, HostLink, PoseSource, Thrusters, VehicleLink
-from testbed.core.types import HostInputs, HostOutputs, HostTick, Inputs, Tick
+from testbed.core.types import (
+    ALL_WELL,
+    Demand,
+    HostInputs,
+    HostOutputs,
+    HostTick,
+    Inputs,
+    Setpoint,
+    Tick,
+    Vitals,
+)
 from testbed.flight.agent import Agent
 from testbed.flight.guidance import Guidance
+
+SILENT = 1.2  # [s] a host that has not heard of its vehicle for so long stops all
+LONGEST_STOP = 15.0  # [s] the flight ends so long after a fault, whoever still moves
+
+
+def _well() -> Vitals:
+    return ALL_WELL
 
 
 class VehicleNode:
     """An agent and the ports it is plugged into."""
 
     def __init__(
-        self, name: str, agent: Agent, poses: PoseSource, thrusters: Thrusters, link: VehicleLink
+        self,
+        name: str,
+        agent: Agent,
+        poses: PoseSource,
+        thrusters: Thrusters,
+        link: VehicleLink,
+        vitals: Callable[[], Vitals] = _well,
     ) -> None:
-        self.name = name
+        self.name, self._vitals = name, vitals
         self._agent, self._poses, self._thrusters, self._link = agent, poses, thrusters, link
 
-    def tick(self, t: float, armed: bool) -> Tick:
-        """Listen, step, act, tell."""
-        link = self._link
+    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
+        """Listen, step, act, tell; `fleet` is a fault elsewhere that stops all."""
+        link, vitals = self._link, self._vitals()
+        if fleet:
+            vitals = replace(vitals, fleet=fleet)
         inputs = Inputs(
             t,
             armed,
@@ -35,14 +62,35 @@ class VehicleNode:
             link.neighbours() if self._agent.hears_neighbours else {},
             self._thrusters.health(),
             link.told() if self._agent.hears_neighbours else {},
+            vitals,
         )
         outputs = self._agent.step(inputs)
         self._thrusters.apply(outputs.command)
+        if outputs.response == "land":
+            self._thrusters.land()
         if outputs.state is not None:
             link.publish(outputs.state)
         if outputs.told is not None:
             link.tell(outputs.told)
         return Tick(inputs, outputs)
+
+
+def _is_number(setpoint: Setpoint) -> bool:
+    """Whether a setpoint is fit to be sent; of a trajectory the newest reference."""
+    if isinstance(setpoint, Demand):
+        return math.isfinite(setpoint.fx_w + setpoint.fy_w)
+    pose = setpoint.references[-1].pose
+    return math.isfinite(pose.x + pose.y)
+
+
+class Node(Protocol):
+    """A vehicle as the loop sees it."""
+
+    name: str
+
+    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
+        """See `VehicleNode`."""
+        ...
 
 
 class HostNode:
@@ -58,18 +106,36 @@ class HostNode:
         self.name = name
         self._guidance, self._link = guidance, link
         self._ahead = period + lead
+        self._raised = ""  # what the law died of
 
-    def tick(self, t: float) -> HostTick:
-        """Listen, step, tell."""
+    def tick(self, t: float, armed: bool = True) -> HostTick:
+        """Listen, step, tell. The law starts when the vehicle is armed, not before."""
         link, guidance = self._link, self._guidance
         inputs = HostInputs(t, link.own(), link.neighbours(), link.told())
-        if inputs.own is None:
-            return HostTick(inputs, HostOutputs(t, None))
-        setpoint = guidance.step(t + self._ahead, inputs.own, inputs.neighbours, inputs.told)
+        if inputs.own is None or not armed or self._raised:
+            return HostTick(inputs, HostOutputs(t, None, raised=self._raised))
+        try:
+            setpoint = guidance.step(t + self._ahead, inputs.own, inputs.neighbours, inputs.told)
+        except Exception as error:  # whatever a law dies of, the vehicles are brought to a stop
+            self._raised = f"{type(error).__name__}: {error}"
+            return HostTick(inputs, HostOutputs(t, None, raised=self._raised))
+        if not _is_number(setpoint):
+            self._raised = "asks for something that is not a number"
+            return HostTick(inputs, HostOutputs(t, None, raised=self._raised))
         link.publish(setpoint)
         if guidance.told is not None:
             link.tell(guidance.told)
-        return HostTick(inputs, HostOutputs(t, setpoint, guidance.told))
+        return HostTick(inputs, HostOutputs(t, setpoint, guidance.told, "", guidance.filtered))
+
+
+def complaint(tick: HostTick) -> str:
+    """What a host has to complain of: its law, or a vehicle that is silent."""
+    if tick.outputs.raised:
+        return f"law on the host: {tick.outputs.raised}"
+    own, t = tick.inputs.own, tick.inputs.t
+    if own is not None and not t - own.t <= SILENT:
+        return f"vehicle_silent: nothing heard for {t - own.t:.2f} s"
+    return ""
 
 
 class Observer(Protocol):
@@ -97,7 +163,7 @@ class Ending(Struct, frozen=True):
 
 def fly(
     clock: Clock,
-    vehicles: Sequence[VehicleNode],
+    vehicles: Sequence[Node],
     hosts: Sequence[HostNode],
     period: float,
     ticks: int,
@@ -105,22 +171,31 @@ def fly(
     *,
     stopped: Callable[[], bool] = lambda: False,
 ) -> Ending:
-    """Fly `ticks` jet periods, or until a gate latches a fault or `stopped()` says so."""
-    fault, stop = None, False
+    """Fly `ticks` jet periods, or until a fault or `stopped()` ends it.
+
+    A fault of one stops all: the others come to rest before the flight ends, as the fault table
+    says. `stopped()` shuts every valve at the next tick.
+    """
+    fault, failed_at, stop = None, 0.0, False
     for k in range(ticks):
         t = k * period
         clock.wait_until(t)
-        armed = fault is None and not stop
+        armed, shut, fleet = not stop, True, fault or ""
         for node in vehicles:
-            tick = node.tick(t, armed)
+            tick = node.tick(t, armed, fleet)
             observer.vehicle(node.name, tick)
+            shut = shut and tick.outputs.closed_because is not None
             if tick.outputs.fault and fault is None:
-                fault = f"{node.name}: {tick.outputs.fault}"
+                fault, failed_at = f"{node.name}: {tick.outputs.fault}", t
         for host in hosts:
-            observer.host(host.name, host.tick(t))
+            answer = host.tick(t, armed)
+            observer.host(host.name, answer)
+            if fault is None and (trouble := complaint(answer)):
+                fault, failed_at = f"{host.name}: {trouble}", t
         observer.done(t)
         if not armed:
             return Ending(t, fault)
-        stop = stopped()  # after that or a fault, one more tick, disarmed, to shut every valve
+        over = fault is not None and (shut or t - failed_at >= LONGEST_STOP)
+        stop = stopped() or over  # then one more tick, disarmed, to shut every valve
     clock.wait_until(ticks * period)
     return Ending(ticks * period, fault)

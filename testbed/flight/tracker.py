@@ -61,6 +61,27 @@ class Tracker:
         return self._inertia * (alpha - state.bias.alpha + back)
 
 
+def halt(state: State, vehicle: Vehicle, decel: float, period: float) -> Wrench:
+    """Body wrench that takes the motion out: all of it in one jet period, or as much as can be.
+
+    Straight against the velocity, so that a vehicle that could stop before it began still can.
+
+    Args:
+        state: at the start of the period.
+        vehicle: mass and inertia.
+        decel: at most [m/s^2].
+        period: [s].
+    """
+    twist, bias = state.twist, state.bias
+    speed = math.hypot(twist.vx, twist.vy)
+    rate = min(1.0 / period, decel / speed) if speed > 0.0 else 0.0
+    ax, ay = -rate * twist.vx - bias.ax, -rate * twist.vy - bias.ay
+    theta = state.pose.theta + 0.5 * period * twist.omega
+    fx, fy = to_body(theta, vehicle.mass * ax, vehicle.mass * ay)
+    slow = max(0.5, period)  # [s] heading can wait, the jets are needed for the speed
+    return Wrench(fx, fy, vehicle.inertia * (-twist.omega / slow - bias.alpha))
+
+
 def carry_forward(reference: Reference, t: float) -> Reference:
     """The same reference at another time, at constant acceleration."""
     dt = t - reference.t

@@ -24,6 +24,8 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from testbed.ops.message import to_json
+
 BUFFER = 256 * 1024  # [bytes] between the flight and the scribe; a third of a second of messages
 SPAN_NS = 100_000_000  # of the run between two chunks; the same run gives the same chunks
 WARN_BELOW = 500_000_000  # [bytes] free on the disk: say so
@@ -129,7 +131,7 @@ class Recorder:
             number = self._topics[topic] = len(self._topics)
             kind = type(message)
             self._send(Topic(topic, kind.__name__, self._encode(json_schema(kind))))
-        self._send(Entry(number, round(t * 1e9), self._encode(message)))
+        self._send(Entry(number, round(t * 1e9), to_json(message)))
 
     def _meet(self) -> None:
         """Wait until the scribe has made its file: from then on a kill costs next to nothing."""

@@ -182,7 +182,7 @@ def test_a_pose_stamped_in_the_future_does_not_blind_the_vehicle(make_agent, mak
 @pytest.mark.parametrize("period", [0.02, 0.05, 0.1])
 def test_a_loss_of_poses_is_flown_through_on_what_was_fired(period):
     # a steady push, and nothing seen from 1 s on
-    experiment = load(find("hold"), [f"flight.jet_period_s={period}"])
+    experiment = load(find("hold"), [f"flight.jet_period_s={period}", "faults={}"])
     setup = experiment.vehicles["sat1"]
     agent, a = rig.make_agent(experiment, "sat1"), 0.3 / setup.model.mass
     health = Health(0.0, setup.model.air.set_pressure, 20e6)

@@ -6,10 +6,15 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.core.types import Demand, Health, Pose, Twist, ValveCommand, Wrench
-from testbed.flight.gate import Fence, Gate, GateParams, closed
+from testbed.flight.gate import EARLY, Fence, Gate, GateParams, closed, refuse_plan
 
 PARAMS = GateParams(
-    pose_timeout_s=0.5, link_timeout_s=2.0, max_rejected=30, max_speed=0.6, max_spin=1.5
+    pose_timeout_s=0.5,
+    blind_s=1.5,
+    link_timeout_s=2.0,
+    max_rejected=30,
+    max_speed=0.6,
+    max_spin=1.5,
 )
 FENCE = Fence(2.8, 2.7)
 NOW = 100.0  # [s]
@@ -23,8 +28,8 @@ def up(x):
     return math.nextafter(x, math.inf)
 
 
-def ask(gate, state, *, armed=True, setpoint=SETPOINT, wanted=WRENCH, health=HEALTH):
-    return gate.refuse(NOW, armed, state, setpoint, wanted, health)
+def ask(gate, state, *, armed=True, setpoint=SETPOINT, wanted=WRENCH, health=HEALTH, **options):
+    return gate.refuse(NOW, armed, state, setpoint, wanted, health, **options)
 
 
 @pytest.fixture
@@ -196,3 +201,91 @@ def test_a_pressure_that_is_no_number_shuts_the_valves_and_says_so(pressure, gat
     health = Health(NOW, pressure, 20e6)
     assert ask(gate, healthy, health=health) == "supply pressure is not a number"
     assert gate.fault == "supply pressure is not a number"
+
+
+# Sessions
+
+
+def test_setpoints_of_another_session_open_nothing_and_are_no_fault(gate, healthy):
+    assert ask(gate, healthy, session_ok=False) == "setpoints are of another session"
+    assert gate.fault is None
+    assert ask(gate, healthy) is None
+
+
+# Braking
+
+
+BRAKING = [
+    # it needs no setpoint, of no session, and may be fast
+    ({}, {"setpoint": None}, OK),
+    ({}, {"setpoint": replace(SETPOINT, valid_until=NOW - 9.0)}, OK),
+    ({}, {"session_ok": False}, OK),
+    ({"twist": Twist(2.0, 0.0, 3.0)}, {}, OK),
+    # and flies on its own prediction for a while
+    ({"pose_age": 1.5}, {}, OK),
+    ({"pose_age": up(1.5)}, {}, "no pose for"),
+    # everything else is as ever
+    ({}, {"armed": False}, "not armed"),
+    ({"rejected": 31}, {}, "31 poses in a row"),
+    ({"pose": Pose(up(2.8), 0.0, 0.0)}, {}, "outside the fence"),
+    ({"twist": Twist(math.nan, 0.0, 0.0)}, {}, "not a number"),
+    ({}, {"wanted": Wrench(math.nan, 0.0, 0.0)}, "not a number"),
+    ({}, {"health": Health(NOW, math.nan, 2e7)}, "supply pressure"),
+]
+
+
+@pytest.mark.parametrize(("change", "options", "reason"), BRAKING)
+def test_braking(change, options, reason, gate, healthy):
+    said = ask(gate, replace(healthy, **change), braking=True, **options)
+    assert said is None if reason is OK else reason in said
+
+
+def test_braking_does_not_shorten_the_patience_for_poses(healthy):
+    gate = Gate(replace(PARAMS, blind_s=0.1), FENCE)
+    assert ask(gate, replace(healthy, pose_age=0.5), braking=True) is None
+
+
+def test_a_vehicle_that_never_saw_itself_does_not_brake(gate):
+    assert ask(gate, None, braking=True) == "no pose yet"
+
+
+def test_a_reset_forgets_the_fault(gate, healthy):
+    assert ask(gate, replace(healthy, rejected=99)) is not None
+    gate.reset()
+    assert gate.fault is None
+    assert ask(gate, healthy) is None
+
+
+# Plans at the port
+
+
+PLAN = ValveCommand(8, NOW, NOW + 0.1, (5000, 0, 100_000), (10_000, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("change", "now", "newest", "reason"),
+    [
+        ({}, NOW, 7, OK),
+        ({}, NOW - EARLY / 2, 7, OK),
+        ({}, NOW - 2 * EARLY, 7, "from the future"),
+        ({}, math.nextafter(NOW + 0.1, 0.0), 7, OK),
+        ({}, NOW + 0.1, 7, "expired"),
+        ({}, math.nan, 7, "from the future"),
+        ({}, NOW, 8, "plan 8 after plan 8"),
+        ({}, NOW, 9, "plan 8 after plan 9"),
+        ({"valid_until": NOW}, NOW, 7, "a plan of 0.000 s"),
+        ({"valid_until": NOW - 1.0}, NOW, 7, "a plan of -1.000 s"),
+        ({"valid_until": NOW + 0.2}, NOW, 7, "a plan of 0.200 s"),
+        ({"valid_until": math.nan}, NOW, 7, "a plan of nan s"),
+        ({"valid_until": math.inf}, NOW, 7, "a plan of inf s"),
+        ({"offset_us": (0, 0)}, NOW, 7, "does not say when"),
+        ({"on_us": (-1, 0, 0)}, NOW, 7, "a pulse of -1 us"),
+        ({"on_us": (100_002, 0, 0), "offset_us": (0, 0, 0)}, NOW, 7, "a pulse of 100002 us"),
+        ({"offset_us": (95_000, 0, 0)}, NOW, 7, OK),
+        ({"offset_us": (95_002, 0, 0)}, NOW, 7, "after 95002 us"),
+        ({"offset_us": (-1, 0, 0)}, NOW, 7, "after -1 us"),
+    ],
+)
+def test_a_plan_at_the_port(change, now, newest, reason):
+    said = refuse_plan(replace(PLAN, **change), now, newest, longest=0.1)
+    assert said is None if reason is OK else reason in said

@@ -5,16 +5,19 @@ from msgspec.structs import replace
 
 from testbed.core.types import (
     Health,
+    HostInputs,
     HostOutputs,
+    HostTick,
     Inputs,
     Outputs,
     PoseSample,
     Tick,
     Told,
     ValveCommand,
+    Vitals,
     Wrench,
 )
-from testbed.flight.loop import Ending, HostNode, VehicleNode, fly
+from testbed.flight.loop import LONGEST_STOP, Ending, HostNode, VehicleNode, fly
 
 PERIOD = 0.1  # [s]
 STILL = Wrench(0.0, 0.0, 0.0)
@@ -30,21 +33,33 @@ class Clock:
 
 
 class Node:
-    """A vehicle or a host that writes its calls down and fails at tick number `fails_at`."""
+    """A vehicle or a host that writes its calls down and fails at tick number `fails_at`.
 
-    def __init__(self, diary, name, fails_at=None):
+    It shuts its valves `slow` ticks after it was told of a fault elsewhere.
+    """
+
+    def __init__(self, diary, name, fails_at=None, slow=0):
         self.diary, self.name, self.fails_at, self.ticks = diary, name, fails_at, 0
+        self.slow, self.told = slow, 0
 
     def tick(self, t, *armed):
         self.diary.append((self.name, t, *armed))
-        fault = "broke" if self.ticks == self.fails_at else None
+        fault = "broke" if self.fails_at is not None and self.ticks >= self.fails_at else None
         self.ticks += 1
+        self.told += armed[-1] not in (True, False, "")
+        shut = fault or ("as the others" if self.told > self.slow else None)
         health = Health(t, 0.0, 0.0)
         command = ValveCommand(self.ticks, t, t, (), ())
         return Tick(
             Inputs(t, bool(armed), (), None, {}, health),
-            Outputs(t, None, None, STILL, STILL, command, fault, fault),
+            Outputs(t, None, None, STILL, STILL, command, shut, fault),
         )
+
+
+class Host(Node):
+    def tick(self, t, *armed):
+        self.diary.append((self.name, t, *armed))
+        return HostTick(HostInputs(t, None, {}), HostOutputs(t, None))
 
 
 class Observer:
@@ -72,13 +87,13 @@ def flown(diary, vehicles, hosts=(), ticks=3, **options):
 
 def test_vehicles_first_then_hosts_then_everybody_waits(diary):
     nodes = [Node(diary, "a"), Node(diary, "b")]
-    hosts = [Node(diary, "host a")]
+    hosts = [Host(diary, "host a")]
     ending = flown(diary, nodes, hosts, ticks=1)
     assert diary == [
         ("wait", 0.0),
-        ("a", 0.0, True), ("saw", "a"),
-        ("b", 0.0, True), ("saw", "b"),
-        ("host a", 0.0), ("saw", "host a"),
+        ("a", 0.0, True, ""), ("saw", "a"),
+        ("b", 0.0, True, ""), ("saw", "b"),
+        ("host a", 0.0, True), ("saw", "host a"),
         ("done", 0.0),
         ("wait", PERIOD),
     ]  # fmt: skip
@@ -93,13 +108,36 @@ def test_ticks_are_due_at_multiples_of_the_period(diary):
     ]  # fmt: skip
 
 
-def test_a_fault_is_followed_by_one_disarmed_tick_of_all(diary):
-    nodes = [Node(diary, "a"), Node(diary, "b", fails_at=1), Node(diary, "c")]
+def test_a_fault_is_told_to_all_and_followed_by_one_disarmed_tick(diary):
+    nodes = [Node(diary, "a"), Node(diary, "b", fails_at=1), Node(diary, "c", slow=2)]
     ending = flown(diary, nodes, ticks=9)
-    assert ending == Ending(2 * PERIOD, "b: broke")
-    armed = [(entry[0], *entry[2:]) for entry in diary if entry[0] in "abc"]
-    # the others had their tick already, or have it still
-    assert armed == [(name, True) for name in "abcabc"] + [(name, False) for name in "abc"]
+    assert ending == Ending(5 * PERIOD, "b: broke")
+    told = [(entry[0], *entry[2:]) for entry in diary if entry[0] in "abc"]
+    # in the tick of the fault the others had their turn already, or have it without knowing
+    assert told[:6] == [(name, True, "") for name in "abcabc"]
+    # then they come to rest, and the flight waits for the slowest of them
+    assert told[6:-3] == [(name, True, "b: broke") for name in "abcabcabc"]
+    assert told[-3:] == [(name, False, "b: broke") for name in "abc"]
+
+
+def test_who_does_not_come_to_rest_is_not_waited_for_for_ever(diary):
+    nodes = [Node(diary, "a", fails_at=0), Node(diary, "b", slow=1000)]
+    ending = flown(diary, nodes, ticks=500)
+    assert ending.t == pytest.approx(LONGEST_STOP + PERIOD)
+
+
+def test_a_law_that_dies_on_the_host_is_a_fault_of_all(diary, make_state):
+    class Dying:
+        told = None
+
+        def step(self, *_):
+            raise ZeroDivisionError("of zero")
+
+    ports = Ports({}, own=make_state())
+    host = HostNode("a", Dying(), ports, PERIOD, lead=0.0)
+    ending = flown(diary, [Node(diary, "a")], [host], ticks=9)
+    assert ending == Ending(2 * PERIOD, "a: law on the host: ZeroDivisionError: of zero")
+    assert ports.published == []
 
 
 def test_the_first_fault_is_the_reason(diary):
@@ -169,7 +207,7 @@ class Ports:
 
 class Guidance:
     def __init__(self, told=None):
-        self.asked, self.told = [], told
+        self.asked, self.told, self.filtered = [], told, None
 
     def step(self, t, own, neighbours, told):
         self.asked.append((t, own, neighbours, told))
@@ -214,6 +252,31 @@ def test_a_host_answers_for_the_jet_period_after_the_coming_one(make_state):
     assert tick.outputs == HostOutputs(0.5, "setpoint for 0.608", told)
     assert tick.inputs.told == words
     assert (tick.inputs.own, tick.inputs.neighbours) == (ports.known, ports.heard)
+
+
+def test_a_law_starts_when_the_vehicle_is_armed_not_before(make_state):
+    ports, guidance = Ports({}, own=make_state()), Guidance()
+    host = HostNode("a", guidance, ports, PERIOD, lead=0.008)
+    assert host.tick(0.5, False).outputs.setpoint is None
+    assert guidance.asked == []
+    assert host.tick(0.6, True).outputs.setpoint == "setpoint for 0.708"
+
+
+@pytest.mark.parametrize("response", ["", "brake", "coast", "land"])
+def test_landing_shuts_the_air_off(response):
+    ports, landed = Ports({}), []
+    ports.land = lambda: landed.append(True)
+    agent = Agent(replace(OUTPUTS, response=response), True)
+    VehicleNode("a", agent, ports, ports, ports).tick(0.3, True)
+    assert landed == [True] * (response == "land")
+
+
+def test_a_vehicle_is_told_of_its_process_and_of_the_others():
+    ports = Ports({})
+    node = VehicleNode("a", Agent(OUTPUTS, True), ports, ports, ports, lambda: Vitals(late_s=0.2))
+    assert node.tick(0.3, True).inputs.vitals == Vitals(late_s=0.2)
+    told = node.tick(0.4, True, "b: broke").inputs.vitals
+    assert told == Vitals(late_s=0.2, fleet="b: broke")
 
 
 def test_a_host_waits_for_the_first_word_of_its_vehicle():

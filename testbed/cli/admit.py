@@ -1,0 +1,113 @@
+"""`testbed admit`: fly an experiment in the twin before it is flown on hardware.
+
+A refused experiment can be forced, by somebody who types its name: not by a habit of saying yes.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+
+import msgspec
+from msgspec.structs import replace
+from rich.console import Console
+from rich.table import Table as Grid
+
+from testbed.cli.main import BAD_INPUT, FAILED, OK
+from testbed.config import ConfigError, Experiment, find, load
+from testbed.core.types import HostTick, Tick
+from testbed.ops.admission import (
+    Admission,
+    AdmissionParams,
+    Flown,
+    judge_flights,
+    nearest_edge,
+    nearest_rims,
+)
+from testbed.ops.metrics import obstacle_distances
+from testbed.rig import fence_of, make_twin
+
+
+class Nobody:
+    """Observer that does not look."""
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
+
+
+def fly_once(experiment: Experiment, seed: int) -> Flown:
+    """One flight in the twin, without injected faults."""
+    rig = make_twin(replace(experiment, seed=seed, inject=[]))
+    ending = rig.fly(Nobody())
+    track, models = rig.track(), {n: s.model for n, s in experiment.vehicles.items()}
+    radii = [model.radius for model in models.values()]
+    solid = {n: rock for n, rock in experiment.obstacles.items() if rock.solid > 0.0}
+    rims = [
+        distance - radius - solid[name].solid
+        for k, radius in enumerate(radii)
+        for name, distance in obstacle_distances(track, k, solid).items()
+    ]
+    spent = {name: rig.spent(name) for name in models}
+    return Flown(
+        seed,
+        ending.fault,
+        len(rig.twin.plant.touches),
+        nearest_edge(track, [fence_of(experiment, name) for name in models]),
+        nearest_rims(track, radii),
+        min(rims, default=None),
+        max(spent[name].gas / model.air.gas for name, model in models.items()),
+        max(spent[name].openings / len(model.jets) for name, model in models.items()),
+    )
+
+
+def admit(experiment: Experiment, flights: int, limits: AdmissionParams | None = None) -> Admission:
+    """Fly seeds experiment.seed, +1, ... and judge."""
+    flown = [fly_once(experiment, experiment.seed + k) for k in range(flights)]
+    return judge_flights(experiment.name, flown, limits or AdmissionParams())
+
+
+def forced(name: str, asked: Callable[[str], str]) -> bool:
+    """Whether somebody types the experiment's name to fly it against the judgement."""
+    return asked(f"Type the name of the experiment to fly it all the same [{name}]: ") == name
+
+
+def run_admission(
+    name: str, overrides: Sequence[str], flights: int, *, force: bool, as_json: bool
+) -> int:
+    """Judge, print, return the exit code."""
+    errors = Console(stderr=True, highlight=False)
+    try:
+        experiment = load(find(name), overrides)
+    except ConfigError as error:
+        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    admission = admit(experiment, flights)
+    if as_json:
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(admission)).decode() + "\n")
+    else:
+        print_admission(admission)
+    if admission.admitted:
+        return OK
+    if force and forced(experiment.name, errors.input):
+        errors.print("forced: the numbers above are yours now", style="yellow")
+        return OK
+    return FAILED
+
+
+def print_admission(admission: Admission) -> None:
+    """The numbers, and the verdict."""
+    out = Console(highlight=False)
+    title = f"{admission.experiment}, {admission.flights} flights in the twin"
+    grid = Grid(title=title, title_justify="left", title_style="bold")
+    for heading in ("", "worst", "seed"):
+        grid.add_column(heading)
+    for one in admission.findings:
+        grid.add_row(one.name, one.words, str(one.seed), style=None if one.kept else "red")
+    out.print(grid)
+    broken = ", ".join(one.name for one in admission.findings if not one.kept)
+    verdict = "[bold green]admitted[/]" if not broken else f"[bold red]refused[/]: {broken}"
+    out.print(verdict)

@@ -1,0 +1,232 @@
+"""`testbed drill`: rehearse the whole catalogue of faults and print what became of each."""
+
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table as Grid
+
+from sim_twin.board import last_closing
+from testbed.cli.main import BAD_INPUT, FAILED, OK
+from testbed.config import ConfigError, Experiment, find, load
+from testbed.core.injection import Injection
+from testbed.core.types import HostTick, Tick
+from testbed.flight.faults import SEVERITY
+from testbed.flight.loop import complaint
+from testbed.ops.drill import (
+    ASKED,
+    DEAD_WITHIN,
+    NAMES,
+    OTHERS,
+    Drill,
+    Drilled,
+    deadline,
+    draw,
+    summarise,
+)
+from testbed.rig import TwinRig, make_twin
+
+EXPERIMENTS = ("zhang2023_table", "zhang2023_table_wrench")
+AFTERWARDS = 5.0  # [s] contacts are looked for so long after the last valve is shut
+NEEDED = {"stick_closed": 90.0}  # [s] to show itself, a jet must be asked for; others: 8 s
+SOON = 8.0
+WIDTH = 140  # of the table in a file
+
+
+class Notes:
+    """Observer: what was said, by whom, when."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[float, str, str]] = []  # time, vehicle, row of the fault table
+        self.responses: list[tuple[float, str, str]] = []  # time, vehicle, response
+        self.words: list[tuple[float, str, str]] = []  # time, vehicle, fault
+        self.asked: list[tuple[float, str, tuple[int, ...]]] = []  # time, vehicle, open times
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+        out = tick.outputs
+        self.rows += [(out.t, name, row) for row in out.faults]
+        if out.response:
+            self.responses.append((out.t, name, out.response))
+        if out.fault:
+            self.words.append((out.t, name, out.fault))
+        self.asked.append((out.t, name, out.command.on_us))
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+        if words := complaint(tick):
+            self.words.append((tick.inputs.t, name, words))
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
+
+
+def fly_case(experiment: Experiment, what: Injection) -> Drilled:
+    """Fly one injection on the twin and judge it."""
+    rig, notes = make_twin(experiment), Notes()
+    ending = rig.fly(notes)
+    twin, plant = rig.twin, rig.twin.plant
+    if ending.fault is not None:
+        twin.wait_until(twin.now + AFTERWARDS)
+    assert twin.sabotage is not None
+    began = twin.sabotage.began()[0]
+    named, found = _named(what, notes, began)
+    after = [(t, name, one) for t, name, one in notes.responses if t >= began]
+    response = max((one for _, _, one in after), key=SEVERITY.__getitem__, default="")
+    last = max(last_closing(board.pulses) for board in plant.boards.values())
+    over = ending.fault is not None
+    limits = {name: _limit(name, what, after, began) for name in plant.names}
+    early = tuple(sorted({words for t, _, words in notes.words if t < began}))
+    asked = sum(
+        on[what.jet - 1] for t, name, on in notes.asked if name == what.vehicle and t >= began
+    )
+    return Drilled(
+        what.kind,
+        experiment.name,
+        what.vehicle,
+        experiment.seed,
+        began,
+        named,
+        found,
+        response,
+        last - began if over else None,
+        _open_after(rig, limits) if over else 0,
+        sum(touch.t >= began for touch in plant.touches),
+        _travelled(rig, began),
+        ending.fault,
+        early,
+        what.kind == "stick_closed" and found is None and asked < 1e6 * ASKED,
+    )
+
+
+def _limit(
+    name: str, what: Injection, after: Sequence[tuple[float, str, str]], began: float
+) -> float:
+    """When every valve of a vehicle must be shut: after its severest response, or its death."""
+    if what.kind == "kill_process" and name == what.vehicle:
+        return began + DEAD_WITHIN
+    own = [(t, one) for t, who, one in after if who == name]
+    severest = max((one for _, one in own), key=SEVERITY.__getitem__, default="")
+    return min((t for t, one in own if one == severest), default=0.0) + deadline(severest)
+
+
+def _named(what: Injection, notes: Notes, began: float) -> tuple[str, float | None]:
+    """The first right name, and how long after the beginning it was said by whom it concerns."""
+    names = NAMES[what.kind]
+    concerned = (what.vehicle, what.other)
+    right = [
+        (t, row) for t, who, row in notes.rows
+        if t >= began and row in names and (who in concerned or what.kind in OTHERS)
+    ]  # fmt: skip
+    for t, _, words in notes.words:
+        right += [(t, name) for name in names if name in words and t >= began]
+    if not right:
+        return "", None
+    t, name = min(right)
+    return name, t - began
+
+
+def _open_after(rig: TwinRig, limits: Mapping[str, float]) -> int:
+    """Valves through which air flows after their limit [s]; of a landed vehicle none does."""
+    plant, count = rig.twin.plant, 0
+    played = plant.played()
+    for k, name in enumerate(plant.names):
+        flows = plant.metal.thrust[k].sum() > 0.0
+        late = (played.down[k] > 1e9 * limits[name]) & (played.down[k] > played.up[k])
+        count += int(flows) * int(late.any(axis=1).sum())
+    return count
+
+
+def _travelled(rig: TwinRig, began: float) -> float:
+    """The farthest that any vehicle got from where it was at `began` [m]."""
+    truth = rig.track()
+    since = truth.states[truth.t >= began, :, :2]
+    if len(since) == 0:
+        return 0.0
+    return float(np.hypot(*(since - since[0]).transpose(2, 0, 1)).max())
+
+
+def case(number: int, seed: int) -> Drilled:
+    """Case `number` of a drill: kinds and experiments take turns, the rest is drawn."""
+    rng = np.random.default_rng([seed, number])
+    kinds: list[Any] = list(NAMES)
+    kind = kinds[number % len(kinds)]
+    shipped = load(find(EXPERIMENTS[(number // len(kinds)) % len(EXPERIMENTS)]))
+    jets = min(len(setup.model.jets) for setup in shipped.vehicles.values())
+    what = draw(kind, list(shipped.vehicles), jets, rng)
+    duration = (what.at_s or 0.0) + NEEDED.get(kind, SOON)
+    experiment = replace(shipped, seed=int(rng.integers(2**31)), duration_s=duration, inject=[what])
+    return fly_case(experiment, what)
+
+
+def _one(pair: tuple[int, int]) -> Drilled:
+    return case(*pair)
+
+
+def run_drill(rig: str, injections: int, seed: int, jobs: int, as_json: bool) -> int:
+    """Fly the drill, print the table, return the exit code."""
+    errors = Console(stderr=True, highlight=False)
+    try:
+        first = case(0, seed)  # compiles, before the others are started
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            rest = pool.map(_one, [(k, seed) for k in range(1, injections)], chunksize=4)
+            watched = track(
+                rest, "drilling", injections - 1, console=errors, transient=True,
+                disable=not errors.is_terminal,
+            )  # fmt: skip
+            cases = [first, *watched]
+    except ConfigError as error:
+        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    drill = summarise(rig, cases)
+    if as_json:
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(drill)).decode() + "\n")
+    else:
+        print_drill(drill, cases)
+    clean = not (drill.undetected or drill.valves_open_after_deadline or drill.contacts)
+    return OK if clean else FAILED
+
+
+def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
+    """The table, and every case that went wrong."""
+    out = Console(highlight=False)
+    if not out.is_terminal:
+        out.width = WIDTH
+    title = f"{drill.injections} injected faults on the {drill.rig}"
+    grid = Grid(title=title, title_justify="left", title_style="bold")
+    grid.add_column("fault")
+    grid.add_column("response")
+    for heading in (
+        "cases", "undetected", "dormant", "detected in \\[s]", "worst \\[s]", "shut in \\[s]",
+        "travelled \\[m]", "contacts", "open late",
+    ):  # fmt: skip
+        grid.add_column(heading, justify="right")
+    for row in drill.rows:
+        bad = row.undetected or row.contacts or row.valves_open_after_deadline
+        grid.add_row(
+            row.kind, row.response or "-", str(row.cases), str(row.undetected),
+            str(row.dormant), _number(row.detected_median_s), _number(row.detected_worst_s),
+            _number(row.shut_worst_s), _number(row.travelled_worst_m), str(row.contacts),
+            str(row.valves_open_after_deadline), style="red" if bad else None,
+        )  # fmt: skip
+    out.print(grid)
+    out.print(
+        f"undetected: {drill.undetected}, dormant: {drill.dormant}, "
+        f"valves open after the deadline: {drill.valves_open_after_deadline}, "
+        f"contacts: {drill.contacts}, "
+        f"false alarms before the fault: {drill.false_alarms}"
+    )
+    for one in cases:
+        if (one.detected_s is None and not one.dormant) or one.late or one.contacts or one.early:
+            out.print(f"  {msgspec.json.encode(one).decode()}", markup=False, soft_wrap=True)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

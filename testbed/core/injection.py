@@ -1,0 +1,75 @@
+"""Faults that are asked for: `[[inject]]` in an experiment file, so that a lab can rehearse them.
+
+[[inject]]
+kind = "drop_mocap"
+vehicle = "sat2"
+at_s = 31.4             # or: event = "near_obstacle", threshold = 1.0
+for_s = 0.3             # without it: to the end
+"""
+
+from typing import Literal
+
+from msgspec import Struct
+
+from testbed.core.vehicle import NonNegative, Positive
+
+Kind = Literal[
+    "drop_mocap",  # no more poses
+    "freeze_mocap",  # the same pose again and again, with fresh stamps
+    "jump_mocap",  # all poses off by `value` [m]
+    "noisy_mocap",  # all poses with noise of `value` [m]
+    "swap_bodies",  # with `other`
+    "delay_link",  # messages to the vehicle take `value` [s] longer
+    "lose_link",  # messages to the vehicle are lost with the probability `value`
+    "kill_process",  # the vehicle's process is gone
+    "stick_open",  # valve number `jet` stays open
+    "stick_closed",  # valve number `jet` stays shut
+    "leak",  # `value` [kg/s] of gas
+    "brown_out",  # the board resets and is away
+    "clock_step",  # the vehicle's clock and the cameras' differ by `value` [s]
+    "nan_law",  # the law's force is not a number
+    "raise_law",  # the law raises an exception
+    "operator_gone",  # nobody is there any more
+    "disk_full",
+    "config_differs",
+    "overrun",  # every tick begins `value` [s] late
+]
+
+EVENTS = Literal["near_obstacle", "near_vehicle", "near_edge", "faster_than"]
+
+VALUES: dict[str, float] = {  # when none is given
+    "jump_mocap": 0.3,
+    "noisy_mocap": 0.02,
+    "delay_link": 0.6,
+    "lose_link": 1.0,
+    "leak": 0.1,
+    "clock_step": 0.05,
+    "overrun": 0.08,
+}
+
+
+class Injection(Struct, frozen=True, forbid_unknown_fields=True):
+    """One fault, at a time or at an event."""
+
+    kind: Kind
+    vehicle: str
+    at_s: NonNegative | None = None  # [s]
+    event: EVENTS | None = None
+    threshold: Positive | None = None  # of the event, centre to centre [m], or [m/s]
+    for_s: Positive = 1e6
+    value: float | None = None  # see `Kind`
+    jet: int = 1  # counted from 1, as in the vehicle file's picture
+    other: str = ""  # the other vehicle of a swap
+
+    def __post_init__(self) -> None:
+        if (self.at_s is None) == (self.event is None):
+            raise ValueError("expected one of `at_s` and `event`, found both or neither")
+        if (self.event is None) != (self.threshold is None):
+            raise ValueError("expected `threshold` with `event` and only then, found otherwise")
+        if (self.kind == "swap_bodies") != bool(self.other):
+            raise ValueError("expected `other` with a swap and only then, found otherwise")
+
+    @property
+    def size(self) -> float:
+        """`value`, or what is usual for the kind."""
+        return VALUES.get(self.kind, 0.0) if self.value is None else self.value

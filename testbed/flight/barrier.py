@@ -1,0 +1,361 @@
+r"""Safety filter: the smallest change of a demanded force that leaves room to stop.
+
+Round any law, whatever it wants: with mass m, jet period T, bias b (the acceleration that no jet
+asked for) and the unit vector n from a hazard to the vehicle, `gap` d and closing speed c = -n v,
+the speed after the coming period must still allow a stop in what is left of the gap then:
+
+    c1^2 / (2 a s) + (c0 + c1) T'/2 + e <= d,     a force f gives   c1 = c0 - T n (f/m + b)
+
+This is a discrete-time barrier for the braking distance. It bounds c1 and so is a half-plane for f;
+the disc |f| <= F is what the jets can do in any direction. The nearest f is found exactly: it is
+the demand itself, or its projection on one half-plane, or a corner of two, or a point of the disc's
+rim, and all of these are tried. Where the intersection is empty, all half-planes give way by the
+same least amount.
+
+    a     deceleration that stopping is planned with: a share of F / m, so that two hazards at right
+          angles and the error of the jets still leave enough
+    s     responsibility. 1 for edges and obstacles. Two vehicles take half of their gap each and
+          count their own speed only: as long as each keeps c_i^2 / (2 a) <= d / 2, both can stop at
+          once, without knowing what the other one wants
+    T'    T plus the reaction time of what is not modelled
+    e     how far a neighbour comes meanwhile
+
+An obstacle moves at constant speed and yields to nobody: its closing speed is the relative one.
+A tangent of a disc is on the safe side of it, and the normal is taken where vehicle and hazard will
+be half a period on.
+
+See A. D. Ames et al., "Control barrier functions: theory and applications", European Control
+Conference, 2019, and L. Wang, A. D. Ames, M. Egerstedt, "Safety barrier certificates for
+collisions-free multirobot systems", IEEE Transactions on Robotics 33(3), 2017, for barriers made of
+braking distances; the split of the gap is ours.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from testbed.core.compiled import compiled
+from testbed.core.table import Obstacle
+from testbed.core.types import Intervention, State
+from testbed.core.vehicle import NonNegative, Positive
+
+Array = NDArray[np.float64]
+
+RETREAT = 0.02  # [m/s] at most, out of a place where the vehicle should not be
+RETREAT_RATE = 0.5  # [1/s] of the depth
+TIGHT = 1e-9  # [N] by so much a candidate may miss a half-plane: rounding
+HALVINGS = 40
+KEPT = 1.0  # [s] a neighbour that is not heard is moved on for so long, then it stays
+WORST_SHARE = 0.1  # of the supply pressure; with less, nothing can be planned
+
+
+class BarrierParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """How far to stay away, and how hard to brake."""
+
+    on: bool = True
+    effort: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.5  # of the jets' weakest direction
+    reaction_s: NonNegative = 0.2
+    vehicle_margin: NonNegative = 0.06  # between the rims of two vehicles [m]
+    obstacle_margin: NonNegative = 0.005  # beyond the danger radius [m]
+    edge_margin: NonNegative = 0.02  # between a rim and the fence [m]
+    max_speed: Positive = 0.25  # [m/s]
+
+
+class Limits(NamedTuple):
+    """Constants for compiled code."""
+
+    mass: float  # [kg]
+    force: float  # in any direction [N]
+    decel: float  # planned for a stop [m/s^2]
+    hard: float  # all that the jets can do [m/s^2]
+    period: float  # [s]
+    slow: float  # T' [s]
+    speed: float  # [m/s]
+    half_x: float  # where the centre may be [m]
+    half_y: float  # [m]
+
+
+@compiled
+def speed_left(gap, closing, speed, decel, hard, slow):
+    """Largest closing speed after a period that began with `closing` and `gap` [m/s]."""
+    room = gap - 0.5 * slow * max(closing, 0.0)
+    if room < 0.0:
+        return max(-RETREAT, RETREAT_RATE * room)
+    left = decel * (np.sqrt(0.25 * slow * slow + 2.0 * room / decel) - 0.5 * slow)
+    return min(left, 2.0 * hard * room / speed) if speed * left > 2.0 * hard * room else left
+
+
+@compiled
+def feasible(x, y, planes, count, radius, slack):
+    """Whether a force is within the disc and all half-planes, each `slack` wider."""
+    if x * x + y * y > radius * radius * (1.0 + 1e-9):
+        return False
+    for i in range(count):
+        if planes[i, 0] * x + planes[i, 1] * y > planes[i, 2] + slack + TIGHT:
+            return False
+    return True
+
+
+@compiled
+def nearest(fx, fy, planes, count, radius, slack):
+    """The feasible force nearest to (fx, fy): found or not, x, y.
+
+    Args:
+        fx: demand [N].
+        fy: [N].
+        planes: rows (gx, gy, h): gx x + gy y <= h, (gx, gy) of length 1; shape (n, >= 3).
+        count: rows in use.
+        radius: of the disc [N].
+        slack: by which every half-plane is widened [N].
+    """
+    if feasible(fx, fy, planes, count, radius, slack):
+        return True, fx, fy
+    best, bx, by = np.inf, 0.0, 0.0
+    size = np.sqrt(fx * fx + fy * fy)
+    if size > radius:  # the rim of the disc alone
+        x, y = fx * radius / size, fy * radius / size
+        if feasible(x, y, planes, count, radius, slack):
+            best, bx, by = (size - radius) ** 2, x, y
+    for i in range(count):
+        gx, gy, h = planes[i, 0], planes[i, 1], planes[i, 2] + slack
+        off = gx * fx + gy * fy - h
+        x, y = fx - off * gx, fy - off * gy
+        if off > 0.0 and off * off < best and feasible(x, y, planes, count, radius, slack):
+            best, bx, by = off * off, x, y
+        if abs(h) <= radius:  # where the line meets the rim
+            along = np.sqrt(radius * radius - h * h)
+            for side in (-1.0, 1.0):
+                x, y = h * gx - side * along * gy, h * gy + side * along * gx
+                far = (x - fx) ** 2 + (y - fy) ** 2
+                if far < best and feasible(x, y, planes, count, radius, slack):
+                    best, bx, by = far, x, y
+        for j in range(i):
+            det = gx * planes[j, 1] - gy * planes[j, 0]
+            if abs(det) < 1e-9:
+                continue
+            k = planes[j, 2] + slack
+            x, y = (h * planes[j, 1] - k * gy) / det, (gx * k - planes[j, 0] * h) / det
+            far = (x - fx) ** 2 + (y - fy) ** 2
+            if far < best and feasible(x, y, planes, count, radius, slack):
+                best, bx, by = far, x, y
+    return best < np.inf, bx, by
+
+
+@compiled
+def yielding(fx, fy, planes, count, radius):
+    """`nearest`, with the half-planes widened by the least amount that leaves something."""
+    found, x, y = nearest(fx, fy, planes, count, radius, 0.0)
+    if found:
+        return x, y
+    low, high = 0.0, 1.0
+    while not nearest(fx, fy, planes, count, radius, high)[0]:
+        low, high = high, 2.0 * high
+        if high > 1e9:
+            return 0.0, 0.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if nearest(fx, fy, planes, count, radius, middle)[0]:
+            high = middle
+        else:
+            low = middle
+    _, x, y = nearest(fx, fy, planes, count, radius, high)
+    return x, y
+
+
+@compiled
+def bound(planes, count, nx, ny, gap, closing, speed, hazard, limits, share, bx, by):
+    """Add a hazard's half-plane if it could matter; returns the rows in use."""
+    left = speed_left(gap, closing, speed, share * limits.decel, share * limits.hard, limits.slow)
+    # -n f <= m ((c1 - c0) / T + n b)
+    h = limits.mass * ((left - closing) / limits.period + nx * bx + ny * by)
+    if h < 3.0 * limits.force:
+        planes[count, 0], planes[count, 1], planes[count, 2] = -nx, -ny, h
+        planes[count, 3] = hazard
+        count += 1
+    return count
+
+
+@compiled
+def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, share):
+    """The force nearest to the demand that leaves room to stop.
+
+    Args:
+        fx: demanded mean force over the coming period in W [N].
+        fy: [N].
+        px: position at its start [m].
+        py: [m].
+        vx: velocity [m/s].
+        vy: [m/s].
+        bx: bias [m/s^2].
+        by: [m/s^2].
+        discs: rows (x, y, vx, vy, distance of the centres to keep, responsibility); a
+            responsibility below 1 is another vehicle's.
+        limits: constants.
+        share: of the jets' force that the supply pressure gives.
+
+    Returns:
+        fx, fy, hazard that decided or -1 (number of the disc; then right, left, upper, lower edge;
+        then the speed limit), spare room [m]: the smallest gap less the distance of a full stop.
+    """
+    n = discs.shape[0]
+    planes = np.empty((n + 5, 4))
+    count, spare = 0, np.inf
+    ahead = 0.5 * limits.period
+    speed = np.sqrt(vx * vx + vy * vy)
+    for k in range(n):
+        rx, ry = px - discs[k, 0], py - discs[k, 1]
+        ux, uy = vx - discs[k, 2], vy - discs[k, 3]
+        mx, my = rx + ahead * ux, ry + ahead * uy
+        middle = np.sqrt(mx * mx + my * my)
+        nx, ny = (mx / middle, my / middle) if middle > 1e-6 else (1.0, 0.0)
+        gap = np.sqrt(rx * rx + ry * ry) - discs[k, 4]
+        relative = -(nx * ux + ny * uy)
+        if relative > 0.0:
+            spare = min(spare, gap - relative * relative / (2.0 * limits.hard))
+        if discs[k, 5] < 1.0:
+            closing, moving = -(nx * vx + ny * vy), speed
+            gap -= limits.period * max(0.0, nx * discs[k, 2] + ny * discs[k, 3])
+        else:
+            closing, moving = relative, np.sqrt(ux * ux + uy * uy)
+        count = bound(planes, count, nx, ny, gap, closing, moving, k, limits, discs[k, 5], bx, by)
+    for edge in range(4):
+        side = 1.0 - 2.0 * (edge % 2)
+        if edge < 2:
+            gap, closing, nx, ny = limits.half_x - side * px, side * vx, -side, 0.0
+        else:
+            gap, closing, nx, ny = limits.half_y - side * py, side * vy, 0.0, -side
+        if closing > 0.0:
+            spare = min(spare, gap - closing * closing / (2.0 * limits.hard))
+        count = bound(planes, count, nx, ny, gap, closing, speed, n + edge, limits, 1.0, bx, by)
+    if speed > 0.5 * limits.speed:
+        gx, gy = vx / speed, vy / speed
+        planes[count, 0], planes[count, 1] = gx, gy
+        planes[count, 2] = limits.mass * (
+            (limits.speed - speed) / limits.period - gx * bx - gy * by
+        )
+        planes[count, 3] = n + 4
+        count += 1
+    worst, hazard = TIGHT, -1
+    for i in range(count):
+        off = planes[i, 0] * fx + planes[i, 1] * fy - planes[i, 2]
+        if off > worst:
+            worst, hazard = off, int(planes[i, 3])
+    if hazard < 0:
+        return fx, fy, hazard, spare
+    x, y = yielding(fx, fy, planes, count, limits.force * share)
+    return x, y, hazard, spare
+
+
+EDGES = ("the right edge", "the left edge", "the upper edge", "the lower edge", "its top speed")
+
+
+class Barrier:
+    """One vehicle's filter: what stands on the table, and who else moves there."""
+
+    def __init__(
+        self,
+        params: BarrierParams,
+        mass: float,
+        force: float,
+        period: float,
+        half: tuple[float, float],
+        obstacles: Mapping[str, Obstacle],
+        keep: Mapping[str, float],
+        effort: float | None = None,
+    ) -> None:
+        """Guard a vehicle.
+
+        Args:
+            params: margins.
+            mass: of the vehicle [kg].
+            force: that its jets give in every direction [N].
+            period: jet period [s].
+            half: where its centre may be, without a margin [m].
+            obstacles: on the table.
+            keep: of every other vehicle, the distance of the centres at which the rims touch [m].
+            effort: share of `force` that a stop is planned with, if not that of `params`.
+        """
+        decel = (params.effort if effort is None else effort) * force / mass
+        self._limits = Limits(
+            mass, force, decel, force / mass, period, period + params.reaction_s, params.max_speed,
+            half[0] - params.edge_margin, half[1] - params.edge_margin,
+        )  # fmt: skip
+        self._keep = {name: reach + params.vehicle_margin for name, reach in keep.items()}
+        self._decel = decel
+        rocks = list(obstacles.items())
+        self._names: list[str] = [name for name, _ in rocks]
+        self._moving = [
+            (k, *rock.position, *rock.velocity) for k, (_, rock) in enumerate(rocks)
+            if rock.velocity != (0.0, 0.0)
+        ]  # fmt: skip
+        self._rocks = np.array([
+            (*rock.position, *rock.velocity, rock.radius + params.obstacle_margin, 1.0)
+            for _, rock in rocks
+        ]).reshape(-1, 6)  # fmt: skip
+        self._discs = self._rocks
+        self.spare = np.inf  # see `filtered` [m]
+
+    def filter(
+        self, t: float, force: tuple[float, float], motion: tuple[float, ...],
+        neighbours: Mapping[str, State], share: float = 1.0,
+    ) -> tuple[float, float, Intervention | None]:  # fmt: skip
+        """The force to use instead, and what was changed.
+
+        Args:
+            t: when the force begins to act [s].
+            force: demanded mean over the coming period in W [N].
+            motion: x, y [m], vx, vy [m/s], bias x, y [m/s^2] then.
+            neighbours: newest state heard of each other vehicle.
+            share: of the jets' force that the supply pressure gives.
+        """
+        discs = self._around(t, neighbours)
+        fx, fy = force
+        px, py, vx, vy, bx, by = motion
+        x, y, hazard, self.spare = filtered(
+            fx, fy, px, py, vx, vy, bx, by, discs, self._limits, max(share, WORST_SHARE)
+        )
+        if hazard < 0:
+            return fx, fy, None
+        return x, y, Intervention(x - fx, y - fy, self._name(hazard, neighbours))
+
+    def _around(self, t: float, neighbours: Mapping[str, State]) -> Array:
+        """Discs at time `t`; the array is used again."""
+        rocks, count = len(self._rocks), len(self._rocks) + len(neighbours)
+        if len(self._discs) != count:
+            self._discs = np.zeros((count, 6))
+            self._discs[:rocks] = self._rocks
+        discs = self._discs
+        for k, x, y, vx, vy in self._moving:
+            discs[k, 0], discs[k, 1] = x + t * vx, y + t * vy
+        row = rocks
+        for name, state in neighbours.items():
+            age = t - state.t
+            on = min(max(age, 0.0), KEPT)
+            # what it may have done since, beyond what the margin is for
+            late = min(max(age - 2.0 * self._limits.slow, 0.0), KEPT)
+            pose, twist = state.pose, state.twist
+            discs[row] = (
+                pose.x + on * twist.vx, pose.y + on * twist.vy, twist.vx, twist.vy,
+                self._keep[name] + 0.5 * self._decel * late * late, 0.5,
+            )  # fmt: skip
+            row += 1
+        return discs
+
+    def _name(self, hazard: int, neighbours: Mapping[str, State]) -> str:
+        rocks, discs = len(self._rocks), len(self._discs)
+        if hazard >= discs:
+            return EDGES[hazard - discs]
+        return self._names[hazard] if hazard < rocks else list(neighbours)[hazard - rocks]
+
+
+def reaches(radii: Mapping[str, float], name: str) -> dict[str, float]:
+    """Distance of the centres at which `name` touches each other vehicle [m]."""
+    return {other: radii[name] + radius for other, radius in radii.items() if other != name}
+
+
+def discs_of(rows: Sequence[Sequence[float]]) -> Array:
+    """Rows for `filtered`, also when there are none."""
+    return np.array(rows, dtype=float).reshape(-1, 6)

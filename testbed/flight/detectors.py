@@ -1,0 +1,149 @@
+"""The detectors of the fault table: numbers that say how far something is from being well.
+
+Each is a small piece that is handed what it looks at; only those that compare with what was before
+have a memory. `Detectors.numbers` gives all of them, in the order of `faults.DETECTORS`.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from testbed.core.types import Inputs, PoseSample, Setpoint, State, Trajectory, Wrench
+from testbed.core.vehicle import Vehicle
+from testbed.flight.evidence import Evidence
+
+SAME_PLACE = 0.15  # [m] a pose so near to where another vehicle should be is that one's
+TRUSTED_AGE = 0.1  # [s]
+TRUSTED = 8  # poses refused in a row
+SAME_CLOCK = 0.005  # [s]
+FAR = 0.05  # [m] a pose so far from the own prediction is not the own
+
+
+class Repeats:
+    """How often the cameras have said exactly the same."""
+
+    def __init__(self) -> None:
+        self._last: tuple[float, float, float] | None = None
+        self._count = 0
+
+    def count(self, samples: Sequence[PoseSample]) -> int:
+        """Equal poses in a row, after these; 0: the newest differs from the one before."""
+        for s in samples:
+            pose = (s.x, s.y, s.theta)
+            self._count = self._count + 1 if pose == self._last else 0
+            self._last = pose
+        return self._count
+
+
+def place(state: State, t: float) -> tuple[float, float]:
+    """Where a vehicle is at `t` if it just goes on."""
+    h = t - state.t
+    return state.pose.x + h * state.twist.vx, state.pose.y + h * state.twist.vy
+
+
+def jump(before: State | None, samples: Sequence[PoseSample]) -> float:
+    """Distance of the newest pose from where the last estimate expected it [m]."""
+    if before is None or not samples:
+        return 0.0
+    newest = samples[-1]
+    x, y = place(before, newest.captured_at)
+    return math.hypot(newest.x - x, newest.y - y)
+
+
+def whose(
+    jumped: float, samples: Sequence[PoseSample], neighbours: Mapping[str, State]
+) -> str | None:
+    """The other vehicle that the newest pose shows, if it shows one."""
+    if jumped <= FAR or not samples:
+        return None
+    newest = samples[-1]
+    for name, state in neighbours.items():
+        x, y = place(state, newest.captured_at)
+        if math.hypot(newest.x - x, newest.y - y) < min(SAME_PLACE, jumped):
+            return name
+    return None
+
+
+def due_at(setpoint: Setpoint) -> float:
+    """The instant that a setpoint begins to be for [s]."""
+    return setpoint.references[0].t if isinstance(setpoint, Trajectory) else setpoint.t
+
+
+def is_number(*values: float) -> bool:
+    """Whether all values are finite and of a size that means something."""
+    return all(abs(value) < 1e9 for value in values)  # false for nan and inf
+
+
+class Detectors:
+    """All of them, for one vehicle."""
+
+    def __init__(self, vehicle: Vehicle, period: float, *, noisy: bool) -> None:
+        """`noisy` cameras never say the same twice; others may, of a vehicle at rest."""
+        self._set_pressure = vehicle.air.set_pressure
+        self._repeats = Repeats() if noisy else None
+        self.evidence = Evidence(vehicle, period)
+        self._before: State | None = None
+        self.said: dict[str, str] = {}  # words to the numbers, where there are any
+
+    def numbers(
+        self, inputs: Inputs, state: State | None, setpoint: Setpoint | None, wanted: Wrench,
+        effect_at: float, spare: float, raised: str,
+    ) -> tuple[float, ...]:  # fmt: skip
+        """How it is now.
+
+        Args:
+            inputs: of this tick.
+            state: estimate for `effect_at`.
+            setpoint: to be flown.
+            wanted: by law or tracker.
+            effect_at: when the next plan begins to act [s].
+            spare: room left after a full stop [m].
+            raised: what the law died of.
+        """
+        vitals, health, samples = inputs.vitals, inputs.health, inputs.samples
+        age = rejected = push = turn = 0.0
+        if state is not None:
+            age, rejected, bias = state.pose_age, state.rejected, state.bias
+            # poses that are old, refused or of another clock say nothing about valves
+            if age < TRUSTED_AGE and rejected <= TRUSTED and abs(vitals.clock_offset) < SAME_CLOCK:
+                push, turn = math.hypot(bias.ax, bias.ay), abs(bias.alpha)
+        jumped = jump(self._before, samples)
+        other = whose(jumped, samples, inputs.neighbours) if jumped > FAR else None
+        self._before = state
+        waited = overdue = 0.0
+        if setpoint is not None:
+            waited, overdue = effect_at - due_at(setpoint), effect_at - setpoint.valid_until
+        oldest = 0.0
+        for name, one in inputs.neighbours.items():
+            if inputs.t - one.t > oldest:
+                oldest, self.said["neighbour_age"] = inputs.t - one.t, name
+        missing = self.evidence.missing
+        if missing > 0.0:
+            self.said["jet_missing"] = str(self.evidence.jet + 1)
+        raised = raised or vitals.raised
+        if raised or other or vitals.fleet:
+            self.said |= {"raised": raised, "pose_of_another": other or "", "fleet": vitals.fleet}
+        return (
+            abs(age),
+            self._repeats.count(samples) if self._repeats is not None else 0,
+            jumped,
+            1.0 if other is not None else 0.0,
+            rejected,
+            waited,
+            overdue,
+            oldest,
+            health.supply_pressure / self._set_pressure,
+            health.battery,
+            health.silent_s,
+            push,
+            turn,
+            missing,
+            spare,
+            1.0 if raised else 0.0,
+            0.0 if is_number(wanted.fx, wanted.fy, wanted.tau) else 1.0,
+            vitals.late_s,
+            vitals.operator_age,
+            abs(vitals.clock_offset),
+            0.0 if vitals.same_config else 1.0,
+            vitals.disk_free,
+            1.0 if vitals.fleet else 0.0,
+        )

@@ -1,0 +1,126 @@
+"""Safety on board: the watch decides, a braking vehicle is stopped, every demand is filtered.
+
+It sits between tracker and allocator. Nothing here opens a valve: the gate has the last word.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.core.se2 import to_body, to_table
+from testbed.core.types import Inputs, Intervention, Setpoint, State, ValveCommand, Wrench
+from testbed.core.vehicle import Vehicle
+from testbed.flight.barrier import Barrier
+from testbed.flight.detectors import Detectors
+from testbed.flight.tracker import halt
+from testbed.flight.watch import Watch
+
+AT_REST = 0.003  # [m/s] slower is stopped: the estimate is not better
+NO_SPIN = 0.02  # [rad/s]
+LONGEST_BRAKE = 6.0  # [s] twice what the top speed of the filter takes with the shipped jets
+ENDING = ("coast", "land")
+
+
+class Acted(NamedTuple):
+    """What became of a demand."""
+
+    wanted: Wrench
+    response: str = ""
+    holding: tuple[str, ...] = ()  # rows of the fault table
+    fault: str | None = None  # latched
+    filtered: Intervention | None = None
+    braking: bool = False
+    closed_because: str | None = None
+
+
+CALM = Acted(Wrench(0.0, 0.0, 0.0))
+
+
+class Safety:
+    """One vehicle's watch, brake and filter."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        period: float,
+        watch: Watch,
+        detectors: Detectors,
+        barrier: Barrier | None,
+        decel: float,
+    ) -> None:
+        """Guard a vehicle; `decel` [m/s^2] is what its jets can do in every direction."""
+        self._vehicle, self._period, self._decel = vehicle, period, decel
+        self._watch, self._detectors, self._barrier = watch, detectors, barrier
+        self._no_duty = np.zeros(len(vehicle.jets))
+        self._duty, self._share = self._no_duty, 1.0
+        self._braking_since: float | None = None
+        self._stopped: str | None = None
+
+    def act(
+        self, inputs: Inputs, effect_at: float, state: State | None, setpoint: Setpoint | None,
+        wanted: Wrench, share: float, raised: str,
+    ) -> Acted:  # fmt: skip
+        """Judge a tick and say what to do instead of `wanted`."""
+        detectors, barrier = self._detectors, self._barrier
+        if state is not None and inputs.armed:
+            detectors.evidence.look(state, self._duty, self._share)
+        spare, filtered = math.inf, None
+        if barrier is not None and state is not None:
+            through, filtered = self._filter(barrier, effect_at, state, wanted, inputs, share)
+            spare = barrier.spare
+        else:
+            through = wanted
+        numbers = detectors.numbers(inputs, state, setpoint, wanted, effect_at, spare, raised)
+        verdict = self._watch.look(inputs.t, inputs.armed, numbers, detectors.said)
+        response, holding, fault = verdict
+        if not response or response == "warn" or not inputs.armed:
+            return Acted(through, response, holding, fault, filtered)
+        if response == "hold":  # the tracker stands already: setpoints that ran out are not flown
+            return Acted(through, response, holding, fault, filtered)
+        if self._stopped is None and response == "brake" and state is not None:
+            stop = halt(state, self._vehicle, share * self._decel, self._period)
+            if not self._is_over(inputs.t, state):
+                return Acted(stop, response, holding, fault, None, braking=True)
+        self._stopped = self._stopped or fault
+        return Acted(wanted, response, holding, fault, closed_because=fault or response)
+
+    def remember(self, command: ValveCommand, share: float) -> None:
+        """Note the plan that was really sent."""
+        on = command.on_us
+        if any(on):
+            self._duty = np.array(on) * (1e-6 / self._period)
+        else:
+            self._duty = self._no_duty
+        self._share = share
+
+    @property
+    def latched(self) -> tuple[str, ...]:
+        """Ids of the latched faults."""
+        return self._watch.latched
+
+    def reset(self) -> None:
+        """Forget latched faults and the stop that they led to."""
+        self._watch.reset()
+        self._braking_since, self._stopped = None, None
+
+    def _is_over(self, t: float, state: State) -> bool:
+        """Whether a stop has come to its end: at rest, or it lasts too long."""
+        if self._braking_since is None:
+            self._braking_since = t
+        twist = state.twist
+        rests = math.hypot(twist.vx, twist.vy) <= AT_REST and abs(twist.omega) <= NO_SPIN
+        return rests or t - self._braking_since > LONGEST_BRAKE
+
+    def _filter(
+        self, barrier: Barrier, t: float, state: State, wanted: Wrench, inputs: Inputs, share: float
+    ) -> tuple[Wrench, Intervention | None]:
+        """The demand after the filter; untouched it is the same object."""
+        pose, twist, bias = state.pose, state.twist, state.bias
+        theta = pose.theta + 0.5 * self._period * twist.omega
+        force = to_table(theta, wanted.fx, wanted.fy)
+        motion = (pose.x, pose.y, twist.vx, twist.vy, bias.ax, bias.ay)
+        fx, fy, changed = barrier.filter(t, force, motion, inputs.neighbours, share)
+        if changed is None:
+            return wanted, None
+        return Wrench(*to_body(theta, fx, fy), wanted.tau), changed

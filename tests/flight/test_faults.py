@@ -1,0 +1,176 @@
+"""The fault table: every row is walked, and the watch does with it what it says."""
+
+import math
+
+import msgspec
+import pytest
+from msgspec.structs import replace
+
+from testbed.config import SHIPPED, read_toml
+from testbed.flight.faults import DETECTORS, SEVERITY, Fault, FaultTable, most_severe
+from testbed.flight.watch import Watch, row_of
+
+TABLE = msgspec.convert(read_toml(SHIPPED / "faults.toml"), FaultTable)
+WELL = {  # what every detector says when all is well
+    **dict.fromkeys(DETECTORS, 0.0),
+    "pose_age": 0.03,
+    "supply_share": 1.0,
+    "battery": 12.0,
+    "spare_room": math.inf,
+    "disk_free": 1e12,
+    "setpoint_age": 0.0,
+    "setpoint_overdue": -0.5,
+}
+NEEDED = {  # what the issue of a table of faults asks for, and the detector that sees it
+    "pose_age", "pose_repeats", "pose_jump", "pose_of_another", "setpoint_age", "setpoint_overdue",
+    "poses_rejected", "supply_share", "battery", "push_unexplained", "turn_unexplained",
+    "jet_missing", "spare_room", "raised", "not_a_number", "tick_late", "operator_age",
+    "clock_offset", "config_differs", "disk_free", "neighbour_age", "board_silent", "fleet",
+}  # fmt: skip
+PERIOD = 0.1  # [s]
+
+
+def numbers(**changes):
+    return tuple((WELL | changes)[name] for name in DETECTORS)
+
+
+def bad(row, by=1e-6):
+    """A number just beyond a row's bound."""
+    return row.above + by if row.above is not None else row.below - by
+
+
+def good(row):
+    """The bound itself, which is not beyond it."""
+    return row.above if row.above is not None else row.below
+
+
+def run(watch, row, value, ticks, armed=True, t=0.0):
+    verdict = None
+    for k in range(ticks):
+        now = numbers(**{row.detector: value})
+        verdict = watch.look(t + k * PERIOD, armed, now, {row.detector: "somebody"})
+    return verdict
+
+
+def ticks_of(row):
+    """Ticks until a row holds."""
+    return max(row.misses, math.ceil(row.timeout_s / PERIOD - 1e-9) + 1)
+
+
+def test_every_detector_has_a_row_and_every_row_is_well_when_all_is():
+    assert {row.detector for row in TABLE.values()} == set(DETECTORS) == NEEDED
+    verdict = Watch(TABLE).look(0.0, True, numbers(), {})
+    assert verdict == ("", (), None)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_a_row_holds_after_its_misses_and_its_time_and_not_before(name):
+    row, watch = TABLE[name], Watch({name: TABLE[name]})
+    assert run(watch, row, bad(row), ticks_of(row) - 1) in (None, ("", (), None))
+    verdict = run(watch, row, bad(row), 1, t=(ticks_of(row) - 1) * PERIOD)
+    assert verdict.response == row.response
+    assert verdict.holding == (name,)
+    assert (verdict.fault is not None) == row.latched
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_a_row_does_not_hold_at_its_bound(name):
+    row = TABLE[name]
+    watch = Watch({name: row})
+    assert run(watch, row, good(row), 50) == ("", (), None)
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_a_number_that_is_none_is_beyond_every_bound(name):
+    row = TABLE[name]
+    verdict = run(Watch({name: row}), row, math.nan, ticks_of(row))
+    assert verdict.response == row.response
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_one_good_tick_begins_the_count_again(name):
+    row, watch = TABLE[name], Watch({name: TABLE[name]})
+    before = ticks_of(row) - 1
+    run(watch, row, bad(row), before)
+    run(watch, row, good(row), 1, t=before * PERIOD)
+    verdict = run(watch, row, bad(row), max(before, 0), t=(before + 1) * PERIOD)
+    assert verdict is None or verdict.response == ""
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_a_latched_row_stays_until_a_reset_and_others_go(name):
+    row, watch = TABLE[name], Watch({name: TABLE[name]})
+    first = run(watch, row, bad(row), ticks_of(row))
+    after = run(watch, row, good(row), 3, t=10.0)
+    assert after.holding == ()
+    assert after.response == (row.response if row.latched else "")
+    assert after.fault == first.fault
+    watch.reset()
+    assert run(watch, row, good(row), 1, t=20.0) == ("", (), None)
+    assert watch.latched == ()
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_a_disarmed_vehicle_has_faults_but_none_is_latched(name):
+    row, watch = TABLE[name], Watch({name: TABLE[name]})
+    verdict = run(watch, row, bad(row), ticks_of(row), armed=False)
+    assert verdict.holding == (name,)
+    assert verdict.fault is None
+    assert watch.latched == ()
+
+
+@pytest.mark.parametrize("name", [name for name, row in TABLE.items() if row.latched])
+def test_the_operator_reads_what_and_how_much(name):
+    row = TABLE[name]
+    said = run(Watch({name: row}), row, bad(row), ticks_of(row)).fault
+    assert said.startswith(f"{name}: ")
+    assert "{" not in said
+    assert row_of(TABLE, said) == row
+
+
+def test_the_most_severe_wins():
+    assert sorted(SEVERITY, key=SEVERITY.get) == ["", "warn", "hold", "brake", "coast", "land"]
+    watch = Watch(TABLE)
+    warn, brake = TABLE["link_late"], TABLE["battery_low"]
+    both = numbers(setpoint_age=bad(warn), battery=bad(brake))
+    assert watch.look(0.0, True, both, {}).response == "brake"
+    coast = numbers(battery=bad(brake), config_differs=1.0)
+    verdict = watch.look(0.1, True, coast, {})
+    assert verdict.response == "coast"
+    assert verdict.fault.startswith("config_differs")
+    # and it does not get milder again
+    assert watch.look(0.2, True, numbers(), {}).response == "coast"
+    assert watch.latched == ("battery_low", "config_differs")
+
+
+def test_no_response_is_the_mildest():
+    assert most_severe([]) == ""
+    assert most_severe(["warn", "land", "brake"]) == "land"
+
+
+ROW = TABLE["pose_lost"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"above": None}, "one of `above` and `below`"),
+        ({"below": 1.0}, "one of `above` and `below`"),
+        ({"text": "{speed}"}, "{value} and {said} only"),
+        ({"text": "{value:q}"}, "{value} and {said} only"),
+        ({"text": "{0}"}, "{value} and {said} only"),
+    ],
+)
+def test_a_row_that_says_nothing_is_refused(change, words):
+    with pytest.raises(ValueError, match=words):
+        Fault(**(msgspec.structs.asdict(ROW) | change))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"response": "pray"}, {"detector": "nose"}, {"misses": 0}, {"timeout_s": -1.0}, {"colour": 1}],
+)
+def test_a_table_is_typed(change):
+    tree = msgspec.to_builtins(replace(ROW)) | change
+    with pytest.raises(msgspec.ValidationError):
+        msgspec.convert({"row": tree}, FaultTable)

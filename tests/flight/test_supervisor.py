@@ -1,0 +1,216 @@
+"""The supervisor's table, request by request and phase by phase, and the arming checks."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from testbed.core.types import Health, Pose, Twist, Vitals
+from testbed.flight.arming import ArmingParams, Check, Expected, Readiness, arming_checks
+from testbed.flight.gate import Fence
+from testbed.flight.supervisor import ARMED_FOR, MOVES, Supervisor
+
+GREEN = [Check("a pose", "", True), Check("a supply", "", False)]
+RED = [Check("a pose", "no pose yet", True), Check("a supply", "", False)]
+LOW = [Check("a pose", "", True), Check("a supply", "at 50 %", False)]
+PHASES = ("DISARMED", "ARMED", "RUNNING", "STOPPED", "FAULT")
+REACHED = {  # phase and request, with green checks -> phase, and whether it was done
+    ("DISARMED", "arm"): ("ARMED", True),
+    ("ARMED", "run"): ("RUNNING", True),
+    ("ARMED", "stop"): ("STOPPED", True),
+    ("RUNNING", "stop"): ("STOPPED", True),
+    ("ARMED", "disarm"): ("DISARMED", True),
+    ("RUNNING", "disarm"): ("DISARMED", True),
+    ("STOPPED", "reset"): ("DISARMED", True),
+    ("FAULT", "reset"): ("DISARMED", True),
+}
+
+
+def brought_to(phase):
+    supervisor = Supervisor()
+    if phase in ("ARMED", "RUNNING", "STOPPED", "FAULT"):
+        supervisor.request(0.0, "arm", GREEN)
+    if phase in ("RUNNING", "STOPPED"):
+        supervisor.request(0.0, "run", GREEN)
+    if phase == "STOPPED":
+        supervisor.request(0.0, "stop")
+    if phase == "FAULT":
+        supervisor.fail(0.0, "broke")
+    assert supervisor.phase == phase
+    return supervisor
+
+
+@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("what", MOVES)
+def test_every_request_in_every_phase(phase, what):
+    supervisor = brought_to(phase)
+    answer = supervisor.request(1.0, what, GREEN)
+    harmless = what in ("stop", "disarm")
+    to, done = REACHED.get((phase, what), (phase, harmless))
+    assert (answer.phase, answer.done) == (to, done)
+    assert supervisor.phase == to
+    assert bool(answer.reasons) == (not done)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_valves_may_open_in_running_only(phase):
+    assert brought_to(phase).may_fire == (phase == "RUNNING")
+
+
+@pytest.mark.parametrize(("phase", "what"), [("DISARMED", "arm"), ("ARMED", "run")])
+@pytest.mark.parametrize("checks", [RED, LOW])
+def test_a_red_check_is_named(phase, what, checks):
+    supervisor = brought_to(phase)
+    answer = supervisor.request(1.0, what, checks)
+    assert not answer.done
+    assert answer.reasons == tuple(f"{c.name}: {c.reason}" for c in checks if c.reason)
+    assert supervisor.phase == phase
+
+
+@pytest.mark.parametrize(("phase", "what"), [("DISARMED", "arm"), ("FAULT", "reset")])
+def test_no_checks_are_no_green_checks(phase, what):
+    assert brought_to(phase).request(1.0, what, []).reasons == ("no check was made",)
+
+
+@pytest.mark.parametrize("phase", ["STOPPED", "FAULT"])
+def test_a_reset_asks_for_the_state_not_for_the_tank(phase):
+    assert not brought_to(phase).request(1.0, "reset", RED).done
+    assert brought_to(phase).request(1.0, "reset", LOW).done
+
+
+def test_a_fault_is_latched_and_the_first_is_kept():
+    supervisor = brought_to("RUNNING")
+    supervisor.fail(1.0, "pose lost")
+    supervisor.fail(2.0, "link lost")
+    assert supervisor.fault == "pose lost"
+    for what in ("arm", "run"):
+        assert not supervisor.request(3.0, what, GREEN).done
+    for what in ("stop", "disarm"):
+        supervisor.request(3.0, what)
+    assert (supervisor.phase, supervisor.fault) == ("FAULT", "pose lost")
+    assert supervisor.request(4.0, "reset", GREEN).done
+    assert (supervisor.phase, supervisor.fault) == ("DISARMED", None)
+
+
+def test_arming_runs_out():
+    supervisor = brought_to("ARMED")
+    supervisor.tick(ARMED_FOR)
+    assert supervisor.phase == "ARMED"
+    answer = supervisor.request(math.nextafter(ARMED_FOR, 1e9), "run", GREEN)
+    assert not answer.done
+    assert supervisor.phase == "DISARMED"
+
+
+def test_the_end_of_a_run_stops_it_and_nothing_else():
+    for phase in PHASES:
+        supervisor = brought_to(phase)
+        supervisor.end(1.0)
+        assert supervisor.phase == ("STOPPED" if phase == "RUNNING" else phase)
+
+
+def test_what_happened_is_written_down():
+    supervisor = brought_to("RUNNING")
+    supervisor.fail(2.0, "broke")
+    assert [(e.phase, e.because) for e in supervisor.events] == [
+        ("ARMED", "arm"), ("RUNNING", "run"), ("FAULT", "broke"),
+    ]  # fmt: skip
+
+
+steps = st.lists(
+    st.tuples(
+        st.sampled_from([*MOVES, "fail", "end", "tick"]),
+        st.sampled_from([GREEN, RED, LOW, []]),
+        st.floats(0.0, 100.0),
+    ),
+    max_size=40,
+)
+
+
+@given(steps)
+def test_nothing_fires_that_was_not_armed_and_run_with_green_checks(sequence):
+    supervisor, t, armed, running = Supervisor(), 0.0, False, False
+    for what, checks, wait in sequence:
+        t += wait
+        if what == "fail":
+            supervisor.fail(t, "broke")
+            armed = running = False
+        elif what == "end":
+            supervisor.end(t)
+            running = False
+        elif what == "tick":
+            supervisor.tick(t)
+        else:
+            done = supervisor.request(t, what, checks).done
+            if what == "arm" and done:
+                armed = checks is GREEN
+            elif what == "run" and done:
+                running = armed and checks is GREEN
+            elif what in ("stop", "disarm", "reset"):
+                running = running and not done
+        assert supervisor.may_fire <= running
+
+
+# Arming checks
+
+
+PARAMS = ArmingParams()
+EXPECTED = Expected("a", 100.0, 5e5, Fence(2.8, 2.8), {"b": 0.4})
+
+
+@pytest.fixture
+def ready(make_state):
+    return Readiness(
+        10.0, make_state(t=10.0), 100.0, Health(10.0, 5e5, 2e7), Vitals(), 0.01, True,
+        {"b": make_state((1.0, 0.0, 0.0), t=10.0)},
+    )  # fmt: skip
+
+
+def red(ready):
+    return {c.name: c.reason for c in arming_checks(ready, EXPECTED, PARAMS) if c.reason}
+
+
+def test_all_green_when_all_is_well(ready):
+    assert red(ready) == {}
+    assert len(arming_checks(ready, EXPECTED, PARAMS)) == 17
+
+
+ROWS = [
+    ("a pose", {"pose_age": 0.11}),
+    ("a pose", {"pose_age": -0.11}),
+    ("a pose", {"pose_age": math.nan}),
+    ("a estimate", {"rejected": 3}),
+    ("a fence", {"pose": Pose(2.81, 0.0, 0.0)}),
+    ("a fence", {"pose": Pose(0.0, -2.81, 0.0)}),
+    ("a at rest", {"twist": Twist(0.011, 0.0, 0.0)}),
+    ("a at rest", {"twist": Twist(0.0, 0.0, -0.051)}),
+    ("a clear of b", {"pose": Pose(0.56, 0.0, 0.0)}),
+]
+
+
+@pytest.mark.parametrize(("name", "change"), ROWS)
+def test_a_bad_state_is_red(name, change, ready):
+    assert list(red(replace(ready, state=replace(ready.state, **change)))) == [name]
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("a pose", {"state": None}), ("a pose rate", {"pose_rate": 79.0}),
+        ("a board", {"health": None}), ("a supply", {"health": Health(0.0, 4.7e5, 2e7)}),
+        ("a battery", {"health": Health(0.0, 5e5, 2e7, battery=10.9)}),
+        ("a board", {"health": Health(0.0, 5e5, 2e7, silent_s=0.2)}),
+        ("a valves", {"valves_shut": False}), ("a link", {"round_trip": 0.2}),
+        ("a link", {"round_trip": math.nan}), ("a clock", {"vitals": Vitals(clock_offset=-0.02)}),
+        ("a session", {"vitals": Vitals(session_ok=False)}),
+        ("a config", {"vitals": Vitals(same_config=False)}),
+        ("a disk", {"vitals": Vitals(disk_free=1e8)}),
+        ("a operator", {"vitals": Vitals(operator_age=0.6)}),
+        ("a law", {"vitals": Vitals(raised="ValueError")}),
+    ],
+)  # fmt: skip
+def test_whatever_else_is_bad_is_red(name, change, ready):
+    found = red(replace(ready, **change))
+    assert list(found) == [name]
+    assert found[name]
