@@ -234,7 +234,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
         thrusters.epoch_us = epoch // 1000
         party = Party(session, wires, start.session, clock, experiment.seed, name)
         on_board = experiment.deploy.law == "vehicle"
-        link = ZenohVehicleLink(party, experiment.vehicles if on_board else ())
+        link = ZenohVehicleLink(party, experiment.vehicles)
         poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
         event = Mouth(session, keys.of(name, "event"))
         flight = Flight(party, thrusters, poses, tower, on_board=on_board)
