@@ -278,6 +278,14 @@ def test_open_time_is_counted_up_to_the_closing(host, how):
     assert host.report().open_us[0] == 12_345
 
 
+def test_a_pulse_slept_over_is_not_made_up_for(host):
+    host.plan(1, {0: 20_000}, {0: 10_000})
+    host.board.skip(50_000)
+    host.ping()
+    assert host.wait(50_000) == []
+    assert host.report().unplayed == 1
+
+
 # Duty
 
 

@@ -131,7 +131,10 @@ def test_nothing_changes_when_the_clock_wraps(new_host, before_us):
 def test_a_valve_at_rest_for_longer_than_half_a_wrap_still_opens(host):
     """36 minutes after it closed, the stamp of the closing would lie in the future."""
     host.plan(1, {0: 20_000})
-    host.wait(36 * 60 * 1_000_000)
+    host.wait(200_000)
+    for _ in range(36):
+        host.board.skip(60_000_000)
+        host.ping()
     now = host.board.now_us
     host.arm()
     host.plan(2, {0: 20_000, 1: 20_000})
