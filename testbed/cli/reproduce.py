@@ -107,8 +107,8 @@ def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
     grid = Grid(title=f"{name}: {paper.title}", title_justify="left", title_style="bold",
                 show_lines=False, expand=True)  # fmt: skip
     grid.add_column("where", ratio=2)
-    grid.add_column("claim", ratio=6)
-    grid.add_column("paper", justify="right", ratio=2)
+    grid.add_column("claim", ratio=5)
+    grid.add_column("paper", justify="right", ratio=3)
     grid.add_column("measured", justify="right", no_wrap=True)
     grid.add_column("verdict", ratio=3)
     for row in rows:
