@@ -14,7 +14,7 @@ from rich.text import Text
 
 from testbed.cli.main import BAD_INPUT, FAILED, INTERRUPTED, OK
 from testbed.config import ConfigError
-from testbed.reproduction.audit import Made, made, rows_of, tasks_of
+from testbed.reproduction.audit import Made, RunError, made, rows_of, tasks_of
 from testbed.reproduction.claim import CORRECTED, FAILS, HOLDS, UNTESTABLE, MeasureError, Paper, Row
 from testbed.reproduction.page import page
 from testbed.reproduction.paper import EVERY, chosen, read_papers
@@ -35,7 +35,7 @@ def reproduce_papers(
         audited = {
             name: rows_of(name, paper, found[name], quick=quick) for name, paper in papers.items()
         }
-    except (ConfigError, MeasureError) as error:
+    except (ConfigError, MeasureError, RunError) as error:
         errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
         return BAD_INPUT
     rows = {name: rows for name, (rows, _) in audited.items()}

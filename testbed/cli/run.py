@@ -129,7 +129,7 @@ class Watcher:
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
         self._recorder.write("/truth", t, Truth(t, motions))
         if len(motions) > 1 and t >= self._next:  # the five elements, live
-            self._next = t + FORMATION_S
+            self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
             states = np.array([(m.x, m.y, m.vx, m.vy) for m in motions.values()])
             self._recorder.write("/formation", t, characterise(states[:, :2], states[:, 2:]))
         if t - self._shown >= self._stride:

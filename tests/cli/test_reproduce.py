@@ -74,6 +74,15 @@ untestable = "there is no data"
 expected = "cannot be tested"
 """
 
+TWO = """
+orbit = { a_km = 7000.0, e = 0.0 }
+mass = [1.0, 1.0]
+start = [[0.0, 0.0, 0.0], [60.0, 0.0, 0.0]]
+duration_s = 1.0
+step_s = 0.1
+quick_step_s = 0.1
+"""
+
 
 @pytest.fixture
 def small(tmp_path, monkeypatch):
@@ -167,6 +176,14 @@ def test_2_when_a_claim_asks_for_what_nobody_measures(testbed, small):
     result = testbed("reproduce", "small")
     assert result.exit_code == 2
     assert "expected a measure of run layouts" in result.stderr
+
+
+def test_2_when_a_run_cannot_be_made(testbed, small):
+    text = SMALL.replace('type = "refusal"', 'type = "together"').replace('names = ["1", "2"]', TWO)
+    small.write_text(text.replace('says = "not connected"', ""))
+    result = testbed("reproduce", "small")
+    assert result.exit_code == 2
+    assert "error: run layouts of small: the graph of the start is not connected" in result.stderr
 
 
 def test_130_and_the_rows_so_far_when_interrupted(testbed, small, monkeypatch):
