@@ -14,7 +14,7 @@ from rich.text import Text
 
 from testbed.cli.main import BAD_INPUT, FAILED, INTERRUPTED, OK
 from testbed.config import ConfigError
-from testbed.reproduction.audit import Made, made, rows_of, tasks_of
+from testbed.reproduction.audit import Made, RunError, made, rows_of, tasks_of
 from testbed.reproduction.claim import CORRECTED, FAILS, HOLDS, UNTESTABLE, MeasureError, Paper, Row
 from testbed.reproduction.page import page
 from testbed.reproduction.paper import EVERY, chosen, read_papers
@@ -35,7 +35,7 @@ def reproduce_papers(
         audited = {
             name: rows_of(name, paper, found[name], quick=quick) for name, paper in papers.items()
         }
-    except (ConfigError, MeasureError) as error:
+    except (ConfigError, MeasureError, RunError) as error:
         errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
         return BAD_INPUT
     rows = {name: rows for name, (rows, _) in audited.items()}
@@ -107,8 +107,8 @@ def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
     grid = Grid(title=f"{name}: {paper.title}", title_justify="left", title_style="bold",
                 show_lines=False, expand=True)  # fmt: skip
     grid.add_column("where", ratio=2)
-    grid.add_column("claim", ratio=6)
-    grid.add_column("paper", justify="right", ratio=2)
+    grid.add_column("claim", ratio=5)
+    grid.add_column("paper", justify="right", ratio=3)
     grid.add_column("measured", justify="right", no_wrap=True)
     grid.add_column("verdict", ratio=3)
     for row in rows:

@@ -172,7 +172,7 @@ class Watcher:
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
         self._record("/truth", t, Truth(t, motions))
         if len(motions) > 1 and t >= self._next:  # the five elements, live
-            self._next = t + FORMATION_S
+            self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
             states = np.array([(m.x, m.y, m.vx, m.vy) for m in motions.values()])
             self._record("/formation", t, characterise(states[:, :2], states[:, 2:]))
         for name, valves in self._rig.valves(since=self._seen):

@@ -10,6 +10,7 @@ from multiprocessing.pool import AsyncResult, Pool
 
 from msgspec import Struct
 
+from testbed.config import ConfigError
 from testbed.reproduction.claim import Paper, Row, Values, judge, needed
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.run import Run, execute
@@ -36,10 +37,21 @@ class Task(Struct, frozen=True):
     quick: bool
 
 
+class RunError(Exception):
+    """A run could not be made; says which, and why."""
+
+
 def make(task: Task) -> Made:
-    """Make one run."""
+    """Make one run.
+
+    Raises:
+        RunError: its parameters make no sense, or the integration stopped.
+    """
     began = time.perf_counter()
-    values, figures = execute(task.run, quick=task.quick)
+    try:
+        values, figures = execute(task.run, quick=task.quick)
+    except (ValueError, ArithmeticError, RuntimeError, ConfigError) as error:
+        raise RunError(f"run {task.name} of {task.paper}: {error}") from None
     return Made(task.paper, task.name, values, figures, time.perf_counter() - began)
 
 

@@ -22,7 +22,7 @@ def page(key: str, paper: Paper, rows: list[Row]) -> str:
         "|---|---|---|---|---|---|",
     ]  # fmt: skip
     for row in rows:
-        note = f" {row.note}" if row.note else ""
+        note = f". {row.note}" if row.note else ""
         cells = (f"`{row.id}`", row.source, row.claim + note, _claimed(row), _found(row))
         lines.append("| " + " | ".join(_cell(c) for c in (*cells, row.outcome)) + " |")
     lines += ["", "## How the print is read", ""]

@@ -17,6 +17,7 @@ WIRES = {
 METRICS = {
     "experiment", "rig", "seed", "completed", "duration_s", "wall_s", "real_time_factor",
     "contacts", "min_vehicle_distance_m", "criteria", "vehicles",
+    "formation",
 }  # fmt: skip
 VEHICLE_METRICS = {
     "final_error_m", "settle_s", "track_rms_m", "hold_rms_m", "heading_rms_deg",
@@ -159,6 +160,10 @@ def test_metrics_have_the_keys_of_the_contract(testbed):
     assert metrics["contacts"] == 0
     assert metrics["min_vehicle_distance_m"] == pytest.approx(1.2, abs=0.01)
     assert list(metrics["vehicles"]) == ["sat1", "sat2", "sat3"]
+    five = metrics["formation"]["end"]
+    assert five["count"] == 3
+    assert five["inner"] == pytest.approx(metrics["min_vehicle_distance_m"] - 0.4, abs=0.01)
+    assert metrics["formation"]["error_m"] is None  # each has a goal of its own
     for vehicle in metrics["vehicles"].values():
         assert set(vehicle) == VEHICLE_METRICS
         assert vehicle["settle_s"] is None
@@ -171,6 +176,7 @@ def test_what_does_not_apply_is_null(testbed):
     testbed("run", "hold", "duration_s=1", "guidance.mode=wrench", "--out", "out")
     metrics = metrics_of(Path("out"))
     assert metrics["min_vehicle_distance_m"] is None
+    assert metrics["formation"] is None
     assert metrics["vehicles"]["sat1"]["min_obstacle_distance_m"] is None
     assert metrics["vehicles"]["sat1"]["track_rms_m"] is None
     assert metrics["vehicles"]["sat1"]["heading_rms_deg"] is not None
@@ -210,15 +216,18 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
     log = read_log(Path("out"))
     names = ["sat1", "sat2", "sat3"]
     assert set(log.messages) == {f"/{n}/{end}" for n in names for end in ("tick", "host")} | {
-        "/truth"
-    }
+        "/truth", "/formation",
+    }  # fmt: skip
     stamps = [k * 10**8 for k in range(20)]
     for topic, rows in log.messages.items():
-        assert [stamp for stamp, _ in rows] == stamps, topic
+        every = 10 if topic == "/formation" else 1  # the five elements, once a second
+        assert [stamp for stamp, _ in rows] == stamps[::every], topic
     for topic, (encoding, name, schema) in log.schemas.items():
         assert encoding == "jsonschema"
         assert schema["type"] == "object"
-        wanted = {"tick": "Tick", "host": "HostTick", "truth": "Truth"}
+        wanted = {
+            "tick": "Tick", "host": "HostTick", "truth": "Truth", "formation": "Characterisation",
+        }  # fmt: skip
         assert name == wanted[topic.rpartition("/")[2]]
         assert set(schema["required"]) == set(log.messages[topic][0][1])
     for name in names:
@@ -230,7 +239,7 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
 def test_a_law_on_the_vehicle_has_no_host_topic(testbed, read_log):
     testbed("run", "zhang2023_table_wrench", "duration_s=1", "--out", "out")
     topics = set(read_log(Path("out")).messages)
-    assert topics == {"/sat1/tick", "/sat2/tick", "/sat3/tick", "/truth"}
+    assert topics == {"/sat1/tick", "/sat2/tick", "/sat3/tick", "/truth", "/formation"}
 
 
 def test_runs_go_to_runs_by_default(testbed, here):
