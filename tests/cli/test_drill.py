@@ -11,7 +11,7 @@ from testbed.cli.admit import forced, print_admission
 from testbed.cli.drill import fly_case
 from testbed.config import ConfigError, find, load
 from testbed.ops.admission import AdmissionParams, Flown, judge_flights, nearest_edge, nearest_rims
-from testbed.ops.drill import NAMES, Drilled, draw, summarise
+from testbed.ops.drill import NAMES, WHEN, Drilled, draw, summarise
 from testbed.ops.metrics import Track
 
 GOOD = Flown(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
@@ -89,7 +89,7 @@ def test_whatever_is_drawn_can_be_injected(kind):
     for _ in range(20):
         what = draw(kind, ["a", "b", "c"], 8, rng)
         assert what.kind == kind
-        assert 2.0 <= what.at_s <= 60.0
+        assert WHEN[0] <= what.at_s <= WHEN[1]
         assert what.other != what.vehicle
 
 
