@@ -22,6 +22,7 @@ from testbed.ops.folder import FolderError, new_folder, write_config, write_metr
 from testbed.ops.metrics import (
     Metrics,
     aim,
+    filtered,
     judge,
     obstacle_distances,
     smallest_separation,
@@ -182,7 +183,13 @@ def measure(
     vehicles, clear = {}, True
     for k, (name, setup) in enumerate(experiment.vehicles.items()):
         vehicles[name] = vehicle_metrics(
-            track, k, setup.goal, aim(outputs[name]), rig.spent(name), obstacles
+            track,
+            k,
+            setup.goal,
+            aim(outputs[name]),
+            rig.spent(name),
+            obstacles,
+            filtered(outputs[name]),
         )
         distances = obstacle_distances(track, k, obstacles)
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
