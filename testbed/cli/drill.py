@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import cache
 from multiprocessing import get_context
 from typing import Any
 
@@ -31,11 +32,12 @@ from testbed.ops.drill import (
     draw,
     summarise,
 )
-from testbed.rig import TwinRig, make_twin
+from testbed.rig import TwinRig, fence_of, make_twin
 
 EXPERIMENTS = ("zhang2023_table", "zhang2023_table_wrench")
 AFTERWARDS = 5.0  # [s] contacts are looked for so long after the last valve is shut
-NEEDED = {"stick_closed": 90.0}  # [s] to show itself, a jet must be asked for; others: 8 s
+ROOM = 0.15  # [m] round a start
+NEEDED = {"stick_closed": 40.0}  # [s] to show itself, a jet must be asked for; others: 8 s
 SOON = 8.0
 WIDTH = 140  # of the table in a file
 
@@ -153,16 +155,39 @@ def _travelled(rig: TwinRig, began: float) -> float:
     return float(np.hypot(*(since - since[0]).transpose(2, 0, 1)).max())
 
 
+@cache
+def shipped(name: str) -> Experiment:
+    """A shipped experiment, read once."""
+    return load(find(name))
+
+
+def somewhere(name: str, rng: np.random.Generator) -> Experiment:
+    """The experiment with every vehicle started somewhere on the table, clear of everything."""
+    experiment = shipped(name)
+    taken = [(rock.position, rock.radius + ROOM) for rock in experiment.obstacles.values()]
+    vehicles = {}
+    for vehicle, setup in experiment.vehicles.items():
+        half = np.array(fence_of(experiment, vehicle)) - ROOM
+        while True:
+            x, y = (half * rng.uniform(-1.0, 1.0, 2)).tolist()
+            if all(np.hypot(x - px, y - py) > reach for (px, py), reach in taken):
+                break
+        taken.append(((x, y), 2.0 * setup.model.radius + ROOM))
+        start = (x, y, float(rng.uniform(-np.pi, np.pi)))
+        vehicles[vehicle] = replace(setup, start=start)
+    return replace(experiment, vehicles=vehicles)
+
+
 def case(number: int, seed: int) -> Drilled:
     """Case `number` of a drill: kinds and experiments take turns, the rest is drawn."""
     rng = np.random.default_rng([seed, number])
     kinds: list[Any] = list(NAMES)
     kind = kinds[number % len(kinds)]
-    shipped = load(find(EXPERIMENTS[(number // len(kinds)) % len(EXPERIMENTS)]))
-    jets = min(len(setup.model.jets) for setup in shipped.vehicles.values())
-    what = draw(kind, list(shipped.vehicles), jets, rng)
+    begun = somewhere(EXPERIMENTS[(number // len(kinds)) % len(EXPERIMENTS)], rng)
+    jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
+    what = draw(kind, list(begun.vehicles), jets, rng)
     duration = (what.at_s or 0.0) + NEEDED.get(kind, SOON)
-    experiment = replace(shipped, seed=int(rng.integers(2**31)), duration_s=duration, inject=[what])
+    experiment = replace(begun, seed=int(rng.integers(2**31)), duration_s=duration, inject=[what])
     return fly_case(experiment, what)
 
 
@@ -175,7 +200,8 @@ def run_drill(rig: str, injections: int, seed: int, jobs: int, as_json: bool) ->
     errors = Console(stderr=True, highlight=False)
     try:
         first = case(0, seed)  # compiles, before the others are started
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        # forked, they need not load the compiled code again
+        with ProcessPoolExecutor(jobs, mp_context=get_context("fork")) as pool:
             rest = pool.map(_one, [(k, seed) for k in range(1, injections)], chunksize=4)
             watched = track(
                 rest, "drilling", injections - 1, console=errors, transient=True,

@@ -21,6 +21,7 @@ ROWS = (  # heading, key, scale, format, criterion
     ("impulse \\[N s]", "impulse_ns", 1.0, "{:.1f}", "impulse_ns"),
     ("gas \\[g]", "gas_g", 1.0, "{:.1f}", None),
     ("valve pulses", "valve_pulses", 1.0, "{:.0f}", None),
+    ("filtered by safety \\[N s]", "filtered_ns", 1.0, "{:.2f}", None),
     ("largest force \\[N]", "max_force_n", 1.0, "{:.2f}", None),
 )
 

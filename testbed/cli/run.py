@@ -30,6 +30,7 @@ from testbed.ops.logbook import LogError
 from testbed.ops.metrics import (
     Metrics,
     aim,
+    filtered,
     judge,
     judge_formation,
     obstacle_distances,
@@ -242,7 +243,13 @@ def measure(
     vehicles, clear = {}, True
     for k, (name, setup) in enumerate(experiment.vehicles.items()):
         vehicles[name] = vehicle_metrics(
-            track, k, setup.goal, aim(outputs[name]), rig.spent(name), obstacles
+            track,
+            k,
+            setup.goal,
+            aim(outputs[name]),
+            rig.spent(name),
+            obstacles,
+            filtered(outputs[name]),
         )
         distances = obstacle_distances(track, k, obstacles)
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())

@@ -41,6 +41,7 @@ BRAKE_WITHIN = 7.0  # [s] the longest stop on board, and the ticks before and af
 DEAD_WITHIN = 0.25  # [s] a plan that a dead process has sent, and its time to live
 POSE_LOSS_WITHIN = 0.15  # [s]
 ASKED = 1.5  # [s] of open time that a jet must be asked for before its silence can be noticed
+WHEN = (2.0, 12.0)  # [s]
 OTHERS = ("kill_process",)  # faults that only the others can name
 SPREAD = {  # sizes that are drawn, as factors of what is usual
     "jump_mocap": (0.5, 3.0),
@@ -103,14 +104,14 @@ class Drill(Struct, frozen=True):
 
 
 def draw(kind: Any, vehicles: Sequence[str], jets: int, rng: np.random.Generator) -> Injection:
-    """A random case of a kind, somewhere in the first minute of a run."""
+    """A random case of a kind, in the first seconds of a run that begins anywhere on the table."""
     who = rng.permutation(len(vehicles))
     low, high = SPREAD.get(kind, (1.0, 1.0))
     usual = VALUES.get(kind)
     return Injection(
         kind,
         vehicles[int(who[0])],
-        at_s=round(float(rng.uniform(2.0, 60.0)), 4),
+        at_s=round(float(rng.uniform(*WHEN)), 4),
         value=None if usual is None else round(usual * float(rng.uniform(low, high)), 4),
         jet=int(rng.integers(1, jets + 1)),
         other=vehicles[int(who[1])] if kind == "swap_bodies" else "",

@@ -63,6 +63,7 @@ class VehicleMetrics(Struct, frozen=True):
     gas_g: float | None  # jets and bearings
     valve_pulses: int | None  # openings, all valves
     max_force_n: float | None  # largest mean force asked of the jets in one jet period
+    filtered_ns: float | None = None  # impulse that the safety filter changed [N s]
 
 
 class Metrics(Struct, frozen=True):
@@ -146,6 +147,16 @@ def aim(outputs: Sequence[Outputs]) -> Aim:
     return Aim(table[:, 0], table[:, 1:4], table[:, 4])
 
 
+def filtered(outputs: Sequence[Outputs]) -> float:
+    """Impulse by which the safety filter changed what was asked for [N s]."""
+    total = 0.0
+    for out in outputs:
+        if out.filtered is not None and out.closed_because is None:
+            period = out.command.valid_until - out.command.issued_at
+            total += period * math.hypot(out.filtered.dfx_w, out.filtered.dfy_w)
+    return total
+
+
 def _rms(values: Array) -> float | None:
     return float(np.sqrt(np.mean(values))) if len(values) else None
 
@@ -191,6 +202,7 @@ def vehicle_metrics(
     aimed: Aim,
     spent: Spent,
     obstacles: Mapping[str, Obstacle],
+    filtered_ns: float | None = None,
 ) -> VehicleMetrics:
     """Judge one vehicle's flight."""
     distances = obstacle_distances(track, vehicle, obstacles)
@@ -214,6 +226,7 @@ def vehicle_metrics(
         gas_g=1e3 * spent.gas,
         valve_pulses=spent.openings,
         max_force_n=float(np.max(aimed.force)) if len(aimed.force) else None,
+        filtered_ns=filtered_ns,
     )
 
 

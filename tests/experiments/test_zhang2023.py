@@ -99,6 +99,33 @@ def test_pd_hits_an_obstacle_and_says_so(tmp_path: Path) -> None:
     assert metrics.criteria["clear_of_obstacles"] is False
 
 
+@pytest.mark.parametrize("mode", ["reference", "wrench"])
+def test_the_safety_filter_stops_pd_short_of_the_obstacle(mode: str, tmp_path: Path) -> None:
+    overrides = ["flight.barrier.on=true", f"guidance.mode={mode}"]
+    metrics = fly(load(find("zhang2023_table_pd"), overrides), tmp_path)
+    assert metrics.fault is None
+    assert metrics.contacts == 0
+    assert metrics.criteria["clear_of_obstacles"] is True
+    assert metrics.vehicles["sat3"].filtered_ns > 0.0
+
+
+@pytest.mark.parametrize("name", ["zhang2023_table", "zhang2023_table_wrench"])
+def test_swapped_goals_keep_clear_of_obstacles_and_of_each_other(name: str, tmp_path: Path) -> None:
+    swapped = ["vehicles.sat1.goal=[-1.247,1.836,0.0]", "vehicles.sat3.goal=[1.818,1.915,0.0]"]
+    metrics = fly(load(find(name), swapped), tmp_path)
+    assert metrics.fault is None
+    assert metrics.contacts == 0
+    assert metrics.criteria["clear_of_obstacles"] is True
+
+
+@pytest.mark.parametrize("name", ["zhang2023_table", "zhang2023_table_wrench"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_safety_filter_leaves_the_paper_alone(name: str, seed: int, tmp_path: Path) -> None:
+    metrics = fly(load(find(name), [f"seed={seed}"]), tmp_path)
+    for m in metrics.vehicles.values():
+        assert m.filtered_ns <= 0.01 * m.impulse_ns
+
+
 def test_smc_is_slower_and_peaks_higher_than_sotsmc(tmp_path: Path) -> None:
     flown = {}
     for name in ("zhang2023_table", "zhang2023_table_smc"):

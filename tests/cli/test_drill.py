@@ -1,0 +1,149 @@
+"""Admission and drill: judged by numbers; the flights themselves are short ones."""
+
+import json
+
+import msgspec
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from testbed.cli.admit import forced, print_admission
+from testbed.cli.drill import fly_case
+from testbed.config import ConfigError, find, load
+from testbed.ops.admission import AdmissionParams, Flown, judge_flights, nearest_edge, nearest_rims
+from testbed.ops.drill import NAMES, WHEN, Drilled, draw, summarise
+from testbed.ops.metrics import Track
+
+GOOD = Flown(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "broken"),
+    [
+        ({}, []),
+        ({"fault": "broke"}, ["flights that end in a fault"]),
+        ({"contacts": 1}, ["contacts"]),
+        ({"edge_m": 0.049}, ["room to the fence"]),
+        ({"edge_m": 0.05}, []),
+        ({"separation_m": -0.1}, ["room between two vehicles"]),
+        ({"separation_m": None, "solid_m": None}, []),
+        ({"solid_m": 0.0}, ["room to a solid obstacle"]),
+        ({"gas_share": 0.81}, ["gas of the tank"]),
+        ({"openings_per_valve": 20_001.0}, ["openings of a valve"]),
+    ],
+)
+def test_the_worst_flight_decides(change, broken):
+    flights = [GOOD, replace(GOOD, seed=7, **change), replace(GOOD, seed=8)]
+    admission = judge_flights("x", flights, AdmissionParams())
+    assert [one.name for one in admission.findings if not one.kept] == broken
+    assert admission.admitted == (not broken)
+    if broken and broken != ["flights that end in a fault"]:
+        assert next(one.seed for one in admission.findings if not one.kept) == 7
+
+
+def test_a_refusal_says_the_numbers(capsys):
+    print_admission(judge_flights("x", [replace(GOOD, edge_m=0.01)], AdmissionParams()))
+    said = " ".join(capsys.readouterr().out.split())
+    assert "refused: room to the fence" in said
+    assert "0.010 m, at least 0.05 m" in said
+
+
+def test_force_needs_the_name_and_no_other_word():
+    assert forced("hold", lambda _: "hold")
+    assert not any(forced("hold", lambda _, word=word: word) for word in ("y", "yes", "", "HOLD"))
+
+
+def test_room_is_measured_from_rim_to_rim():
+    states = np.zeros((2, 2, 6))
+    states[:, 1, 0] = [1.0, 0.7]
+    track = Track(np.arange(2.0), states)
+    assert nearest_rims(track, [0.2, 0.2]) == pytest.approx(0.3)
+    assert nearest_rims(Track(np.arange(2.0), states[:, :1]), [0.2]) is None
+    assert nearest_edge(track, [(2.8, 2.8), (2.8, 2.8)]) == pytest.approx(1.8)
+
+
+CASE = Drilled(
+    "leak", "x", "a", 0, 3.0, "supply_low", 0.2, "brake", 1.0, 0, 0, 0.1, "a: b", (), dormant=False
+)
+
+
+def test_a_drill_counts_what_went_wrong():
+    cases = [
+        CASE, replace(CASE, detected_s=None, named=""), replace(CASE, contacts=1, late=2),
+        replace(CASE, kind="stick_closed", detected_s=None, dormant=True),
+        replace(CASE, early=("too early",)),
+    ]  # fmt: skip
+    drill = summarise("twin", cases)
+    tree = json.loads(msgspec.json.encode(drill))
+    assert {"injections", "undetected", "valves_open_after_deadline", "contacts", "rows"} <= set(
+        tree
+    )
+    assert (drill.injections, drill.undetected, drill.dormant) == (5, 1, 1)
+    assert (drill.valves_open_after_deadline, drill.contacts, drill.false_alarms) == (2, 1, 1)
+    assert drill.rows[0].detected_worst_s == 0.2
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_whatever_is_drawn_can_be_injected(kind):
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        what = draw(kind, ["a", "b", "c"], 8, rng)
+        assert what.kind == kind
+        assert WHEN[0] <= what.at_s <= WHEN[1]
+        assert what.other != what.vehicle
+
+
+# Injected faults in an experiment file
+
+
+@pytest.mark.parametrize(
+    ("inject", "words"),
+    [
+        ('{kind="leak",vehicle="sat9",at_s=1.0}', "one of: sat1"),
+        ('{kind="leek",vehicle="sat1",at_s=1.0}', "one of: "),
+        ('{kind="stick_open",vehicle="sat1",at_s=1.0,jet=9}', "a jet from 1 to 8"),
+        ('{kind="leak",vehicle="sat1"}', "one of `at_s` and `event`"),
+        ('{kind="leak",vehicle="sat1",event="near_edge"}', "threshold"),
+        ('{kind="swap_bodies",vehicle="sat1",at_s=1.0}', "`other` with a swap"),
+        ('{kind="swap_bodies",vehicle="sat1",other="sat1",at_s=1.0}', "another one of"),
+        ('{kind="leak",vehicle="sat1",event="near_obstacle",threshold=1.0}', "can happen"),
+        ('{kind="leak",vehicle="sat1",event="near_vehicle",threshold=1.0}', "can happen"),
+    ],
+)
+def test_an_injection_that_cannot_be_is_refused(inject, words):
+    with pytest.raises(ConfigError) as raised:
+        load(find("hold"), [f"inject=[{inject}]"])
+    assert words in str(raised.value)
+
+
+def flown(name, inject, duration):
+    experiment = load(find(name), [f"duration_s={duration}", f"inject=[{inject}]", "seed=1"])
+    return fly_case(experiment, experiment.inject[0])
+
+
+@pytest.mark.parametrize(
+    ("inject", "named", "response", "within"),
+    [
+        ('{kind="drop_mocap",vehicle="sat1",at_s=2.03}', "pose_stale", "brake", 0.15),
+        ('{kind="freeze_mocap",vehicle="sat1",at_s=2.03}', "pose_frozen", "brake", 0.16),
+        ('{kind="jump_mocap",vehicle="sat1",at_s=2.03}', "pose_jumped", "brake", 0.3),
+        ('{kind="stick_open",vehicle="sat1",at_s=2.03,jet=3}', "valve_stuck_open", "land", 1.0),
+        ('{kind="brown_out",vehicle="sat1",at_s=2.03}', "battery_low", "coast", 0.15),
+        ('{kind="clock_step",vehicle="sat1",at_s=2.03}', "clock_off", "brake", 0.3),
+        ('{kind="nan_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.15),
+        ('{kind="raise_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.15),
+        ('{kind="kill_process",vehicle="sat1",at_s=2.03}', "vehicle_silent", "", 1.6),
+        ('{kind="leak",vehicle="sat1",at_s=2.03,value=0.2}', "supply_", "brake", 3.0),
+        (
+            '{kind="overrun",vehicle="sat1",event="faster_than",threshold=0.001}',
+            "overrun", "brake", 0.4,
+        ),
+    ],
+)  # fmt: skip
+def test_an_injected_fault_is_named_and_answered(inject, named, response, within):
+    found = flown("hold", inject, 9.0)
+    assert found.early == ()
+    assert found.named.startswith(named)
+    assert found.detected_s <= within
+    assert found.response == response
+    assert (found.contacts, found.late) == (0, 0)
