@@ -57,7 +57,9 @@ def colours(png: bytes) -> dict[tuple[int, int, int], int]:
     return {hue: int(np.sum(np.abs(left - np.array(hue)).max(axis=-1) < 40)) for hue in HUES[:3]}
 
 
-def shows_the_fleet(png: bytes) -> bool:
+def seen(png: bytes, kept: Path) -> bool:
+    """Whether all three vehicles are there; the newest picture is kept to be looked at."""
+    kept.write_bytes(png)
     return min(colours(png).values()) > 300
 
 
@@ -79,7 +81,8 @@ def test_a_run_is_followed_while_it_is_flown(tmp_path, pictures):
 
     folder = tmp_path / "run"
     flight = subprocess.Popen(
-        [sys.executable, "-m", "testbed.cli.main", "run", "zhang2023_table", "duration_s=4000", "--speed", "1",
+        [sys.executable, "-m", "testbed.cli.main", "run", "zhang2023_table",
+         "duration_s=4000", "--speed", "1",
          "--out", str(folder)],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -101,11 +104,10 @@ def test_a_run_is_followed_while_it_is_flown(tmp_path, pictures):
 
         first = eventually(now, "ticks arrive")
         eventually(lambda: now() > first + 1.0, "time advances")
-        png = eventually(
-            lambda: (shot := client.take_screenshot()) and shows_the_fleet(shot) and shot,
+        assert eventually(
+            lambda: seen(client.take_screenshot(), pictures / "headless.png"),
             "the table and three vehicles are seen",
         )
-        (pictures / "headless.png").write_bytes(png)
         views = {view.name: view for view in client.get_state().views}
         for wanted in ("Table from above", "Distance to the goal [mm]", "Clearance", "Force",
                        "Valves", "Gas left [%]", "Age of the newest pose [ms]", "Link delay",
@@ -116,7 +118,8 @@ def test_a_run_is_followed_while_it_is_flown(tmp_path, pictures):
     finally:
         board.close()
         flight.send_signal(signal.SIGINT)
-        assert flight.wait(120) == 130
+        ended = flight.wait(PATIENCE_S)
+    assert ended == 130
 
 
 @pytest.mark.slow
@@ -145,11 +148,10 @@ def test_a_browser_shows_the_table(run, pictures):
         board.open(Event().wait)
         with browser.Browser(1600, 1000, dark=True) as page:
             page.open(board.address.page + "&renderer=webgl")
-            png = eventually(
-                lambda: (shot := page.picture()) and shows_the_fleet(shot) and shot,
+            assert eventually(
+                lambda: seen(page.picture(), pictures / "web.png"),
                 "the table and three vehicles are seen",
             )
-        (pictures / "web.png").write_bytes(png)
     finally:
         board.close()
 
