@@ -40,7 +40,7 @@ def keep(png: bytes, name: str, width: int) -> None:
     picture = Image.open(io.BytesIO(png)).convert("RGB")
     height = round(picture.height * width / picture.width)
     picture = picture.resize((width, height), Image.Resampling.LANCZOS)
-    picture.quantize(128, dither=Image.Dither.NONE).save(HERE / name, optimize=True)
+    picture.quantize(255, dither=Image.Dither.NONE).save(HERE / name, optimize=True)
     sys.stdout.write(f"{HERE / name}: {(HERE / name).stat().st_size / 1e3:.0f} kB\n")
 
 
