@@ -17,12 +17,12 @@ import time
 from pathlib import Path
 from threading import Event
 
+import msgspec
 import numpy as np
 
-from testbed.config import find, load
+from testbed.core.types import HostTick, Tick
 from testbed.ops.logbook import Logbook
 from testbed.ops.recorder import Motion, Recorder, Truth
-from testbed.rig import make_twin
 
 VEHICLES, RATE_HZ = 6, 100.0
 
@@ -42,15 +42,24 @@ class Keeper:
         pass
 
 
-def messages(seconds: float) -> Keeper:
-    keeper = Keeper()
-    make_twin(load(find("hold"), [f"duration_s={seconds}"])).fly(keeper)
-    return keeper
+Messages = tuple[list[Tick], list[HostTick]]
+
+
+def messages(path: Path, seconds: float) -> Messages:
+    """Of a flight on the twin; kept in a file, so that it is flown once."""
+    if not path.exists():
+        from testbed.config import find, load
+        from testbed.rig import make_twin
+
+        keeper = Keeper()
+        make_twin(load(find("hold"), [f"duration_s={seconds}"])).fly(keeper)
+        path.write_bytes(msgspec.msgpack.encode((keeper.ticks, keeper.hosts)))
+    return msgspec.msgpack.decode(path.read_bytes(), type=Messages)
 
 
 def write(path: Path, seconds: float, announce: bool) -> float:
     """In real time; returns the CPU time of this process [s]."""
-    keeper, pause = messages(12.0), Event()
+    (ticks, hosts), pause = messages(path.with_name("messages"), 12.0), Event()
     motions = {f"sat{n}": Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3) for n in range(VEHICLES)}
     with Recorder(path) as recorder:
         if announce:
@@ -60,8 +69,8 @@ def write(path: Path, seconds: float, announce: bool) -> float:
             t = k / RATE_HZ
             pause.wait(max(0.0, began + t - time.monotonic()))
             for n in range(VEHICLES):
-                recorder.write(f"/sat{n}/tick", t, keeper.ticks[k % len(keeper.ticks)])
-                recorder.write(f"/sat{n}/host", t, keeper.hosts[k % len(keeper.hosts)])
+                recorder.write(f"/sat{n}/tick", t, ticks[k % len(ticks)])
+                recorder.write(f"/sat{n}/host", t, hosts[k % len(hosts)])
             recorder.write("/truth", t, Truth(t, motions))
             recorder.mark(t)
             if announce:

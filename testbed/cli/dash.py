@@ -23,6 +23,7 @@ from testbed.ops.viewer import (
     listens,
     program,
     start,
+    step_back,
 )
 
 PERIOD_S = 0.2
@@ -62,6 +63,8 @@ class Dashboard:
             [sys.executable, "-m", "testbed.cli.teller", str(self._run), self.address.data],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
         )  # fmt: skip
+
+        step_back(self.teller)
 
     def keep(self, waited: Callable[[float], bool]) -> bool:
         """Look after both; false when the operator has closed the viewer."""

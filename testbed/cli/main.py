@@ -333,6 +333,22 @@ def report(context: click.Context, run: Path) -> None:
 
 
 @main.command()
+@click.argument(
+    "runs", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path)
+)
+@click.option("--out", type=click.Path(path_type=Path), help="Write figures to this HTML file.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.pass_context
+def compare(
+    context: click.Context, runs: tuple[Path, ...], out: Path | None, as_json: bool
+) -> None:
+    """Lay RUNS side by side: laws, seeds, the twin against the table."""
+    from testbed.cli.compare import compare_runs
+
+    context.exit(compare_runs(runs, out, as_json))
+
+
+@main.command()
 @click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--web", is_flag=True, help="In the browser instead of a window.")
 @click.option("--bind", default="127.0.0.1", show_default=True, help="Who may connect.")

@@ -7,6 +7,7 @@ from rerun.blueprint.archetypes import (
     EyeControls3D,
     LineGrid3D,
 )
+from rerun.blueprint.encodings import TimelineColumn
 
 from testbed.ops.scenario import Scenario
 from testbed.ops.setting import plain
@@ -72,7 +73,10 @@ def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
         rrb.TextLogView(
             origin="/event",
             name="Events, time [s]",
-            columns=rrb.TextLogColumns(timeline_columns=[], text_log_columns=["LogLevel", "Body"]),
+            columns=rrb.TextLogColumns(
+                timeline_columns=[TimelineColumn("t", visible=False)],
+                text_log_columns=["LogLevel", "Body"],
+            ),
         ),
         row_shares=[0.9, 9, 1.9],
     )

@@ -27,7 +27,7 @@ from msgspec import Struct
 from testbed.ops.message import to_json
 
 BUFFER = 256 * 1024  # [bytes] between the flight and the scribe; a third of a second of messages
-SPAN_NS = 100_000_000  # of the run between two chunks; the same run gives the same chunks
+SPAN_NS = 50_000_000  # of the run between two chunks; the same run gives the same chunks
 WARN_BELOW = 500_000_000  # [bytes] free on the disk: say so
 END_BELOW = 20_000_000  # [bytes] free on the disk: end the log properly while there is room
 

@@ -18,6 +18,7 @@ from testbed.ops.scenario import Scenario, law_of
 CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
 PACKAGES = ("airbearing-testbed", "numpy", "numba", "scipy", "msgspec", "mcap")
 SHOWN_EVENTS = 40
+FIRST = ("trajectory", "error", "error_xy")  # figures before the numbers
 
 ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
     ("final error [mm]", "final_error_m", 1e3, 2, "final_error_m"),
@@ -67,12 +68,15 @@ def render(
     scenario: Scenario, history: History, metrics: Metrics, config: str, charts: Iterable[Chart]
 ) -> str:
     """The page."""
+    drawn = list(charts)
     sections = [
         _header(scenario, metrics),
         _tiles(metrics),
-        _flown(scenario, metrics),
+        _flown(scenario),
+        "<h2>Where they went</h2>", _figures(scenario, [c for c in drawn if c.key in FIRST]),
+        _criteria(scenario.criteria, metrics),
         _results(metrics),
-        "<h2>Figures</h2>", _figures(scenario, charts),
+        "<h2>Figures</h2>", _figures(scenario, [c for c in drawn if c.key not in FIRST]),
         _happened(history),
         _repeat(scenario, metrics, config),
     ]  # fmt: skip
@@ -154,7 +158,7 @@ def _pose(pose: tuple[float, float, float]) -> str:
     return f"({x:.2f}, {y:.2f}) m, {math.degrees(theta):.0f}\N{DEGREE SIGN}"
 
 
-def _flown(scenario: Scenario, metrics: Metrics) -> str:
+def _flown(scenario: Scenario) -> str:
     size = scenario.table.size
     rocks = [
         f"{escape(name)} at ({o.position[0]:g}, {o.position[1]:g}) m, danger radius {o.radius:g} m"
@@ -178,7 +182,6 @@ def _flown(scenario: Scenario, metrics: Metrics) -> str:
         f"<h2>What was flown</h2><p>{words}</p>"
         '<div class="wide"><table><tr><th>vehicle</th><th>start</th><th>goal</th>'
         f"<th>mass [kg]</th><th>radius [m]</th><th>jets</th></tr>{rows}</table></div>"
-        f"{_criteria(scenario.criteria, metrics)}"
     )
 
 

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +18,7 @@ from msgspec import Struct
 LOOPBACK = "127.0.0.1"
 MEMORY = "1GB"
 SERVER_MEMORY = "300MB"
+BEHIND = 10  # niceness
 
 Kind = Literal["window", "web", "headless"]
 
@@ -91,11 +93,19 @@ def start(kind: Kind, address: Address, files: Sequence[Path] = ()) -> "subproce
     if kind == "window" and sys.platform.startswith("linux"):
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise ViewerError("there is no screen here for a window; try --web")
-    return subprocess.Popen(
+    viewer = subprocess.Popen(
         command(kind, address, files),
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         env=os.environ | {"XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR", "/tmp")},
     )  # fmt: skip
+    step_back(viewer)
+    return viewer
+
+
+def step_back(process: "subprocess.Popen[bytes]") -> None:
+    """Whoever looks on runs when the flight does not need the processor."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, process.pid, BEHIND)
 
 
 def listens(address: Address) -> bool:

@@ -1,0 +1,94 @@
+"""Makes the pictures of the README and the docs: one of the dashboard, one of a report.
+
+    python docs/pictures/make.py
+
+Needs the dashboard extra, a Vulkan driver (Debian: mesa-vulkan-drivers) and Chromium. The run is
+zhang2023's table experiment; the dashboard shows it in the middle of its way.
+"""
+
+import io
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from threading import Event
+
+from browser import Browser
+from PIL import Image
+from rerun.experimental import ViewerClient
+
+from testbed.cli.dash import Dashboard, address_for
+from testbed.ops.feed import LogFeed
+from testbed.ops.history import gather
+from testbed.ops.logbook import Logbook
+
+HERE = Path(__file__).parent
+MIDDLE_S = 37.0  # two vehicles pass the obstacles
+PATIENCE_S = 300.0
+
+
+def fly(folder: Path, *overrides: str) -> None:
+    """Into `folder`; the verdict does not matter here."""
+    words = ["run", "zhang2023_table", *overrides, "--out", str(folder)]
+    command = [sys.executable, "-m", "testbed.cli.main", *words]
+    subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
+
+
+def keep(png: bytes, name: str, width: int) -> None:
+    """Smaller and with few colours: a picture of a page does not need more."""
+    picture = Image.open(io.BytesIO(png)).convert("RGB")
+    height = round(picture.height * width / picture.width)
+    picture = picture.resize((width, height), Image.Resampling.LANCZOS)
+    picture.quantize(255, dither=Image.Dither.NONE).save(HERE / name, optimize=True)
+    sys.stdout.write(f"{HERE / name}: {(HERE / name).stat().st_size / 1e3:.0f} kB\n")
+
+
+def dashboard(run: Path) -> bytes:
+    """The viewer without a screen, when it has everything."""
+    end = gather(LogFeed(Logbook(run / "log.mcap")).news()).end
+    board = Dashboard(run, "headless", address_for())
+    try:
+        board.open(Event().wait)
+        client = ViewerClient.connect(board.address.data)
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            Event().wait(1.0)
+            try:
+                ends = [
+                    line.end
+                    for recording in client.get_state().recordings
+                    for line in recording.timelines
+                    if line.name == "t"
+                ]
+                if ends and max(ends) >= 1e9 * (end - 0.2):
+                    client.take_screenshot()
+                    Event().wait(2.0)
+                    return client.take_screenshot()
+            except (ConnectionError, TimeoutError):
+                continue
+        raise TimeoutError("the viewer did not get there")
+    finally:
+        board.close()
+
+
+def report(run: Path) -> bytes:
+    """The beginning of the page, and its first figures."""
+    with Browser(1240, 1500) as page:
+        page.open((run / "report.html").resolve().as_uri())
+        page.value("new Promise(done => setTimeout(done, 500))")
+        return page.picture()
+
+
+def main() -> None:
+    """Make both."""
+    with tempfile.TemporaryDirectory() as folder:
+        short, whole = Path(folder) / "short", Path(folder) / "whole"
+        fly(short, f"duration_s={MIDDLE_S}")
+        fly(whole)
+        keep(dashboard(short), "dashboard.png", 1600)
+        keep(report(whole), "report.png", 1240)
+
+
+if __name__ == "__main__":
+    main()

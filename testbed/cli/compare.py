@@ -1,0 +1,172 @@
+"""`testbed compare`: several runs side by side, in a table and as figures on one page."""
+
+import sys
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from rich.console import Console
+from rich.table import Table as Grid
+
+from testbed.cli.main import BAD_INPUT, OK
+from testbed.cli.replay import config_of
+from testbed.config import ConfigError, Experiment, load
+from testbed.ops.chart import HUES, Chart, Disc, Item, Limit, Line
+from testbed.ops.feed import LogFeed
+from testbed.ops.history import History, gather
+from testbed.ops.logbook import Logbook, LogError, log_of
+from testbed.ops.metrics import Metrics
+from testbed.ops.report import ROWS, ReportError, figure, page, read_metrics
+
+errors = Console(stderr=True, highlight=False)
+
+
+class Run(msgspec.Struct, frozen=True):
+    """One of the runs."""
+
+    label: str
+    experiment: Experiment
+    history: History
+    metrics: Metrics
+
+
+def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> int:
+    """Print the table and write the page."""
+    try:
+        names = [folder.resolve().name for folder in folders]
+        same = len(set(names)) < len(names)
+        runs = [
+            read_run(folder, str(folder) if same else name)
+            for folder, name in zip(folders, names, strict=True)
+        ]
+        if out is not None:
+            with out.open("x", encoding="utf-8") as file:
+                file.write(render(runs))
+    except (ReportError, LogError, ConfigError) as error:
+        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    except OSError as error:
+        errors.print(f"error: {error.filename}: {error.strerror}", style="red", markup=False)
+        return BAD_INPUT
+    if as_json:
+        found = {run.label: {key: worst(run, key) for _, key, *_ in ROWS} for run in runs}
+        sys.stdout.write(msgspec.json.format(msgspec.json.encode(found)).decode() + "\n")
+    else:
+        print_table(runs)
+        if out is not None:
+            Console(highlight=False).print(str(out), markup=False, soft_wrap=True)
+    return OK
+
+
+def read_run(folder: Path, label: str) -> Run:
+    """A run, whole."""
+    history = gather(LogFeed(Logbook(log_of(folder))).news())
+    metrics = read_metrics(folder)
+    return Run(label, load(config_of(folder)), history, metrics)
+
+
+def worst(run: Run, key: str) -> float | None:
+    """Of all vehicles; for a distance the smallest."""
+    values = [getattr(v, key) for v in run.metrics.vehicles.values()]
+    known = [v for v in values if v is not None]
+    if len(known) < len(values) or not known:
+        return None
+    return min(known) if key.startswith("min_") else max(known)
+
+
+def print_table(runs: Sequence[Run]) -> None:
+    """One column per run, the worst vehicle in each row."""
+    grid = Grid(title="worst vehicle of each run", title_justify="left")
+    grid.add_column("")
+    for run in runs:
+        grid.add_column(run.label, justify="right")
+    for heading, key, scale, digits, _ in ROWS:
+        cells = [worst(run, key) for run in runs]
+        words = ["-" if v is None else f"{scale * v:.{digits}f}" for v in cells]
+        grid.add_row(heading.replace("[", "\\["), *words)
+    grid.add_row("verdict", *[verdict(run.metrics) for run in runs])
+    Console(highlight=False).print(grid)
+
+
+def verdict(metrics: Metrics) -> str:
+    """In one word."""
+    if metrics.fault:
+        return "aborted"
+    if not metrics.completed:
+        return "interrupted"
+    return "passed" if all(metrics.criteria.values()) else "failed"
+
+
+def render(runs: Sequence[Run]) -> str:
+    """The page: a table, then every figure with all runs in it, one colour per run."""
+    heads = "".join(
+        f'<th><span class="dot" style="background:var(--h{k % HUES})"></span>'
+        f"{escape(run.label)}</th>"
+        for k, run in enumerate(runs)
+    )
+    rows = []
+    for heading, key, scale, digits, _ in ROWS:
+        cells = [worst(run, key) for run in runs]
+        words = "".join(
+            f"<td>{'-' if v is None else f'{scale * v:.{digits}f}'}</td>" for v in cells
+        )
+        rows.append(f"<tr><td>{heading}, worst vehicle</td>{words}</tr>")
+    rows.append(
+        "<tr><td>verdict</td>" + "".join(f"<td>{verdict(r.metrics)}</td>" for r in runs) + "</tr>"
+    )
+    figures = "".join(figure(chart) for chart in charts(runs))
+    return page(
+        "Comparison",
+        f"<header><div><h1>Comparison of {len(runs)} runs</h1></div></header>"
+        f'<div class="wide"><table><tr><th></th>{heads}</tr>{"".join(rows)}</table></div>'
+        f'<h2>Figures</h2><div class="figures">{figures}</div>',
+    )
+
+
+def charts(runs: Sequence[Run]) -> list[Chart]:
+    """Overlays; the table and its obstacles are those of the first run."""
+    first = runs[0].experiment
+    half_x, half_y = first.table.size[0] / 2, first.table.size[1] / 2
+    tracks: list[Item] = [
+        Disc(*rock.position, rock.radius, "danger") for rock in first.obstacles.values()
+    ]
+    errors_: list[Item] = []
+    clear: list[Item] = []
+    speeds: list[Item] = []
+    gas: list[Item] = []
+    end = max(run.history.end for run in runs)
+    for k, run in enumerate(runs):
+        rocks = list(run.experiment.obstacles.values())
+        for n, (name, vehicle) in enumerate(run.history.vehicles.items()):
+            label = run.label if n == 0 else ""
+            t, state = run.history.where(name)
+            goal = np.array(run.experiment.vehicles[name].goal[:2])
+            tracks.append(Line(state[:, 0], state[:, 1], k, label))
+            errors_.append(Line(t, 1e3 * np.hypot(*(state[:, :2] - goal).T), k, label))
+            speeds.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, label))
+            gas.append(Line(vehicle.t, vehicle.tank / 1e6, k, label))
+            if rocks:
+                gaps = [
+                    np.hypot(*(state[:, :2] - np.array(r.position) - np.outer(t, r.velocity)).T)
+                    - r.radius
+                    for r in rocks
+                ]
+                clear.append(Line(t, np.min(gaps, axis=0), k, label))
+    span = (0.0, max(end, 1e-3))
+    made = [
+        Chart("trajectory", "Trajectories", "x [m]", "y [m]", tracks, (-half_x, half_x),
+              (-half_y, half_y), equal=True),
+        Chart("error", "Distance to the goal, every vehicle", "time [s]",
+              "distance [mm], log scale", errors_, span, log=True),
+        Chart("speed", "Speed", "time [s]", "speed [mm/s]", speeds, span),
+        Chart("tank", "Gas left: tank pressure", "time [s]", "pressure [MPa]", gas, span),
+    ]  # fmt: skip
+    if clear:
+        limit = Limit(0.0, "danger radius")
+        made.append(
+            Chart("obstacles", "Distance to the nearest danger zone", "time [s]", "distance [m]",
+                  [*clear, limit], span)
+        )  # fmt: skip
+    return made

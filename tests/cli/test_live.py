@@ -1,0 +1,77 @@
+"""The live table: what it says, and that it says nothing in a pipe."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from testbed.cli.live import LiveTable
+from testbed.config import find, load
+from testbed.rig import make_twin
+
+
+class Shower:
+    """Observer that only shows."""
+
+    def __init__(self, live: LiveTable) -> None:
+        self.live = live
+
+    def vehicle(self, name, tick) -> None:
+        self.live.vehicle(name, tick)
+
+    def host(self, name, tick) -> None: ...
+
+    def done(self, t) -> None:
+        self.live.done(t)
+
+
+def flown(console: Console, *overrides: str) -> LiveTable:
+    experiment = load(find("zhang2023_table"), ["duration_s=2", *overrides])
+    live = LiveTable(experiment, console)
+    with live:
+        live.flies()
+        make_twin(experiment).fly(Shower(live))
+    return live
+
+
+def words(live: LiveTable) -> str:
+    out = Console(file=io.StringIO(), width=120)
+    out.print(live.picture())
+    return out.file.getvalue()
+
+
+def test_a_row_for_everybody():
+    said = words(flown(Console(file=io.StringIO())))
+    for word in ("zhang2023_table", "sat1", "sat2", "sat3", "flies", "error [mm]", "gas [%]",
+                 "clearance [m]", "pose age [ms]"):  # fmt: skip
+        assert word in said
+    row = next(line for line in said.splitlines() if line.startswith("sat1"))
+    error, clearance, speed, gas, _age = map(float, row.split()[2:])
+    assert 3200.0 < error < 3400.0
+    assert clearance == pytest.approx(1.65, abs=0.05)
+    assert 0.0 < speed < 60.0
+    assert gas == 100.0
+
+
+def test_a_fault_is_in_it():
+    said = words(flown(Console(file=io.StringIO()), "flight.gate.max_speed=1e-6"))
+    assert "too fast" in said
+
+
+def test_before_the_first_tick():
+    experiment = load(find("hold"))
+    assert "getting ready" in words(LiveTable(experiment, Console(file=io.StringIO())))
+
+
+def test_a_pipe_hears_nothing():
+    console = Console(file=io.StringIO())
+    flown(console)
+    assert console.file.getvalue() == ""
+
+
+def test_a_terminal_sees_it_and_it_goes_away():
+    console = Console(file=io.StringIO(), force_terminal=True, width=120)
+    flown(console)
+    said = console.file.getvalue()
+    assert "sat3" in said
+    assert said.count("\n") < 2000
