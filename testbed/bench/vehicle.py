@@ -140,9 +140,9 @@ class Flight:
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
-        clock, delay = self._clock, self._pose_to_valve()
         if self._poses.arrived_ns is not None:
             self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
+        clock, delay = self._clock, self._pose_to_valve()
         late = clock.lateness[-1] if clock.lateness else 0.0
         flown = Flown(self._k, tick, Pace(late, delay))
         self._k += 1
