@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import psutil
@@ -24,6 +25,14 @@ with Children(grace_s=0.2) as children:
 """
 
 
+def wait_for(condition):
+    for _ in range(3000):
+        if condition():
+            return
+        threading.Event().wait(0.01)
+    pytest.fail("half a minute is enough")
+
+
 def test_children_end_with_the_block():
     with Children(grace_s=0.2) as children:
         pids = [
@@ -39,7 +48,8 @@ def test_children_end_with_the_block():
 def test_one_that_ends_on_its_own_is_reported_with_its_words():
     with Children() as children:
         children.start("sat1", [sys.executable, "-c", "import sys; sys.exit('no board')"])
-        psutil.wait_procs([psutil.Process(children.pid("sat1"))], timeout=30)
+        child = psutil.Process(children.pid("sat1"))
+        wait_for(lambda: child.status() == psutil.STATUS_ZOMBIE)
         with pytest.raises(ChildError, match=r"sat1 ended with code 1: no board"):
             children.check()
 
