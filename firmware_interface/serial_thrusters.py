@@ -210,6 +210,13 @@ class SerialThrusters:
             self._armed, self._waiting = False, None
             self._feed(self._session.disarm(monotonic_us()))
 
+    def land(self) -> None:
+        """Close everything and take bearing air away; may be said again and again."""
+        self.disarm()
+        with self._lock:
+            if self._session.greeted:
+                self._feed(self._session.bearing(False, monotonic_us()))
+
     def _start_us(self, command: ValveCommand) -> int:
         return self.epoch_us + round(1e6 * command.issued_at) + self._delay_us
 

@@ -281,7 +281,7 @@ class WireRig:
         model = self.experiment.vehicles[name].model
         thrust = float(np.mean([jet.thrust for jet in model.jets]))
         impulse = 1e-6 * self._fired_us.get(name, 0) * thrust
-        return Spent(impulse, impulse / model.air.exhaust_speed, 0)
+        return Spent(impulse, impulse / model.air.exhaust_speed, None)
 
     @property
     def report(self) -> TableReport | None:
