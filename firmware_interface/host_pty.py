@@ -7,7 +7,8 @@ from pathlib import Path
 
 from firmware_interface.compiler import firmware_id, host_program
 from firmware_interface.messages import Config, ResetCause
-from firmware_interface.serial_board import BoardError, Reports, SerialBoard
+from firmware_interface.reports import Reports
+from firmware_interface.serial_board import BoardError, SerialBoard
 
 GRACE_S = 5.0
 

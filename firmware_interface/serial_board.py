@@ -1,14 +1,14 @@
 """The board on a serial port.
 
 One thread owns the port: it reads from the first moment on, writes what is due, and opens the
-port again when it was lost. `feed` never waits. Of plans not yet written only the newest counts,
-and what was meant for a line that is gone is dropped: a valve command is worth nothing late.
+port again when it was lost. `feed` never waits; while nothing is under way it writes at once, which
+saves waking the thread. Of plans not yet written only the newest counts, and what was meant for a
+line that is gone is dropped: a valve command is worth nothing late.
 """
 
 import contextlib
 import os
 import select
-import struct
 import threading
 import time
 from collections import deque
@@ -17,56 +17,18 @@ from collections.abc import Sequence
 import serial
 
 from firmware_interface.board import Edge
-from firmware_interface.frame import CODED_MAX, WRAP, BadFrameError, Decoder, Frame, decode
-from firmware_interface.messages import Cmd, Edges, ResetCause, Status
+from firmware_interface.frame import CODED_MAX, BadFrameError, decode
+from firmware_interface.messages import Cmd, ResetCause
+from firmware_interface.reports import Reports
 
 BAUD = 460_800  # 8N1: a plan of 94 bytes takes 2.0 ms
 RETRY_S = 0.2  # between attempts to open a lost port
 SILENCE_S = 5.0  # a board sends STATUS at 20 Hz: it is gone
 WAITING_MAX = 64  # frames not yet written; more are not worth sending
-JUMP_US = 1_000_000  # a clock further off than that is the clock of another boot
 
 
 class BoardError(Exception):
     """The board cannot be reached, or cannot do that."""
-
-
-class Reports:
-    """What the board says of itself on the way to whoever reads its bytes: time, edges, bearing."""
-
-    def __init__(self) -> None:
-        self._decoder = Decoder()
-        self._stamp: int | None = None  # of the newest frame
-        self._heard_us = 0  # host's clock then
-        self.board_us = 0  # since the board got power, at that frame
-        self.bearing = False
-        self.edges: list[Edge] = []
-
-    def hear(self, data: bytes, host_us: int) -> bool:
-        """Take bytes that came in at `host_us`; whether a frame was among them."""
-        frames = self._decoder.feed(data)
-        for frame in frames:
-            self._take(frame, host_us)
-        return bool(frames)
-
-    def now_us(self, host_us: int) -> int:
-        """The board's clock, as far as known."""
-        return self.board_us if self._stamp is None else self.board_us + host_us - self._heard_us
-
-    def _take(self, frame: Frame, host_us: int) -> None:
-        ahead = 0 if self._stamp is None else (frame.t_us - self._stamp) % WRAP
-        if self._stamp is None or ahead > host_us - self._heard_us + JUMP_US:
-            self.board_us, ahead = frame.t_us, 0  # heard for the first time, or booted again
-        self.board_us += ahead
-        self._stamp, self._heard_us = frame.t_us, host_us
-        with contextlib.suppress(KeyError, ValueError, struct.error):  # the session says so
-            match frame.message:
-                case Edges(count, at_us, mask):
-                    for t, open_valves in zip(at_us[:count], mask[:count], strict=True):
-                        back = (frame.t_us - t) % WRAP
-                        self.edges.append(Edge(self.board_us - back, open_valves))
-                case Status(bearing=on):
-                    self.bearing = bool(on)
 
 
 def monotonic_us() -> int:
@@ -101,6 +63,8 @@ class SerialBoard:
         self._reports = Reports()
         self._received = bytearray()
         self._waiting: deque[bytes] = deque()
+        self._unsent = b""  # of what is being written
+        self._port: serial.Serial | None = None  # while bytes can be exchanged
         self._closing = False
         self.connected = True
         self.reconnects = 0
@@ -131,6 +95,8 @@ class SerialBoard:
                         self.connected = True
                     self._exchange(port)
             except (serial.SerialException, OSError):
+                with self._changed:
+                    self._port = None
                 self._lost()
             opened = None
 
@@ -148,11 +114,14 @@ class SerialBoard:
             os.read(self._wake_read, 4096)
 
     def _exchange(self, port: serial.Serial) -> None:
-        line, rest = port.fileno(), b"\0"  # ends whatever half a frame the board has heard
+        line = port.fileno()
+        with self._changed:
+            self._unsent = b"\0"  # ends whatever half a frame the board has heard
+            self._port = port
         while not self._closing:
             # At most about a frame in the driver: what is in there cannot be taken back.
             free = port.out_waiting <= CODED_MAX
-            rest = rest or (self._next() if free else b"")
+            rest = self._next(free=free)
             wait = 0.001 if not free else 0.1
             ready, writable, _ = select.select(
                 [line, self._wake_read], [line] if rest else [], [], wait
@@ -162,11 +131,29 @@ class SerialBoard:
             if line in ready:
                 self._hear(os.read(line, 4096))
             if writable:
-                rest = rest[os.write(line, rest) :]
-
-    def _next(self) -> bytes:
+                with self._changed:
+                    self._unsent = rest[os.write(line, rest) :]
         with self._changed:
-            return self._waiting.popleft() if self._waiting else b""
+            self._port = None
+
+    def _next(self, *, free: bool) -> bytes:
+        with self._changed:
+            if free and not self._unsent and self._waiting:
+                self._unsent = self._waiting.popleft()
+            return self._unsent
+
+    def _write_now(self, data: bytes) -> bool:
+        """Write whole frames, if nothing is before them; the thread writes what does not fit."""
+        port = self._port
+        if port is None or self._unsent or self._waiting or not data.endswith(b"\0"):
+            return False
+        try:
+            if port.out_waiting > CODED_MAX:
+                return False
+            self._unsent = data[os.write(port.fileno(), data) :]
+        except OSError:  # the thread finds out what is the matter
+            return False
+        return True
 
     def _hear(self, data: bytes) -> None:
         if not data:
@@ -196,10 +183,14 @@ class SerialBoard:
         with self._changed:
             if not self.connected:
                 return
-            for coded in data.split(b"\0")[:-1]:
-                self._put(coded + b"\0")
-            if not data.endswith(b"\0"):
-                self._put(data.rpartition(b"\0")[2])
+            if self._write_now(data):
+                if not self._unsent:
+                    return
+            else:
+                for coded in data.split(b"\0")[:-1]:
+                    self._put(coded + b"\0")
+                if not data.endswith(b"\0"):
+                    self._put(data.rpartition(b"\0")[2])
         with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well
             os.write(self._wake_write, b"x")
 

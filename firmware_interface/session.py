@@ -39,6 +39,9 @@ from testbed.core.types import ValveCommand
 
 REFRESH_US = 20_000  # 50 Hz: six frames in a row may be lost before the watchdog bites
 HELLO_RETRY_US = 100_000
+CARRY_US = (
+    5_000  # lateness of a plan that nobody feels: two frames' time, and a host that wakes late
+)
 EXCHANGES = 16  # clock exchanges remembered; the one with the shortest delay counts
 
 
@@ -61,15 +64,33 @@ def exchange(t1_us: int, t2_us: int, t3_us: int, t4_us: int) -> Exchange:
     return Exchange((there + apart / 2) % WRAP, -apart)
 
 
+def carried(plan: Cmd, carry_us: int, config: Config) -> Cmd:
+    """The plan, its pulses that last to its very end carried on a little, and so the plan.
+
+    The next plan replaces it at once in any case. Without this, a valve that is open all the time
+    would close for the minimum off-time whenever the next plan comes a microsecond late.
+    """
+    ttl_us = min(plan.ttl_us + carry_us, max(plan.ttl_us, config.max_ttl_us))
+    on_us = tuple(
+        min(on + ttl_us - plan.ttl_us, max(on, config.max_on_us))
+        if on and offset + on == plan.ttl_us
+        else on
+        for on, offset in zip(plan.on_us, plan.offset_us, strict=True)
+    )
+    return Cmd(plan.session, plan.plan, plan.age_us, ttl_us, on_us, plan.offset_us)
+
+
 class Session:
     """One host and one board.
 
     Args:
         config: the limits that the board must have been built with.
         nonce: tells this program's HELLO from others'.
+        carry_us: see `carried`.
     """
 
-    def __init__(self, config: Config, nonce: int) -> None:
+    def __init__(self, config: Config, nonce: int, carry_us: int = CARRY_US) -> None:
+        self._config, self._carry_us = config, carry_us
         self._hash = config_hash(config)
         self._nonce = nonce
         self._seq = 0
@@ -144,7 +165,7 @@ class Session:
         """Send a plan; `due` repeats it until the next one."""
         issued_us = round(command.issued_at * 1e6)
         spare = (0,) * (VALVES - len(command.on_us))
-        self._plan = Cmd(
+        plan = Cmd(
             session=self._need_session(),
             plan=command.seq % WRAP,
             age_us=0,
@@ -152,6 +173,7 @@ class Session:
             on_us=(*command.on_us, *spare),
             offset_us=(*command.offset_us, *spare),
         )
+        self._plan = carried(plan, self._carry_us, self._config)
         self._plan_issued_us = issued_us
         return self._repeat(self._plan, now_us)
 
@@ -163,6 +185,13 @@ class Session:
             return b""
         aged = Cmd(plan.session, plan.plan, age_us, plan.ttl_us, plan.on_us, plan.offset_us)
         return self._send(aged, now_us)
+
+    @property
+    def due_us(self) -> int | None:
+        """When `due` has something to send next; None: nothing to come."""
+        if self._hello_due_us is not None:
+            return self._hello_due_us
+        return None if self._plan is None else self._refresh_due_us
 
     def due(self, now_us: int) -> bytes:
         """What time alone asks for: HELLO again, or the plan again. Call it often."""

@@ -1,5 +1,7 @@
 """A modelled driver board: plans in, opening and closing commands to the solenoids out.
 
+Or a real one outside of the twin, whose edges are the commands (`DrivenBoard`).
+
 Command times are whole nanoseconds, so that what the board does can be said exactly. Rules, the
 same as the firmware's:
 
@@ -11,7 +13,8 @@ same as the firmware's:
   without a gap is the same opening.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,7 @@ from testbed.core.vehicle import Vehicle
 
 SLOTS = 4  # pulses remembered per jet: the one that closes, the one that flows, and spares
 LONG_AGO = -(10**15)  # [ns]
+LONG_AFTER = 10**15  # when a valve closes that is open [ns]
 
 
 class Pulses(NamedTuple):
@@ -108,3 +112,56 @@ class Board:
         self.openings += play(
             self.pulses, start, end, on, offset, self._min_on, self._min_off, strength
         )
+
+    def run_until(self, t: float) -> None:
+        """Nothing happens here by itself: plans are played ahead."""
+
+
+class Driver(Protocol):
+    """Whoever drives the solenoids instead: a firmware."""
+
+    def apply(self, command: ValveCommand) -> None:
+        """Take a plan."""
+        ...
+
+    def run_until(self, t_us: int) -> Sequence[tuple[int, int]]:
+        """Let time pass; edges of the outputs, each (time [us], mask), jet 0 being bit 0."""
+        ...
+
+
+class DrivenBoard:
+    """One vehicle's solenoids behind somebody else's board."""
+
+    def __init__(
+        self, vehicle: Vehicle, pulses: Pulses, rng: np.random.Generator, driver: Driver
+    ) -> None:
+        self._spread = vehicle.tolerance.pulse
+        self._rng, self._driver = rng, driver
+        self._mask = 0
+        self.edges: list[tuple[int, int]] = []  # all so far, as the driver gave them
+        self.pulses = pulses
+        self.openings = 0
+
+    def apply(self, command: ValveCommand) -> None:
+        """Pass a plan on."""
+        self._driver.apply(command)
+
+    def run_until(self, t: float) -> None:
+        """Know what the valves do up to time `t` [s]."""
+        for at_us, mask in self._driver.run_until(round(t * 1e6)):
+            for jet in range(len(self.pulses.up)):
+                if (mask ^ self._mask) >> jet & 1:
+                    self._switch(jet, at_us * 1000, opens=bool(mask >> jet & 1))
+            self._mask = mask
+            self.edges.append((at_us, mask))
+
+    def _switch(self, jet: int, at: int, *, opens: bool) -> None:
+        up, down, strength = (array[jet] for array in self.pulses)
+        if not opens:
+            down[-1] = at
+            return
+        for array in (up, down, strength):
+            array[:-1] = array[1:].copy()
+        up[-1], down[-1] = at, LONG_AFTER
+        strength[-1] = 1.0 + self._spread * self._rng.standard_normal()
+        self.openings += 1

@@ -12,7 +12,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from sim_twin.air import breathe, supply_share
-from sim_twin.board import SLOTS, Board, Pulses, nanoseconds, no_pulses
+from sim_twin.board import SLOTS, Board, DrivenBoard, Driver, Pulses, nanoseconds, no_pulses
 from sim_twin.body import step
 from sim_twin.contact import Solids, closing, keys, resolve
 from sim_twin.flow import pieces
@@ -146,6 +146,7 @@ class Plant:
         table: Table,
         obstacles: Mapping[str, Obstacle],
         seed: int,
+        drivers: Mapping[str, Driver] | None = None,
     ) -> None:
         self.names = list(vehicles)
         solid = {name: o for name, o in obstacles.items() if o.solid > 0.0}
@@ -163,10 +164,10 @@ class Plant:
         self.used = np.zeros(count)  # gas [kg]
         self.impulse = np.zeros(count)  # of all jets together [N s]
         self._pulses = no_pulses(count, self.metal.thrust.shape[1])
-        self.boards = {
-            name: Board(vehicle, self._pulses_of(k), stream(seed, name, "pulses"))
-            for k, (name, vehicle) in enumerate(vehicles.items())
-        }
+        self.boards: dict[str, Board | DrivenBoard] = {}
+        for k, (name, vehicle) in enumerate(vehicles.items()):
+            own = vehicle, self._pulses_of(k), stream(seed, name, "pulses")
+            self.boards[name] = DrivenBoard(*own, drivers[name]) if drivers else Board(*own)
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
@@ -176,6 +177,8 @@ class Plant:
 
     def advance(self, t: float, marks: Array | Sequence[float] = ()) -> Array:
         """Move on to time `t` and give the states at the `marks` on the way, (n, v, 6)."""
+        for board in self.boards.values():
+            board.run_until(t)
         rows = np.empty((64, 4))
         origin = nanoseconds(self.t)
         span = 1e-9 * (nanoseconds(t) - origin)

@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_twin.board import Driver
 from sim_twin.camera import Camera
 from sim_twin.channel import Channel
 from sim_twin.plant import Plant
@@ -23,7 +24,8 @@ Array = NDArray[np.float64]
 class Twin:
     """One table with its vehicles. It is the run's Clock; the ports below are its other faces.
 
-    `listeners` are the vehicles that subscribe to their neighbours' states.
+    `listeners` are the vehicles that subscribe to their neighbours' states. `drivers` play the
+    plans of each vehicle instead of the modelled boards.
     """
 
     def __init__(
@@ -34,10 +36,11 @@ class Twin:
         obstacles: Mapping[str, Obstacle],
         seed: int,
         listeners: Collection[str] = (),
+        drivers: Mapping[str, Driver] | None = None,
     ) -> None:
         self.names = list(vehicles)
         self.vehicles = vehicles
-        self.plant = Plant(vehicles, starts, table, obstacles, seed)
+        self.plant = Plant(vehicles, starts, table, obstacles, seed, drivers)
         self.cameras = {n: Camera(table.mocap, stream(seed, n, "camera")) for n in self.names}
         self._rate = table.mocap.rate_hz
         self._phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))

@@ -1,6 +1,7 @@
 """Who is plugged into what: the only module that knows everybody."""
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
@@ -9,7 +10,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from controllers.catalogue import make_law
+from sim_twin.board import DrivenBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
+from testbed.boards import Valves, WiredBoard, make_drivers
 from testbed.config import Experiment
 from testbed.core.types import HostTick, Pose, Tick
 from testbed.flight.agent import Agent, lead_time
@@ -92,6 +95,10 @@ class Rig(Protocol):
         """What a vehicle has used so far."""
         ...
 
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """Each change of valve outputs after `since`, where firmware drives them."""
+        ...
+
     def wires(self) -> dict[str, Any]:
         """What metrics.json says of the wires; nothing where there are none."""
         ...
@@ -117,14 +124,29 @@ class TwinRig(Struct, frozen=True):
     twin: Twin
     vehicles: list[VehicleNode]
     hosts: list[HostNode]
+    boards: dict[str, WiredBoard]  # with firmware; empty with the twin's own
 
     def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
         """Fly to the end, to a fault, or until `stopped()`."""
         experiment = self.experiment
-        return fly(
+        ending = fly(
             self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
-            experiment.ticks, observer, stopped=stopped,
+            experiment.ticks, observer, stopped=lambda: bool(self._trouble()) or stopped(),
         )  # fmt: skip
+        return Ending(ending.t, ending.fault or self._trouble())
+
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """What each vehicle's board drove after `since` [s]; nothing with the twin's own."""
+        for name, board in self.twin.plant.boards.items():
+            if isinstance(board, DrivenBoard):
+                new = bisect_right(board.edges, round(since * 1e6), key=lambda edge: edge[0])
+                for at_us, mask in board.edges[new:]:
+                    yield name, Valves(at_us * 1e-6, mask)
+
+    def _trouble(self) -> str | None:
+        """The first board that does not play plans any more, and why."""
+        found = ((name, board.trouble) for name, board in self.boards.items())
+        return next((f"{name}: {trouble}" for name, trouble in found if trouble), None)
 
     def track(self) -> Track:
         """The truth at every camera frame so far."""
@@ -165,13 +187,16 @@ class TwinRig(Struct, frozen=True):
 def make_twin(experiment: Experiment) -> TwinRig:
     """Everything of the experiment on the twin."""
     setups = experiment.vehicles
+    models = {name: setup.model for name, setup in setups.items()}
+    drivers = make_drivers(experiment.board, models)
     twin = Twin(
-        {name: setup.model for name, setup in setups.items()},
+        models,
         {name: Pose(*setup.start) for name, setup in setups.items()},
         experiment.table,
         experiment.obstacles,
         experiment.seed,
         listeners=list(setups) if experiment.deploy.law == "vehicle" else (),
+        drivers=drivers,
     )
     period = experiment.flight.jet_period_s
     vehicles = [
@@ -195,10 +220,10 @@ def make_twin(experiment: Experiment) -> TwinRig:
         for name, setup in setups.items()
         if experiment.deploy.law == "host"
     ]
-    return TwinRig(experiment, twin, vehicles, hosts)
+    return TwinRig(experiment, twin, vehicles, hosts, drivers or {})
 
 
 def warm_up(experiment: Experiment, stopped: Callable[[], bool] = lambda: False) -> None:
     """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
-    short = replace(experiment, duration_s=4 * experiment.flight.jet_period_s)
+    short = replace(experiment, duration_s=4 * experiment.flight.jet_period_s, board="model")
     make_twin(short).fly(Nobody(), stopped)

@@ -21,6 +21,7 @@ from msgspec.structs import replace
 
 from testbed.bench.flight import HostFlight, order
 from testbed.bench.server import TableReport
+from testbed.boards import Valves
 from testbed.config import Experiment, dump
 from testbed.flight.loop import Ending, Observer
 from testbed.ops.children import ChildError, Children
@@ -282,6 +283,10 @@ class WireRig:
         thrust = float(np.mean([jet.thrust for jet in model.jets]))
         impulse = 1e-6 * self._fired_us.get(name, 0) * thrust
         return Spent(impulse, impulse / model.air.exhaust_speed, None)
+
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """See `Rig`. They are known when the flight is over: see `report`."""
+        return iter(())
 
     @property
     def report(self) -> TableReport | None:

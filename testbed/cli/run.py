@@ -108,6 +108,7 @@ class Watcher:
         total = rig.experiment.duration_s
         self._bar = progress.add_task(rig.experiment.name, total=total)
         self._shown, self._stride = 0.0, total / 100.0
+        self._seen = -1.0  # up to here the valves are in the log
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
@@ -122,6 +123,9 @@ class Watcher:
         """See `Observer`."""
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
         self._recorder.write("/truth", t, Truth(t, motions))
+        for name, valves in self._rig.valves(since=self._seen):
+            self._recorder.write(f"/{name}/valves", valves.t, valves)
+        self._seen = t
         if t - self._shown >= self._stride:
             self._shown = t
             self._progress.update(self._bar, completed=t)

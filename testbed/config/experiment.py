@@ -45,6 +45,7 @@ class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
     flight: FlightParams = field(default_factory=FlightParams)
     deploy: Deploy = field(default_factory=Deploy)
     criteria: Criteria = field(default_factory=Criteria)
+    board: Literal["model", "inproc", "unicorn"] = "model"  # who plays the plans, see boards.py
 
     @property
     def ticks(self) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from controllers.catalogue import make_law
+from testbed.config.board import bad_board
 from testbed.config.experiment import Experiment
 from testbed.config.hardware import bad_hardware
 from testbed.config.layout import bad_layout
@@ -61,6 +62,7 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
 def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     """What the types cannot say."""
     yield from chain(bad_layout(experiment), bad_hardware(experiment), bad_timing(experiment))
+    yield from bad_board(experiment)
     try:
         make_law(experiment.controller, list(experiment.vehicles))
     except ValueError as error:

@@ -2,6 +2,7 @@
 
     /<vehicle>/tick    one tick of the flight chain: inputs and outputs
     /<vehicle>/host    one tick of its law, where that runs on the host
+    /<vehicle>/valves  what its board drove, where firmware is in the loop
     /truth             where the vehicles really were; only a twin knows
 
 JSON messages, each topic with the JSON Schema of its struct: any MCAP reader can open it without

@@ -14,7 +14,8 @@ import pytest
 from firmware_interface.frame import Decoder, Frame, encode, encode_message
 from firmware_interface.host_pty import HostPtyBoard
 from firmware_interface.messages import Arm, Cmd, Disarm, HelloAck, Ping, ResetCause, State, Status
-from firmware_interface.serial_board import BoardError, Reports, SerialBoard
+from firmware_interface.reports import Reports
+from firmware_interface.serial_board import BoardError, SerialBoard
 from firmware_interface.session import Session
 
 PATIENCE_S = 60  # of waits that end at once on any machine that is not broken

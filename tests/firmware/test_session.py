@@ -7,7 +7,7 @@ import pytest
 from firmware_interface.frame import Frame, encode
 from firmware_interface.inproc import InprocBoard
 from firmware_interface.messages import Ack, Fault, Result, State
-from firmware_interface.session import REFRESH_US, Session, SessionError, exchange
+from firmware_interface.session import CARRY_US, REFRESH_US, Session, SessionError, exchange
 from testbed.core.types import ValveCommand
 
 
@@ -106,7 +106,8 @@ def test_a_plan_past_its_time_to_live_is_repeated_no_more(limits):
     session.apply(command(1, board.now_us, 50_000, until_us=50_000), board.now_us)
     assert session.due(board.now_us + REFRESH_US - 1) == b""
     assert session.due(board.now_us + REFRESH_US)
-    assert session.due(board.now_us + 50_000) == b""
+    assert session.due(board.now_us + 50_000 + CARRY_US - 1)
+    assert session.due(board.now_us + 50_000 + CARRY_US + REFRESH_US) == b""
 
 
 def test_hello_is_repeated_until_answered(limits):

@@ -1,0 +1,58 @@
+"""Firmware in the loop: what can play the plans of an experiment on the twin.
+
+    model      the twin's own, the default: no firmware, fast
+    inproc     the firmware's C core in this process
+    unicorn    the image that is flashed, on an emulated chip
+
+The latter two run in lockstep with the twin, behind a modelled serial line.
+"""
+
+import weakref
+from collections.abc import Mapping
+
+from msgspec import Struct
+
+from firmware_interface.board import Board
+from firmware_interface.compiler import CompilerError
+from firmware_interface.inproc import InprocBoard
+from firmware_interface.limits import limits_of
+from firmware_interface.messages import Config
+from firmware_interface.wire import WiredBoard
+from testbed.config import ConfigError
+from testbed.core.vehicle import Vehicle
+
+
+class Valves(Struct, frozen=True, gc=False):
+    """The outputs of a board from a time on."""
+
+    t: float  # [s]
+    mask: int  # jet 0 is bit 0, 1 is open
+
+
+def make_board(kind: str, config: Config) -> Board:
+    """A board in virtual time.
+
+    Raises:
+        ConfigError: this machine cannot build or run its firmware.
+    """
+    try:
+        if kind == "inproc":
+            return InprocBoard(config)
+        from firmware_interface.unicorn_board import UnicornBoard  # a large tool of developers
+
+        return UnicornBoard(config)
+    except (CompilerError, ImportError) as error:
+        expected = "a board that this machine can run; `model` needs nothing"
+        raise ConfigError("this machine", "board", expected, f"{kind}: {error}") from error
+
+
+def make_drivers(kind: str, vehicles: Mapping[str, Vehicle]) -> dict[str, WiredBoard] | None:
+    """A board for each vehicle, armed; None for the twin's own."""
+    if kind == "model":
+        return None
+    drivers = {}
+    for name, vehicle in vehicles.items():
+        config = limits_of(vehicle)
+        drivers[name] = WiredBoard(make_board(kind, config), config)
+        weakref.finalize(drivers[name], drivers[name].board.close)
+    return drivers

@@ -1,0 +1,25 @@
+"""What firmware in the loop cannot drive."""
+
+from collections.abc import Iterator
+
+from firmware_interface.limits import LimitsError, limits_of
+from testbed.config.experiment import Experiment
+from testbed.config.mistake import Mistake
+
+
+def bad_board(experiment: Experiment) -> Iterator[Mistake]:
+    """All that is wrong for the board that plays the plans; the model plays anything."""
+    if experiment.board == "model":
+        return
+    period = experiment.flight.jet_period_s
+    for name, setup in experiment.vehicles.items():
+        try:
+            limits = limits_of(setup.model)
+        except LimitsError as error:
+            expected = 'a vehicle that the firmware can drive, or `board = "model"`'
+            yield Mistake(("vehicles", name, "model"), expected, str(error))
+            continue
+        longest = min(limits.max_ttl_us, limits.max_on_us) * 1e-6
+        if period > longest:
+            expected = f"at most {longest:g} s, what the firmware plays in one plan"
+            yield Mistake(("flight", "jet_period_s"), expected, f"{period:g} s")
