@@ -92,6 +92,7 @@ with steady(), SerialThrusters(port, limits_of(setup.model), 0.0, 7) as thruster
             if not samples:
                 continue
             if not armed or thrusters.trouble:
+                thrusters.disarm()  # the turn of the bare ones was longer than the watchdog
                 thrusters.trouble, armed = None, True
                 thrusters.arm()
             health = thrusters.health()

@@ -218,6 +218,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
             SerialThrusters(
                 port, limits_of(setup.model), setup.model.command_delay_s,
                 monotonic_ns() & 0xFFFFFFFF, wires.serial.baud,
+                setup.model.air.set_pressure,
             )
         )  # fmt: skip
         clock_of_host = read_clock(session, keys)

@@ -158,3 +158,13 @@ def test_nothing_is_left_of_a_tap(limits, tmp_path):
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
+
+
+def test_a_board_without_a_gauge_is_believed_to_have_pressure(limits, tmp_path):
+    with (
+        served(limits, tmp_path) as (tap, _),
+        SerialThrusters(str(tap.link), limits, 0.0, 1, set_pressure=4e5) as thrusters,
+    ):
+        assert thrusters.health().supply_pressure == 5e5  # it has one
+        tap.sense(24_000, 0)
+        wait_for(lambda: thrusters.health().supply_pressure == 4e5)
