@@ -1,8 +1,9 @@
 """The board on a serial port.
 
 One thread owns the port: it reads from the first moment on, writes what is due, and opens the
-port again when it was lost. `feed` never waits. Of plans not yet written only the newest counts,
-and what was meant for a line that is gone is dropped: a valve command is worth nothing late.
+port again when it was lost. `feed` never waits; while nothing is under way it writes at once, which
+saves waking the thread. Of plans not yet written only the newest counts, and what was meant for a
+line that is gone is dropped: a valve command is worth nothing late.
 """
 
 import contextlib
@@ -62,6 +63,8 @@ class SerialBoard:
         self._reports = Reports()
         self._received = bytearray()
         self._waiting: deque[bytes] = deque()
+        self._unsent = b""  # of what is being written
+        self._port: serial.Serial | None = None  # while bytes can be exchanged
         self._closing = False
         self.connected = True
         self.reconnects = 0
@@ -95,6 +98,8 @@ class SerialBoard:
                         self.connected = True
                     self._exchange(port)
             except (serial.SerialException, OSError):
+                with self._changed:
+                    self._port = None
                 self._lost()
             opened = None
 
@@ -112,11 +117,14 @@ class SerialBoard:
             os.read(self._wake_read, 4096)
 
     def _exchange(self, port: serial.Serial) -> None:
-        line, rest = port.fileno(), b"\0"  # ends whatever half a frame the board has heard
+        line = port.fileno()
+        with self._changed:
+            self._unsent = b"\0"  # ends whatever half a frame the board has heard
+            self._port = port
         while not self._closing:
             # At most about a frame in the driver: what is in there cannot be taken back.
             free = port.out_waiting <= CODED_MAX
-            rest = rest or (self._next() if free else b"")
+            rest = self._next(free=free)
             wait = 0.001 if not free else 0.1
             ready, writable, _ = select.select(
                 [line, self._wake_read], [line] if rest else [], [], wait
@@ -126,11 +134,29 @@ class SerialBoard:
             if line in ready:
                 self._hear(os.read(line, 4096))
             if writable:
-                rest = rest[os.write(line, rest) :]
-
-    def _next(self) -> bytes:
+                with self._changed:
+                    self._unsent = rest[os.write(line, rest) :]
         with self._changed:
-            return self._waiting.popleft() if self._waiting else b""
+            self._port = None
+
+    def _next(self, *, free: bool) -> bytes:
+        with self._changed:
+            if free and not self._unsent and self._waiting:
+                self._unsent = self._waiting.popleft()
+            return self._unsent
+
+    def _write_now(self, data: bytes) -> bool:
+        """Write whole frames, if nothing is before them; the thread writes what does not fit."""
+        port = self._port
+        if port is None or self._unsent or self._waiting or not data.endswith(b"\0"):
+            return False
+        try:
+            if port.out_waiting > CODED_MAX:
+                return False
+            self._unsent = data[os.write(port.fileno(), data) :]
+        except OSError:  # the thread finds out what is the matter
+            return False
+        return True
 
     def _hear(self, data: bytes) -> None:
         if not data:
@@ -160,10 +186,14 @@ class SerialBoard:
         with self._changed:
             if not self.connected:
                 return
-            for coded in data.split(b"\0")[:-1]:
-                self._put(coded + b"\0")
-            if not data.endswith(b"\0"):
-                self._put(data.rpartition(b"\0")[2])
+            if self._write_now(data):
+                if not self._unsent:
+                    return
+            else:
+                for coded in data.split(b"\0")[:-1]:
+                    self._put(coded + b"\0")
+                if not data.endswith(b"\0"):
+                    self._put(data.rpartition(b"\0")[2])
         with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well
             os.write(self._wake_write, b"x")
 

@@ -36,6 +36,7 @@ class SerialThrusters:
         config: limits, see `limits.limits_of`.
         delay_s: from issuing a plan to its start, `Vehicle.command_delay_s`.
         nonce: tells this program from others.
+        set_pressure: what a board without a gauge, which reports 0, is believed to have [Pa].
         epoch_us: the run's time 0 on the monotonic clock; set it before the first plan.
 
     Raises:
@@ -43,10 +44,17 @@ class SerialThrusters:
     """
 
     def __init__(
-        self, port: str, config: Config, delay_s: float, nonce: int, baud: int = BAUD
+        self,
+        port: str,
+        config: Config,
+        delay_s: float,
+        nonce: int,
+        baud: int = BAUD,
+        set_pressure: float = 0.0,
     ) -> None:
         self._port_name, self._delay_us = port, round(1e6 * delay_s)
         self._config, self._nonce, self._baud = config, nonce, baud
+        self._set_pressure = set_pressure
         self.epoch_us = 0
         self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plans' numbers, and when [us]
         self.trouble: str | None = None  # latched
@@ -220,6 +228,13 @@ class SerialThrusters:
             self._armed, self._waiting = False, None
             self._feed(self._session.disarm(monotonic_us()))
 
+    def land(self) -> None:
+        """Close everything and take bearing air away; may be said again and again."""
+        self.disarm()
+        with self._lock:
+            if self._session.greeted:
+                self._feed(self._session.bearing(False, monotonic_us()))
+
     def _start_us(self, command: ValveCommand) -> int:
         return self.epoch_us + round(1e6 * command.issued_at) + self._delay_us
 
@@ -251,4 +266,5 @@ class SerialThrusters:
         with self._lock:
             status = self._session.status
             assert status is not None
-            return Health(1e-6 * (monotonic_us() - self.epoch_us), float(status.supply_pa), 0.0)
+            pressure = float(status.supply_pa) or self._set_pressure
+            return Health(1e-6 * (monotonic_us() - self.epoch_us), pressure, 0.0)

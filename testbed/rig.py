@@ -157,6 +157,10 @@ class Rig(Protocol):
         """What a vehicle has used so far."""
         ...
 
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """Each change of valve outputs after `since`, where firmware drives them."""
+        ...
+
     def wires(self) -> dict[str, Any]:
         """What metrics.json says of the wires; nothing where there are none."""
         ...
@@ -313,6 +317,6 @@ def make_twin(experiment: Experiment) -> TwinRig:
 
 def warm_up(experiment: Experiment, stopped: Callable[[], bool] = lambda: False) -> None:
     """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
-    short = replace(experiment, duration_s=4 * experiment.flight.jet_period_s)
+    short = replace(experiment, duration_s=4 * experiment.flight.jet_period_s, board="model")
     make_twin(short).fly(Nobody(), stopped)
     characterise(np.eye(2))

@@ -286,7 +286,11 @@ class WireRig:
         model = self.experiment.vehicles[name].model
         thrust = float(np.mean([jet.thrust for jet in model.jets]))
         impulse = 1e-6 * self._fired_us.get(name, 0) * thrust
-        return Spent(impulse, impulse / model.air.exhaust_speed, 0)
+        return Spent(impulse, impulse / model.air.exhaust_speed, None)
+
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """See `Rig`. They are known when the flight is over: see `report`."""
+        return iter(())
 
     @property
     def report(self) -> TableReport | None:

@@ -140,9 +140,9 @@ class Flight:
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
-        clock, delay = self._clock, self._pose_to_valve()
         if self._poses.arrived_ns is not None:
             self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
+        clock, delay = self._clock, self._pose_to_valve()
         late = clock.lateness[-1] if clock.lateness else 0.0
         flown = Flown(self._k, tick, Pace(late, delay))
         self._k += 1
@@ -218,6 +218,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
             SerialThrusters(
                 port, limits_of(setup.model), setup.model.command_delay_s,
                 monotonic_ns() & 0xFFFFFFFF, wires.serial.baud,
+                setup.model.air.set_pressure,
             )
         )  # fmt: skip
         clock_of_host = read_clock(session, keys)

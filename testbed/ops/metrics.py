@@ -114,7 +114,7 @@ class Spent(Struct, frozen=True):
 
     impulse: float  # [N s]
     gas: float  # [kg]
-    openings: int
+    openings: int | None  # None: nobody counts them
 
 
 class Aim(Struct, frozen=True):

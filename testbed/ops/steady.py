@@ -37,8 +37,12 @@ def _schedule(policy: int, priority: int, process: int | str = "self") -> bool:
 
 
 def prefer_process(pid: int, priority: int) -> bool:
-    """As `preferred`, for good, for another process and what it starts."""
-    return _schedule(os.SCHED_FIFO, priority, pid)
+    """As `preferred`, for good, for another process and what it has started."""
+    allowed = _schedule(os.SCHED_FIFO, priority, pid)
+    with suppress(OSError):
+        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+            allowed &= prefer_process(int(child), priority)
+    return allowed
 
 
 @contextmanager

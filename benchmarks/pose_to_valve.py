@@ -1,0 +1,256 @@
+"""From a pose frame to the valve command on the serial line, against bare UDP and a bare pty.
+
+    python benchmarks/pose_to_valve.py [--seconds 20] [--vehicles 3] [--rate 100]
+
+One process per vehicle: NatNet in, estimator, tracker, allocation, modulation, gate, and a plan out
+as a frame on a pty behind which real firmware runs. Beside each a bare one: a datagram in, as many
+bytes out on a pty. They take turns, second by second, in one run; latency is from just before the
+datagram is sent to the first byte read at the far end of the pty. SCHED_FIFO where allowed.
+"""
+
+import argparse
+import os
+import pty
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+import tty
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from firmware_interface.frame import Decoder
+from firmware_interface.limits import limits_of
+from firmware_interface.line_tap import LineTap
+from firmware_interface.messages import Cmd
+from testbed.bench.host import free_port
+from testbed.config import find, load
+from testbed.core.lab import MocapWire
+from testbed.core.types import Pose
+from testbed.ops.mocap.exposure import Axes
+from testbed.ops.mocap.natnet import Described, MocapFrame, RigidBody
+from testbed.ops.mocap.natnet_server import Address, NatNetServer
+from testbed.ops.steady import preferred, steady
+from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+
+WORDS = [
+    "flight.jet_period_s=0.01", "vehicles.*.model.command_delay_s=0.0", "duration_s=10",
+    "flight.gate.max_speed=100.0", "flight.gate.max_spin=100.0", "flight.gate.max_rejected=1000000",
+]  # fmt: skip
+BARE = """
+import os, socket, sys
+from testbed.ops.steady import preferred
+one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+one.bind(("127.0.0.1", int(sys.argv[1])))
+line = os.open(sys.argv[2], os.O_RDWR | os.O_NOCTTY)
+answer = bytes(94)
+print("ready", flush=True)
+with preferred(20):
+    while one.recv(65536) != b"end":
+        os.write(line, answer)
+"""
+CHAIN = """
+import select, sys
+from firmware_interface.limits import limits_of
+from firmware_interface.serial_thrusters import SerialThrusters
+from testbed.config import find, load
+from testbed.core.lab import MocapWire
+from testbed.core.types import Accel, Inputs, Pose, Reference, Trajectory, Twist
+from testbed.ops.mocap.natnet_client import NatNetClient
+from testbed.ops.mocap.poses import MocapPoses
+from testbed.ops.mocap.watch import BodyWatch
+from testbed.ops.steady import preferred, steady
+from testbed.ops.ticking import WallClock, monotonic_ns
+from testbed.rig import make_agent, warm_up
+name, port, command, words = sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.argv[4:]
+experiment = load(find("zhang2023_table"), words)
+warm_up(experiment)
+setup = experiment.vehicles[name]
+agent = make_agent(experiment, name)
+client = NatNetClient(MocapWire(command_port=command))
+clock = WallClock(monotonic_ns())
+poses = MocapPoses(client, MocapWire(), clock, name, BodyWatch())
+goal = Reference(0.0, Pose(*setup.start), Twist(0, 0, 0), Accel(0, 0, 0))
+setpoint = Trajectory((goal,), 1e9)
+with steady(), SerialThrusters(port, limits_of(setup.model), 0.0, 7) as thrusters:
+    thrusters.epoch_us = clock.epoch_ns // 1000
+    heard = 0
+    while heard < 50:
+        select.select([client.fileno()], [], [], 0.05)
+        heard += len(poses.samples())
+    print("ready", flush=True)
+    with preferred(20):
+        armed = False
+        while True:
+            ready, _, _ = select.select([client.fileno(), 0], [], [], 1.0)
+            if 0 in ready:
+                break
+            samples = tuple(poses.samples())
+            if not samples:
+                continue
+            if not armed or thrusters.trouble:
+                thrusters.disarm()  # the turn of the bare ones was longer than the watchdog
+                thrusters.trouble, armed = None, True
+                thrusters.arm()
+            health = thrusters.health()
+            out = agent.step(Inputs(clock.now, True, samples, setpoint, {}, health))
+            thrusters.apply(out.command)
+"""
+
+
+class Far:
+    """The far end of one vehicle's serial line."""
+
+    def __init__(self, tap):
+        self.tap, self.decoder, self.plan = tap, Decoder(), None
+
+    def serve(self):
+        """Pass on; whether a new plan has come."""
+        fresh = False
+        try:
+            data = os.read(self.tap.port_fd, 4096)
+            os.write(self.tap.board_fd, data)
+            for frame in self.decoder.feed(data):
+                if frame.type == Cmd.CODE and (plan := frame.message.plan) != self.plan:
+                    self.plan, fresh = plan, True
+        except BlockingIOError:
+            pass
+        return fresh
+
+    def back(self):
+        with suppress(BlockingIOError):
+            os.write(self.tap.port_fd, os.read(self.tap.board_fd, 4096))
+
+
+def percentiles(values):
+    return [float(np.percentile(values, share)) for share in (50, 99)]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seconds", type=int, default=20)
+    parser.add_argument("--vehicles", type=int, default=3)
+    parser.add_argument("--rate", type=float, default=100.0)
+    args = parser.parse_args()
+    experiment = load(find("zhang2023_table"), WORDS)
+    names = list(experiment.vehicles)[: args.vehicles]
+    rng = np.random.default_rng(1)
+    axes = Axes(MocapWire())
+    with tempfile.TemporaryDirectory() as folder, steady():
+        taps = [
+            LineTap(limits_of(experiment.vehicles[n].model), 1, Path(folder) / n).__enter__()
+            for n in names
+        ]
+        fars = [Far(tap) for tap in taps]
+        command = free_port(socket.SOCK_DGRAM)
+        server = NatNetServer(
+            Address("127.0.0.1", command, free_port(socket.SOCK_DGRAM)), (4, 1),
+            [Described(k + 1, n) for k, n in enumerate(names)],
+        )  # fmt: skip
+        chains = [
+            subprocess.Popen(
+                [sys.executable, "-c", CHAIN, n, str(Path(folder) / n), str(command), *WORDS],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            )
+            for n in names
+        ]  # fmt: skip
+        bares, lines, ports = [], [], []
+        for _ in names:
+            line, other = pty.openpty()
+            tty.setraw(other)
+            ports.append(free_port(socket.SOCK_DGRAM))
+            bares.append(
+                subprocess.Popen(
+                    [sys.executable, "-c", BARE, str(ports[-1]), os.ttyname(other)],
+                    stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                )
+            )  # fmt: skip
+            lines.append(line)
+        bare = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        number = 0
+
+        def frame():
+            nonlocal number
+            number += 1
+            now, bodies = monotonic_ns(), []
+            for k, n in enumerate(names):
+                x, y, theta = experiment.vehicles[n].start
+                dx, dy = 2e-4 * rng.standard_normal(2)
+                seen = axes.to_cameras(Pose(x + dx, y + dy, theta))
+                bodies.append(RigidBody(k + 1, seen.position, seen.rotation, 2e-4, True))
+            return MocapFrame(number, tuple(bodies), 1e-9 * now, now, now, now)
+
+        def serve(until, waiting=None, sent=0, into=None):
+            """Pass bytes on until then; note when each that is waited for has answered."""
+            fds = [fd for tap in taps for fd in (tap.port_fd, tap.board_fd)]
+            fds += [server.socket.fileno(), *lines]
+            while (left := until - monotonic_ns()) > 0:
+                ready, _, _ = select.select(fds, [], [], 1e-9 * left)
+                now = monotonic_ns()
+                for k, far in enumerate(fars):
+                    if taps[k].port_fd in ready and far.serve() and waiting and ("c", k) in waiting:
+                        waiting.discard(("c", k))
+                        into.append(1e-3 * (now - sent))
+                    if taps[k].board_fd in ready:
+                        far.back()
+                for k, line in enumerate(lines):
+                    if line in ready:
+                        os.read(line, 4096)
+                        if waiting and ("b", k) in waiting:
+                            waiting.discard(("b", k))
+                            into.append(1e-3 * (now - sent))
+                server.serve()
+
+        ready = set()
+        while len(ready) < 2 * len(names):
+            server.send(frame())
+            serve(monotonic_ns() + 10_000_000)
+            pipes = {p.stdout: p for p in (*chains, *bares) if p not in ready}
+            for pipe in select.select(list(pipes), [], [], 0)[0]:
+                if pipe.readline() != b"ready\n":
+                    raise RuntimeError(f"a process ended: {pipes[pipe].args[:4]}")
+                ready.add(pipes[pipe])
+        with preferred(30):
+            chain_us, bare_us, lost = [], [], 0
+            period = round(1e9 / args.rate)
+            due = monotonic_ns()
+            per_turn = round(args.rate)
+            for k in range(args.seconds * per_turn):
+                due += period
+                sleep_until_ns(due - period)
+                turn = (k // per_turn) % 2
+                if turn == 0:
+                    waiting = {("c", i) for i in range(len(names))}
+                    data = frame()
+                    sent = monotonic_ns()
+                    server.send(data)
+                    serve(due, waiting, sent, chain_us)
+                    lost += len(waiting)
+                else:
+                    waiting = {("b", i) for i in range(len(names))}
+                    sent = monotonic_ns()
+                    for port in ports:
+                        bare.sendto(bytes(354), ("127.0.0.1", port))
+                    serve(due, waiting, sent, bare_us)
+        for process in (*chains, *bares):
+            process.stdin.close()
+        for port in ports:
+            bare.sendto(b"end", ("127.0.0.1", port))
+        for process in (*chains, *bares):
+            process.wait(20)
+        for tap in taps:
+            tap.__exit__(None, None, None)
+    chain, raw = percentiles(chain_us), percentiles(bare_us)
+    print(f"{len(names)} vehicles at {args.rate:g} Hz, {args.seconds} s, turns of one second")
+    print(f"{'':28s}{'p50 [us]':>10s}{'p99 [us]':>10s}")
+    print(f"{'bare UDP, bare pty':28s}{raw[0]:10.0f}{raw[1]:10.0f}")
+    print(f"{'pose frame to valve command':28s}{chain[0]:10.0f}{chain[1]:10.0f}")
+    print(f"{'ratio':28s}{chain[0] / raw[0]:10.2f}{chain[1] / raw[1]:10.2f}")
+    print(f"answers {len(chain_us)} + {len(bare_us)}, missing within a period {lost}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,170 @@
+"""Plans over a serial line to real firmware, with a twin listening in on the line."""
+
+import os
+import threading
+from contextlib import contextmanager
+
+import pytest
+
+from firmware_interface.line_tap import LineTap
+from firmware_interface.serial_board import BoardError, monotonic_us
+from firmware_interface.serial_thrusters import SerialThrusters, ThrustersError
+from testbed.core.types import ValveCommand
+
+PERIOD_US = 100_000
+
+
+@contextmanager
+def served(limits, folder, **options):
+    """A tap that passes bytes on, and all edges it has seen."""
+    edges, over = [], threading.Event()
+    with LineTap(limits, 3, folder / "port", **options) as tap:
+
+        def serve():
+            while not over.wait(0.0005):
+                tap.serve()
+                edges.extend(tap.edges())
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield tap, edges
+        finally:
+            over.set()
+            thread.join()
+
+
+def wait_for(condition):
+    for _ in range(6000):
+        if condition():
+            return
+        threading.Event().wait(0.005)
+    pytest.fail("half a minute is enough")
+
+
+def plan(seq, issued_at, on, offset=0):
+    until = issued_at + 1e-6 * PERIOD_US
+    return ValveCommand(seq, issued_at, until, (on,) + (0,) * 7, (offset,) + (0,) * 7)
+
+
+@pytest.fixture
+def limits(host):
+    return host.limits
+
+
+def test_a_plan_is_played_as_long_as_it_says(limits, tmp_path):
+    with served(limits, tmp_path) as (tap, edges):
+        with SerialThrusters(str(tap.link), limits, 0.002, 1) as thrusters:
+            thrusters.epoch_us = monotonic_us()
+            thrusters.bearing(on=True)
+            wait_for(lambda: tap.bearing)
+            thrusters.arm()
+            issued = 1e-6 * (monotonic_us() - thrusters.epoch_us)
+            thrusters.apply(plan(1, issued, 40_000, 20_000))
+            wait_for(lambda: len(edges) >= 2)
+            thrusters.apply(plan(2, 1e-6 * (monotonic_us() - thrusters.epoch_us), 0))
+            assert thrusters.health().supply_pressure == 500_000
+            assert thrusters.trouble is None
+            assert thrusters.refusals == {}
+        (opened, first), (closed, second) = edges
+    assert (first, second) == (1, 0)
+    start = thrusters.epoch_us + round(1e6 * issued) + 2_000
+    # the board's stamps: the length is the firmware's, the start also the line's and the wait's
+    assert closed - start >= 60_000
+    assert opened >= start
+    assert thrusters.sent[0][0] == 1
+    assert thrusters.sent[0][1] >= start
+
+
+def test_leaving_disarms(limits, tmp_path):
+    with served(limits, tmp_path) as (tap, edges):
+        with SerialThrusters(str(tap.link), limits, 0.0, 1) as thrusters:
+            thrusters.epoch_us = monotonic_us()
+            thrusters.arm()
+            thrusters.apply(plan(1, 0.0, 90_000))
+            wait_for(lambda: edges)
+        wait_for(lambda: tap.status.state.name == "SAFE")
+        assert tap.status.faults == 0
+        assert edges[-1].mask == 0
+
+
+def test_a_cut_line_is_trouble_and_the_board_closes(limits, tmp_path):
+    with (
+        served(limits, tmp_path) as (tap, edges),
+        SerialThrusters(str(tap.link), limits, 0.0, 1) as thrusters,
+    ):
+        thrusters.epoch_us = monotonic_us()
+        thrusters.arm()
+        thrusters.apply(plan(1, 0.0, 90_000))
+        wait_for(lambda: edges)
+        tap.cut = True
+        wait_for(lambda: tap.status.faults)
+        assert edges[-1].mask == 0
+        assert tap.status.state.name == "SAFE"
+        tap.cut = False
+        wait_for(lambda: thrusters.trouble)
+        assert thrusters.trouble == "the board has left ARMED: watchdog"
+        thrusters.apply(plan(2, 1e-6 * (monotonic_us() - thrusters.epoch_us), 90_000))
+        wait_for(lambda: thrusters.refusals.get("not_armed"))
+        assert edges[-1].mask == 0
+
+
+def test_somebody_else_has_the_port(limits, tmp_path):
+    with (
+        served(limits, tmp_path) as (tap, _),
+        SerialThrusters(str(tap.link), limits, 0.0, 1),
+        pytest.raises(BoardError, match="no other program uses"),
+        SerialThrusters(str(tap.link), limits, 0.0, 2),
+    ):
+        pass
+
+
+def test_nobody_at_the_other_end(limits, tmp_path, monkeypatch):
+    monkeypatch.setattr("firmware_interface.serial_thrusters.ANSWER_US", 100_000)
+    with (
+        LineTap(limits, 1, tmp_path / "port") as tap,  # it does not pass anything on
+        pytest.raises(ThrustersError, match="does not answer HELLO"),
+        SerialThrusters(str(tap.link), limits, 0.0, 1),
+    ):
+        pass
+
+
+def test_a_board_that_answered_two_hellos_is_armed_all_the_same(limits, tmp_path):
+    with LineTap(limits, 1, tmp_path / "port") as tap:
+        late = threading.Timer(0.35, lambda: None)  # until then HELLOs pile up on the line
+        late.start()
+
+        def serve():
+            late.join()
+            while not over.wait(0.001):
+                tap.serve()
+
+        over = threading.Event()
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            with SerialThrusters(str(tap.link), limits, 0.0, 1) as thrusters:
+                thrusters.arm()
+                thrusters.bearing(on=True)
+        finally:
+            over.set()
+            thread.join()
+
+
+def test_nothing_is_left_of_a_tap(limits, tmp_path):
+    with LineTap(limits, 1, tmp_path / "port") as tap:
+        assert tap.link.is_symlink()
+        pid = tap.pid
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_a_board_without_a_gauge_is_believed_to_have_pressure(limits, tmp_path):
+    with (
+        served(limits, tmp_path) as (tap, _),
+        SerialThrusters(str(tap.link), limits, 0.0, 1, set_pressure=4e5) as thrusters,
+    ):
+        assert thrusters.health().supply_pressure == 5e5  # it has one
+        tap.sense(24_000, 0)
+        wait_for(lambda: thrusters.health().supply_pressure == 4e5)
