@@ -56,7 +56,8 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
             with (
                 LocalCluster(
                     n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    dashboard_address=None, memory_limit=0,
+                    dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                    memory_limit=0,
                 ) as cluster,
                 Client(cluster) as client,
             ):  # fmt: skip
