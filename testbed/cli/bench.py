@@ -13,7 +13,7 @@ from testbed.campaign.benchmark import (
     BenchmarkFile,
     Score,
     load_benchmark,
-    markdown,
+    page,
     scenario_campaign,
     score,
     scores,
@@ -58,7 +58,8 @@ def run_benchmark(
         text = msgspec.json.format(msgspec.json.encode(table), indent=2) + b"\n"
         if runs is None:
             write_whole(folder / "scores.json", text)
-            write_whole(folder / "benchmark.md", markdown(table).encode())
+            options = f" --samples {samples}" if samples else ""
+            write_whole(folder / "benchmark.md", page(table, options, "twin").encode())
     except TROUBLE as error:
         return say_trouble(error)
     except OSError as error:
