@@ -171,6 +171,42 @@ COLUMNS = (  # heading, key, scale, format
 )
 
 
+PAGE = """# The benchmark of record
+
+Standard scenarios under all laws on the standard vehicle, scored the same for everybody. This page
+was written by `testbed bench{options}` on the {rig}: {runs}. `configs/benchmark.toml` has the
+scenarios and the laws' gains, which nobody tuned for it; [campaigns.md](campaigns.md) says how to
+fly it on a table.
+
+{table}
+* **passed**: runs that reached their end without a fault, met the scenario's criteria and kept the
+  benchmark's bounds.
+* **error**: RMS of the distance to the goal, where it is by then, in the last 30 s; in the second
+  half of the run where the goal moves. Of a formation, RMS of the distances between partners less
+  the wanted ones. The worst vehicle of a run; median over the runs, and the worst of them. `ring`
+  has neither.
+* **settled**: after that the error stays within 50 mm; median; none if a run did not settle.
+* **obstacles**: smallest distance to an obstacle less its danger radius; negative is inside.
+  **vehicles**: smallest distance between two, centre to centre.
+* **contacts**: of all runs together. **gas**, **valve pulses**: all vehicles of a run, median.
+* **robust**: passed with the same seeds when the vehicles are three times further from their files
+  than the shipped tolerances, the table is tilted twice as much and the cameras are 50 ms late. The
+  laws are not told.
+
+`pd`, `smc` and `sotsmc` fly a reference model that the vehicle tracks; `_wrench` closes the loop
+through the law itself. `pd` does not know of obstacles: it is there to be seen colliding in
+`crossing`.
+"""
+
+
+def page(table: Sequence[Score], options: str, rig: str) -> str:
+    """The table with what its columns mean, as a page of the documentation."""
+    flown = f"{sum(row.runs + row.robust_runs for row in table)} runs"
+    most = max(row.runs for row in table)
+    seeds = f"{most} seed{'s' * (most > 1)} per cell"
+    return PAGE.format(options=options, rig=rig, runs=f"{flown}, {seeds}", table=markdown(table))
+
+
 def markdown(table: Sequence[Score]) -> str:
     """The table as it is published."""
     headings = ["scenario", "law", "passed", *(h for h, *_ in COLUMNS), "robust"]

@@ -10,34 +10,51 @@ from pathlib import Path
 
 from numba.core import config
 
-from testbed.campaign.code import code_digest, digest_of
+from testbed.campaign.code import code_digest
 from testbed.campaign.row import Task
+from testbed.config import Experiment
 
 Warm = Callable[[str, Sequence[Task]], None]
+Read = Callable[[str, Sequence[str]], Experiment]
 
 
-def compile_first(base: str, tasks: Sequence[Task], warm: Warm) -> None:
+def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm) -> None:
     """Have on disk what these tasks need compiled; at once if it is there.
 
     Args:
         base: the experiment.
-        tasks: one for each law and mode.
+        tasks: some of each law and mode.
+        read: what a task flies.
         warm: flies a moment of each.
     """
     folder = vars(config)["CACHE_DIR"]
-    key = digest_of(f"{code_digest()} {base} {tasks}".encode())
-    mark = Path(folder) / "campaigns" / key if folder else None
-    if mark and mark.exists():
+    marks: dict[Path, Task] = {}
+    for task in tasks:
+        mark = Path(folder or ".") / "campaigns" / kind_of(read(base, task[1]))
+        if not (folder and mark.exists()):
+            marks.setdefault(mark, task)
+    if not marks:
         return
-    process = get_context("spawn").Process(target=_run, args=(warm, base, tasks), daemon=True)
+    words = (warm, base, list(marks.values()))
+    process = get_context("spawn").Process(target=_run, args=words, daemon=True)
     process.start()
     try:
         process.join()
     finally:
         process.kill()  # of use only when interrupted
-    if mark and process.exitcode == 0:
-        mark.parent.mkdir(parents=True, exist_ok=True)
-        mark.touch()
+    if folder and process.exitcode == 0:
+        for mark in marks:
+            mark.parent.mkdir(parents=True, exist_ok=True)
+            mark.touch()
+
+
+def kind_of(experiment: Experiment) -> str:
+    """A name for experiments that need the same machine code."""
+    law = type(experiment.controller).__struct_config__.tag
+    modulator = type(experiment.flight.modulator).__struct_config__.tag
+    alone = "one" if len(experiment.vehicles) == 1 else "several"
+    where = f"{experiment.guidance.mode}-{experiment.deploy.law}"
+    return f"{code_digest()}-{law}-{where}-{modulator}-{alone}"
 
 
 def _run(warm: Warm, base: str, tasks: Sequence[Task]) -> None:

@@ -7,7 +7,11 @@ no more memory than ten; a batch whose workers die is taken apart to find the ru
 """
 
 import logging
+import math
+import time
+from asyncio import CancelledError as FutureCancelled
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
@@ -20,6 +24,7 @@ Result = TypeVar("Result")
 BATCH_S = 1.0  # of flying in one message [s]
 LARGEST_BATCH = 100
 AHEAD = 2  # batches per worker under way
+ASK_S = 2.0  # between looks at how many workers there are [s]
 TRIES = 2  # workers that a batch may take with it before it is given up
 
 WORKER_ENVIRONMENT = {  # one thread each: runs are what is parallel
@@ -56,7 +61,8 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
             with (
                 LocalCluster(
                     n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    dashboard_address=None, memory_limit=0,
+                    dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                    memory_limit=0,
                 ) as cluster,
                 Client(cluster) as client,
             ):  # fmt: skip
@@ -116,6 +122,7 @@ class Fleet(Generic[Task, Result]):
         took: Callable[[Result], float],
     ) -> None:
         self._client, self._fly, self._lost, self._took = client, fly, lost, took
+        self._count, self._asked = 1, -math.inf
         self._pace = 0.0  # mean of what a task takes [s]
 
     def results(self, tasks: Sequence[Task]) -> Iterator[Result]:
@@ -133,7 +140,7 @@ class Fleet(Generic[Task, Result]):
             done.add(future)
 
         def fill() -> None:
-            most = AHEAD * max(1, len(self._client.nthreads()))
+            most = AHEAD * self._workers()
             while waiting and len(under_way) < most:
                 share = -(-len(waiting) // most)  # the last ones are spread over all workers
                 size = max(1, min(self._batch(), share))
@@ -145,6 +152,11 @@ class Fleet(Generic[Task, Result]):
             batch = under_way.pop(future)
             try:
                 results = future.result()
+            except (OSError, CancelledError, FutureCancelled) as error:
+                raise EngineError(
+                    f"the cluster is gone\n  expected  workers until the end\n"
+                    f"  found     {error or type(error).__name__}; the same command goes on"
+                ) from None
             except KilledWorker:
                 if len(batch) > 1:
                     for task in batch:
@@ -155,6 +167,13 @@ class Fleet(Generic[Task, Result]):
                 self._pace += 0.3 * (self._took(result) - self._pace)
                 yield result
             fill()
+
+    def _workers(self) -> int:
+        """How many there are; asked now and then, for it is a round trip."""
+        if time.monotonic() - self._asked > ASK_S:
+            self._count = max(1, len(self._client.nthreads()))
+            self._asked = time.monotonic()
+        return self._count
 
     def _batch(self) -> int:
         if self._pace <= 0.0:

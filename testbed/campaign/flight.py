@@ -20,7 +20,7 @@ from typing import Any
 from msgspec import Struct
 
 from testbed.campaign.code import code_digest, digest_of
-from testbed.campaign.compilation import compile_first
+from testbed.campaign.compilation import Read, Warm, compile_first
 from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import Flown, Kept, Task, within
@@ -34,7 +34,8 @@ class Crew(Struct, frozen=True):
 
     fly: Callable[[str, Sequence[Task]], list[Flown]]
     fly_with_log: Callable[[str, Sequence[Task]], list[Kept]]
-    warm: Callable[[str, Sequence[Task]], None]  # a moment of each, so that all is compiled
+    warm: Warm  # a moment of each, so that all is compiled
+    read: Read  # what a task flies
     jobs: int = 1
     scheduler: str | None = None
     client: Any = None  # workers that are there already
@@ -110,7 +111,7 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
         if tasks or missing_folders(campaign, runs, folder):
             if crew.scheduler is None:
                 some = tasks[: min(MOST_WARMED, campaign.combinations)]
-                compile_first(campaign.base, some, crew.warm)
+                compile_first(campaign.base, some, crew.read, crew.warm)
             with crew.workers(max(1, len(tasks))) as client:
                 began = time.perf_counter()
                 for flown in _fleet(client, campaign.base, crew).results(tasks):

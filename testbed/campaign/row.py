@@ -4,6 +4,7 @@ Vehicles are told apart as in "sat1.settle_s"; without a name it is all of them 
 of an error or a distance, the sum of what was used up.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Literal
 
@@ -139,4 +140,9 @@ def columns_of(
     if len(experiment.vehicles) > 1:
         for vehicle, numbers in each.items():
             columns |= {f"{vehicle}.{name}": value for name, value in numbers.items()}
-    return columns
+    return {name: _finite(value) for name, value in columns.items()}
+
+
+def _finite(value: Number) -> Number:
+    """JSON has no infinity; a number that is none does not apply."""
+    return value if value is not None and math.isfinite(value) else None

@@ -13,7 +13,7 @@ from testbed.campaign.benchmark import (
     BenchmarkFile,
     Score,
     load_benchmark,
-    markdown,
+    page,
     scenario_campaign,
     score,
     scores,
@@ -25,7 +25,7 @@ from testbed.campaign.sweep import experiment_path
 from testbed.cli.campaign import TROUBLE, Bar, find_campaign, say_trouble, write_results
 from testbed.cli.main import INTERRUPTED, OK
 from testbed.cli.run import Interrupt, errors
-from testbed.cli.trial import fly_batch, fly_with_log, warm
+from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import SHIPPED, ConfigError
 
 
@@ -58,7 +58,8 @@ def run_benchmark(
         text = msgspec.json.format(msgspec.json.encode(table), indent=2) + b"\n"
         if runs is None:
             write_whole(folder / "scores.json", text)
-            write_whole(folder / "benchmark.md", markdown(table).encode())
+            options = f" --samples {samples}" if samples else ""
+            write_whole(folder / "benchmark.md", page(table, options, "twin").encode())
     except TROUBLE as error:
         return say_trouble(error)
     except OSError as error:
@@ -86,7 +87,7 @@ def fly_benchmark(
     campaigns = {name: scenario_campaign(path, file, name) for name in file.scenarios}
     table: list[Score] = []
     with workers(jobs, scheduler) as client:
-        crew = Crew(fly_batch, fly_with_log, warm, jobs, scheduler, client)
+        crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler, client)
         for name, campaign in campaigns.items():
             with Bar(name) as watch:
                 text = path.read_bytes()

@@ -36,7 +36,7 @@ from testbed.campaign.summary import Summary, summarise, worst_runs
 from testbed.campaign.sweep import Campaign, load_campaign
 from testbed.cli.main import BAD_INPUT, FAILED, INTERRUPTED, OK
 from testbed.cli.run import Interrupt, errors
-from testbed.cli.trial import fly_batch, fly_with_log, warm
+from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import ConfigError
 from testbed.config.tree import trouble_at
 
@@ -52,7 +52,7 @@ def run_campaign(
         path = find_campaign(name)
         campaign = load_campaign(path)
         folder = out or Path("runs") / f"campaign_{campaign.file.name}"
-        crew = Crew(fly_batch, fly_with_log, warm, jobs, scheduler)
+        crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler)
         with interrupt.caught(), interrupt.at_once(), watch:
             ended = fly_campaign(campaign, path.read_bytes(), folder, crew, watch)
         if ended is None:

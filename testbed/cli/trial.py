@@ -6,14 +6,13 @@ import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 
 from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_of
 from testbed.campaign.score import beside_metrics
 from testbed.cli.run import fly_and_judge, measure, warm_up
-from testbed.config import ConfigError, dump, load
+from testbed.config import ConfigError, Experiment, dump, load
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.ops.folder import write_config, write_metrics
 from testbed.ops.steady import steady
@@ -41,7 +40,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     """Fly run k: the base experiment with these on top. Whatever happens is in the result."""
     began = time.perf_counter()
     try:
-        experiment = load(_file(base), overrides)
+        experiment = read(base, overrides)
         memory, rig = _Memory(list(experiment.vehicles)), make_twin(experiment)
         with steady():
             ending = rig.fly(memory)
@@ -67,7 +66,7 @@ def warm(base: str, batch: Sequence[Task]) -> None:
     """Fly a moment of some runs, so that all they need is compiled and on disk."""
     for _, overrides in batch:
         with suppress(Exception):  # what is wrong is said when it is flown
-            warm_up(load(_file(base), overrides), lambda: False)
+            warm_up(read(base, overrides), lambda: False)
 
 
 def fly_with_log(base: str, batch: Sequence[Task]) -> list[Kept]:
@@ -80,7 +79,7 @@ def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         try:
-            experiment = load(_file(base), overrides)
+            experiment = read(base, overrides)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             metrics = fly_and_judge(experiment, folder)
             write_metrics(folder, metrics)
@@ -91,9 +90,9 @@ def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
     return Kept(k, files, columns)
 
 
-@lru_cache(maxsize=4)
-def _file(base: str) -> Path:
-    """The base experiment as a file, which is what `load` reads."""
-    path = Path(tempfile.mkdtemp(prefix="campaign-")) / "base.toml"
-    path.write_text(base, encoding="utf-8")
-    return path
+def read(base: str, overrides: Sequence[str]) -> Experiment:
+    """The base experiment with these on top; `load` reads files."""
+    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
+        file.write(base)
+        file.flush()
+        return load(Path(file.name), overrides)

@@ -31,7 +31,7 @@ from testbed.campaign.tuning import (
 from testbed.cli.campaign import TROUBLE, find_campaign, say_trouble
 from testbed.cli.main import FAILED, INTERRUPTED, OK
 from testbed.cli.run import Interrupt, errors
-from testbed.cli.trial import fly_batch, warm
+from testbed.cli.trial import fly_batch, read, warm
 from testbed.config import dump, load
 
 
@@ -95,7 +95,7 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
         best = [trial.cost for trial in journal.found]
         first = tuning.tasks(0, tuning.now, [tuning.file.seed])
         if scheduler is None:
-            compile_first(tuning.base, first, warm)
+            compile_first(tuning.base, first, read, warm)
         with workers(jobs, scheduler) as client:
 
             def fly(tasks: Sequence[Task]) -> Iterator[Flown]:

@@ -10,6 +10,7 @@ import tomli_w
 
 from testbed.campaign.flight import Crew
 from testbed.campaign.row import Flown, Kept, Task
+from testbed.config import Experiment, find, load
 
 
 def pretend(base: str, batch: Sequence[Task]) -> list[Flown]:
@@ -33,9 +34,14 @@ def no_warm_up(base: str, batch: Sequence[Task]) -> None:
     """Nothing is compiled."""
 
 
+def hold(base: str, overrides: Sequence[str]) -> Experiment:
+    """What is flown is never looked at."""
+    return load(find("hold"))
+
+
 @pytest.fixture
 def crew() -> Callable[[int], Crew]:
-    return lambda jobs=1: Crew(pretend, pretend_with_log, no_warm_up, jobs)
+    return lambda jobs=1: Crew(pretend, pretend_with_log, no_warm_up, hold, jobs)
 
 
 @pytest.fixture

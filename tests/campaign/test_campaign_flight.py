@@ -4,6 +4,7 @@ import shlex
 
 import pyarrow.parquet
 import pytest
+from msgspec.structs import replace
 from scipy.stats import beta
 
 from testbed.campaign.engine import EngineError, workers
@@ -72,6 +73,29 @@ def test_a_run_that_kills_its_workers_is_found_and_the_others_fly(write, crew, t
     ended = fly(campaign, tmp_path / "a", crew(1))
     assert [run.k for run in ended.runs] == list(range(9))
     assert [run.k for run in ended.runs if run.outcome == "lost"] == [4]
+
+
+def test_a_cluster_flies_the_same_and_stays(write, crew, tmp_path):
+    campaign = load_campaign(write(grid=[GRID], samples=10, keep=2))
+    straight = fly(campaign, tmp_path / "a", crew(1))
+    with workers(2, None) as lab:
+        there = replace(crew(1), scheduler=lab.scheduler.address)
+        ended = fly(campaign, tmp_path / "b", there)
+        assert len(lab.nthreads()) == 2
+    assert ended.runs == straight.runs
+
+
+def test_a_cluster_with_other_code_is_refused(monkeypatch):
+    from testbed.campaign import engine
+
+    with workers(1, None) as lab:
+        digest = lab.run(engine.code_digest)
+        monkeypatch.setattr(lab, "run", lambda *_, **__: dict.fromkeys(digest, "other"))
+        with pytest.raises(EngineError, match="workers with the code of this machine"):
+            engine._same_code(lab, "tcp://lab:8786")
+        monkeypatch.setattr(lab, "run", lambda *_, **__: {})
+        with pytest.raises(EngineError, match="without any"):
+            engine._same_code(lab, "tcp://lab:8786")
 
 
 def test_a_cluster_that_is_not_there_is_said():
