@@ -65,7 +65,7 @@ class SerialThrusters:
         self._session = Session(self._config, self._nonce)
         self._lock = threading.Condition()
         self._waiting: ValveCommand | None = None
-        self._closing = self._landed = False
+        self._closing = False
         self._thread = threading.Thread(target=self._keep, name="valves", daemon=True)
         self._feed(self._session.hello(monotonic_us()))
         self._thread.start()
@@ -181,16 +181,6 @@ class SerialThrusters:
             lambda: self._session.status is not None and self._session.status.bearing == int(on),
             "BEARING",
         )
-
-    def land(self) -> None:
-        """See `Thrusters`."""
-        if self._landed:
-            return
-        self._landed = True
-        try:
-            self.bearing(on=False)
-        except ThrustersError as error:
-            self.trouble = str(error)
 
     def arm(self) -> None:
         """Arm; plans must follow at once.

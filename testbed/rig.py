@@ -157,10 +157,6 @@ class Rig(Protocol):
         """What a vehicle has used so far."""
         ...
 
-    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
-        """Each change of valve outputs after `since`, where firmware drives them."""
-        ...
-
     def wires(self) -> dict[str, Any]:
         """What metrics.json says of the wires; nothing where there are none."""
         ...

@@ -274,10 +274,6 @@ class WireRig:
         states = np.array([[state for _, state in row[:count]] for row in rows])
         return Track(np.array([t for t, _ in rows[0][:count]]), states.transpose(1, 0, 2))
 
-    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
-        """See `Rig`. The boards' reports are with the vehicles."""
-        return iter(())
-
     def spent(self, name: str) -> Spent:
         """See `Rig`. Without a twin: what was commanded, by the vehicle file's thrust."""
         report = self._report

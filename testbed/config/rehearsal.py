@@ -20,9 +20,7 @@ def bad_injections(experiment: Experiment) -> Iterator[Mistake]:
             yield Mistake((*key, "other"), f"another one of: {names}", show(what.other))
         if what.kind == "brown_out" and experiment.board != "model":
             found = f'board = "{experiment.board}"'
-            yield Mistake(
-                (*key, "kind"), 'board = "model" with it', found
-            )
+            yield Mistake((*key, "kind"), 'board = "model" with it', found)
         jets = len(experiment.vehicles[what.vehicle].model.jets)
         if not 1 <= what.jet <= jets:
             yield Mistake((*key, "jet"), f"a jet from 1 to {jets}", show(what.jet))
