@@ -220,6 +220,20 @@ def test_a_pulse_for_which_too_little_is_left_counts_as_unplayed(host):
     assert host.report().unplayed == 1
 
 
+def test_a_pulse_that_is_over_before_its_valve_is_free_is_given_up_then(new_host):
+    host = new_host(min_off_us=500_000)
+    host.plan(1, {0: 20_000})
+    host.wait(25_000)
+    host.plan(2, {0: 20_000})
+    assert host.report().unplayed == 1
+
+
+def test_a_pulse_of_a_microsecond_is_played_where_that_is_allowed(new_host):
+    host = new_host(min_on_us=0)
+    host.plan(1, {0: 1})
+    assert host.wait(10_000) == [(0, V0), (1, 0)]
+
+
 def test_an_opening_cut_by_a_limit_is_not_continued(host):
     """A plan that comes in the microsecond of the cut must let the valve rest."""
     host.plan(1, {0: 300_000})
@@ -248,7 +262,9 @@ def test_a_rest_is_forgotten_by_every_valve_while_armed(new_host):
         host.board.skip(1_999_999)
         assert host.plan(1, {}).result == Result.REFRESHED
     now = host.board.now_us
-    host.plan(2, {6: 20_000, 7: 20_000})
+    host.plan(2, {6: host.limits.min_on_us - 1})  # nothing there that it could continue
+    assert host.edges_from(now) == []
+    host.plan(3, {6: 20_000, 7: 20_000})
     assert host.edges_from(now) == [(now, 0xC0)]
 
 
@@ -289,16 +305,17 @@ def test_a_pulse_slept_over_is_not_made_up_for(host):
 # Duty
 
 
-def test_duty_comes_back_when_the_window_is_over_and_no_sooner(new_host):
+@pytest.mark.parametrize("valve", [0, 6])
+def test_duty_comes_back_when_the_window_is_over_and_no_sooner(new_host, valve):
     """Spent at the end of a slot: one slot fewer would give it back too soon."""
     host = new_host(duty_window_us=1_600_000, duty_budget_us=50_000)
-    host.plan(1, {0: 50_000}, {0: 49_000})
+    host.plan(1, {valve: 50_000}, {valve: 49_000})
     host.keep_alive(1, 1_640_000)
-    host.plan(2, {0: 30_000})
+    host.plan(2, {valve: 30_000})
     assert host.edges_from(1_640_000) == []
     host.keep_alive(2, 1_700_001)
-    host.plan(3, {0: 30_000})
-    assert host.edges_from(1_640_000) == [(1_700_001, V0)]
+    host.plan(3, {valve: 30_000})
+    assert host.edges_from(1_640_000) == [(1_700_001, 1 << valve)]
 
 
 def test_duty_is_counted_without_drift(new_host):
@@ -373,6 +390,8 @@ def test_the_scheduler_waits_for_an_opposite_that_is_open_by_mistake(host):
     host.plan(1, {0: 50_000}, {0: 20_000})
     host.wait(19_500)
     host.board.lib.board_flip_open(host.board.handle, 5)  # for a millisecond
+    host.wait(700)
+    host.ping()  # makes it run
     up = 20_500 + host.limits.dead_us
     assert host.wait(100_000) == [(19_500, V5), (20_500, 0), (up, V0), (70_000, 0)]
     assert host.ping().faults == 0
@@ -406,6 +425,22 @@ def test_more_limits_that_contradict_each_other(new_host, opposing, count):
 
 
 # Supply
+
+
+@pytest.mark.parametrize("patience", [0, 1_999])
+def test_a_supply_that_is_well_again_when_the_board_looks_trips_nothing(new_host, patience):
+    host = new_host(undervoltage_us=patience)
+    host.board.sense(host.limits.undervoltage_mv, 0)
+    host.wait(10_000)
+    assert host.ping().state == State.ARMED
+    if patience:
+        host.board.sense(host.limits.undervoltage_mv - 1, 0)
+        host.board.skip(patience + 1)
+        host.board.sense(host.limits.undervoltage_mv, 0)
+    assert host.ping().faults == 0
+    host.board.sense(host.limits.undervoltage_mv - 1, 0)
+    host.wait(patience)
+    assert host.ping().faults == Fault.UNDERVOLTAGE
 
 
 def test_undervoltage_in_safe_is_no_fault_yet(new_host):

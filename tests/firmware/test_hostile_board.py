@@ -31,7 +31,7 @@ def random_message(rng):
     if rng.random() < 0.05:
         payload = payload[: rng.integers(size + 1)] + rng.bytes(int(rng.integers(5)))
     code = int(rng.integers(256)) if rng.random() < 0.05 else kind.CODE
-    version = VERSION if rng.random() < 0.999 else int(rng.integers(256))
+    version = VERSION if rng.random() < 0.99 else int(rng.integers(256))
     seq, t_us = int(rng.integers(1 << 16)), int(rng.integers(1 << 32))
     return encode(Frame(code, seq, t_us, bytes(payload), version))
 
