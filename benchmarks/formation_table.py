@@ -1,17 +1,28 @@
-"""Fly the chains of xue2022 and xue2024 on the twin, seed after seed: did they keep together?
+"""Fly the formations of xue2021, xue2022, xue2024 on the twin, seed after seed.
 
-An edge is settled when it stays within 8 cm of its 1.5 m. Results of the twin, not of a table.
+    python benchmarks/formation_table.py [--seeds 0:100] [experiment ...]
+
+Did they keep together, apart and out of the obstacle's way? An edge is lost when it becomes as long
+as the law's range; edges are settled when all of E(0) stay within 5 cm (8 cm) of what they should
+be. Results of the twin, not of a table.
 """
 
 import argparse
+from typing import NamedTuple
 
 import numpy as np
 
+from controllers.graph import formation
 from testbed.config import find, load
+from testbed.ops.metrics import obstacle_distances
 from testbed.rig import make_twin
 
-TOLERANCE = 0.08  # [m]
-NAMES = ("xue2022_table", "xue2024_table_constant")
+TOLERANCES = (0.05, 0.08)  # [m]
+NAMES = (
+    "xue2021_table_static", "xue2021_table_dynamic", "xue2022_table", "xue2022_table_obstacle",
+    "xue2024_table_constant", "xue2024_table_varying",
+)  # fmt: skip
+LED = ("bounded_leader", "bounded_leader_varying")
 
 
 class Nobody:
@@ -27,43 +38,78 @@ class Nobody:
         pass
 
 
-def fly(name, seed):
-    """When both edges had settled [s], longest edge, nearest pair [m], contacts, fault."""
-    experiment = load(find(name), [f"seed={seed}"])
-    shape = experiment.controller.formation
+class Flight(NamedTuple):
+    """What came of a run."""
+
+    settled: tuple  # per tolerance [s]; inf: not
+    lost: int  # edges of E(0) that became too long
+    longest: float  # edge [m]
+    nearest: float  # pair [m]
+    obstacle: float  # nearest, centre to centre [m]
+    contacts: int
+    fault: str | None
+
+
+def settling(t, off):
+    """When `off` ends for good [s]."""
+    if off[-1]:
+        return np.inf
+    return float(t[off.nonzero()[0][-1]]) if off.any() else 0.0
+
+
+def fly(name, seed, overrides=()):
+    """One run."""
+    experiment = load(find(name), [*overrides, f"seed={seed}"])
+    names, controller = list(experiment.vehicles), experiment.controller
+    led = type(controller).__struct_config__.tag in LED
+    shape = formation(controller.formation, names, led)
     rig = make_twin(experiment)
     ending = rig.fly(Nobody())
-    track = rig.track()
+    track, n = rig.track(), len(names)
     p = track.states[:, :, :2]
-    names = list(experiment.vehicles)
-    edges, pairs = [], []
-    for i in range(len(names)):
-        for j in range(i + 1, len(names)):
-            gap = np.linalg.norm(p[:, i] - p[:, j], axis=1)
-            pairs.append(gap)
-            if shape.distances[f"{names[i]}-{names[j]}"] < shape.far:
-                edges.append((gap, shape.distances[f"{names[i]}-{names[j]}"]))
-    off = np.max([abs(gap - wanted) for gap, wanted in edges], axis=0) > TOLERANCE
-    settled = track.t[off.nonzero()[0][-1]] if off.any() else 0.0
-    longest = max(gap.max() for gap, _ in edges)
-    touches = len(rig.twin.plant.touches)
-    return settled, longest, np.min(pairs), touches, ending.fault
+    gaps = {
+        (i, j): np.linalg.norm(p[:, i] - p[:, j], axis=1) for i in range(n) for j in range(i + 1, n)
+    }
+    edges = {pair: gap for pair, gap in gaps.items() if shape.first[pair] > 0.0}
+    off = np.max([abs(gap - shape.desired[pair]) for pair, gap in edges.items()], axis=0)
+    rocks = experiment.obstacles
+    return Flight(
+        tuple(settling(track.t, off > tolerance) for tolerance in TOLERANCES),
+        sum(bool((gap >= shape.range).any()) for gap in edges.values()),
+        float(max(gap.max() for gap in edges.values())),
+        float(min(gap.min() for gap in gaps.values())),
+        min((min(obstacle_distances(track, k, rocks).values()) for k in range(n)), default=np.inf)
+        if rocks
+        else np.inf,
+        len(rig.twin.plant.touches),
+        ending.fault,
+    )
 
 
 def main() -> None:
     """Fly, print one line per experiment."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--seeds", default="0:20", help="lo:hi, hi not included")
+    parser.add_argument("names", nargs="*", default=NAMES, metavar="experiment")
     options = parser.parse_args()
-    print("experiment                settled median / p95 / max   longest edge  nearest  bad runs")
-    for name in NAMES:
-        runs = [fly(name, seed) for seed in range(options.seeds)]
-        settled, longest, nearest = (np.array([run[k] for run in runs]) for k in range(3))
-        bad = sum(bool(run[3]) or run[4] is not None for run in runs)
+    lo, hi = map(int, options.seeds.split(":"))
+    print(
+        "| experiment | seeds | contacts | lost edges | faults | settled to 5 cm / 8 cm, median",
+        end="",
+    )
+    print(" (worst) [s] | longest edge [m] | nearest pair [m] | nearest to an obstacle [m] |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for name in options.names or NAMES:
+        runs = [fly(name, seed) for seed in range(lo, hi)]
+        settled = np.array([run.settled for run in runs])
+        times = " / ".join(f"{np.median(column):.1f} ({column.max():.1f})" for column in settled.T)
         print(
-            f"{name:24}  {np.median(settled):6.1f} / {np.percentile(settled, 95):5.1f} / "
-            f"{settled.max():5.1f} s       {longest.max():8.3f} m  {nearest.min():5.3f} m"
-            f"  {bad} of {len(runs)}"
+            f"| `{name}` | {lo}-{hi - 1} | {sum(run.contacts for run in runs)} "
+            f"| {sum(run.lost for run in runs)} | {sum(run.fault is not None for run in runs)} "
+            f"| {times} | {max(run.longest for run in runs):.3f} "
+            f"| {min(run.nearest for run in runs):.3f} "
+            f"| {min(run.obstacle for run in runs):.3f} |",
+            flush=True,
         )
 
 

@@ -1,13 +1,15 @@
-"""The chains of xue2022 and xue2024 on the twin: no touch, no edge lost, edges as wanted."""
+"""The formations of xue2021, xue2022 and xue2024 on the twin: no touch, no edge lost, as wanted."""
 
 import numpy as np
 import pytest
 
+from controllers.graph import formation
 from testbed.config import find, load
 from testbed.core.types import HostTick, Tick
+from testbed.ops.metrics import obstacle_distances
 from testbed.rig import make_twin
 
-RANGE, SAFE, EDGE = 2.0, 0.5, 1.5  # [m]
+SAFE = 0.4  # two radii [m]
 
 
 class Nobody:
@@ -20,6 +22,29 @@ class Nobody:
     def done(self, t: float) -> None: ...
 
 
+def flown(name, *overrides):
+    """Experiment, track, and pair -> (distances, desired, whether of E(0))."""
+    experiment = load(find(name), overrides)
+    rig = make_twin(experiment)
+    ending = rig.fly(Nobody())
+    assert ending.fault is None
+    assert not rig.twin.plant.touches
+    led = "leader" in type(experiment.controller).__struct_config__.tag
+    shape = formation(experiment.controller.formation, list(experiment.vehicles), led)
+    track = rig.track()
+    p, pairs = track.states[:, :, :2], {}
+    for i in range(p.shape[1]):
+        for j in range(i):
+            gap = np.linalg.norm(p[:, i] - p[:, j], axis=1)
+            pairs[i, j] = gap, shape.desired[i, j], shape.first[i, j] > 0.0
+            assert gap.min() > SAFE
+            assert not pairs[i, j][2] or gap.max() < shape.range
+    for k in range(p.shape[1]):
+        for rock, nearest in obstacle_distances(track, k, experiment.obstacles).items():
+            assert nearest > experiment.obstacles[rock].radius
+    return experiment, track, pairs
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("overrides", [(), ("deploy.law=host",)], ids=["vehicle", "host"])
 @pytest.mark.parametrize(
@@ -30,17 +55,29 @@ class Nobody:
 def test_a_chain(
     name: str, speed: float, settles_s: float, overrides: tuple[str, ...], seed: int
 ) -> None:
-    experiment = load(find(name), [*overrides, f"seed={seed}"])
-    rig = make_twin(experiment)
-    ending = rig.fly(Nobody())
-    assert ending.fault is None
-    assert not rig.twin.plant.touches
-    track = rig.track()
-    p = track.states[:, :, :2]
-    gap = {(i, j): np.linalg.norm(p[:, i] - p[:, j], axis=1) for i, j in ((0, 1), (1, 2), (0, 2))}
-    edges = np.array([gap[0, 1], gap[1, 2]])
-    assert edges.max() < RANGE
-    assert min(one.min() for one in gap.values()) > SAFE
-    assert abs(edges[:, track.t > settles_s] - EDGE).max() < 0.08
-    assert abs(edges[:, -1] - EDGE).max() < 0.02
+    _, track, pairs = flown(name, *overrides, f"seed={seed}")
+    edges = [gap - wanted for gap, wanted, first in pairs.values() if first]
+    for off in edges:
+        assert abs(off[track.t > settles_s]).max() < 0.05
+        assert abs(off[-1]) < 0.02
     assert track.states[-1, :, 3:5] == pytest.approx(np.tile([0.0, speed], (3, 1)), abs=0.004)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "settles_s", "tolerance"),
+    # in the design study, 20 % more at most: 47.8 s to 3 cm, ideal; 101 s to 5 cm; 70 s and 97.6 s
+    # for all three pairs to 8 cm and 5 cm
+    [
+        ("xue2022_table_obstacle", 57.4, 0.03),
+        ("xue2024_table_varying", 121.0, 0.05),
+        ("xue2021_table_static", 84.0, 0.08),
+        ("xue2021_table_dynamic", 117.0, 0.05),
+    ],
+)
+def test_a_formation_among_obstacles_or_behind_a_leader(name, settles_s, tolerance):
+    experiment, track, pairs = flown(name, "seed=3")
+    far = experiment.controller.formation.far
+    for gap, wanted, _ in pairs.values():
+        if wanted < far:
+            assert abs(gap - wanted)[track.t > settles_s].max() < tolerance
