@@ -63,7 +63,22 @@ def test_room_is_measured_from_rim_to_rim():
 
 
 CASE = Drilled(
-    "leak", "x", "a", 0, 3.0, "supply_low", 0.2, "brake", 1.0, 0, 0, 0.1, "a: b", (), dormant=False
+    "leak",
+    "x",
+    "a",
+    0,
+    3.0,
+    "supply_low",
+    0.2,
+    "brake",
+    1.0,
+    0,
+    0,
+    0.1,
+    "a: b",
+    (),
+    0,
+    dormant=False,
 )
 
 
