@@ -22,6 +22,7 @@ from testbed.core.types import HostTick, Tick
 from testbed.flight.faults import SEVERITY
 from testbed.flight.loop import complaint
 from testbed.ops.drill import (
+    ADRIFT,
     ASKED,
     DEAD_WITHIN,
     NAMES,
@@ -85,6 +86,10 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
     last = max(last_closing(board.pulses) for board in plant.boards.values())
     over = ending.fault is not None
     limits = {name: _limit(name, what, after, began) for name in plant.names}
+    touches = [touch for touch in plant.touches if touch.t >= began]
+    adrift = sum(
+        what.kind in ADRIFT and what.vehicle in (touch.vehicle, touch.other) for touch in touches
+    )
     early = tuple(sorted({words for t, _, words in notes.words if t < began}))
     asked = sum(
         on[what.jet - 1] for t, name, on in notes.asked if name == what.vehicle and t >= began
@@ -100,10 +105,11 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
         response,
         last - began if over else None,
         _open_after(rig, limits) if over else 0,
-        sum(touch.t >= began for touch in plant.touches),
+        len(touches) - adrift,
         _travelled(rig, began),
         ending.fault,
         early,
+        adrift,
         what.kind == "stick_closed" and found is None and asked < 1e6 * ASKED,
     )
 
@@ -231,7 +237,7 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
     grid.add_column("response")
     for heading in (
         "cases", "undetected", "dormant", "detected in \\[s]", "worst \\[s]", "shut in \\[s]",
-        "travelled \\[m]", "contacts", "open late",
+        "travelled \\[m]", "contacts", "adrift", "open late",
     ):  # fmt: skip
         grid.add_column(heading, justify="right")
     for row in drill.rows:
@@ -240,13 +246,14 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
             row.kind, row.response or "-", str(row.cases), str(row.undetected),
             str(row.dormant), _number(row.detected_median_s), _number(row.detected_worst_s),
             _number(row.shut_worst_s), _number(row.travelled_worst_m), str(row.contacts),
+            str(row.adrift),
             str(row.valves_open_after_deadline), style="red" if bad else None,
         )  # fmt: skip
     out.print(grid)
     out.print(
         f"undetected: {drill.undetected}, dormant: {drill.dormant}, "
         f"valves open after the deadline: {drill.valves_open_after_deadline}, "
-        f"contacts: {drill.contacts}, "
+        f"contacts: {drill.contacts} (and {drill.contacts_adrift} of a vehicle adrift), "
         f"false alarms before the fault: {drill.false_alarms}"
     )
     for one in cases:

@@ -20,6 +20,9 @@ same least amount.
     T'    T plus the reaction time of what is not modelled
     e     how far a neighbour comes meanwhile
 
+A second bound keeps a stop straight against the velocity within the gap, v c1 / (2 F/m) <= s d: it
+takes nothing away from one hazard to yield to another, and does not turn when the normal does.
+
 An obstacle moves at constant speed and yields to nobody: its closing speed is the relative one.
 A tangent of a disc is on the safe side of it, and the normal is taken where vehicle and hazard will
 be half a period on.
@@ -30,6 +33,7 @@ collisions-free multirobot systems", IEEE Transactions on Robotics 33(3), 2017, 
 braking distances; the split of the gap is ours.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, NamedTuple
 
@@ -48,6 +52,7 @@ RETREAT = 0.02  # [m/s] at most, out of a place where the vehicle should not be
 RETREAT_RATE = 0.5  # [1/s] of the depth
 TIGHT = 1e-9  # [N] by so much a candidate may miss a half-plane: rounding
 HALVINGS = 40
+FASTER = 0.1  # [m/s] by so much two vehicles may be faster before they are looked at again
 KEPT = 1.0  # [s] a neighbour that is not heard is moved on for so long, then it stays
 WORST_SHARE = 0.1  # of the supply pressure; with less, nothing can be planned
 
@@ -284,7 +289,6 @@ class Barrier:
             half[0] - params.edge_margin, half[1] - params.edge_margin,
         )  # fmt: skip
         self._keep = {name: reach + params.vehicle_margin for name, reach in keep.items()}
-        self._decel = decel
         rocks = list(obstacles.items())
         self._names: list[str] = [name for name, _ in rocks]
         self._moving = [
@@ -295,7 +299,7 @@ class Barrier:
             (*rock.position, *rock.velocity, rock.radius + params.obstacle_margin, 1.0)
             for _, rock in rocks
         ]).reshape(-1, 6)  # fmt: skip
-        self._discs = self._rocks
+        self._near: list[str] = []  # neighbours among the discs
         self.spare = np.inf  # see `filtered` [m]
 
     def filter(
@@ -311,44 +315,43 @@ class Barrier:
             neighbours: newest state heard of each other vehicle.
             share: of the jets' force that the supply pressure gives.
         """
-        discs = self._around(t, neighbours)
         fx, fy = force
         px, py, vx, vy, bx, by = motion
+        discs = self._around(t, px, py, math.hypot(vx, vy), neighbours)
         x, y, hazard, self.spare = filtered(
             fx, fy, px, py, vx, vy, bx, by, discs, self._limits, max(share, WORST_SHARE)
         )
         if hazard < 0:
             return fx, fy, None
-        return x, y, Intervention(x - fx, y - fy, self._name(hazard, neighbours))
+        return x, y, Intervention(x - fx, y - fy, self._name(hazard, len(discs)))
 
-    def _around(self, t: float, neighbours: Mapping[str, State]) -> Array:
-        """Discs at time `t`; the array is used again."""
-        rocks, count = len(self._rocks), len(self._rocks) + len(neighbours)
-        if len(self._discs) != count:
-            self._discs = np.zeros((count, 6))
-            self._discs[:rocks] = self._rocks
-        discs = self._discs
+    def _around(
+        self, t: float, px: float, py: float, speed: float, neighbours: Mapping[str, State]
+    ) -> Array:
+        """Discs at time `t`: the obstacles, and the neighbours that are not too far to matter."""
+        limits, rows, self._near = self._limits, [], []
         for k, x, y, vx, vy in self._moving:
-            discs[k, 0], discs[k, 1] = x + t * vx, y + t * vy
-        row = rocks
+            self._rocks[k, 0], self._rocks[k, 1] = x + t * vx, y + t * vy
         for name, state in neighbours.items():
-            age = t - state.t
+            age, pose, twist = t - state.t, state.pose, state.twist
             on = min(max(age, 0.0), KEPT)
             # what it may have done since, beyond what the margin is for
-            late = min(max(age - 2.0 * self._limits.slow, 0.0), KEPT)
-            pose, twist = state.pose, state.twist
-            discs[row] = (
-                pose.x + on * twist.vx, pose.y + on * twist.vy, twist.vx, twist.vy,
-                self._keep[name] + 0.5 * self._decel * late * late, 0.5,
-            )  # fmt: skip
-            row += 1
-        return discs
+            late = min(max(age - 2.0 * limits.slow, 0.0), KEPT)
+            keep = self._keep[name] + 0.5 * limits.decel * late * late
+            x, y = pose.x + on * twist.vx, pose.y + on * twist.vy
+            fast = speed + math.hypot(twist.vx, twist.vy) + FASTER
+            reach = keep + fast * (fast / limits.decel + limits.slow)
+            if math.hypot(px - x, py - y) > reach:
+                continue
+            rows.append((x, y, twist.vx, twist.vy, keep, 0.5))
+            self._near.append(name)
+        return np.concatenate((self._rocks, np.array(rows))) if rows else self._rocks
 
-    def _name(self, hazard: int, neighbours: Mapping[str, State]) -> str:
-        rocks, discs = len(self._rocks), len(self._discs)
+    def _name(self, hazard: int, discs: int) -> str:
+        rocks = len(self._names)
         if hazard >= discs:
             return EDGES[hazard - discs]
-        return self._names[hazard] if hazard < rocks else list(neighbours)[hazard - rocks]
+        return self._names[hazard] if hazard < rocks else self._near[hazard - rocks]
 
 
 def reaches(radii: Mapping[str, float], name: str) -> dict[str, float]:

@@ -78,7 +78,8 @@ class Detectors:
 
     def __init__(self, vehicle: Vehicle, period: float, *, noisy: bool) -> None:
         """`noisy` cameras never say the same twice; others may, of a vehicle at rest."""
-        self._set_pressure = vehicle.air.set_pressure
+        self._set_pressure, self._full = vehicle.air.set_pressure, vehicle.air.tank_pressure
+        self._tank: tuple[float, float] | None = None  # time [s] and pressure [Pa] at the last tick
         self._repeats = Repeats() if noisy else None
         self.evidence = Evidence(vehicle, period)
         self._before: State | None = None
@@ -132,6 +133,7 @@ class Detectors:
             overdue,
             oldest,
             health.supply_pressure / self._set_pressure,
+            self._tank_loss(inputs.t, health.tank_pressure),
             health.battery,
             health.silent_s,
             push,
@@ -147,3 +149,10 @@ class Detectors:
             vitals.disk_free,
             1.0 if vitals.fleet else 0.0,
         )
+
+    def _tank_loss(self, t: float, pressure: float) -> float:
+        """Share of a full tank that has gone per second since the last tick [1/s]."""
+        before, self._tank = self._tank, (t, pressure)
+        if before is None or t <= before[0]:
+            return 0.0
+        return (before[1] - pressure) / (self._full * (t - before[0]))

@@ -30,6 +30,7 @@ Detector = Literal[
     "setpoint_overdue",  # [s] since the newest setpoint ran out
     "neighbour_age",  # [s] of the oldest state heard of another vehicle
     "supply_share",  # supply pressure over set pressure
+    "tank_loss",  # [1/s] share of a full tank that goes per second
     "battery",  # [V]
     "board_silent",  # [s]
     "push_unexplained",  # [m/s^2] that the fired jets do not explain

@@ -25,7 +25,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "kill_process": ("neighbour_late", "neighbour_silent", "vehicle_silent"),
     "stick_open": ("valve_stuck_open_push", "valve_stuck_open_turn"),
     "stick_closed": ("valve_stuck_closed",),
-    "leak": ("supply_weak", "supply_low"),
+    "leak": ("leak", "supply_weak", "supply_low"),
     "brown_out": ("battery_low", "board_silent"),
     "clock_step": ("clock_off",),
     "nan_law": ("not_a_number", "law on the host: asks for something that is not a number"),
@@ -42,6 +42,7 @@ DEAD_WITHIN = 0.25  # [s] a plan that a dead process has sent, and its time to l
 POSE_LOSS_WITHIN = 0.15  # [s]
 ASKED = 1.5  # [s] of open time that a jet must be asked for before its silence can be noticed
 WHEN = (2.0, 12.0)  # [s]
+ADRIFT = ("kill_process", "brown_out", "leak")  # these take a vehicle's means to push away
 OTHERS = ("kill_process",)  # faults that only the others can name
 SPREAD = {  # sizes that are drawn, as factors of what is usual
     "jump_mocap": (0.5, 3.0),
@@ -71,6 +72,7 @@ class Drilled(Struct, frozen=True):
     travelled_m: float  # the farthest that any vehicle got from where it was when it began
     fault: str | None  # how the run ended
     early: tuple[str, ...]  # faults that were latched before it began
+    adrift: int  # contacts of the one that could not push any more, with whatever it drifted into
     dormant: bool  # it had no occasion to show: a valve that is stuck shut and not asked for
 
 
@@ -87,6 +89,7 @@ class Row(Struct, frozen=True):
     shut_worst_s: float | None
     travelled_worst_m: float
     contacts: int
+    adrift: int
     valves_open_after_deadline: int
 
 
@@ -98,7 +101,8 @@ class Drill(Struct, frozen=True):
     undetected: int
     dormant: int
     valves_open_after_deadline: int
-    contacts: int
+    contacts: int  # but for those adrift: no response can prevent them
+    contacts_adrift: int
     false_alarms: int
     rows: list[Row]
 
@@ -143,6 +147,7 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
                 max(shut, default=None),
                 max(one.travelled_m for one in own),
                 sum(one.contacts for one in own),
+                sum(one.adrift for one in own),
                 sum(one.late for one in own),
             )
         )
@@ -153,6 +158,7 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
         sum(row.dormant for row in rows),
         sum(row.valves_open_after_deadline for row in rows),
         sum(row.contacts for row in rows),
+        sum(row.adrift for row in rows),
         sum(bool(one.early) for one in cases),
         rows,
     )

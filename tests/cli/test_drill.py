@@ -63,7 +63,22 @@ def test_room_is_measured_from_rim_to_rim():
 
 
 CASE = Drilled(
-    "leak", "x", "a", 0, 3.0, "supply_low", 0.2, "brake", 1.0, 0, 0, 0.1, "a: b", (), dormant=False
+    "leak",
+    "x",
+    "a",
+    0,
+    3.0,
+    "supply_low",
+    0.2,
+    "brake",
+    1.0,
+    0,
+    0,
+    0.1,
+    "a: b",
+    (),
+    0,
+    dormant=False,
 )
 
 
@@ -130,10 +145,10 @@ def flown(name, inject, duration):
         ('{kind="stick_open",vehicle="sat1",at_s=2.03,jet=3}', "valve_stuck_open", "land", 1.0),
         ('{kind="brown_out",vehicle="sat1",at_s=2.03}', "battery_low", "coast", 0.15),
         ('{kind="clock_step",vehicle="sat1",at_s=2.03}', "clock_off", "brake", 0.3),
-        ('{kind="nan_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.15),
+        ('{kind="nan_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.2),
         ('{kind="raise_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.15),
         ('{kind="kill_process",vehicle="sat1",at_s=2.03}', "vehicle_silent", "", 1.6),
-        ('{kind="leak",vehicle="sat1",at_s=2.03,value=0.2}', "supply_", "brake", 3.0),
+        ('{kind="leak",vehicle="sat1",at_s=2.03,value=0.2}', "leak", "brake", 0.3),
         (
             '{kind="overrun",vehicle="sat1",event="faster_than",threshold=0.001}',
             "overrun", "brake", 0.4,

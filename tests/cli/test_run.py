@@ -22,6 +22,7 @@ METRICS = {
 VEHICLE_METRICS = {
     "final_error_m", "settle_s", "track_rms_m", "hold_rms_m", "heading_rms_deg",
     "min_obstacle_distance_m", "impulse_ns", "gas_g", "valve_pulses", "max_force_n",
+    "filtered_ns",
 }  # fmt: skip
 FILES = ["config.toml", "figures", "log.mcap", "metrics.json", "report.html"]
 LOST = ("table.mocap.dropout_rate=5", "table.mocap.dropout_s=100")  # every body, soon and for good

@@ -15,6 +15,7 @@ WELL = {  # what every detector says when all is well
     **dict.fromkeys(DETECTORS, 0.0),
     "pose_age": 0.03,
     "supply_share": 1.0,
+    "tank_loss": 0.0,
     "battery": 12.0,
     "spare_room": math.inf,
     "disk_free": 1e12,
@@ -24,7 +25,7 @@ WELL = {  # what every detector says when all is well
 NEEDED = {  # what the issue of a table of faults asks for, and the detector that sees it
     "pose_age", "pose_repeats", "pose_jump", "pose_of_another", "setpoint_age", "setpoint_overdue",
     "poses_rejected", "supply_share", "battery", "push_unexplained", "turn_unexplained",
-    "jet_missing", "spare_room", "raised", "not_a_number", "tick_late", "operator_age",
+    "jet_missing", "tank_loss", "spare_room", "raised", "not_a_number", "tick_late", "operator_age",
     "clock_offset", "config_differs", "disk_free", "neighbour_age", "board_silent", "fleet",
 }  # fmt: skip
 PERIOD = 0.1  # [s]

@@ -1,0 +1,203 @@
+"""Injected faults do to the twin what they say, and nothing before their time."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sim_twin.sabotage import Sabotage
+from testbed.core.injection import Injection
+from testbed.core.table import Obstacle
+from testbed.core.types import ALL_WELL, PoseSample
+
+AT_REST = [[0.0] * 6]
+
+
+@pytest.fixture
+def plant(make_plant, make_vehicle):
+    return make_plant([make_vehicle()], AT_REST)
+
+
+def sabotage(plant, *injections, obstacles=None):
+    return Sabotage(injections, plant, obstacles or {}, (3.0, 3.0), seed=0)
+
+
+def fault(kind, at_s=1.0, **more):
+    return Injection(kind, "0", at_s=at_s, **more)
+
+
+def advance(plant, broken, until, step=0.1):
+    while plant.t < until - 1e-9:
+        broken.before(plant.t + step)
+        plant.advance(plant.t + step)
+        broken.look(plant.t)
+
+
+def test_a_valve_that_is_stuck_open_pushes_from_that_instant(plant, make_vehicle):
+    vehicle, broken = make_vehicle(), sabotage(plant, fault("stick_open", 1.03, jet=1))
+    advance(plant, broken, 1.0)
+    assert not plant.x.any()
+    advance(plant, broken, 2.0)
+    valve = vehicle.valve
+    flows = 2.0 - 1.03 - valve.open_delay_s - 0.5 * valve.open_ramp_s
+    assert plant.impulse[0] == pytest.approx(0.6 * flows, rel=1e-9)
+
+
+def test_a_valve_that_is_stuck_shut_plays_nothing(plant, make_plan):
+    broken = sabotage(plant, fault("stick_closed", 0.05, jet=1))
+    for k in range(3):
+        plant.boards["0"].apply(make_plan(0.1 * k, {0: (0.0, 0.1), 4: (0.0, 0.1)}))
+        broken.before(0.1 * (k + 1))
+        plant.advance(0.1 * (k + 1))
+    assert plant.x[0, 3] > 0.0  # jet 5 pushes on, jet 1 against it for the first 50 ms only
+    one_jet, both = 0.6 * 0.3, 0.6 * 0.05
+    assert plant.impulse[0] == pytest.approx(one_jet + both, abs=0.6 * 0.02)
+
+
+def test_a_stuck_valve_may_come_free(plant):
+    broken = sabotage(plant, fault("stick_open", 1.0, jet=1, for_s=0.5))
+    advance(plant, broken, 3.0)
+    assert plant.impulse[0] == pytest.approx(0.6 * 0.5, rel=1e-9)
+
+
+def test_a_leak_takes_gas(plant):
+    broken = sabotage(plant, fault("leak", 1.05, value=0.01, for_s=2.0))
+    advance(plant, broken, 1.0)
+    assert plant.used[0] == 0.0
+    advance(plant, broken, 5.0)
+    assert plant.used[0] == pytest.approx(0.02)
+
+
+def test_a_vehicle_without_air_stands(make_plant, make_vehicle):
+    plant = make_plant([make_vehicle()], [[0.0, 0.0, 0.0, 0.1, 0.0, 0.5]])
+    plant.stick(0, 0, True, 0.0, 10.0)
+    plant.land(0)
+    plant.advance(1.0)
+    assert np.abs(plant.x[0, 3:]).max() < 1e-3
+    assert plant.x[0, 0] < 0.01
+    assert plant.impulse[0] == 0.0
+
+
+def test_a_board_without_power_shuts_its_valves_and_hears_nothing(plant, make_plan):
+    board, broken = plant.boards["0"], sabotage(plant, fault("brown_out", 0.05, for_s=0.2))
+    board.apply(make_plan(0.0, {0: (0.0, 0.1)}))
+    broken.before(0.1)
+    assert board.last_closing() == pytest.approx(0.05)
+    board.apply(make_plan(0.1, {0: (0.0, 0.1)}))
+    assert board.last_closing() == pytest.approx(0.05)
+    broken.look(0.1)
+    assert broken.power("0") == (7.0, pytest.approx(0.05))
+    board.apply(make_plan(0.3, {0: (0.0, 0.1)}))
+    assert board.last_closing() > 0.3
+    broken.look(0.3)
+    assert broken.power("0") == (12.0, 0.0)
+
+
+SEEN = [PoseSample(t, 0.1 * t, 0.0, 0.0) for t in (0.9, 1.0, 1.1)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("drop_mocap", SEEN[:1]),
+        (
+            "freeze_mocap",
+            [SEEN[0], *(PoseSample(s.captured_at, SEEN[0].x, 0.0, 0.0) for s in SEEN[1:])],
+        ),
+        (
+            "jump_mocap",
+            [SEEN[0], *(PoseSample(s.captured_at, s.x + 0.3, 0.0, 0.0) for s in SEEN[1:])],
+        ),
+        ("leak", SEEN),
+    ],
+)
+def test_cameras_fail_with_the_first_frame_after_it(kind, expected, plant):
+    broken = sabotage(plant, fault(kind))
+    broken.look(1.2)
+    assert broken.poses("0", SEEN) == expected
+    assert broken.poses("another", SEEN) == SEEN
+
+
+def test_noise_is_drawn_from_the_seed(plant):
+    looks = [sabotage(plant, fault("noisy_mocap")).poses("0", SEEN) for _ in range(2)]
+    assert looks[0] == looks[1]
+    assert looks[0][0] == SEEN[0]
+    assert looks[0][1] != SEEN[1]
+
+
+def test_a_step_of_the_clock_moves_the_stamps(plant):
+    broken = sabotage(plant, fault("clock_step", value=0.2))
+    broken.look(1.2)
+    assert [s.captured_at for s in broken.poses("0", SEEN)] == pytest.approx([0.7, 0.8, 0.9])
+    assert broken.vitals("0").clock_offset == 0.2
+
+
+def test_bodies_are_swapped_frame_by_frame(make_plant, make_vehicle):
+    plant = make_plant([make_vehicle()] * 2, [[0.0] * 6, [1.0] + [0.0] * 5])
+    broken = sabotage(plant, fault("swap_bodies", 1.0, other="1", for_s=0.5))
+    rows = broken.sources(["0", "1"], np.array([0.9, 1.0, 1.4, 1.5]))
+    assert rows == [[0, 1], [1, 0], [1, 0], [0, 1]]
+    assert broken.sources(["0", "1"], np.array([0.5])) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        ("operator_gone", {"operator_age": pytest.approx(0.5)}), ("overrun", {"late_s": 0.08}),
+        ("disk_full", {"disk_free": 0.0}), ("config_differs", {"same_config": False}),
+    ],
+)  # fmt: skip
+def test_vitals(kind, says, plant):
+    broken = sabotage(plant, fault(kind, for_s=1.0))
+    assert broken.vitals("0") == ALL_WELL
+    broken.look(1.5)
+    assert {name: getattr(broken.vitals("0"), name) for name in says} == says
+    broken.look(2.0)
+    assert broken.vitals("0") == ALL_WELL
+
+
+def test_what_befalls_law_process_and_link(plant):
+    for kind, before, after in (
+        ("nan_law", "", "nan"), ("raise_law", "", "raise"),
+    ):  # fmt: skip
+        broken = sabotage(plant, fault(kind))
+        assert broken.spoilt("0") == before
+        broken.look(1.0)
+        assert broken.spoilt("0") == after
+    broken = sabotage(plant, fault("kill_process"), fault("delay_link"), fault("lose_link"))
+    assert not broken.dead("0")
+    assert broken.air("0") == (0.0, 0.0)
+    broken.look(1.0)
+    assert broken.dead("0")
+    assert broken.air("0") == (0.6, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("event", "threshold", "place"),
+    [
+        ("near_obstacle", 0.5, [1.6, 0.0]), ("near_edge", 0.2, [0.0, -2.9]),
+        ("faster_than", 0.1, [0.0, 0.0]),
+    ],
+)  # fmt: skip
+def test_an_event_begins_a_fault(event, threshold, place, plant):
+    rocks = {"o": Obstacle((2.0, 0.0), 0.8)}
+    what = Injection("drop_mocap", "0", event=event, threshold=threshold)
+    broken = sabotage(plant, what, obstacles=rocks)
+    broken.look(1.0)
+    assert broken.began() == [math.inf]
+    plant.x[0, :2] = place
+    plant.x[0, 3] = 0.2 if event == "faster_than" else 0.0
+    broken.look(2.0)
+    broken.look(3.0)
+    assert broken.began() == [2.0]
+
+
+def test_two_that_meet_begin_a_fault(make_plant, make_vehicle):
+    plant = make_plant([make_vehicle()] * 2, [[0.0] * 6, [1.0] + [0.0] * 5])
+    what = Injection("drop_mocap", "0", event="near_vehicle", threshold=0.8)
+    broken = sabotage(plant, what)
+    broken.look(1.0)
+    assert broken.began() == [math.inf]
+    plant.x[1, 0] = 0.7
+    broken.look(2.0)
+    assert broken.began() == [2.0]
