@@ -1,10 +1,10 @@
 """What looking on costs the flight: the loop's lateness without a viewer, with one, and with one
 that is stopped (SIGSTOP) or killed.
 
-    python benchmarks/dashboard.py [SECONDS PER CASE AND ROUND, 10] [ROUNDS, 3]
+    python benchmarks/dashboard.py [SECONDS PER CASE AND ROUND, 10] [ROUNDS, 3] [SPEED, 10]
 
-The flight is three vehicles at 100 ticks a second of wall time (10 times real time). The cases take
-turns, so that a busy machine is busy for all of them; what counts are the ratios.
+The flight is three vehicles at 10 ticks a second of the run, SPEED times as fast as real time. The
+cases take turns, so that a busy machine is busy for all of them; what counts are the ratios.
 """
 
 import signal
@@ -26,7 +26,7 @@ from testbed.ops.history import gather
 from testbed.ops.logbook import Logbook
 
 CASES = ("absent", "attached", "stopped", "killed")
-SPEED = 10.0
+SPEED = float(sys.argv[3]) if len(sys.argv) > 3 else 10.0
 
 
 @contextmanager

@@ -86,7 +86,8 @@ class Browser:
                 self._heard = rest
                 answer = json.loads(message)
                 if answer.get("id") == self._number:
-                    assert "error" not in answer, answer
+                    if "error" in answer:  # for instance in the middle of a navigation
+                        raise ConnectionError(answer["error"]["message"])
                     return answer["result"]
                 continue
             left = until - time.monotonic()

@@ -324,12 +324,13 @@ def export(context: click.Context, run: Path, kind: str, out: Path | None) -> No
 
 @main.command()
 @click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--png", is_flag=True, help="Also figures/*.png, 2400 pixels wide.")
 @click.pass_context
-def report(context: click.Context, run: Path) -> None:
+def report(context: click.Context, run: Path, png: bool) -> None:
     """Make report.html and figures/*.svg of a RUN again, for instance of an older one."""
     from testbed.cli.report import report_run
 
-    context.exit(report_run(run))
+    context.exit(report_run(run, png))
 
 
 @main.command()

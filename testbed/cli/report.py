@@ -1,5 +1,6 @@
 """`testbed report`: the page of a run, made from its folder."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from rich.console import Console
@@ -14,10 +15,15 @@ from testbed.ops.report import ReportError, read_metrics, write_report
 errors = Console(stderr=True, highlight=False)
 
 
-def report_run(folder: Path) -> int:
+ZOOM = 4  # of a picture made of pixels: 2400 wide, 8 inches at 300 dpi
+
+
+def report_run(folder: Path, png: bool = False) -> int:
     """Make the page and say where it is."""
     try:
         paths = make_report(folder)
+        if png:
+            make_pictures(paths[1:])
     except (ReportError, LogError, ConfigError) as error:
         errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
         return BAD_INPUT
@@ -32,3 +38,16 @@ def make_report(folder: Path) -> list[Path]:
     history = gather(LogFeed(Logbook(log_of(folder))).news())
     text = config.read_text(encoding="utf-8")
     return write_report(folder, scenario, history, read_metrics(folder), text)
+
+
+def make_pictures(drawings: Iterable[Path]) -> None:
+    """A PNG beside each SVG."""
+    try:
+        import resvg_py
+    except ImportError:
+        raise ReportError("PNG needs resvg-py: pip install 'airbearing-testbed[figures]'") from None
+    for drawing in drawings:
+        png = resvg_py.svg_to_bytes(
+            svg_string=drawing.read_text(encoding="utf-8"), zoom=ZOOM, font_family="DejaVu Sans"
+        )
+        drawing.with_suffix(".png").write_bytes(bytes(png))

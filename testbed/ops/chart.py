@@ -21,11 +21,11 @@ HUES = 6
 THINNEST = 0.7  # of a bar, so that a pulse of milliseconds is seen in a run of minutes
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 44
 
-LIGHT = """
-svg { --ink: #1c2430; --soft: #5b6675; --grid: #e3e7ec; --paper: #ffffff; --stone: #eef1f4;
-  --danger: #c62828; --h0: #0069b4; --h1: #d95f02; --h2: #00876c; --h3: #b0479a; --h4: #7a6a00;
-  --h5: #4b4fa8; }
-"""
+LIGHT = {
+    "ink": "#1c2430", "soft": "#5b6675", "grid": "#e3e7ec", "stone": "#eef1f4",
+    "danger": "#c62828", "h0": "#0069b4", "h1": "#d95f02", "h2": "#00876c", "h3": "#b0479a",
+    "h4": "#7a6a00", "h5": "#4b4fa8",
+}  # fmt: skip
 STYLE = """
 text { font: 12px system-ui, 'Helvetica Neue', Arial, sans-serif; fill: var(--soft); }
 .name { fill: var(--ink); } .grid { stroke: var(--grid); stroke-width: 1; fill: none; }
@@ -124,8 +124,11 @@ def alone(chart: Chart) -> str:
     svg = draw(chart)
     head, _, rest = svg.partition(">")
     height = head.split()[4].rstrip('"')
+    style = STYLE
+    for name, colour in LIGHT.items():  # drawing programs do not know var()
+        style = style.replace(f"var(--{name})", colour)
     return (
-        f'{head} width="{chart.width}" height="{height}"><style>{LIGHT}{STYLE}</style>'
+        f'{head} width="{chart.width}" height="{height}"><style>{style}</style>'
         f'<rect width="100%" height="100%" fill="#ffffff"/>{rest}\n'
     )
 

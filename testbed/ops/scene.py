@@ -74,10 +74,10 @@ class Scene:
                 case Loop() as loop:
                     loops.append(loop)
             self.now = max(self.now, one.t)
+        self._world(ticks, truths)  # first what is looked at first
         for name, flown in ticks.items():
             if name in self._trails:
                 self._ticks(self._names.index(name), name, flown)
-        self._world(ticks, truths)
         self._links(hosts, ticks)
         if loops:
             self._column("plot/loop/late", [o.t for o in loops], [1e3 * o.late_s for o in loops])
@@ -299,20 +299,19 @@ class Scene:
         if (pose := pose_of(flown[-1].outputs.flown)) is not None:
             self._rec.log(
                 f"world/reference/{name}",
-                rr.LineStrips3D([circle(pose.x, pose.y, 0.05, z)], colors=[WHITE], radii=0.006),
+                rr.LineStrips3D([circle(pose.x, pose.y, 0.035, z)], colors=[WHITE], radii=0.006),
             )
         x, y = stopping_point(state, self._scenario.flight.tracker.brake_decel)
+        size = 0.04
+        lines = [
+            [[state.pose.x, state.pose.y, z], [x, y, z]],
+            [[x - size, y - size, z], [x + size, y + size, z]],
+            [[x - size, y + size, z], [x + size, y - size, z]],
+        ]
+        if math.hypot(x - state.pose.x, y - state.pose.y) < size:
+            lines = []  # it stops where it is: the cross would only hide the vehicle
         self._rec.log(
-            f"world/stop/{name}",
-            rr.LineStrips3D(
-                [
-                    [[state.pose.x, state.pose.y, z], [x, y, z]],
-                    [[x - 0.05, y - 0.05, z], [x + 0.05, y + 0.05, z]],
-                    [[x - 0.05, y + 0.05, z], [x + 0.05, y - 0.05, z]],
-                ],
-                colors=[RED],
-                radii=0.006,
-            ),
+            f"world/stop/{name}", rr.LineStrips3D(lines, colors=[RED] * len(lines), radii=0.006)
         )
 
     def _links(self, hosts: dict[str, list[SeenHost]], ticks: dict[str, list[SeenTick]]) -> None:

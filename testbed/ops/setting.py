@@ -132,6 +132,7 @@ def setting(rec: rr.RecordingStream, scenario: Scenario) -> None:
     )
     for k, name in enumerate(scenario.vehicles):
         vehicle(rec, scenario, k, name)
+    obstacles(rec, scenario, 0.0)
     for k, name in enumerate(scenario.vehicles):
         for jet in range(len(scenario.vehicles[name].model.jets)):
             style = rr.SeriesLines(colors=[hue(k)], names=plain(f"{name} jet {jet + 1}"), widths=1)
@@ -151,7 +152,6 @@ def setting(rec: rr.RecordingStream, scenario: Scenario) -> None:
         )
     for path, label in (("plot/clearance/limit", "danger radius"),):
         log(path, rr.SeriesLines(colors=[RED], names=label, widths=2), static=True)
-    obstacles(rec, scenario, 0.0)
 
 
 def vehicle(rec: rr.RecordingStream, scenario: Scenario, k: int, name: str) -> None:
@@ -179,12 +179,8 @@ def vehicle(rec: rr.RecordingStream, scenario: Scenario, k: int, name: str) -> N
         static=True,
     )
     z = LAYER["top"]
-    arrow = [
-        [0.62 * size, 0, z],
-        [-0.34 * size, 0.42 * size, z],
-        [-0.12 * size, 0, z],
-        [-0.34 * size, -0.42 * size, z],
-    ]
+    nose, wing, notch = 0.9 * size, (-0.6 * size, 0.62 * size), -0.25 * size
+    arrow = [[nose, 0, z], [*wing, z], [notch, 0, z], [wing[0], -wing[1], z]]
     log(
         f"world/vehicle/{name}/heading",
         rr.Mesh3D(

@@ -88,6 +88,14 @@ def test_an_older_run_gets_its_page_again(testbed):
     assert Path("out/report.html").read_text() == before
 
 
+def test_pictures_of_pixels(testbed):
+    pytest.importorskip("resvg_py", reason="the figures extra is not installed")
+    testbed("run", "hold", "duration_s=1", "--out", "out")
+    assert testbed("report", "out", "--png").exit_code == 0
+    for drawing in Path("out/figures").glob("*.svg"):
+        assert drawing.with_suffix(".png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
 def test_a_run_without_metrics(testbed):
     testbed("run", "hold", "duration_s=1", "--out", "out")
     Path("out/metrics.json").write_text("{}")
