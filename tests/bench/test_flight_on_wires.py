@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -175,7 +176,7 @@ def start(tmp_path):
         started.append(process)
         for _ in range(12000):
             tree = process_tree(process)
-            ready = [one for one in tree if "agent" in one.cmdline()]
+            ready = [one for one in tree if "agent" in words_of(one)]
             if ready and any("pts" in fd for fd in files(ready[0])):  # it has its board
                 return process, tree
             assert process.poll() is None, process.communicate()
@@ -188,8 +189,19 @@ def start(tmp_path):
         process.communicate()
 
 
+def words_of(process):
+    try:
+        return process.cmdline()
+    except psutil.Error:  # it has just ended
+        return []
+
+
 def files(process):
-    return [str(path.readlink()) for path in Path(f"/proc/{process.pid}/fd").iterdir()]
+    found = []
+    for path in Path(f"/proc/{process.pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile
+            found.append(str(path.readlink()))
+    return found
 
 
 def process_tree(process):
