@@ -84,7 +84,10 @@ class SerialBoard:
     # The thread
 
     def _open(self) -> serial.Serial:
-        return serial.Serial(self._port_name, self._baud, timeout=0, exclusive=True)
+        port = serial.Serial(self._port_name, self._baud, timeout=0, exclusive=True)
+        with contextlib.suppress(ValueError, OSError, NotImplementedError):
+            port.set_low_latency_mode(True)  # FTDI's adapters hold bytes back for 16 ms otherwise
+        return port
 
     def _serve(self, opened: serial.Serial | None) -> None:
         while not self._closing:

@@ -162,13 +162,15 @@ static void send_on(void)
 
 void USART1_IRQHandler(void)
 {
+    if (USART1_SR & (USART_SR_RXNE | USART_SR_ORE)) {
+        received.stamp_us = timer_now_us();
+    }
     while (USART1_SR & (USART_SR_RXNE | USART_SR_ORE)) {
         const uint8_t byte = (uint8_t)USART1_DR; /* clears both; a byte lost is a bad CRC */
         if (received.in - received.out < RECEIVE_MAX) {
             received.bytes[received.in % RECEIVE_MAX] = byte;
             received.in++;
         }
-        received.stamp_us = timer_now_us();
     }
     send_on();
 }
