@@ -31,7 +31,7 @@ from testbed.config import find, load
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
 from testbed.ops.mocap.exposure import Axes
-from testbed.ops.mocap.natnet import Described, MocapFrame, RigidBody
+from testbed.ops.mocap.natnet import Described, MocapFrame, RigidBody, encode_frame
 from testbed.ops.mocap.natnet_server import Address, NatNetServer
 from testbed.ops.steady import preferred, steady
 from testbed.ops.ticking import monotonic_ns, sleep_until_ns
@@ -224,9 +224,9 @@ def main():
                 turn = (k // per_turn) % 2
                 if turn == 0:
                     waiting = {("c", i) for i in range(len(names))}
-                    data = frame()
+                    data = encode_frame(frame(), (4, 1))
                     sent = monotonic_ns()
-                    server.send(data)
+                    server.send_packet(data)
                     serve(due, waiting, sent, chain_us)
                     lost += len(waiting)
                 else:

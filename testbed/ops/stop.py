@@ -62,7 +62,7 @@ def stop_everything(connect: str | None, lab: str) -> int:
         sys.stderr.write("nothing flies on this machine; elsewhere: testbed stop --connect\n")
         return FAILED
     from testbed.ops.network.keys import Keys
-    from testbed.ops.network.session import NetworkError, dial
+    from testbed.ops.network.session import NetworkError, ask_all, dial
 
     code = OK
     for endpoint, name in flights:
@@ -70,8 +70,8 @@ def stop_everything(connect: str | None, lab: str) -> int:
             with dial(endpoint, 0.0) as session:
                 key = Keys(name).stop
                 session.put(key, b"stop")
-                heard = [r for r in session.get(key, timeout=0.5) if r.ok is not None]
-            sys.stdout.write(f"{endpoint}: {len(heard)} vehicles have closed their valves\n")
+                heard = ask_all(session, key)
+            sys.stdout.write(f"{endpoint}: {heard} vehicles have closed their valves\n")
             if not heard:
                 code = FAILED
         except NetworkError as error:

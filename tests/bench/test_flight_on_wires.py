@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -173,12 +174,11 @@ def start(tmp_path):
             start_new_session=True,
         )  # fmt: skip
         started.append(process)
-        log = tmp_path / "out" / "log.mcap"
         for _ in range(12000):
-            if log.exists() and log.stat().st_size > 0 and process_tree(process):
-                ready = [one for one in process_tree(process) if "agent" in one.cmdline()]
-                if ready and any("firmware" in fd or "pts" in fd for fd in files(ready[0])):
-                    return process, process_tree(process)
+            tree = process_tree(process)
+            ready = [one for one in tree if "agent" in words_of(one)]
+            if ready and any("pts" in fd for fd in files(ready[0])):  # it has its board
+                return process, tree
             assert process.poll() is None, process.communicate()
             threading.Event().wait(0.01)
         pytest.fail("two minutes are enough")
@@ -189,12 +189,26 @@ def start(tmp_path):
         process.communicate()
 
 
+def words_of(process):
+    try:
+        return process.cmdline()
+    except psutil.Error:  # it has just ended
+        return []
+
+
 def files(process):
-    return [str(path.readlink()) for path in Path(f"/proc/{process.pid}/fd").iterdir()]
+    found = []
+    for path in Path(f"/proc/{process.pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile
+            found.append(str(path.readlink()))
+    return found
 
 
 def process_tree(process):
-    return psutil.Process(process.pid).children(recursive=True)
+    try:
+        return psutil.Process(process.pid).children(recursive=True)
+    except psutil.NoSuchProcess:  # the caller finds out how it ended
+        return []
 
 
 def assert_gone(processes):

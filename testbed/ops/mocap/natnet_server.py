@@ -115,7 +115,11 @@ class NatNetServer:
 
     def send(self, frame: MocapFrame) -> None:
         """Send a frame to whoever listens."""
-        data, a = encode_frame(frame, self._version), self._address
+        self.send_packet(encode_frame(frame, self._version))
+
+    def send_packet(self, data: bytes) -> None:
+        """Send an encoded frame to whoever listens."""
+        a = self._address
         if a.group:
             self._send(data, (a.group, a.data_port))
             return

@@ -158,6 +158,17 @@ def answer_to(
     )
 
 
+def ask_all(session: zenoh.Session, key: str, wait_s: float = 0.5) -> int:
+    """How many have answered a question that is for everybody."""
+    replies = session.get(
+        key,
+        timeout=wait_s,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    )
+    return sum(reply.ok is not None for reply in replies)
+
+
 def ask(session: zenoh.Session, key: str, question: bytes = b"", wait_s: float = 1.0) -> bytes:
     """The answer to a question.
 
