@@ -53,6 +53,7 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
         "distributed.scheduler.allowed-failures": TRIES - 1,
         "distributed.nanny.pre-spawn-environ": WORKER_ENVIRONMENT,
         "distributed.worker.multiprocessing-method": "spawn",
+        "distributed.worker.profile.enabled": False,  # else a worker grows by 5 MB a minute
         "distributed.worker.preload": ["testbed.campaign.preload"],
         "distributed.comm.timeouts.connect": "10s",
     }
