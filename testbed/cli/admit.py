@@ -60,7 +60,7 @@ def fly_once(experiment: Experiment, seed: int) -> Flown:
         nearest_rims(track, radii),
         min(rims, default=None),
         max(spent[name].gas / model.air.gas for name, model in models.items()),
-        max(spent[name].openings / len(model.jets) for name, model in models.items()),
+        max((spent[name].openings or 0) / len(model.jets) for name, model in models.items()),
     )
 
 
