@@ -137,7 +137,7 @@ class MeasureError(Exception):
 
 def worst(claim: Claim, values: Sequence[float | None]) -> float | None:
     """The value that speaks most against the claim; null if there is one that does not exist."""
-    known = [v for v in values if v is not None and not math.isnan(v)]
+    known = [float(v) for v in values if v is not None and not math.isnan(v)]  # numpy's, too
     if len(known) < len(values) or not known:
         return None
     limit = limit_of(claim)

@@ -3,6 +3,7 @@
 import math
 
 import msgspec
+import numpy as np
 import pytest
 
 from testbed.reproduction.claim import (
@@ -137,3 +138,9 @@ def test_a_claim_needs_a_run_or_a_reason():
     text = {"id": "x", "source": "s", "claim": "c", "paper": 1.0, "unit": "m"}
     with pytest.raises(msgspec.ValidationError, match="expected a run and a measure, or a reason"):
         msgspec.convert(text, Claim)
+
+
+def test_numbers_of_numpy_can_be_written_as_json():
+    found = row(claim(), np.float64(10.0))
+    assert type(found.measured) is float
+    assert msgspec.json.decode(msgspec.json.encode(found))["measured"] == 10.0
