@@ -19,12 +19,11 @@ from testbed.campaign.sweep import (
     Campaign,
     CampaignFile,
     base_experiment,
+    check_corners,
     check_name,
-    corners,
-    experiment_path,
     read_file,
 )
-from testbed.config import ConfigError, dump, load
+from testbed.config import ConfigError, dump
 from testbed.config.experiment import Seed
 from testbed.config.mistake import did_you_mean
 
@@ -113,8 +112,7 @@ def scenario_campaign(path: Path, file: BenchmarkFile, name: str) -> Campaign:
     )
     base = base_experiment(path, scenario.experiment, scenario.set)
     campaign = Campaign(campaign_file, tomli_w.dumps(dump(base)))
-    for texts in corners(campaign):
-        load(experiment_path(path, scenario.experiment), [*scenario.set, *texts])
+    check_corners(path, campaign)
     return campaign
 
 

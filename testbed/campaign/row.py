@@ -43,6 +43,7 @@ TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
     "valve_pulses": sum,
     "max_force_n": max,
 }
+TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")  # where a goal moves, they say nothing
 BESIDE = ("goal_rms_m", "shape_rms_m", "clearance_m")  # not among a vehicle's metrics
 
 
@@ -132,6 +133,8 @@ def columns_of(
         each[vehicle] = {
             name: beside.get(name) if name in BESIDE else getattr(one, name) for name in names
         }
+        if experiment.vehicles[vehicle].path is not None:
+            each[vehicle] |= dict.fromkeys(TO_THE_START)
     for name in names:
         values = [numbers[name] for numbers in each.values()]
         known = [value for value in values if value is not None]

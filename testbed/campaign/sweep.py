@@ -27,6 +27,7 @@ flown all combinations equally often.
 
 import math
 import re
+import tempfile
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
@@ -232,9 +233,21 @@ def load_campaign(path: Path) -> Campaign:
         raise ConfigError(str(path), "", f"at most {MOST_RUNS} runs", str(size))
     base = base_experiment(path, file.experiment, file.set)
     campaign = Campaign(file, tomli_w.dumps(dump(base)))
-    for texts in corners(campaign):
-        load(experiment_path(path, file.experiment), [*file.set, *texts])
+    check_corners(path, campaign)
     return campaign
+
+
+def check_corners(path: Path, campaign: Campaign) -> None:
+    """Refuse a campaign of which a combination or an end of a draw is not possible."""
+    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as base:
+        base.write(campaign.base)
+        base.flush()
+        for texts in corners(campaign):
+            try:
+                load(Path(base.name), texts)
+            except ConfigError as error:
+                where = error.where.replace(base.name, f"{path}, {' '.join(texts)}")
+                raise ConfigError(where, error.key, error.expected, error.found) from None
 
 
 def read_file(path: Path, kind: type[Any]) -> Any:

@@ -1,6 +1,7 @@
 """`testbed campaign`, `tune`, `bench` as an operator uses them, with real flights of a second."""
 
 import json
+import shlex
 import signal
 import subprocess
 from contextlib import suppress
@@ -110,7 +111,8 @@ def test_the_command_of_a_run_repeats_it(start, testbed, here):
     assert process.communicate(timeout=600)[1] == ""
     messages = (here / "a" / "journal.jsonl").read_bytes().splitlines()[1:]
     flown = {run["k"]: run for run in (json.loads(m.split(b" ", 1)[1]) for m in messages)}
-    words = (here / "a" / "failures" / "run_000001" / "replay.txt").read_text().split()
+    replay = here / "a" / "failures" / "run_000001" / "replay.txt"
+    words = shlex.split(replay.read_text())
     result = testbed(*words[1:], "--json")
     assert result.exit_code == 1
     vehicle = json.loads(result.stdout)["vehicles"]["sat1"]
