@@ -4,7 +4,7 @@ Not armed, no pose yet, no setpoint yet: it waits. Anything else is a fault and 
 explicit reset, because a vehicle that has flown blind must not start firing again on its own.
 
 A vehicle that brakes needs no setpoint, may be fast, and may do it on its own prediction for a
-while; everything else is asked of it, too.
+while, whatever poses it refuses meanwhile; everything else is asked of it, too.
 
 `refuse` looks at the flight, `refuse_plan` at the plan itself, in the process that owns the port.
 """
@@ -102,7 +102,7 @@ class Gate:
             return "law or tracker asks for something that is not a number"
         if not -EARLY < state.pose_age <= pose_timeout:
             return f"no pose for {state.pose_age:.2f} s (limit {pose_timeout} s)"
-        if state.rejected > p.max_rejected:
+        if setpoint is not None and state.rejected > p.max_rejected:
             return f"{state.rejected} poses in a row contradict the estimate"
         if setpoint is not None and not t - setpoint.valid_until <= p.link_timeout_s:
             waited = t - setpoint.valid_until
