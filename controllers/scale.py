@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.law import Ahead, Body, Discs, Goal, Law, Neighbours, World
+from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World
 from testbed.core.vehicle import Positive
 
 Array = NDArray[np.float64]
@@ -36,6 +36,11 @@ class Scaled:
         self._speed = scale.length / scale.time
         self._accel = scale.length / scale.time**2
         self._jerk = scale.length / scale.time**3
+
+    def concerns(self, law_state: Array) -> list[Concern]:
+        """What the law has to say of the flight, if it says anything."""
+        say = getattr(self._law, "concerns", None)
+        return [] if say is None else say(law_state)
 
     def _force(self, own: Body) -> float:
         """Paper's newtons per newton."""

@@ -9,6 +9,7 @@ from msgspec import Struct
 from controllers.catalogue import make_law
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.config import Experiment
+from testbed.core.law import Concern
 from testbed.core.types import Pose
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.estimator import Estimator
@@ -66,6 +67,16 @@ class TwinRig(Struct, frozen=True):
             self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
             experiment.ticks, observer, stopped=stopped,
         )  # fmt: skip
+
+    def concerns(self) -> list[Concern]:
+        """What the laws have to say of the flight."""
+        nodes: list[VehicleNode | HostNode] = [*self.vehicles, *self.hosts]
+        return [
+            Concern(concern.name, f"{node.name}: {concern.text}")
+            for node in nodes
+            if node.guidance is not None
+            for concern in node.guidance.concerns
+        ]
 
     def track(self) -> Track:
         """The truth at every camera frame so far."""

@@ -47,6 +47,8 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
             f"{metrics.duration_s:.0f} s in {metrics.wall_s:.2f} s ({factor:.0f} x real time)"
         )
     out.print(", ".join(pieces))
+    for warning in metrics.warnings:
+        out.print(f"warning: {warning.name}: {warning.text}", style="yellow", markup=False)
     out.print(_verdict(metrics))
     out.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 

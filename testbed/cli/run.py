@@ -17,6 +17,7 @@ from controllers.plain_law import LawError
 from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
+from testbed.config.guarantee import warnings_of
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.flight.loop import Ending
 from testbed.ops.folder import FolderError, new_folder, write_config, write_metrics
@@ -202,4 +203,5 @@ def measure(
         fault=ending.fault,
         criteria=judge(experiment.criteria, vehicles, contacts, clear),
         vehicles=vehicles,
+        warnings=[*warnings_of(experiment), *rig.concerns()],
     )

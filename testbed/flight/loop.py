@@ -24,6 +24,11 @@ class VehicleNode:
         self.name = name
         self._agent, self._poses, self._thrusters, self._link = agent, poses, thrusters, link
 
+    @property
+    def guidance(self) -> Guidance | None:
+        """The law at work, if it runs on board."""
+        return self._agent.guidance
+
     def tick(self, t: float, armed: bool) -> Tick:
         """Listen, step, act, tell."""
         link = self._link
@@ -55,13 +60,12 @@ class HostNode:
     def __init__(
         self, name: str, guidance: Guidance, link: HostLink, period: float, lead: float
     ) -> None:
-        self.name = name
-        self._guidance, self._link = guidance, link
+        self.name, self.guidance, self._link = name, guidance, link
         self._ahead = period + lead
 
     def tick(self, t: float) -> HostTick:
         """Listen, step, tell."""
-        link, guidance = self._link, self._guidance
+        link, guidance = self._link, self.guidance
         inputs = HostInputs(t, link.own(), link.neighbours(), link.told())
         if inputs.own is None:
             return HostTick(inputs, HostOutputs(t, None))

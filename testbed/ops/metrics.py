@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from testbed.core.law import Concern
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Outputs
@@ -62,6 +63,7 @@ class Metrics(Struct, frozen=True):
     fault: str | None
     criteria: dict[str, bool]
     vehicles: dict[str, VehicleMetrics]
+    warnings: list[Concern] = []  # what a law's proof asks for and the run does not have
 
 
 class Track(Struct, frozen=True):
