@@ -22,17 +22,18 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import Struct, field
 
-from controllers.graph import FormationParams, remember
-from controllers.proxy import Coupling, ProxyParams, coupling, potential_force, saturated, start
-from controllers.scale import Scale
-from testbed.core.law import (
-    CompiledLaw,
-    Law,
-    bounded,
-    compiled_jump,
-    compiled_rate,
-    compiled_tell,
+from controllers.graph import FormationParams
+from controllers.proxy import (
+    Coupling,
+    ProxyParams,
+    coupling,
+    potential_force,
+    saturated,
+    start,
+    with_proxy,
 )
+from controllers.scale import Scale
+from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate
 from testbed.core.vehicle import Positive
 
 
@@ -70,16 +71,7 @@ def rate(gains, law_state, own, neighbours, world, t):
     return bounded(force, own.max_force), change
 
 
-@compiled_jump(Gains)
-def jump(gains, law_state, own, neighbours, world, t):
-    """Edges, from real positions."""
-    return remember(gains.coupling.formation, law_state, 2 * own.p.shape[0], own, neighbours, world)
-
-
-@compiled_tell(Gains)
-def tell(gains, law_state, own, neighbours, world, t):
-    """Where the proxy is and how fast."""
-    return law_state[: 2 * own.p.shape[0]].copy()
+jump, tell = with_proxy(Gains)
 
 
 def bounded_formation(params: BoundedFormationParams, names: Sequence[str], d: int) -> Law:

@@ -19,6 +19,7 @@ A law that breaks a condition may still be flown, and often does well, so what i
 `Concern`s with names and not errors.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,16 +28,9 @@ from numpy.typing import NDArray
 from controllers.bounded_potential import BoundedPotential, bounded_potential
 from controllers.graph import pinned, smallest_eigenvalue
 from controllers.proxy import Coupling
-from testbed.core.law import Discs
+from testbed.core.law import Concern, Discs
 
 Array = NDArray[np.float64]
-
-
-class Concern(NamedTuple):
-    """Something that the proof asks for and this start does not have."""
-
-    name: str
-    text: str
 
 
 class Fleet(NamedTuple):
@@ -100,14 +94,14 @@ def energy(c: Coupling, fleet: Fleet, edge: Array, obstacles: Discs | None = Non
     return total
 
 
-def _edge_concerns(c: Coupling, fleet: Fleet) -> list[Concern]:
+def _edge_concerns(c: Coupling, fleet: Fleet, names: Sequence[str]) -> list[Concern]:
     shape, found = c.formation, []
     points = np.vstack((fleet.p, fleet.leader_p))
-    n = len(fleet.p)
-    for i, j in np.argwhere(np.triu(shape.first) > 0.0):
+    called = [*(names or map(str, range(len(fleet.p)))), "the leader"]
+    for i, j in np.argwhere(np.triu(shape.first) > 0.0).tolist():
         x = float(np.linalg.norm(points[i] - points[j]))
         if not shape.near < x < shape.far:
-            who = f"{i} and the leader" if j == n else f"{i} and {j}"
+            who = f"{called[i]} and {called[j]}"
             found.append(
                 Concern(
                     "edge-outside-potential",
@@ -119,7 +113,11 @@ def _edge_concerns(c: Coupling, fleet: Fleet) -> list[Concern]:
 
 
 def certificate(
-    c: Coupling, fleet: Fleet, max_force: float, obstacles: Discs | None = None
+    c: Coupling,
+    fleet: Fleet,
+    max_force: float,
+    obstacles: Discs | None = None,
+    names: Sequence[str] = (),
 ) -> list[Concern]:
     """What Lemma 6 asks for and this start does not have; an empty list is the guarantee.
 
@@ -128,8 +126,9 @@ def certificate(
         fleet: at the start.
         max_force: weakest of the satellites', norm [N].
         obstacles: if the proxies avoid any.
+        names: of the satellites, for what is said.
     """
-    found = _edge_concerns(c, fleet)
+    found = _edge_concerns(c, fleet, names)
     v0, least = energy(c, fleet, c.formation.first, obstacles), least_spring_energy(c)
     if v0 > least:
         found.append(

@@ -37,22 +37,17 @@ from msgspec import Struct, field
 from controllers.formation_potential import (
     FormationPotential,
     FormationPotentialParams,
+    disagreement,
     formation_potential,
     gradient,
     obstacle_gradient,
+    with_edges,
 )
-from controllers.graph import FormationParams, remember
+from controllers.graph import FormationParams
 from controllers.proxy import soft_sign
 from controllers.scale import Scale
 from testbed.core.compiled import compiled
-from testbed.core.law import (
-    CompiledLaw,
-    Law,
-    bounded,
-    compiled_jump,
-    compiled_rate,
-    compiled_tell,
-)
+from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate, compiled_tell
 from testbed.core.vehicle import NonNegative, Positive
 
 OFF, SMOOTH, PAPER = 0, 1, 2
@@ -125,24 +120,18 @@ def sliding(gains, law_state, own, neighbours, world):
 @compiled_rate(Gains)
 def rate(gains, law_state, own, neighbours, world, t):
     """Force and change of the estimated mass, see `testbed.core.law`."""
-    d = own.p.shape[0]
     both = sliding(gains, law_state, own, neighbours, world)
     s = both[0]
     force = -gains.k_s * s - gains.beta * soft_sign(s, gains.layer) - both[1]
     force -= law_state[0] * own.drift
-    for k in range(neighbours.told.shape[0]):  # Eq. (21)
-        j = neighbours.who[k]
-        if j >= 0 and law_state[1 + j] > 0.5:
-            force -= gains.k_c * (s - neighbours.told[k, :d])
+    others = disagreement(law_state, 1, s, neighbours.who, neighbours.told)
+    force -= gains.k_c * others  # Eq. (21)
     change = np.zeros(law_state.shape[0])
     change[0] = gains.alpha * np.sum(s * own.drift)  # Eq. (22)
     return bounded(force, own.max_force), change
 
 
-@compiled_jump(Gains)
-def jump(gains, law_state, own, neighbours, world, t):
-    """Edges, from real positions."""
-    return remember(gains.potential.formation, law_state, 1, own, neighbours, world)
+jump = with_edges(Gains)
 
 
 @compiled_tell(Gains)

@@ -27,12 +27,14 @@ from msgspec import Struct, field
 from controllers.formation_potential import (
     FormationPotential,
     FormationPotentialParams,
+    disagreement,
     formation_potential,
     gradient,
+    with_edges,
 )
-from controllers.graph import FormationParams, remember
+from controllers.graph import FormationParams
 from controllers.scale import Scale
-from testbed.core.law import CompiledLaw, Law, bounded, compiled_jump, compiled_rate
+from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
 
 
@@ -64,19 +66,14 @@ def rate(gains, law_state, own, neighbours, world, t):
     """Force and change of the estimated mass, see `testbed.core.law`."""
     force = -gradient(gains.potential, law_state, 1, own, neighbours, world) - gains.k_v * own.v
     force -= law_state[0] * own.drift
-    for k in range(neighbours.p.shape[0]):  # Eq. (6)
-        j = neighbours.who[k]
-        if j >= 0 and law_state[1 + j] > 0.5:
-            force += gains.k_c * (neighbours.v[k] - own.v)
+    others = disagreement(law_state, 1, own.v, neighbours.who, neighbours.v)
+    force -= gains.k_c * others  # Eq. (6)
     change = np.zeros(law_state.shape[0])
     change[0] = gains.alpha * np.sum(own.v * own.drift)  # Eq. (7)
     return bounded(force, own.max_force), change
 
 
-@compiled_jump(Gains)
-def jump(gains, law_state, own, neighbours, world, t):
-    """Edges, from real positions."""
-    return remember(gains.potential.formation, law_state, 1, own, neighbours, world)
+jump = with_edges(Gains)
 
 
 def connectivity_static(params: ConnectivityStaticParams, names: Sequence[str], d: int) -> Law:

@@ -17,16 +17,17 @@ Differences from the paper: obstacles are felt within d^o, which the paper wants
 b_ik is not needed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from controllers.graph import Formation, FormationParams, distance, formation
+from controllers.graph import Formation, FormationParams, distance, formation, remember
 from controllers.log_potential import LogPotential, log_potential, repulsion
 from testbed.core.compiled import compiled
+from testbed.core.law import compiled_jump
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -117,3 +118,24 @@ def gradient(u, law_state, start, own, neighbours, world):
     for k in range(world.obstacles.p.shape[0]):
         total += obstacle_gradient(u, own, world.obstacles, k)
     return total
+
+
+@compiled
+def disagreement(law_state, start, mine, who, theirs):
+    """Sum over the edges of `mine` (d,) minus what each neighbour has, rows of `theirs`."""
+    total = np.zeros(mine.shape[0])
+    for k in range(theirs.shape[0]):
+        if who[k] >= 0 and law_state[start + who[k]] > 0.5:
+            for i in range(mine.shape[0]):
+                total[i] += mine[i] - theirs[k, i]
+    return total
+
+
+def _jump(gains, law_state, own, neighbours, world, t):
+    """Edges, from real positions."""
+    return remember(gains.potential.formation, law_state, 1, own, neighbours, world)
+
+
+def with_edges(gains_type: type) -> Callable:
+    """Jump of a law whose state is a mass and a_ij, and whose gains have a `potential`."""
+    return compiled_jump(gains_type)(_jump)

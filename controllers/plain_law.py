@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.law_file import UnusableLawError, blame
-from testbed.core.law import Ahead, Body, Law, Neighbours, World, fly_ahead
+from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, fly_ahead
 
 Array = NDArray[np.float64]
 
@@ -94,6 +94,11 @@ class Watched:
     def __init__(self, law: Law, path: Path | None) -> None:
         self._law, self._path = law, path
         self.words = law.words
+
+    def concerns(self, law_state: Array) -> list[Concern]:
+        """What it has to say of the flight, if it says anything."""
+        say = getattr(self._law, "concerns", None)
+        return [] if say is None else list(say(law_state))
 
     def _watch(self, verb: str, *arguments: Any) -> Any:
         try:

@@ -31,7 +31,7 @@ them. The spring's bound belongs to an axis, own.max_force to the norm of the wh
 cut at it last; a limit below own.max_force/sqrt(d) less mass times drift is never cut.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -39,9 +39,9 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from controllers.bounded_potential import BoundedPotential, bounded_potential
-from controllers.graph import Formation, FormationParams, distance, formation
+from controllers.graph import Formation, FormationParams, distance, formation, remember
 from testbed.core.compiled import compiled
-from testbed.core.law import Body
+from testbed.core.law import Body, compiled_jump, compiled_tell
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -165,3 +165,18 @@ def potential_force(c, law_state, own, neighbours, world, t):
                 there = world.obstacles.p[k]
                 descend(wall, c.weight, here, there, radius + c.band, total)
     return total
+
+
+def _jump(gains, law_state, own, neighbours, world, t):
+    """Edges, from real positions."""
+    return remember(gains.coupling.formation, law_state, 2 * own.p.shape[0], own, neighbours, world)
+
+
+def _tell(gains, law_state, own, neighbours, world, t):
+    """Where the proxy is and how fast."""
+    return law_state[: 2 * own.p.shape[0]].copy()
+
+
+def with_proxy(gains_type: type) -> tuple[Callable, Callable]:
+    """Jump and tell of a law whose gains have a `coupling`: what all laws with a proxy do."""
+    return compiled_jump(gains_type)(_jump), compiled_tell(gains_type)(_tell)

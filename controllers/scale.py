@@ -20,6 +20,7 @@ from testbed.core.law import (
     Ahead,
     Body,
     CompiledLaw,
+    Concern,
     Discs,
     Goal,
     Law,
@@ -119,6 +120,11 @@ class Scaled:
         accel = length / time**2
         force = accel * mass / own.mass
         return Units(length, length / time, accel, length / time**3, time, force, mass)
+
+    def concerns(self, law_state: Array) -> list[Concern]:
+        """What the law has to say of the flight, if it says anything."""
+        say = getattr(self.law, "concerns", None)
+        return [] if say is None else say(law_state)
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`; the law's state stays in the paper's units."""

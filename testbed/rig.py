@@ -15,6 +15,7 @@ from sim_twin.board import DrivenBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.boards import Valves, WiredBoard, make_drivers
 from testbed.config import Experiment
+from testbed.core.law import Concern
 from testbed.core.ports import Clock
 from testbed.core.types import HostTick, Pose, Tick
 from testbed.flight.agent import Agent, lead_time
@@ -161,6 +162,10 @@ class Rig(Protocol):
         """What metrics.json says of the wires; nothing where there are none."""
         ...
 
+    def concerns(self) -> list[Concern]:
+        """What the laws have to say of the flight, where they run in this process."""
+        ...
+
 
 class Nobody:
     """An observer that looks away."""
@@ -227,6 +232,16 @@ class TwinRig(Struct, frozen=True):
         """The first board that does not play plans any more, and why."""
         found = ((name, board.trouble) for name, board in self.boards.items())
         return next((f"{name}: {trouble}" for name, trouble in found if trouble), None)
+
+    def concerns(self) -> list[Concern]:
+        """What the laws have to say of the flight."""
+        nodes = [*self.vehicles, *self.hosts]
+        return [
+            Concern(concern.name, f"{node.name}: {concern.text}")
+            for node in nodes
+            if node.guidance is not None
+            for concern in node.guidance.concerns
+        ]
 
     def track(self) -> Track:
         """The truth at every camera frame so far."""

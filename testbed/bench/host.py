@@ -23,6 +23,7 @@ from testbed.bench.flight import HostFlight, order
 from testbed.bench.server import TableReport
 from testbed.boards import Valves
 from testbed.config import Experiment, dump
+from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
 from testbed.ops.children import ChildError, Children
 from testbed.ops.metrics import Commands, Spent, Track
@@ -297,6 +298,10 @@ class WireRig:
     def ended(self) -> dict[str, Ended]:
         """The vehicles' last words."""
         return self._ended
+
+    def concerns(self) -> list[Concern]:
+        """See `Rig`. The laws' last words stay in their processes."""
+        return []
 
     def wires(self) -> dict[str, Any]:
         """See `Rig`."""

@@ -12,6 +12,7 @@ from rich.table import Table as Grid
 from controllers import catalogue
 from testbed.cli.main import BAD_INPUT, OK
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
+from testbed.config.guarantee import warnings_of
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 
@@ -34,6 +35,10 @@ def check_experiment(name: str, overrides: Sequence[str]) -> int:
         f"{experiment.duration_s:g} s in {experiment.ticks} jet periods",
         markup=False, soft_wrap=True,
     )  # fmt: skip
+    for warning in warnings_of(experiment):
+        Console(stderr=True, highlight=False).print(
+            f"warning: {warning.name}: {warning.text}", style="yellow", markup=False, soft_wrap=True
+        )
     return OK
 
 

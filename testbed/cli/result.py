@@ -57,6 +57,8 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
     out.print(", ".join(pieces))
     if together is not None and not has_goals:
         print_formation(out, together, experiment)
+    for warning in metrics.warnings:
+        out.print(f"warning: {warning.name}: {warning.text}", style="yellow", markup=False)
     out.print(_verdict(metrics))
     out.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 

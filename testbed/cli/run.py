@@ -20,6 +20,7 @@ from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
 from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
+from testbed.config.guarantee import warnings_of
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.flight.loop import Ending
 from testbed.ops.characterisation import characterise
@@ -272,4 +273,5 @@ def measure(
         vehicles=vehicles,
         **rig.wires(),
         formation=together,
+        warnings=[*warnings_of(experiment), *rig.concerns()],
     )

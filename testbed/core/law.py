@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
+from msgspec import Struct
 from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
@@ -101,7 +102,7 @@ class Ahead(NamedTuple):
     told: Array  # (k,) what the law says to the others at the end
 
 
-class Concern(NamedTuple):
+class Concern(Struct, frozen=True):
     """Something about a law that whoever flies it should know; no error."""
 
     name: str

@@ -90,6 +90,11 @@ class Agent:
         self._modulator = make_modulator(params.modulator, in_flow, params.jet_period_s)
 
     @property
+    def guidance(self) -> Guidance | None:
+        """The law at work, if it runs on board."""
+        return self._guidance
+
+    @property
     def hears_neighbours(self) -> bool:
         """Whether neighbours' states are of any use to it: to its law, or to stay clear of them."""
         return self._guidance is not None or self._safety is not None

@@ -22,7 +22,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from testbed.core.law import Ahead, Body, Discs, Goal, Law, Neighbours, World
+from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World
 from testbed.core.path import Path
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
@@ -150,6 +150,12 @@ class Guidance:
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
         self._ahead: deque[Reference] = deque()  # references not due yet
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
+
+    @property
+    def concerns(self) -> list[Concern]:
+        """What the law says so far that whoever flies it should know."""
+        say = getattr(self._law, "concerns", None)
+        return [] if say is None or self._law_state is None else say(self._law_state)
 
     def step(
         self,

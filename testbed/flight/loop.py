@@ -49,6 +49,11 @@ class VehicleNode:
         self.name, self._vitals = name, vitals
         self._agent, self._poses, self._thrusters, self._link = agent, poses, thrusters, link
 
+    @property
+    def guidance(self) -> Guidance | None:
+        """The law at work, if it runs on board."""
+        return self._agent.guidance
+
     def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
         """Listen, step, act, tell; `fleet` is a fault elsewhere that stops all."""
         link, vitals = self._link, self._vitals()
@@ -103,14 +108,13 @@ class HostNode:
     def __init__(
         self, name: str, guidance: Guidance, link: HostLink, period: float, lead: float
     ) -> None:
-        self.name = name
-        self._guidance, self._link = guidance, link
+        self.name, self.guidance, self._link = name, guidance, link
         self._ahead = period + lead
         self._raised = ""  # what the law died of
 
     def tick(self, t: float, armed: bool = True) -> HostTick:
         """Listen, step, tell. The law starts when the vehicle is armed, not before."""
-        link, guidance = self._link, self._guidance
+        link, guidance = self._link, self.guidance
         inputs = HostInputs(t, link.own(), link.neighbours(), link.told())
         if inputs.own is None or not armed or self._raised:
             return HostTick(inputs, HostOutputs(t, None, raised=self._raised))

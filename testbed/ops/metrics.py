@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from testbed.core.law import Concern
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Outputs
@@ -87,6 +88,7 @@ class Metrics(Struct, frozen=True):
     commands: Commands | None = None
     board: str | None = None
     formation: Any = None  # `testbed.ops.formation.FormationMetrics` of two or more vehicles
+    warnings: list[Concern] = []  # what a law's proof asks for and the run does not have
 
 
 class Track(Struct, frozen=True):

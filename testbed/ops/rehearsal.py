@@ -9,6 +9,7 @@ import numpy as np
 
 from testbed.core.law import Ahead, Array, Body, Law, Neighbours, World
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Wrench
+from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 
 
@@ -53,6 +54,11 @@ class MortalNode:
     def __init__(self, node: VehicleNode, jets: int, dead: Callable[[], bool]) -> None:
         self.name = node.name
         self._node, self._dead, self._shut = node, dead, (0,) * jets
+
+    @property
+    def guidance(self) -> Guidance | None:
+        """See `VehicleNode`."""
+        return self._node.guidance
 
     def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
         """The node's own tick, or what a log says of a process that is gone."""

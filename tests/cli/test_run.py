@@ -16,7 +16,7 @@ WIRES = {
 }  # fmt: skip
 METRICS = {
     "experiment", "rig", "seed", "completed", "duration_s", "wall_s", "real_time_factor",
-    "contacts", "min_vehicle_distance_m", "criteria", "vehicles",
+    "contacts", "min_vehicle_distance_m", "criteria", "vehicles", "warnings",
     "formation",
 }  # fmt: skip
 VEHICLE_METRICS = {

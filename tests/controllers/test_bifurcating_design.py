@@ -99,3 +99,34 @@ def test_the_shipped_fields_are_designed_for_the_vehicles_that_fly_them():
     for setup in experiment.vehicles.values():
         assert setup.model.mass == fleet.mass
         assert weakest_force(setup.model) == pytest.approx(fleet.force)
+
+
+def at_rest_on(field, fleet, seed, seconds, h=0.02):
+    """Where vehicles come to rest on a planar field, written out in full: (places, pushes)."""
+    rng, n = np.random.default_rng(seed), fleet.count
+    angle = np.sort(rng.uniform(0.0, 2.0 * np.pi, n))
+    p = np.column_stack((1.6 * np.cos(angle), np.sin(angle))) + rng.normal(0.0, 0.1, (n, 2))
+    v, weight, level = 0.0 * p, np.array([field.b**2, field.a**2]), field.a * field.b * field.r
+    for _ in range(round(seconds / h)):
+        q = np.sqrt(p**2 @ weight)
+        rho = q - level
+        force = -(field.k_f * (rho * np.abs(rho) - field.mu * rho) / q)[:, None] * weight * p
+        force *= np.minimum(1.0, field.cap / np.linalg.norm(force, axis=1, keepdims=True))
+        apart = p[:, None] - p[None]
+        gap = np.linalg.norm(apart, axis=2) + 10.0 * np.eye(n)
+        push = (
+            np.where(gap < field.s, field.k_c * (field.s / gap - 1.0), 0.0)[..., None] * apart
+        ).sum(1)
+        v = v + h * (force + push - field.k_v * v) / fleet.mass
+        p = p + h * v
+    return p, push
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_an_ellipse_needs_no_correction_for_repulsion(count):
+    # there is room for all outside each other's range, so the push fades; 75 s are short for it
+    fleet = Fleet(count=count, mass=15.0, force=1.0)
+    field = design(fleet, "ellipse")
+    places, push = at_rest_on(field, fleet, 1, 300.0)
+    assert np.abs(push).max() < 0.01
+    assert distance_to("ellipse", places).max() < 0.004

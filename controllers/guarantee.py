@@ -1,0 +1,146 @@
+"""What the proof of a law asks of an experiment's start, and this one does not have.
+
+One place for all laws: it brings the start into the paper's units and asks `certificate`; and it
+looks at what every formation law takes for granted: that edges of the start are as long as an edge
+can be, and that the wanted distances exist on a table or in space.
+
+A law may be flown all the same, so what is found are `Concern`s with names. What cannot be flown at
+all, such as a graph that is not connected by its own list of edges, is an error of `graph`.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from controllers.bounded_formation import BoundedFormationParams
+from controllers.bounded_leader import BoundedLeaderParams
+from controllers.bounded_leader_varying import BoundedLeaderVaryingParams
+from controllers.catalogue import Controller
+from controllers.certificate import certificate, sgn_certificate, starting
+from controllers.collision_sliding import CollisionSlidingParams
+from controllers.connectivity_dynamic import ConnectivityDynamicParams
+from controllers.connectivity_static import ConnectivityStaticParams
+from controllers.graph import Formation, formation, unreached
+from controllers.proxy import coupling
+from testbed.core.law import Concern, Discs
+
+Array = NDArray[np.float64]
+
+Bounded = BoundedFormationParams | BoundedLeaderParams | BoundedLeaderVaryingParams
+Unbounded = ConnectivityStaticParams | ConnectivityDynamicParams | CollisionSlidingParams
+REACHED = 1e-3  # of a wanted distance, relative
+TRIES = 8  # starts from which a shape is looked for, the experiment's own first
+
+
+class Start(NamedTuple):
+    """How an experiment begins; all at rest, rows in the order of `Body.who`."""
+
+    mass: Array  # (n,) [kg]
+    p: Array  # (n, d) [m]
+    goal_p: Array  # (n, d); the leader's, for those that hear one [m]
+    goal_v: Array  # (n, d) [m/s]
+    goal_accel: float  # largest of the run [m/s^2]
+    max_force: float  # weakest of the satellites', norm [N]
+    obstacles: Discs
+
+
+def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Concern]:
+    """All that the proof asks for and this start does not have; none for laws without a proof."""
+    if not isinstance(params, Bounded | Unbounded):
+        return []
+    s = params.scale
+    mass = np.full_like(start.mass, s.mass) if s.mass else start.mass
+    accel, speed = s.length / s.time**2, s.length / s.time
+    rocks = start.obstacles
+    scaled = Start(
+        mass, start.p * s.length, start.goal_p * s.length, start.goal_v * speed,
+        start.goal_accel * accel, start.max_force * accel * float(np.min(mass / start.mass)),
+        Discs(rocks.p * s.length, rocks.v * speed, rocks.radius * s.length),
+    )  # fmt: skip
+    if isinstance(params, Bounded):
+        return _bounded(params, names, scaled)
+    shape = formation(params.formation, names)
+    return [*_edges(shape, names, scaled, params.formation.safe), *_shape(shape, names, scaled)]
+
+
+def _bounded(params: Bounded, names: Sequence[str], start: Start) -> list[Concern]:
+    led = not isinstance(params, BoundedFormationParams)
+    c = coupling(params.proxy, params.formation, names, led)
+    shape, found = c.formation, []
+    nowhere = np.zeros(start.p.shape[1])
+    leader_p, leader_v = nowhere, nowhere
+    if led:
+        hears = np.flatnonzero(shape.first[-1, :-1] > 0.0)
+        leader_p, leader_v = start.goal_p[hears[0]], start.goal_v[hears[0]]
+        if np.ptp(start.goal_p[hears], axis=0).any() or np.ptp(start.goal_v[hears], axis=0).any():
+            who = ", ".join(names[k] for k in hears.tolist())
+            text = f"{who} hear the leader, which is their goal, but their goals differ"
+            found.append(Concern("several-leaders", text))
+    fleet = starting(start.mass, start.p, np.zeros_like(start.p), leader_p, leader_v)
+    found += _edges(shape, names, start, params.formation.safe)
+    found += certificate(c, fleet, start.max_force, start.obstacles, names)
+    if isinstance(params, BoundedLeaderVaryingParams):
+        given = params.alpha, params.beta, params.layer
+        found += sgn_certificate(c, *given, start.mass, start.goal_accel)
+    elif isinstance(params, BoundedLeaderParams) and start.goal_accel and not params.feed_forward:
+        text = f"the proof is for a constant velocity; this leader has {start.goal_accel:.2g} m/s^2"
+        found.append(Concern("leader-accelerates", text))
+    if c.band > 0.0 and (start.obstacles.v != 0.0).any():
+        found.append(Concern("obstacle-moves", "the proof is for obstacles that stand still"))
+    return [*found, *_shape(shape, names, start)]
+
+
+def _edges(shape: Formation, names: Sequence[str], start: Start, safe: float) -> list[Concern]:
+    """Edges of the start between two that do not hear each other, or touch."""
+    n, found, heard = len(names), [], shape.first[:-1, :-1].copy()
+    for i, j in np.argwhere(np.triu(heard) > 0.0).tolist():
+        x = float(np.linalg.norm(start.p[i] - start.p[j]))
+        if x >= shape.range:
+            heard[i, j] = heard[j, i] = 0.0
+            text = (
+                f"the edge {names[i]}-{names[j]} starts {x:.4g} m long, beyond the range of "
+                f"{shape.range:.4g} m: it is lost at once"
+            )
+            found.append(Concern("edge-beyond-range", text))
+        elif x <= safe:
+            text = f"{names[i]} and {names[j]} start {x:.4g} m apart, not more than {safe:.4g} m"
+            found.append(Concern("start-too-near", text))
+    if found and not shape.first[-1].any() and (alone := unreached(heard)):
+        whom = ", ".join(names[k] for k in alone if k < n)
+        text = f"no path of edges that can be heard leads from {names[0]} to {whom}"
+        found.append(Concern("start-not-connected", text))
+    return found
+
+
+def _shape(shape: Formation, names: Sequence[str], start: Start) -> list[Concern]:
+    """Wanted distances that cannot all be had at once."""
+    n, d = start.p.shape
+    wanted = np.triu(shape.desired[:n, :n], 1)
+    pairs = np.argwhere((wanted > 0.0) & ((wanted < shape.far) | (shape.first[:n, :n] > 0.0)))
+    if len(pairs) < 2:
+        return []
+    i, j = pairs.T
+    goal = wanted[i, j]
+
+    def off(flat: Array) -> Array:
+        p = flat.reshape(n, d)
+        return (np.linalg.norm(p[i] - p[j], axis=1) - goal) / goal
+
+    rng = np.random.default_rng(0)
+    worst, pair = np.inf, 0
+    for k in range(TRIES):
+        begin = start.p if k == 0 else goal.max() * rng.normal(size=(n, d))
+        rest = np.abs(off(least_squares(off, begin.ravel()).x))
+        if rest.max() < worst:
+            worst, pair = float(rest.max()), int(np.argmax(rest))
+        if worst < REACHED:
+            return []
+    one, two = names[i[pair]], names[j[pair]]
+    text = (
+        f"no {n} places have all the wanted distances at once; {one}-{two} = {goal[pair]:.4g} m "
+        f"stays {100.0 * worst:.2g} % off in the best that was found"
+    )
+    return [Concern("unreachable-distances", text)]
