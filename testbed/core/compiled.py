@@ -21,9 +21,10 @@ import numba
 from numba import types
 from numba.core import cgutils, config
 from numba.core.caching import FunctionCache
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 F = TypeVar("F", bound=Callable[..., Any])
+V = TypeVar("V")
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = (
@@ -115,14 +116,7 @@ def _without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 
 
 @intrinsic
-def borrowed(typingctx: Any, value: Any) -> Any:
-    """The same arrays, or (nested) tuples of arrays, without counting who uses them.
-
-    In compiled code every use of an array of a tuple counts references up and down, with atomic
-    instructions: two thirds of a law's time. What is borrowed is not counted. The owner must
-    outlive it: arguments that came from Python do, and so does what is handed to `keep` afterwards.
-    """
-
+def _lend(typingctx: Any, value: Any) -> Any:
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return _without_counts(context, builder, signature.args[0], args[0])
 
@@ -130,10 +124,38 @@ def borrowed(typingctx: Any, value: Any) -> Any:
 
 
 @intrinsic
-def keep(typingctx: Any, value: Any) -> Any:
-    """Make `value` live until here."""
-
+def _hold(typingctx: Any, value: Any) -> Any:
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(value), code
+
+
+def borrowed(value: V) -> V:
+    """The same arrays, or (nested) tuples of arrays, without counting who uses them.
+
+    In compiled code every use of an array of a tuple counts references up and down, with atomic
+    instructions: two thirds of a law's time. What is borrowed is not counted. The owner must
+    outlive it: arguments that came from Python do, and so does what is handed to `keep` afterwards.
+    """
+    return value
+
+
+def keep(value: object) -> None:
+    """Make `value` live until here."""
+
+
+@overload(borrowed, jit_options={"forceinline": True})
+def _borrowed(value: Any) -> Any:
+    def compiled_borrowed(value: Any) -> Any:
+        return _lend(value)  # type: ignore[call-arg]
+
+    return compiled_borrowed
+
+
+@overload(keep, jit_options={"forceinline": True})
+def _keep(value: Any) -> Any:
+    def compiled_keep(value: Any) -> None:
+        _hold(value)  # type: ignore[call-arg]
+
+    return compiled_keep
