@@ -4,6 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.core.types import (
+    Demand,
     Health,
     HostInputs,
     HostOutputs,
@@ -205,13 +206,18 @@ class Ports:
         return Health(1.0, 2.0, 3.0)
 
 
+def setpoint_for(t):
+    t = round(t, 3)
+    return Demand(t, 0.1, 0.2, 0.0, 0.0, 0.0, t + 0.5)
+
+
 class Guidance:
     def __init__(self, told=None):
         self.asked, self.told, self.filtered = [], told, None
 
     def step(self, t, own, neighbours, told):
         self.asked.append((t, own, neighbours, told))
-        return f"setpoint for {t:.3f}"
+        return setpoint_for(t)
 
 
 COMMAND = ValveCommand(1, 0.0, 0.1, (0,) * 8, (0,) * 8)
@@ -247,9 +253,9 @@ def test_a_host_answers_for_the_jet_period_after_the_coming_one(make_state):
     guidance = Guidance(told)
     tick = HostNode("a", guidance, ports, PERIOD, lead=0.008).tick(0.5)
     assert guidance.asked == [(pytest.approx(0.608), ports.known, ports.heard, ports.words)]
-    assert ports.published == ["setpoint for 0.608"]
+    assert ports.published == [setpoint_for(0.608)]
     assert ports.said == [told]
-    assert tick.outputs == HostOutputs(0.5, "setpoint for 0.608", told)
+    assert tick.outputs == HostOutputs(0.5, setpoint_for(0.608), told)
     assert tick.inputs.told == words
     assert (tick.inputs.own, tick.inputs.neighbours) == (ports.known, ports.heard)
 
@@ -259,7 +265,7 @@ def test_a_law_starts_when_the_vehicle_is_armed_not_before(make_state):
     host = HostNode("a", guidance, ports, PERIOD, lead=0.008)
     assert host.tick(0.5, False).outputs.setpoint is None
     assert guidance.asked == []
-    assert host.tick(0.6, True).outputs.setpoint == "setpoint for 0.708"
+    assert host.tick(0.6, True).outputs.setpoint == setpoint_for(0.708)
 
 
 @pytest.mark.parametrize("response", ["", "brake", "coast", "land"])
