@@ -113,13 +113,14 @@ class Scaled:
     """A law of a paper's world, flown in this one."""
 
     def __init__(self, law: Law, scale: Scale) -> None:
-        self.law, self._scale, self.words = law, scale, law.words
+        self.law, self._mass, self.words = law, scale.mass, law.words
+        length, time = scale.length, scale.time
+        self._rates = length, length / time, length / time**2, length / time**3, time
 
     def _units(self, own: Body) -> Units:
-        length, time, mass = self._scale.length, self._scale.time, self._scale.mass or own.mass
-        accel = length / time**2
-        force = accel * mass / own.mass
-        return Units(length, length / time, accel, length / time**3, time, force, mass)
+        mass = self._mass or own.mass
+        length, speed, accel, jerk, time = self._rates
+        return Units(length, speed, accel, jerk, time, accel * mass / own.mass, mass)
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """What the law has to say of the flight, if it says anything."""

@@ -41,6 +41,7 @@ TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
     "impulse_ns": sum,
     "gas_g": sum,
     "valve_pulses": sum,
+    "filtered_ns": sum,
     "max_force_n": max,
 }
 TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")  # where a goal moves, they say nothing

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import click
 
+from testbed.cli.many import bench, campaign, tune
+
 OK, FAILED, BAD_INPUT, FAULT, INTERRUPTED = 0, 1, 2, 3, 130
 
 
@@ -190,93 +192,6 @@ def schema(kind: str) -> None:
 
 
 @main.command()
-@click.argument("file")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder; one begun before is gone on with.  [default: runs/campaign_<name>]",
-)
-@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
-              help="Processes on this machine.")  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead.")
-@click.option("--json", "as_json", is_flag=True, help="Print summary.json and nothing else.")
-@click.pass_context
-def campaign(
-    context: click.Context,
-    file: str,
-    out: Path | None,
-    jobs: int,
-    scheduler: str | None,
-    as_json: bool,
-) -> None:
-    """Fly the many runs of a campaign FILE and sum them up (docs/campaigns.md)."""
-    from testbed.cli.campaign import run_campaign
-
-    context.exit(run_campaign(file, out, jobs, scheduler, as_json))
-
-
-@main.command()
-@click.argument("file")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder; one begun before is gone on with.  [default: runs/tuning_<name>]",
-)
-@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
-              help="Processes on this machine.")  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead.")
-@click.option("--json", "as_json", is_flag=True, help="Print tuning.json and nothing else.")
-@click.pass_context
-def tune(
-    context: click.Context,
-    file: str,
-    out: Path | None,
-    jobs: int,
-    scheduler: str | None,
-    as_json: bool,
-) -> None:
-    """Choose gains within the bounds of a tuning FILE and write the best as an experiment."""
-    from testbed.cli.tune import run_tuning
-
-    context.exit(run_tuning(file, out, jobs, scheduler, as_json))
-
-
-@main.command()
-@click.argument("file", required=False)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder; one begun before is gone on with.  [default: runs/benchmark_<name>]",
-)
-@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
-              help="Processes on this machine.")  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead.")
-@click.option("--samples", type=click.IntRange(1, 10_000), help="Seeds; the file says how many.")
-@click.option("--only", multiple=True, metavar="SCENARIO", help="Some scenarios; may be repeated.")
-@click.option("--from", "runs", type=click.Path(path_type=Path, exists=True, file_okay=False),
-              help="Score run folders in FOLDER/scenario/law/ instead of flying.")  # fmt: skip
-@click.option("--commands", is_flag=True, help="Print the commands that fly it run by run.")
-@click.option("--json", "as_json", is_flag=True, help="Print scores.json and nothing else.")
-@click.pass_context
-def bench(
-    context: click.Context,
-    file: str | None,
-    out: Path | None,
-    jobs: int,
-    scheduler: str | None,
-    samples: int | None,
-    only: tuple[str, ...],
-    runs: Path | None,
-    commands: bool,
-    as_json: bool,
-) -> None:
-    """Fly the benchmark of record: standard scenarios under all laws (docs/benchmark.md)."""
-    from testbed.cli.bench import run_benchmark
-
-    context.exit(run_benchmark(file, out, jobs, scheduler, as_json, samples, only, runs, commands))
-
-
-@main.command()
 @click.argument("run", type=click.Path(exists=True, path_type=Path))
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
@@ -387,6 +302,10 @@ def reproduce(
     context.exit(
         reproduce_papers(key, quick=quick, as_json=as_json, as_markdown=as_markdown, plots=plots)
     )
+
+
+for verb in (campaign, tune, bench):
+    main.add_command(verb)
 
 
 def entry() -> None:

@@ -7,9 +7,9 @@ from mcap.reader import make_reader
 from firmware_interface.compiler import CompilerError
 from firmware_interface.messages import Config
 from testbed import boards
-from testbed.cli.run import _Nobody, fly_and_judge
+from testbed.cli.run import fly_and_judge
 from testbed.config import ConfigError, find, load
-from testbed.rig import make_twin
+from testbed.rig import Nobody, make_twin
 
 SATELLITES = ("sat1", "sat2", "sat3")
 
@@ -52,7 +52,7 @@ def fly(board, duration_s=10.0, **changes):
     overrides = [f"board={board}", f"duration_s={duration_s}"]
     overrides += [f"{key}={value}" for key, value in changes.items()]
     rig = make_twin(load(find("zhang2023_table"), overrides))
-    return rig, rig.fly(_Nobody())
+    return rig, rig.fly(Nobody())
 
 
 @pytest.mark.slow
@@ -88,7 +88,7 @@ def test_it_flies_as_with_the_modelled_board():
 def test_a_cut_line_trips_the_watchdog_and_ends_the_flight():
     rig = make_twin(load(find("zhang2023_table"), ["board=inproc"]))
     rig.boards["sat2"]._there.send = lambda t_us, data: None
-    ending = rig.fly(_Nobody())
+    ending = rig.fly(Nobody())
     assert ending.fault == "sat2: board in SAFE, faults WATCHDOG"
     assert 0.15 <= ending.t <= 0.4
 

@@ -92,9 +92,9 @@ def test_shifted_layouts(name: str, seed: int, tmp_path: Path) -> None:
 
 def test_pd_hits_an_obstacle_and_says_so(tmp_path: Path) -> None:
     metrics = fly(load(find("zhang2023_table_pd")), tmp_path)
-    assert metrics.fault is None
-    assert metrics.completed
     assert metrics.contacts > 0
+    assert metrics.fault is not None  # pushed, and not by its jets: no wonder
+    assert "that no command explains" in metrics.fault
     assert metrics.criteria["max_contacts"] is False
     assert metrics.criteria["clear_of_obstacles"] is False
 

@@ -171,8 +171,9 @@ def test_a_lost_port_is_opened_again_and_nothing_old_is_sent(limits, tmp_path):
     far.close()
 
 
-def test_of_plans_not_yet_written_only_the_newest_counts(port):
+def test_of_plans_not_yet_written_only_the_newest_counts(port, monkeypatch):
     line, name = port
+    monkeypatch.setattr(SerialBoard, "_write_now", lambda board, data: False)  # a busy line
     with closing(SerialBoard(name)) as board:
         with board._changed:  # the thread waits meanwhile
             for number, message in enumerate([cmd(1), Arm(1), cmd(2), Disarm(), cmd(3)]):

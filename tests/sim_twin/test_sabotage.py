@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from sim_twin.board import last_closing
 from sim_twin.sabotage import Sabotage
 from testbed.core.injection import Injection
 from testbed.core.table import Obstacle
@@ -82,13 +83,13 @@ def test_a_board_without_power_shuts_its_valves_and_hears_nothing(plant, make_pl
     board, broken = plant.boards["0"], sabotage(plant, fault("brown_out", 0.05, for_s=0.2))
     board.apply(make_plan(0.0, {0: (0.0, 0.1)}))
     broken.before(0.1)
-    assert board.last_closing() == pytest.approx(0.05)
+    assert last_closing(board.pulses) == pytest.approx(0.05)
     board.apply(make_plan(0.1, {0: (0.0, 0.1)}))
-    assert board.last_closing() == pytest.approx(0.05)
+    assert last_closing(board.pulses) == pytest.approx(0.05)
     broken.look(0.1)
     assert broken.power("0") == (7.0, pytest.approx(0.05))
     board.apply(make_plan(0.3, {0: (0.0, 0.1)}))
-    assert board.last_closing() > 0.3
+    assert last_closing(board.pulses) > 0.3
     broken.look(0.3)
     assert broken.power("0") == (12.0, 0.0)
 
