@@ -133,6 +133,8 @@ class Fleet(Generic[Task, Result]):
 
         waiting = list(reversed(tasks))
         under_way: dict[Any, list[Task]] = {}
+        suspects: list[Task] = []  # their worker died, more than once
+        alone = False  # nothing but one suspect is under way
         done = as_completed()
 
         def submit(batch: list[Task]) -> None:
@@ -159,15 +161,21 @@ class Fleet(Generic[Task, Result]):
                     f"  found     {error or type(error).__name__}; the same command goes on"
                 ) from None
             except KilledWorker:
-                if len(batch) > 1:
-                    for task in batch:
-                        submit([task])
+                if not alone:  # one of them did it, or one that stood beside them in the queue
+                    suspects += reversed(batch)
+                    fill()
+                    alone = not under_way
+                    if alone and suspects:
+                        submit([suspects.pop()])
                     continue
                 results = [self._lost(batch[0])]
             for result in results:
                 self._pace += 0.3 * (self._took(result) - self._pace)
                 yield result
             fill()
+            if not under_way and suspects:  # the others have flown: now one by one, to be sure
+                alone = True
+                submit([suspects.pop()])
 
     def _workers(self) -> int:
         """How many there are; asked now and then, for it is a round trip."""
