@@ -27,7 +27,7 @@ def show_log(run: Path, as_json: bool) -> int:
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(contents)).decode() + "\n")
         return OK
-    out, grid = Console(highlight=False), Grid()
+    out, grid = Console(highlight=False), Grid(box=None, padding=(0, 1))
     for heading in ("topic", "kind"):
         grid.add_column(heading, no_wrap=True)
     for heading in ("count", "Hz", "to \\[s]", "gaps", "longest \\[s]", "MB"):
