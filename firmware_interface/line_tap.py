@@ -15,7 +15,6 @@ import tty
 from collections import deque
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from types import TracebackType
 
 from firmware_interface.board import Edge
 from firmware_interface.compiler import firmware_id, host_program
@@ -103,12 +102,7 @@ class LineTap:
         fresh.replace(self.link)
         stack.callback(self.link.unlink, missing_ok=True)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._rest.close()
 
     def _stop(self) -> None:

@@ -10,7 +10,6 @@ repeats it stops, and the board's watchdog closes everything and latches SAFE.
 
 import threading
 from collections import deque
-from types import TracebackType
 
 from msgspec.structs import replace
 
@@ -76,12 +75,7 @@ class SerialThrusters:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.disarm()
         end = monotonic_us() + REPEAT_US
         with self._lock:  # the line must have taken it before it is given back

@@ -1,20 +1,38 @@
 """The verbs that fly many runs: their arguments. What they do is imported when it is needed."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
 
+def flown_into(default: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Options of all of them: where to, and who flies."""
+    options = [
+        click.option(
+            "--out",
+            type=click.Path(path_type=Path),
+            help=f"Folder; one begun before is gone on with.  [default: {default}_<name>]",
+        ),
+        click.option(
+            "--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
+            help="Processes on this machine.",
+        ),
+        click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead."),
+    ]  # fmt: skip
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
 @click.command()
 @click.argument("file")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder; one begun before is gone on with.  [default: runs/campaign_<name>]",
-)
-@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
-              help="Processes on this machine.")  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead.")
+@flown_into("runs/campaign")
 @click.option("--json", "as_json", is_flag=True, help="Print summary.json and nothing else.")
 @click.pass_context
 def campaign(
@@ -33,14 +51,7 @@ def campaign(
 
 @click.command()
 @click.argument("file")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder; one begun before is gone on with.  [default: runs/tuning_<name>]",
-)
-@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
-              help="Processes on this machine.")  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead.")
+@flown_into("runs/tuning")
 @click.option("--json", "as_json", is_flag=True, help="Print tuning.json and nothing else.")
 @click.pass_context
 def tune(
@@ -59,14 +70,7 @@ def tune(
 
 @click.command()
 @click.argument("file", required=False)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    help="Folder; one begun before is gone on with.  [default: runs/benchmark_<name>]",
-)
-@click.option("--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
-              help="Processes on this machine.")  # fmt: skip
-@click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead.")
+@flown_into("runs/benchmark")
 @click.option("--samples", type=click.IntRange(1, 10_000), help="Seeds; the file says how many.")
 @click.option("--only", multiple=True, metavar="SCENARIO", help="Some scenarios; may be repeated.")
 @click.option("--from", "runs", type=click.Path(path_type=Path, exists=True, file_okay=False),

@@ -15,7 +15,6 @@ import sys
 import tempfile
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from types import TracebackType
 
 GRACE_S = 12.0  # for a vehicle that brakes
 GUARDIAN = """
@@ -65,12 +64,7 @@ class Children:
         )
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.end()
         assert self._guardian.stdin is not None
         self._guardian.stdin.close()

@@ -8,7 +8,6 @@ ask from, those that do not, on the data port of their machine.
 import socket
 from collections.abc import Sequence
 from contextlib import suppress
-from types import TracebackType
 from typing import NamedTuple
 
 from testbed.ops.mocap.natnet import (
@@ -63,12 +62,7 @@ class NatNetServer:
     def __enter__(self) -> "NatNetServer":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.socket.close()
 
     @property
