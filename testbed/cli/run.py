@@ -14,7 +14,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 from rich.console import Console
 
-from controllers.plain_law import LawError
 from testbed.cli.live import LiveTable
 from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
 from testbed.cli.report import make_report
@@ -227,9 +226,8 @@ def fly_and_judge(
                 wall = time.perf_counter() - began
                 if watcher.trouble is not None:
                     raise RecorderError(watcher.trouble)
-    except (RecorderError, LawError) as error:
-        what = "law" if isinstance(error, LawError) else "log"
-        ending = Ending(rig.now, f"{what}: {error}")
+    except RecorderError as error:
+        ending = Ending(rig.now, f"log: {error}")
     planned = experiment.ticks * experiment.flight.jet_period_s
     completed = ending.fault is None and ending.t >= planned
     return measure(rig, outputs, ending, wall, completed=completed)
