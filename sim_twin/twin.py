@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim_twin.board import Driver
 from sim_twin.camera import Camera
-from sim_twin.channel import Channel
+from sim_twin.channel import Channel, heard
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
 from sim_twin.sabotage import Sabotage
@@ -69,15 +69,16 @@ class Twin:
         def channel(sender: str, receiver: str) -> Channel:
             return Channel(link, stream(seed, "link", sender, "to", receiver))
 
+        def airs(kind: str) -> dict[str, dict[str, Channel]]:
+            """By receiver and sender."""
+            return {
+                b: {a: channel(a, f"{kind}{b}") for a in self.names if a != b and b in listeners}
+                for b in self.names
+            }
+
         self.setpoints = {n: channel("host", n) for n in self.names}
         self.to_host = {n: channel(n, "host") for n in self.names}
-        self.between = {
-            (a, b): channel(a, b)
-            for a in self.names
-            for b in self.names
-            if a != b and b in listeners
-        }
-        self.words = {pair: channel(pair[0], f"the law of {pair[1]}") for pair in self.between}
+        self.states, self.words = airs(""), airs("the law of ")
         self.blackboard: dict[str, tuple[float, Told, Told | None]] = {}  # of laws on the host
 
     @property
@@ -161,54 +162,50 @@ class TwinVehicleLink:
     """VehicleLink of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._name = twin, name
+        self._twin, self._setpoints, self._to_host = twin, twin.setpoints[name], twin.to_host[name]
+        self._states, self._words = twin.states[name], twin.words[name]
+        self._listeners = [(b, airs[name]) for b, airs in twin.states.items() if name in airs]
+        self._laws = [airs[name] for airs in twin.words.values() if name in airs]
 
     def setpoint(self) -> Setpoint | None:
         """See `VehicleLink`."""
-        return self._twin.setpoints[self._name].newest(self._twin.now)
+        return self._setpoints.newest(self._twin.now)
 
     def neighbours(self) -> dict[str, State]:
         """See `VehicleLink`."""
-        twin, own = self._twin, self._name
-        heard = {a: air.newest(twin.now) for (a, b), air in twin.between.items() if b == own}
-        return {name: state for name, state in heard.items() if state is not None}
+        return heard(self._states, self._twin.now)
 
     def publish(self, state: State) -> None:
         """See `VehicleLink`."""
-        twin = self._twin
-        twin.to_host[self._name].send(twin.now, state)
-        for (sender, receiver), air in twin.between.items():
-            if sender == self._name:
-                air.send(twin.now, state, twin.trouble(receiver))
+        twin, now = self._twin, self._twin.now
+        self._to_host.send(now, state)
+        for receiver, air in self._listeners:
+            air.send(now, state, twin.trouble(receiver))
 
     def told(self) -> dict[str, Told]:
         """See `VehicleLink`."""
-        twin, own = self._twin, self._name
-        heard = {a: air.newest(twin.now) for (a, b), air in twin.words.items() if b == own}
-        return {name: told for name, told in heard.items() if told is not None}
+        return heard(self._words, self._twin.now)
 
     def tell(self, told: Told) -> None:
         """See `VehicleLink`."""
-        for (sender, _), air in self._twin.words.items():
-            if sender == self._name:
-                air.send(self._twin.now, told)
+        for air in self._laws:
+            air.send(self._twin.now, told)
 
 
 class TwinHostLink:
     """HostLink of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._name = twin, name
+        self._twin, self._name, self._own = twin, name, twin.to_host[name]
+        self._others = {n: air for n, air in twin.to_host.items() if n != name}
 
     def own(self) -> State | None:
         """See `HostLink`."""
-        return self._twin.to_host[self._name].newest(self._twin.now)
+        return self._own.newest(self._twin.now)
 
     def neighbours(self) -> dict[str, State]:
         """See `HostLink`."""
-        twin = self._twin
-        heard = {n: twin.to_host[n].newest(twin.now) for n in twin.names if n != self._name}
-        return {name: state for name, state in heard.items() if state is not None}
+        return heard(self._others, self._twin.now)
 
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
@@ -217,12 +214,12 @@ class TwinHostLink:
 
     def told(self) -> dict[str, Told]:
         """See `HostLink`. The laws share a computer, and hear what was said before this tick."""
-        heard = {}
+        words = {}
         for name, (said_at, newest, before) in self._twin.blackboard.items():
             told = newest if said_at < self._twin.now else before
             if name != self._name and told is not None:
-                heard[name] = told
-        return heard
+                words[name] = told
+        return words
 
     def tell(self, told: Told) -> None:
         """See `HostLink`."""

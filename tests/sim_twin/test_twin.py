@@ -147,7 +147,8 @@ def test_every_link_has_losses_of_its_own(make_vehicle, make_table):
     table = make_table(link={"loss": 0.5, "jitter_s": 0.0})
     fleet = dict.fromkeys(names, make_vehicle())
     twin = Twin(fleet, STARTS, table, {}, seed=1, listeners=names)
-    links = [*twin.setpoints.values(), *twin.to_host.values(), *twin.between.values()]
+    between = [air for airs in twin.states.values() for air in airs.values()]
+    links = [*twin.setpoints.values(), *twin.to_host.values(), *between]
     arrived = [[link.send(k, k) or link.newest(k + 0.5) == k for k in range(64)] for link in links]
     assert len(links) == 12
     assert len({tuple(pattern) for pattern in arrived}) == 12
