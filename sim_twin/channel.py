@@ -5,7 +5,7 @@ messages with a probability that depends on the state. Jitter has an exponential
 can overtake each other; the receiver keeps the one that was sent last.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -59,8 +59,35 @@ class Channel(Generic[M]):
             self._on_the_way = waiting
         return self._heard[1]
 
+    def forget(self) -> None:
+        """They have lost each other: what was said is worth nothing when they meet again."""
+        self._on_the_way, self._heard = [], (self._sent, None)
 
-def heard(airs: Mapping[str, Channel[M]], t: float) -> dict[str, M]:
-    """The newest of everybody who was heard by `t`."""
-    newest = ((sender, air.newest(t)) for sender, air in airs.items())
-    return {sender: message for sender, message in newest if message is not None}
+
+class Air(Generic[M]):
+    """The channels of one kind of message between many, each made when it is first used."""
+
+    def __init__(self, make: Callable[[str, str], Channel[M]]) -> None:
+        """`make` gives the channel from a sender to a receiver."""
+        self._make, self._channels = make, dict[tuple[str, str], Channel[M]]()
+
+    def between(self, sender: str, receiver: str) -> Channel[M]:
+        """From one to the other."""
+        pair = sender, receiver
+        if pair not in self._channels:
+            self._channels[pair] = self._make(*pair)
+        return self._channels[pair]
+
+    def part(self, sender: str, receiver: str) -> None:
+        """They have moved out of range."""
+        if (sender, receiver) in self._channels:
+            self._channels[sender, receiver].forget()
+
+    def heard(self, receiver: str, senders: Iterable[str], t: float) -> dict[str, M]:
+        """The newest of each of `senders` that `receiver` has heard by `t`."""
+        found = {}
+        for sender in senders:
+            channel = self._channels.get((sender, receiver))
+            if channel is not None and (message := channel.newest(t)) is not None:
+                found[sender] = message
+        return found

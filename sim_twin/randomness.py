@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-AT_ONCE = 256  # rows: a call for each would cost more than the rows
+AT_ONCE = 64  # rows: a call for each would cost more than the rows, and many fill the cache
 A_FEW = 16  # the same for what there are many of
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim_twin.board import Driver
 from sim_twin.camera import Camera
-from sim_twin.channel import Channel, heard
+from sim_twin.channel import Air, Channel
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
 from sim_twin.sabotage import Sabotage
@@ -69,16 +69,14 @@ class Twin:
         def channel(sender: str, receiver: str) -> Channel:
             return Channel(link, stream(seed, "link", sender, "to", receiver))
 
-        def airs(kind: str) -> dict[str, dict[str, Channel]]:
-            """By receiver and sender."""
-            return {
-                b: {a: channel(a, f"{kind}{b}") for a in self.names if a != b and b in listeners}
-                for b in self.names
-            }
-
+        self.listeners = frozenset(listeners)
         self.setpoints = {n: channel("host", n) for n in self.names}
-        self.to_host = {n: channel(n, "host") for n in self.names}
-        self.states, self.words = airs(""), airs("the law of ")
+        self.to_host: Air[State] = Air(channel)
+        self.states: Air[State] = Air(channel)
+        self.words: Air[Told] = Air(lambda a, b: channel(a, f"the law of {b}"))
+        self._reach = link.range_m
+        self._near_at = -math.inf
+        self._near = {n: [other for other in self.names if other != n] for n in self.names}
         self.blackboard: dict[str, tuple[float, Told, Told | None]] = {}  # of laws on the host
 
     @property
@@ -106,6 +104,20 @@ class Twin:
                 shown = np.stack([one[row] for one, row in zip(seen, rows, strict=True)])
         for k, name in enumerate(self.names):
             self.cameras[name].expose(times, shown[:, k])
+
+    def near(self, name: str) -> list[str]:
+        """The others that `name` hears now, and that hear it."""
+        if self._reach is not None and self._near_at != self.now:
+            p, self._near_at = self.plant.x[:, :2], self.now
+            apart = np.linalg.norm(p[:, None] - p[None], axis=2)
+            np.fill_diagonal(apart, np.inf)
+            for one, row in zip(self.names, apart, strict=True):
+                near = [self.names[k] for k in np.flatnonzero(row <= self._reach).tolist()]
+                for gone in set(self._near[one]).difference(near):
+                    self.states.part(one, gone)
+                    self.words.part(one, gone)
+                self._near[one] = near
+        return self._near[name]
 
     def trouble(self, receiver: str) -> tuple[float, float]:
         """Injected delay and loss of messages to a vehicle."""
@@ -162,10 +174,8 @@ class TwinVehicleLink:
     """VehicleLink of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._setpoints, self._to_host = twin, twin.setpoints[name], twin.to_host[name]
-        self._states, self._words = twin.states[name], twin.words[name]
-        self._listeners = [(b, airs[name]) for b, airs in twin.states.items() if name in airs]
-        self._laws = [airs[name] for airs in twin.words.values() if name in airs]
+        self._twin, self._name = twin, name
+        self._setpoints, self._to_host = twin.setpoints[name], twin.to_host.between(name, "host")
 
     def setpoint(self) -> Setpoint | None:
         """See `VehicleLink`."""
@@ -173,31 +183,37 @@ class TwinVehicleLink:
 
     def neighbours(self) -> dict[str, State]:
         """See `VehicleLink`."""
-        return heard(self._states, self._twin.now)
+        twin, own = self._twin, self._name
+        return twin.states.heard(own, twin.near(own), twin.now)
 
     def publish(self, state: State) -> None:
         """See `VehicleLink`."""
         twin, now = self._twin, self._twin.now
         self._to_host.send(now, state)
-        for receiver, air in self._listeners:
-            air.send(now, state, twin.trouble(receiver))
+        for other in twin.near(self._name):
+            if other in twin.listeners:
+                twin.states.between(self._name, other).send(now, state, twin.trouble(other))
 
     def told(self) -> dict[str, Told]:
         """See `VehicleLink`."""
-        return heard(self._words, self._twin.now)
+        twin, own = self._twin, self._name
+        return twin.words.heard(own, twin.near(own), twin.now)
 
     def tell(self, told: Told) -> None:
         """See `VehicleLink`."""
-        for air in self._laws:
-            air.send(self._twin.now, told)
+        twin = self._twin
+        for other in twin.near(self._name):
+            if other in twin.listeners:
+                twin.words.between(self._name, other).send(twin.now, told)
 
 
 class TwinHostLink:
     """HostLink of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._name, self._own = twin, name, twin.to_host[name]
-        self._others = {n: air for n, air in twin.to_host.items() if n != name}
+        self._twin, self._name = twin, name
+        self._own = twin.to_host.between(name, "host")
+        self._others = [n for n in twin.names if n != name]
 
     def own(self) -> State | None:
         """See `HostLink`."""
@@ -205,7 +221,7 @@ class TwinHostLink:
 
     def neighbours(self) -> dict[str, State]:
         """See `HostLink`."""
-        return heard(self._others, self._twin.now)
+        return self._twin.to_host.heard("host", self._others, self._twin.now)
 
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
