@@ -107,17 +107,24 @@ def pairs(stiffness, reach, x, force):
     for i in range(n):
         for a in range(d):
             force[i, a] = x[i, a] - x[i, a]  # 0, or nan at no finite place
+    limit = reach * reach
     for i in range(n):
+        px, py, pz = x[i, 0], x[i, 1], x[i, 2] if d == 3 else 0.0
+        fx, fy, fz = 0.0, 0.0, 0.0
         for j in range(i):
-            d2 = 0.0
-            for a in range(d):
-                d2 += (x[i, a] - x[j, a]) ** 2
-            if 0.0 < d2 < reach * reach:  # Eq. (13)
+            dx, dy, dz = px - x[j, 0], py - x[j, 1], pz - x[j, 2] if d == 3 else 0.0
+            d2 = dx * dx + dy * dy + dz * dz
+            if 0.0 < d2 < limit:  # Eq. (13)
                 push = stiffness * (reach / np.sqrt(d2) - 1.0)
-                for a in range(d):
-                    one = push * (x[i, a] - x[j, a])
-                    force[i, a] += one
-                    force[j, a] -= one
+                fx, fy, fz = fx + push * dx, fy + push * dy, fz + push * dz
+                force[j, 0] -= push * dx
+                force[j, 1] -= push * dy
+                if d == 3:
+                    force[j, 2] -= push * dz
+        force[i, 0] += fx
+        force[i, 1] += fy
+        if d == 3:
+            force[i, 2] += fz
     for i in range(n):
         spread_nan(force, i)
 

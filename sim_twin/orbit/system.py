@@ -25,7 +25,7 @@ import numba
 from numba import types
 from numba.extending import overload
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import LEAN, compiled
 
 # `compiled` notices when these change
 OURS = ("testbed.core.", "testbed.reproduction.kernel.", "controllers.", "sim_twin.")
@@ -33,7 +33,7 @@ OURS = ("testbed.core.", "testbed.reproduction.kernel.", "controllers.", "sim_tw
 
 def generic(function: Callable) -> Callable:
     """Compile a function that is handed a system; see above why it is not kept on disk."""
-    return numba.njit(error_model="numpy")(function)
+    return numba.njit(**LEAN)(function)
 
 
 class Integrator:
