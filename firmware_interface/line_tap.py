@@ -21,7 +21,8 @@ from firmware_interface.compiler import firmware_id, host_program
 from firmware_interface.frame import Decoder
 from firmware_interface.messages import Config, Status
 from firmware_interface.qemu import qemu_command, terminal_of
-from firmware_interface.serial_board import Reports, monotonic_us
+from firmware_interface.reports import Reports
+from firmware_interface.serial_board import monotonic_us
 
 CHUNK = 4096
 REMEMBERED = 64  # frames that tell the clock; a board's clock may drift
@@ -160,7 +161,7 @@ class LineTap:
 
     def edges(self) -> list[Edge]:
         """What the valves did since the last call, on this machine's monotonic clock [us]."""
-        edges, self._reports.edges = self._reports.edges, []
+        edges = self._reports.take_edges()
         if not edges:
             return []
         offset = min(self._offsets)
