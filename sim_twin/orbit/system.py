@@ -56,7 +56,7 @@ class Integrator:
             digest = hashlib.blake2b(names.encode(), digest_size=8).hexdigest()
             twin.__qualname__ = f"{f.__qualname__}_{digest}"  # numba keeps one list per name
             kept = all(part.__module__.startswith(OURS) for part in parts)
-            self._versions[parts] = numba.njit(cache=kept, error_model="numpy")(twin)
+            self._versions[parts] = numba.njit(cache=kept, **LEAN)(twin)
         return self._versions[parts]
 
 
