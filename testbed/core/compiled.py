@@ -100,7 +100,8 @@ def inlined(function: F) -> F:
 def pasted(function: F) -> F:
     """Compile `function` only as part of whoever calls it.
 
-    For what is called in one place with many arguments: it is compiled once and not twice.
+    For what is called in one place with many arguments: it is compiled once and not twice. There
+    is no call that holds on to arguments: what it borrows of them the caller must `keep`.
     """
     return cast(F, numba.njit(error_model="numpy", inline="always")(function))
 

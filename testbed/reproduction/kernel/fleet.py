@@ -238,22 +238,19 @@ def within(force, limit):
 
 
 @pasted
-def jump(law, place, mass, t, p, v, z, sight):
-    """The laws' states after what changes at once."""
+def jump(law, place, mass, t, p, v, z, sight, after):
+    """Write the laws' states after what changes at once."""
     law, place, sight = borrowed(law), borrowed(place), borrowed(sight)
     mass, p, v, z = borrowed((mass, p, v, z))
     look_round(place, t, sight)
-    n, still = p.shape[0], sight.still
-    after = np.empty(z.shape)
-    for i in range(n):
+    for i in range(p.shape[0]):
         look_at_others(i, t, p, v, z, sight.unheard)
-        own = Body(p[i], v[i], mass[i], still, still, np.inf, i)
+        own = Body(p[i], v[i], mass[i], sight.still, sight.still, np.inf, i)
         new = jump_of(law, z[i], own, sight.unheard, sight.world, t)
         for k in range(z.shape[1]):
             after[i, k] = new[k]
         if place.far > 0.0:
             edges_as_printed(place, i, p, after)
-    return after
 
 
 @compiled
@@ -315,13 +312,13 @@ def run(law, place, mass, p, v, z, words, h, steps, every):
     a, k, first = np.empty((n, d)), np.empty(z.shape), np.empty((n, d))
     p1, v1, z1 = np.empty((n, d)), np.empty((n, d)), np.empty(z.shape)
     dp, dv, dz = np.empty((n, d)), np.empty((n, d)), np.empty(z.shape)
-    p, v = p.copy(), v.copy()
+    p, v, z = p.copy(), v.copy(), z.copy()
     for step in range(steps + 1):
         t = step * h  # not summed up: no drift
-        z = jump(law, place, mass, t, p, v, z, sight)
+        jump(law, place, mass, t, p, v, z, sight, z1)
+        copy(z1, z)
         copy(p, p1)
         copy(v, v1)
-        copy(z, z1)
         dp[:] = 0.0
         dv[:] = 0.0
         dz[:] = 0.0
@@ -347,7 +344,7 @@ def run(law, place, mass, p, v, z, words, h, steps, every):
         ahead(p, h, dp, p)
         ahead(v, h, dv, v)
         ahead(z, h, dz, z)
-    keep((law, place, mass, sight, said, p1, v1, z1))
+    keep((law, place, mass, sight, said, p, v, z, p1, v1, z1))  # see `pasted`
     return ts, ps, vs, zs, fs, peak, travel
 
 
