@@ -19,6 +19,7 @@ from pathlib import Path
 from firmware_interface.board import Edge
 from firmware_interface.compiler import firmware_id, host_program
 from firmware_interface.frame import Decoder
+from firmware_interface.host_pty import bury
 from firmware_interface.messages import Config, Status
 from firmware_interface.qemu import qemu_command, terminal_of
 from firmware_interface.reports import Reports
@@ -112,15 +113,7 @@ class LineTap:
             process.stdin.close()  # its guard waits for that
         else:
             process.terminate()
-        try:
-            process.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
+        bury(process, GRACE_S)
 
     @property
     def pid(self) -> int:
