@@ -146,6 +146,14 @@ class Gains(NamedTuple):
 @compiled
 def formation_force(gains, k, x):
     """Eqs. (23), (26): the negative gradient of phase `k`'s potential at `x`, cut at the cap."""
+    force = np.empty(x.shape[0])
+    write_formation_force(gains, k, x, force)
+    return force
+
+
+@compiled
+def write_formation_force(gains, k, x, force):
+    """The same into `force`, for inner loops."""
     d = x.shape[0]
     square = 0.0
     for i in range(d):
@@ -153,11 +161,14 @@ def formation_force(gains, k, x):
     q = np.sqrt(square)  # Eq. (25)
     rho = q - gains.level[k]
     steep = gains.k_f[k] * (rho * abs(rho) - gains.mu[k] * rho) / q if q > 0.0 else 0.0
-    force = np.empty(d)
+    size = 0.0
     for i in range(d):
         across = 2.0 * gains.k_f[k] * gains.lift[k, i]
         force[i] = -(steep * gains.weight[k, i] + across) * x[i]
-    return bounded(force, gains.cap[k])
+        size += force[i] * force[i]
+    if size > gains.cap[k] * gains.cap[k]:
+        for i in range(d):
+            force[i] *= gains.cap[k] / np.sqrt(size)
 
 
 @compiled

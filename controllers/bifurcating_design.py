@@ -142,6 +142,12 @@ def _push(n: int, k_c: float, s: float) -> float:
     return force
 
 
+def reaches(field: Field) -> tuple[float, float]:
+    """How far the curve of a planar field goes out along x and y; 0 where it has no end."""
+    top = field.a * field.b * field.r + max(field.mu, 0.0)
+    return top / field.b if field.b else 0.0, top / field.a if field.a else 0.0
+
+
 def distance_to(shape: Shape, p: Array) -> Array:
     """How far points are from the curve that `shape` is on the table.
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from controllers.bifurcating import BifurcatingParams
 from controllers.bounded_formation import BoundedFormationParams
 from controllers.bounded_leader import BoundedLeaderParams
 from controllers.bounded_leader_varying import BoundedLeaderVaryingParams
@@ -23,7 +24,7 @@ from controllers.certificate import certificate, sgn_certificate, starting
 from controllers.collision_sliding import CollisionSlidingParams
 from controllers.connectivity_dynamic import ConnectivityDynamicParams
 from controllers.connectivity_static import ConnectivityStaticParams
-from controllers.graph import Formation, formation, unreached
+from controllers.graph import LEADER, Formation, formation, unreached
 from controllers.proxy import coupling
 from testbed.core.law import Concern, Discs
 
@@ -49,6 +50,8 @@ class Start(NamedTuple):
 
 def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Concern]:
     """All that the proof asks for and this start does not have; none for laws without a proof."""
+    if isinstance(params, BifurcatingParams):
+        return _field(params)
     if not isinstance(params, Bounded | Unbounded):
         return []
     s = params.scale
@@ -63,7 +66,37 @@ def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Con
     if isinstance(params, Bounded):
         return _bounded(params, names, scaled)
     shape = formation(params.formation, names)
-    return [*_edges(shape, names, scaled, params.formation.safe), *_shape(shape, names, scaled)]
+    return [
+        *_edges(shape, names, scaled, params.formation.safe),
+        *_unbounded(params, scaled),
+        *_shape(shape, names, scaled),
+    ]
+
+
+def _unbounded(params: Unbounded, start: Start) -> list[Concern]:
+    """What the theorems of xue2021 ask of gains and obstacles."""
+    found = []
+    if isinstance(params, ConnectivityStaticParams) and (start.obstacles.v != 0.0).any():
+        found.append(Concern("obstacle-moves", "Theorem 1 is for obstacles that stand still"))
+    if isinstance(params, ConnectivityDynamicParams):
+        text = (
+            f"Theorem 2 asks beta, {params.beta:.4g} N, to exceed mass times the change of v hat "
+            "wherever the flight goes, which no start can promise"
+        )
+        found.append(Concern("beta-unproven", text))
+        if params.layer > 0.0:
+            text = f"the proof is for sgn; inside a layer of {params.layer:.4g} m/s V may grow"
+            found.append(Concern("boundary-layer", text))
+    return found
+
+
+def _field(params: BifurcatingParams) -> list[Concern]:
+    """What gao2022's field needs so that the cluster comes to rest."""
+    still = [k for k, phase in enumerate(params.phases) if params.field(phase).k_v == 0.0]
+    if not still:
+        return []
+    text = f"k_v = 0 in phases[{still[0]}]: nothing damps, the cluster swings without end"
+    return [Concern("no-damping", text)]
 
 
 def _bounded(params: Bounded, names: Sequence[str], start: Start) -> list[Concern]:
@@ -116,10 +149,10 @@ def _edges(shape: Formation, names: Sequence[str], start: Start, safe: float) ->
 
 
 def _shape(shape: Formation, names: Sequence[str], start: Start) -> list[Concern]:
-    """Wanted distances that cannot all be had at once."""
-    n, d = start.p.shape
-    wanted = np.triu(shape.desired[:n, :n], 1)
-    pairs = np.argwhere((wanted > 0.0) & ((wanted < shape.far) | (shape.first[:n, :n] > 0.0)))
+    """Wanted distances that cannot all be had at once, those to the leader included."""
+    n, d = len(start.p) + 1, start.p.shape[1]
+    wanted = np.triu(shape.desired, 1)
+    pairs = np.argwhere((wanted > 0.0) & ((wanted < shape.far) | (shape.first > 0.0)))
     if len(pairs) < 2:
         return []
     i, j = pairs.T
@@ -132,15 +165,16 @@ def _shape(shape: Formation, names: Sequence[str], start: Start) -> list[Concern
     rng = np.random.default_rng(0)
     worst, pair = np.inf, 0
     for k in range(TRIES):
-        begin = start.p if k == 0 else goal.max() * rng.normal(size=(n, d))
+        begin = np.vstack([start.p, start.goal_p[:1]])
+        begin = begin if k == 0 else goal.max() * rng.normal(size=(n, d))
         rest = np.abs(off(least_squares(off, begin.ravel()).x))
         if rest.max() < worst:
             worst, pair = float(rest.max()), int(np.argmax(rest))
         if worst < REACHED:
             return []
-    one, two = names[i[pair]], names[j[pair]]
+    one, two = [*names, LEADER][i[pair]], [*names, LEADER][j[pair]]
     text = (
-        f"no {n} places have all the wanted distances at once; {one}-{two} = {goal[pair]:.4g} m "
-        f"stays {100.0 * worst:.2g} % off in the best that was found"
+        f"no {len(np.unique(pairs))} places have all the wanted distances at once; "
+        f"{one}-{two} = {goal[pair]:.4g} m stays {100.0 * worst:.2g} % off in the best found"
     )
     return [Concern("unreachable-distances", text)]

@@ -44,7 +44,7 @@ Array = NDArray[np.float64]
 FEW = 256  # satellites up to which `pairs` is the fastest
 MANY_ROWS, MANY_CELLS = 2048, 16384  # satellites from which threads pay
 CHUNK = 256  # satellites that a thread takes at a time
-HELD = 128  # neighbours whose forces are worked out together
+HELD = 256  # places round a cell that there is room for at first
 LANES = 64  # partial sums, so that the sum over all can be vectorised in a fixed order
 CROWDED = 0.3  # share of all pairs in neighbouring cells above which `rows` beats `cells`
 WIDER = 1.0 + 1e-9  # cells are a hair wider than s, so that rounding puts no partner two cells off
@@ -107,17 +107,24 @@ def pairs(stiffness, reach, x, force):
     for i in range(n):
         for a in range(d):
             force[i, a] = x[i, a] - x[i, a]  # 0, or nan at no finite place
+    limit = reach * reach
     for i in range(n):
+        px, py, pz = x[i, 0], x[i, 1], x[i, 2] if d == 3 else 0.0
+        fx, fy, fz = 0.0, 0.0, 0.0
         for j in range(i):
-            d2 = 0.0
-            for a in range(d):
-                d2 += (x[i, a] - x[j, a]) ** 2
-            if 0.0 < d2 < reach * reach:  # Eq. (13)
+            dx, dy, dz = px - x[j, 0], py - x[j, 1], pz - x[j, 2] if d == 3 else 0.0
+            d2 = dx * dx + dy * dy + dz * dz
+            if 0.0 < d2 < limit:  # Eq. (13)
                 push = stiffness * (reach / np.sqrt(d2) - 1.0)
-                for a in range(d):
-                    one = push * (x[i, a] - x[j, a])
-                    force[i, a] += one
-                    force[j, a] -= one
+                fx, fy, fz = fx + push * dx, fy + push * dy, fz + push * dz
+                force[j, 0] -= push * dx
+                force[j, 1] -= push * dy
+                if d == 3:
+                    force[j, 2] -= push * dz
+        force[i, 0] += fx
+        force[i, 1] += fy
+        if d == 3:
+            force[i, 2] += fz
     for i in range(n):
         spread_nan(force, i)
 
@@ -272,51 +279,76 @@ def sorted_into_cells(x, reach):
 
 @compiled
 def some_cells(stiffness, reach, start, who, row, places, first, end, force):
-    """The forces on satellites `first` to `end` in the order of the buckets."""
-    d, mask, width = force.shape[1], start.shape[0] - 2, cell_width(reach)
-    deep = 1 if d == 3 else 0
+    """The forces on satellites `first` to `end` in the order of the buckets.
+
+    Those of one cell follow each other, and whoever is around it is looked up once for all of them.
+    """
+    d, width = force.shape[1], cell_width(reach)
     xs, ys, zs = places[0], places[1], places[2]
-    limit = reach * reach
-    ex, ey, ez, d2 = np.empty(HELD), np.empty(HELD), np.empty(HELD), np.empty(HELD)
-    total = np.empty(3)
+    limit, room, count = reach * reach, HELD, 0
+    around, square, near = np.empty((3, room)), np.empty(room), np.empty(room, dtype=np.int64)
+    ox, oy, oz = np.int64(0), np.int64(0), np.int64(0)  # the cell that `around` belongs to
     for k in range(first, end):
         x, y, z = xs[k], ys[k], zs[k]
         cx, cy, cz = cell_of(x, width), cell_of(y, width), cell_of(z, width)
-        total[0], total[1], total[2] = x - x, y - y, z - z  # 0, or nan at no finite place
-        n = np.uint64(0)  # unsigned, as `j`: such an index needs no look at its sign
-        for up in range(-deep, deep + 1):
-            for side in range(-1, 2):
-                name = row_of(cy + side, cz + up)
-                low = bucket_of(name, cx - 1, mask)
-                together = low + 2 <= mask  # three buckets in one piece, unless round the end
-                for part in range(1 if together else 3):
-                    b = (low + part) & mask
-                    for m in range(start[b], start[b + 3 if together else b + 1]):
-                        j = np.uint64(m)
-                        dx, dy, dz = x - xs[j], y - ys[j], z - zs[j]
-                        square = dx * dx + dy * dy + dz * dz
-                        ex[n], ey[n], ez[n], d2[n] = dx, dy, dz, square
-                        # another row in the same bucket is asked by its own name; no branch,
-                        # because it would be guessed wrong too often
-                        near = (square > 0.0) & (square < limit) & (row[j] == name)
-                        n += np.uint64(near)
-                        if n == np.uint64(HELD):
-                            add_up(stiffness, reach, ex, ey, ez, d2, n, total)
-                            n = np.uint64(0)
-        add_up(stiffness, reach, ex, ey, ez, d2, n, total)
-        for a in range(d):
-            force[who[k], a] = total[a]
+        if k == first or cx != ox or cy != oy or cz != oz:
+            ox, oy, oz = cx, cy, cz
+            most = how_many_around(start, cx, cy, cz, d)
+            if most > room:
+                room = 2 * most
+                around, square = np.empty((3, room)), np.empty(room)
+                near = np.empty(room, dtype=np.int64)
+            count = gather(start, row, xs, ys, zs, cx, cy, cz, d, around)
+        ax, ay, az = around[0], around[1], around[2]
+        for m in range(count):
+            dx, dy, dz = x - ax[m], y - ay[m], z - az[m]
+            square[m] = dx * dx + dy * dy + dz * dz
+        n = np.uint64(0)  # unsigned: such an index needs no look at its sign
+        for m in range(count):  # no branch, because it would be guessed wrong too often
+            near[n] = m
+            n += np.uint64((square[m] > 0.0) & (square[m] < limit))
+        fx, fy, fz = x - x, y - y, z - z  # 0, or nan at no finite place
+        for q in range(n):
+            m = np.uint64(near[q])
+            push = stiffness * (reach / np.sqrt(square[m]) - 1.0)  # Eq. (13)
+            fx += push * (x - ax[m])
+            fy += push * (y - ay[m])
+            fz += push * (z - az[m])
+        force[who[k], 0], force[who[k], 1] = fx, fy
+        if d == 3:
+            force[who[k], 2] = fz
         spread_nan(force, who[k])
 
 
 @compiled
-def add_up(stiffness, reach, ex, ey, ez, d2, n, total):
-    """Add the first n forces of Eq. (13) to `total`; uses up `d2`."""
-    for m in range(n):
-        d2[m] = stiffness * (reach / np.sqrt(d2[m]) - 1.0)
-    fx, fy, fz = total[0], total[1], total[2]
-    for m in range(n):
-        fx += d2[m] * ex[m]
-        fy += d2[m] * ey[m]
-        fz += d2[m] * ez[m]
-    total[0], total[1], total[2] = fx, fy, fz
+def how_many_around(start, cx, cy, cz, d):
+    """At most; others in the same buckets included."""
+    mask, total = start.shape[0] - 2, 0
+    deep = 1 if d == 3 else 0
+    for up in range(-deep, deep + 1):
+        for side in range(-1, 2):
+            low = bucket_of(row_of(cy + side, cz + up), cx - 1, mask)
+            for part in range(3):
+                b = (low + part) & mask
+                total += start[b + 1] - start[b]
+    return total
+
+
+@compiled
+def gather(start, row, xs, ys, zs, cx, cy, cz, d, around):
+    """Write the places in a cell and those around it into `around`; returns how many."""
+    mask, n = start.shape[0] - 2, np.uint64(0)
+    deep = 1 if d == 3 else 0
+    for up in range(-deep, deep + 1):
+        for side in range(-1, 2):
+            name = row_of(cy + side, cz + up)
+            low = bucket_of(name, cx - 1, mask)
+            together = low + 2 <= mask  # three buckets in one piece, unless round the end
+            for part in range(1 if together else 3):
+                b = (low + part) & mask
+                for m in range(start[b], start[b + 3 if together else b + 1]):
+                    j = np.uint64(m)
+                    if row[j] == name:  # else another row in the same bucket
+                        around[0, n], around[1, n], around[2, n] = xs[j], ys[j], zs[j]
+                        n += np.uint64(1)
+    return np.int64(n)

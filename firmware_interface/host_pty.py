@@ -13,6 +13,19 @@ from firmware_interface.serial_board import BoardError, SerialBoard
 GRACE_S = 5.0
 
 
+def bury(process: subprocess.Popen, grace_s: float) -> None:
+    """Wait for a process that was asked to end, kill it if it does not, close its pipes."""
+    try:
+        process.wait(grace_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with contextlib.suppress(OSError):
+                pipe.close()
+
+
 class HostPtyBoard(SerialBoard):
     """A `Board` on the wall clock. Its process ends with it, and with this process in any case.
 
@@ -71,16 +84,8 @@ class HostPtyBoard(SerialBoard):
         self._order(f"up {cause:d}")
 
     def _stop(self) -> None:
-        process = self._process
-        process.terminate()
-        try:
-            process.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                pipe.close()
+        self._process.terminate()
+        bury(self._process, GRACE_S)
 
     def close(self) -> None:
         """End the process and give everything back."""

@@ -19,9 +19,11 @@ from pathlib import Path
 from firmware_interface.board import Edge
 from firmware_interface.compiler import firmware_id, host_program
 from firmware_interface.frame import Decoder
+from firmware_interface.host_pty import bury
 from firmware_interface.messages import Config, Status
 from firmware_interface.qemu import qemu_command, terminal_of
-from firmware_interface.serial_board import Reports, monotonic_us
+from firmware_interface.reports import Reports
+from firmware_interface.serial_board import monotonic_us
 
 CHUNK = 4096
 REMEMBERED = 64  # frames that tell the clock; a board's clock may drift
@@ -111,15 +113,7 @@ class LineTap:
             process.stdin.close()  # its guard waits for that
         else:
             process.terminate()
-        try:
-            process.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
+        bury(process, GRACE_S)
 
     @property
     def pid(self) -> int:
@@ -160,7 +154,7 @@ class LineTap:
 
     def edges(self) -> list[Edge]:
         """What the valves did since the last call, on this machine's monotonic clock [us]."""
-        edges, self._reports.edges = self._reports.edges, []
+        edges = self._reports.take_edges()
         if not edges:
             return []
         offset = min(self._offsets)

@@ -2,11 +2,13 @@
 
 import contextlib
 import struct
+from collections import deque
 
 from firmware_interface.board import Edge
 from firmware_interface.frame import WRAP, Decoder, Frame
 from firmware_interface.messages import Edges, Status
 
+KEPT = 100_000  # edges that nobody has taken; five minutes of eight valves at 20 Hz
 JUMP_US = 1_000_000  # a clock further off than that is the clock of another boot
 
 
@@ -19,7 +21,7 @@ class Reports:
         self._heard_us = 0  # host's clock then
         self.board_us = 0  # since the board got power, at that frame
         self.bearing = False
-        self.edges: list[Edge] = []
+        self._edges: deque[Edge] = deque(maxlen=KEPT)
 
     def hear(self, data: bytes, host_us: int) -> bool:
         """Take bytes that came in at `host_us`; whether a frame was among them."""
@@ -27,6 +29,12 @@ class Reports:
         for frame in frames:
             self._take(frame, host_us)
         return bool(frames)
+
+    def take_edges(self) -> list[Edge]:
+        """Edges since the last call, in order; the newest if nobody asked for long."""
+        edges = list(self._edges)
+        self._edges.clear()
+        return edges
 
     def now_us(self, host_us: int) -> int:
         """The board's clock, as far as known."""
@@ -43,6 +51,6 @@ class Reports:
                 case Edges(count, at_us, mask):
                     for t, open_valves in zip(at_us[:count], mask[:count], strict=True):
                         back = (frame.t_us - t) % WRAP
-                        self.edges.append(Edge(self.board_us - back, open_valves))
+                        self._edges.append(Edge(self.board_us - back, open_valves))
                 case Status(bearing=on):
                     self.bearing = bool(on)

@@ -220,8 +220,7 @@ class SerialBoard:
                         f"{self._port_name}: nothing heard for {SILENCE_S:g} s; expected STATUS:"
                         " check power, cable and the baud rate"
                     )
-            edges, self._reports.edges = self._reports.edges, []
-            return edges
+            return self._reports.take_edges()
 
     def read(self) -> bytes:
         """Bytes the board has sent since the last call."""

@@ -60,6 +60,7 @@ CAUSES = {  # flags in RCC_CSR; power-on sets all of a reset's, RM0090 7.3.21
     ResetCause.SOFTWARE: 0x1400_0000,
     ResetCause.WATCHDOG: 0x2400_0000,
 }
+BUDGET = 10_000_000  # instructions without a pause; the longest way, a boot, takes 30 000
 NEVER = 1 << 62
 WRAP = 1 << 32
 WFI, CPSIE_I, ISB = b"\x30\xbf", b"\x62\xb6", b"\xbf\xf3\x6f\x8f"
@@ -106,7 +107,7 @@ class Machine:
         self.resets: list[ResetCause] = []
         self.mute_alarm = False  # fault injection: TIM2's interrupt never comes
         self._random, self._clock_us = random, clock_us
-        self._in_handler = False
+        self._in_handler = self._stopped = False
         self._countdown = self._block = 0  # see feed_preempted
         self._stopped_at = -1
         self._image = image.read_bytes()
@@ -138,7 +139,11 @@ class Machine:
     def _behind_barrier(self, uc: unicorn.Uc, address: int, size: int, _: None) -> None:
         """What the program has made pending is taken here at the latest."""
         if self._pending() is not None:
-            uc.emu_stop()
+            self._stop()
+
+    def _stop(self) -> None:
+        self._stopped = True
+        self._uc.emu_stop()
 
     # Reset
 
@@ -241,7 +246,7 @@ class Machine:
         masked = uc.reg_read(arm.UC_ARM_REG_PRIMASK)
         if self._countdown < 0 and self._pended and not masked and not in_block:
             self._stopped_at = address
-            uc.emu_stop()
+            self._stop()
 
     def settle(self) -> None:
         """Interrupts and main program until it sleeps and nothing is pending."""
@@ -281,6 +286,8 @@ class Machine:
         uc.context_update(self._main_program)
         uc.reg_write(arm.UC_ARM_REG_LR, LANDING | 1)
         self._emulate(self._vector(number), LANDING)
+        if uc.reg_read(arm.UC_ARM_REG_PC) & ~1 != LANDING:
+            raise self._endless()
         uc.context_restore(self._main_program)
         self._in_handler = False
 
@@ -289,7 +296,16 @@ class Machine:
         self._emulate(self._pc, 0xFFFF_FFFE)
         pc = self._uc.reg_read(arm.UC_ARM_REG_PC)
         self._asleep = self._code(pc - 2) == WFI
+        if not (self._asleep or self._stopped):
+            raise self._endless()
         self._pc = pc | 1
+
+    def _endless(self) -> MachineError:
+        at = self._uc.reg_read(arm.UC_ARM_REG_PC)
+        return MachineError(
+            f"{BUDGET} instructions at {self.now_us} us without sleep, now at {at:#x}: the image "
+            "does not come out of a loop (arm-none-eabi-addr2line -e on its .elf says which)"
+        )
 
     def _code(self, address: int) -> bytes:
         """The halfword of the program there."""
@@ -300,8 +316,9 @@ class Machine:
         return int.from_bytes(self._image[4 * (16 + number) :][:4], "little")
 
     def _emulate(self, start: int, end: int) -> None:
+        self._stopped = False
         try:
-            self._uc.emu_start(start | 1, end)
+            self._uc.emu_start(start | 1, end, count=BUDGET)
         except unicorn.UcError as error:
             raise MachineError(f"{error} at {self._uc.reg_read(arm.UC_ARM_REG_PC):#x}") from error
 

@@ -150,7 +150,7 @@ class WiredBoard:
         for coded in self.board.read().split(b"\0")[:-1]:
             self._reports.hear(coded + b"\0", until_us)
             self._back.send(self._reports.board_us, coded + b"\0")
-        reported, self._reports.edges = self._reports.edges, []
+        reported = self._reports.take_edges()
         if reported != driven:
             raise WireError(f"the board drove {driven} and reported {reported}")
         for edge in reported:

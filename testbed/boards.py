@@ -46,6 +46,19 @@ def make_board(kind: str, config: Config) -> Board:
         raise ConfigError("this machine", "board", expected, f"{kind}: {error}") from error
 
 
+def check_boards(kind: str, vehicles: Mapping[str, Vehicle]) -> None:
+    """Find out before a flight leaves anything behind whether there will be boards.
+
+    Raises:
+        ConfigError: this machine cannot build or run their firmware.
+    """
+    if kind == "model":
+        return
+    kinds = {config.pack(): config for config in map(limits_of, vehicles.values())}
+    for config in kinds.values():
+        make_board(kind, config).close()
+
+
 def make_drivers(kind: str, vehicles: Mapping[str, Vehicle]) -> dict[str, WiredBoard] | None:
     """A board for each vehicle, armed; None for the twin's own."""
     if kind == "model":

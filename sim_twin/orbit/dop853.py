@@ -87,6 +87,13 @@ def size(y, scale, counted):
     return np.sqrt(total / counted)
 
 
+@compiled
+def copy(x, out):
+    """Write x; a loop, because numba compiles `out[:] = x` with its complaint about shapes."""
+    for k in range(x.shape[0]):
+        out[k] = x[k]
+
+
 @generic
 def rate_at(system, t, y, u, out):
     """The derivative, with the input of that very instant."""
@@ -120,14 +127,14 @@ def attempt(system, t, y, h, k, u, new, rtol, atol, counted):
     """
     n = y.shape[0]
     for s in range(1, STAGES):
-        new[:] = y
+        copy(y, new)
         for j in range(s):
             if A[s, j] != 0.0:
                 weight = h * A[s, j]
                 for i in range(n):
                     new[i] += weight * k[j, i]
         rate_at(system, t + C[s] * h, new, u, k[s])
-    new[:] = y
+    copy(y, new)
     for j in range(STAGES):
         if B[j] != 0.0:
             weight = h * B[j]
@@ -157,7 +164,7 @@ def run(system, y0, times, rtol, atol, inputs, max_steps):
     counts = np.zeros(3, dtype=np.int64)
     counted = max(1, np.sum(np.isfinite(atol)))
     t, y = times[0], y0.copy()
-    samples[0] = y
+    copy(y, samples[0])
     rate_at(system, t, y, u, k[0])
     h = first_step(system, t, y, k[0], times[-1] - t, rtol, atol, counted, u)
     counts[2] = 2
@@ -185,8 +192,8 @@ def run(system, y0, times, rtol, atol, inputs, max_steps):
                 grow = min(1.0, grow)
             h = max(h, step * grow) if last and not fell else step * grow
             t = times[m] if last else t + step
-            y[:] = new
-            k[0] = k[STAGES]
+            copy(new, y)
+            copy(k[STAGES], k[0])
             counts[0] += 1
-        samples[m] = y
+        copy(y, samples[m])
     return samples, counts, t, DONE

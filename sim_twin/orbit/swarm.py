@@ -22,7 +22,7 @@ from sim_twin.orbit.system import (
     compiled_input,
     control_of,
 )
-from testbed.core.compiled import compiled
+from testbed.core.compiled import borrowed, compiled
 
 Array = NDArray[np.float64]
 
@@ -68,6 +68,7 @@ def centre_frame(planet, r, v, axes):
 @compiled_input(Swarm)
 def ask(system, t, y, u):
     """Accelerations in the control's frame."""
+    system, y, u = borrowed((system, y, u))
     n = u.shape[0] // 3
     m = 3 * (n + 1)
     r, v = y[:m].reshape(n + 1, 3), y[m : 2 * m].reshape(n + 1, 3)
@@ -80,17 +81,21 @@ def ask(system, t, y, u):
 @compiled_derivative(Swarm)
 def move(system, t, y, u, rate):
     """Gravity and thrust."""
+    system, y, u, rate = borrowed((system, y, u, rate))
     n = u.shape[0] // 3
     m = 3 * (n + 1)
     r, v = y[:m].reshape(n + 1, 3), y[m : 2 * m].reshape(n + 1, 3)
-    a = rate[m : 2 * m].reshape(n + 1, 3)
-    thrust = np.empty((n, 3))
+    a, thrust = rate[m : 2 * m].reshape(n + 1, 3), np.empty((n, 3))
     frame = centre_frame(system.planet, r, v, system.axes)
     turned_to_eci(frame, u.reshape(n, 3), thrust)
     pull_all(system.planet, r, a)
-    a[1:] += thrust
-    rate[:m] = y[m : 2 * m]
-    rate[2 * m :] = np.abs(u)
+    for i in range(n):
+        for k in range(3):
+            a[i + 1, k] += thrust[i, k]
+    for k in range(m):  # loops: `rate[:m] = ...` takes seconds to compile
+        rate[k] = y[m + k]
+    for k in range(u.shape[0]):
+        rate[2 * m + k] = abs(u[k])
 
 
 @compiled_input(Deputies)
@@ -112,8 +117,9 @@ def move_deputies(system, t, y, u, rate):
         a = drift(frame, p[i], v[i])
         for k in range(3):
             rate[3 * (n + i) + k] = a[k] + u[3 * i + k]
-    rate[: 3 * n] = y[3 * n : 6 * n]
-    rate[6 * n :] = np.abs(u)
+    for k in range(3 * n):
+        rate[k] = y[3 * n + k]
+        rate[6 * n + k] = abs(u[k])
 
 
 def fly(

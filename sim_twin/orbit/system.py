@@ -25,7 +25,7 @@ import numba
 from numba import types
 from numba.extending import overload
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import LEAN, compiled
 
 # `compiled` notices when these change
 OURS = ("testbed.core.", "testbed.reproduction.kernel.", "controllers.", "sim_twin.")
@@ -33,7 +33,7 @@ OURS = ("testbed.core.", "testbed.reproduction.kernel.", "controllers.", "sim_tw
 
 def generic(function: Callable) -> Callable:
     """Compile a function that is handed a system; see above why it is not kept on disk."""
-    return numba.njit(error_model="numpy")(function)
+    return numba.njit(**LEAN)(function)
 
 
 class Integrator:
@@ -56,7 +56,7 @@ class Integrator:
             digest = hashlib.blake2b(names.encode(), digest_size=8).hexdigest()
             twin.__qualname__ = f"{f.__qualname__}_{digest}"  # numba keeps one list per name
             kept = all(part.__module__.startswith(OURS) for part in parts)
-            self._versions[parts] = numba.njit(cache=kept, error_model="numpy")(twin)
+            self._versions[parts] = numba.njit(cache=kept, **LEAN)(twin)
         return self._versions[parts]
 
 

@@ -14,6 +14,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from rich.console import Console
 
+from testbed.boards import check_boards
 from testbed.cli.live import LiveTable
 from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
 from testbed.cli.report import make_report
@@ -64,6 +65,7 @@ def run_experiment(
         speed = 1.0  # to be looked at
     try:
         experiment = load(find(name), overrides)
+        check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
         with interrupt.caught():
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 
+from controllers.bifurcating import BifurcatingParams
+from controllers.bifurcating_design import reaches
 from controllers.guarantee import Start, concerns
 from testbed.config.experiment import Experiment
 from testbed.core.law import Concern, Discs
@@ -32,4 +34,25 @@ def warnings_of(experiment: Experiment) -> list[Concern]:
             np.array([rock.radius for rock in rocks]),
         ),
     )
-    return concerns(experiment.controller, list(experiment.vehicles), start)
+    found = concerns(experiment.controller, list(experiment.vehicles), start)
+    return [*found, *_off_the_table(experiment)]
+
+
+def _off_the_table(experiment: Experiment) -> list[Concern]:
+    """Curves of gao2022's field that no table of this size holds; a line has no end."""
+    params = experiment.controller
+    if not isinstance(params, BifurcatingParams):
+        return []
+    rim = max(setup.model.radius for setup in experiment.vehicles.values())
+    middle = params.centre or (0.0, 0.0)
+    for k, phase in enumerate(params.phases):
+        for axis, reach in enumerate(reaches(params.field(phase))):
+            room = 0.5 * experiment.table.size[axis] - rim
+            need = (abs(middle[axis]) + reach) / params.scale.length
+            if need > room:
+                text = (
+                    f"the curve of phases[{k}] goes out to {need:.4g} m along {'xy'[axis]}, a "
+                    f"vehicle on this table to {room:.4g} m"
+                )
+                return [Concern("curve-off-table", text)]
+    return []

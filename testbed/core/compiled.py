@@ -26,6 +26,9 @@ from numba.extending import intrinsic, overload
 F = TypeVar("F", bound=Callable[..., Any])
 V = TypeVar("V")
 
+# Nobody calls from C: without a wrapper for that there is a tenth less to compile.
+LEAN: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
+
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = (
     "testbed/core", "testbed/flight", "testbed/reproduction/kernel", "controllers", "sim_twin",
@@ -94,8 +97,17 @@ def inlined(function: F) -> F:
     return _compiled(function, forceinline=True)
 
 
+def pasted(function: F) -> F:
+    """Compile `function` only as part of whoever calls it.
+
+    For what is called in one place with many arguments: it is compiled once and not twice. There
+    is no call that holds on to arguments: what it borrows of them the caller must `keep`.
+    """
+    return cast(F, numba.njit(error_model="numpy", inline="always")(function))
+
+
 def _compiled(function: F, *, forceinline: bool = False) -> F:
-    dispatcher: Any = numba.njit(error_model="numpy", forceinline=forceinline)(function)
+    dispatcher: Any = numba.njit(**LEAN, forceinline=forceinline)(function)
     if is_ours(function):
         dispatcher._cache = OwnTypesCache(function)  # what `cache=True` does, but for the class
     return cast(F, dispatcher)

@@ -35,6 +35,7 @@ from testbed.reproduction.figure import Figure
 from testbed.reproduction.kernel.cluster import (
     ATTRACT,
     INERTIAL,
+    POTENTIAL,
     RIGHT,
     Cluster,
     cluster,
@@ -47,7 +48,7 @@ Array = NDArray[np.float64]
 COUNT, MASS = 50, 100.0  # section 3 [-], [kg]
 CENTRE = Orbit(a=EARTH.radius + 600e3, e=0.0002, i=math.radians(98.0))  # section 3.1
 WINDOW = 10.0  # [s]
-PRINTS = {"nothing": RIGHT, "13": ATTRACT, "10": INERTIAL}
+PRINTS = {"nothing": RIGHT, "13": ATTRACT, "12": POTENTIAL, "10": INERTIAL}
 
 
 class Swarming(Struct, frozen=True, forbid_unknown_fields=True, tag="swarming"):
@@ -62,7 +63,7 @@ class Swarming(Struct, frozen=True, forbid_unknown_fields=True, tag="swarming"):
     quick_seeds: int = 1
     airspace_m: Positive = 100.0  # radius of the ball of the start
     formed_m: Positive = 25.0
-    uncorrected: Literal["nothing", "13", "10"] = "nothing"
+    uncorrected: Literal["nothing", "13", "12", "10"] = "nothing"
     corrections: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
 

@@ -23,6 +23,11 @@ def warnings(testbed, *words) -> list[str]:
 
 SHAPE = "controller.formation"
 NEAR = "vehicles.sat3.start=[0.75,0.0,0.0]"
+BASELINE = [
+    "controller={type='collision_sliding',k_d=1.5,gamma=0.2,formation={range=2.5,safe=0.45,"
+    "far_margin=0.05,near_margin=0.05,edges=['sat1-sat2','sat2-sat3'],"
+    "distances={sat1-sat2=1.25,sat2-sat3=1.667,sat1-sat3=2.083}}}",
+]
 WARNED = {  # experiment, what is changed: what is said
     "as shipped": ("xue2022_table", [], []),
     "as shipped, obstacle": ("xue2022_table_obstacle", [], []),
@@ -30,7 +35,25 @@ WARNED = {  # experiment, what is changed: what is said
     "a boundary layer is always said": ("xue2024_table_varying", [], ["boundary-layer"]),
     "true sgn": ("xue2024_table_varying", ["controller.layer=0.0"], ["lock-in"]),
     "as shipped, static obstacle": ("xue2021_table_static", [], []),
-    "as shipped, moving obstacle": ("xue2021_table_dynamic", [], []),
+    "Theorem 2 asks what nobody can promise": (
+        "xue2021_table_dynamic", [], ["beta-unproven", "boundary-layer"],
+    ),
+    "the same with true sgn": (
+        "xue2021_table_dynamic", ["controller.layer=0.0"], ["beta-unproven"],
+    ),
+    "an obstacle that the static law has no proof for": (
+        "xue2021_table_static", ["obstacles.o1.velocity=[0.01,0.0]"], ["obstacle-moves"],
+    ),
+    "as shipped, field": ("gao2022_table", [], []),
+    "a field without damping": (
+        "gao2022_table", ["controller.phases=[{shape='circle',k_v=0.0}]"], ["no-damping"],
+    ),
+    "a circle larger than the table": (
+        "gao2022_table", ["controller.phases=[{shape='circle',r=3.0}]"], ["curve-off-table"],
+    ),
+    "a double line off the table": (
+        "gao2022_table", ["controller.phases=[{shape='double_line',mu=3.0}]"], ["curve-off-table"],
+    ),
     "laws without a proof": ("zhang2023_table", [], []),
     "a start too far from the shape": (
         "xue2022_table", ["vehicles.sat3.start=[0.75,0.0,0.0]"], ["start-energy"],
@@ -57,6 +80,21 @@ WARNED = {  # experiment, what is changed: what is said
         "xue2021_table_static", [f"{SHAPE}.distances.sat1-sat2=0.6",
         f"{SHAPE}.distances.sat2-sat3=0.7"], ["unreachable-distances"],
     ),
+    "a baseline whose edge is too long": (
+        "xue2021_table_static", [*BASELINE, "vehicles.sat1.start=[1.5,2.3,0.0]"],
+        ["edge-beyond-range", "start-not-connected"],
+    ),
+    "a leader where no triangle has its third corner": (
+        "xue2024_table_constant",
+        [f"{SHAPE}.distances.sat2-leader=1.75", f"{SHAPE}.distances.sat2-sat3=0.8",
+         f"{SHAPE}.distances.sat3-leader=0.75"],
+        ["several-leaders", "edge-outside-potential", "start-energy", "barrier-height",
+         "unreachable-distances"],
+    ),
+    "a leader whose velocity is not the proof's": (
+        "xue2024_table_constant", ["vehicles.sat3.path.velocity=[0.0,0.05]", "duration_s=30"],
+        ["start-energy", "barrier-height"],
+    ),
     "a weak friction": (
         "xue2024_table_varying", ["controller.beta=0.02"], ["beta-too-small", "boundary-layer"],
     ),
@@ -76,6 +114,7 @@ def test_a_start_that_may_be_flown_is_warned_of(testbed, case):
     assert warnings(testbed, name, *overrides) == expected
 
 
+FOLLOWING = f"{SHAPE}.edges=['sat1-sat2','sat2-sat3','sat3-leader']"
 ERRORS = {
     "not connected by its own edges": (
         "xue2022_table", [f'{SHAPE}.edges=["sat1-sat2"]'], "not connected", "sat3",
@@ -93,6 +132,36 @@ ERRORS = {
         "xue2024_table_constant", [f'{SHAPE}.edges=["sat1-sat2","sat2-sat3"]'], "not connected",
         "",
     ),
+    "not connected, behind a leader that swings": (
+        "xue2024_table_varying", [f'{SHAPE}.edges=["sat1-sat2","sat3-leader"]'], "not connected",
+        "sat1, sat2",
+    ),
+    "not connected, among obstacles": (
+        "xue2021_table_static", [f'{SHAPE}.edges=["sat1-sat2"]'], "not connected", "sat3",
+    ),
+    "not connected, among obstacles that move": (
+        "xue2021_table_dynamic", [f'{SHAPE}.edges=["sat2-sat3"]'], "not connected", "sat2, sat3",
+    ),
+    "not connected, in the baseline": (
+        "xue2021_table_static", [*BASELINE, f'{SHAPE}.edges=["sat2-sat3"]'], "not connected",
+        "sat2, sat3",
+    ),
+    "beyond the range of a leader": (
+        "xue2024_table_constant", [f"{SHAPE}.distances.sat3-leader=1.9", FOLLOWING],
+        "cannot reach its desired distance", "1.9 m",
+    ),
+    "beyond the range of a leader that swings": (
+        "xue2024_table_varying", [f"{SHAPE}.distances.sat3-leader=1.9", FOLLOWING],
+        "cannot reach its desired distance", "1.9 m",
+    ),
+    "beyond the range among obstacles that move": (
+        "xue2021_table_dynamic", [f"{SHAPE}.distances.sat1-sat2=2.48"],
+        "cannot reach its desired distance", "2.48 m",
+    ),
+    "a field of no size for whom": (
+        "gao2022_table", ["controller.fleet.count=40"], "room for 40 vehicles", "",
+    ),
+    "an exponent outside the proof": ("zhang2023_table", ["controller.p=3"], "p/q", ""),
     "a potential without room": (
         "xue2022_table", [f"{SHAPE}.near_margin=1.4"], "safe + near_margin", "",
     ),

@@ -1,4 +1,9 @@
-"""Some satellites under one law, in a vacuum, hearing each other without delay: RK4 and no more."""
+"""Some satellites under one law, in a vacuum, hearing each other without delay: RK4 and no more.
+
+The product flies them in `testbed.reproduction.kernel.fleet`. This is another one on purpose, in
+plain Python: what the laws promise is tested without the code that the audit trusts, which
+tests/reproduction/test_kernels.py compares with a third.
+"""
 
 import numpy as np
 

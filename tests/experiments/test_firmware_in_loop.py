@@ -2,11 +2,13 @@
 
 import msgspec
 import pytest
+from click.testing import CliRunner
 from mcap.reader import make_reader
 
 from firmware_interface.compiler import CompilerError
 from firmware_interface.messages import Config
 from testbed import boards
+from testbed.cli.main import main
 from testbed.cli.run import fly_and_judge
 from testbed.config import ConfigError, find, load
 from testbed.rig import Nobody, make_twin
@@ -113,6 +115,18 @@ def test_without_a_compiler_the_error_names_the_way_out(monkeypatch):
     monkeypatch.setattr(boards, "InprocBoard", no_board)
     with pytest.raises(ConfigError, match="`model` needs nothing"):
         fly("inproc")
+
+
+def test_without_a_compiler_nothing_is_left_behind(monkeypatch, tmp_path):
+    def no_board(config: Config):
+        raise CompilerError("no C compiler found")
+
+    monkeypatch.setattr(boards, "InprocBoard", no_board)
+    words = ["run", "hold", "board=inproc", "--out", str(tmp_path / "run")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 2
+    assert "no C compiler found" in result.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_jet_period_that_the_firmware_does_not_play_is_refused_by_the_file():

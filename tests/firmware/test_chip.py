@@ -23,7 +23,14 @@ from firmware_interface.messages import (
     State,
     Status,
 )
-from firmware_interface.stm32 import GPIOC_BSRR, GPIOC_MODER, RCC_CR, USART1_CR1, Machine
+from firmware_interface.stm32 import (
+    GPIOC_BSRR,
+    GPIOC_MODER,
+    RCC_CR,
+    USART1_CR1,
+    Machine,
+    MachineError,
+)
 from firmware_interface.unicorn_board import UnicornBoard
 
 CLOSE = 0x01FF_0000  # all valves and bearing air low
@@ -151,6 +158,18 @@ def test_without_alarms_the_independent_watchdog_closes_the_valves(limits):
     board.feed(encode_message(Hello(7), 1, 0))
     ack = next(m for m in messages(board) if isinstance(m, HelloAck))
     assert (ack.reset_cause, ack.state) == (ResetCause.WATCHDOG, State.SAFE)
+
+
+LOOP = b"\xfe\xe7"  # b .
+TWO_LOOPS = b"\x00\xbf\xbf\xf3\x6f\x8f\xfb\xe7"  # nop; isb; b to the nop
+
+
+@pytest.mark.parametrize("program", [LOOP, TWO_LOOPS])
+def test_an_image_that_never_sleeps_is_named(tmp_path, program):
+    vectors = (0x2000_2000).to_bytes(4, "little") + (0x0800_0201).to_bytes(4, "little")
+    (tmp_path / "endless.bin").write_bytes(vectors.ljust(0x200, b"\0") + program)
+    with pytest.raises(MachineError, match="does not come out of a loop"):
+        Machine(tmp_path / "endless.bin")
 
 
 @pytest.mark.parametrize("exception", [2, 3, 4, 5, 6])

@@ -11,7 +11,7 @@ import pytest
 
 from firmware_interface.frame import CODED_MAX, Frame, encode, encode_message
 from firmware_interface.messages import TYPES, VERSION, HelloAck, ResetCause, State
-from firmware_interface.reports import Reports
+from firmware_interface.reports import KEPT, Reports
 from firmware_interface.session import EDGES_KEPT, EXCHANGES, Session, SessionError
 
 CHUNKS = int(os.environ.get("ABT_FUZZ", "9000"))
@@ -80,6 +80,7 @@ def test_nothing_a_board_says_breaks_the_session(limits, seed):
         assert len(session._exchanges) <= EXCHANGES
         assert len(session.edges) <= EDGES_KEPT
         assert len(session._decoder._rest) <= CODED_MAX + 1
+        assert len(reports._edges) <= KEPT
     assert refused > 0
     assert taken > CHUNKS / 10
     for reason in ("bad_length", "bad_crc", "unknown"):

@@ -13,7 +13,17 @@ import pytest
 
 from firmware_interface.frame import Decoder, Frame, encode, encode_message
 from firmware_interface.host_pty import HostPtyBoard
-from firmware_interface.messages import Arm, Cmd, Disarm, HelloAck, Ping, ResetCause, State, Status
+from firmware_interface.messages import (
+    Arm,
+    Cmd,
+    Disarm,
+    Edges,
+    HelloAck,
+    Ping,
+    ResetCause,
+    State,
+    Status,
+)
 from firmware_interface.reports import Reports
 from firmware_interface.serial_board import BoardError, SerialBoard
 from firmware_interface.session import Session
@@ -235,6 +245,16 @@ def test_a_clock_that_jumps_is_that_of_another_boot(t_us):
     reports.hear(status(40_000_000), 0)
     reports.hear(status(t_us), 50_000)
     assert reports.board_us == t_us
+
+
+def test_edges_that_nobody_takes_do_not_pile_up(monkeypatch):
+    monkeypatch.setattr("firmware_interface.reports.KEPT", 5)
+    reports = Reports()
+    for t in range(1, 9):
+        frame = Edges(1, (t,) + (0,) * 7, (t & 1,) + (0,) * 7)
+        reports.hear(encode_message(frame, t, t), 0)
+    assert reports.take_edges() == [(t, t & 1) for t in range(4, 9)]
+    assert reports.take_edges() == []
 
 
 def test_frames_of_the_other_side_are_ignored():

@@ -44,7 +44,7 @@ def test_the_leader_moves_as_its_velocity_says():
 
 
 class Plain:
-    """RK4 once more, with the law's verbs called from Python."""
+    """RK4 once more, with the law's verbs called from Python: the oracle of the compiled one."""
 
     def __init__(self, module, law, where, mass, coriolis):
         self.module, self.law, self.where = module, law, where

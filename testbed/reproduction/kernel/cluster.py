@@ -7,6 +7,7 @@ x forward, y against the normal, z down.
     as_printed    what of the print is left uncorrected, to see what comes of it
     RIGHT         nothing
     ATTRACT       Eq. (13) with its sign
+    POTENTIAL     Eq. (12) with its factor, U = -k_c (d^2 - s d): its own force takes (13)'s place
     INERTIAL      Eq. (10) with the velocity in ECI, of which the centre's is most
 """
 
@@ -15,14 +16,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.bifurcating import BifurcatingParams, Gains, Phase, bifurcating, formation_force
+from controllers.bifurcating import (
+    BifurcatingParams,
+    Gains,
+    Phase,
+    bifurcating,
+    write_formation_force,
+)
 from controllers.repulsion import pairs
 from sim_twin.orbit.clohessy_wiltshire import drift_all
 from sim_twin.orbit.system import compiled_control
+from testbed.core.compiled import borrowed, compiled
 
 Array = NDArray[np.float64]
 
-RIGHT, ATTRACT, INERTIAL = 0, 1, 2
+RIGHT, ATTRACT, INERTIAL, POTENTIAL = range(4)
 
 
 class Cluster(NamedTuple):
@@ -35,20 +43,42 @@ class Cluster(NamedTuple):
     as_printed: int
 
 
+@compiled
+def printed_potential(stiffness, reach, x, force):
+    """Write the force of Eq. (12) as printed, k_c (2 - s/d) x_ij for d < s; all (n, 3)."""
+    force[:] = 0.0
+    for i in range(x.shape[0]):
+        for j in range(i):
+            d2 = 0.0
+            for a in range(3):
+                d2 += (x[i, a] - x[j, a]) ** 2
+            if 0.0 < d2 < reach * reach:
+                push = stiffness * (2.0 - reach / np.sqrt(d2))
+                for a in range(3):
+                    one = push * (x[i, a] - x[j, a])
+                    force[i, a] += one
+                    force[j, a] -= one
+
+
 @compiled_control(Cluster)
 def cluster_control(control, t, p, v, u):
     """Accelerations asked of n satellites, (n, 3)."""
+    control, p, v, u = borrowed((control, p, v, u))  # counting references took half the time
     g, k = control.gains, 0
     while k + 1 < g.at.shape[0] and g.at[k + 1] <= t:
         k += 1
     drift = np.empty_like(p)
     drift_all(control.w, p, v, drift)
-    pairs(g.k_c[k], g.s[k], p, u)  # Eqs. (13), (14)
+    if control.as_printed == POTENTIAL:
+        printed_potential(g.k_c[k], g.s[k], p, u)
+    else:
+        pairs(g.k_c[k], g.s[k], p, u)  # Eqs. (13), (14)
     if control.as_printed == ATTRACT:
         u *= -1.0
     lead = control.speed if control.as_printed == INERTIAL else 0.0
+    force = np.empty(3)
     for i in range(p.shape[0]):
-        force = formation_force(g, k, p[i])  # Eq. (23), (26)
+        write_formation_force(g, k, p[i], force)  # Eq. (23), (26)
         for a in range(3):
             speed = v[i, a] + (lead if a == 0 else 0.0)
             force[a] += u[i, a] - g.k_v[k] * speed  # Eq. (10)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.orbit.relative import Chief, coriolis, drift_rate, field, frame_at
-from testbed.core.compiled import compiled
+from testbed.core.compiled import borrowed, compiled, keep, pasted
 from testbed.core.law import Body, Discs, Goal, Neighbours, World, jump_of, rate_of, tell_of
 
 Array = NDArray[np.float64]
@@ -62,140 +62,289 @@ class Flight(NamedTuple):
     travel: Array  # (n, d) how much the applied force went up and down in all [N]
 
 
+class Sight(NamedTuple):
+    """What laws are handed at one instant, and room to work in."""
+
+    world: World
+    others: Neighbours  # of whoever is asked
+    unheard: Neighbours  # the same before they told anything
+    drift: Array  # (n, d) acceleration without thrust [m/s^2]
+    told: Array  # (n, d) the same as the laws are told [m/s^2]
+    still: Array  # (d,) zeros
+    jolt: Array  # (d,) how the told drift of whoever is asked changes [m/s^3]
+
+
 @compiled
 def wave_at(wave, t):
     """Value, shape (d,)."""
-    return wave.mean + wave.sine * np.sin(wave.w * t) + wave.cosine * np.cos(wave.w * t)
+    out = np.empty(wave.mean.shape[0])
+    write_wave(wave, t, out)
+    return out
+
+
+@compiled
+def write_wave(wave, t, out):
+    """The same, into `out`."""
+    s, c = np.sin(wave.w * t), np.cos(wave.w * t)
+    for a in range(out.shape[0]):
+        out[a] = wave.mean[a] + wave.sine[a] * s + wave.cosine[a] * c
 
 
 @compiled
 def wave_integral(wave, t):
     """Integral from 0 to t, shape (d,)."""
+    out = np.empty(wave.mean.shape[0])
+    write_integral(wave, t, out)
+    return out
+
+
+@compiled
+def write_integral(wave, t, out):
+    """The same, into `out`."""
     s, c = np.sin(wave.w * t), np.cos(wave.w * t)
-    return wave.mean * t + (wave.sine * (1.0 - c) + wave.cosine * s) / wave.w
+    for a in range(out.shape[0]):
+        swing = wave.sine[a] * (1.0 - c) + wave.cosine[a] * s
+        out[a] = wave.mean[a] * t + swing / wave.w
 
 
 @compiled
 def goal_at(place, t):
     """Where goal or leader is at time `t`, and its derivatives."""
-    wave = place.goal_v
-    s, c = np.sin(wave.w * t), np.cos(wave.w * t)
-    a = wave.w * (wave.sine * c - wave.cosine * s)
-    jerk = -wave.w * wave.w * (wave.sine * s + wave.cosine * c)
-    return Goal(place.goal + wave_integral(wave, t), wave_at(wave, t), a, jerk)
+    d = place.goal.shape[0]
+    goal = Goal(np.empty(d), np.empty(d), np.empty(d), np.empty(d))
+    write_goal(place, t, goal)
+    return goal
 
 
 @compiled
-def world_at(place, t):
-    """What the laws see besides each other."""
-    rocks, speed = place.rocks.copy(), np.zeros_like(place.rocks)
-    way, v = wave_integral(place.rocks_v, t), wave_at(place.rocks_v, t)
-    for k in range(rocks.shape[0]):
-        rocks[k] += way
-        speed[k] = v
-    return World(goal_at(place, t), Discs(rocks, speed, place.radius))
+def write_goal(place, t, goal):
+    """The same, into `goal`."""
+    wave = place.goal_v
+    write_integral(wave, t, goal.p)
+    write_wave(wave, t, goal.v)
+    s, c = np.sin(wave.w * t), np.cos(wave.w * t)
+    for a in range(goal.p.shape[0]):
+        goal.p[a] += place.goal[a]
+        goal.a[a] = wave.w * (wave.sine[a] * c - wave.cosine[a] * s)
+        goal.jerk[a] = -wave.w * wave.w * (wave.sine[a] * s + wave.cosine[a] * c)
+
+
+@compiled
+def empty_sight(place, n, words):
+    """Room for what a law is handed, to be written before each call of one."""
+    d, k = place.goal.shape[0], place.rocks.shape[0]
+    goal = Goal(np.empty(d), np.empty(d), np.empty(d), np.empty(d))
+    world = World(goal, Discs(np.empty((k, d)), np.empty((k, d)), place.radius))
+    p, v, told_at = np.empty((n - 1, d)), np.empty((n - 1, d)), np.empty(n - 1)
+    near, who = np.ones(n - 1), np.empty(n - 1, dtype=np.int64)
+    return Sight(
+        world,
+        Neighbours(p, v, near, who, np.empty((n - 1, words)), told_at),
+        Neighbours(p, v, near, who, np.empty((n - 1, 0)), told_at),
+        np.empty((n, d)), np.empty((n, d)), np.zeros(d), np.empty(d),
+    )  # fmt: skip
+
+
+@compiled
+def look_round(place, t, sight):
+    """Write the world that all laws see."""
+    goal, rocks = sight.world.goal, sight.world.obstacles
+    write_goal(place, t, goal)
+    for k in range(rocks.p.shape[0]):
+        write_integral(place.rocks_v, t, rocks.p[k])
+        write_wave(place.rocks_v, t, rocks.v[k])
+        for a in range(rocks.p.shape[1]):
+            rocks.p[k, a] += place.rocks[k, a]
+
+
+@compiled
+def look_at_others(i, t, p, v, said, others):
+    """Write where everybody but the i-th is, and what they said."""
+    for k in range(others.who.shape[0]):
+        j = k if k < i else k + 1
+        others.who[k], others.told_at[k] = j, t
+        for a in range(p.shape[1]):
+            others.p[k, a], others.v[k, a] = p[j, a], v[j, a]
+        for a in range(others.told.shape[1]):
+            others.told[k, a] = said[j, a]
 
 
 @compiled
 def drifts(place, t, p, v, true, told):
     """Write the acceleration without thrust, as it is and as the laws are told; all (n, d)."""
-    true[:], told[:] = 0.0, 0.0
+    true[:] = 0.0
+    told[:] = 0.0
     if place.orbiting:
         frame = frame_at(place.chief, t)
         for i in range(p.shape[0]):
             g, c = field(frame, p[i]), coriolis(frame, v[i])
-            true[i] = g + c
-            told[i] = place.told_sign * g + place.told_coriolis * c
+            for a in range(p.shape[1]):
+                true[i, a] = g[a] + c[a]
+                told[i, a] = place.told_sign * g[a] + place.told_coriolis * c[a]
     push = wave_at(place.push, t)
     for i in range(p.shape[0]):
-        true[i] += push
+        for a in range(p.shape[1]):
+            true[i, a] += push[a]
 
 
 @compiled
-def others_of(i, t, p, v, said):
-    """Everybody but the i-th."""
-    n, d = p.shape
-    q, w, word = np.empty((n - 1, d)), np.empty((n - 1, d)), np.empty((n - 1, said.shape[1]))
-    who = np.empty(n - 1, dtype=np.int64)
-    for k in range(n - 1):
-        j = k if k < i else k + 1
-        q[k], w[k], word[k], who[k] = p[j], v[j], said[j], j
-    return Neighbours(q, w, np.ones(n - 1), who, word, np.full(n - 1, t))
+def jolt(place, t, p, v, told, force, mass, out):
+    """Write how the drift of one satellite changes, shape (d,) [m/s^3]."""
+    accel = np.empty(p.shape[0])
+    for a in range(p.shape[0]):
+        accel[a] = told[a] + force[a] / mass
+    rate = drift_rate(frame_at(place.chief, t), p, v, accel)
+    for a in range(p.shape[0]):
+        out[a] = rate[a]
 
 
-@compiled
-def flow(law, place, mass, t, p, v, z, said, a, z_rate, wanted):
+@pasted
+def flow(law, place, mass, t, p, v, z, said, sight, a, z_rate, wanted):
     """Write accelerations, rates of the laws' states and forces at one instant."""
+    law, place, sight = borrowed(law), borrowed(place), borrowed(sight)
+    mass, p, v, z, said = borrowed((mass, p, v, z, said))
+    told, still = sight.told, sight.still
+    drifts(place, t, p, v, sight.drift, told)
+    look_round(place, t, sight)
     n, d = p.shape
-    true, told, still = np.empty((n, d)), np.empty((n, d)), np.zeros(d)
-    drifts(place, t, p, v, true, told)
-    world = world_at(place, t)
-    silent = np.zeros((n, 0))
     if said.shape[1] > 0:
         for i in range(n):
+            look_at_others(i, t, p, v, said, sight.unheard)
             own = Body(p[i], v[i], mass[i], told[i], still, np.inf, i)
-            said[i] = tell_of(law, z[i], own, others_of(i, t, p, v, silent), world, t)
+            word = tell_of(law, z[i], own, sight.unheard, sight.world, t)
+            for k in range(said.shape[1]):
+                said[i, k] = word[k]
     for i in range(n):
-        others = others_of(i, t, p, v, said)
-        jolt = still
+        look_at_others(i, t, p, v, said, sight.others)
+        sight.jolt[:] = 0.0
         for _ in range(2 if place.told_rate else 1):  # one call in the text: half to compile
-            own = Body(p[i], v[i], mass[i], told[i], jolt, np.inf, i)
-            force, change = rate_of(law, z[i], own, others, world, t)
-            wanted[i], z_rate[i] = force, change
+            own = Body(p[i], v[i], mass[i], told[i], sight.jolt, np.inf, i)
+            force, change = rate_of(law, z[i], own, sight.others, sight.world, t)
+            for k in range(d):
+                wanted[i, k] = force[k]
+            for k in range(z.shape[1]):
+                z_rate[i, k] = change[k]
             if place.told_rate:  # needs the force, which in these laws does not need it
-                accel = told[i] + force / mass[i]
-                jolt = drift_rate(frame_at(place.chief, t), p[i], v[i], accel)
-        a[i] = np.clip(wanted[i], -place.max_axis, place.max_axis) / mass[i] + true[i]
+                jolt(place, t, p[i], v[i], told[i], wanted[i], mass[i], sight.jolt)
+        for k in range(d):
+            applied = within(wanted[i, k], place.max_axis)
+            a[i, k] = applied / mass[i] + sight.drift[i, k]
 
 
 @compiled
-def jump(law, place, mass, t, p, v, z):
-    """The laws' states after what changes at once."""
-    n, d = p.shape
-    after, silent, still = z.copy(), np.zeros((n, 0)), np.zeros(d)
-    world = world_at(place, t)
-    for i in range(n):
-        own = Body(p[i], v[i], mass[i], still, still, np.inf, i)
-        after[i] = jump_of(law, z[i], own, others_of(i, t, p, v, silent), world, t)
+def within(force, limit):
+    """What a thruster makes of it [N]."""
+    return min(max(force, -limit), limit)
+
+
+@pasted
+def jump(law, place, mass, t, p, v, z, sight, after):
+    """Write the laws' states after what changes at once."""
+    law, place, sight = borrowed(law), borrowed(place), borrowed(sight)
+    mass, p, v, z = borrowed((mass, p, v, z))
+    look_round(place, t, sight)
+    for i in range(p.shape[0]):
+        look_at_others(i, t, p, v, z, sight.unheard)
+        own = Body(p[i], v[i], mass[i], sight.still, sight.still, np.inf, i)
+        new = jump_of(law, z[i], own, sight.unheard, sight.world, t)
+        for k in range(z.shape[1]):
+            after[i, k] = new[k]
         if place.far > 0.0:
-            for j in range(n):
-                gap = np.sqrt(np.sum((p[i] - p[j]) ** 2))
-                edge = i != j and place.near < gap < place.far
-                after[i, place.edges_at + j] = 1.0 if edge else 0.0
-    return after
+            edges_as_printed(place, i, p, after)
+
+
+@compiled
+def edges_as_printed(place, i, p, z):
+    """Write the i-th's edges, Eq. (2) of xue2022 to the letter."""
+    for j in range(p.shape[0]):
+        square = 0.0
+        for a in range(p.shape[1]):
+            square += (p[i, a] - p[j, a]) ** 2
+        edge = i != j and place.near < np.sqrt(square) < place.far
+        z[i, place.edges_at + j] = 1.0 if edge else 0.0
+
+
+@compiled
+def copy(x, out):
+    """Write x; a loop, because numba compiles `out[:] = x` with its complaint about shapes."""
+    for i in range(x.shape[0]):
+        for k in range(x.shape[1]):
+            out[i, k] = x[i, k]
+
+
+@compiled
+def add(total, share, rate):
+    """Add share rate to `total`, both (n, k)."""
+    for i in range(total.shape[0]):
+        for k in range(total.shape[1]):
+            total[i, k] += share * rate[i, k]
+
+
+@compiled
+def ahead(x, h, rate, out):
+    """Write x + h rate, all (n, k)."""
+    for i in range(x.shape[0]):
+        for k in range(x.shape[1]):
+            out[i, k] = x[i, k] + h * rate[i, k]
+
+
+@compiled
+def keep_score(limit, wanted, first, last, peak, travel):
+    """Largest force, and how far what is applied, `last`, has gone up and down."""
+    for i in range(wanted.shape[0]):
+        for k in range(wanted.shape[1]):
+            now = within(wanted[i, k], limit)
+            if not first:
+                travel[i, k] += abs(now - last[i, k])
+            last[i, k] = now
+            peak[i, k] = max(peak[i, k], abs(wanted[i, k]))
 
 
 @compiled
 def run(law, place, mass, p, v, z, words, h, steps, every):
-    """See `fly`."""
+    """See `fly`; everything but the law's verbs is in functions that all laws share."""
     n, d = p.shape
     m = steps // every + 1
     ts, ps, vs = np.empty(m), np.empty((m, n, d)), np.empty((m, n, d))
     zs, fs = np.empty((m, n, z.shape[1])), np.empty((m, n, d))
     peak, travel, last = np.zeros((n, d)), np.zeros((n, d)), np.zeros((n, d))
-    said, f, first = np.zeros((n, words)), np.empty((n, d)), np.empty((n, d))
-    a, k = np.zeros((n, d)), np.zeros(z.shape)
+    said, f, sight = np.zeros((n, words)), np.empty((n, d)), empty_sight(place, n, words)
+    a, k, first = np.empty((n, d)), np.empty(z.shape), np.empty((n, d))
+    p1, v1, z1 = np.empty((n, d)), np.empty((n, d)), np.empty(z.shape)
+    dp, dv, dz = np.empty((n, d)), np.empty((n, d)), np.empty(z.shape)
+    p, v, z = p.copy(), v.copy(), z.copy()
     for step in range(steps + 1):
         t = step * h  # not summed up: no drift
-        z = jump(law, place, mass, t, p, v, z)
-        p1, v1, z1 = p, v, z
-        dp, dv, dz = np.zeros_like(p), np.zeros_like(v), np.zeros_like(z)
+        jump(law, place, mass, t, p, v, z, sight, z1)
+        copy(z1, z)
+        copy(p, p1)
+        copy(v, v1)
+        dp[:] = 0.0
+        dv[:] = 0.0
+        dz[:] = 0.0
         for stage in range(4):
-            flow(law, place, mass, t + BEFORE[stage] * h, p1, v1, z1, said, a, k, f)
+            flow(law, place, mass, t + BEFORE[stage] * h, p1, v1, z1, said, sight, a, k, f)
             if stage == 0:
-                first[:] = f
-            dp, dv, dz = dp + SHARE[stage] * v1, dv + SHARE[stage] * a, dz + SHARE[stage] * k
-            ahead = BEFORE[stage + 1] * h
-            p1, v1, z1 = p + ahead * v1, v + ahead * a, z + ahead * k
-        now = np.clip(first, -place.max_axis, place.max_axis)
-        if step > 0:
-            travel += np.abs(now - last)
-        last = now
-        peak = np.maximum(peak, np.abs(first))
+                copy(f, first)
+            add(dp, SHARE[stage], v1)
+            add(dv, SHARE[stage], a)
+            add(dz, SHARE[stage], k)
+            on = BEFORE[stage + 1] * h
+            ahead(p, on, v1, p1)
+            ahead(v, on, a, v1)
+            ahead(z, on, k, z1)
+        keep_score(place.max_axis, first, step == 0, last, peak, travel)
         if step % every == 0:
             q = step // every
-            ts[q], ps[q], vs[q], zs[q], fs[q] = t, p, v, z, first
-        p, v, z = p + h * dp, v + h * dv, z + h * dz
+            ts[q] = t
+            copy(p, ps[q])
+            copy(v, vs[q])
+            copy(z, zs[q])
+            copy(first, fs[q])
+        ahead(p, h, dp, p)
+        ahead(v, h, dv, v)
+        ahead(z, h, dz, z)
+    keep((law, place, mass, sight, said, p, v, z, p1, v1, z1))  # see `pasted`
     return ts, ps, vs, zs, fs, peak, travel
 
 
