@@ -178,7 +178,9 @@ class Flight:
         return True
 
 
-def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: bool) -> None:
+def fly_vehicle(
+    name: str, endpoint: str, lab: str, port: str | None, badge: Path | None = None, *, child: bool
+) -> None:
     """Get ready, wait for the order, fly once, and tell the host how it went.
 
     Args:
@@ -186,6 +188,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
         endpoint: of the host.
         lab: first part of the keys.
         port: of the board; None: the table file's.
+        badge: its key folder; None: the host is on this machine.
         child: end when standard input does.
 
     Raises:
@@ -197,7 +200,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
 
     keys = Keys(lab)
     with ExitStack() as stack:
-        session = stack.enter_context(dial(endpoint, PATIENCE_S))
+        session = stack.enter_context(dial(endpoint, PATIENCE_S, badge))
         experiment = ask_experiment(session, keys, gone)
         if name not in experiment.vehicles:
             raise VehicleError(f"the host flies {', '.join(experiment.vehicles)}, not {name}")
