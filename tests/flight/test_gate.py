@@ -82,7 +82,7 @@ ROWS = [
     ("age", {"pose_age": up(0.5)}, "no pose for"),
     ("age", {"pose_age": math.inf}, "no pose for"),
     ("rejected", {"rejected": 30}, OK),
-    ("rejected", {"rejected": 31}, "31 poses in a row"),
+    ("rejected", {"rejected": 31}, "31 poses contradict"),
     # the fence
     ("fence", {"pose": Pose(2.8, 0.0, 0.0)}, OK),
     ("fence", {"pose": Pose(-2.8, -2.7, 0.0)}, OK),
