@@ -47,6 +47,7 @@ from testbed.ops.network.orders import (
 )
 from testbed.ops.network.session import Ear, Mouth, NetworkError, answer_to, ask, dial, on_word
 from testbed.ops.offset import Offset
+from testbed.ops.port_gate import PortGate
 from testbed.ops.steady import preferred, steady
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig import make_agent, warm_up
@@ -247,7 +248,8 @@ def fly_vehicle(
         sleep_until_ns(epoch - LOOK_NS)
         thrusters.arm()
         tower.take_off(thrusters.disarm)
-        node = VehicleNode(name, agent, poses, thrusters, link)
+        port_gate = PortGate(thrusters, lambda: clock.now, experiment.flight.jet_period_s)
+        node = VehicleNode(name, agent, poses, port_gate, link)
         ending = fly(
             clock, [node], [], experiment.flight.jet_period_s, experiment.ticks, flight,
             stopped=flight.over,
@@ -256,7 +258,7 @@ def fly_vehicle(
         fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
         if poses.trouble is not None and fault is not None:
             fault += f"; its body is {poses.trouble}"
-        counts = count(link, thrusters, poses, clock_of_host)
+        counts = count(link, thrusters, poses, clock_of_host, port_gate.refused)
         out = Outbox(start.session)
         ended = Ended(ending.t, fault, counts)
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
@@ -302,14 +304,15 @@ def await_end(gone: Callable[[], bool], tower: Tower) -> None:
 
 
 def count(
-    link: ZenohVehicleLink, thrusters: SerialThrusters, poses: MocapPoses, clock: Offset
-) -> Counts:
+    link: ZenohVehicleLink, thrusters: SerialThrusters, poses: MocapPoses, clock: Offset,
+    unsent: int,
+) -> Counts:  # fmt: skip
     """What became of messages and frames."""
     best = clock.best
     latency = float(np.median(poses.latencies)) if poses.latencies else math.nan
     return Counts(
         commands={str(k): n for k, n in link.heard.inbox.counts.items()},
-        refusals=thrusters.refusals,
+        refusals=thrusters.refusals | ({"not_sent": unsent} if unsent else {}),
         mocap={str(k): n for k, n in poses.watch.counts.items()},
         lost_frames=poses.lost_frames,
         reconnects=thrusters.reconnects,
