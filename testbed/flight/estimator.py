@@ -32,7 +32,8 @@ Array = NDArray[np.float64]
 # A body cannot jump; it can be shoved. Poses that contradict the filter but stay near its
 # prediction mean a collision and are believed after a while; a jump to somewhere else never is.
 # Poses of one body lie on a line, three by three, but for the cameras' noise: those that contradict
-# each other are no shove, and when they keep doing so, none is believed at all.
+# each other are no shove, and when they keep doing so, none is believed at all. Nor is the very
+# same pose once more while the vehicle moves: it would look like a collision that has stopped it.
 PATIENCE = 5  # samples
 AGREED = 3  # of them on the line through the two before,
 LINE = 4.0  # sigmas wide
@@ -42,6 +43,8 @@ AT_ONCE = 25.0  # that a single pose can count for
 RECENT = 0.15  # share of the newest pose in the mean
 BEND = 0.5  # [m/s^2] that is no noise: five times what the jets do
 BEND_SPIN = 2.0  # [rad/s^2]
+SLOW = 0.003  # [m/s] a vehicle so slow does not move,
+SLOW_SPIN = 0.02  # [rad/s] nor does it turn
 FORGIVEN = 2  # refusals, by a pose that is believed: noise is believed by chance now and then
 JUMP = 0.05  # [m]
 TURN = 0.1  # [rad]
@@ -253,6 +256,9 @@ def absorb(x, cov, cov_spin, clock, last, samples, now, fired, model, noise, wal
         predict_covariance(cov, captured - t, walk[0], walk[1])
         predict_covariance(cov_spin, captured - t, walk[2], walk[3])
         t = captured
+        same = np.hypot(x[3], x[4]) > SLOW or abs(x[5]) > SLOW_SPIN
+        for i in range(1, 4):
+            same = same and samples[n, i] == last[1, i]
         dx = samples[n, 1] - x[0]
         dy = samples[n, 2] - x[1]
         turn = wrap_compiled(samples[n, 3] - x[2])
@@ -260,11 +266,11 @@ def absorb(x, cov, cov_spin, clock, last, samples, now, fired, model, noise, wal
         twisted = turn * turn / (cov_spin[0, 0] + noise[1])
         off = off_line(last, samples[n], noise)
         rough += RECENT * (min(off, AT_ONCE) - rough)
-        if rough > ROUGH or not (far <= gate * gate and twisted <= gate * gate):
+        if same or rough > ROUGH or not (far <= gate * gate and twisted <= gate * gate):
             refused += 1
             near = np.hypot(dx, dy) <= JUMP and abs(turn) <= TURN
-            agreed = agreed + 1 if near and off <= LINE * LINE else 0
-            if rough > ROUGH or refused < PATIENCE or agreed < AGREED:
+            agreed = agreed + 1 if near and off <= LINE * LINE and not same else 0
+            if same or rough > ROUGH or refused < PATIENCE or agreed < AGREED:
                 continue
             refused = 0
             doubt(cov, np.hypot(dx, dy), SHOVE)

@@ -445,6 +445,23 @@ def test_poses_that_contradict_each_other_are_no_shove(seed, noise, make_estimat
     assert vector(state)[:2] == pytest.approx(np.zeros(2), abs=0.012)
 
 
+@pytest.mark.parametrize("speed", [0.01, 0.1, 0.2])
+def test_a_frozen_pose_does_not_stop_a_moving_vehicle(speed, make_estimator):
+    rng, estimator = np.random.default_rng(1), make_estimator()
+    times = FRAME * np.arange(1, 201)
+    for t in times:
+        noise = rng.normal(0.0, (2e-4, 2e-4, 5e-4))
+        hear(estimator, still([t], np.array((speed * t, 0.0, 0.0)) + noise))
+    frozen = np.array((speed * times[-1], 0.0, 0.0)) + noise
+    for dt in FRAME * np.arange(1, 31):
+        hear(estimator, still([times[-1] + dt], frozen))
+    state = estimator.predict(times[-1] + dt, now=times[-1] + dt)
+    assert state.rejected == 30
+    assert state.pose_age == pytest.approx(0.3)
+    assert state.twist.vx == pytest.approx(speed, abs=5e-3)
+    assert state.pose.x == pytest.approx(speed * (times[-1] + dt), abs=3e-3)
+
+
 def test_a_shove_is_believed_through_the_noise_of_the_cameras(make_estimator, table):
     for seed in range(20):
         rng, estimator = np.random.default_rng(seed), make_estimator()
