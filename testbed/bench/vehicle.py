@@ -55,6 +55,8 @@ from testbed.rig import make_agent, warm_up
 PRIORITY = 20
 READINGS = 16  # of the host's clock before a flight
 LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
+SOONEST_NS = 1_000_000_000  # an order to start may be late by so much
+FARTHEST_NS = 30_000_000_000  # and early
 PATIENCE_S = 60.0  # for a host that does not answer
 KEPT_S = 10.0
 
@@ -68,15 +70,23 @@ def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
     clock = Offset()
     for _ in range(READINGS):
         asked = monotonic_ns()
-        host = int.from_bytes(ask(session, keys.clock), "little")
-        clock.exchanged(asked, host, monotonic_ns())
+        said = ask(session, keys.clock)
+        if len(said) != 8:
+            raise NetworkError(f"the host's clock says {len(said)} bytes, expected 8")
+        clock.exchanged(asked, int.from_bytes(said, "little"), monotonic_ns())
     return clock
 
 
 class Tower:
     """The vehicle's ear for what it is told to do."""
 
-    def __init__(self, session: zenoh.Session, keys: Keys, name: str, board: str) -> None:
+    def __init__(
+        self, session: zenoh.Session, keys: Keys, name: str, board: str,
+        to_own: Callable[[int], int | None] = lambda host_ns: None,
+    ) -> None:  # fmt: skip
+        """Listen; `to_own` says when a time of the host's clock is on this machine's."""
+        self._to_own = to_own
+        self.bad_orders = 0  # that were none
         self.starts: SimpleQueue[Start] = SimpleQueue()
         self.stop_reason: str | None = None
         self._board, self._flying = board, threading.Event()
@@ -92,15 +102,24 @@ class Tower:
         self._close = close
 
     def _order(self, data: bytes) -> bytes:
-        order: Order = msgspec.msgpack.decode(data, type=Order)
+        try:
+            order: Order = msgspec.msgpack.decode(data, type=Order)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            self.bad_orders += 1
+            raise
         answer: Answer
         match order:
             case Stop(reason):
                 self._stop(reason)
                 answer = Accepted(self._board)
             case Start():
+                begin = self._to_own(order.epoch_ns)
+                ahead = 0 if begin is None else begin - monotonic_ns()
                 if self._flying.is_set():
                     answer = Refused("it flies already")
+                elif not -SOONEST_NS <= ahead <= FARTHEST_NS:
+                    self.bad_orders += 1
+                    answer = Refused(f"to start in {1e-9 * ahead:.1f} s; expected 0 to 30 s")
                 else:
                     self._flying.set()
                     self.starts.put(order)
@@ -226,7 +245,7 @@ def fly_vehicle(
             )
         )  # fmt: skip
         clock_of_host = read_clock(session, keys)
-        tower = Tower(session, keys, name, thrusters.board)
+        tower = Tower(session, keys, name, thrusters.board, clock_of_host.to_own)
         stack.enter_context(steady())  # now: the last collection of garbage takes its time
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
@@ -271,6 +290,10 @@ def ask_experiment(session: zenoh.Session, keys: Keys, gone: Callable[[], bool])
     while True:
         try:
             return msgspec.json.decode(ask(session, keys.experiment), type=Experiment)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            raise VehicleError(
+                f"the host's experiment cannot be read: {error}; is it of the same version?"
+            ) from None
         except NetworkError:
             if monotonic_ns() > end or gone():
                 raise

@@ -19,7 +19,7 @@ import zenoh
 from testbed.ops.network.badge import BadgeError, read_badge, tls, trouble
 from testbed.ops.ticking import monotonic_ns
 
-LARGEST = 1 << 20  # [bytes] of a message; an experiment has 20 kB
+LARGEST = 1 << 18  # [bytes] of a message; an experiment has 20 kB
 LEASE_MS = 400  # a peer that is silent for so long is gone
 BURST = 16  # messages that may be said at once; Zenoh's own 2 lose every third of a burst
 PENDING = 64  # messages of a key between two looks; more are not worth having
