@@ -14,7 +14,7 @@ DEV := $(VENV)/.installed-dev
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test lint check format constraints clean venv firmware mutants fuzz
+.PHONY: help demo test lint check format constraints clean venv firmware mutants fuzz gate
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -46,6 +46,12 @@ fuzz: $(DEV)  ## Feed rubbish to all that reads from outside (ROUNDS=10, two min
 		tests/mocap/test_fuzz_mocap.py tests/network/test_envelope.py tests/mocap/test_natnet.py \
 		tests/firmware/test_hostile_board.py tests/firmware/test_assurance.py -k 'not line_of' \
 		|| exit 1; done
+
+gate: $(DEV)  ## Show that the gate's tests take every branch of it
+	@mkdir -p build
+	@$(BIN)/python -m coverage run --branch --include=testbed/flight/gate.py \
+		--data-file=build/gate.coverage -m pytest -q tests/flight/test_gate.py
+	@$(BIN)/python -m coverage report -m --fail-under=100 --data-file=build/gate.coverage
 
 format: $(DEV)  ## Rewrite the code in the house format
 	@$(BIN)/ruff check --quiet --select I --fix
