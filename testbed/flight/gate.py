@@ -23,7 +23,9 @@ class GateParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of a healthy flight."""
 
     pose_timeout_s: Positive = 0.5
-    blind_s: Positive = 1.5  # without a pose, when braking on what was fired
+    # without a pose, when braking on what was fired: a whole stop from the filter's top speed.
+    # It is a tenth wrong at the end; to shut the valves earlier leaves all of what is left
+    blind_s: Positive = 4.0
     link_timeout_s: Positive = 2.0  # after the last setpoint has run out, at rest
     max_rejected: Annotated[int, Meta(ge=0)] = (
         30  # poses of late that the estimator did not believe

@@ -214,7 +214,7 @@ def test_the_first_reason_stays_when_there_are_two(gate, healthy):
 
 def test_an_unusual_gate_is_asked_for():
     assert GateParams() == GateParams(
-        pose_timeout_s=0.5, blind_s=1.5, link_timeout_s=2.0, max_rejected=30, max_speed=0.6,
+        pose_timeout_s=0.5, blind_s=4.0, link_timeout_s=2.0, max_rejected=30, max_speed=0.6,
         max_spin=1.5, fence_margin=0.0,
     )  # fmt: skip
     assert EARLY == 1e-3
