@@ -14,7 +14,7 @@ DEV := $(VENV)/.installed-dev
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test lint check format constraints clean venv firmware mutants fuzz
+.PHONY: help demo test lint check format constraints clean venv firmware mutants fuzz gate
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -42,8 +42,16 @@ mutants: $(DEV)  ## Put every small fault into the firmware's core; do the tests
 fuzz: $(DEV)  ## Feed rubbish to all that reads from outside (ROUNDS=10, two minutes each)
 	@for round in $$(seq $(or $(ROUNDS),10)); do ABT_FUZZ=100000 ABT_ROUND=$$round \
 		$(BIN)/python -m pytest --hypothesis-seed=$$round tests/config/test_fuzz.py \
+		tests/config/test_fuzz_files.py tests/network/test_fuzz_network.py \
+		tests/mocap/test_fuzz_mocap.py tests/network/test_envelope.py tests/mocap/test_natnet.py \
 		tests/firmware/test_hostile_board.py tests/firmware/test_assurance.py -k 'not line_of' \
 		|| exit 1; done
+
+gate: $(DEV)  ## Show that the gate's tests take every branch of it
+	@mkdir -p build
+	@$(BIN)/python -m coverage run --branch --include=testbed/flight/gate.py \
+		--data-file=build/gate.coverage -m pytest -q tests/flight/test_gate.py
+	@$(BIN)/python -m coverage report -m --fail-under=100 --data-file=build/gate.coverage
 
 format: $(DEV)  ## Rewrite the code in the house format
 	@$(BIN)/ruff check --quiet --select I --fix

@@ -1,5 +1,6 @@
 """The flight as the host sees it: its laws, the permit, and what the vehicles report."""
 
+import math
 from collections.abc import Callable
 from typing import Protocol
 
@@ -49,8 +50,29 @@ class Book(Protocol):
 def order(session: zenoh.Session, keys: Keys, name: str, what: Order) -> Answer:
     """A vehicle's answer to an order."""
     data = ask(session, keys.of(name, "order"), msgspec.msgpack.encode(what))
-    answer: Answer = msgspec.msgpack.decode(data, type=Answer)
+    try:
+        answer: Answer = msgspec.msgpack.decode(data, type=Answer)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        raise NetworkError(f"{name} answers an order with what is no answer") from None
     return answer
+
+
+_open_truth = msgspec.msgpack.Decoder(tuple[int, dict[str, list[float]]]).decode
+
+
+def newest_truth(told: list[tuple[int, bytes]]) -> tuple[dict[str, list[float]] | None, int]:
+    """The newest of some messages of the truth that is one, and how many were none."""
+    bad = 0
+    for _, data in reversed(told):
+        try:
+            poses = _open_truth(data)[1]
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            bad += 1
+            continue
+        if all(len(row) == 6 and all(map(math.isfinite, row)) for row in poses.values()):
+            return poses, bad
+        bad += 1
+    return None, bad
 
 
 class HostFlight:
@@ -61,6 +83,7 @@ class HostFlight:
         keys = party.keys
         self._names = list(experiment.vehicles)
         self.truth: Ear | None = None
+        self.bad_truth = 0  # messages of it that were none
         self._ticks = {n: Ear(party.session, keys.of(n, "tick")) for n in self._names}
         self._events = {n: Ear(party.session, keys.of(n, "event")) for n in self._names}
         open_tick = msgspec.msgpack.Decoder(Flown).decode
@@ -127,7 +150,10 @@ class HostFlight:
     def _listen(self) -> None:
         clock, book = self._party.clock, self._book
         if self.truth is not None and (told := self.truth.heard()):
-            book.note_truth(msgspec.msgpack.decode(told[-1][1])[1])
+            poses, bad = newest_truth(told)
+            self.bad_truth += bad
+            if poses is not None:
+                book.note_truth({n: poses[n] for n in self._names if n in poses})
         for name, ear in self._ticks.items():
             for at, data in ear.heard():
                 box = self._flown[name]

@@ -27,6 +27,8 @@ from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
 from testbed.ops.children import ChildError, Children
 from testbed.ops.metrics import Commands, Spent, Track
+from testbed.ops.network.access import open_lab
+from testbed.ops.network.badge import neighbour
 from testbed.ops.network.envelope import Verdict
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party
@@ -38,7 +40,7 @@ from testbed.ops.network.orders import (
     Refused,
     Start,
 )
-from testbed.ops.network.session import Ear, NetworkError, answer_to, listen
+from testbed.ops.network.session import Ear, NetworkError, answer_to
 from testbed.ops.stop import noted
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
 
@@ -59,7 +61,9 @@ def loopback(experiment: Experiment, folder: Path) -> Experiment:
         system="natnet", server="127.0.0.1", interface="127.0.0.1",
         command_port=free_port(socket.SOCK_DGRAM), data_port=free_port(socket.SOCK_DGRAM),
     )  # fmt: skip
-    network = replace(table.lab.network, endpoint=f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}")
+    how = "tls" if table.lab.network.keys else "tcp"
+    endpoint = f"{how}/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    network = replace(table.lab.network, endpoint=endpoint)
     ports = {name: str(folder / f"serial-{name}") for name in experiment.vehicles}
     serial = replace(table.lab.serial, ports=ports)
     lab = replace(table.lab, mocap=wire, network=network, serial=serial)
@@ -95,6 +99,7 @@ class WireRig:
         self._paces: list[Pace] = []
         self._lateness: list[float] = []
         self._sent = 0
+        self._warned: list[str] = []  # about keys
         self._states: dict[str, list[tuple[float, list[float]]]] = {}
         self._fired_us: dict[str, int] = {}
         self.children: dict[str, int] = {}  # processes of the bench, by name
@@ -118,8 +123,9 @@ class WireRig:
             children = stack.enter_context(Children())
             self.experiment = loopback(self.experiment, children.folder)
         network = self.experiment.table.lab.network
-        session = stack.enter_context(listen(network.endpoint))
-        stack.enter_context(noted(network.endpoint, network.lab))
+        opened, self._warned = open_lab(network, self.experiment.vehicles)
+        session = stack.enter_context(opened)
+        stack.enter_context(noted(network.endpoint, network.lab, network.keys))
         keys = Keys(network.lab)
         text = msgspec.json.encode(self.experiment)
         answering = [
@@ -155,6 +161,8 @@ class WireRig:
         )
         for name in self.experiment.vehicles:
             where = ["--connect", self.way(network.endpoint), "--lab", network.lab]
+            if network.keys:
+                where += ["--keys", str(neighbour(Path(network.keys), "vehicle", name))]
             children.start(name, [*command, "agent", name, *where, "--child"])
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
 
@@ -301,7 +309,7 @@ class WireRig:
 
     def concerns(self) -> list[Concern]:
         """See `Rig`. The laws' last words stay in their processes."""
-        return []
+        return [Concern("keys_expire", words) for words in self._warned]
 
     def wires(self) -> dict[str, Any]:
         """See `Rig`."""

@@ -29,6 +29,7 @@ from testbed.core.types import Pose, PoseSample
 from testbed.ops.mocap.exposure import Axes, Sighting
 from testbed.ops.mocap.natnet import Described, MocapFrame, RigidBody
 from testbed.ops.mocap.natnet_server import Address, NatNetServer
+from testbed.ops.network.badge import neighbour
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.session import Mouth, NetworkError, dial
 from testbed.ops.ticking import monotonic_ns
@@ -221,7 +222,9 @@ class TableServer:
 
     def _dial(self) -> None:
         with suppress(NetworkError):
-            self._session = dial(self.experiment.table.lab.network.endpoint, 0.0)
+            network = self.experiment.table.lab.network
+            keys = neighbour(Path(network.keys), "table", "") if network.keys else None
+            self._session = dial(network.endpoint, 0.0, keys)
             self._stack.callback(self._session.close)
             self._truth = Mouth(self._session, self._keys.truth, bulk=True)
 

@@ -47,6 +47,7 @@ from testbed.ops.network.orders import (
 )
 from testbed.ops.network.session import Ear, Mouth, NetworkError, answer_to, ask, dial, on_word
 from testbed.ops.offset import Offset
+from testbed.ops.port_gate import PortGate
 from testbed.ops.steady import preferred, steady
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig import make_agent, warm_up
@@ -54,6 +55,8 @@ from testbed.rig import make_agent, warm_up
 PRIORITY = 20
 READINGS = 16  # of the host's clock before a flight
 LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
+SOONEST_NS = 1_000_000_000  # an order to start may be late by so much
+FARTHEST_NS = 30_000_000_000  # and early
 PATIENCE_S = 60.0  # for a host that does not answer
 KEPT_S = 10.0
 
@@ -67,15 +70,23 @@ def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
     clock = Offset()
     for _ in range(READINGS):
         asked = monotonic_ns()
-        host = int.from_bytes(ask(session, keys.clock), "little")
-        clock.exchanged(asked, host, monotonic_ns())
+        said = ask(session, keys.clock)
+        if len(said) != 8:
+            raise NetworkError(f"the host's clock says {len(said)} bytes, expected 8")
+        clock.exchanged(asked, int.from_bytes(said, "little"), monotonic_ns())
     return clock
 
 
 class Tower:
     """The vehicle's ear for what it is told to do."""
 
-    def __init__(self, session: zenoh.Session, keys: Keys, name: str, board: str) -> None:
+    def __init__(
+        self, session: zenoh.Session, keys: Keys, name: str, board: str,
+        to_own: Callable[[int], int | None] = lambda host_ns: None,
+    ) -> None:  # fmt: skip
+        """Listen; `to_own` says when a time of the host's clock is on this machine's."""
+        self._to_own = to_own
+        self.bad_orders = 0  # that were none
         self.starts: SimpleQueue[Start] = SimpleQueue()
         self.stop_reason: str | None = None
         self._board, self._flying = board, threading.Event()
@@ -91,15 +102,24 @@ class Tower:
         self._close = close
 
     def _order(self, data: bytes) -> bytes:
-        order: Order = msgspec.msgpack.decode(data, type=Order)
+        try:
+            order: Order = msgspec.msgpack.decode(data, type=Order)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            self.bad_orders += 1
+            raise
         answer: Answer
         match order:
             case Stop(reason):
                 self._stop(reason)
                 answer = Accepted(self._board)
             case Start():
+                begin = self._to_own(order.epoch_ns)
+                ahead = 0 if begin is None else begin - monotonic_ns()
                 if self._flying.is_set():
                     answer = Refused("it flies already")
+                elif not -SOONEST_NS <= ahead <= FARTHEST_NS:
+                    self.bad_orders += 1
+                    answer = Refused(f"to start in {1e-9 * ahead:.1f} s; expected 0 to 30 s")
                 else:
                     self._flying.set()
                     self.starts.put(order)
@@ -178,7 +198,9 @@ class Flight:
         return True
 
 
-def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: bool) -> None:
+def fly_vehicle(
+    name: str, endpoint: str, lab: str, port: str | None, badge: Path | None = None, *, child: bool
+) -> None:
     """Get ready, wait for the order, fly once, and tell the host how it went.
 
     Args:
@@ -186,6 +208,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
         endpoint: of the host.
         lab: first part of the keys.
         port: of the board; None: the table file's.
+        badge: its key folder; None: the host is on this machine.
         child: end when standard input does.
 
     Raises:
@@ -197,7 +220,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
 
     keys = Keys(lab)
     with ExitStack() as stack:
-        session = stack.enter_context(dial(endpoint, PATIENCE_S))
+        session = stack.enter_context(dial(endpoint, PATIENCE_S, badge))
         experiment = ask_experiment(session, keys, gone)
         if name not in experiment.vehicles:
             raise VehicleError(f"the host flies {', '.join(experiment.vehicles)}, not {name}")
@@ -222,7 +245,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
             )
         )  # fmt: skip
         clock_of_host = read_clock(session, keys)
-        tower = Tower(session, keys, name, thrusters.board)
+        tower = Tower(session, keys, name, thrusters.board, clock_of_host.to_own)
         stack.enter_context(steady())  # now: the last collection of garbage takes its time
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
@@ -244,7 +267,8 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
         sleep_until_ns(epoch - LOOK_NS)
         thrusters.arm()
         tower.take_off(thrusters.disarm)
-        node = VehicleNode(name, agent, poses, thrusters, link)
+        port_gate = PortGate(thrusters, lambda: clock.now, experiment.flight.jet_period_s)
+        node = VehicleNode(name, agent, poses, port_gate, link)
         ending = fly(
             clock, [node], [], experiment.flight.jet_period_s, experiment.ticks, flight,
             stopped=flight.over,
@@ -253,7 +277,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
         fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
         if poses.trouble is not None and fault is not None:
             fault += f"; its body is {poses.trouble}"
-        counts = count(link, thrusters, poses, clock_of_host)
+        counts = count(link, thrusters, poses, clock_of_host, port_gate.refused)
         out = Outbox(start.session)
         ended = Ended(ending.t, fault, counts)
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
@@ -266,6 +290,10 @@ def ask_experiment(session: zenoh.Session, keys: Keys, gone: Callable[[], bool])
     while True:
         try:
             return msgspec.json.decode(ask(session, keys.experiment), type=Experiment)
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            raise VehicleError(
+                f"the host's experiment cannot be read: {error}; is it of the same version?"
+            ) from None
         except NetworkError:
             if monotonic_ns() > end or gone():
                 raise
@@ -299,14 +327,15 @@ def await_end(gone: Callable[[], bool], tower: Tower) -> None:
 
 
 def count(
-    link: ZenohVehicleLink, thrusters: SerialThrusters, poses: MocapPoses, clock: Offset
-) -> Counts:
+    link: ZenohVehicleLink, thrusters: SerialThrusters, poses: MocapPoses, clock: Offset,
+    unsent: int,
+) -> Counts:  # fmt: skip
     """What became of messages and frames."""
     best = clock.best
     latency = float(np.median(poses.latencies)) if poses.latencies else math.nan
     return Counts(
         commands={str(k): n for k, n in link.heard.inbox.counts.items()},
-        refusals=thrusters.refusals,
+        refusals=thrusters.refusals | ({"not_sent": unsent} if unsent else {}),
         mocap={str(k): n for k, n in poses.watch.counts.items()},
         lost_frames=poses.lost_frames,
         reconnects=thrusters.reconnects,

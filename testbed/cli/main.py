@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from testbed.cli.keys import lab_keys
 from testbed.cli.many import bench, campaign, tune
 
 OK, FAILED, BAD_INPUT, FAULT, INTERRUPTED = 0, 1, 2, 3, 130
@@ -101,31 +102,36 @@ def twin(
 
 @main.command()
 @click.argument("vehicle")
-@click.option(
-    "--connect", default="tcp/127.0.0.1:7450", show_default=True, help="Where the host listens."
-)
-@click.option("--lab", default="lab", show_default=True, help="First part of all keys.")
+@click.option("--connect", help="Where the host listens.  [default: as the keys say; loopback]")
+@click.option("--lab", help="First part of all keys.  [default: as the keys say; lab]")
 @click.option("--serial", help="The board's port.  [default: the table file's]")
+@click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
 @click.option("--child", is_flag=True, hidden=True)
 @click.pass_context
 def agent(
-    context: click.Context, vehicle: str, connect: str, lab: str, serial: str | None, child: bool
-) -> None:
+    context: click.Context, vehicle: str, connect: str | None, lab: str | None,
+    serial: str | None, keys: Path | None, child: bool,
+) -> None:  # fmt: skip
     """Fly a VEHICLE: on its own computer, with the board on a serial port."""
     from testbed.cli.wires import fly_agent
 
-    context.exit(fly_agent(vehicle, connect, lab, serial, child=child))
+    context.exit(fly_agent(vehicle, connect, lab, serial, keys, child=child))
 
 
 @main.command()
 @click.option("--connect", help="Where the host listens.  [default: every flight on this machine]")
 @click.option("--lab", default="lab", show_default=True, help="First part of all keys.")
+@click.option(
+    "--keys",
+    type=click.Path(path_type=Path),
+    help="The operator's folder of `testbed lab-keys`.  [default: ~/.airbearing-testbed]",
+)
 @click.pass_context
-def stop(context: click.Context, connect: str | None, lab: str) -> None:
+def stop(context: click.Context, connect: str | None, lab: str, keys: Path | None) -> None:
     """Stop whatever flies: shut every valve, now."""
     from testbed.ops.stop import stop_everything
 
-    context.exit(stop_everything(connect, lab))
+    context.exit(stop_everything(connect, lab, keys))
 
 
 @main.command()
@@ -304,7 +310,7 @@ def reproduce(
     )
 
 
-for verb in (campaign, tune, bench):
+for verb in (campaign, tune, bench, lab_keys):
     main.add_command(verb)
 
 

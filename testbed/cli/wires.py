@@ -17,7 +17,9 @@ from testbed.bench.server import TableServer, port_of
 from testbed.bench.vehicle import VehicleError, fly_vehicle
 from testbed.cli.main import BAD_INPUT, FAULT, INTERRUPTED, OK
 from testbed.config import ConfigError, find, load
+from testbed.core.lab import Network
 from testbed.ops.children import end_on_terminate, orphaned
+from testbed.ops.network.badge import BadgeError, read_badge
 from testbed.ops.network.session import NetworkError
 from testbed.ops.steady import prefer_process, preferred, steady
 from testbed.rig import warm_up
@@ -62,11 +64,26 @@ def serve_twin(
     return OK
 
 
-def fly_agent(name: str, endpoint: str, lab: str, port: str | None, *, child: bool) -> int:
+def fly_agent(
+    name: str, endpoint: str | None, lab: str | None, port: str | None,
+    keys: Path | None = None, *, child: bool,
+) -> int:  # fmt: skip
     """Fly one vehicle; the exit code."""
     end_on_terminate()
     try:
-        fly_vehicle(name, endpoint, lab, port, child=child)
+        if keys is not None:
+            badge = read_badge(keys)
+            if (badge.role, badge.name) != ("vehicle", name):
+                raise BadgeError(f"{keys} has the keys of {badge.common_name}, not of {name}")
+            if badge.ending:
+                errors.print(badge.ending, style="yellow", markup=False, soft_wrap=True)
+            endpoint, lab = endpoint or badge.endpoint, lab or badge.lab
+    except BadgeError as error:
+        return _failed(error, BAD_INPUT)
+    try:
+        fly_vehicle(
+            name, endpoint or Network().endpoint, lab or Network().lab, port, keys, child=child
+        )
     except (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError) as error:
         return _failed(error, FAULT)
     except KeyboardInterrupt:

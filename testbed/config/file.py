@@ -14,6 +14,7 @@ from testbed.config.hardware import bad_hardware
 from testbed.config.layout import bad_layout
 from testbed.config.misfit import first_misfit
 from testbed.config.mistake import ConfigError, Mistake, did_you_mean, refused
+from testbed.config.network import bad_network
 from testbed.config.number import bad_numbers
 from testbed.config.own_law import bad_own_law, with_content
 from testbed.config.rehearsal import bad_injections
@@ -66,6 +67,7 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     yield from bad_own_law(experiment)
     yield from bad_board(experiment)
     yield from bad_injections(experiment)
+    yield from bad_network(experiment)
     try:
         make_law(experiment.controller, list(experiment.vehicles))
     except ValueError as error:

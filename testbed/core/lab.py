@@ -34,7 +34,8 @@ class Network(Struct, frozen=True, forbid_unknown_fields=True):
     """The host listens, everybody else dials."""
 
     lab: Word = "lab"  # first part of every key
-    endpoint: str = "tcp/127.0.0.1:7450"  # in Zenoh's words
+    endpoint: str = "tcp/127.0.0.1:7450"  # in Zenoh's words; tls/ with keys
+    keys: str = ""  # the host's folder of those that `testbed lab-keys` makes; none: loopback only
 
 
 class SerialLines(Struct, frozen=True, forbid_unknown_fields=True):

@@ -61,7 +61,7 @@ class State(Struct, frozen=True, gc=False):
     twist: Twist
     bias: Accel  # acceleration that the commanded jets do not explain
     pose_age: float  # since the newest accepted sample was captured [s]
-    rejected: int  # samples the outlier gate has refused in a row
+    rejected: int  # samples the outlier gate has refused of late; see flight/estimator.py
 
 
 class Reference(Struct, frozen=True, gc=False, tag=True):

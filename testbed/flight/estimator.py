@@ -33,7 +33,21 @@ Array = NDArray[np.float64]
 
 # A body cannot jump; it can be shoved. Poses that contradict the filter but stay near its
 # prediction mean a collision and are believed after a while; a jump to somewhere else never is.
+# Poses of one body lie on a line, three by three, but for the cameras' noise: those that contradict
+# each other are no shove, and when they keep doing so, none is believed at all. Nor is the very
+# same pose once more while the vehicle moves: it would look like a collision that has stopped it.
 PATIENCE = 5  # samples
+AGREED = 3  # of them on the line through the two before,
+LINE = 4.0  # sigmas wide
+ROUGH = 11.0  # times the variance of the table file, in the mean: 3.5 times its noise; healthy
+# cameras stay below 4, and one ghost among good poses makes 10
+AT_ONCE = 25.0  # that a single pose can count for
+RECENT = 0.15  # share of the newest pose in the mean
+BEND = 0.5  # [m/s^2] that is no noise: five times what the jets do
+BEND_SPIN = 2.0  # [rad/s^2]
+SLOW = 0.003  # [m/s] a vehicle so slow does not move,
+SLOW_SPIN = 0.02  # [rad/s] nor does it turn
+FORGIVEN = 2  # refusals, by a pose that is believed: noise is believed by chance now and then
 JUMP = 0.05  # [m]
 TURN = 0.1  # [rad]
 SHOVE = 0.2  # [m/s]
@@ -186,7 +200,9 @@ class Clock(NamedTuple):
 
     t: float  # time of the state [s]
     newest: float  # capture time of the newest accepted sample [s]
-    refused: int  # samples refused since then
+    refused: int  # samples refused of late, see FORGIVEN
+    agreed: int  # samples in a row that are on a line, while they are refused
+    rough: float  # mean of `off_line`
 
 
 @compiled
@@ -198,14 +214,41 @@ def doubt(cov, error, shove):
 
 
 @compiled
-def absorb(x, cov, cov_spin, clock, samples, now, fired, model, noise, walk, gate):
-    """Run the filter over `samples`, shape (n, 4), changing x, cov and cov_spin in place.
+def off_line(last, sample, noise):
+    """How far a pose is off the line through the two before, in variances of noise: 1 in the mean.
+
+    Args:
+        last: the two, rows (t, x, y, theta), newest last; shifted in place.
+        sample: this one, shape (4,).
+        noise: variances of a pose, of position and heading.
+    """
+    span = last[1, 0] - last[0, 0]
+    step = sample[0] - last[1, 0]
+    known = span > 0.0
+    ahead = step / span if known else 0.0
+    dx = sample[1] - last[1, 1] - ahead * (last[1, 1] - last[0, 1])
+    dy = sample[2] - last[1, 2] - ahead * (last[1, 2] - last[0, 2])
+    before = wrap_compiled(last[1, 3] - last[0, 3])
+    turn = wrap_compiled(sample[3] - last[1, 3] - ahead * before)
+    for i in range(4):
+        last[0, i], last[1, i] = last[1, i], sample[i]
+    if not known:
+        return 1.0
+    width = 1.0 + (1.0 + ahead) ** 2 + ahead * ahead  # of three poses' noise
+    bend = (0.5 * step * (span + step)) ** 2
+    moved = 0.5 * (dx * dx + dy * dy) / (width * noise[0] + BEND * BEND * bend)
+    return max(moved, turn * turn / (width * noise[1] + BEND_SPIN * BEND_SPIN * bend))
+
+
+@compiled
+def absorb(x, cov, cov_spin, clock, last, samples, now, fired, model, noise, walk, gate):
+    """Run the filter over `samples`, shape (n, 4), changing x, cov, cov_spin, last in place.
 
     A sample captured before the filter's time has come too late and is passed over: the ones after
     it already said more; so is one from after `now`, and one that is not a number. Returns the new
     clock.
     """
-    t, newest, refused = clock
+    t, newest, refused, agreed, rough = clock
     for n in range(samples.shape[0]):
         captured = samples[n, 0]
         whole = np.isfinite(samples[n, 1] + samples[n, 2] + samples[n, 3])
@@ -215,16 +258,23 @@ def absorb(x, cov, cov_spin, clock, samples, now, fired, model, noise, walk, gat
         predict_covariance(cov, captured - t, walk[0], walk[1])
         predict_covariance(cov_spin, captured - t, walk[2], walk[3])
         t = captured
+        same = np.hypot(x[3], x[4]) > SLOW or abs(x[5]) > SLOW_SPIN
+        for i in range(1, 4):
+            same = same and samples[n, i] == last[1, i]
         dx = samples[n, 1] - x[0]
         dy = samples[n, 2] - x[1]
         turn = wrap_compiled(samples[n, 3] - x[2])
         far = (dx * dx + dy * dy) / (cov[0, 0] + noise[0])
         twisted = turn * turn / (cov_spin[0, 0] + noise[1])
-        if not (far <= gate * gate and twisted <= gate * gate):
+        off = off_line(last, samples[n], noise)
+        rough += RECENT * (min(off, AT_ONCE) - rough)
+        if same or rough > ROUGH or not (far <= gate * gate and twisted <= gate * gate):
             refused += 1
             near = np.hypot(dx, dy) <= JUMP and abs(turn) <= TURN
-            if refused < PATIENCE or not near:
+            agreed = agreed + 1 if near and off <= LINE * LINE and not same else 0
+            if same or rough > ROUGH or refused < PATIENCE or agreed < AGREED:
                 continue
+            refused = 0
             doubt(cov, np.hypot(dx, dy), SHOVE)
             doubt(cov_spin, turn, SHOVE_SPIN)
         gain = correct(cov, noise[0])
@@ -233,9 +283,9 @@ def absorb(x, cov, cov_spin, clock, samples, now, fired, model, noise, walk, gat
             x[3 * i] += gain[i] * dx
             x[3 * i + 1] += gain[i] * dy
             x[3 * i + 2] += gain_spin[i] * turn
-        newest = captured
-        refused = 0
-    return Clock(t, newest, refused)
+        newest, agreed = captured, 0
+        refused = max(0, refused - FORGIVEN)
+    return Clock(t, newest, refused, agreed, rough)
 
 
 class Estimator:
@@ -270,7 +320,8 @@ class Estimator:
         self._x: Array | None = None
         self._cov = np.zeros((3, 3))
         self._cov_spin = np.zeros((3, 3))
-        self._clock = Clock(0.0, 0.0, 0)
+        self._clock = Clock(0.0, 0.0, 0, 0, 1.0)
+        self._last = np.zeros((2, 4))  # samples
 
     def remember(self, command: ValveCommand) -> None:
         """Note a plan that was really sent: the prediction is driven by it."""
@@ -294,15 +345,16 @@ class Estimator:
             self._start(table[0])
         assert self._x is not None
         self._clock = absorb(
-            self._x, self._cov, self._cov_spin, self._clock, table, now, self._fired, self._model,
-            self._noise, self._walk, self._params.gate_sigma,
+            self._x, self._cov, self._cov_spin, self._clock, self._last, table, now, self._fired,
+            self._model, self._noise, self._walk, self._params.gate_sigma,
         )  # fmt: skip
 
     def _start(self, sample: Array) -> None:
         x = np.zeros(9)
         x[:3] = sample[1:]
         self._x = x
-        self._clock = Clock(float(sample[0]), float(sample[0]), 0)
+        self._clock = Clock(float(sample[0]), float(sample[0]), 0, 0, 1.0)
+        self._last[:] = sample
         spread = self._params.speed_spread**2
         self._cov = np.diag([self._noise[0], spread, self._params.bias_spread**2])
         self._cov_spin = np.diag([self._noise[1], spread, self._params.spin_bias_spread**2])

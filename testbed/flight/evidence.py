@@ -4,11 +4,15 @@ In a tick the estimate of momentum moves by more than plan and bias say: that is
 jet that gives nothing leaves a residual of minus its own effect x_j, every time it fires. So e is
 compared with every x_j over the last ten seconds or so, in units of the residual's own spread:
 
-    S_j = sum e x_j / s^2,    N_j = sum x_j x_j / s^2,    both forgotten at the rate 1/MEMORY
+    S_j = sum e x_j / s^2,    N_jk = sum x_j x_k / s^2,    both forgotten at the rate 1/MEMORY
 
-S_j / N_j is how much of the jet is missing (-1: all of it, if it shows in full), and
--S_j / sqrt(N_j) is how many standard deviations that is from a jet that is well. Jets that always
+S_j / N_jj is how much of the jet is missing (-1: all of it, if it shows in full). Jets that always
 fire together are told apart by their torques.
+
+Where all jets are well S_j has the variance N_jj from noise, and d^2 sum_k N_jk^2 because no jet
+has quite the thrust of the file, with its tolerance d: after a rest, a hard turn with one that is
+too strong looks as if its weaker companions gave nothing. Divided by the root of both together, S_j
+says how many standard deviations the jet is from one that is well.
 
 The velocity estimate follows the poses with a lag of about a jet period, so x_j is smoothed alike.
 The estimator's bias would take over what is missing in the mean within half a second; the one here
@@ -34,7 +38,9 @@ SPIN_SPREAD = 5e-3  # [rad/s]
 
 
 @compiled
-def weigh(before, now, duty, effect, smooth, sums, spread, bias, settling, memory, lag, period):
+def weigh(
+    before, now, duty, effect, smooth, sums, spread, bias, settling, memory, lag, thrust, period
+):
     """Add one tick to the sums, in place.
 
     Args:
@@ -43,12 +49,13 @@ def weigh(before, now, duty, effect, smooth, sums, spread, bias, settling, memor
         duty: of the plan in between, shape (n,).
         effect: acceleration by each fully open jet in B, shape (3, n).
         smooth: smoothed effects in W, shape (n, 3).
-        sums: S and N, shape (2, n).
+        sums: N, and S as its last row, shape (n + 1, n).
         spread: variance of the residual in push and turn, shape (2,).
         bias: slow mean of what the jets do not explain, shape (3,) [m/s^2, rad/s^2].
         settling: share of a tick in it.
         memory: share kept of the sums per tick.
         lag: share kept of the smoothed effects per tick.
+        thrust: tolerance of a jet, one sigma, relative.
         period: [s].
 
     Returns:
@@ -78,11 +85,16 @@ def weigh(before, now, duty, effect, smooth, sums, spread, bias, settling, memor
     spread[0] += (1.0 - memory) * (0.5 * (ex * ex + ey * ey) - spread[0])
     spread[1] += (1.0 - memory) * (ew * ew - spread[1])
     for j in range(n):
-        x, y, w = smooth[j, 0], smooth[j, 1], smooth[j, 2]
-        sums[0, j] = memory * sums[0, j] + (ex * x + ey * y) / spread[0] + ew * w / spread[1]
-        sums[1, j] = memory * sums[1, j] + (x * x + y * y) / spread[0] + w * w / spread[1]
-        if sums[0, j] < -ENOUGH * sums[1, j]:
-            sigmas = -sums[0, j] / np.sqrt(sums[1, j])
+        x, y, w = smooth[j, 0] / spread[0], smooth[j, 1] / spread[0], smooth[j, 2] / spread[1]
+        sums[n, j] = memory * sums[n, j] + ex * x + ey * y + ew * w
+        variance = 0.0
+        for k in range(n):
+            sums[j, k] = (
+                memory * sums[j, k] + x * smooth[k, 0] + y * smooth[k, 1] + w * smooth[k, 2]
+            )
+            variance += (thrust * sums[j, k]) ** 2
+        if sums[n, j] < -ENOUGH * sums[j, j]:
+            sigmas = -sums[n, j] / np.sqrt(sums[j, j] + variance)
             if sigmas > worst:
                 worst, which = sigmas, j
     return worst, which
@@ -95,10 +107,10 @@ class Evidence:
         n = len(vehicle.jets)
         scale = np.array([[vehicle.mass], [vehicle.mass], [vehicle.inertia]])
         self._effect = effect_matrix(vehicle.jets, about=vehicle.com) / scale
-        self._smooth, self._sums = np.zeros((n, 3)), np.zeros((2, n))
+        self._smooth, self._sums = np.zeros((n, 3)), np.zeros((n + 1, n))
         self._spread = np.array([SPREAD**2, SPIN_SPREAD**2])
         self._memory, self._lag = 1.0 - period / MEMORY, 1.0 - min(1.0, period / LAG)
-        self._period = period
+        self._period, self._thrust = period, vehicle.tolerance.thrust
         self._bias, self._ticks = np.zeros(3), 0
         self._before: Array | None = None
         self.missing = 0.0  # standard deviations by which the worst jet gives too little
@@ -113,6 +125,7 @@ class Evidence:
             settling = max(1.0 / self._ticks, self._period / SETTLING)
             self.missing, self.jet = weigh(
                 self._before, now, duty * share, self._effect, self._smooth, self._sums,
-                self._spread, self._bias, settling, self._memory, self._lag, self._period,
+                self._spread, self._bias, settling, self._memory, self._lag, self._thrust,
+                self._period,
             )  # fmt: skip
         self._before = now

@@ -25,7 +25,7 @@ Detector = Literal[
     "pose_repeats",  # equal poses in a row
     "pose_jump",  # [m] of the newest pose from where it was expected
     "pose_of_another",  # 1: the newest pose is where another vehicle should be
-    "poses_rejected",  # in a row, by the estimator
+    "poses_rejected",  # of late, by the estimator
     "setpoint_age",  # [s] since the newest setpoint was due
     "setpoint_overdue",  # [s] since the newest setpoint ran out
     "neighbour_age",  # [s] of the oldest state heard of another vehicle

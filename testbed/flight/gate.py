@@ -24,10 +24,12 @@ class GateParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of a healthy flight."""
 
     pose_timeout_s: Positive = 0.5
-    blind_s: Positive = 1.5  # without a pose, when braking on what was fired
+    # without a pose, when braking on what was fired: a whole stop from the filter's top speed.
+    # It is a tenth wrong at the end; to shut the valves earlier leaves all of what is left
+    blind_s: Positive = 4.0
     link_timeout_s: Positive = 2.0  # after the last setpoint has run out, at rest
     max_rejected: Annotated[int, Meta(ge=0)] = (
-        30  # poses in a row that the estimator did not believe
+        30  # poses of late that the estimator did not believe
     )
     max_speed: Positive = 0.6  # [m/s]
     max_spin: Positive = 1.5  # [rad/s]
@@ -104,7 +106,7 @@ class Gate:
         if not -EARLY < state.pose_age <= pose_timeout:
             return f"no pose for {state.pose_age:.2f} s (limit {pose_timeout} s)"
         if setpoint is not None and state.rejected > p.max_rejected:
-            return f"{state.rejected} poses in a row contradict the estimate"
+            return f"{state.rejected} poses contradict the estimate"
         if setpoint is not None and not t - setpoint.valid_until <= p.link_timeout_s:
             waited = t - setpoint.valid_until
             return f"no setpoint for {waited:.2f} s (limit {p.link_timeout_s} s)"

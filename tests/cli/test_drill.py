@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.cli.admit import forced, print_admission
-from testbed.cli.drill import fly_case
+from testbed.cli.drill import case, fly_case
 from testbed.config import ConfigError, find, load
 from testbed.ops.admission import AdmissionParams, Flown, judge_flights, nearest_edge, nearest_rims
 from testbed.ops.drill import NAMES, WHEN, Drilled, draw, summarise
@@ -161,4 +161,21 @@ def test_an_injected_fault_is_named_and_answered(inject, named, response, within
     assert found.named.startswith(named)
     assert found.detected_s <= within
     assert found.response == response
+    assert (found.contacts, found.late) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("number", "kind"),
+    [
+        (22, "noisy_mocap"), (98, "noisy_mocap"), (668, "noisy_mocap"),  # believed to be shoves
+        (343, "freeze_mocap"),  # believed to be a wall
+        (341, "overrun"),  # stopped 2 cm from the edge, and slid
+        (969, "drop_mocap"),  # shut in mid-brake
+    ],
+)  # fmt: skip
+def test_what_once_ended_in_a_contact_does_not_any_more(number, kind):
+    found = case(number, 0)
+    assert found.kind == kind
+    assert found.response == "brake"
+    assert found.detected_s < 0.3
     assert (found.contacts, found.late) == (0, 0)

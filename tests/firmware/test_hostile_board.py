@@ -5,6 +5,7 @@ ABT_FUZZ is the number of chunks of the long test, ABT_ROUND its seed; `make fuz
 
 import os
 import tracemalloc
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -85,6 +86,27 @@ def test_nothing_a_board_says_breaks_the_session(limits, seed):
     assert taken > CHUNKS / 10
     for reason in ("bad_length", "bad_crc", "unknown"):
         assert session.bad_frames[reason] > CHUNKS / 1_000
+
+
+def test_a_hostile_board_takes_no_memory(limits):
+    rng = np.random.default_rng((ROUND, 7))
+    session, now = Session(limits, nonce=5), 0
+
+    def feed(count):
+        nonlocal now
+        for _ in range(count):
+            now += 10_000
+            with suppress(SessionError):
+                session.receive(chunk(rng), now)
+
+    feed(12_000)  # until what is kept is full
+    tracemalloc.start()
+    feed(200)
+    before, _ = tracemalloc.get_traced_memory()
+    feed(CHUNKS // 3)
+    after, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert after - before < 100_000
 
 
 def test_what_is_dropped_is_counted_to_the_last_frame(limits):

@@ -48,10 +48,16 @@ def make_agent(vehicle, table):
 
 @pytest.fixture
 def make_inputs(vehicle):
-    """Inputs of a vehicle that stands still and is seen 20 ms late, then `changes`."""
+    """Inputs of a vehicle that stands still and is seen 20 ms late, then `changes`.
+
+    No camera says the very same twice.
+    """
 
     def make(t, pose=(0.0, 0.0, 0.0), pressure=vehicle.air.set_pressure, **changes):
-        seen = tuple(PoseSample(t - 0.02 - 0.01 * k, *pose) for k in reversed(range(10)))
+        x, *rest = pose
+        seen = tuple(
+            PoseSample(t - 0.02 - 0.01 * k, x + 1e-9 * (k % 2), *rest) for k in reversed(range(10))
+        )
         health = Health(t, pressure, 20e6)
         return replace(Inputs(t, True, seen, hold(), {}, health), **changes)
 

@@ -427,6 +427,57 @@ def test_a_shove_is_believed_after_a_few_samples(shove, make_estimator):
     assert vector(state)[3:6] == pytest.approx(np.array(shove), abs=0.02)
 
 
+@pytest.mark.parametrize(
+    "noise", [0.001, 0.003, 0.01, 0.02, 0.06]
+)  # [m]; the table file says 0.0002
+@pytest.mark.parametrize("seed", range(5))
+def test_poses_that_contradict_each_other_are_no_shove(seed, noise, make_estimator):
+    rng, estimator = np.random.default_rng(seed), make_estimator()
+    hear(estimator, still(FIRST_SECOND))
+    rejected = []
+    for dt in FRAME * np.arange(1, 61):
+        hear(estimator, still([FIRST_SECOND[-1] + dt], (*rng.normal(0.0, noise, 2), 0.0)))
+        state = estimator.predict(FIRST_SECOND[-1] + dt, now=FIRST_SECOND[-1] + dt)
+        rejected.append(state.rejected)
+    assert max(rejected) > 12  # what the fault table asks for
+    # the spread of a shove that was believed would be 0.2 m/s
+    assert vector(state)[3:5] == pytest.approx(np.zeros(2), abs=0.02)
+    assert vector(state)[:2] == pytest.approx(np.zeros(2), abs=0.012)
+
+
+@pytest.mark.parametrize("speed", [0.01, 0.1, 0.2])
+def test_a_frozen_pose_does_not_stop_a_moving_vehicle(speed, make_estimator):
+    rng, estimator = np.random.default_rng(1), make_estimator()
+    times = FRAME * np.arange(1, 201)
+    for t in times:
+        noise = rng.normal(0.0, (2e-4, 2e-4, 5e-4))
+        hear(estimator, still([t], np.array((speed * t, 0.0, 0.0)) + noise))
+    frozen = np.array((speed * times[-1], 0.0, 0.0)) + noise
+    for dt in FRAME * np.arange(1, 31):
+        hear(estimator, still([times[-1] + dt], frozen))
+    state = estimator.predict(times[-1] + dt, now=times[-1] + dt)
+    assert state.rejected == 30
+    assert state.pose_age == pytest.approx(0.3)
+    assert state.twist.vx == pytest.approx(speed, abs=5e-3)
+    assert state.pose.x == pytest.approx(speed * (times[-1] + dt), abs=3e-3)
+
+
+def test_a_shove_is_believed_through_the_noise_of_the_cameras(make_estimator, table):
+    for seed in range(20):
+        rng, estimator = np.random.default_rng(seed), make_estimator()
+        mocap, found = table.mocap, []
+        spread = (mocap.noise, mocap.noise, math.radians(mocap.noise_deg))
+        hear(estimator, still(FIRST_SECOND))
+        for dt in FRAME * np.arange(1, 25):
+            pose = dt * np.array((0.15, -0.1, 0.2)) + rng.normal(0.0, spread)
+            hear(estimator, still([FIRST_SECOND[-1] + dt], pose))
+            state = estimator.predict(FIRST_SECOND[-1] + dt, now=0.0)
+            found.append(state.rejected)
+        assert max(found) < 12
+        assert found[-1] == 0
+        assert vector(state)[3:5] == pytest.approx((0.15, -0.1), abs=0.03)
+
+
 def test_late_samples_are_passed_over(make_estimator):
     rng = np.random.default_rng(0)
     one, other = make_estimator(), make_estimator()

@@ -82,7 +82,7 @@ ROWS = [
     ("age", {"pose_age": up(0.5)}, "no pose for"),
     ("age", {"pose_age": math.inf}, "no pose for"),
     ("rejected", {"rejected": 30}, OK),
-    ("rejected", {"rejected": 31}, "31 poses in a row"),
+    ("rejected", {"rejected": 31}, "31 poses contradict"),
     # the fence
     ("fence", {"pose": Pose(2.8, 0.0, 0.0)}, OK),
     ("fence", {"pose": Pose(-2.8, -2.7, 0.0)}, OK),
@@ -158,8 +158,12 @@ def test_a_setpoint_age_that_is_not_a_number(gate, healthy):
     assert ask(gate, healthy, setpoint=replace(SETPOINT, valid_until=math.nan)) is not None
 
 
-def test_a_pose_from_the_future(gate, healthy):
-    assert ask(gate, replace(healthy, pose_age=-5.0)) is not None
+@pytest.mark.parametrize(
+    ("age", "reason"),
+    [(up(-EARLY), OK), (-EARLY, "no pose for"), (-5.0, "no pose for"), (-math.inf, "no pose for")],
+)
+def test_a_pose_from_the_future(age, reason, gate, healthy):
+    assert verdict(gate, reason, ask(gate, replace(healthy, pose_age=age)))
 
 
 # Latching
@@ -201,6 +205,19 @@ def test_a_pressure_that_is_no_number_shuts_the_valves_and_says_so(pressure, gat
     health = Health(NOW, pressure, 20e6)
     assert ask(gate, healthy, health=health) == "supply pressure is not a number"
     assert gate.fault == "supply pressure is not a number"
+
+
+def test_the_first_reason_stays_when_there_are_two(gate, healthy):
+    said = ask(gate, replace(healthy, rejected=99), health=Health(NOW, math.nan, 2e7))
+    assert "contradict" in said
+
+
+def test_an_unusual_gate_is_asked_for():
+    assert GateParams() == GateParams(
+        pose_timeout_s=0.5, blind_s=4.0, link_timeout_s=2.0, max_rejected=30, max_speed=0.6,
+        max_spin=1.5, fence_margin=0.0,
+    )  # fmt: skip
+    assert EARLY == 1e-3
 
 
 # Sessions
@@ -289,3 +306,39 @@ PLAN = ValveCommand(8, NOW, NOW + 0.1, (5000, 0, 100_000), (10_000, 0, 0))
 def test_a_plan_at_the_port(change, now, newest, reason):
     said = refuse_plan(replace(PLAN, **change), now, newest, longest=0.1)
     assert said is None if reason is OK else reason in said
+
+
+LONGEST, WHOLE = 0.1, 100_001  # [s], [us]: a pulse may be one longer, for rounding
+
+
+@pytest.mark.parametrize(
+    ("issued_at", "valid_until", "now", "reason"),
+    [
+        (0.0, LONGEST + EARLY, 0.0, OK),
+        (0.0, up(LONGEST + EARLY), 0.0, "a plan of 0.101 s"),
+        (0.0, 5e-324, 0.0, OK),
+        (0.0, 0.0, -1.0, "a plan of 0.000 s"),
+        (EARLY, 0.05, 0.0, OK),
+        (up(EARLY), 0.05, 0.0, "from the future"),
+    ],
+)
+def test_the_times_of_a_plan_to_the_last_bit(issued_at, valid_until, now, reason):
+    plan = ValveCommand(8, issued_at, valid_until, (0,), (0,))
+    said = refuse_plan(plan, now, 7, LONGEST)
+    assert said is None if reason is OK else reason in said
+
+
+@pytest.mark.parametrize(
+    ("on", "offset", "ok"),
+    [
+        (WHOLE, 0, True), (WHOLE + 1, 0, False), (0, WHOLE, True), (0, WHOLE + 1, False),
+        (40_000, WHOLE - 40_000, True), (40_000, WHOLE - 39_999, False),
+        (0, 0, True), (-1, 0, False), (0, -1, False),
+    ],
+)  # fmt: skip
+def test_the_pulses_of_a_plan_to_the_microsecond(on, offset, ok):
+    said = refuse_plan(ValveCommand(8, 0.0, LONGEST, (0, on), (0, offset)), 0.0, 7, LONGEST)
+    if ok:
+        assert said is None
+    else:
+        assert said == f"a pulse of {on} us after {offset} us in a plan of 100000 us"

@@ -355,6 +355,8 @@ def decode_server_info(payload: memoryview) -> ServerInfo:
         raise NatNetError(f"a server's answer of {len(payload)} bytes, expected {INFO.size}")
     values = INFO.unpack_from(payload)
     name = values[0].partition(b"\0")[0].decode(errors="replace")
+    if values[9] == 0:
+        raise NatNetError("a server's clock that stands still")
     group = ".".join(map(str, values[12:16])) if values[11] else None
     return ServerInfo(name, (values[5], values[6]), values[9], values[10], group)
 

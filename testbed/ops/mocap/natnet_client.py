@@ -30,6 +30,9 @@ SO_TIMESTAMPNS = 35  # Linux, asm-generic/socket.h; Python does not name it
 TIMESPEC = struct.Struct("qq")
 ASK_NS = 1_000_000_000  # between two questions to the server
 FIRST_ASK_NS = 100_000_000  # until it has answered
+MOST = (
+    512  # datagrams in one look: two seconds' worth; a flood must not keep the vehicle from flying
+)
 
 
 class NatNetClient:
@@ -47,7 +50,7 @@ class NatNetClient:
             membership = socket.inet_aton(wire.group) + socket.inet_aton(wire.interface)
             data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
             self._sockets.append(data)
-        self._ask_due = 0
+        self._ask_due, self._asked = 0, 0
         self.info: ServerInfo | None = None
         self.names: dict[int, str] = {}
         self.clock = Offset()
@@ -67,7 +70,9 @@ class NatNetClient:
         """See `MocapSource`."""
         exposures: list[Exposure] = []
         for one in self._sockets:
-            while (got := _receive(one)) is not None:
+            for _ in range(MOST):
+                if (got := _receive(one)) is None:
+                    break
                 try:
                     exposure = self._take(*got)
                 except NatNetError:
@@ -83,7 +88,7 @@ class NatNetClient:
         if now < self._ask_due:
             return
         known = self.info is not None and self.names
-        self._ask_due = now + (ASK_NS if known else FIRST_ASK_NS)
+        self._ask_due, self._asked = now + (ASK_NS if known else FIRST_ASK_NS), now
         questions = [packet(Packet.ECHO_REQUEST, now.to_bytes(8, "little"))]
         if self.info is None:
             questions = [packet(Packet.CONNECT)]
@@ -106,6 +111,8 @@ class NatNetClient:
                 self.names = {model.id: model.name for model in models}
             case Packet.ECHO_RESPONSE if self.info:
                 asked, server = decode_echo(payload)
+                if asked != self._asked:
+                    raise NatNetError("an echo of nothing that was asked")
                 self.clock.exchanged(asked, self._ns(server), arrived_ns)
             case Packet.FRAME if self.info and self.names:
                 return self._expose(decode_frame(payload, self.info.version), arrived_ns)

@@ -4,10 +4,14 @@ from collections import deque
 from collections.abc import Sequence
 
 from testbed.core.lab import MocapWire
-from testbed.core.types import PoseSample
-from testbed.ops.mocap.exposure import Axes, MocapSource
+from testbed.core.types import Pose, PoseSample
+from testbed.ops.mocap.exposure import Axes, MocapSource, Sighting
 from testbed.ops.mocap.watch import BodyWatch
 from testbed.ops.ticking import WallClock
+
+OLDEST_NS = 2_000_000_000  # from exposure to arrival
+EARLIEST_NS = 100_000_000  # the other way: clocks are known to some milliseconds
+FARTHEST = 1e4  # [m] no camera sees so far
 
 
 class MocapPoses:
@@ -26,6 +30,7 @@ class MocapPoses:
         self.latencies: deque[float] = deque(maxlen=1000)  # exposure to arrival [s]
         self.lost_frames = 0  # by their numbers
         self._number: int | None = None
+        self.implausible = 0  # exposures of another time, and poses that are no numbers
 
     def samples(self) -> Sequence[PoseSample]:
         """See `PoseSource`."""
@@ -34,18 +39,28 @@ class MocapPoses:
             if self._number is not None and exposure.number > self._number + 1:
                 self.lost_frames += exposure.number - self._number - 1
             self._number = exposure.number
+            age = exposure.arrived_ns - exposure.exposed_ns
+            if not -EARLIEST_NS <= age <= OLDEST_NS:
+                self.implausible += 1
+                continue
             t = self._clock.of(exposure.exposed_ns)
-            poses = {
-                name: self._axes.to_table(seen) if seen.tracked else None
-                for name, seen in exposure.bodies.items()
-            }
+            poses = {name: self._seen(sighting) for name, sighting in exposure.bodies.items()}
             pose = self.watch.look(t, poses).get(self._body)
-            self.latencies.append(1e-9 * (exposure.arrived_ns - exposure.exposed_ns))
+            self.latencies.append(1e-9 * age)
             if pose is not None:
                 samples.append(PoseSample(t, pose.x, pose.y, pose.theta))
                 self.arrived_ns = exposure.arrived_ns
         self.watch.pass_time(self._clock.now)
         return samples
+
+    def _seen(self, sighting: Sighting) -> Pose | None:
+        """Where a body is, if that is known."""
+        if not sighting.tracked:
+            return None
+        if not all(abs(x) < FARTHEST for x in (*sighting.position, *sighting.rotation)):
+            self.implausible += 1
+            return None
+        return self._axes.to_table(sighting)
 
     @property
     def trouble(self) -> str | None:

@@ -12,6 +12,8 @@ from testbed.ops.mocap.exposure import Exposure, Sighting
 from testbed.ops.network.session import Ear
 from testbed.ops.offset import Offset
 
+MOST_BODIES = 256
+
 Bodies = dict[str, tuple[float, float, float, float, float, float, float]]
 
 
@@ -34,7 +36,10 @@ class PoseTopic:
         for arrived, data in self._ear.heard():
             try:
                 number, exposed, sent, bodies = self._decode(data)
-            except (msgspec.MsgspecError, UnicodeDecodeError):
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                self.bad += 1
+                continue
+            if len(self._known | bodies.keys()) > MOST_BODIES:
                 self.bad += 1
                 continue
             self.clock.heard(sent, arrived)

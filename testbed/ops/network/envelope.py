@@ -11,11 +11,12 @@ from typing import Any, Generic, TypeVar
 import msgspec
 from msgspec import Struct
 
-from testbed.core.types import Setpoint, State, Told
+from testbed.core.types import Setpoint, State, Told, Trajectory
 
 M = TypeVar("M")
 
 SCHEMA = 1  # of the envelope and everything in it; others are refused
+LONGEST_S = 60.0  # that a message may be worth anything
 EARLY_S = 0.05  # a message may come so long before it was issued: clocks are never the same
 
 
@@ -97,6 +98,8 @@ class Inbox(Generic[M]):
                 return Verdict.LATE
             if not arrived_at - head.issued_at >= -EARLY_S:
                 return Verdict.GARBLED
+            if not head.valid_until - head.issued_at <= LONGEST_S:
+                return Verdict.GARBLED
             message = self._open(head.body)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
             return Verdict.GARBLED
@@ -104,6 +107,50 @@ class Inbox(Generic[M]):
         return Verdict.TAKEN
 
 
-open_state = msgspec.msgpack.Decoder(State).decode
-open_setpoint = msgspec.msgpack.Decoder(Setpoint).decode
-open_told = msgspec.msgpack.Decoder(Told).decode
+_state = msgspec.msgpack.Decoder(State).decode
+_setpoint = msgspec.msgpack.Decoder(Setpoint).decode
+_told = msgspec.msgpack.Decoder(Told).decode
+
+
+def open_state(data: Any) -> State:
+    """A vehicle's state; only finite numbers of a size that means something."""
+    state: State = _state(data)
+    pose, twist, bias = state.pose, state.twist, state.bias
+    _insist(
+        state.t, pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega,
+        bias.ax, bias.ay, bias.alpha, state.pose_age,
+    )  # fmt: skip
+    return state
+
+
+def open_setpoint(data: Any) -> Setpoint:
+    """A setpoint, likewise; a trajectory has something in it."""
+    setpoint: Setpoint = _setpoint(data)
+    if isinstance(setpoint, Trajectory):
+        if not setpoint.references:
+            raise msgspec.ValidationError("a trajectory of nothing")
+        for r in setpoint.references:
+            pose, twist, accel = r.pose, r.twist, r.accel
+            _insist(
+                r.t, pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega,
+                accel.ax, accel.ay, accel.alpha, setpoint.valid_until,
+            )  # fmt: skip
+    else:
+        _insist(
+            setpoint.t, setpoint.fx_w, setpoint.fy_w, setpoint.theta, setpoint.omega,
+            setpoint.alpha, setpoint.valid_until,
+        )  # fmt: skip
+    return setpoint
+
+
+def open_told(data: Any) -> Told:
+    """What a law says, likewise."""
+    told: Told = _told(data)
+    _insist(told.t, *told.values)
+    return told
+
+
+def _insist(*values: float) -> None:
+    for value in values:
+        if not abs(value) < 1e9:  # also nan
+            raise msgspec.ValidationError(f"a number of {value}")

@@ -15,7 +15,8 @@
     <lab>/host/alive           liveliness token
     <lab>/operator/stop        put or get: end the flight, now          anybody -> all
 
-States and setpoints are latest-wins and may be lost. Orders are answered. Stop is both.
+States and setpoints are latest-wins and may be lost. Orders are answered. Stop is both. In a lab
+with keys `access.py` says who may do what here.
 """
 
 
@@ -31,6 +32,7 @@ class Keys:
         self.experiment = f"{lab}/host/experiment"
         self.host_alive = f"{lab}/host/alive"
         self.stop = f"{lab}/operator/stop"
+        self.everything = f"{lab}/**"
 
     def of(self, vehicle: str, what: str) -> str:
         """A vehicle's key: state, setpoint, told, tick, event, order or alive."""

@@ -60,7 +60,7 @@ class Counts(Struct, frozen=True):
     """What became of messages and frames, on one vehicle, by the end."""
 
     commands: dict[str, int]  # setpoints, by `envelope.Verdict`
-    refusals: dict[str, int]  # plans, by the board's own word
+    refusals: dict[str, int]  # plans, by the board's own word; not_sent: by the gate at the port
     mocap: dict[str, int]  # troubles of its body, by `watch.Trouble`
     lost_frames: int
     reconnects: int  # of the serial line

@@ -3,18 +3,25 @@
 The host listens where the lab file says and passes on what vehicles say to each other; everybody
 else dials. Nobody scouts, and nobody listens anywhere else: Zenoh's own default is to listen on
 every interface. Messages are dropped when the network is full; nobody waits for it.
+
+Without keys nobody listens or dials beyond this machine. With them both ends show a certificate of
+the lab's authority, and the host lets everybody do what `access.py` says.
 """
 
 import json
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import zenoh
 
+from testbed.ops.network.badge import BadgeError, read_badge, tls, trouble
 from testbed.ops.ticking import monotonic_ns
 
+LARGEST = 1 << 18  # [bytes] of a message; an experiment has 20 kB
 LEASE_MS = 400  # a peer that is silent for so long is gone
+BURST = 16  # messages that may be said at once; Zenoh's own 2 lose every third of a burst
 PENDING = 64  # messages of a key between two looks; more are not worth having
 
 
@@ -22,10 +29,14 @@ class NetworkError(Exception):
     """There is no network."""
 
 
-def _config(mode: str, listen: list[str], connect: list[str], wait_ms: int) -> zenoh.Config:
+def _config(
+    mode: str, listen: list[str], connect: list[str], wait_ms: int,
+    keys: Path | None = None, control: Mapping[str, Any] | None = None,
+) -> zenoh.Config:  # fmt: skip
     return zenoh.Config.from_json5(
         json.dumps({
             "mode": mode,
+            "access_control": control or {"enabled": False},
             "scouting": {
                 "multicast": {"enabled": False},
                 "gossip": {"enabled": False},
@@ -42,10 +53,15 @@ def _config(mode: str, listen: list[str], connect: list[str], wait_ms: int) -> z
             },
             "transport": {
                 "link": {
+                    "tls": tls(keys) if keys is not None else {},
+                    "rx": {"max_message_size": LARGEST},
                     "tx": {
                         "lease": LEASE_MS,
                         "keep_alive": 4,
-                        "queue": {"congestion_control": {"drop": {"wait_before_drop": 0}}},
+                        "queue": {
+                            "congestion_control": {"drop": {"wait_before_drop": 0}},
+                            "size": {"real_time": BURST},
+                        },
                     },
                 },
                 "shared_memory": {"enabled": False},
@@ -54,33 +70,59 @@ def _config(mode: str, listen: list[str], connect: list[str], wait_ms: int) -> z
     )  # fmt: skip
 
 
-def listen(endpoint: str) -> zenoh.Session:
+def _words(error: zenoh.ZError) -> str:
+    """Zenoh's words without the line of its source that they come from."""
+    return str(error).partition(" at /")[0].rstrip(" .!")
+
+
+def _checked(endpoint: str, keys: Path | None) -> None:
+    """Raise a NetworkError if nobody should be there with these keys."""
+    if (why := trouble(endpoint, keys)) is not None:
+        raise NetworkError(f"{endpoint} is not opened: {why}")
+    if keys is not None:
+        try:
+            read_badge(keys)
+        except BadgeError as error:
+            raise NetworkError(str(error)) from None
+
+
+def listen(
+    endpoint: str, keys: Path | None = None, control: Mapping[str, Any] | None = None
+) -> zenoh.Session:
     """Open the host's end.
 
+    Args:
+        endpoint: in Zenoh's words.
+        keys: the host's folder; None: everybody on this machine is welcome, and nobody else.
+        control: who may do what, see `access.control`.
+
     Raises:
-        NetworkError: the endpoint is taken or is none.
+        NetworkError: the endpoint is taken or is none, or the keys are none.
     """
+    _checked(endpoint, keys)
     try:
-        return zenoh.open(_config("router", [endpoint], [], 0))
+        return zenoh.open(_config("router", [endpoint], [], 0, keys, control))
     except zenoh.ZError as error:
         raise NetworkError(
-            f"cannot listen on {endpoint}: {error}; expected a free address of this machine, see"
-            " [lab.network] of the table file"
+            f"cannot listen on {endpoint}: {_words(error)}; expected a free address of this"
+            " machine, see [lab.network] of the table file"
         ) from None
 
 
-def dial(endpoint: str, wait_s: float = 1.0) -> zenoh.Session:
+def dial(endpoint: str, wait_s: float = 1.0, keys: Path | None = None) -> zenoh.Session:
     """Open a vehicle's or an onlooker's end.
 
     Raises:
-        NetworkError: nobody listens there.
+        NetworkError: nobody listens there, or one side does not believe the other's keys.
     """
+    _checked(endpoint, keys)
     try:
-        return zenoh.open(_config("client", [], [endpoint], round(1e3 * wait_s)))
+        return zenoh.open(_config("client", [], [endpoint], round(1e3 * wait_s), keys))
     except zenoh.ZError as error:
+        doubt = "" if keys is None else f", and are the keys in {keys} of its lab and not expired"
         raise NetworkError(
-            f"nobody answers at {endpoint}: {error}; is `testbed run` waiting on the host, and is"
-            " the address right?"
+            f"nobody answers at {endpoint}: {_words(error)}; is `testbed run` waiting on the host,"
+            f" and is the address right{doubt}?"
         ) from None
 
 

@@ -1,0 +1,152 @@
+"""`testbed lab-keys`: the lab's keys and the list of who may do what, in one command."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from testbed.ops.network.badge import Badge
+
+PORT = 7450
+WORD = r"[A-Za-z0-9_-]{1,32}"
+
+
+def words(context: click.Context, option: click.Parameter, given: Sequence[str]) -> tuple[str, ...]:
+    """Names that can be part of a key expression and of a folder's name."""
+    import re
+
+    for name in given:
+        if not re.fullmatch(WORD, name):
+            raise click.BadParameter(f"{name!r}; expected 1 to 32 letters, digits, - and _")
+    return tuple(dict.fromkeys(given))
+
+
+def hosts(context: click.Context, option: click.Parameter, given: Sequence[str]) -> tuple[str, ...]:
+    """Names and addresses that a certificate can be for."""
+    import ipaddress
+    import re
+
+    for name in given:
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            label = r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
+            if len(name) > 253 or not re.fullmatch(rf"{label}(\.{label})*", name):
+                raise click.BadParameter(
+                    f"{name!r}; expected the name or the address of a machine"
+                ) from None
+    return tuple(dict.fromkeys(given))
+
+
+@click.command(name="lab-keys")
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--host", multiple=True, callback=hosts, help="Names and addresses of the host.")
+@click.option("--vehicle", multiple=True, callback=words, help="May fly as this vehicle.")
+@click.option("--operator", multiple=True, callback=words, help="May command, stop and watch.")
+@click.option("--watcher", multiple=True, callback=words, help="May only watch.")
+@click.option("--lab", callback=lambda c, o, v: words(c, o, [v])[0] if v else None,
+              help="First part of all keys.  [default: lab]")  # fmt: skip
+@click.option("--port", type=click.IntRange(1, 65535), help=f"Of the host.  [default: {PORT}]")
+@click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True,
+              help="That keys are good for.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Make keys anew that are there already.")
+@click.option("--renew", is_flag=True, help="Make everybody's keys anew; the authority stays.")
+@click.pass_context
+def lab_keys(
+    context: click.Context, folder: Path, host: tuple[str, ...], vehicle: tuple[str, ...],
+    operator: tuple[str, ...], watcher: tuple[str, ...], lab: str | None, port: int | None,
+    days: int, force: bool, renew: bool,
+) -> None:  # fmt: skip
+    """Make the lab's keys in FOLDER, or show what is there (docs/lab_keys.md).
+
+    \b
+      testbed lab-keys keys --host 192.168.1.2 --vehicle sat1 --vehicle sat2 --operator anna
+      testbed lab-keys keys --watcher screen          later: one more
+      testbed lab-keys keys                           who is there, and until when
+    """  # noqa: D301
+    from testbed.cli.main import BAD_INPUT, OK
+    from testbed.ops.network.badge import BadgeError
+
+    wanted = [("vehicle", name) for name in vehicle]
+    wanted += [("operator", name) for name in operator] + [("watcher", name) for name in watcher]
+    try:
+        _make(folder, host, wanted, (lab, port), days, force=force, renew=renew)
+        context.exit(OK)
+    except BadgeError as error:
+        sys.stderr.write(f"error: {error}\n")
+    except OSError as error:
+        sys.stderr.write(f"error: {error}\n")
+    except ImportError as error:
+        if error.name is None or not error.name.startswith("cryptography"):
+            raise
+        sys.stderr.write(
+            "error: keys are made with the package cryptography, which is not there: pip install"
+            " 'airbearing-testbed[keys]'; only the machine that makes them needs it\n"
+        )
+    context.exit(BAD_INPUT)
+
+
+def _make(
+    folder: Path, host: Sequence[str], wanted: list[tuple[str, str]],
+    where: tuple[str | None, int | None], days: int, *, force: bool, renew: bool,
+) -> None:  # fmt: skip
+    from testbed.ops.authority import Wanted, addresses_of, host_badge, listed, make_keys
+    from testbed.ops.network.badge import BadgeError
+
+    there, before = host_badge(folder), listed(folder)
+    lab, port = where
+    if there is None:
+        if not host:
+            raise BadgeError(f"there are no keys in {folder} yet; expected --host to make some")
+        endpoint, addresses = _endpoint(host[0], port or PORT), list(host)
+        wanted = [("host", "host"), ("table", "table"), *wanted]
+    else:
+        if lab not in (None, there.lab):
+            raise BadgeError(f"{folder} is of the lab {there.lab!r}, not {lab!r}")
+        addresses, endpoint = list(host) or addresses_of(folder), there.endpoint
+        if host or port:
+            if not renew:
+                raise BadgeError(
+                    "the host has keys already; another address goes into everybody's folder,"
+                    " so it needs --renew"
+                )
+            old_host, _, old_port = endpoint.removeprefix("tls/").rpartition(":")
+            endpoint = _endpoint(host[0] if host else old_host.strip("[]"), port or int(old_port))
+        if renew:
+            named = {(badge.role, badge.name): None for badge in before}
+            wanted = list(named | dict.fromkeys(wanted))
+    if wanted:
+        name = there.lab if there is not None else lab or "lab"
+        want = Wanted(name, endpoint, addresses, wanted, days)
+        made = make_keys(folder, want, force=force or renew)
+        _show(folder, made)
+        if there is None:
+            _explain(folder, endpoint, name)
+    else:
+        _show(folder, before)
+
+
+def _endpoint(host: str, port: int) -> str:
+    return f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}"
+
+
+def _show(folder: Path, badges: "Sequence[Badge]") -> None:
+    for badge in badges:
+        sys.stdout.write(
+            f"{folder / badge.common_name}  until {badge.expires[:10]}\n"
+            f"  SHA-256 {badge.fingerprint}\n"
+        )
+
+
+def _explain(folder: Path, endpoint: str, lab: str) -> None:
+    sys.stdout.write(
+        "\nIn the table file:\n\n  [lab.network]\n"
+        + (f'  lab = "{lab}"\n' if lab != "lab" else "")
+        + f'  endpoint = "{endpoint}"\n  keys = "{(folder / "host").absolute()}"\n\n'
+        "Take each folder to where it belongs and leave the authority's where nobody flies:\n"
+        "  vehicle-*    testbed agent NAME --keys FOLDER\n"
+        "  operator-*   ~/.airbearing-testbed, and then: testbed stop\n"
+    )
