@@ -115,9 +115,8 @@ class Machine:
         self._uc = self._chip()
         self._main_program = self._uc.context_save()  # while an interrupt runs
         self.reset(cause)
-        self._moving = tuple(
-            k for k in self.__dict__ if k not in ("_uc", "_image", "_main_program")
-        )
+        fixed = ("_uc", "_image", "_main_program")
+        self._moving = tuple(k for k in self.__dict__ if k not in fixed)
 
     def _chip(self) -> unicorn.Uc:
         uc = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB | unicorn.UC_MODE_MCLASS)
@@ -139,11 +138,8 @@ class Machine:
     def _behind_barrier(self, uc: unicorn.Uc, address: int, size: int, _: None) -> None:
         """What the program has made pending is taken here at the latest."""
         if self._pending() is not None:
-            self._stop()
-
-    def _stop(self) -> None:
-        self._stopped = True
-        self._uc.emu_stop()
+            self._stopped = True
+            uc.emu_stop()
 
     # Reset
 
@@ -246,7 +242,8 @@ class Machine:
         masked = uc.reg_read(arm.UC_ARM_REG_PRIMASK)
         if self._countdown < 0 and self._pended and not masked and not in_block:
             self._stopped_at = address
-            self._stop()
+            self._stopped = True
+            uc.emu_stop()
 
     def settle(self) -> None:
         """Interrupts and main program until it sleeps and nothing is pending."""
@@ -294,18 +291,15 @@ class Machine:
     def _main(self) -> None:
         self._asleep = False
         self._emulate(self._pc, 0xFFFF_FFFE)
-        pc = self._uc.reg_read(arm.UC_ARM_REG_PC)
-        self._asleep = self._code(pc - 2) == WFI
+        self._pc = self._uc.reg_read(arm.UC_ARM_REG_PC) | 1
+        self._asleep = self._code(self._pc - 2) == WFI
         if not (self._asleep or self._stopped):
             raise self._endless()
-        self._pc = pc | 1
 
     def _endless(self) -> MachineError:
-        at = self._uc.reg_read(arm.UC_ARM_REG_PC)
-        return MachineError(
-            f"{BUDGET} instructions at {self.now_us} us without sleep, now at {at:#x}: the image "
-            "does not come out of a loop (arm-none-eabi-addr2line -e on its .elf says which)"
-        )
+        at = f"{self.now_us} us without sleep, now at {self._uc.reg_read(arm.UC_ARM_REG_PC):#x}"
+        which = "the image does not come out of a loop (arm-none-eabi-addr2line says which)"
+        return MachineError(f"{BUDGET} instructions at {at}: {which}")
 
     def _code(self, address: int) -> bytes:
         """The halfword of the program there."""
@@ -332,10 +326,8 @@ class Machine:
             return TXE | TC | (RXNE if self._receive else 0)
         if at == USART1_DR:
             return self._receive.pop(0) if self._receive else 0
-        if at == ADC1_JDR1:
-            return self.adc[0]
-        if at == ADC1_JDR2:
-            return self.adc[1]
+        if at in (ADC1_JDR1, ADC1_JDR2):
+            return self.adc[at == ADC1_JDR2]
         if at == RCC_CR:  # oscillators are ready at once
             value = self._reg.get(at, 0)
             return value | (value & 0x0101_0000) << 1
