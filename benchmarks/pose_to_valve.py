@@ -98,6 +98,7 @@ with steady(), SerialThrusters(port, limits_of(setup.model), 0.0, 7) as thruster
             health = thrusters.health()
             out = agent.step(Inputs(clock.now, True, samples, setpoint, {}, health))
             thrusters.apply(out.command)
+            poses.review()
 """
 
 

@@ -20,6 +20,7 @@ from testbed.core.types import Health, ValveCommand
 
 KEEP_US = 4_000  # between two looks at what time alone asks for
 ANSWER_US = 3_000_000  # longest wait for a board's first words
+UNKNOWN_V = 12.0  # what a board without a voltmeter, which reports 0, is believed to have
 REPEAT_US = 30_000  # an order that is not obeyed by then is given again
 
 
@@ -58,6 +59,7 @@ class SerialThrusters:
         self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plans' numbers, and when [us]
         self.trouble: str | None = None  # latched
         self._armed = False
+        self._heard_us = 0  # when the board said something last
 
     def __enter__(self) -> "SerialThrusters":
         self._board = SerialBoard(self._port_name, self._baud)
@@ -100,7 +102,8 @@ class SerialThrusters:
     def _look(self, now: int) -> int:
         """Do what is due; how long there is nothing to do [us]."""
         try:
-            self._session.receive(self._board.read(), now)
+            if self._session.receive(self._board.read(), now):
+                self._heard_us = now
         except SessionError as error:
             self.trouble = str(error)
         self._judge()
@@ -250,5 +253,14 @@ class SerialThrusters:
         with self._lock:
             status = self._session.status
             assert status is not None
+            now = monotonic_us()
             pressure = float(status.supply_pa) or self._set_pressure
-            return Health(1e-6 * (monotonic_us() - self.epoch_us), pressure, 0.0)
+            battery = 1e-3 * status.supply_mv or UNKNOWN_V
+            silent = 1e-6 * (now - self._heard_us)
+            return Health(1e-6 * (now - self.epoch_us), pressure, 0.0, battery, silent)
+
+    @property
+    def shut(self) -> bool:
+        """Whether every valve is closed, by the board's newest report."""
+        status = self._session.status
+        return status is not None and status.mask == 0

@@ -5,11 +5,12 @@ table those run where they belong, and it waits for them.
 """
 
 import math
+import os
 import secrets
 import socket
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,36 +20,49 @@ import tomli_w
 import zenoh
 from msgspec.structs import replace
 
-from testbed.bench.flight import HostFlight, order
+from testbed.bench.flight import HostFlight
+from testbed.bench.preflight import Preflight, order
+from testbed.bench.rehearsal import OF_PROCESSES
 from testbed.bench.server import TableReport
 from testbed.boards import Valves
 from testbed.config import Experiment, dump
 from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
+from testbed.flight.supervisor import Answer, Request, Supervisor
 from testbed.ops.children import ChildError, Children
+from testbed.ops.latch import Latch
 from testbed.ops.metrics import Commands, Spent, Track
 from testbed.ops.network.envelope import Verdict
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party
-from testbed.ops.network.orders import (
-    Accepted,
-    Ended,
-    Flown,
-    Pace,
-    Refused,
-    Start,
-)
+from testbed.ops.network.orders import Accepted, Ended, Flown, Pace, Refused, Start, Stop
 from testbed.ops.network.session import Ear, NetworkError, answer_to, listen
 from testbed.ops.stop import noted
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
+from testbed.rig import not_armed
 
 READY_S = 180.0  # for vehicles to get ready; the first start compiles
-AHEAD_NS = 1_000_000_000  # from the order to start until the run's time 0
+GREEN_S = 10.0  # for checks to become green: the cameras' rate is counted over a second
+AHEAD_NS = 1_500_000_000  # from the order to start until the run's time 0
+PERMIT_NS = 100_000_000  # between two permits before that
 LOOK_NS = 20_000_000
 
 
 class HostError(Exception):
     """The flight cannot begin."""
+
+
+class NotArmedError(Exception):
+    """The flight must not begin: red arming checks, or an operator who does not want to."""
+
+    def __init__(self, reasons: Sequence[str]) -> None:
+        super().__init__(not_armed(reasons))
+        self.reasons = reasons
+
+
+def anybody(_: Sequence[str]) -> bool:
+    """An operator who always says yes: on the bench nobody can be hurt."""
+    return True
 
 
 def loopback(experiment: Experiment, folder: Path) -> Experiment:
@@ -80,10 +94,28 @@ class WireRig:
         experiment: what is flown.
         bench: start the twin and the vehicles here; else wait for those of the lab.
         keep: where the twin leaves its report; None: with the rest, in a folder that is removed.
+        log: the folder of the run, whose disk must not be full.
+        agree: asks the operator whether these vehicles may be armed.
+        latch: keeps a fault for the next run.
+        latched: a fault of the run before, which has to be reset first.
     """
 
-    def __init__(self, experiment: Experiment, *, bench: bool, keep: Path | None = None) -> None:
+    def __init__(
+        self,
+        experiment: Experiment,
+        *,
+        bench: bool,
+        keep: Path | None = None,
+        log: Path | None = None,
+        agree: Callable[[Sequence[str]], bool] = anybody,
+        latch: Latch | None = None,
+        latched: str | None = None,
+    ) -> None:
         self.experiment, self._bench, self._keep = experiment, bench, keep
+        self._log, self._agree, self._latch = log, agree, latch
+        self.supervisor = Supervisor(latched)
+        self.red: list[str] = []
+        self._ran = False  # valves may have opened
         self._flown_s = math.inf
         self.way = str  # from where the host listens to where vehicles dial: a relay, in tests
         self.name = "bench" if bench else "table"
@@ -107,16 +139,43 @@ class WireRig:
         try:
             with ExitStack() as stack:
                 ending = self._fly(stack, observer, stopped)
-                self._flown_s = ending.t
-                return ending
+        except NotArmedError as error:
+            self.red.extend(error.reasons)
+            return Ending(0.0, str(error))
         except (NetworkError, ChildError, HostError) as error:
+            self._close(Ending(self.now, str(error)))
             return Ending(self.now, str(error))
+        self._flown_s = ending.t
+        return ending
+
+    def _close(self, ending: Ending) -> None:
+        """The flight is over, and the latch says how."""
+        planned = self.experiment.ticks * self.experiment.flight.jet_period_s
+        self.supervisor.close(ending.t, ending.fault, flown=ending.t >= planned)
+        if self._latch is None or not self._ran:
+            return
+        if self.supervisor.fault is not None:
+            self._latch.set(self.supervisor.fault)
+        else:
+            self._latch.clear()
+
+    def disk_free(self) -> float:
+        """Where the log goes [bytes]."""
+        if self._log is None:
+            return 1e12
+        room = os.statvfs(self._log)
+        return float(room.f_bavail * room.f_frsize)
 
     def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], bool]) -> Ending:
         children = None
         if self._bench:
             children = stack.enter_context(Children())
             self.experiment = loopback(self.experiment, children.folder)
+        elif self.experiment.inject:
+            raise HostError("faults are rehearsed on the twin and on the bench: remove [[inject]]")
+        for one in self.experiment.inject:
+            if one.at_s is None and one.kind in OF_PROCESSES:
+                raise HostError(f"on the bench {one.kind} is injected at a time: give it at_s")
         network = self.experiment.table.lab.network
         session = stack.enter_context(listen(network.endpoint))
         stack.enter_context(noted(network.endpoint, network.lab))
@@ -137,6 +196,9 @@ class WireRig:
             if self.on_start is not None:
                 self.on_start(self)
             ending = flight.fly(observer, stopped)
+            if flight.stopped:
+                self.supervisor.request(ending.t, "stop")
+            self._close(ending)
         finally:
             del answering
             if children is not None:
@@ -155,6 +217,8 @@ class WireRig:
         )
         for name in self.experiment.vehicles:
             where = ["--connect", self.way(network.endpoint), "--lab", network.lab]
+            if self._keep is not None:
+                where += ["--report", str(self._keep.with_name(f"{name}.json"))]
             children.start(name, [*command, "agent", name, *where, "--child"])
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
 
@@ -195,21 +259,70 @@ class WireRig:
                 name for name in missing
                 if not list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0))
             }  # fmt: skip
+        preflight = Preflight(self.experiment, session, keys, self.disk_free)
+        names = list(self.experiment.vehicles)
+        if self.supervisor.fault is not None:
+            self._request("reset", preflight, monotonic_ns() + round(1e9 * GREEN_S), stopped)
+            if self._latch is not None:
+                self._latch.clear()
+        self._request("arm", preflight, monotonic_ns() + round(1e9 * GREEN_S), stopped)
+        if stopped():
+            return None
+        if not self._agree(names):
+            self.supervisor.request(0.0, "disarm")
+            raise NotArmedError(["operator: has not said yes"])
         run, epoch = secrets.randbits(32), monotonic_ns() + AHEAD_NS
         self._clock = WallClock(epoch)
         party = Party(
             session, self.experiment.table.lab, run, self._clock, self.experiment.seed, "host"
         )
-        flight = HostFlight(self.experiment, self, party)
-        for name in self.experiment.vehicles:
-            match order(session, keys, name, Start(run, epoch)):
-                case Accepted(board):
-                    self._boards[name] = board
-                case Refused(reason):
-                    raise HostError(f"{name} refuses to start: {reason}")
+        flight = HostFlight(self.experiment, self, party, self.disk_free)
+        try:
+            for name in names:
+                match order(session, keys, name, Start(run, epoch)):
+                    case Accepted(board):
+                        self._boards[name] = board
+                    case Refused(reason):
+                        raise HostError(f"{name} refuses to start: {reason}")
+            # they float now, and are looked at once more
+            self._request("run", preflight, epoch - PERMIT_NS, stopped)
+        except (HostError, NotArmedError):
+            self.supervisor.request(0.0, "disarm")
+            for name in names:
+                with suppress(NetworkError):
+                    order(session, keys, name, Stop("the flight does not begin"))
+            raise
+        self._ran = self.supervisor.may_fire
+        if self._latch is not None and self._ran:
+            self._latch.set()
+        while monotonic_ns() < epoch - PERMIT_NS:
+            flight.permit()
+            sleep_until_ns(monotonic_ns() + PERMIT_NS)
         return flight
 
+    def _request(
+        self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], bool]
+    ) -> None:
+        """Ask the supervisor until it agrees.
+
+        Raises:
+            NotArmedError: it still does not at the time `end`; every red check is in it.
+        """
+        answer = Answer(False, self.supervisor.phase, ("there was no time to look",))
+        while monotonic_ns() < end and not stopped():
+            answer = self.supervisor.request(0.0, what, preflight.checks())
+            if answer.done:
+                return
+            sleep_until_ns(monotonic_ns() + 5 * LOOK_NS)
+        if not stopped():
+            raise NotArmedError(answer.reasons)
+
     # What is known of it
+
+    @property
+    def epoch_ns(self) -> int | None:
+        """The run's time 0 on the monotonic clock; None before that is known."""
+        return None if self._clock is None else self._clock.epoch_ns
 
     @property
     def now(self) -> float:

@@ -3,8 +3,8 @@
 It asks the host what is flown, gets ready, says so, and waits for the order to start. Whatever
 happens then, it ends with closed valves:
 
-* the host is gone, or the network: setpoints run out, the vehicle brakes and its gate closes; with
-  the law on board, the permit lapses and the valves are closed;
+* the host is gone, or the network: setpoints run out and the permit, and the vehicle does what the
+  fault table says, wherever its law runs;
 * this process hangs or is killed: the plan runs out and the board's watchdog latches SAFE;
 * the board, its line or the cameras fail: the flight ends, and the host is told.
 """
@@ -13,6 +13,7 @@ import math
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -22,13 +23,16 @@ import zenoh
 
 from firmware_interface.limits import limits_of
 from firmware_interface.serial_thrusters import SerialThrusters
+from testbed.bench.lookout import Lookout
+from testbed.bench.rehearsal import Rehearsal
 from testbed.config import Experiment
-from testbed.core.types import HostTick, Tick
+from testbed.core.types import HostTick, Tick, Vitals
 from testbed.flight.loop import VehicleNode, fly
 from testbed.ops.children import orphaned
 from testbed.ops.mocap.poses import MocapPoses
 from testbed.ops.mocap.source import make_source
 from testbed.ops.mocap.watch import BodyWatch
+from testbed.ops.network.clock import HostClock
 from testbed.ops.network.envelope import Inbox, Outbox
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party, ZenohVehicleLink
@@ -38,14 +42,17 @@ from testbed.ops.network.orders import (
     Counts,
     Ended,
     Flown,
+    Look,
     Order,
     Pace,
     Permit,
     Refused,
     Start,
     Stop,
+    config_id,
 )
 from testbed.ops.network.session import Ear, Mouth, NetworkError, answer_to, ask, dial, on_word
+from testbed.ops.network.weather import Storm
 from testbed.ops.offset import Offset
 from testbed.ops.steady import preferred, steady
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
@@ -56,6 +63,7 @@ READINGS = 16  # of the host's clock before a flight
 LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
 PATIENCE_S = 60.0  # for a host that does not answer
 KEPT_S = 10.0
+PERMITTED_S = 3.0  # a flight that the host has not permitted by then will not be
 
 
 class VehicleError(Exception):
@@ -75,7 +83,10 @@ def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
 class Tower:
     """The vehicle's ear for what it is told to do."""
 
-    def __init__(self, session: zenoh.Session, keys: Keys, name: str, board: str) -> None:
+    def __init__(
+        self, session: zenoh.Session, keys: Keys, name: str, board: str, lookout: Lookout
+    ) -> None:
+        self._lookout = lookout
         self.starts: SimpleQueue[Start] = SimpleQueue()
         self.stop_reason: str | None = None
         self._board, self._flying = board, threading.Event()
@@ -94,6 +105,8 @@ class Tower:
         order: Order = msgspec.msgpack.decode(data, type=Order)
         answer: Answer
         match order:
+            case Look():
+                answer = self._lookout.ready()
             case Stop(reason):
                 self._stop(reason)
                 answer = Accepted(self._board)
@@ -123,23 +136,37 @@ class Flight:
         thrusters: SerialThrusters,
         poses: MocapPoses,
         tower: Tower,
-        *,
-        on_board: bool,
+        config: str,
+        offset: Callable[[], float],
+        link: ZenohVehicleLink,
+        rehearsal: Rehearsal,
     ) -> None:
+        self._link, self._foreign = link, 0
+        self.rehearsal, self.due = rehearsal, 0.0
+        self._storm = Storm(party.lab.weather, party.seed, f"permit to {party.name}", party.worse)
+
         self._thrusters, self._poses, self._tower = thrusters, poses, tower
-        self._clock, self._on_board = party.clock, on_board
+        self._clock, self._config, self._offset = party.clock, config, offset
         self._mouth = Mouth(party.session, party.keys.of(party.name, "tick"), bulk=True)
         self._out = Outbox(party.run)
-        self._permit_ear = Ear(party.session, party.keys.permit)
+        self._permit_ear = Ear(party.session, party.keys.permit, self._storm.arrival)
         self._permit: Inbox[Permit] = Inbox(
             msgspec.msgpack.Decoder(Permit).decode, party.run, party.lab.late_s
         )
         self._k = 0
+        self.rows: dict[str, float] = {}  # of the fault table that held, and since when [s]
+        self.responses: dict[str, float] = {}  # and what was done about them
         self._arrived_ns: dict[int, int] = {}  # the newest pose, by the plan it went into
         self.fault: str | None = None
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
+        self._poses.review()
+        out = tick.outputs
+        for row in out.faults:
+            self.rows.setdefault(row, out.t)
+        if out.response:
+            self.responses.setdefault(out.response, out.t)
         if self._poses.arrived_ns is not None:
             self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
         clock, delay = self._clock, self._pose_to_valve()
@@ -163,22 +190,60 @@ class Flight:
     def done(self, t: float) -> None:
         """See `Observer`."""
 
-    def over(self) -> bool:
-        """Whether the flight has to end; the valves are closed at once then."""
+    def vitals(self) -> Vitals:
+        """What this process knows of itself, the network and the operator."""
         for at, data in self._permit_ear.heard():
             self._permit.take(data, self._clock.of(at))
+        clock, permit = self._clock, self._permit.newest
+        late = max(0.0, clock.now - self.due)
+        before, self._foreign = self._foreign, self._permit.foreign + self._link.foreign
+        if permit is None:
+            return Vitals(operator_age=max(0.0, clock.now), late_s=late)
+        return Vitals(
+            operator_age=max(0.0, clock.now - self._permit.issued_at),
+            clock_offset=self._offset(),
+            late_s=late,
+            disk_free=permit.disk_free,
+            same_config=permit.config == self._config,
+            fleet=permit.fleet,
+            foreign=self._foreign - before,
+        )
+
+    @property
+    def may_fire(self) -> bool:
+        """Whether the host's supervisor lets this vehicle fire; not before its first word."""
+        return self._permit.newest is not None and self._permit.newest.may_fire
+
+    def over(self) -> bool:
+        """Whether the flight has to end; the valves are closed at once then."""
+        permit = self._permit.newest
         if self._thrusters.trouble is not None:
             self.fault = self._thrusters.trouble
-        elif self._tower.stop_reason is None:
-            lapsed = self._clock.now - max(self._permit.valid_until, 0.0)
-            if not self._on_board or lapsed <= 0.0 or self._permit.newest is None:
-                return False
-            self.fault = f"the host's permit lapsed {lapsed:.2f} s ago"
+        elif permit is None and self._clock.now > PERMITTED_S:
+            self.fault = "the host has never permitted the flight"
+        elif self._tower.stop_reason is None and (permit is None or permit.may_fire):
+            return False
         self._thrusters.disarm()
         return True
 
 
-def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: bool) -> None:
+class Permitted:
+    """A node that is armed only while the host's supervisor says so."""
+
+    def __init__(self, node: VehicleNode, flight: Flight, clock: WallClock) -> None:
+        self.name, self._node, self._flight, self._clock = node.name, node, flight, clock
+
+    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
+        """See `VehicleNode`."""
+        self._flight.due = t
+        self._flight.rehearsal.at_vehicle(self.name, self._clock)
+        return self._node.tick(t, armed and self._flight.may_fire, fleet)
+
+
+def fly_vehicle(
+    name: str, endpoint: str, lab: str, port: str | None, *, child: bool,
+    report: Path | None = None,
+) -> None:  # fmt: skip
     """Get ready, wait for the order, fly once, and tell the host how it went.
 
     Args:
@@ -187,6 +252,7 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
         lab: first part of the keys.
         port: of the board; None: the table file's.
         child: end when standard input does.
+        report: a file for its last words, for when the host is gone.
 
     Raises:
         VehicleError: it cannot.
@@ -208,7 +274,10 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
                 f"no serial port for {name}: expected --serial, or an entry of"
                 " [lab.serial.ports] in the table file"
             )
-        agent = make_agent(experiment, name)
+        clock = WallClock(monotonic_ns())  # until the run's time 0 is known
+        rehearsal = Rehearsal(experiment.inject, lambda: clock.now)
+        spoilt = partial(rehearsal.spoilt, name) if experiment.inject else None
+        agent = make_agent(experiment, name, spoilt)
         warm_up(experiment)
         if child:
             await_port(port, gone)
@@ -221,33 +290,40 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
                 setup.model.air.set_pressure,
             )
         )  # fmt: skip
+        lookout = Lookout(experiment, name, source, thrusters)
         clock_of_host = read_clock(session, keys)
-        tower = Tower(session, keys, name, thrusters.board)
+        tower = Tower(session, keys, name, thrusters.board, lookout)
         stack.enter_context(steady())  # now: the last collection of garbage takes its time
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
-        start = await_start(tower, source.poll, gone)
+        start = await_start(tower, lookout.look, gone)
         if start is None:
             return
         epoch = clock_of_host.to_own(start.epoch_ns)
         assert epoch is not None
-        clock = WallClock(epoch)
+        clock.epoch_ns = epoch
         thrusters.epoch_us = epoch // 1000
-        party = Party(session, wires, start.session, clock, experiment.seed, name)
-        on_board = experiment.deploy.law == "vehicle"
+        worse = partial(rehearsal.air, name)
+        party = Party(session, wires, start.session, clock, experiment.seed, name, worse)
         link = ZenohVehicleLink(party, experiment.vehicles)
-        poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
         event = Mouth(session, keys.of(name, "event"))
-        flight = Flight(party, thrusters, poses, tower, on_board=on_board)
+        drift = HostClock(session, keys, clock, start.epoch_ns)
         stack.enter_context(preferred(PRIORITY))
         thrusters.bearing(on=True)
-        sleep_until_ns(epoch - LOOK_NS)
-        thrusters.arm()
+        while monotonic_ns() < epoch - LOOK_NS:
+            lookout.look()
+            sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
+        poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
+        flight = Flight(
+            party, thrusters, poses, tower, config_id(experiment), drift.off, link, rehearsal
+        )
+        if tower.stop_reason is None:
+            thrusters.arm()
         tower.take_off(thrusters.disarm)
-        node = VehicleNode(name, agent, poses, thrusters, link)
+        node = VehicleNode(name, agent, poses, thrusters, link, flight.vitals)
         ending = fly(
-            clock, [node], [], experiment.flight.jet_period_s, experiment.ticks, flight,
-            stopped=flight.over,
+            clock, [Permitted(node, flight, clock)], [], experiment.flight.jet_period_s,
+            experiment.ticks, flight, stopped=flight.over,
         )  # fmt: skip
         thrusters.disarm()
         fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
@@ -255,7 +331,11 @@ def fly_vehicle(name: str, endpoint: str, lab: str, port: str | None, *, child: 
             fault += f"; its body is {poses.trouble}"
         counts = count(link, thrusters, poses, clock_of_host)
         out = Outbox(start.session)
-        ended = Ended(ending.t, fault, counts)
+        ended = Ended(ending.t, fault, counts, flight.rows, flight.responses)
+        if report is not None:
+            part = report.with_suffix(".part")
+            part.write_bytes(msgspec.json.encode(ended))
+            part.replace(report)
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
         await_end(gone, tower)
 

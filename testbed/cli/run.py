@@ -15,7 +15,8 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from testbed.cli.live import LiveTable
-from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
+from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
+from testbed.cli.operator import Operator
 from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
@@ -57,13 +58,18 @@ def run_experiment(
     rig: str = "twin",
     view: str | None = None,
     speed: float | None = None,
+    *,
+    arm: bool = False,
+    reset: bool = False,
 ) -> int:
     """Fly and return the exit code."""
     interrupt, board = Interrupt(), None
+    operator = Operator(arm=arm, reset=reset, at_once=interrupt.at_once)
     if view is not None and speed is None:
         speed = 1.0  # to be looked at
     try:
         experiment = load(find(name), overrides)
+        operator.must_be_there(rig)
         with interrupt.caught():
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
@@ -71,7 +77,8 @@ def run_experiment(
                 from testbed.cli.dash import beside_run
 
                 board = beside_run(folder, view)
-            metrics = fly_and_judge(experiment, folder, interrupt, maker(rig), speed)
+            make = maker(rig, experiment, folder, operator)
+            metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator)
             write_metrics(folder, metrics)
             make_report(folder)
             if as_json:
@@ -85,6 +92,10 @@ def run_experiment(
         from testbed.cli.dash import leave
 
         leave(board)
+    if metrics.red:
+        for reason in metrics.red:
+            errors.print(f"red: {reason}", style="red", markup=False, soft_wrap=True)
+        return NOT_STARTED
     if metrics.fault:
         return FAULT
     if not metrics.completed:
@@ -140,6 +151,7 @@ class Watcher:
         self._rig, self._outputs = rig, outputs
         self._recorder, self._live, self._pace = recorder, live, pace
         self._seen = -1.0  # up to here the valves are in the log
+        self._told = 0  # changes of phase that are in the log
         self.trouble: str | None = None  # the log cannot be written: the flight has to end
         self._next = 0.0  # when the five elements are due [s]
 
@@ -152,6 +164,14 @@ class Watcher:
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
         self._record(f"/{name}/host", tick.inputs.t, tick)
+
+    def phases(self) -> None:
+        """Log what the supervisor has done since it was asked last."""
+        events = self._rig.supervisor.events
+        for event in events[self._told :]:
+            self._record("/supervisor", max(0.0, event.t), event)
+            self._live.phase = event.phase
+        self._told = len(events)
 
     def _record(self, topic: str, t: float, message: Struct) -> None:
         if self.trouble is None:
@@ -178,6 +198,7 @@ class Watcher:
             self._record("/formation", t, characterise(states[:, :2], states[:, 2:]))
         for name, valves in self._rig.valves(since=self._seen):
             self._record(f"/{name}/valves", valves.t, valves)
+        self.phases()
         self._seen = t
         if self._pace is not None:
             self._record("/loop", t, Loop(t, self._pace.late_s, self._pace.busy_s))
@@ -185,13 +206,24 @@ class Watcher:
         self._live.done(t)
 
 
-def maker(rig: str) -> Callable[[Experiment], Rig]:
+def maker(
+    rig: str, experiment: Experiment, folder: Path, operator: Operator
+) -> Callable[[Experiment], Rig]:
     """What builds this rig."""
     if rig == "twin":
         return make_twin
     from testbed.bench.host import WireRig
 
-    return lambda experiment: WireRig(experiment, bench=rig == "bench")
+    latch, latched = operator.latched(rig, experiment, str(folder))
+    return lambda experiment: WireRig(
+        experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched,
+        agree=operator.agree if rig == "table" else anybody,
+    )  # fmt: skip
+
+
+def anybody(names: Sequence[str]) -> bool:
+    """An operator who is not asked: where nobody can be hurt."""
+    return True
 
 
 def fly_and_judge(
@@ -200,11 +232,14 @@ def fly_and_judge(
     interrupt: Interrupt | None = None,
     make: Callable[[Experiment], Rig] | None = None,
     speed: float | None = None,
+    operator: Operator | None = None,
 ) -> Metrics:
     """Fly, with the log in `folder`, and judge. `make` builds the rig; by default the twin."""
     interrupt = interrupt or Interrupt()
     rig, ending, wall = (make or make_twin)(experiment), Ending(0.0, None), 0.0
     live = LiveTable(experiment, errors)
+    if operator is not None:
+        operator.live = live
     pace = None
     if speed is not None and isinstance(rig, TwinRig):
         pace = Pace(rig.twin, speed)
@@ -223,6 +258,7 @@ def fly_and_judge(
                         watcher,
                         stopped=lambda: interrupt.asked or watcher.trouble is not None,
                     )
+                watcher.phases()
                 wall = time.perf_counter() - began
                 if watcher.trouble is not None:
                     raise RecorderError(watcher.trouble)
@@ -272,4 +308,6 @@ def measure(
         **rig.wires(),
         formation=together,
         warnings=[*warnings_of(experiment), *rig.concerns()],
+        phase=rig.supervisor.phase,
+        red=rig.red,
     )

@@ -62,11 +62,13 @@ def serve_twin(
     return OK
 
 
-def fly_agent(name: str, endpoint: str, lab: str, port: str | None, *, child: bool) -> int:
+def fly_agent(
+    name: str, endpoint: str, lab: str, port: str | None, *, child: bool, report: Path | None = None
+) -> int:
     """Fly one vehicle; the exit code."""
     end_on_terminate()
     try:
-        fly_vehicle(name, endpoint, lab, port, child=child)
+        fly_vehicle(name, endpoint, lab, port, child=child, report=report)
     except (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError) as error:
         return _failed(error, FAULT)
     except KeyboardInterrupt:

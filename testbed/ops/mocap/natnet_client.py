@@ -32,6 +32,9 @@ ASK_NS = 1_000_000_000  # between two questions to the server
 FIRST_ASK_NS = 100_000_000  # until it has answered
 
 
+_FRAME = int(Packet.FRAME)
+
+
 class NatNetClient:
     """A `MocapSource`.
 
@@ -97,6 +100,10 @@ class NatNetClient:
 
     def _take(self, data: bytes, arrived_ns: int) -> Exposure | None:
         kind, payload = unpack(data)
+        if kind == _FRAME:
+            if self.info is None or not self.names:
+                return None
+            return self._expose(decode_frame(payload, self.info.version), arrived_ns)
         match kind:
             case Packet.SERVER_INFO:
                 self.info = decode_server_info(payload)
@@ -107,8 +114,6 @@ class NatNetClient:
             case Packet.ECHO_RESPONSE if self.info:
                 asked, server = decode_echo(payload)
                 self.clock.exchanged(asked, self._ns(server), arrived_ns)
-            case Packet.FRAME if self.info and self.names:
-                return self._expose(decode_frame(payload, self.info.version), arrived_ns)
         return None
 
     def _ns(self, ticks: int) -> float:

@@ -73,8 +73,13 @@ class Inbox(Generic[M]):
         self._open, self._session, self._late_s = open_body, session, late_s
         self._seq = 0
         self.newest: M | None = None
-        self.valid_until = -float("inf")  # of the newest
+        self.valid_until = self.issued_at = -float("inf")  # of the newest
         self.counts = dict.fromkeys(Verdict, 0)
+
+    @property
+    def foreign(self) -> int:
+        """Messages of another session so far."""
+        return self.counts[Verdict.FOREIGN]
 
     def take(self, data: bytes, arrived_at: float) -> Verdict:
         """Judge a message that came in at this time of the run."""
@@ -101,6 +106,7 @@ class Inbox(Generic[M]):
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
             return Verdict.GARBLED
         self._seq, self.newest, self.valid_until = head.seq, message, head.valid_until
+        self.issued_at = head.issued_at
         return Verdict.TAKEN
 
 

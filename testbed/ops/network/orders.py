@@ -1,8 +1,16 @@
 """What the parties say to each other besides states and setpoints."""
 
+from hashlib import sha256
+
+import msgspec
 from msgspec import Struct
 
 from testbed.core.types import Tick
+from testbed.flight.arming import Readiness
+
+
+class Look(Struct, frozen=True, tag=True):
+    """Say how you are. Answered by `Ready` or `Refused`."""
 
 
 class Start(Struct, frozen=True, tag=True):
@@ -18,7 +26,7 @@ class Stop(Struct, frozen=True, tag=True):
     reason: str
 
 
-Order = Start | Stop
+Order = Look | Start | Stop
 
 
 class Accepted(Struct, frozen=True, tag=True):
@@ -33,11 +41,33 @@ class Refused(Struct, frozen=True, tag=True):
     reason: str
 
 
-Answer = Accepted | Refused
+class Ready(Struct, frozen=True, tag=True):
+    """How a vehicle is that wants to be armed; what only the host knows is left at its default."""
+
+    readiness: Readiness
+    config: str  # see `config_id`
+
+
+Answer = Accepted | Ready | Refused
 
 
 class Permit(Struct, frozen=True):
-    """Go on flying, until the envelope's valid-until."""
+    """Go on flying, until the envelope's valid-until; and what a vehicle must know of the host."""
+
+    may_fire: bool = True  # the supervisor's word
+    fleet: str = ""  # a fault of another vehicle that stops all
+    config: str = ""  # see `config_id`
+    disk_free: float = 1e12  # where the log goes [bytes]
+
+
+def config_id(experiment: Struct) -> str:
+    """Tells one experiment from another: host and vehicles must have the same.
+
+    As it is after a journey: a whole number for a real one comes out as a real one.
+    """
+    text = msgspec.json.encode(experiment)
+    arrived = msgspec.json.encode(msgspec.json.decode(text, type=type(experiment)))
+    return sha256(arrived).hexdigest()[:16]
 
 
 class Pace(Struct, frozen=True, gc=False):
@@ -74,3 +104,5 @@ class Ended(Struct, frozen=True):
     t: float  # [s]
     fault: str | None
     counts: Counts
+    rows: dict[str, float] = {}  # of the fault table that held at any time, and since when [s]
+    responses: dict[str, float] = {}  # that were in force, and since when [s]
