@@ -13,6 +13,7 @@ from collections import deque
 
 from msgspec.structs import replace
 
+from firmware_interface.frame import WRAP
 from firmware_interface.messages import Config, Result, State
 from firmware_interface.serial_board import BAUD, SerialBoard, monotonic_us
 from firmware_interface.session import Session, SessionError
@@ -258,6 +259,21 @@ class SerialThrusters:
             battery = 1e-3 * status.supply_mv or UNKNOWN_V
             silent = 1e-6 * (now - self._heard_us)
             return Health(1e-6 * (now - self.epoch_us), pressure, 0.0, battery, silent)
+
+    def edges(self) -> list[tuple[float, int]]:
+        """What the board has reported of its valves since the last call: the run's time, mask."""
+        with self._lock:
+            new, self._session.edges = self._session.edges, []
+            clock, now = self._session.clock, monotonic_us()
+        if clock is None:
+            return []
+        found = []
+        for board_us, mask in new:
+            ago = (now + clock.offset_us - board_us) % WRAP
+            if ago > WRAP / 2:  # the board's clock is read to some microseconds
+                ago -= WRAP
+            found.append((1e-6 * (now - ago - self.epoch_us), mask))
+        return found
 
     @property
     def shut(self) -> bool:

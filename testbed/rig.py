@@ -179,6 +179,15 @@ class Rig(Protocol):
         """What each vehicle's board drove after `since` [s], where it reports that."""
         ...
 
+    @property
+    def loop(self) -> tuple[float, float] | None:
+        """How late the newest tick began and how long it took [s], by a real clock."""
+        ...
+
+    def paces(self) -> Iterator[tuple[str, float, Any]]:
+        """What each vehicle said of its wires since the last call, and when, where it has any."""
+        ...
+
     def spent(self, name: str) -> Spent:
         """What a vehicle has used so far."""
         ...
@@ -283,6 +292,15 @@ class TwinRig(Struct, frozen=True):
                 new = bisect_right(board.edges, round(since * 1e6), key=lambda edge: edge[0])
                 for at_us, mask in board.edges[new:]:
                     yield name, Valves(at_us * 1e-6, mask)
+
+    @property
+    def loop(self) -> tuple[float, float] | None:
+        """See `Rig`."""
+        return None
+
+    def paces(self) -> Iterator[tuple[str, float, Any]]:
+        """See `Rig`."""
+        return iter(())
 
     def _trouble(self) -> str | None:
         """The first board that does not play plans any more, and why."""

@@ -55,6 +55,10 @@ class Book(Protocol):
         """A vehicle's last words."""
         ...
 
+    def note_loop(self, late_s: float, busy_s: float) -> None:
+        """How the host's newest tick kept its time."""
+        ...
+
     def note_host(self, lateness: list[float], sent: int) -> None:
         """How the host kept its time."""
         ...
@@ -212,6 +216,9 @@ class HostFlight:
         if intruder := self._rehearsal.found("foreign_session"):
             self._intrude(intruder.vehicle)
         self._board.tick += 1
+        clock = self._party.clock
+        late = clock.lateness[-1] if clock.lateness else 0.0
+        self._book.note_loop(late, max(0.0, clock.now - t - late))
         assert self._observer is not None
         self._observer.done(t)
 

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -24,8 +24,8 @@ from testbed.bench.flight import HostFlight
 from testbed.bench.preflight import Preflight, order
 from testbed.bench.rehearsal import OF_PROCESSES
 from testbed.bench.server import TableReport
-from testbed.boards import Valves
-from testbed.config import Experiment, dump
+from testbed.boards import LOCKSTEP, Valves
+from testbed.config import ConfigError, Experiment, dump
 from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Answer, Request, Supervisor
@@ -68,9 +68,9 @@ def anybody(_: Sequence[str]) -> bool:
 def loopback(experiment: Experiment, folder: Path) -> Experiment:
     """The experiment with every address on this machine, and free."""
     table = experiment.table
+    system: Literal["zenoh", "natnet"] = "zenoh" if table.lab.mocap.system == "zenoh" else "natnet"
     wire = replace(
-        table.lab.mocap,
-        system="natnet", server="127.0.0.1", interface="127.0.0.1",
+        table.lab.mocap, system=system, server="127.0.0.1", interface="127.0.0.1",
         command_port=free_port(socket.SOCK_DGRAM), data_port=free_port(socket.SOCK_DGRAM),
     )  # fmt: skip
     network = replace(table.lab.network, endpoint=f"tcp/127.0.0.1:{free_port(socket.SOCK_STREAM)}")
@@ -112,6 +112,12 @@ class WireRig:
         latched: str | None = None,
     ) -> None:
         self.experiment, self._bench, self._keep = experiment, bench, keep
+        if bench and experiment.board in LOCKSTEP:
+            expected = "host or qemu on the bench, where time is real"
+            raise ConfigError("this rig", "board", expected, experiment.board)
+        if not bench and experiment.board != "model":
+            expected = "nothing on the table: its boards are the lab's"
+            raise ConfigError("this rig", "board", expected, experiment.board)
         self._log, self._agree, self._latch = log, agree, latch
         self.supervisor = Supervisor(latched)
         self.red: list[str] = []
@@ -127,6 +133,8 @@ class WireRig:
         self._paces: list[Pace] = []
         self._lateness: list[float] = []
         self._sent = 0
+        self._fresh: list[tuple[str, Flown]] = []  # ticks whose valves and pace nobody has taken
+        self.loop: tuple[float, float] | None = None
         self._states: dict[str, list[tuple[float, list[float]]]] = {}
         self._fired_us: dict[str, int] = {}
         self.children: dict[str, int] = {}  # processes of the bench, by name
@@ -350,6 +358,7 @@ class WireRig:
     def note_tick(self, name: str, flown: Flown) -> None:
         """A vehicle's tick."""
         self._paces.append(flown.pace)
+        self._fresh.append((name, flown))
         state = flown.tick.outputs.state
         if state is not None:
             row = [
@@ -363,6 +372,10 @@ class WireRig:
     def note_end(self, name: str, ended: Ended) -> None:
         """A vehicle's last words."""
         self._ended[name] = ended
+
+    def note_loop(self, late_s: float, busy_s: float) -> None:
+        """How the host's newest tick kept its time."""
+        self.loop = (late_s, busy_s)
 
     def note_host(self, lateness: list[float], sent: int) -> None:
         """How the host kept its time."""
@@ -399,8 +412,16 @@ class WireRig:
         return Spent(impulse, impulse / model.air.exhaust_speed, None)
 
     def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
-        """See `Rig`. They are known when the flight is over: see `report`."""
-        return iter(())
+        """See `Rig`. As the boards reported them since the last call, however long that took."""
+        for name, flown in self._fresh:
+            for t, mask in flown.edges:
+                yield name, Valves(t, mask)
+
+    def paces(self) -> Iterator[tuple[str, float, Pace]]:
+        """See `Rig`; what `valves` gave is forgotten."""
+        fresh, self._fresh = self._fresh, []
+        for name, flown in fresh:
+            yield name, flown.tick.inputs.t, flown.pace
 
     @property
     def report(self) -> TableReport | None:

@@ -32,6 +32,7 @@ from testbed.core.types import Pose, PoseSample
 from testbed.ops.mocap.exposure import Axes, Sighting
 from testbed.ops.mocap.natnet import Described, MocapFrame, RigidBody
 from testbed.ops.mocap.natnet_server import Address, NatNetServer
+from testbed.ops.mocap.topic import encode_poses
 from testbed.ops.network.envelope import Sealed
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.session import Ear, Mouth, NetworkError, dial
@@ -90,6 +91,7 @@ class TableServer:
         self._t: list[float] = []
         self._states: list[list[list[float]]] = []
         self._edges: dict[str, list[tuple[int, int]]] = {name: [] for name in self.names}
+        self._pose_topic: Mouth | None = None
         self._permits: Ear | None = None  # their stamps tell the run's time 0
         self._sabotage: Sabotage | None = None
         self._down: set[str] = set()  # boards without power
@@ -101,7 +103,7 @@ class TableServer:
             for k, name in enumerate(self.names):
                 link = port_of(self.experiment, name, self._folder)
                 limits = limits_of(self.models[name])
-                chip = self.experiment.table.lab.board == "qemu"
+                chip = self.experiment.board == "qemu"
                 self._taps[name] = stack.enter_context(LineTap(limits, 1 + k, link, chip=chip))
             wire = self.experiment.table.lab.mocap
             major, minor = wire.version.split(".")
@@ -233,9 +235,24 @@ class TableServer:
                 RigidBody(k + 1, seen.position, seen.rotation, ERROR_M, tracked=seen.tracked)
             )
         now = monotonic_ns()
-        self._mocap.send(MocapFrame(number, tuple(bodies), 1e-9 * exposed, exposed, now, now))
+        if self.experiment.table.lab.mocap.system == "zenoh":
+            self._say_poses(number, exposed, bodies)
+        else:
+            self._mocap.send(MocapFrame(number, tuple(bodies), 1e-9 * exposed, exposed, now, now))
         if number % TRUTH_FRAMES == 0:
             self._tell(exposed)
+
+    def _say_poses(self, number: int, exposed: int, bodies: list[RigidBody]) -> None:
+        """The frame on the network, for a lab whose cameras speak Zenoh."""
+        if self._pose_topic is None:
+            return
+        wire = self.experiment.table.lab.mocap
+        seen = {
+            wire.bodies.get(name, name): (*body.position, *body.rotation)
+            for name, body in zip(self.names, bodies, strict=True)
+            if body.tracked
+        }
+        self._pose_topic.say(encode_poses(number, exposed, monotonic_ns(), seen))
 
     def _look(self, name: str, k: int, at: float) -> Sighting:
         camera = self._cameras[name]
@@ -256,6 +273,7 @@ class TableServer:
             self._session = dial(self.experiment.table.lab.network.endpoint, 0.0)
             self._stack.callback(self._session.close)
             self._truth = Mouth(self._session, self._keys.truth, bulk=True)
+            self._pose_topic = Mouth(self._session, self._keys.pose)
             self._permits = Ear(self._session, self._keys.permit)
 
     def _tell(self, exposed: int) -> None:

@@ -33,7 +33,7 @@ from testbed.ops.mocap.poses import MocapPoses
 from testbed.ops.mocap.source import make_source
 from testbed.ops.mocap.watch import BodyWatch
 from testbed.ops.network.clock import HostClock
-from testbed.ops.network.envelope import Inbox, Outbox
+from testbed.ops.network.envelope import Inbox, Outbox, Verdict
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party, ZenohVehicleLink
 from testbed.ops.network.orders import (
@@ -137,7 +137,7 @@ class Flight:
         poses: MocapPoses,
         tower: Tower,
         config: str,
-        offset: Callable[[], float],
+        drift: HostClock,
         link: ZenohVehicleLink,
         rehearsal: Rehearsal,
     ) -> None:
@@ -146,7 +146,8 @@ class Flight:
         self._storm = Storm(party.lab.weather, party.seed, f"permit to {party.name}", party.worse)
 
         self._thrusters, self._poses, self._tower = thrusters, poses, tower
-        self._clock, self._config, self._offset = party.clock, config, offset
+        self._clock, self._config, self._offset = party.clock, config, drift.off
+        self._drift = drift
         self._mouth = Mouth(party.session, party.keys.of(party.name, "tick"), bulk=True)
         self._out = Outbox(party.run)
         self._permit_ear = Ear(party.session, party.keys.permit, self._storm.arrival)
@@ -169,11 +170,20 @@ class Flight:
             self.responses.setdefault(out.response, out.t)
         if self._poses.arrived_ns is not None:
             self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
-        clock, delay = self._clock, self._pose_to_valve()
-        late = clock.lateness[-1] if clock.lateness else 0.0
-        flown = Flown(self._k, tick, Pace(late, delay))
+        clock = self._clock
+        edges = tuple(self._thrusters.edges())
+        flown = Flown(self._k, tick, self._pace(tick.inputs.vitals.late_s), edges)
         self._k += 1
         self._mouth.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
+
+    def _pace(self, late: float) -> Pace:
+        inbox, poses = self._link.heard.inbox, self._poses
+        heard = inbox.counts[Verdict.TAKEN]
+        return Pace(
+            late, self._pose_to_valve(), inbox.delay, heard, inbox.missed,
+            sum(inbox.counts.values()) - heard, self._drift.trip,
+            str(poses.trouble or ""), poses.lost_frames,
+        )  # fmt: skip
 
     def _pose_to_valve(self) -> float | None:
         """Of the newest plan that is known to have gone out [s]."""
@@ -315,7 +325,7 @@ def fly_vehicle(
             sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
         poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
         flight = Flight(
-            party, thrusters, poses, tower, config_id(experiment), drift.off, link, rehearsal
+            party, thrusters, poses, tower, config_id(experiment), drift, link, rehearsal
         )
         if tower.stop_reason is None:
             thrusters.arm()

@@ -165,8 +165,12 @@ class Watcher:
         """See `Observer`."""
         self._record(f"/{name}/host", tick.inputs.t, tick)
 
-    def phases(self) -> None:
-        """Log what the supervisor has done since it was asked last."""
+    def reports(self) -> None:
+        """Log what boards, wires and the supervisor have said since they were asked last."""
+        for name, valves in self._rig.valves(since=self._seen):
+            self._record(f"/{name}/valves", max(0.0, valves.t), valves)
+        for name, at, wires in self._rig.paces():
+            self._record(f"/{name}/pace", at, wires)
         events = self._rig.supervisor.events
         for event in events[self._told :]:
             self._record("/supervisor", max(0.0, event.t), event)
@@ -196,10 +200,9 @@ class Watcher:
             self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
             states = np.array([(m.x, m.y, m.vx, m.vy) for m in motions.values()])
             self._record("/formation", t, characterise(states[:, :2], states[:, 2:]))
-        for name, valves in self._rig.valves(since=self._seen):
-            self._record(f"/{name}/valves", valves.t, valves)
-        self.phases()
-        self._seen = t
+        self.reports()
+        if (loop := self._rig.loop) is not None:
+            self._record("/loop", t, Loop(t, *loop))
         if self._pace is not None:
             self._record("/loop", t, Loop(t, self._pace.late_s, self._pace.busy_s))
         self._mark(t)
@@ -258,7 +261,7 @@ def fly_and_judge(
                         watcher,
                         stopped=lambda: interrupt.asked or watcher.trouble is not None,
                     )
-                watcher.phases()
+                watcher.reports()
                 wall = time.perf_counter() - began
                 if watcher.trouble is not None:
                     raise RecorderError(watcher.trouble)

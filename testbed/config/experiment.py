@@ -19,6 +19,9 @@ from testbed.ops.metrics import Criteria
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]  # what TOML promises to keep exactly
 
 
+BoardKind = Literal["model", "inproc", "unicorn", "host", "qemu"]
+
+
 class VehicleSetup(Struct, frozen=True, forbid_unknown_fields=True):
     """One vehicle of an experiment."""
 
@@ -50,7 +53,7 @@ class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
     deploy: Deploy = field(default_factory=Deploy)
     criteria: Criteria = field(default_factory=Criteria)
     arming: ArmingParams = field(default_factory=ArmingParams)
-    board: Literal["model", "inproc", "unicorn"] = "model"  # who plays the plans, see boards.py
+    board: BoardKind = "model"  # who plays the plans, see boards.py
     faults: FaultTable = field(default_factory=shipped_faults)
     inject: list[Injection] = []
 

@@ -75,6 +75,8 @@ class Inbox(Generic[M]):
         self.newest: M | None = None
         self.valid_until = self.issued_at = -float("inf")  # of the newest
         self.counts = dict.fromkeys(Verdict, 0)
+        self.missed = 0  # messages that never came, by the numbers of those that did
+        self.delay: float | None = None  # of the newest, from issue to arrival [s]
 
     @property
     def foreign(self) -> int:
@@ -105,6 +107,9 @@ class Inbox(Generic[M]):
             message = self._open(head.body)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
             return Verdict.GARBLED
+        if self._seq:
+            self.missed += head.seq - self._seq - 1
+        self.delay = arrived_at - head.issued_at
         self._seq, self.newest, self.valid_until = head.seq, message, head.valid_until
         self.issued_at = head.issued_at
         return Verdict.TAKEN

@@ -71,11 +71,18 @@ def config_id(experiment: Struct) -> str:
 
 
 class Pace(Struct, frozen=True, gc=False):
-    """How a tick kept its time."""
+    """How a tick kept its time, and how its wires are."""
 
     late_s: float  # the tick began so long after it was due
     # of the newest plan that has gone out: newest pose's arrival to its first frame
     pose_to_valve_s: float | None
+    setpoint_delay_s: float | None = None  # of the newest, from issue to arrival; None: none yet
+    setpoints_heard: int = 0  # so far
+    setpoints_lost: int = 0  # so far, by their numbers
+    refused: int = 0  # messages that were late, expired, foreign, ..., so far
+    round_trip_s: float | None = None  # of the newest question to the host
+    cameras: str = ""  # what is wrong with this vehicle's body, see `mocap.watch`
+    frames_lost: int = 0  # of the cameras, so far
 
 
 class Flown(Struct, frozen=True, gc=False):
@@ -84,6 +91,7 @@ class Flown(Struct, frozen=True, gc=False):
     k: int
     tick: Tick
     pace: Pace
+    edges: tuple[tuple[float, int], ...] = ()  # of the valves, as the board reports: t [s], mask
 
 
 class Counts(Struct, frozen=True):
