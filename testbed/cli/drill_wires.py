@@ -16,13 +16,14 @@ from rich.console import Console
 from rich.progress import track
 
 from testbed.bench.server import TableReport
-from testbed.cli.drill import somewhere
+from testbed.cli.drill import shipped, somewhere
 from testbed.config import dump
 from testbed.core.injection import Injection
 from testbed.flight.faults import SEVERITY
 from testbed.ops.drill import ADRIFT, DEAD_WITHIN, NAMES, Drilled, deadline, draw
 from testbed.ops.network.orders import Ended
 from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+from testbed.rig import warm_up
 
 EXPERIMENT = "zhang2023_table"
 COUNT = 72
@@ -48,7 +49,7 @@ ON_THE_WAY: dict[str, tuple[str, ...]] = {
 }
 # whose own process or board cannot say or do anything more
 MUTE = ("kill_process", "stop_process", "cut_serial", "brown_out")
-GRACE_S = 90.0
+GRACE_S = 180.0
 
 
 class Flown(Struct, frozen=True):
@@ -67,10 +68,20 @@ def kinds() -> list[Any]:
 
 def drill_wires(count: int, seed: int, console: Console) -> list[Drilled]:
     """Fly them all, one after the other: a bench needs the machine for itself."""
+    warm_up(shipped(EXPERIMENT))  # compiles, before four processes do it at once
     numbers = track(
         range(count), "drilling", console=console, transient=True, disable=not console.is_terminal
     )
-    return [case(number, seed) for number in numbers]
+    cases = []
+    for number in numbers:
+        try:
+            cases.append(case(number, seed))
+        except DrillError as error:  # once more: a flight that does not begin rehearses nothing
+            console.print(f"case {number}: {error}", markup=False, soft_wrap=True)
+            cases.append(case(number, seed))
+        line = msgspec.json.encode(cases[-1]).decode()
+        console.print(f"{number}: {line}", markup=False, soft_wrap=True)
+    return cases
 
 
 def case(number: int, seed: int) -> Drilled:
