@@ -45,44 +45,46 @@ def no_pulses(*shape: int) -> Pulses:
 
 
 @compiled
-def play(pulses, start, end, on, offset, min_on, min_off, strength):
-    """Add a plan to `pulses`, in place; all times in ns.
+def play(pulses, issued, valid_until, delay, times_us, min_on, min_off, spread, luck):
+    """Add a plan to `pulses`, in place; times in ns where nothing else is said.
 
     Args:
         pulses: of this board.
-        start: when the plan begins to be played.
-        end: when it is worth nothing any more.
-        on: shape (jets,).
-        offset: shape (jets,).
+        issued: when the plan was made [s].
+        valid_until: when it is worth nothing any more [s].
+        delay: of both.
+        times_us: on, then offsets, shape (2 jets,) [us].
         min_on: shortest pulse.
         min_off: shortest gap.
-        strength: relative thrust of a new pulse, shape (jets,).
+        spread: of the relative thrust of a pulse.
+        luck: standard normal, shape (jets,).
 
     Returns:
         number of openings added.
     """
-    openings = 0
-    for j in range(on.shape[0]):
-        up, down = pulses.up[j], pulses.down[j]
-        up_at = start + offset[j]
-        down_at = min(up_at + on[j], end)
+    openings, jets = 0, luck.shape[0]
+    start, end = delay + round(issued * 1e9), delay + round(valid_until * 1e9)
+    for j in range(jets):
+        up, down, on = pulses.up[j], pulses.down[j], 1000 * times_us[j]
+        up_at = start + 1000 * times_us[jets + j]
+        down_at = min(up_at + on, end)
         if up[-1] >= start:  # of the old plan and not begun: it never happens
             up[1:], down[1:] = up[:-1].copy(), down[:-1].copy()
             pulses.strength[j, 1:] = pulses.strength[j, :-1].copy()
             up[0] = down[0] = LONG_AGO
             openings -= 1
         if down[-1] >= start:  # still open, or closing this very instant
-            if on[j] > 0 and up_at <= start:
+            if on > 0 and up_at <= start:
                 down[-1] = max(down_at, start)
                 continue
             down[-1] = start
         up_at = max(up_at, down[-1] + min_off)
-        if on[j] == 0 or on[j] < min_on or down_at - up_at < min_on or down_at <= up_at:
+        if on == 0 or on < min_on or down_at - up_at < min_on or down_at <= up_at:
             continue
         up[:-1], down[:-1] = up[1:].copy(), down[1:].copy()
         pulses.strength[j, :-1] = pulses.strength[j, 1:].copy()
         up[-1], down[-1] = up_at, down_at
-        pulses.strength[j, -1] = strength[j]
+        pulses.strength[j, -1] = 1.0 + spread * luck[j]
         openings += 1
     return openings
 
@@ -123,13 +125,11 @@ class Board:
         """Play a plan."""
         if self._down[0] <= command.issued_at < self._down[1]:
             return
-        on, offset = 1000 * np.array((command.on_us, command.offset_us), dtype=np.int64)
-        strength = 1.0 + self._spread * self._draws.take(1)[0]
-        start = nanoseconds(command.issued_at) + self._delay
-        end = nanoseconds(command.valid_until) + self._delay
         self.openings += play(
-            self.pulses, start, end, on, offset, self._min_on, self._min_off, strength
-        )
+            self.pulses, command.issued_at, command.valid_until, self._delay,
+            np.array(command.on_us + command.offset_us),
+            self._min_on, self._min_off, self._spread, self._draws.take(1)[0],
+        )  # fmt: skip
 
     def run_until(self, t: float) -> None:
         """Nothing happens here by itself: plans are played ahead."""

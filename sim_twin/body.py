@@ -36,7 +36,7 @@ _BB = tuple(_B[i] * (1.0 - _C[i]) for i in range(3))
 C, A, B = np.array(_C), np.array(_A), np.array(_B)
 AA, BB = np.array(_AA), np.array(_BB)
 PASSES = 12
-SMALL = 1e-12  # [m/s^2] a pass that changes less leaves a thousandth of it
+SMALL = 1e-10  # [m/s^2] a pass that changes less leaves a thousandth of it
 FX, FY, TAU, MASS, INERTIA, CX, CY = range(7)  # columns of `Stages.body`
 
 

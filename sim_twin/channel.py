@@ -5,10 +5,12 @@ messages with a probability that depends on the state. Jitter has an exponential
 can overtake each other; the receiver keeps the one that was sent last.
 """
 
+from collections.abc import Callable, Iterable
 from typing import Generic, TypeVar
 
 import numpy as np
 
+from sim_twin.randomness import rows
 from testbed.core.table import Link
 
 M = TypeVar("M")
@@ -18,7 +20,10 @@ class Channel(Generic[M]):
     """One direction between two parties; newest message wins."""
 
     def __init__(self, link: Link, rng: np.random.Generator) -> None:
-        self._link, self._rng = link, rng
+        self._link = link
+        # a fixed number of draws per message: what is lost does not depend on what is injected
+        luck, delays = rng.spawn(2)
+        self._luck, self._delays = rows(luck.random, 3), rows(delays.standard_exponential, 1)
         self._bad = False
         self._sent = 0
         self._heard: tuple[int, M | None] = (0, None)  # number and message heard last
@@ -29,25 +34,60 @@ class Channel(Generic[M]):
 
         `trouble` is an injected delay [s] and probability of loss on top of the link's own.
         """
-        link, rng = self._link, self._rng
-        turn, lose, delay = rng.random(), rng.random(), rng.exponential()
+        link = self._link
+        turn, lose, unlucky = next(self._luck)
+        (delay,) = next(self._delays)
         if turn < (link.burst_leave if self._bad else link.burst_enter):
             self._bad = not self._bad
         self._sent += 1
         if lose < (link.burst_loss if self._bad else link.loss):
             return
-        if trouble[1] > 0.0 and rng.random() < trouble[1]:
+        if unlucky < trouble[1]:
             return
         arrival = t + trouble[0] + link.delay_s + link.jitter_s * delay
         self._on_the_way.append((arrival, self._sent, message))
 
     def newest(self, t: float) -> M | None:
         """The message sent last of all that have arrived by `t`, however old; None before any."""
-        waiting = []
-        for entry in self._on_the_way:
-            if entry[0] > t:
-                waiting.append(entry)
-            elif entry[1] > self._heard[0]:
-                self._heard = entry[1], entry[2]
-        self._on_the_way = waiting
+        if self._on_the_way:
+            waiting = []
+            for entry in self._on_the_way:
+                if entry[0] > t:
+                    waiting.append(entry)
+                elif entry[1] > self._heard[0]:
+                    self._heard = entry[1], entry[2]
+            self._on_the_way = waiting
         return self._heard[1]
+
+    def forget(self) -> None:
+        """They have lost each other: what was said is worth nothing when they meet again."""
+        self._on_the_way, self._heard = [], (self._sent, None)
+
+
+class Air(Generic[M]):
+    """The channels of one kind of message between many, each made when it is first used."""
+
+    def __init__(self, make: Callable[[str, str], Channel[M]]) -> None:
+        """`make` gives the channel from a sender to a receiver."""
+        self._make, self._channels = make, dict[tuple[str, str], Channel[M]]()
+
+    def between(self, sender: str, receiver: str) -> Channel[M]:
+        """From one to the other."""
+        pair = sender, receiver
+        if pair not in self._channels:
+            self._channels[pair] = self._make(*pair)
+        return self._channels[pair]
+
+    def part(self, sender: str, receiver: str) -> None:
+        """They have moved out of range."""
+        if (sender, receiver) in self._channels:
+            self._channels[sender, receiver].forget()
+
+    def heard(self, receiver: str, senders: Iterable[str], t: float) -> dict[str, M]:
+        """The newest of each of `senders` that `receiver` has heard by `t`."""
+        found = {}
+        for sender in senders:
+            channel = self._channels.get((sender, receiver))
+            if channel is not None and (message := channel.newest(t)) is not None:
+                found[sender] = message
+        return found

@@ -3,14 +3,15 @@
 A stream is known by its name, so adding a vehicle or a camera does not change what the others draw.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-AT_ONCE = 256  # rows: a call for each would cost more than the rows
+AT_ONCE = 64  # rows: a call for each would cost more than the rows, and many fill the cache
+A_FEW = 16  # the same for what there are many of
 
 
 def stream(seed: int, *name: str) -> np.random.Generator:
@@ -39,3 +40,9 @@ class Draws:
             start, end = 0, n
         self._next = end
         return self._rows[start:end]
+
+
+def rows(draw: Callable[[tuple[int, int]], Array], width: int) -> Iterator[list[float]]:
+    """The same one row at a time, as plain numbers; for parts of which there are many."""
+    while True:
+        yield from draw((A_FEW, width)).tolist()

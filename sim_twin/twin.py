@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim_twin.board import Driver
 from sim_twin.camera import Camera
-from sim_twin.channel import Channel
+from sim_twin.channel import Air, Channel
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
 from sim_twin.sabotage import Sabotage
@@ -69,15 +69,14 @@ class Twin:
         def channel(sender: str, receiver: str) -> Channel:
             return Channel(link, stream(seed, "link", sender, "to", receiver))
 
+        self.listeners = frozenset(listeners)
         self.setpoints = {n: channel("host", n) for n in self.names}
-        self.to_host = {n: channel(n, "host") for n in self.names}
-        self.between = {
-            (a, b): channel(a, b)
-            for a in self.names
-            for b in self.names
-            if a != b and b in listeners
-        }
-        self.words = {pair: channel(pair[0], f"the law of {pair[1]}") for pair in self.between}
+        self.to_host: Air[State] = Air(channel)
+        self.states: Air[State] = Air(channel)
+        self.words: Air[Told] = Air(lambda a, b: channel(a, f"the law of {b}"))
+        self._reach = link.range_m
+        self._near_at = -math.inf
+        self._near = {n: [other for other in self.names if other != n] for n in self.names}
         self.blackboard: dict[str, tuple[float, Told, Told | None]] = {}  # of laws on the host
 
     @property
@@ -105,6 +104,20 @@ class Twin:
                 shown = np.stack([one[row] for one, row in zip(seen, rows, strict=True)])
         for k, name in enumerate(self.names):
             self.cameras[name].expose(times, shown[:, k])
+
+    def near(self, name: str) -> list[str]:
+        """The others that `name` hears now, and that hear it."""
+        if self._reach is not None and self._near_at != self.now:
+            p, self._near_at = self.plant.x[:, :2], self.now
+            apart = np.linalg.norm(p[:, None] - p[None], axis=2)
+            np.fill_diagonal(apart, np.inf)
+            for one, row in zip(self.names, apart, strict=True):
+                near = [self.names[k] for k in np.flatnonzero(row <= self._reach).tolist()]
+                for gone in set(self._near[one]).difference(near):
+                    self.states.part(one, gone)
+                    self.words.part(one, gone)
+                self._near[one] = near
+        return self._near[name]
 
     def trouble(self, receiver: str) -> tuple[float, float]:
         """Injected delay and loss of messages to a vehicle."""
@@ -162,36 +175,36 @@ class TwinVehicleLink:
 
     def __init__(self, twin: Twin, name: str) -> None:
         self._twin, self._name = twin, name
+        self._setpoints, self._to_host = twin.setpoints[name], twin.to_host.between(name, "host")
 
     def setpoint(self) -> Setpoint | None:
         """See `VehicleLink`."""
-        return self._twin.setpoints[self._name].newest(self._twin.now)
+        return self._setpoints.newest(self._twin.now)
 
     def neighbours(self) -> dict[str, State]:
         """See `VehicleLink`."""
         twin, own = self._twin, self._name
-        heard = {a: air.newest(twin.now) for (a, b), air in twin.between.items() if b == own}
-        return {name: state for name, state in heard.items() if state is not None}
+        return twin.states.heard(own, twin.near(own), twin.now)
 
     def publish(self, state: State) -> None:
         """See `VehicleLink`."""
-        twin = self._twin
-        twin.to_host[self._name].send(twin.now, state)
-        for (sender, receiver), air in twin.between.items():
-            if sender == self._name:
-                air.send(twin.now, state, twin.trouble(receiver))
+        twin, now = self._twin, self._twin.now
+        self._to_host.send(now, state)
+        for other in twin.near(self._name):
+            if other in twin.listeners:
+                twin.states.between(self._name, other).send(now, state, twin.trouble(other))
 
     def told(self) -> dict[str, Told]:
         """See `VehicleLink`."""
         twin, own = self._twin, self._name
-        heard = {a: air.newest(twin.now) for (a, b), air in twin.words.items() if b == own}
-        return {name: told for name, told in heard.items() if told is not None}
+        return twin.words.heard(own, twin.near(own), twin.now)
 
     def tell(self, told: Told) -> None:
         """See `VehicleLink`."""
-        for (sender, _), air in self._twin.words.items():
-            if sender == self._name:
-                air.send(self._twin.now, told)
+        twin = self._twin
+        for other in twin.near(self._name):
+            if other in twin.listeners:
+                twin.words.between(self._name, other).send(twin.now, told)
 
 
 class TwinHostLink:
@@ -199,16 +212,16 @@ class TwinHostLink:
 
     def __init__(self, twin: Twin, name: str) -> None:
         self._twin, self._name = twin, name
+        self._own = twin.to_host.between(name, "host")
+        self._others = [n for n in twin.names if n != name]
 
     def own(self) -> State | None:
         """See `HostLink`."""
-        return self._twin.to_host[self._name].newest(self._twin.now)
+        return self._own.newest(self._twin.now)
 
     def neighbours(self) -> dict[str, State]:
         """See `HostLink`."""
-        twin = self._twin
-        heard = {n: twin.to_host[n].newest(twin.now) for n in twin.names if n != self._name}
-        return {name: state for name, state in heard.items() if state is not None}
+        return self._twin.to_host.heard("host", self._others, self._twin.now)
 
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
@@ -217,12 +230,12 @@ class TwinHostLink:
 
     def told(self) -> dict[str, Told]:
         """See `HostLink`. The laws share a computer, and hear what was said before this tick."""
-        heard = {}
+        words = {}
         for name, (said_at, newest, before) in self._twin.blackboard.items():
             told = newest if said_at < self._twin.now else before
             if name != self._name and told is not None:
-                heard[name] = told
-        return heard
+                words[name] = told
+        return words
 
     def tell(self, told: Told) -> None:
         """See `HostLink`."""

@@ -20,12 +20,13 @@ from testbed.core.law import Concern
 from testbed.core.ports import Clock
 from testbed.core.types import Accel, HostTick, Pose, State, Tick, Twist
 from testbed.flight.agent import Agent, lead_time
+from testbed.flight.allocation import weakest_force
 from testbed.flight.arming import Check, Expected, Readiness, arming_checks
 from testbed.flight.barrier import Barrier, reaches
 from testbed.flight.detectors import Detectors
 from testbed.flight.estimator import Estimator
 from testbed.flight.gate import Fence, Gate
-from testbed.flight.guidance import Guidance, weakest_force
+from testbed.flight.guidance import Guidance
 from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
 from testbed.flight.safety import Safety
 from testbed.flight.supervisor import Supervisor

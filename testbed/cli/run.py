@@ -255,14 +255,14 @@ def fly_and_judge(
             if not interrupt.asked:
                 watcher = Watcher(rig, outputs, recorder, live, pace)
                 live.flies()
-                began = time.perf_counter()
                 with steady():
+                    began = time.perf_counter()
                     ending = rig.fly(
                         watcher,
                         stopped=lambda: interrupt.asked or watcher.trouble is not None,
                     )
+                    wall = time.perf_counter() - began
                 watcher.reports()
-                wall = time.perf_counter() - began
                 if watcher.trouble is not None:
                     raise RecorderError(watcher.trouble)
     except RecorderError as error:

@@ -15,7 +15,7 @@ from testbed.cli.run import fly_and_judge, measure, warm_up
 from testbed.config import ConfigError, Experiment, dump, load
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.ops.folder import write_config, write_metrics
-from testbed.ops.steady import steady
+from testbed.ops.steady import settle, steady
 from testbed.rig import make_twin
 
 
@@ -67,6 +67,7 @@ def warm(base: str, batch: Sequence[Task]) -> None:
     for _, overrides in batch:
         with suppress(Exception):  # what is wrong is said when it is flown
             warm_up(read(base, overrides), lambda: False)
+    settle()
 
 
 def fly_with_log(base: str, batch: Sequence[Task]) -> list[Kept]:

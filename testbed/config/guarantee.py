@@ -7,7 +7,7 @@ import numpy as np
 from controllers.guarantee import Start, concerns
 from testbed.config.experiment import Experiment
 from testbed.core.law import Concern, Discs
-from testbed.flight.guidance import weakest_force
+from testbed.flight.allocation import weakest_force
 
 LOOKS = 200  # at a goal's path, for its largest acceleration
 

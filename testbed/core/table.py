@@ -42,6 +42,7 @@ class Link(Struct, frozen=True, forbid_unknown_fields=True):
     burst_loss: Probability  # of a message in the bad state
     burst_enter: Probability  # good -> bad, per message
     burst_leave: Probability  # bad -> good, per message
+    range_m: Positive | None = None  # of a vehicle's voice; without: they all hear each other
 
 
 class Obstacle(Struct, frozen=True, forbid_unknown_fields=True):

@@ -121,14 +121,14 @@ class Agent:
             session_ok=inputs.vitals.session_ok, braking=braking,
         )  # fmt: skip
         refused = refused or done
-        command = self._plan(t, wanted if refused is None else STILL, share)
+        command, planned = self._plan(t, wanted if refused is None else STILL, share)
         if refused is not None:
-            command = closed(command)
+            command, planned = closed(command), STILL
         self._estimator.remember(command)
         if self._safety is not None:
             self._safety.remember(command, share)
         return Outputs(
-            t, state, flown, wanted, self._given(command, share), command,
+            t, state, flown, wanted, planned, command,
             refused, acted.fault or self._gate.fault, told,
             acted.holding, acted.response, acted.filtered,
         )  # fmt: skip
@@ -168,45 +168,51 @@ class Agent:
             reference = due(setpoint, t)
         return reference, self._tracker.track(state, reference)
 
-    def _plan(self, t: float, wanted: Wrench, share: float) -> ValveCommand:
-        duty = self._allocator.allocate(wanted, max(share, 0.1))
-        pulses = self._modulator.pulses(against_droop(duty, self._vehicle.air.droop))
-        on, offset = in_microseconds(*pulses, self._stretch, self._period).tolist()
+    def _plan(self, t: float, wanted: Wrench, share: float) -> tuple[ValveCommand, Wrench]:
+        """The plan that gives a wrench, and the mean wrench it gives by the vehicle file's table.
+
+        Of the supply's weakness only what all jets share counts there, not the droop.
+        """
+        period, jets = self._period, len(self._vehicle.jets)
+        duty = self._allocator.allocate(wanted, max(share, 0.1), self._vehicle.air.droop)
+        on, offset = self._modulator.pulses(duty)
+        times, fx, fy, tau = in_microseconds(
+            on, offset, self._stretch, period, self._allocator.effect
+        )
+        times_us = times.tolist()
         self._seq += 1
-        return ValveCommand(self._seq, t, t + self._period, tuple(on), tuple(offset))
-
-    def _given(self, command: ValveCommand, share: float) -> Wrench:
-        """Mean wrench of a plan, without droop, by the vehicle file's table."""
-        scale = 1e-6 * share / self._period
-        full = self._allocator.wrench(command.on_us)
-        return Wrench(full.fx * scale, full.fy * scale, full.tau * scale)
+        command = ValveCommand(
+            self._seq, t, t + period, tuple(times_us[:jets]), tuple(times_us[jets:])
+        )
+        return command, Wrench(fx * share, fy * share, tau * share)
 
 
 @compiled
-def against_droop(duty, droop):
-    """Duties (jets,) that give what was meant although open jets weaken each other."""
-    open_jets = 0
-    for j in range(duty.shape[0]):
-        open_jets += duty[j] > 0.0
-    return np.minimum(1.0, duty * (1.0 + droop * max(0, open_jets - 1)))
-
-
-@compiled
-def in_microseconds(on, offset, stretch, period):
-    """Command times, shape (2, jets), whole microseconds, that give the wanted times of flow.
+def in_microseconds(on, offset, stretch, period, effect):
+    """Command times, whole microseconds, that give the wanted times of flow.
 
     Args:
         on: shape (jets,) [s].
         offset: shape (jets,) [s].
         stretch: how much longer than the flow the command must be [s].
         period: no command may be longer [s].
+        effect: B, shape (3, jets), see jets.py.
+
+    Returns:
+        on, then offsets, shape (2 jets,) [us], and the mean wrench fx, fy, tau of these times.
     """
-    times = np.empty((2, on.shape[0]), dtype=np.int64)
-    for j in range(on.shape[0]):
+    jets = on.shape[0]
+    times = np.empty(2 * jets, dtype=np.int64)
+    fx = fy = tau = 0.0
+    for j in range(jets):
         command = on[j]
         if 0.0 < on[j] < period:
             command = min(max(on[j] + stretch, 0.0), period)
         start = min(max(offset[j] - 0.5 * (command - on[j]), 0.0), period - command)
-        times[0, j] = np.rint(1e6 * command)
-        times[1, j] = np.rint(1e6 * start)
-    return times
+        times[j] = np.rint(1e6 * command)
+        times[jets + j] = np.rint(1e6 * start)
+        duty = 1e-6 * times[j] / period
+        fx += effect[0, j] * duty
+        fy += effect[1, j] * duty
+        tau += effect[2, j] * duty
+    return times, fx, fy, tau

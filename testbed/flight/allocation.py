@@ -13,7 +13,6 @@ optimum of an ideal layout never wants it, and where misaligned nozzles would, o
 shut and the rest solved again.
 """
 
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -31,6 +30,7 @@ TINY = 1e-9
 PIVOT = 1e-7  # a smaller pivot element would make the basis numerically singular
 WORTH_LESS = 1e3  # K1, against a gas price of at most 1 per jet
 WORTH_MORE = 1e6  # K2
+DIRECTIONS = 360
 
 
 class AllocatorParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -188,28 +188,73 @@ def one_sided(effect, gas, thrust_share, wrench, torque_first, opposing):
         ceiling[shut] = 0.0
 
 
+@compiled
+def against_droop(duty, droop):
+    """Duties (jets,) that give what was meant although open jets weaken each other."""
+    open_jets = 0
+    for j in range(duty.shape[0]):
+        open_jets += duty[j] > 0.0
+    return np.minimum(1.0, duty * (1.0 + droop * max(0, open_jets - 1)))
+
+
+@compiled
+def made_up_for(effect, gas, thrust_share, wrench, torque_first, opposing, droop):
+    """`one_sided`, then `against_droop`: one call, because crossing into compiled code costs."""
+    duty = one_sided(effect, gas, thrust_share, wrench, torque_first, opposing)
+    return against_droop(duty, droop)
+
+
+@compiled
+def weakest(effect, gas, opposing, directions, plenty):
+    """Smallest force [N] over equally spaced directions of a demand of `plenty` without torque."""
+    least = np.inf
+    for k in range(directions):
+        angle = 2.0 * np.pi * k / directions
+        wrench = plenty * np.cos(angle), plenty * np.sin(angle), 0.0
+        duty = one_sided(effect, gas, 1.0, wrench, True, opposing)
+        fx = fy = 0.0
+        for j in range(duty.shape[0]):
+            fx += effect[0, j] * duty[j]
+            fy += effect[1, j] * duty[j]
+        least = min(least, np.hypot(fx, fy))
+    return least
+
+
+def jets_of(vehicle: Vehicle) -> tuple[Array, Array, NDArray[np.int64]]:
+    """B (3, jets), price of each jet (jets,), pairs that push against each other (n, 2)."""
+    return (
+        effect_matrix(vehicle.jets, about=vehicle.com),
+        np.array([jet.thrust for jet in vehicle.jets]),
+        np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2),
+    )
+
+
 class Allocator:
     """Duty of each jet for a wanted wrench."""
 
     def __init__(self, params: AllocatorParams, vehicle: Vehicle) -> None:
-        self._effect = effect_matrix(vehicle.jets, about=vehicle.com)
-        self._gas = np.array([jet.thrust for jet in vehicle.jets])
-        self._opposing = np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2)
+        self.effect, self._gas, self._opposing = jets_of(vehicle)
         self._torque_first = params.priority == "torque"
 
-    def allocate(self, wanted: Wrench, thrust_share: float = 1.0) -> Array:
+    def allocate(self, wanted: Wrench, thrust_share: float = 1.0, droop: float = 0.0) -> Array:
         """Duties in [0, 1], shape (jets,).
 
         Args:
             wanted: mean wrench over the period, torque about the centre of mass.
             thrust_share: supply pressure over set pressure.
+            droop: of the supply, per open jet: made up for.
         """
         wrench = (wanted.fx, wanted.fy, wanted.tau)
-        return one_sided(
-            self._effect, self._gas, thrust_share, wrench, self._torque_first, self._opposing
+        return made_up_for(
+            self.effect, self._gas, thrust_share, wrench, self._torque_first, self._opposing, droop
         )
 
-    def wrench(self, duty: Sequence[float] | Array) -> Wrench:
-        """Wrench of these duties at set pressure."""
-        fx, fy, tau = (self._effect @ np.asarray(duty)).tolist()
-        return Wrench(fx, fy, tau)
+
+def weakest_force(vehicle: Vehicle) -> float:
+    """What the jets can do in their worst direction without turning the vehicle [N].
+
+    Directions are tried, DIRECTIONS of them; between two of them the force of a vehicle whose jets
+    push along a few axes is hardly less.
+    """
+    effect, gas, opposing = jets_of(vehicle)
+    return weakest(effect, gas, opposing, DIRECTIONS, 2.0 * gas.sum())

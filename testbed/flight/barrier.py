@@ -33,7 +33,6 @@ collisions-free multirobot systems", IEEE Transactions on Robotics 33(3), 2017, 
 braking distances; the split of the gap is ours.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, NamedTuple
 
@@ -254,6 +253,59 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, share):
     return x, y, hazard, spare
 
 
+@compiled
+def around(t, px, py, speed, rocks, others, limits):
+    """What matters at time `t`: the obstacles, and the neighbours that are not too far to.
+
+    Args:
+        t: [s].
+        px: own position [m].
+        py: [m].
+        speed: own [m/s].
+        rocks: obstacles at time 0, rows as in `filtered`.
+        others: rows (x, y, vx, vy, distance of the centres to keep, time of all that).
+        limits: constants.
+
+    Returns:
+        discs as in `filtered`, and the row in rocks and others together that each is of.
+    """
+    discs = np.empty((rocks.shape[0] + others.shape[0], 6))
+    rows = np.empty(discs.shape[0], dtype=np.int64)
+    count = rocks.shape[0]
+    for k in range(count):
+        discs[k], rows[k] = rocks[k], k
+        discs[k, 0] += t * rocks[k, 2]
+        discs[k, 1] += t * rocks[k, 3]
+    for k in range(others.shape[0]):
+        vx, vy, age = others[k, 2], others[k, 3], t - others[k, 5]
+        on = min(max(age, 0.0), KEPT)
+        # what it may have done since, beyond what the margin is for
+        late = min(max(age - 2.0 * limits.slow, 0.0), KEPT)
+        keep = others[k, 4] + 0.5 * limits.decel * late * late
+        x, y = others[k, 0] + on * vx, others[k, 1] + on * vy
+        fast = speed + np.hypot(vx, vy) + FASTER
+        if np.hypot(px - x, py - y) > keep + fast * (fast / limits.decel + limits.slow):
+            continue
+        discs[count, 0], discs[count, 1], discs[count, 2], discs[count, 3] = x, y, vx, vy
+        discs[count, 4], discs[count, 5] = keep, 0.5
+        rows[count] = rocks.shape[0] + k
+        count += 1
+    return discs[:count], rows[:count]
+
+
+@compiled
+def guarded(t, fx, fy, px, py, vx, vy, bx, by, rocks, others, limits, share):
+    """`filtered` with what is `around`; the hazard is numbered in rocks and others, then edges."""
+    discs, rows = around(t, px, py, np.hypot(vx, vy), rocks, others, limits)
+    x, y, hazard, spare = filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, share)
+    if hazard >= discs.shape[0]:
+        hazard += rocks.shape[0] + others.shape[0] - discs.shape[0]
+    elif hazard >= 0:
+        hazard = rows[hazard]
+    return x, y, hazard, spare
+
+
+NOBODY = np.zeros((0, 6))
 EDGES = ("the right edge", "the left edge", "the upper edge", "the lower edge", "its top speed")
 
 
@@ -289,17 +341,11 @@ class Barrier:
             half[0] - params.edge_margin, half[1] - params.edge_margin,
         )  # fmt: skip
         self._keep = {name: reach + params.vehicle_margin for name, reach in keep.items()}
-        rocks = list(obstacles.items())
-        self._names: list[str] = [name for name, _ in rocks]
-        self._moving = [
-            (k, *rock.position, *rock.velocity) for k, (_, rock) in enumerate(rocks)
-            if rock.velocity != (0.0, 0.0)
-        ]  # fmt: skip
-        self._rocks = np.array([
+        self._names = list(obstacles)
+        self._rocks = discs_of([
             (*rock.position, *rock.velocity, rock.radius + params.obstacle_margin, 1.0)
-            for _, rock in rocks
-        ]).reshape(-1, 6)  # fmt: skip
-        self._near: list[str] = []  # neighbours among the discs
+            for rock in obstacles.values()
+        ])  # fmt: skip
         self.spare = np.inf  # see `filtered` [m]
 
     def filter(
@@ -317,41 +363,18 @@ class Barrier:
         """
         fx, fy = force
         px, py, vx, vy, bx, by = motion
-        discs = self._around(t, px, py, math.hypot(vx, vy), neighbours)
-        x, y, hazard, self.spare = filtered(
-            fx, fy, px, py, vx, vy, bx, by, discs, self._limits, max(share, WORST_SHARE)
-        )
+        rows = []
+        for name, state in neighbours.items():
+            pose, twist = state.pose, state.twist
+            rows.append((pose.x, pose.y, twist.vx, twist.vy, self._keep[name], state.t))
+        x, y, hazard, self.spare = guarded(
+            t, fx, fy, px, py, vx, vy, bx, by,
+            self._rocks, np.array(rows) if rows else NOBODY, self._limits, max(share, WORST_SHARE),
+        )  # fmt: skip
         if hazard < 0:
             return fx, fy, None
-        return x, y, Intervention(x - fx, y - fy, self._name(hazard, len(discs)))
-
-    def _around(
-        self, t: float, px: float, py: float, speed: float, neighbours: Mapping[str, State]
-    ) -> Array:
-        """Discs at time `t`: the obstacles, and the neighbours that are not too far to matter."""
-        limits, rows, self._near = self._limits, [], []
-        for k, x, y, vx, vy in self._moving:
-            self._rocks[k, 0], self._rocks[k, 1] = x + t * vx, y + t * vy
-        for name, state in neighbours.items():
-            age, pose, twist = t - state.t, state.pose, state.twist
-            on = min(max(age, 0.0), KEPT)
-            # what it may have done since, beyond what the margin is for
-            late = min(max(age - 2.0 * limits.slow, 0.0), KEPT)
-            keep = self._keep[name] + 0.5 * limits.decel * late * late
-            x, y = pose.x + on * twist.vx, pose.y + on * twist.vy
-            fast = speed + math.hypot(twist.vx, twist.vy) + FASTER
-            reach = keep + fast * (fast / limits.decel + limits.slow)
-            if math.hypot(px - x, py - y) > reach:
-                continue
-            rows.append((x, y, twist.vx, twist.vy, keep, 0.5))
-            self._near.append(name)
-        return np.concatenate((self._rocks, np.array(rows))) if rows else self._rocks
-
-    def _name(self, hazard: int, discs: int) -> str:
-        rocks = len(self._names)
-        if hazard >= discs:
-            return EDGES[hazard - discs]
-        return self._names[hazard] if hazard < rocks else self._near[hazard - rocks]
+        hazards = (*self._names, *neighbours, *EDGES)
+        return x, y, Intervention(x - fx, y - fy, hazards[hazard])
 
 
 def reaches(radii: Mapping[str, float], name: str) -> dict[str, float]:

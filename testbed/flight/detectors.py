@@ -70,7 +70,7 @@ def due_at(setpoint: Setpoint) -> float:
 
 def is_number(*values: float) -> bool:
     """Whether all values are finite and of a size that means something."""
-    return all(abs(value) < 1e9 for value in values)  # false for nan and inf
+    return math.hypot(*values) < 1e9  # false for nan and inf
 
 
 class Detectors:

@@ -13,10 +13,12 @@ the bias.
 """
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled
@@ -63,17 +65,17 @@ class Fired(NamedTuple):
 
 @compiled
 def note(fired, start, end, times_us):
-    """Add a plan, in place; `times_us` are on and offset in microseconds, shape (2, n)."""
-    last = fired.start.shape[0] - 1
+    """Add a plan, in place; `times_us` are on, then offset in microseconds, shape (2 n,)."""
+    last, jets = fired.start.shape[0] - 1, fired.on.shape[1]
     fired.end[last] = min(fired.end[last], start)
     for m in range(last):
         fired.start[m], fired.end[m] = fired.start[m + 1], fired.end[m + 1]
         fired.on[m] = fired.on[m + 1]
         fired.offset[m] = fired.offset[m + 1]
     fired.start[last], fired.end[last] = start, end
-    for j in range(times_us.shape[1]):
-        fired.on[last, j] = 1e-6 * times_us[0, j]
-        fired.offset[last, j] = 1e-6 * times_us[1, j]
+    for j in range(jets):
+        fired.on[last, j] = 1e-6 * times_us[j]
+        fired.offset[last, j] = 1e-6 * times_us[jets + j]
 
 
 class Model(NamedTuple):
@@ -273,7 +275,7 @@ class Estimator:
     def remember(self, command: ValveCommand) -> None:
         """Note a plan that was really sent: the prediction is driven by it."""
         start, end = command.issued_at + self._delay, command.valid_until + self._delay
-        note(self._fired, start, end, np.array((command.on_us, command.offset_us), dtype=np.int64))
+        note(self._fired, start, end, np.array(command.on_us + command.offset_us))
 
     def update(self, samples: Sequence[PoseSample], now: float) -> None:
         """Absorb poses in order of arrival; the first one ever starts the filter, at rest.
@@ -283,10 +285,8 @@ class Estimator:
         """
         if not samples:
             return
-        flat: list[float] = []
-        for s in samples:
-            flat += s.captured_at, s.x, s.y, s.theta
-        table = np.array(flat).reshape(-1, 4)
+        numbers = chain.from_iterable(map(astuple, samples))
+        table = np.fromiter(numbers, np.float64, 4 * len(samples)).reshape(-1, 4)
         if self._x is None:
             table = table[np.isfinite(table).all(axis=1) & (table[:, 0] <= now)]
             if len(table) == 0:

@@ -9,6 +9,7 @@ while, whatever poses it refuses meanwhile; everything else is asked of it, too.
 `refuse` looks at the flight, `refuse_plan` at the plan itself, in the process that owns the port.
 """
 
+import math
 from typing import Annotated
 
 from msgspec import Meta, Struct
@@ -41,7 +42,7 @@ class Fence(Struct, frozen=True):
 
 
 def _finite(*values: float) -> bool:
-    return all(abs(value) < 1e9 for value in values)  # false for nan and inf
+    return math.hypot(*values) < 1e9  # false for nan and inf
 
 
 class Gate:

@@ -37,15 +37,13 @@ from testbed.core.types import (
     Told,
     Trajectory,
     Twist,
-    Wrench,
 )
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
-from testbed.flight.allocation import Allocator, AllocatorParams
+from testbed.flight.allocation import weakest_force
 from testbed.flight.barrier import Barrier
 
 Array = NDArray[np.float64]
 
-DIRECTIONS = 360
 ZERO = np.zeros(2)  # nobody writes to what a law is handed
 
 
@@ -61,22 +59,6 @@ class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
     heading_accel: Positive = 0.02  # of a turn to the goal's heading [rad/s^2]
     preview_s: NonNegative = 0.3  # how far ahead references are sent: lost messages cost nothing
     setpoint_life_s: Positive = 0.5  # after the last reference, or of a demand
-
-
-def weakest_force(vehicle: Vehicle) -> float:
-    """What the jets can do in their worst direction without turning the vehicle [N].
-
-    Directions are tried, DIRECTIONS of them; between two of them the force of a vehicle whose jets
-    push along a few axes is hardly less.
-    """
-    allocator = Allocator(AllocatorParams(priority="torque"), vehicle)
-    plenty = 2.0 * sum(jet.thrust for jet in vehicle.jets)
-    forces = []
-    for angle in np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False).tolist():
-        wanted = Wrench(plenty * math.cos(angle), plenty * math.sin(angle), 0.0)
-        got = allocator.wrench(allocator.allocate(wanted))
-        forces.append(math.hypot(got.fx, got.fy))
-    return min(forces)
 
 
 class Turn:

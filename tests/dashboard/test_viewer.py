@@ -76,14 +76,16 @@ def headless(run) -> Iterator[Dashboard]:
 
 @pytest.mark.slow
 @needs_vulkan
-def test_a_run_is_followed_while_it_is_flown(tmp_path, pictures):
+@pytest.mark.parametrize("rig", ["twin", "bench"])
+def test_a_run_is_followed_while_it_is_flown(tmp_path, pictures, rig):
     from rerun.experimental import ViewerClient
+
+    paced = ["duration_s=4000", "--speed", "1"] if rig == "twin" else ["duration_s=900"]
 
     folder = tmp_path / "run"
     flight = subprocess.Popen(
         [sys.executable, "-m", "testbed.cli.main", "run", "zhang2023_table",
-         "duration_s=4000", "--speed", "1",
-         "--out", str(folder)],
+         "--rig", rig, *paced, "--out", str(folder)],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
@@ -105,7 +107,7 @@ def test_a_run_is_followed_while_it_is_flown(tmp_path, pictures):
         first = eventually(now, "ticks arrive")
         eventually(lambda: now() > first + 1.0, "time advances")
         assert eventually(
-            lambda: seen(client.take_screenshot(), pictures / "headless.png"),
+            lambda: seen(client.take_screenshot(), pictures / f"headless_{rig}.png"),
             "the table and three vehicles are seen",
         )
         views = {view.name: view for view in client.get_state().views}

@@ -24,10 +24,12 @@ class Nobody:
     def done(self, t: float) -> None: ...
 
 
+# whoever is nearest goes to each of the two lines: of one seed in sixteen, 1 for instance, all five
+# go to the same one
 @pytest.mark.parametrize(
     ("seed", "overrides"),
-    [(0, ()), (1, ()), (2, HOST)],
-    ids=["wrench-0", "wrench-1", "reference-2"],
+    [(0, ()), (3, ()), (2, HOST)],
+    ids=["wrench-0", "wrench-3", "reference-2"],
 )
 def test_five_formations(seed: int, overrides: tuple[str, ...]) -> None:
     experiment = load(find("gao2022_table"), [*overrides, f"seed={seed}"])

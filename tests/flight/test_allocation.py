@@ -17,7 +17,7 @@ from scipy.optimize import linprog
 from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.types import Wrench
 from testbed.core.vehicle import Jet
-from testbed.flight.allocation import Allocator, AllocatorParams
+from testbed.flight.allocation import Allocator, AllocatorParams, weakest_force
 
 PRIORITIES = ["torque", "force"]
 EXACT = 1e-9  # [N, N m]
@@ -203,11 +203,21 @@ def test_less_pressure_takes_longer_pulses(share, vehicle):
     assert allocator.allocate(wrench, share) * share == pytest.approx(allocator.allocate(wrench))
 
 
-def test_wrench_is_what_the_duties_give(vehicle):
-    duty = np.random.default_rng(0).uniform(size=8)
-    given = Allocator(AllocatorParams(), vehicle).wrench(duty.tolist())
-    expected = effect_matrix(vehicle.jets, about=vehicle.com) @ duty
-    assert (given.fx, given.fy, given.tau) == pytest.approx(tuple(expected))
+def test_the_weakest_force_is_what_a_search_by_hand_finds(vehicle):
+    allocator, found = Allocator(AllocatorParams(priority="torque"), vehicle), []
+    for angle in np.linspace(0.0, 2.0 * np.pi, 360, endpoint=False):
+        duty = allocator.allocate(Wrench(9.0 * np.cos(angle), 9.0 * np.sin(angle), 0.0))
+        push = effect_matrix(vehicle.jets, about=vehicle.com) @ duty
+        assert abs(push[2]) < 1e-9
+        found.append(np.hypot(*push[:2]))
+    assert weakest_force(vehicle) == pytest.approx(min(found), rel=1e-9)
+
+
+def test_droop_is_made_up_for_by_open_jets(vehicle):
+    allocator, wanted = Allocator(AllocatorParams(), vehicle), Wrench(0.05, -0.03, 0.004)
+    plain = allocator.allocate(wanted)
+    longer = allocator.allocate(wanted, droop=0.04)
+    assert longer == pytest.approx(plain * (1.0 + 0.04 * (np.count_nonzero(plain) - 1)))
 
 
 numbers = st.floats(allow_nan=True, allow_infinity=True)

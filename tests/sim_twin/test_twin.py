@@ -147,7 +147,9 @@ def test_every_link_has_losses_of_its_own(make_vehicle, make_table):
     table = make_table(link={"loss": 0.5, "jitter_s": 0.0})
     fleet = dict.fromkeys(names, make_vehicle())
     twin = Twin(fleet, STARTS, table, {}, seed=1, listeners=names)
-    links = [*twin.setpoints.values(), *twin.to_host.values(), *twin.between.values()]
+    pairs = [(a, b) for a in names for b in names if a != b]
+    links = [*twin.setpoints.values(), *(twin.to_host.between(n, "host") for n in names)]
+    links += [twin.states.between(*pair) for pair in pairs]
     arrived = [[link.send(k, k) or link.newest(k + 0.5) == k for k in range(64)] for link in links]
     assert len(links) == 12
     assert len({tuple(pattern) for pattern in arrived}) == 12
@@ -162,6 +164,27 @@ def test_only_listeners_hear_their_neighbours(make_twin):
     assert list(TwinVehicleLink(twin, "b").neighbours()) == ["a", "c"]
     assert TwinVehicleLink(twin, "a").neighbours() == {}
     assert set(TwinHostLink(twin, "a").neighbours()) == {"b", "c"}
+
+
+def test_only_who_is_in_range_is_heard(make_vehicle, make_table):
+    table = make_table(link={"range_m": 1.5, "loss": 0.0, "burst_loss": 0.0}, size=(20.0, 20.0))
+    starts = {"a": Pose(0.0, 0.0, 0.0), "b": Pose(1.0, 0.0, 0.0), "c": Pose(2.0, 0.0, 0.0)}
+    twin = Twin(dict.fromkeys("abc", make_vehicle()), starts, table, {}, seed=1, listeners="abc")
+    for name in "abc":
+        TwinVehicleLink(twin, name).publish(state_of(0.0, 0.0))
+    twin.wait_until(0.1)
+
+    def heard():
+        return {n: list(TwinVehicleLink(twin, n).neighbours()) for n in "abc"}
+
+    assert heard() == {"a": ["b"], "b": ["a", "c"], "c": ["b"]}
+    twin.plant.x[2, 0] = 9.0  # who has gone is not a neighbour any more, and no fault either
+    twin.wait_until(0.2)
+    assert heard() == {"a": ["b"], "b": ["a"], "c": []}
+    assert set(TwinHostLink(twin, "a").neighbours()) == {
+        "b",
+        "c",
+    }  # the host has a radio of its own
 
 
 def test_laws_on_the_host_hear_what_was_said_before_this_tick(make_twin):
