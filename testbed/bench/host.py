@@ -294,19 +294,26 @@ class WireRig:
                         raise HostError(f"{name} refuses to start: {reason}")
             # they float now, and are looked at once more
             self._request("run", preflight, epoch - PERMIT_NS, stopped)
-        except (HostError, NotArmedError):
-            self.supervisor.request(0.0, "disarm")
-            for name in names:
-                with suppress(NetworkError):
-                    order(session, keys, name, Stop("the flight does not begin"))
+        except (HostError, NotArmedError, NetworkError):
+            self._call_off(session, keys)
             raise
-        self._ran = self.supervisor.may_fire
-        if self._latch is not None and self._ran:
+        if not self.supervisor.may_fire:  # the operator has changed his mind
+            self._call_off(session, keys)
+            return None
+        self._ran = True
+        if self._latch is not None:
             self._latch.set()
         while monotonic_ns() < epoch - PERMIT_NS:
             flight.permit()
             sleep_until_ns(monotonic_ns() + PERMIT_NS)
         return flight
+
+    def _call_off(self, session: zenoh.Session, keys: Keys) -> None:
+        """The flight does not begin, although vehicles may have been told that it does."""
+        self.supervisor.request(0.0, "disarm")
+        for name in self.experiment.vehicles:
+            with suppress(NetworkError):
+                order(session, keys, name, Stop("the flight does not begin"))
 
     def _request(
         self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], bool]
