@@ -18,10 +18,10 @@ from testbed.config import ConfigError, Experiment
 from testbed.core.injection import ON_WIRES
 from testbed.core.law import Concern
 from testbed.core.ports import Clock
-from testbed.core.types import Accel, HostTick, Pose, State, Tick, Twist
+from testbed.core.types import HostTick, Pose, Tick
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.allocation import weakest_force
-from testbed.flight.arming import Check, Expected, Readiness, arming_checks
+from testbed.flight.arming import Expected
 from testbed.flight.barrier import Barrier, reaches
 from testbed.flight.detectors import Detectors
 from testbed.flight.estimator import Estimator
@@ -35,6 +35,7 @@ from testbed.ops.characterisation import characterise
 from testbed.ops.formation import Crew
 from testbed.ops.metrics import Spent, Track
 from testbed.ops.rehearsal import MortalNode, SpoiltLaw
+from testbed.readiness import twin_checks
 
 
 def make_guidance(
@@ -256,7 +257,8 @@ class TwinRig(Struct, frozen=True):
     def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
         """See `Rig`."""
         experiment, supervisor = self.experiment, self.supervisor
-        if red := supervisor.take_off(0.0, self._checks()):
+        checks = twin_checks(experiment, self.twin, partial(expected_of, experiment))
+        if red := supervisor.take_off(0.0, checks):
             self.red.extend(red)
             return Ending(0.0, not_armed(red))
         ending = fly(
@@ -267,24 +269,6 @@ class TwinRig(Struct, frozen=True):
         planned = experiment.ticks * experiment.flight.jet_period_s
         supervisor.close(ending.t, ending.fault, flown=ending.t >= planned)
         return ending
-
-    def _checks(self) -> list[Check]:
-        """The arming checks of all vehicles, as they stand at time 0; the link is as it is."""
-        experiment, twin = self.experiment, self.twin
-        still = Accel(0.0, 0.0, 0.0)
-        states = {
-            name: State(0.0, Pose(*row[:3]), Twist(*row[3:]), still, 0.0, 0)
-            for name, row in self.truth()
-        }
-        found: list[Check] = []
-        for name, state in states.items():
-            others = {other: one for other, one in states.items() if other != name}
-            ready = Readiness(
-                0.0, state, experiment.table.mocap.rate_hz, twin.health(name), twin.vitals(name),
-                0.0, True, others,
-            )  # fmt: skip
-            found += arming_checks(ready, expected_of(experiment, name), experiment.arming)
-        return found
 
     def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
         """What each vehicle's board drove after `since` [s]; nothing with the twin's own."""

@@ -10,12 +10,11 @@ happens then, it ends with closed valves:
 """
 
 import math
-import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import Empty
 
 import msgspec
 import numpy as np
@@ -25,6 +24,7 @@ from firmware_interface.limits import limits_of
 from firmware_interface.serial_thrusters import SerialThrusters
 from testbed.bench.lookout import Lookout
 from testbed.bench.rehearsal import Rehearsal
+from testbed.bench.tower import Tower
 from testbed.config import Experiment
 from testbed.core.types import HostTick, Tick, Vitals
 from testbed.flight.loop import VehicleNode, fly
@@ -37,21 +37,15 @@ from testbed.ops.network.envelope import Inbox, Outbox, Verdict
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party, ZenohVehicleLink
 from testbed.ops.network.orders import (
-    Accepted,
-    Answer,
     Counts,
     Ended,
     Flown,
-    Look,
-    Order,
     Pace,
     Permit,
-    Refused,
     Start,
-    Stop,
     config_id,
 )
-from testbed.ops.network.session import Ear, Mouth, NetworkError, answer_to, ask, dial, on_word
+from testbed.ops.network.session import Ear, Mouth, NetworkError, ask, dial
 from testbed.ops.network.weather import Storm
 from testbed.ops.offset import Offset
 from testbed.ops.steady import preferred, steady
@@ -78,53 +72,6 @@ def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
         host = int.from_bytes(ask(session, keys.clock), "little")
         clock.exchanged(asked, host, monotonic_ns())
     return clock
-
-
-class Tower:
-    """The vehicle's ear for what it is told to do."""
-
-    def __init__(
-        self, session: zenoh.Session, keys: Keys, name: str, board: str, lookout: Lookout
-    ) -> None:
-        self._lookout = lookout
-        self.starts: SimpleQueue[Start] = SimpleQueue()
-        self.stop_reason: str | None = None
-        self._board, self._flying = board, threading.Event()
-        self._close: Callable[[], None] | None = None
-        self._kept = [
-            answer_to(session, keys.of(name, "order"), self._order),
-            answer_to(session, keys.stop, lambda _: self._stop("stopped by the operator")),
-            on_word(session, keys.stop, lambda: self._stop("stopped by the operator")),
-        ]
-
-    def take_off(self, close: Callable[[], None]) -> None:
-        """From now on a stop calls `close` at once."""
-        self._close = close
-
-    def _order(self, data: bytes) -> bytes:
-        order: Order = msgspec.msgpack.decode(data, type=Order)
-        answer: Answer
-        match order:
-            case Look():
-                answer = self._lookout.ready()
-            case Stop(reason):
-                self._stop(reason)
-                answer = Accepted(self._board)
-            case Start():
-                if self._flying.is_set():
-                    answer = Refused("it flies already")
-                else:
-                    self._flying.set()
-                    self.starts.put(order)
-                    answer = Accepted(self._board)
-        return msgspec.msgpack.encode(answer)
-
-    def _stop(self, reason: str) -> bytes:
-        if self.stop_reason is None:
-            self.stop_reason = reason
-        if self._close is not None:
-            self._close()
-        return b"stopped"
 
 
 class Flight:

@@ -15,20 +15,11 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from testbed.core.types import State
-from testbed.ops.feed import (
-    Loop,
-    News,
-    SeenHost,
-    SeenPace,
-    SeenPhase,
-    SeenTick,
-    SeenValves,
-    pose_of,
-    stopping_point,
-)
-from testbed.ops.history import camera_events, events, lost_share
+from testbed.ops.feed import Loop, News, SeenHost, SeenTick, pose_of, stopping_point
+from testbed.ops.history import events
 from testbed.ops.recorder import Motion, Truth
 from testbed.ops.scenario import Scenario, law_of, range_of
+from testbed.ops.scene_wires import VALVE_STATES, WireScene
 from testbed.ops.setting import (
     FLAME,
     LAYER,
@@ -49,11 +40,6 @@ Array = NDArray[np.float64]
 MEAN_S = 1.0  # of forces: pulses of milliseconds say little by themselves
 
 
-VALVE_STATES = rr.StateConfiguration(
-    values=["open", "shut"], labels=["", ""], colors=[0xFFD666FF, 0x1A2028FF]
-)
-
-
 class Scene:
     """What has been drawn so far of one run."""
 
@@ -67,9 +53,7 @@ class Scene:
         self._renewed: dict[str, tuple[float, float]] = {}
         self._means: dict[str, tuple[float, float]] = {}
         self._places: dict[str, tuple[float, float]] = {}
-        self._standing = ""  # the supervisor's phase
-        self._cameras: dict[str, str] = {}
-        self._drives: dict[tuple[str, int], bool] = {}
+        self._wires = WireScene(scenario, recording)
         self.now = 0.0
         setting(recording, scenario)
 
@@ -81,8 +65,6 @@ class Scene:
         hosts: dict[str, list[SeenHost]] = {}
         truths: list[Truth] = []
         loops: list[Loop] = []
-        paces: dict[str, list[tuple[float, SeenPace]]] = {}
-        edges: dict[str, list[SeenValves]] = {}
         for one in news:
             match one.message:
                 case SeenTick() as tick:
@@ -93,71 +75,19 @@ class Scene:
                     truths.append(truth)
                 case Loop() as loop:
                     loops.append(loop)
-                case SeenPace() as pace:
-                    paces.setdefault(one.who, []).append((one.t, pace))
-                case SeenValves() as valves:
-                    edges.setdefault(one.who, []).append(valves)
-                case SeenPhase() as phase:
-                    self._phase(phase)
             self.now = max(self.now, one.t)
         self._world(ticks, truths)  # first what is looked at first
         for name, flown in ticks.items():
             if name in self._trails:
                 self._ticks(self._names.index(name), name, flown)
         self._links(hosts, ticks)
-        for name, seen in paces.items():
-            self._wires(name, seen)
-        for name, driven in edges.items():
-            self._driven(name, driven)
+        self._wires.draw(news)
         if loops:
             self._column("plot/loop/late", [o.t for o in loops], [1e3 * o.late_s for o in loops])
             self._column("plot/loop/busy", [o.t for o in loops], [1e3 * o.busy_s for o in loops])
         if news:
             obstacles(self._rec, self._scenario, self.now)
             self._banner()
-
-    def _phase(self, phase: SeenPhase) -> None:
-        """The supervisor's word."""
-        self._standing = phase.phase
-        self._say(phase.t, f"{phase.phase}: {phase.because}", bad=phase.phase == "FAULT")
-
-    def _say(self, t: float, words: str, *, bad: bool) -> None:
-        self._rec.set_time("t", duration=t)
-        level = "WARN" if bad else "INFO"
-        self._rec.log("event", rr.TextLog(plain(f"{t:6.1f}   {words}"), level=level))
-
-    def _wires(self, name: str, seen: list[tuple[float, SeenPace]]) -> None:
-        """How a vehicle's wires are: lateness, delay and loss of its setpoints, its cameras."""
-        times = [t for t, _ in seen]
-        self._column(f"plot/loop/{name}", times, [1e3 * p.late_s for _, p in seen])
-        heard = [(t, p) for t, p in seen if p.setpoint_delay_s is not None]
-        if heard:
-            late = [1e3 * (p.setpoint_delay_s or 0.0) for _, p in heard]
-            self._column(f"plot/link/to {name}", [t for t, _ in heard], late)
-            share = [100.0 * lost_share(p) for _, p in heard]
-            self._column(f"plot/loss/to {name}", [t for t, _ in heard], share)
-        for t, words in camera_events(seen, self._cameras.get(name, "")):
-            self._say(t, f"{name}   {words}", bad=True)
-        self._cameras[name] = seen[-1][1].cameras
-
-    def _driven(self, name: str, driven: list[SeenValves]) -> None:
-        """When each valve opened and shut, as the board says."""
-        for jet in range(len(self._scenario.vehicles[name].model.jets)):
-            path, times, states = f"valve/{name}/jet_{jet + 1}_board", [], []
-            for one in driven:
-                is_open = bool(one.mask >> jet & 1)
-                if is_open != self._drives.get((name, jet)):
-                    if (name, jet) not in self._drives:
-                        self._rec.log(path, VALVE_STATES, static=True)
-                    self._drives[name, jet] = is_open
-                    times.append(one.t)
-                    states.append("open" if is_open else "shut")
-            if times:
-                self._rec.send_columns(
-                    path,
-                    [rr.TimeColumn("t", duration=times)],
-                    rr.StateChange.columns(state=states),
-                )
 
     def _column(self, path: str, t: Sequence[float], values: Sequence[float]) -> None:
         self._rec.send_columns(
@@ -439,8 +369,8 @@ class Scene:
                 words = "flies" if not tick.outputs.filtered else "flies, filter intervenes"
             states.append(f"**{name}** {words}")
         head = f"### {self._scenario.name}, law {law_of(self._scenario)}   |   "
-        if self._standing:
-            head += f"{self._standing}   |   "
+        if self._wires.phase:
+            head += f"{self._wires.phase}   |   "
         said = plain(head + "   |   ".join(states))
         if said != self._said:
             self._said = said

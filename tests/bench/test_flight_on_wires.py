@@ -208,8 +208,11 @@ def start(tmp_path):
     started = []
 
     def start():
-        env = os.environ | {"PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(tmp_path),
-                            "XDG_STATE_HOME": str(tmp_path)}
+        env = os.environ | {
+            "PYTHONPATH": str(ROOT),
+            "XDG_RUNTIME_DIR": str(tmp_path),
+            "XDG_STATE_HOME": str(tmp_path),
+        }
         process = subprocess.Popen(
             [sys.executable, "-m", "testbed.cli.main", "run", "hold", "--rig", "bench",
              "--out", str(tmp_path / "out")],

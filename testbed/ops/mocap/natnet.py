@@ -292,13 +292,12 @@ def _over(data: memoryview, at: int, sections: int) -> int:
 
 
 def _decode_sized(data: memoryview) -> MocapFrame:
-    """A frame of 4.1 or later, whose sections say how long they are: what flies waits for this."""
+    """A frame of 4.1 or later: what flies waits for this."""
     try:
         (number,) = _I32.unpack_from(data)
         at = _over(data, 4, 2)  # marker sets, unlabelled markers
         count, size = _SECTION.unpack_from(data, at)
-        first = at + 8
-        at = _over(data, at, 1)
+        first, at = at + 8, _over(data, at, 1)
         if size != count * BODY.size:
             raise NatNetError(f"{count} rigid bodies of another size")
         bodies = tuple([_body(one) for one in BODY.iter_unpack(data[first:at])])
