@@ -27,7 +27,7 @@ from pathlib import Path
 from firmware_interface.board import Edge
 from firmware_interface.compiler import firmware_id, host_program
 from firmware_interface.frame import Decoder
-from firmware_interface.messages import Config, Status
+from firmware_interface.messages import Config, State, Status
 from firmware_interface.qemu import qemu_command, terminal_of
 from firmware_interface.serial_board import Reports, monotonic_us
 
@@ -65,6 +65,7 @@ class LineTap:
         self.board_name = f"firmware {firmware_id():08x} on {where}, behind a pty"
         self.cut = False
         self.spoken_us = 0  # when whoever flies said something last
+        self.silence_us = 0  # the longest time of an armed board without a word
         self._listener: threading.Thread | None = None
         self._over = False
 
@@ -198,7 +199,10 @@ class LineTap:
 
     def _from_port(self) -> None:
         if data := _read(self.port_fd):
-            self.spoken_us = monotonic_us()
+            now = monotonic_us()
+            if self.status is not None and self.status.state is State.ARMED and not self.cut:
+                self.silence_us = max(self.silence_us, now - self.spoken_us)
+            self.spoken_us = now
             if not self.cut:
                 _write(self.board_fd, data)
 

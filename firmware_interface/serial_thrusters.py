@@ -61,6 +61,7 @@ class SerialThrusters:
         self.trouble: str | None = None  # latched
         self._armed = False
         self._heard_us = 0  # when the board said something last
+        self._gauge = self._voltmeter = False  # whether the board has shown that it has them
 
     def __enter__(self) -> "SerialThrusters":
         self._board = SerialBoard(self._port_name, self._baud)
@@ -255,8 +256,11 @@ class SerialThrusters:
             status = self._session.status
             assert status is not None
             now = monotonic_us()
-            pressure = float(status.supply_pa) or self._set_pressure
-            battery = 1e-3 * status.supply_mv or UNKNOWN_V
+            # 0 is what a board without the sensor reports, unless it has reported more before
+            self._gauge = self._gauge or status.supply_pa > 0
+            self._voltmeter = self._voltmeter or status.supply_mv > 0
+            pressure = float(status.supply_pa) if self._gauge else self._set_pressure
+            battery = 1e-3 * status.supply_mv if self._voltmeter else UNKNOWN_V
             silent = 1e-6 * (now - self._heard_us)
             return Health(1e-6 * (now - self.epoch_us), pressure, 0.0, battery, silent)
 

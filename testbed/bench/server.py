@@ -61,6 +61,7 @@ class TableReport(Struct, frozen=True):
     edges: dict[str, list[tuple[int, int]]]  # monotonic [us], mask: all of them
     boards: list[str]
     left_as: dict[str, tuple[str, list[str]]]  # each board's state and faults at the end
+    silence_ms: dict[str, float] = {}  # longest time of an armed board without a word
 
 
 class TableServer:
@@ -346,6 +347,7 @@ class TableServer:
             edges=self._edges,
             boards=[tap.board_name for tap in self._taps.values()],
             left_as={name: _left_as(tap.status) for name, tap in self._taps.items()},
+            silence_ms={name: 1e-3 * tap.silence_us for name, tap in self._taps.items()},
         )
 
 
