@@ -161,13 +161,12 @@ def test_nothing_is_left_of_a_tap(limits, tmp_path):
 
 
 def test_a_board_without_a_gauge_is_believed_to_have_pressure(limits, tmp_path):
-    with (
-        served(limits, tmp_path) as (tap, _),
-        SerialThrusters(str(tap.link), limits, 0.0, 1, set_pressure=4e5) as thrusters,
-    ):
-        assert thrusters.health().supply_pressure == 5e5  # it has one
+    with served(limits, tmp_path) as (tap, _):
         tap.sense(24_000, 0)
-        wait_for(lambda: thrusters.health().supply_pressure == 4e5)
+        wait_for(lambda: tap.status is not None and tap.status.supply_pa == 0)
+        with SerialThrusters(str(tap.link), limits, 0.0, 1, set_pressure=4e5) as thrusters:
+            assert thrusters.health().supply_pressure == 4e5
+            assert thrusters.health().battery == 24.0
 
 
 def test_a_gauge_that_falls_to_nothing_is_believed(limits, tmp_path):
