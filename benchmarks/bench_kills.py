@@ -94,7 +94,8 @@ def way(endpoint):
     return "tcp/127.0.0.1:%d" % relays[-1].door.getsockname()[1]
 
 def cut(number, frame):
-    relays[0].cut = True
+    for relay in relays:  # every vehicle has a cable of its own
+        relay.cut = True
 
 experiment = load(find(sys.argv[1]), sys.argv[3:])
 warm_up(experiment)
