@@ -35,8 +35,9 @@ CASES = (
 )  # fmt: skip
 FLEET = "zhang2023_table_pd"
 CALM = "zhang2023_table"
-COAST = "flight.gate.link_timeout_s=0.001"  # no setpoint any more: shut, not braked
-ON_BOARD = ["deploy.law=vehicle", "faults.operator_gone.response=coast"]
+# No setpoint any more, or no host: shut, not braked. Both end about a second after the last word.
+COAST = ["flight.gate.link_timeout_s=0.001", "faults.operator_gone.response=coast"]
+ON_BOARD = ["deploy.law=vehicle", COAST[1]]
 # A law in a hurry: valves are open most of the time.
 BUSY = ["duration_s=30", "criteria={}", "controller.bandwidth=0.6"]
 PATIENCE_S = 300.0
@@ -212,7 +213,7 @@ def one_host(case, rng, folder):
     """The host is killed, stopped or cut off; the vehicle coasts or brakes."""
     report_path, on_board = folder / "report.json", case.endswith("vehicle")
     # A vehicle that brakes must have the force to, within the time its gate leaves it.
-    words = [FLEET, *BUSY, *(ON_BOARD if on_board else [COAST])]
+    words = [FLEET, *BUSY, *(ON_BOARD if on_board else COAST)]
     if case.endswith("brake"):
         words = [CALM, *BUSY[:2]]
     host = Host(words, report_path)
