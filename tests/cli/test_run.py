@@ -220,10 +220,13 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
     assert set(log.messages) == {f"/{n}/{end}" for n in names for end in ("tick", "host")} | {
         "/truth", "/formation", "/supervisor",
     }  # fmt: skip
-    phases = [(stamp, event["phase"]) for stamp, event in log.messages.pop("/supervisor")]
+    events = log.messages["/supervisor"]
+    phases = [(stamp, event["phase"]) for stamp, event in events]
     assert phases == [(0, "ARMED"), (0, "RUNNING"), (2 * 10**9, "STOPPED")]
     stamps = [k * 10**8 for k in range(20)]
     for topic, rows in log.messages.items():
+        if rows is events:
+            continue
         every = 10 if topic == "/formation" else 1  # the five elements, once a second
         assert [stamp for stamp, _ in rows] == stamps[::every], topic
     for topic, (encoding, name, schema) in log.schemas.items():
