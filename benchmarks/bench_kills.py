@@ -4,6 +4,8 @@
 
     agent-kill  agent-stop  serial-cut     valves closed within 200 ms, SAFE latched
     host-kill   host-stop   zenoh-cut      coast: closed within 200 ms of the last command's expiry
+    host-kill-vehicle  host-stop-vehicle   coast, with the law on board: the last command is the
+                                           host's permit, good for a second
     host-kill-brake                        brake: at rest relative to the table, then closed
 
 Instants are read from the stamps of the boards, on the clock of this machine (see
@@ -29,11 +31,13 @@ from testbed.ops.ticking import monotonic_ns, sleep_until_ns
 
 CASES = (
     "agent-kill", "agent-stop", "serial-cut", "host-kill", "host-stop", "zenoh-cut",
-    "host-kill-brake",
+    "host-kill-vehicle", "host-stop-vehicle", "host-kill-brake",
 )  # fmt: skip
 FLEET = "zhang2023_table_pd"
 CALM = "zhang2023_table"
-COAST = "flight.gate.link_timeout_s=0.001"  # no setpoint any more: shut, not braked
+# No setpoint any more, or no host: shut, not braked. Both end about a second after the last word.
+COAST = ["flight.gate.link_timeout_s=0.001", "faults.operator_gone.response=coast"]
+ON_BOARD = ["deploy.law=vehicle", COAST[1]]
 # A law in a hurry: valves are open most of the time.
 BUSY = ["duration_s=30", "criteria={}", "controller.bandwidth=0.6"]
 PATIENCE_S = 300.0
@@ -41,6 +45,7 @@ PATIENCE_S = 300.0
 HOST = """
 import json, signal, socket, sys, threading
 from pathlib import Path
+from testbed.bench.flight import PERMIT_S
 from testbed.bench.host import WireRig
 from testbed.config import find, load
 from testbed.rig import Nobody, warm_up
@@ -51,6 +56,11 @@ class Told(Nobody):
         if setpoint is not None:
             print(json.dumps(["setpoint", name, rig._clock.epoch_ns + setpoint.valid_until * 1e9]),
                   flush=True)
+
+    def done(self, t):
+        until = rig._clock.epoch_ns + (t + PERMIT_S) * 1e9  # the permit was said just before
+        for name in rig.experiment.vehicles:
+            print(json.dumps(["permit", name, until]), flush=True)
 
 def started(rig):
     print(json.dumps(["start", rig.children, rig._clock.epoch_ns]), flush=True)
@@ -85,7 +95,8 @@ def way(endpoint):
     return "tcp/127.0.0.1:%d" % relays[-1].door.getsockname()[1]
 
 def cut(number, frame):
-    relays[0].cut = True
+    for relay in relays:  # every vehicle has a cable of its own
+        relay.cut = True
 
 experiment = load(find(sys.argv[1]), sys.argv[3:])
 warm_up(experiment)
@@ -200,9 +211,11 @@ def one_agent(case, rng, folder, name="sat1"):
 
 def one_host(case, rng, folder):
     """The host is killed, stopped or cut off; the vehicle coasts or brakes."""
-    report_path = folder / "report.json"
+    report_path, on_board = folder / "report.json", case.endswith("vehicle")
     # A vehicle that brakes must have the force to, within the time its gate leaves it.
-    words = [CALM, *BUSY[:2]] if case.endswith("brake") else [FLEET, *BUSY, COAST]
+    words = [FLEET, *BUSY, *(ON_BOARD if on_board else COAST)]
+    if case.endswith("brake"):
+        words = [CALM, *BUSY[:2]]
     host = Host(words, report_path)
     try:
         pids, epoch = host.await_start()
@@ -211,15 +224,15 @@ def one_host(case, rng, folder):
         if case == "zenoh-cut":
             os.kill(host.process.pid, signal.SIGUSR1)
         else:
-            number = signal.SIGSTOP if case == "host-stop" else signal.SIGKILL
+            number = signal.SIGSTOP if case.startswith("host-stop") else signal.SIGKILL
             os.kill(host.process.pid, number)
         hit = monotonic_ns() // 1000
         sleep_until_ns(monotonic_ns() + 50_000_000)
-        expiry = {n: 1e-3 * until for n, until in host.find("setpoint")}
-        sleep_until_ns(
-            monotonic_ns() + (4_000_000_000 if case.endswith("brake") else 1_500_000_000)
-        )
-        if case == "host-stop":
+        said = host.find("permit" if on_board else "setpoint")
+        expiry = {n: 1e-3 * until for n, until in said}
+        longer = case.endswith("brake") or on_board
+        sleep_until_ns(monotonic_ns() + (4_000_000_000 if longer else 1_500_000_000))
+        if case.startswith("host-stop"):
             os.kill(host.process.pid, signal.SIGKILL)
     finally:
         host.close()

@@ -47,6 +47,7 @@ def sockets(processes):
 def run(way, rng, folder):
     """One run; what is left of it."""
     env = os.environ | {"TMPDIR": str(folder), "XDG_RUNTIME_DIR": str(folder)}
+    env["XDG_STATE_HOME"] = str(folder / "state")  # a killed run leaves its latch there
     process = subprocess.Popen(
         [sys.executable, "-m", "testbed.cli.main", "run", "hold", "duration_s=3", "criteria={}",
          "--rig", "bench", "--out", str(folder / "out")],

@@ -17,6 +17,9 @@ CODED_MAX = RAW_MAX + 1  # below 255 bytes COBS costs one byte
 WRAP = 1 << 32  # of clocks [us]
 
 
+_LENGTH = [bytes([size + 1]) for size in range(255)]  # what COBS puts before a block
+
+
 class Frame(NamedTuple):
     """One frame, whoever sent it."""
 
@@ -42,7 +45,7 @@ class BadFrameError(Exception):
 
 def stuff(raw: bytes) -> bytes:
     """COBS without delimiter, below 255 bytes."""
-    return b"".join(bytes([len(block) + 1]) + block for block in raw.split(b"\0"))
+    return b"".join([_LENGTH[len(block)] + block for block in raw.split(b"\0")])
 
 
 def unstuff(coded: bytes) -> bytes:
@@ -76,11 +79,12 @@ def encode_message(message: Message, seq: int, t_us: int) -> bytes:
     """
     for name, (least, most) in message.LIMITS.items():
         value = getattr(message, name)
-        for one in value if isinstance(value, tuple) else (value,):
-            if not least <= one <= most:
-                raise ValueError(
-                    f"{type(message).__name__}.{name} is {one}, expected {least} to {most}"
-                )
+        smallest, largest = (min(value), max(value)) if isinstance(value, tuple) else (value, value)
+        if smallest < least or largest > most:
+            one = smallest if smallest < least else largest
+            raise ValueError(
+                f"{type(message).__name__}.{name} is {one}, expected {least} to {most}"
+            )
     return encode(Frame(message.CODE, seq, t_us, message.pack()))
 
 

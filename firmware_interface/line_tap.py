@@ -1,6 +1,11 @@
 """The firmware on this machine, on a serial line that a twin listens in on.
 
-    whoever flies -- pty with a stable name -- tap -- pty -- firmware's process
+    whoever flies -- pty with a stable name -- tap -- socket -- firmware
+
+Bytes of a pty are moved by a thread of the kernel that has no priority, and whoever looks at a pty,
+even without waiting, waits for that thread (n_tty_poll flushes the buffer's work): tens of
+milliseconds on a busy machine (`benchmarks/pty_stall.py`). So the firmware is not behind a second
+one, and `listen` gives the first one a thread of its own, so that nobody else waits.
 
 The tap passes bytes on as they come and reads what the board reports: its valves' edges, in the
 host's time. It stands where the cable is, so it can also be cut.
@@ -10,7 +15,10 @@ The board's clock against the host's: of all frames the one that was quickest te
 
 import os
 import pty
+import select
+import socket
 import subprocess
+import threading
 import tty
 from collections import deque
 from contextlib import ExitStack, suppress
@@ -20,7 +28,7 @@ from firmware_interface.board import Edge
 from firmware_interface.compiler import firmware_id, host_program
 from firmware_interface.frame import Decoder
 from firmware_interface.host_pty import bury
-from firmware_interface.messages import Config, Status
+from firmware_interface.messages import Config, State, Status
 from firmware_interface.qemu import qemu_command, terminal_of
 from firmware_interface.reports import Reports
 from firmware_interface.serial_board import monotonic_us
@@ -28,6 +36,7 @@ from firmware_interface.serial_board import monotonic_us
 CHUNK = 4096
 REMEMBERED = 64  # frames that tell the clock; a board's clock may drift
 GRACE_S = 2.0
+LOOK_S = 0.1  # between two looks whether it is over
 
 
 class TapError(Exception):
@@ -58,40 +67,47 @@ class LineTap:
         self.board_name = f"firmware {firmware_id():08x} on {where}, behind a pty"
         self.cut = False
         self.spoken_us = 0  # when whoever flies said something last
+        self.silence_us = 0  # the longest time of an armed board without a word
+        self._listener: threading.Thread | None = None
+        self._over = False
 
     def __enter__(self) -> "LineTap":
         with ExitStack() as stack:
-            inner = self.link.with_name(f".{self.link.name}-board")
-            command = qemu_command(self._config) if self._chip else self._host_command(inner)
+            near, far = socket.socketpair()
+            stack.callback(near.close)
+            command = qemu_command(self._config) if self._chip else self._host_command(far.fileno())
             self._process = subprocess.Popen(
                 command,
+                pass_fds=[far.fileno()],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT if self._chip else None,
                 start_new_session=True,
             )
+            far.close()
             stack.callback(self._stop)
             assert self._process.stdout is not None
             assert self._process.stdin is not None
             answer = self._process.stdout.readline().decode()
             if self._chip:
-                terminal = terminal_of(answer)
+                terminal = os.open(terminal_of(answer), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                stack.callback(os.close, terminal)
+                tty.setraw(terminal)
+                self.board_fd = terminal
             elif answer == "ok\n":
-                terminal = str(inner)
+                near.setblocking(False)
+                self.board_fd = near.fileno()
             else:
                 raise TapError(f"the firmware's process answered {answer!r}, expected 'ok'")
             os.set_blocking(self._process.stdout.fileno(), False)
             os.set_blocking(self._process.stdin.fileno(), False)
-            self.board_fd = os.open(terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-            stack.callback(os.close, self.board_fd)
-            tty.setraw(self.board_fd)
             self._open_port(stack)
             self._rest = stack.pop_all()
         return self
 
-    def _host_command(self, link: Path) -> list[str]:
+    def _host_command(self, line: int) -> list[str]:
         identity = [str(firmware_id()), str(self._nonce)]
-        return [str(host_program()), self._config.pack().hex(), *identity, str(link)]
+        return [str(host_program()), self._config.pack().hex(), *identity, f"fd:{line}"]
 
     def _open_port(self, stack: ExitStack) -> None:
         self.port_fd, other = pty.openpty()
@@ -105,7 +121,20 @@ class LineTap:
         stack.callback(self.link.unlink, missing_ok=True)
 
     def __exit__(self, *_: object) -> None:
+        self._over = True
+        if self._listener is not None:
+            self._listener.join()
         self._rest.close()
+
+    def listen(self) -> None:
+        """Pass on what whoever flies says in a thread of its own; `serve` does the rest."""
+        self._listener = threading.Thread(target=self._listen, name="line", daemon=True)
+        self._listener.start()
+
+    def _listen(self) -> None:
+        while not self._over:
+            if select.select([self.port_fd], [], [], LOOK_S)[0]:
+                self._from_port()
 
     def _stop(self) -> None:
         process = self._process
@@ -136,13 +165,23 @@ class LineTap:
         with suppress(BlockingIOError):
             os.read(self._process.stdout.fileno(), CHUNK)  # its answers
 
+    def power(self, *, on: bool) -> None:
+        """Take the board's power away, or give it back; QEMU's stays."""
+        if self._chip:
+            return
+        assert self._process.stdin is not None
+        os.set_blocking(self._process.stdin.fileno(), True)
+        os.write(self._process.stdin.fileno(), b"up 2\n" if on else b"down\n")
+        os.set_blocking(self._process.stdin.fileno(), False)
+        if on:  # its clock starts again
+            self._reports = Reports()
+            self._offsets.clear()
+
     def serve(self) -> None:
         """Pass on what is there; does not wait."""
+        if self._listener is None:
+            self._from_port()
         now = monotonic_us()
-        if data := _read(self.port_fd):
-            self.spoken_us = now
-            if not self.cut:
-                _write(self.board_fd, data)
         if data := _read(self.board_fd):
             if self._reports.hear(data, now):
                 self._offsets.append(now - self._reports.board_us)
@@ -151,6 +190,20 @@ class LineTap:
                     self.status = Status.unpack(frame.payload)
             if not self.cut:
                 _write(self.port_fd, data)
+
+    def _from_port(self) -> None:
+        if data := _read(self.port_fd):
+            now = monotonic_us()
+            if self.status is not None and self.status.state is State.ARMED and not self.cut:
+                self.silence_us = max(self.silence_us, now - self.spoken_us)
+            self.spoken_us = now
+            if not self.cut:
+                _write(self.board_fd, data)
+
+    @property
+    def fds(self) -> list[int]:
+        """What `serve` waits for."""
+        return [self.board_fd] if self._listener is not None else [self.port_fd, self.board_fd]
 
     def edges(self) -> list[Edge]:
         """What the valves did since the last call, on this machine's monotonic clock [us]."""

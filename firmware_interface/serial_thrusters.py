@@ -13,6 +13,7 @@ from collections import deque
 
 from msgspec.structs import replace
 
+from firmware_interface.frame import WRAP
 from firmware_interface.messages import Config, Result, State
 from firmware_interface.serial_board import BAUD, SerialBoard, monotonic_us
 from firmware_interface.session import Session, SessionError
@@ -20,6 +21,7 @@ from testbed.core.types import Health, ValveCommand
 
 KEEP_US = 4_000  # between two looks at what time alone asks for
 ANSWER_US = 3_000_000  # longest wait for a board's first words
+UNKNOWN_V = 12.0  # what a board without a voltmeter, which reports 0, is believed to have
 REPEAT_US = 30_000  # an order that is not obeyed by then is given again
 
 
@@ -58,6 +60,8 @@ class SerialThrusters:
         self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plans' numbers, and when [us]
         self.trouble: str | None = None  # latched
         self._armed = False
+        self._heard_us = 0  # when the board said something last
+        self._gauge = self._voltmeter = False  # whether the board has shown that it has them
 
     def __enter__(self) -> "SerialThrusters":
         self._board = SerialBoard(self._port_name, self._baud)
@@ -100,7 +104,8 @@ class SerialThrusters:
     def _look(self, now: int) -> int:
         """Do what is due; how long there is nothing to do [us]."""
         try:
-            self._session.receive(self._board.read(), now)
+            if self._session.receive(self._board.read(), now):
+                self._heard_us = now
         except SessionError as error:
             self.trouble = str(error)
         self._judge()
@@ -250,5 +255,32 @@ class SerialThrusters:
         with self._lock:
             status = self._session.status
             assert status is not None
-            pressure = float(status.supply_pa) or self._set_pressure
-            return Health(1e-6 * (monotonic_us() - self.epoch_us), pressure, 0.0)
+            now = monotonic_us()
+            # 0 is what a board without the sensor reports, unless it has reported more before
+            self._gauge = self._gauge or status.supply_pa > 0
+            self._voltmeter = self._voltmeter or status.supply_mv > 0
+            pressure = float(status.supply_pa) if self._gauge else self._set_pressure
+            battery = 1e-3 * status.supply_mv if self._voltmeter else UNKNOWN_V
+            silent = 1e-6 * (now - self._heard_us)
+            return Health(1e-6 * (now - self.epoch_us), pressure, 0.0, battery, silent)
+
+    def edges(self) -> list[tuple[float, int]]:
+        """What the board has reported of its valves since the last call: the run's time, mask."""
+        with self._lock:
+            new, self._session.edges = self._session.edges, []
+            clock, now = self._session.clock, monotonic_us()
+        if clock is None:
+            return []
+        found = []
+        for board_us, mask in new:
+            ago = (now + clock.offset_us - board_us) % WRAP
+            if ago > WRAP / 2:  # the board's clock is read to some microseconds
+                ago -= WRAP
+            found.append((1e-6 * (now - ago - self.epoch_us), mask))
+        return found
+
+    @property
+    def shut(self) -> bool:
+        """Whether every valve is closed, by the board's newest report."""
+        status = self._session.status
+        return status is not None and status.mask == 0

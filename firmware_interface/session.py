@@ -189,8 +189,9 @@ class Session:
         if now_us >= self._plan_ends_us:  # worth nothing any more: let the watchdog see that
             self._plan = None
             return b""
-        aged = Cmd(plan.session, plan.plan, age_us, plan.ttl_us, plan.on_us, plan.offset_us)
-        return self._send(aged, now_us)
+        if age_us:
+            plan = Cmd(plan.session, plan.plan, age_us, plan.ttl_us, plan.on_us, plan.offset_us)
+        return self._send(plan, now_us)
 
     @property
     def due_us(self) -> int | None:

@@ -46,7 +46,11 @@ class Sabotage:
         obstacles: Mapping[str, Obstacle],
         half: tuple[float, float],
         seed: int,
+        *,
+        boards: bool = True,
     ) -> None:
+        """`boards` are modelled, and lose their power here; real ones lose it elsewhere."""
+        self._boards = boards
         self._plant, self._half = plant, half
         self._rocks = [(*rock.position, *rock.velocity) for rock in obstacles.values()]
         self._active = [Active(one) for one in injections]
@@ -76,7 +80,7 @@ class Sabotage:
             match what.kind:
                 case "stick_open" | "stick_closed":
                     self._plant.stick(k, what.jet - 1, what.kind == "stick_open", one.since, over)
-                case "brown_out":
+                case "brown_out" if self._boards:
                     board = self._plant.boards[what.vehicle]
                     assert isinstance(board, Board), "the configuration refuses it"
                     board.lose_power(one.since, over)
@@ -84,7 +88,7 @@ class Sabotage:
                     span = min(until, over) - max(one.since, self._plant.t)
                     self._plant.leak(k, what.size * max(0.0, span))
 
-    def _found(self, vehicle: str, *kinds: str) -> Injection | None:
+    def found(self, vehicle: str, *kinds: str) -> Injection | None:
         """The first injection of these kinds that this vehicle suffers now."""
         for one in self._active:
             what = one.what
@@ -144,16 +148,16 @@ class Sabotage:
 
     def air(self, receiver: str) -> tuple[float, float]:
         """What messages to a vehicle suffer now: extra delay [s], probability of loss."""
-        late, lost = self._found(receiver, "delay_link"), self._found(receiver, "lose_link")
+        late, lost = self.found(receiver, "delay_link"), self.found(receiver, "lose_link")
         return late.size if late else 0.0, lost.size if lost else 0.0
 
     def dead(self, name: str) -> bool:
         """Whether the vehicle's process is gone."""
-        return self._found(name, "kill_process") is not None
+        return self.found(name, "kill_process") is not None
 
     def spoilt(self, name: str) -> str:
         """What is wrong with the law: "nan", "raise" or nothing."""
-        what = self._found(name, "nan_law", "raise_law")
+        what = self.found(name, "nan_law", "raise_law")
         return what.kind.removesuffix("_law") if what else ""
 
     def power(self, name: str) -> tuple[float, float]:
@@ -165,12 +169,12 @@ class Sabotage:
 
     def vitals(self, name: str) -> Vitals:
         """What the process round the vehicle's chain knows."""
-        clock, late = self._found(name, "clock_step"), self._found(name, "overrun")
+        clock, late = self.found(name, "clock_step"), self.found(name, "overrun")
         absent = [
             self._now - one.since for one in self._active
             if one.what.kind == "operator_gone" and one.holds(self._now)
         ]  # fmt: skip
-        full, differs = self._found(name, "disk_full"), self._found(name, "config_differs")
+        full, differs = self.found(name, "disk_full"), self.found(name, "config_differs")
         if not (clock or late or absent or full or differs):
             return ALL_WELL
         return Vitals(

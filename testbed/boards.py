@@ -1,10 +1,13 @@
-"""Firmware in the loop: what can play the plans of an experiment on the twin.
+"""Firmware in the loop: what can play the plans of an experiment.
 
-    model      the twin's own, the default: no firmware, fast
-    inproc     the firmware's C core in this process
-    unicorn    the image that is flashed, on an emulated chip
+    model      on the twin its own, the default: no firmware, fast; on the bench the same as `host`
+    inproc     the firmware's C core in this process, on the twin
+    unicorn    the image that is flashed, on an emulated chip, on the twin
+    host       the firmware as a process on this machine, on the bench
+    qemu       the image that is flashed, in QEMU, on the bench
 
-The latter two run in lockstep with the twin, behind a modelled serial line.
+Those of the twin run in lockstep with it, behind a modelled serial line; those of the bench in real
+time, behind a real one. On the table the boards are the lab's.
 """
 
 import weakref
@@ -20,6 +23,9 @@ from firmware_interface.messages import Config
 from firmware_interface.wire import WiredBoard
 from testbed.config import ConfigError
 from testbed.core.vehicle import Vehicle
+
+REAL_TIME = ("host", "qemu")
+LOCKSTEP = ("inproc", "unicorn")
 
 
 class Valves(Struct, frozen=True, gc=False):
@@ -63,6 +69,8 @@ def make_drivers(kind: str, vehicles: Mapping[str, Vehicle]) -> dict[str, WiredB
     """A board for each vehicle, armed; None for the twin's own."""
     if kind == "model":
         return None
+    if kind in REAL_TIME:
+        raise ConfigError("this rig", "board", "model, inproc or unicorn on the twin", kind)
     drivers = {}
     for name, vehicle in vehicles.items():
         config = limits_of(vehicle)

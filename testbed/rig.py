@@ -2,24 +2,26 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 from msgspec.structs import replace
 
 from controllers.catalogue import make_law
 from sim_twin.board import DrivenBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.boards import Valves, WiredBoard, make_drivers
-from testbed.config import Experiment
+from testbed.config import ConfigError, Experiment
+from testbed.core.injection import ON_WIRES
 from testbed.core.law import Concern
 from testbed.core.ports import Clock
 from testbed.core.types import HostTick, Pose, Tick
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.allocation import weakest_force
+from testbed.flight.arming import Expected
 from testbed.flight.barrier import Barrier, reaches
 from testbed.flight.detectors import Detectors
 from testbed.flight.estimator import Estimator
@@ -27,11 +29,13 @@ from testbed.flight.gate import Fence, Gate
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
 from testbed.flight.safety import Safety
+from testbed.flight.supervisor import Supervisor
 from testbed.flight.watch import Watch
 from testbed.ops.characterisation import characterise
 from testbed.ops.formation import Crew
 from testbed.ops.metrics import Spent, Track
 from testbed.ops.rehearsal import MortalNode, SpoiltLaw
+from testbed.readiness import twin_checks
 
 
 def make_guidance(
@@ -84,6 +88,18 @@ def fence_of(experiment: Experiment, name: str) -> tuple[float, float]:
     size, rim = experiment.table.size, experiment.vehicles[name].model.radius
     rim += experiment.flight.gate.fence_margin
     return size[0] / 2 - rim, size[1] / 2 - rim
+
+
+def expected_of(experiment: Experiment, name: str) -> Expected:
+    """What a vehicle that wants to be armed is measured against."""
+    setups = experiment.vehicles
+    return Expected(
+        name,
+        experiment.table.mocap.rate_hz,
+        setups[name].model.air.set_pressure,
+        Fence(*fence_of(experiment, name)),
+        reaches({other: one.model.radius for other, one in setups.items()}, name),
+    )
 
 
 def make_safety(experiment: Experiment, name: str) -> Safety:
@@ -139,6 +155,16 @@ class Rig(Protocol):
         """Touches so far, as far as anybody can know."""
         ...
 
+    @property
+    def supervisor(self) -> Supervisor:
+        """Who may fire."""
+        ...
+
+    @property
+    def red(self) -> list[str]:
+        """Arming checks that kept the run from starting."""
+        ...
+
     def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
         """Fly to the end, to a fault, or until `stopped()`."""
         ...
@@ -155,6 +181,15 @@ class Rig(Protocol):
         """What each vehicle's board drove after `since` [s], where it reports that."""
         ...
 
+    @property
+    def loop(self) -> tuple[float, float] | None:
+        """How late the newest tick began and how long it took [s], by a real clock."""
+        ...
+
+    def paces(self) -> Iterator[tuple[str, float, Any]]:
+        """What each vehicle said of its wires since the last call, and when, where it has any."""
+        ...
+
     def spent(self, name: str) -> Spent:
         """What a vehicle has used so far."""
         ...
@@ -166,6 +201,11 @@ class Rig(Protocol):
     def concerns(self) -> list[Concern]:
         """What the laws have to say of the flight, where they run in this process."""
         ...
+
+
+def not_armed(reasons: Sequence[str]) -> str:
+    """What a run that was not started says instead of a fault."""
+    return "not started: " + "; ".join(reasons)
 
 
 class Nobody:
@@ -211,15 +251,24 @@ class TwinRig(Struct, frozen=True):
     hosts: list[HostNode]
     boards: dict[str, WiredBoard]  # with firmware; empty with the twin's own
     pace: Clock | None = None  # slows the twin down, for whoever looks
+    supervisor: Supervisor = field(default_factory=Supervisor)
+    red: list[str] = field(default_factory=list)  # see `Rig`
 
     def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
         """See `Rig`."""
-        experiment = self.experiment
+        experiment, supervisor = self.experiment, self.supervisor
+        checks = twin_checks(experiment, self.twin, partial(expected_of, experiment))
+        if red := supervisor.take_off(0.0, checks):
+            self.red.extend(red)
+            return Ending(0.0, not_armed(red))
         ending = fly(
             self.pace or self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
             experiment.ticks, observer, stopped=lambda: bool(self._trouble()) or stopped(),
         )  # fmt: skip
-        return Ending(ending.t, ending.fault or self._trouble())
+        ending = Ending(ending.t, ending.fault or self._trouble())
+        planned = experiment.ticks * experiment.flight.jet_period_s
+        supervisor.close(ending.t, ending.fault, flown=ending.t >= planned)
+        return ending
 
     def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
         """What each vehicle's board drove after `since` [s]; nothing with the twin's own."""
@@ -228,6 +277,15 @@ class TwinRig(Struct, frozen=True):
                 new = bisect_right(board.edges, round(since * 1e6), key=lambda edge: edge[0])
                 for at_us, mask in board.edges[new:]:
                     yield name, Valves(at_us * 1e-6, mask)
+
+    @property
+    def loop(self) -> tuple[float, float] | None:
+        """See `Rig`."""
+        return None
+
+    def paces(self) -> Iterator[tuple[str, float, Any]]:
+        """See `Rig`."""
+        return iter(())
 
     def _trouble(self) -> str | None:
         """The first board that does not play plans any more, and why."""
@@ -283,6 +341,10 @@ class TwinRig(Struct, frozen=True):
 def make_twin(experiment: Experiment) -> TwinRig:
     """Everything of the experiment on the twin."""
     setups = experiment.vehicles
+    for what in experiment.inject:
+        if what.kind in ON_WIRES:
+            expected = "a fault that a twin without wires can have, or --rig bench"
+            raise ConfigError("this rig", "inject", expected, what.kind)
     models = {name: setup.model for name, setup in setups.items()}
     drivers = make_drivers(experiment.board, models)
     twin = Twin(
@@ -329,6 +391,7 @@ def make_twin(experiment: Experiment) -> TwinRig:
 
 def warm_up(experiment: Experiment, stopped: Callable[[], bool] = lambda: False) -> None:
     """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
-    short = replace(experiment, duration_s=4 * experiment.flight.jet_period_s, board="model")
+    period = experiment.flight.jet_period_s
+    short = replace(experiment, duration_s=4 * period, board="model", inject=[])
     make_twin(short).fly(Nobody(), stopped)
     characterise(np.eye(2))

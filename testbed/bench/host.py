@@ -4,48 +4,45 @@ On the bench it also starts everything else: the twin's server and one process p
 table those run where they belong, and it waits for them.
 """
 
-import math
+import os
 import secrets
 import socket
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import msgspec
-import numpy as np
 import tomli_w
 import zenoh
 from msgspec.structs import replace
 
-from testbed.bench.flight import HostFlight, order
+from testbed.bench.findings import Findings
+from testbed.bench.flight import HostFlight
+from testbed.bench.preflight import Preflight, order
+from testbed.bench.rehearsal import OF_PROCESSES
 from testbed.bench.server import TableReport
-from testbed.boards import Valves
-from testbed.config import Experiment, dump
-from testbed.core.law import Concern
+from testbed.boards import LOCKSTEP
+from testbed.config import ConfigError, Experiment, dump
 from testbed.flight.loop import Ending, Observer
+from testbed.flight.supervisor import Answer, Request, Supervisor
 from testbed.ops.children import ChildError, Children
-from testbed.ops.metrics import Commands, Spent, Track
+from testbed.ops.latch import Latch
 from testbed.ops.network.access import open_lab
 from testbed.ops.network.badge import neighbour
-from testbed.ops.network.envelope import Verdict
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party
-from testbed.ops.network.orders import (
-    Accepted,
-    Ended,
-    Flown,
-    Pace,
-    Refused,
-    Start,
-)
+from testbed.ops.network.orders import Accepted, Refused, Start, Stop
 from testbed.ops.network.session import Ear, NetworkError, answer_to
 from testbed.ops.stop import noted
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
+from testbed.rig import not_armed
 
 READY_S = 180.0  # for vehicles to get ready; the first start compiles
-AHEAD_NS = 1_000_000_000  # from the order to start until the run's time 0
+GREEN_S = 10.0  # for checks to become green: the cameras' rate is counted over a second
+AHEAD_NS = 1_500_000_000  # from the order to start until the run's time 0
+PERMIT_NS = 100_000_000  # between two permits before that
 LOOK_NS = 20_000_000
 
 
@@ -53,12 +50,25 @@ class HostError(Exception):
     """The flight cannot begin."""
 
 
+class NotArmedError(Exception):
+    """The flight must not begin: red arming checks, or an operator who does not want to."""
+
+    def __init__(self, reasons: Sequence[str]) -> None:
+        super().__init__(not_armed(reasons))
+        self.reasons = reasons
+
+
+def anybody(_: Sequence[str]) -> bool:
+    """An operator who always says yes: on the bench nobody can be hurt."""
+    return True
+
+
 def loopback(experiment: Experiment, folder: Path) -> Experiment:
     """The experiment with every address on this machine, and free."""
     table = experiment.table
+    system: Literal["zenoh", "natnet"] = "zenoh" if table.lab.mocap.system == "zenoh" else "natnet"
     wire = replace(
-        table.lab.mocap,
-        system="natnet", server="127.0.0.1", interface="127.0.0.1",
+        table.lab.mocap, system=system, server="127.0.0.1", interface="127.0.0.1",
         command_port=free_port(socket.SOCK_DGRAM), data_port=free_port(socket.SOCK_DGRAM),
     )  # fmt: skip
     how = "tls" if table.lab.network.keys else "tcp"
@@ -77,31 +87,44 @@ def free_port(kind: int) -> int:
         return int(one.getsockname()[1])
 
 
-class WireRig:
+class WireRig(Findings):
     """The experiment on real wires.
 
     Args:
         experiment: what is flown.
         bench: start the twin and the vehicles here; else wait for those of the lab.
         keep: where the twin leaves its report; None: with the rest, in a folder that is removed.
+        log: the folder of the run, whose disk must not be full.
+        agree: asks the operator whether these vehicles may be armed.
+        latch: keeps a fault for the next run.
+        latched: a fault of the run before, which has to be reset first.
     """
 
-    def __init__(self, experiment: Experiment, *, bench: bool, keep: Path | None = None) -> None:
-        self.experiment, self._bench, self._keep = experiment, bench, keep
-        self._flown_s = math.inf
+    def __init__(
+        self,
+        experiment: Experiment,
+        *,
+        bench: bool,
+        keep: Path | None = None,
+        log: Path | None = None,
+        agree: Callable[[Sequence[str]], bool] = anybody,
+        latch: Latch | None = None,
+        latched: str | None = None,
+    ) -> None:
+        super().__init__(experiment)
+        self._bench, self._keep = bench, keep
+        if bench and experiment.board in LOCKSTEP:
+            expected = "host or qemu on the bench, where time is real"
+            raise ConfigError("this rig", "board", expected, experiment.board)
+        if not bench and experiment.board != "model":
+            expected = "nothing on the table: its boards are the lab's"
+            raise ConfigError("this rig", "board", expected, experiment.board)
+        self._log, self._agree, self._latch = log, agree, latch
+        self.supervisor = Supervisor(latched)
+        self.red: list[str] = []
+        self._ran = False  # valves may have opened
         self.way = str  # from where the host listens to where vehicles dial: a relay, in tests
         self.name = "bench" if bench else "table"
-        self._clock: WallClock | None = None
-        self._truth: dict[str, list[float]] = {}
-        self._report: TableReport | None = None
-        self._ended: dict[str, Ended] = {}
-        self._boards: dict[str, str] = {}
-        self._paces: list[Pace] = []
-        self._lateness: list[float] = []
-        self._sent = 0
-        self._warned: list[str] = []  # about keys
-        self._states: dict[str, list[tuple[float, list[float]]]] = {}
-        self._fired_us: dict[str, int] = {}
         self.children: dict[str, int] = {}  # processes of the bench, by name
         self.on_start: Callable[[WireRig], None] | None = None  # told when the flight begins
 
@@ -112,16 +135,43 @@ class WireRig:
         try:
             with ExitStack() as stack:
                 ending = self._fly(stack, observer, stopped)
-                self._flown_s = ending.t
-                return ending
+        except NotArmedError as error:
+            self.red.extend(error.reasons)
+            return Ending(0.0, str(error))
         except (NetworkError, ChildError, HostError) as error:
+            self._close(Ending(self.now, str(error)))
             return Ending(self.now, str(error))
+        self._flown_s = ending.t
+        return ending
+
+    def _close(self, ending: Ending) -> None:
+        """The flight is over, and the latch says how."""
+        planned = self.experiment.ticks * self.experiment.flight.jet_period_s
+        self.supervisor.close(ending.t, ending.fault, flown=ending.t >= planned)
+        if self._latch is None or not self._ran:
+            return
+        if self.supervisor.fault is not None:
+            self._latch.set(self.supervisor.fault)
+        else:
+            self._latch.clear()
+
+    def disk_free(self) -> float:
+        """Where the log goes [bytes]."""
+        if self._log is None:
+            return 1e12
+        room = os.statvfs(self._log)
+        return float(room.f_bavail * room.f_frsize)
 
     def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], bool]) -> Ending:
         children = None
         if self._bench:
             children = stack.enter_context(Children())
             self.experiment = loopback(self.experiment, children.folder)
+        elif self.experiment.inject:
+            raise HostError("faults are rehearsed on the twin and on the bench: remove [[inject]]")
+        for one in self.experiment.inject:
+            if one.at_s is None and one.kind in OF_PROCESSES:
+                raise HostError(f"on the bench {one.kind} is injected at a time: give it at_s")
         network = self.experiment.table.lab.network
         opened, self._warned = open_lab(network, self.experiment.vehicles)
         session = stack.enter_context(opened)
@@ -143,6 +193,9 @@ class WireRig:
             if self.on_start is not None:
                 self.on_start(self)
             ending = flight.fly(observer, stopped)
+            if flight.stopped:
+                self.supervisor.request(ending.t, "stop")
+            self._close(ending)
         finally:
             del answering
             if children is not None:
@@ -163,6 +216,8 @@ class WireRig:
             where = ["--connect", self.way(network.endpoint), "--lab", network.lab]
             if network.keys:
                 where += ["--keys", str(neighbour(Path(network.keys), "vehicle", name))]
+            if self._keep is not None:
+                where += ["--report", str(self._keep.with_name(f"{name}.json"))]
             children.start(name, [*command, "agent", name, *where, "--child"])
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
 
@@ -203,138 +258,67 @@ class WireRig:
                 name for name in missing
                 if not list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0))
             }  # fmt: skip
+        preflight = Preflight(self.experiment, session, keys, self.disk_free)
+        names = list(self.experiment.vehicles)
+        if self.supervisor.fault is not None:
+            self._request("reset", preflight, monotonic_ns() + round(1e9 * GREEN_S), stopped)
+            if self._latch is not None:
+                self._latch.clear()
+        self._request("arm", preflight, monotonic_ns() + round(1e9 * GREEN_S), stopped)
+        if stopped():
+            return None
+        if not self._agree(names):
+            self.supervisor.request(0.0, "disarm")
+            raise NotArmedError(["operator: has not said yes"])
         run, epoch = secrets.randbits(32), monotonic_ns() + AHEAD_NS
         self._clock = WallClock(epoch)
         party = Party(
             session, self.experiment.table.lab, run, self._clock, self.experiment.seed, "host"
         )
-        flight = HostFlight(self.experiment, self, party)
-        for name in self.experiment.vehicles:
-            match order(session, keys, name, Start(run, epoch)):
-                case Accepted(board):
-                    self._boards[name] = board
-                case Refused(reason):
-                    raise HostError(f"{name} refuses to start: {reason}")
+        flight = HostFlight(self.experiment, self, party, self.disk_free)
+        try:
+            for name in names:
+                match order(session, keys, name, Start(run, epoch)):
+                    case Accepted(board):
+                        self._boards[name] = board
+                    case Refused(reason):
+                        raise HostError(f"{name} refuses to start: {reason}")
+            # they float now, and are looked at once more
+            self._request("run", preflight, epoch - PERMIT_NS, stopped)
+        except (HostError, NotArmedError, NetworkError):
+            self._call_off(session, keys)
+            raise
+        if not self.supervisor.may_fire:  # the operator has changed his mind
+            self._call_off(session, keys)
+            return None
+        self._ran = True
+        if self._latch is not None:
+            self._latch.set()
+        while monotonic_ns() < epoch - PERMIT_NS:
+            flight.permit()
+            sleep_until_ns(monotonic_ns() + PERMIT_NS)
         return flight
 
-    # What is known of it
+    def _call_off(self, session: zenoh.Session, keys: Keys) -> None:
+        """The flight does not begin, although vehicles may have been told that it does."""
+        self.supervisor.request(0.0, "disarm")
+        for name in self.experiment.vehicles:
+            with suppress(NetworkError):
+                order(session, keys, name, Stop("the flight does not begin"))
 
-    @property
-    def now(self) -> float:
-        """See `Rig`."""
-        return max(0.0, self._clock.now) if self._clock is not None else 0.0
+    def _request(
+        self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], bool]
+    ) -> None:
+        """Ask the supervisor until it agrees.
 
-    @property
-    def contacts(self) -> int:
-        """See `Rig`."""
-        if self._report is None:
-            return 0
-        end = self._flown_s - self._released_late()
-        return sum(touch.t <= end for touch in self._report.touches)
-
-    def _released_late(self) -> float:
-        """The twin's time 0, by the run's clock [s]."""
-        if self._report is None or self._report.released_ns is None or self._clock is None:
-            return 0.0
-        return 1e-9 * (self._report.released_ns - self._clock.epoch_ns)
-
-    def note_truth(self, poses: dict[str, list[float]]) -> None:
-        """The newest truth."""
-        self._truth = poses
-
-    def note_tick(self, name: str, flown: Flown) -> None:
-        """A vehicle's tick."""
-        self._paces.append(flown.pace)
-        state = flown.tick.outputs.state
-        if state is not None:
-            row = [
-                state.pose.x, state.pose.y, state.pose.theta,
-                state.twist.vx, state.twist.vy, state.twist.omega,
-            ]  # fmt: skip
-            self._states.setdefault(name, []).append((state.t, row))
-        fired = sum(flown.tick.outputs.command.on_us)
-        self._fired_us[name] = self._fired_us.get(name, 0) + fired
-
-    def note_end(self, name: str, ended: Ended) -> None:
-        """A vehicle's last words."""
-        self._ended[name] = ended
-
-    def note_host(self, lateness: list[float], sent: int) -> None:
-        """How the host kept its time."""
-        self._lateness, self._sent = lateness, sent
-
-    def truth(self) -> Iterator[tuple[str, list[float]]]:
-        """See `Rig`."""
-        return iter(self._truth.items())
-
-    def track(self) -> Track:
-        """See `Rig`. Without a twin: what the vehicles believed."""
-        names = list(self.experiment.vehicles)
-        report = self._report
-        if report is not None and report.released_ns is not None and self._clock is not None:
-            t = np.array(report.t) + self._released_late()
-            flown = t <= self._flown_s  # afterwards they drift
-            states = np.array(report.states).reshape(-1, len(names), 6)
-            return Track(t[flown], states[flown])
-        rows = [self._states.get(name, []) for name in names]
-        count = min((len(row) for row in rows), default=0)
-        if count == 0:
-            return Track(np.zeros(0), np.zeros((0, len(names), 6)))
-        states = np.array([[state for _, state in row[:count]] for row in rows])
-        return Track(np.array([t for t, _ in rows[0][:count]]), states.transpose(1, 0, 2))
-
-    def spent(self, name: str) -> Spent:
-        """See `Rig`. Without a twin: what was commanded, by the vehicle file's thrust."""
-        report = self._report
-        if report is not None:
-            return Spent(report.impulse[name], report.gas[name], report.openings[name])
-        model = self.experiment.vehicles[name].model
-        thrust = float(np.mean([jet.thrust for jet in model.jets]))
-        impulse = 1e-6 * self._fired_us.get(name, 0) * thrust
-        return Spent(impulse, impulse / model.air.exhaust_speed, None)
-
-    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
-        """See `Rig`. They are known when the flight is over: see `report`."""
-        return iter(())
-
-    @property
-    def report(self) -> TableReport | None:
-        """The twin's own, on the bench."""
-        return self._report
-
-    @property
-    def ended(self) -> dict[str, Ended]:
-        """The vehicles' last words."""
-        return self._ended
-
-    def concerns(self) -> list[Concern]:
-        """See `Rig`. The laws' last words stay in their processes."""
-        return [Concern("keys_expire", words) for words in self._warned]
-
-    def wires(self) -> dict[str, Any]:
-        """See `Rig`."""
-        late = [1e3 * p.late_s for p in self._paces] + [1e3 * late for late in self._lateness]
-        delays = [1e3 * p.pose_to_valve_s for p in self._paces if p.pose_to_valve_s is not None]
-        counts = [ended.counts for ended in self._ended.values()]
-
-        def total(*verdicts: Verdict) -> int:
-            return sum(c.commands.get(v, 0) for c in counts for v in verdicts)
-
-        boards = self._report.boards if self._report is not None else self._boards.values()
-        return {
-            "lateness_p99_ms": _percentile(late, 99),
-            "pose_to_valve_p50_ms": _percentile(delays, 50),
-            "pose_to_valve_p99_ms": _percentile(delays, 99),
-            "commands": Commands(
-                sent=self._sent,
-                late=total(Verdict.LATE, Verdict.DUPLICATED, Verdict.REORDERED),
-                expired=total(Verdict.EXPIRED),
-                rejected=total(Verdict.FOREIGN, Verdict.SCHEMA, Verdict.GARBLED)
-                + sum(sum(c.refusals.values()) for c in counts),
-            ),
-            "board": "; ".join(sorted(set(boards))) or None,
-        }
-
-
-def _percentile(values: list[float], share: float) -> float | None:
-    return float(np.percentile(values, share)) if values else None
+        Raises:
+            NotArmedError: it still does not at the time `end`; every red check is in it.
+        """
+        answer = Answer(False, self.supervisor.phase, ("there was no time to look",))
+        while monotonic_ns() < end and not stopped():
+            answer = self.supervisor.request(0.0, what, preflight.checks())
+            if answer.done:
+                return
+            sleep_until_ns(monotonic_ns() + 5 * LOOK_NS)
+        if not stopped():
+            raise NotArmedError(answer.reasons)

@@ -16,6 +16,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from firmware_interface.limits import limits_of
 from firmware_interface.line_tap import LineTap
@@ -24,21 +25,25 @@ from sim_twin.camera import Camera
 from sim_twin.plant import Plant, Touch
 from sim_twin.randomness import stream
 from sim_twin.reported import ReportedValves
+from sim_twin.sabotage import Sabotage
+from testbed.bench.rehearsal import OF_PROCESSES
 from testbed.config import Experiment
 from testbed.core.types import Pose, PoseSample
 from testbed.ops.mocap.exposure import Axes, Sighting
 from testbed.ops.mocap.natnet import Described, MocapFrame, RigidBody
 from testbed.ops.mocap.natnet_server import Address, NatNetServer
+from testbed.ops.mocap.topic import encode_poses
 from testbed.ops.network.badge import neighbour
+from testbed.ops.network.envelope import Sealed
 from testbed.ops.network.keys import Keys
-from testbed.ops.network.session import Mouth, NetworkError, dial
+from testbed.ops.network.session import Ear, Mouth, NetworkError, dial
 from testbed.ops.ticking import monotonic_ns
 
 SENSE_NS = 100_000_000  # between two looks of the boards at their gauges
 TRUTH_FRAMES = 5  # every so many exposures the truth is told
 DIAL_NS = 1_000_000_000  # between two attempts to find the host
 QUIET_NS = 500_000_000  # a line on which nobody says anything for so long is nobody's
-SUPPLY_MV = 24_000
+SUPPLY_MV = 12_000
 ERROR_M = 0.0002  # of the markers' fit, as a healthy system reports it
 UNTRACKED = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
 
@@ -57,6 +62,7 @@ class TableReport(Struct, frozen=True):
     edges: dict[str, list[tuple[int, int]]]  # monotonic [us], mask: all of them
     boards: list[str]
     left_as: dict[str, tuple[str, list[str]]]  # each board's state and faults at the end
+    silence_ms: dict[str, float] = {}  # longest time of an armed board without a word
 
 
 class TableServer:
@@ -87,6 +93,11 @@ class TableServer:
         self._t: list[float] = []
         self._states: list[list[list[float]]] = []
         self._edges: dict[str, list[tuple[int, int]]] = {name: [] for name in self.names}
+        self._pose_topic: Mouth | None = None
+        self._permits: Ear | None = None  # their stamps tell the run's time 0
+        self._sabotage: Sabotage | None = None
+        self._down: set[str] = set()  # boards without power
+        self._landed: set[str] = set()  # vehicles whose air is off, for good
 
     def __enter__(self) -> "TableServer":
         with ExitStack() as stack:
@@ -94,7 +105,7 @@ class TableServer:
             for k, name in enumerate(self.names):
                 link = port_of(self.experiment, name, self._folder)
                 limits = limits_of(self.models[name])
-                chip = self.experiment.table.lab.board == "qemu"
+                chip = self.experiment.board == "qemu"
                 self._taps[name] = stack.enter_context(LineTap(limits, 1 + k, link, chip=chip))
             wire = self.experiment.table.lab.mocap
             major, minor = wire.version.split(".")
@@ -124,6 +135,8 @@ class TableServer:
         period, latency = 1e9 / mocap.rate_hz, round(1e9 * mocap.latency_s)
         began = monotonic_ns()
         frame, sense_due, dial_due, asked_at = 0, began, began, 0
+        for tap in self._taps.values():
+            tap.listen()
         fds = self._fds()
         while True:
             exposed = began + round(frame * period)
@@ -133,6 +146,7 @@ class TableServer:
                 self._serve()
                 self._follow()
             self._expose(frame, exposed)
+            self._rehearse()
             frame += 1
             now = monotonic_ns()
             if now >= sense_due:
@@ -152,7 +166,7 @@ class TableServer:
         return round(1e9 * max(jitter, -0.5 * mocap.latency_s))
 
     def _fds(self) -> list[int]:
-        lines = [fd for tap in self._taps.values() for fd in (tap.port_fd, tap.board_fd)]
+        lines = [fd for tap in self._taps.values() for fd in tap.fds]
         return [*lines, self._mocap.socket.fileno()]
 
     def _spoken_ns(self) -> int:
@@ -180,14 +194,25 @@ class TableServer:
                 if self._released_ns is not None:
                     at = 1000 * at_us - self._released_ns
                     self._valves[name].edge(at, mask, self.plant.t)
-        if self._released_ns is None and all(tap.bearing for tap in self._taps.values()):
+        if self._released_ns is not None:
+            for k, (name, tap) in enumerate(self._taps.items()):
+                if not tap.bearing and name not in self._landed:
+                    self._landed.add(name)
+                    self.plant.land(k)
+        elif all(tap.bearing for tap in self._taps.values()):
             self._released_ns = monotonic_ns()
 
     def _sense(self) -> None:
         for k, name in enumerate(self.names):
             air = self.models[name].air
             pressure = air.supply_pressure(air.gas - float(self.plant.used[k]))
-            self._taps[name].sense(SUPPLY_MV, round(pressure))
+            supply_mv = SUPPLY_MV
+            if self._sabotage is not None:
+                if sag := self._sabotage.found(name, "sag"):
+                    pressure *= sag.size
+                if flat := self._sabotage.found(name, "flat_battery"):
+                    supply_mv = round(1e3 * flat.size)
+            self._taps[name].sense(supply_mv, round(pressure))
 
     # The cameras
 
@@ -196,24 +221,49 @@ class TableServer:
         self._follow()
         t = None if self._released_ns is None else 1e-9 * (exposed - self._released_ns)
         if t is not None and t > self.plant.t:
+            if self._sabotage is not None:
+                self._sabotage.before(t)
             self.plant.advance(t)
+            if self._sabotage is not None:
+                self._sabotage.look(t)
             self._t.append(t)
             self._states.append(self.plant.x.tolist())
-        bodies = []
+        bodies, rows = [], None
+        if self._sabotage is not None and t is not None:
+            rows = self._sabotage.sources(self.names, np.array([t]))
         for k, name in enumerate(self.names):
-            seen = self._look(name, k, 1e-9 * exposed)
+            seen = self._look(name, k if rows is None else rows[0][k], 1e-9 * exposed)
             bodies.append(
                 RigidBody(k + 1, seen.position, seen.rotation, ERROR_M, tracked=seen.tracked)
             )
         now = monotonic_ns()
-        self._mocap.send(MocapFrame(number, tuple(bodies), 1e-9 * exposed, exposed, now, now))
+        if self.experiment.table.lab.mocap.system == "zenoh":
+            self._say_poses(number, exposed, bodies)
+        else:
+            self._mocap.send(MocapFrame(number, tuple(bodies), 1e-9 * exposed, exposed, now, now))
         if number % TRUTH_FRAMES == 0:
             self._tell(exposed)
+
+    def _say_poses(self, number: int, exposed: int, bodies: list[RigidBody]) -> None:
+        """The frame on the network, for a lab whose cameras speak Zenoh."""
+        if self._pose_topic is None:
+            return
+        wire = self.experiment.table.lab.mocap
+        seen = {
+            wire.bodies.get(name, name): (*body.position, *body.rotation)
+            for name, body in zip(self.names, bodies, strict=True)
+            if body.tracked
+        }
+        self._pose_topic.say(encode_poses(number, exposed, monotonic_ns(), seen))
 
     def _look(self, name: str, k: int, at: float) -> Sighting:
         camera = self._cameras[name]
         camera.expose(np.array([at]), self.plant.x[k : k + 1])
         samples: list[PoseSample] = camera.arrived(np.inf)
+        if self._sabotage is not None:
+            now = self.plant.t  # injections are of the plant's time here
+            fresh = [PoseSample(now, one.x, one.y, one.theta) for one in samples]
+            samples = self._sabotage.poses(name, fresh)
         if not samples:
             return UNTRACKED
         return self._axes.to_cameras(Pose(samples[-1].x, samples[-1].y, samples[-1].theta))
@@ -227,11 +277,57 @@ class TableServer:
             self._session = dial(network.endpoint, 0.0, keys)
             self._stack.callback(self._session.close)
             self._truth = Mouth(self._session, self._keys.truth, bulk=True)
+            self._pose_topic = Mouth(self._session, self._keys.pose)
+            self._permits = Ear(self._session, self._keys.permit)
 
     def _tell(self, exposed: int) -> None:
         if self._truth is not None:
             poses = dict(zip(self.names, self.plant.x.tolist(), strict=True))
             self._truth.say(msgspec.msgpack.encode((exposed, poses)))
+
+    # Rehearsed faults
+
+    def _rehearse(self) -> None:
+        """Break what is to be broken; times of injections are the run's, here the plant's."""
+        if self._sabotage is None:
+            self._plan_sabotage()
+            return
+        sabotage = self._sabotage
+        for name, tap in self._taps.items():
+            if sabotage.found(name, "cut_serial"):
+                tap.cut = True
+            dead = sabotage.found(name, "brown_out") is not None
+            if dead != (name in self._down):
+                self._power(name, tap, off=dead)
+
+    def _plan_sabotage(self) -> None:
+        """As soon as the run's time 0 is known."""
+        if self._permits is None or self._released_ns is None or not self.experiment.inject:
+            return
+        for at, data in self._permits.heard():
+            stamp = msgspec.msgpack.decode(data, type=Sealed).issued_at
+            later = 1e-9 * (at - self._released_ns) - stamp
+            shifted = [
+                one if one.at_s is None else replace(one, at_s=max(0.0, one.at_s + later))
+                for one in self.experiment.inject
+                if one.kind not in OF_PROCESSES
+            ]
+            size, seed = self.experiment.table.size, self.experiment.seed
+            half = (size[0] / 2, size[1] / 2)
+            obstacles = self.experiment.obstacles
+            self._sabotage = Sabotage(shifted, self.plant, obstacles, half, seed, boards=False)
+            return
+
+    def _power(self, name: str, tap: LineTap, *, off: bool) -> None:
+        """A board loses its power, or gets it back."""
+        tap.power(on=not off)
+        if off:
+            self._down.add(name)
+            self._edges[name].append((monotonic_ns() // 1000, 0))
+            if self._released_ns is not None:
+                self._valves[name].close_all(monotonic_ns() - self._released_ns)
+        else:
+            self._down.discard(name)
 
     # The end
 
@@ -254,6 +350,7 @@ class TableServer:
             edges=self._edges,
             boards=[tap.board_name for tap in self._taps.values()],
             left_as={name: _left_as(tap.status) for name, tap in self._taps.items()},
+            silence_ms={name: 1e-3 * tap.silence_us for name, tap in self._taps.items()},
         )
 
 

@@ -3,18 +3,18 @@
 It asks the host what is flown, gets ready, says so, and waits for the order to start. Whatever
 happens then, it ends with closed valves:
 
-* the host is gone, or the network: setpoints run out, the vehicle brakes and its gate closes; with
-  the law on board, the permit lapses and the valves are closed;
+* the host is gone, or the network: setpoints run out and the permit, and the vehicle does what the
+  fault table says, wherever its law runs;
 * this process hangs or is killed: the plan runs out and the board's watchdog latches SAFE;
 * the board, its line or the cameras fail: the flight ends, and the host is told.
 """
 
 import math
-import threading
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import Empty
 
 import msgspec
 import numpy as np
@@ -22,30 +22,31 @@ import zenoh
 
 from firmware_interface.limits import limits_of
 from firmware_interface.serial_thrusters import SerialThrusters
+from testbed.bench.lookout import Lookout
+from testbed.bench.rehearsal import Rehearsal
+from testbed.bench.tower import Tower
 from testbed.config import Experiment
-from testbed.core.types import HostTick, Tick
+from testbed.core.types import HostTick, Tick, Vitals
 from testbed.flight.loop import VehicleNode, fly
 from testbed.ops.children import orphaned
 from testbed.ops.mocap.poses import MocapPoses
 from testbed.ops.mocap.source import make_source
 from testbed.ops.mocap.watch import BodyWatch
-from testbed.ops.network.envelope import Inbox, Outbox
+from testbed.ops.network.clock import HostClock
+from testbed.ops.network.envelope import Inbox, Outbox, Verdict
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party, ZenohVehicleLink
 from testbed.ops.network.orders import (
-    Accepted,
-    Answer,
     Counts,
     Ended,
     Flown,
-    Order,
     Pace,
     Permit,
-    Refused,
     Start,
-    Stop,
+    config_id,
 )
-from testbed.ops.network.session import Ear, Mouth, NetworkError, answer_to, ask, dial, on_word
+from testbed.ops.network.session import Ear, Mouth, NetworkError, ask, dial
+from testbed.ops.network.weather import Storm
 from testbed.ops.offset import Offset
 from testbed.ops.port_gate import PortGate
 from testbed.ops.steady import preferred, steady
@@ -55,10 +56,9 @@ from testbed.rig import make_agent, warm_up
 PRIORITY = 20
 READINGS = 16  # of the host's clock before a flight
 LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
-SOONEST_NS = 1_000_000_000  # an order to start may be late by so much
-FARTHEST_NS = 30_000_000_000  # and early
 PATIENCE_S = 60.0  # for a host that does not answer
 KEPT_S = 10.0
+PERMITTED_S = 3.0  # a flight that the host has not permitted by then will not be
 
 
 class VehicleError(Exception):
@@ -77,63 +77,6 @@ def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
     return clock
 
 
-class Tower:
-    """The vehicle's ear for what it is told to do."""
-
-    def __init__(
-        self, session: zenoh.Session, keys: Keys, name: str, board: str,
-        to_own: Callable[[int], int | None] = lambda host_ns: None,
-    ) -> None:  # fmt: skip
-        """Listen; `to_own` says when a time of the host's clock is on this machine's."""
-        self._to_own = to_own
-        self.bad_orders = 0  # that were none
-        self.starts: SimpleQueue[Start] = SimpleQueue()
-        self.stop_reason: str | None = None
-        self._board, self._flying = board, threading.Event()
-        self._close: Callable[[], None] | None = None
-        self._kept = [
-            answer_to(session, keys.of(name, "order"), self._order),
-            answer_to(session, keys.stop, lambda _: self._stop("stopped by the operator")),
-            on_word(session, keys.stop, lambda: self._stop("stopped by the operator")),
-        ]
-
-    def take_off(self, close: Callable[[], None]) -> None:
-        """From now on a stop calls `close` at once."""
-        self._close = close
-
-    def _order(self, data: bytes) -> bytes:
-        try:
-            order: Order = msgspec.msgpack.decode(data, type=Order)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-            self.bad_orders += 1
-            raise
-        answer: Answer
-        match order:
-            case Stop(reason):
-                self._stop(reason)
-                answer = Accepted(self._board)
-            case Start():
-                begin = self._to_own(order.epoch_ns)
-                ahead = 0 if begin is None else begin - monotonic_ns()
-                if self._flying.is_set():
-                    answer = Refused("it flies already")
-                elif not -SOONEST_NS <= ahead <= FARTHEST_NS:
-                    self.bad_orders += 1
-                    answer = Refused(f"to start in {1e-9 * ahead:.1f} s; expected 0 to 30 s")
-                else:
-                    self._flying.set()
-                    self.starts.put(order)
-                    answer = Accepted(self._board)
-        return msgspec.msgpack.encode(answer)
-
-    def _stop(self, reason: str) -> bytes:
-        if self.stop_reason is None:
-            self.stop_reason = reason
-        if self._close is not None:
-            self._close()
-        return b"stopped"
-
-
 class Flight:
     """Observer of the flight, and the one who says that it is over."""
 
@@ -143,30 +86,54 @@ class Flight:
         thrusters: SerialThrusters,
         poses: MocapPoses,
         tower: Tower,
-        *,
-        on_board: bool,
+        config: str,
+        drift: HostClock,
+        link: ZenohVehicleLink,
+        rehearsal: Rehearsal,
     ) -> None:
+        self._link, self._foreign = link, 0
+        self.rehearsal, self.due = rehearsal, 0.0
+        self._storm = Storm(party.lab.weather, party.seed, f"permit to {party.name}", party.worse)
+
         self._thrusters, self._poses, self._tower = thrusters, poses, tower
-        self._clock, self._on_board = party.clock, on_board
+        self._clock, self._config, self._offset = party.clock, config, drift.off
+        self._drift = drift
         self._mouth = Mouth(party.session, party.keys.of(party.name, "tick"), bulk=True)
         self._out = Outbox(party.run)
-        self._permit_ear = Ear(party.session, party.keys.permit)
+        self._permit_ear = Ear(party.session, party.keys.permit, self._storm.arrival)
         self._permit: Inbox[Permit] = Inbox(
             msgspec.msgpack.Decoder(Permit).decode, party.run, party.lab.late_s
         )
         self._k = 0
+        self.rows: dict[str, float] = {}  # of the fault table that held, and since when [s]
+        self.responses: dict[str, float] = {}  # and what was done about them
         self._arrived_ns: dict[int, int] = {}  # the newest pose, by the plan it went into
         self.fault: str | None = None
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
+        self._poses.review()
+        out = tick.outputs
+        for row in out.faults:
+            self.rows.setdefault(row, out.t)
+        if out.response:
+            self.responses.setdefault(out.response, out.t)
         if self._poses.arrived_ns is not None:
             self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
-        clock, delay = self._clock, self._pose_to_valve()
-        late = clock.lateness[-1] if clock.lateness else 0.0
-        flown = Flown(self._k, tick, Pace(late, delay))
+        clock = self._clock
+        edges = tuple(self._thrusters.edges())
+        flown = Flown(self._k, tick, self._pace(tick.inputs.vitals.late_s), edges)
         self._k += 1
         self._mouth.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
+
+    def _pace(self, late: float) -> Pace:
+        inbox, poses = self._link.heard.inbox, self._poses
+        heard = inbox.counts[Verdict.TAKEN]
+        return Pace(
+            late, self._pose_to_valve(), inbox.delay, heard, inbox.missed,
+            sum(inbox.counts.values()) - heard, self._drift.trip,
+            str(poses.trouble or ""), poses.lost_frames,
+        )  # fmt: skip
 
     def _pose_to_valve(self) -> float | None:
         """Of the newest plan that is known to have gone out [s]."""
@@ -183,24 +150,60 @@ class Flight:
     def done(self, t: float) -> None:
         """See `Observer`."""
 
-    def over(self) -> bool:
-        """Whether the flight has to end; the valves are closed at once then."""
+    def vitals(self) -> Vitals:
+        """What this process knows of itself, the network and the operator."""
         for at, data in self._permit_ear.heard():
             self._permit.take(data, self._clock.of(at))
+        clock, permit = self._clock, self._permit.newest
+        late = max(0.0, clock.now - self.due)
+        before, self._foreign = self._foreign, self._permit.foreign + self._link.foreign
+        if permit is None:
+            return Vitals(operator_age=max(0.0, clock.now), late_s=late)
+        return Vitals(
+            operator_age=max(0.0, clock.now - self._permit.issued_at),
+            clock_offset=self._offset(),
+            late_s=late,
+            disk_free=permit.disk_free,
+            same_config=permit.config == self._config,
+            fleet=permit.fleet,
+            foreign=self._foreign - before,
+        )
+
+    @property
+    def may_fire(self) -> bool:
+        """Whether the host's supervisor lets this vehicle fire; not before its first word."""
+        return self._permit.newest is not None and self._permit.newest.may_fire
+
+    def over(self) -> bool:
+        """Whether the flight has to end; the valves are closed at once then."""
+        permit = self._permit.newest
         if self._thrusters.trouble is not None:
             self.fault = self._thrusters.trouble
-        elif self._tower.stop_reason is None:
-            lapsed = self._clock.now - max(self._permit.valid_until, 0.0)
-            if not self._on_board or lapsed <= 0.0 or self._permit.newest is None:
-                return False
-            self.fault = f"the host's permit lapsed {lapsed:.2f} s ago"
+        elif permit is None and self._clock.now > PERMITTED_S:
+            self.fault = "the host has never permitted the flight"
+        elif self._tower.stop_reason is None and (permit is None or permit.may_fire):
+            return False
         self._thrusters.disarm()
         return True
 
 
+class Permitted:
+    """A node that is armed only while the host's supervisor says so."""
+
+    def __init__(self, node: VehicleNode, flight: Flight, clock: WallClock) -> None:
+        self.name, self._node, self._flight, self._clock = node.name, node, flight, clock
+
+    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
+        """See `VehicleNode`."""
+        self._flight.due = t
+        self._flight.rehearsal.at_vehicle(self.name, self._clock)
+        return self._node.tick(t, armed and self._flight.may_fire, fleet)
+
+
 def fly_vehicle(
-    name: str, endpoint: str, lab: str, port: str | None, badge: Path | None = None, *, child: bool
-) -> None:
+    name: str, endpoint: str, lab: str, port: str | None, badge: Path | None = None, *,
+    child: bool, report: Path | None = None,
+) -> None:  # fmt: skip
     """Get ready, wait for the order, fly once, and tell the host how it went.
 
     Args:
@@ -210,6 +213,7 @@ def fly_vehicle(
         port: of the board; None: the table file's.
         badge: its key folder; None: the host is on this machine.
         child: end when standard input does.
+        report: a file for its last words, for when the host is gone.
 
     Raises:
         VehicleError: it cannot.
@@ -231,7 +235,10 @@ def fly_vehicle(
                 f"no serial port for {name}: expected --serial, or an entry of"
                 " [lab.serial.ports] in the table file"
             )
-        agent = make_agent(experiment, name)
+        clock = WallClock(monotonic_ns())  # until the run's time 0 is known
+        rehearsal = Rehearsal(experiment.inject, lambda: clock.now)
+        spoilt = partial(rehearsal.spoilt, name) if experiment.inject else None
+        agent = make_agent(experiment, name, spoilt)
         warm_up(experiment)
         if child:
             await_port(port, gone)
@@ -244,34 +251,41 @@ def fly_vehicle(
                 setup.model.air.set_pressure,
             )
         )  # fmt: skip
+        lookout = Lookout(experiment, name, source, thrusters)
         clock_of_host = read_clock(session, keys)
-        tower = Tower(session, keys, name, thrusters.board, clock_of_host.to_own)
+        tower = Tower(session, keys, name, thrusters.board, lookout, clock_of_host.to_own)
         stack.enter_context(steady())  # now: the last collection of garbage takes its time
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
-        start = await_start(tower, source.poll, gone)
+        start = await_start(tower, lookout.look, gone)
         if start is None:
             return
         epoch = clock_of_host.to_own(start.epoch_ns)
         assert epoch is not None
-        clock = WallClock(epoch)
+        clock.epoch_ns = epoch
         thrusters.epoch_us = epoch // 1000
-        party = Party(session, wires, start.session, clock, experiment.seed, name)
-        on_board = experiment.deploy.law == "vehicle"
+        worse = partial(rehearsal.air, name)
+        party = Party(session, wires, start.session, clock, experiment.seed, name, worse)
         link = ZenohVehicleLink(party, experiment.vehicles)
-        poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
         event = Mouth(session, keys.of(name, "event"))
-        flight = Flight(party, thrusters, poses, tower, on_board=on_board)
+        drift = HostClock(session, keys, clock, start.epoch_ns)
         stack.enter_context(preferred(PRIORITY))
         thrusters.bearing(on=True)
-        sleep_until_ns(epoch - LOOK_NS)
-        thrusters.arm()
+        while monotonic_ns() < epoch - LOOK_NS:
+            lookout.look()
+            sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
+        poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
+        flight = Flight(
+            party, thrusters, poses, tower, config_id(experiment), drift, link, rehearsal
+        )
+        if tower.stop_reason is None:
+            thrusters.arm()
         tower.take_off(thrusters.disarm)
         port_gate = PortGate(thrusters, lambda: clock.now, experiment.flight.jet_period_s)
-        node = VehicleNode(name, agent, poses, port_gate, link)
+        node = VehicleNode(name, agent, poses, port_gate, link, flight.vitals)
         ending = fly(
-            clock, [node], [], experiment.flight.jet_period_s, experiment.ticks, flight,
-            stopped=flight.over,
+            clock, [Permitted(node, flight, clock)], [], experiment.flight.jet_period_s,
+            experiment.ticks, flight, stopped=flight.over,
         )  # fmt: skip
         thrusters.disarm()
         fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
@@ -279,7 +293,11 @@ def fly_vehicle(
             fault += f"; its body is {poses.trouble}"
         counts = count(link, thrusters, poses, clock_of_host, port_gate.refused)
         out = Outbox(start.session)
-        ended = Ended(ending.t, fault, counts)
+        ended = Ended(ending.t, fault, counts, flight.rows, flight.responses)
+        if report is not None:
+            part = report.with_suffix(".part")
+            part.write_bytes(msgspec.json.encode(ended))
+            part.replace(report)
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
         await_end(gone, tower)
 

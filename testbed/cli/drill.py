@@ -201,19 +201,29 @@ def _one(pair: tuple[int, int]) -> Drilled:
     return case(*pair)
 
 
-def run_drill(rig: str, injections: int, seed: int, jobs: int, as_json: bool) -> int:
+def drill_twin(injections: int, seed: int, jobs: int, errors: Console) -> list[Drilled]:
+    """Fly them all on the twin."""
+    first = case(0, seed)  # compiles, before the others are started
+    # forked, they need not load the compiled code again
+    with ProcessPoolExecutor(jobs, mp_context=get_context("fork")) as pool:
+        rest = pool.map(_one, [(k, seed) for k in range(1, injections)], chunksize=4)
+        watched = track(
+            rest, "drilling", injections - 1, console=errors, transient=True,
+            disable=not errors.is_terminal,
+        )  # fmt: skip
+        return [first, *watched]
+
+
+def run_drill(rig: str, injections: int | None, seed: int, jobs: int, as_json: bool) -> int:
     """Fly the drill, print the table, return the exit code."""
     errors = Console(stderr=True, highlight=False)
     try:
-        first = case(0, seed)  # compiles, before the others are started
-        # forked, they need not load the compiled code again
-        with ProcessPoolExecutor(jobs, mp_context=get_context("fork")) as pool:
-            rest = pool.map(_one, [(k, seed) for k in range(1, injections)], chunksize=4)
-            watched = track(
-                rest, "drilling", injections - 1, console=errors, transient=True,
-                disable=not errors.is_terminal,
-            )  # fmt: skip
-            cases = [first, *watched]
+        if rig == "bench":
+            from testbed.cli.drill_wires import COUNT, drill_wires
+
+            cases = drill_wires(injections or COUNT, seed, errors)
+        else:
+            cases = drill_twin(injections or 513, seed, jobs, errors)
     except ConfigError as error:
         errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
         return BAD_INPUT

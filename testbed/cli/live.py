@@ -4,6 +4,8 @@ The flight only leaves its newest tick here; a thread of the terminal's draws a 
 """
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import TracebackType
 
 from rich.console import Console, Group, RenderableType
@@ -24,11 +26,13 @@ class LiveTable:
         self._experiment = experiment
         self._ticks: dict[str, Tick] = {}
         self._t = 0.0
+        self.phase = "DISARMED"  # of the supervisor
         self._progress = Progress(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
             TimeRemainingColumn(), console=console,
         )  # fmt: skip
-        self._bar = self._progress.add_task("getting ready (compiles on the first run)", total=None)
+        self._words = "getting ready (compiles on the first run)"
+        self._bar = self._progress.add_task(self._words, total=None)
         self._live = Live(
             console=console, transient=True, refresh_per_second=REFRESH_HZ,
             get_renderable=self.picture,
@@ -48,11 +52,21 @@ class LiveTable:
         if self._live is not None:
             self._live.__exit__(kind, error, trace)
 
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Leave the terminal to a question meanwhile."""
+        if self._live is not None:
+            self._live.stop()
+        try:
+            yield
+        finally:
+            if self._live is not None:
+                self._live.start()
+
     def flies(self) -> None:
         """It is ready and takes off."""
-        self._progress.update(
-            self._bar, description=self._experiment.name, total=self._experiment.duration_s
-        )
+        self._words = self._experiment.name
+        self._progress.update(self._bar, total=self._experiment.duration_s)
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """The newest of a vehicle."""
@@ -64,7 +78,8 @@ class LiveTable:
 
     def picture(self) -> RenderableType:
         """The table as it is now."""
-        self._progress.update(self._bar, completed=self._t)
+        words = f"{self._words} [bold]{self.phase}[/]"
+        self._progress.update(self._bar, completed=self._t, description=words)
         if not self._ticks:
             return self._progress
         grid = Grid(box=None, pad_edge=False)

@@ -1,7 +1,7 @@
 """`testbed`: the operator's command. Each verb imports what it needs when it runs.
 
 Exit codes: 0 flown and all criteria met; 1 flown, a criterion failed; 2 bad input; 3 aborted by a
-fault; 130 interrupted.
+fault; 4 not started, because an arming check is red or the operator did not agree; 130 interrupted.
 """
 
 import sys
@@ -12,7 +12,7 @@ import click
 from testbed.cli.keys import lab_keys
 from testbed.cli.many import bench, campaign, tune
 
-OK, FAILED, BAD_INPUT, FAULT, INTERRUPTED = 0, 1, 2, 3, 130
+OK, FAILED, BAD_INPUT, FAULT, NOT_STARTED, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -45,6 +45,8 @@ def main() -> None:
     type=click.FloatRange(min=0.0, min_open=True),
     help="Times real time.  [default: as fast as it goes; 1 with --view or --web]",
 )
+@click.option("--arm", is_flag=True, help="On the table: arm without asking, for scripts.")
+@click.option("--reset", is_flag=True, help="After a fault: I have looked at the vehicles.")
 @click.pass_context
 def run(
     context: click.Context,
@@ -56,6 +58,8 @@ def run(
     as_json: bool,
     view: str | None,
     speed: float | None,
+    arm: bool,
+    reset: bool,
 ) -> None:
     """Fly an EXPERIMENT: a file, or the name of a shipped one (see `testbed list`).
 
@@ -71,7 +75,9 @@ def run(
 
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
-    context.exit(run_experiment(experiment, overrides, out, as_json, rig, view, speed))
+    context.exit(
+        run_experiment(experiment, overrides, out, as_json, rig, view, speed, arm=arm, reset=reset)
+    )
 
 
 @main.command()
@@ -106,16 +112,17 @@ def twin(
 @click.option("--lab", help="First part of all keys.  [default: as the keys say; lab]")
 @click.option("--serial", help="The board's port.  [default: the table file's]")
 @click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
+@click.option("--report", type=click.Path(path_type=Path), hidden=True)
 @click.option("--child", is_flag=True, hidden=True)
 @click.pass_context
 def agent(
     context: click.Context, vehicle: str, connect: str | None, lab: str | None,
-    serial: str | None, keys: Path | None, child: bool,
+    serial: str | None, keys: Path | None, report: Path | None, child: bool,
 ) -> None:  # fmt: skip
     """Fly a VEHICLE: on its own computer, with the board on a serial port."""
     from testbed.cli.wires import fly_agent
 
-    context.exit(fly_agent(vehicle, connect, lab, serial, keys, child=child))
+    context.exit(fly_agent(vehicle, connect, lab, serial, keys, child=child, report=report))
 
 
 @main.command()
@@ -173,14 +180,14 @@ def admit(
 
 
 @main.command()
-@click.option("--rig", type=click.Choice(["twin"]), default="twin", show_default=True)
-@click.option("--injections", type=click.IntRange(min=1), default=513, show_default=True)
+@click.option("--rig", type=click.Choice(["twin", "bench"]), default="twin", show_default=True)
+@click.option("--injections", type=click.IntRange(min=1), help="[default: 513, or 72 on the bench]")
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Of what is drawn.")
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
 @click.pass_context
 def drill(
-    context: click.Context, rig: str, injections: int, seed: int, jobs: int, as_json: bool
+    context: click.Context, rig: str, injections: int | None, seed: int, jobs: int, as_json: bool
 ) -> None:
     """Rehearse the whole catalogue of faults: what is found, how soon, and what is done."""
     from testbed.cli.drill import run_drill

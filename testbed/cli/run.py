@@ -16,7 +16,8 @@ from rich.console import Console
 
 from testbed.boards import check_boards
 from testbed.cli.live import LiveTable
-from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, OK
+from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
+from testbed.cli.operator import Operator
 from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
@@ -58,14 +59,19 @@ def run_experiment(
     rig: str = "twin",
     view: str | None = None,
     speed: float | None = None,
+    *,
+    arm: bool = False,
+    reset: bool = False,
 ) -> int:
     """Fly and return the exit code."""
     interrupt, board = Interrupt(), None
+    operator = Operator(arm=arm, reset=reset, at_once=interrupt.at_once)
     if view is not None and speed is None:
         speed = 1.0  # to be looked at
     try:
         experiment = load(find(name), overrides)
         check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
+        operator.must_be_there(rig)
         with interrupt.caught():
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
@@ -73,7 +79,8 @@ def run_experiment(
                 from testbed.cli.dash import beside_run
 
                 board = beside_run(folder, view)
-            metrics = fly_and_judge(experiment, folder, interrupt, maker(rig), speed)
+            make = maker(rig, experiment, folder, operator)
+            metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator)
             write_metrics(folder, metrics)
             make_report(folder)
             if as_json:
@@ -87,6 +94,10 @@ def run_experiment(
         from testbed.cli.dash import leave
 
         leave(board)
+    if metrics.red:
+        for reason in metrics.red:
+            errors.print(f"red: {reason}", style="red", markup=False, soft_wrap=True)
+        return NOT_STARTED
     if metrics.fault:
         return FAULT
     if not metrics.completed:
@@ -142,6 +153,7 @@ class Watcher:
         self._rig, self._outputs = rig, outputs
         self._recorder, self._live, self._pace = recorder, live, pace
         self._seen = -1.0  # up to here the valves are in the log
+        self._told = 0  # changes of phase that are in the log
         self.trouble: str | None = None  # the log cannot be written: the flight has to end
         self._next = 0.0  # when the five elements are due [s]
 
@@ -154,6 +166,18 @@ class Watcher:
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
         self._record(f"/{name}/host", tick.inputs.t, tick)
+
+    def reports(self) -> None:
+        """Log what boards, wires and the supervisor have said since they were asked last."""
+        for name, valves in self._rig.valves(since=self._seen):
+            self._record(f"/{name}/valves", max(0.0, valves.t), valves)
+        for name, at, wires in self._rig.paces():
+            self._record(f"/{name}/pace", at, wires)
+        events = self._rig.supervisor.events
+        for event in events[self._told :]:
+            self._record("/supervisor", max(0.0, event.t), event)
+            self._live.phase = event.phase
+        self._told = len(events)
 
     def _record(self, topic: str, t: float, message: Struct) -> None:
         if self.trouble is None:
@@ -178,22 +202,33 @@ class Watcher:
             self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
             states = np.array([(m.x, m.y, m.vx, m.vy) for m in motions.values()])
             self._record("/formation", t, characterise(states[:, :2], states[:, 2:]))
-        for name, valves in self._rig.valves(since=self._seen):
-            self._record(f"/{name}/valves", valves.t, valves)
-        self._seen = t
+        self.reports()
+        if (loop := self._rig.loop) is not None:
+            self._record("/loop", t, Loop(t, *loop))
         if self._pace is not None:
             self._record("/loop", t, Loop(t, self._pace.late_s, self._pace.busy_s))
         self._mark(t)
         self._live.done(t)
 
 
-def maker(rig: str) -> Callable[[Experiment], Rig]:
+def maker(
+    rig: str, experiment: Experiment, folder: Path, operator: Operator
+) -> Callable[[Experiment], Rig]:
     """What builds this rig."""
     if rig == "twin":
         return make_twin
     from testbed.bench.host import WireRig
 
-    return lambda experiment: WireRig(experiment, bench=rig == "bench")
+    latch, latched = operator.latched(rig, experiment, str(folder))
+    return lambda experiment: WireRig(
+        experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched,
+        agree=operator.agree if rig == "table" else anybody,
+    )  # fmt: skip
+
+
+def anybody(names: Sequence[str]) -> bool:
+    """An operator who is not asked: where nobody can be hurt."""
+    return True
 
 
 def fly_and_judge(
@@ -202,11 +237,14 @@ def fly_and_judge(
     interrupt: Interrupt | None = None,
     make: Callable[[Experiment], Rig] | None = None,
     speed: float | None = None,
+    operator: Operator | None = None,
 ) -> Metrics:
     """Fly, with the log in `folder`, and judge. `make` builds the rig; by default the twin."""
     interrupt = interrupt or Interrupt()
     rig, ending, wall = (make or make_twin)(experiment), Ending(0.0, None), 0.0
     live = LiveTable(experiment, errors)
+    if operator is not None:
+        operator.live = live
     pace = None
     if speed is not None and isinstance(rig, TwinRig):
         pace = Pace(rig.twin, speed)
@@ -226,6 +264,7 @@ def fly_and_judge(
                         stopped=lambda: interrupt.asked or watcher.trouble is not None,
                     )
                     wall = time.perf_counter() - began
+                watcher.reports()
                 if watcher.trouble is not None:
                     raise RecorderError(watcher.trouble)
     except RecorderError as error:
@@ -274,4 +313,6 @@ def measure(
         **rig.wires(),
         formation=together,
         warnings=[*warnings_of(experiment), *rig.concerns()],
+        phase=rig.supervisor.phase,
+        red=rig.red,
     )

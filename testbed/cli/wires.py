@@ -66,7 +66,7 @@ def serve_twin(
 
 def fly_agent(
     name: str, endpoint: str | None, lab: str | None, port: str | None,
-    keys: Path | None = None, *, child: bool,
+    keys: Path | None = None, *, child: bool, report: Path | None = None,
 ) -> int:  # fmt: skip
     """Fly one vehicle; the exit code."""
     end_on_terminate()
@@ -82,8 +82,9 @@ def fly_agent(
         return _failed(error, BAD_INPUT)
     try:
         fly_vehicle(
-            name, endpoint or Network().endpoint, lab or Network().lab, port, keys, child=child
-        )
+            name, endpoint or Network().endpoint, lab or Network().lab, port, keys,
+            child=child, report=report,
+        )  # fmt: skip
     except (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError) as error:
         return _failed(error, FAULT)
     except KeyboardInterrupt:

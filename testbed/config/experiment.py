@@ -11,11 +11,15 @@ from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Positive, Vehicle
 from testbed.flight.agent import FlightParams
+from testbed.flight.arming import ArmingParams
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import GuidanceParams
 from testbed.ops.metrics import Criteria
 
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]  # what TOML promises to keep exactly
+
+
+BoardKind = Literal["model", "inproc", "unicorn", "host", "qemu"]
 
 
 class VehicleSetup(Struct, frozen=True, forbid_unknown_fields=True):
@@ -48,7 +52,8 @@ class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
     flight: FlightParams = field(default_factory=FlightParams)
     deploy: Deploy = field(default_factory=Deploy)
     criteria: Criteria = field(default_factory=Criteria)
-    board: Literal["model", "inproc", "unicorn"] = "model"  # who plays the plans, see boards.py
+    arming: ArmingParams = field(default_factory=ArmingParams)
+    board: BoardKind = "model"  # who plays the plans, see boards.py
     faults: FaultTable = field(default_factory=shipped_faults)
     inject: list[Injection] = []
 

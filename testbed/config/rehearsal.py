@@ -18,7 +18,7 @@ def bad_injections(experiment: Experiment) -> Iterator[Mistake]:
             what.other == what.vehicle or what.other not in experiment.vehicles
         ):
             yield Mistake((*key, "other"), f"another one of: {names}", show(what.other))
-        if what.kind == "brown_out" and experiment.board != "model":
+        if what.kind == "brown_out" and experiment.board in ("inproc", "unicorn", "qemu"):
             found = f'board = "{experiment.board}"'
             yield Mistake((*key, "kind"), 'board = "model" with it', found)
         jets = len(experiment.vehicles[what.vehicle].model.jets)

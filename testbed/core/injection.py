@@ -33,7 +33,19 @@ Kind = Literal[
     "disk_full",
     "config_differs",
     "overrun",  # every tick begins `value` [s] late
+    # only where there are wires: on the bench
+    "stop_process",  # the vehicle's process hangs
+    "cut_serial",  # the line to its board
+    "sag",  # supply pressure at the share `value`, as its board reads it
+    "flat_battery",  # at `value` [V], as its board reads it
+    "foreign_session",  # somebody else sends setpoints to the vehicle
+    "kill_host",
+    "stop_host",  # the host's process hangs
 ]
+ON_WIRES: tuple[Kind, ...] = (
+    "stop_process", "cut_serial", "sag", "flat_battery", "foreign_session", "kill_host",
+    "stop_host",
+)  # fmt: skip
 
 EVENTS = Literal["near_obstacle", "near_vehicle", "near_edge", "faster_than"]
 
@@ -45,6 +57,8 @@ VALUES: dict[str, float] = {  # when none is given
     "leak": 0.1,
     "clock_step": 0.05,
     "overrun": 0.08,
+    "sag": 0.5,
+    "flat_battery": 9.0,
 }
 
 

@@ -60,5 +60,4 @@ class Lab(Struct, frozen=True, forbid_unknown_fields=True):
     network: Network = field(default_factory=Network)
     serial: SerialLines = field(default_factory=SerialLines)
     weather: Weather = field(default_factory=Weather)
-    board: Literal["host", "qemu"] = "host"  # runs the firmware on the bench
     late_s: Positive = 0.2  # a command older than this on arrival is dropped

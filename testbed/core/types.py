@@ -143,6 +143,7 @@ class Vitals(Struct, frozen=True, gc=False, omit_defaults=True):
     same_config: bool = True  # host and vehicle have the same configuration hash
     raised: str = ""  # what the law on the host died of
     fleet: str = ""  # a fault of another vehicle that stops all
+    foreign: int = 0  # messages of another session since the last tick; none was obeyed
 
 
 ALL_WELL = Vitals()

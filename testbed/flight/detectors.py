@@ -147,6 +147,7 @@ class Detectors:
             abs(vitals.clock_offset),
             0.0 if vitals.same_config else 1.0,
             vitals.disk_free,
+            vitals.foreign,
             1.0 if vitals.fleet else 0.0,
         )
 

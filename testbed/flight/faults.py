@@ -44,6 +44,7 @@ Detector = Literal[
     "clock_offset",  # [s] between host and vehicle, either way
     "config_differs",  # 1: host and vehicle do not have the same configuration
     "disk_free",  # [bytes]
+    "foreign",  # messages of another session since the last tick
     "fleet",  # 1: another vehicle has a fault that stops all
 ]
 DETECTORS: tuple[str, ...] = get_args(Detector)

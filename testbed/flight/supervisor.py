@@ -16,6 +16,8 @@ without having looked. Whoever owns the clock hands in time, requests and checks
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
+from msgspec import Struct
+
 from testbed.flight.arming import Check
 
 Phase = Literal["DISARMED", "ARMED", "RUNNING", "STOPPED", "FAULT"]
@@ -42,7 +44,7 @@ class Answer(NamedTuple):
     reasons: tuple[str, ...]  # why not, one per red check
 
 
-class Event(NamedTuple):
+class Event(Struct, frozen=True):
     """A change of phase, for the log."""
 
     t: float  # [s]
@@ -53,10 +55,11 @@ class Event(NamedTuple):
 class Supervisor:
     """One table's supervisor: all its vehicles fire, or none."""
 
-    def __init__(self) -> None:
-        self._phase: Phase = "DISARMED"
+    def __init__(self, fault: str | None = None) -> None:
+        """Boot DISARMED; or in FAULT, with a `fault` that was latched before this boot."""
+        self._phase: Phase = "DISARMED" if fault is None else "FAULT"
         self._since = 0.0
-        self._fault: str | None = None
+        self._fault = fault
         self.events: list[Event] = []
 
     @property
@@ -94,6 +97,10 @@ class Supervisor:
         self._move(t, to, what)
         return Answer(True, self._phase, ())
 
+    def take_off(self, t: float, checks: Sequence[Check]) -> tuple[str, ...]:
+        """Arm and run at once, where nobody needs to be asked in between; why not."""
+        return self.request(t, "arm", checks).reasons or self.request(t, "run", checks).reasons
+
     def fail(self, t: float, fault: str) -> None:
         """A fault that ends the run: latched; the first one is kept."""
         if self._fault is None:
@@ -105,6 +112,17 @@ class Supervisor:
         """The run has come to its end."""
         if self._phase == "RUNNING":
             self._move(t, "STOPPED", "the end of the run")
+
+    def close(self, t: float, fault: str | None, *, flown: bool) -> None:
+        """The flight is over: by a fault, at its end (`flown`), or because somebody said stop."""
+        if self._phase not in ("ARMED", "RUNNING"):
+            return
+        if fault is not None:
+            self.fail(t, fault)
+        elif flown:
+            self.end(t)
+        else:
+            self.request(t, "stop")
 
     def tick(self, t: float) -> None:
         """Time passes: an arming that nobody used runs out."""

@@ -92,7 +92,32 @@ class Loop(Struct, frozen=True, gc=False):
     busy_s: float  # and took so long [s]
 
 
-Message = SeenTick | SeenHost | Truth | Loop
+class SeenPace(Struct, frozen=True, gc=False):
+    """Of a vehicle's wires."""
+
+    late_s: float  # its tick began so much later [s]
+    setpoint_delay_s: float | None = None  # of the newest
+    setpoints_heard: int = 0  # so far
+    setpoints_lost: int = 0  # so far
+    cameras: str = ""  # what is wrong with its body
+
+
+class SeenValves(Struct, frozen=True, gc=False):
+    """What a board says of its valves."""
+
+    t: float  # from then on [s]
+    mask: int  # jet 0 is bit 0
+
+
+class SeenPhase(Struct, frozen=True, gc=False):
+    """What the supervisor did."""
+
+    t: float  # [s]
+    phase: str
+    because: str = ""
+
+
+Message = SeenTick | SeenHost | Truth | Loop | SeenPace | SeenValves | SeenPhase
 
 
 class News(NamedTuple):
@@ -119,6 +144,7 @@ class Feed(Protocol):
 
 _KINDS: dict[str, type[Struct]] = {
     "Tick": SeenTick, "HostTick": SeenHost, "Truth": Truth, "Loop": Loop,
+    "Pace": SeenPace, "Valves": SeenValves, "Event": SeenPhase,
 }  # fmt: skip
 
 

@@ -217,12 +217,25 @@ def _force(scenario: Scenario, history: History) -> Iterator[Chart]:
                 "table, of the pulses.")  # fmt: skip
 
 
+def openings(edges: Array, jet: int) -> tuple[Array, Array]:
+    """When a jet was opened and for how long [s], of its board's edges (t, mask)."""
+    is_open = (edges[:, 1].astype(int) >> jet) & 1
+    before = np.concatenate([[0], is_open[:-1]])
+    starts = edges[(is_open == 1) & (before == 0), 0]
+    ends = edges[(is_open == 0) & (before == 1), 0]
+    return starts[: len(ends)], ends - starts[: len(ends)]
+
+
 def _valves(scenario: Scenario, history: History) -> Iterator[Chart]:
     rows: list[Item] = []
     for k, name, v in _vehicles(history):
         delay = scenario.vehicles[name].model.command_delay_s
         for jet in range(v.on.shape[1]):
             row = -(k * (v.on.shape[1] + 1) + jet)
+            if len(v.edges):  # its board has said what it drove
+                starts, lengths = openings(v.edges, jet)
+                rows.append(Raster(row, starts, lengths, k, f"{name} {jet + 1}"))
+                continue
             open_ = v.on[:, jet] > 0.0
             start = v.t[open_] + delay + v.offset[open_, jet]
             rows.append(Raster(row, start, v.on[open_, jet], k, f"{name} {jet + 1}"))
@@ -254,12 +267,18 @@ def _timing(scenario: Scenario, history: History) -> Iterator[Chart]:
     heard: list[Item] = [
         Line(t, 1e3 * age, k, name) for k, (name, (t, age)) in enumerate(history.heard.items())
     ]
+    for k, name, v in _vehicles(history):
+        if len(v.wires):
+            heard.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 2], k, f"to {name}", "thin dashed"))
     yield Chart("link", "Link: age of the newest state that the host has heard", "time [s]",
                 "age [ms]", heard, _time(history), height=150)  # fmt: skip
     loop: list[Item] = []
     if len(history.loop):
         loop = [Line(history.loop[:, 0], 1e3 * history.loop[:, 1], 0, "late"),
                 Line(history.loop[:, 0], 1e3 * history.loop[:, 2], 1, "busy")]  # fmt: skip
+    for k, name, v in _vehicles(history):
+        if len(v.wires):
+            loop.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 1], k, name, "thin"))
     yield Chart("loop", "The loop's lateness", "time [s]", "time [ms]", loop, _time(history),
                 height=150)  # fmt: skip
 

@@ -8,7 +8,16 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from testbed.core.types import Demand, Pose
-from testbed.ops.feed import Loop, News, SeenHost, SeenTick, pose_of
+from testbed.ops.feed import (
+    Loop,
+    News,
+    SeenHost,
+    SeenPace,
+    SeenPhase,
+    SeenTick,
+    SeenValves,
+    pose_of,
+)
 from testbed.ops.recorder import Truth
 
 Array = NDArray[np.float64]
@@ -32,7 +41,9 @@ class VehicleHistory(Struct, frozen=True):
     tank: Array  # (n,) [Pa]
     pose_age: Array  # (n,) [s]
     filtered: Array  # (n, 2) what the safety filter changed, in W [N]
-    events: list[tuple[float, str]]  # what the gate, the fault table and the filter said, and when
+    events: list[tuple[float, str]]  # what gate, fault table, filter and cameras said, and when
+    edges: Array  # (e, 2) t [s] and mask of its valves, as its board reported; empty: nobody did
+    wires: Array  # (n, 4) t, lateness, delay of setpoints [s], share of them lost; empty: no wires
     true: Array  # (m, 6) x, y, theta, vx, vy, omega; empty if nobody knew
 
 
@@ -43,6 +54,7 @@ class History(Struct, frozen=True):
     true_t: Array  # (m,) [s]
     heard: dict[str, tuple[Array, Array]]  # of each vehicle at the host: t, age of the newest state
     loop: Array  # (k, 3) t, late, busy [s]; empty if the clock was virtual
+    phases: list[tuple[float, str]] = []  # of the supervisor: when, and which because of what
 
     @property
     def end(self) -> float:
@@ -61,6 +73,8 @@ class History(Struct, frozen=True):
 class _Vehicle(Struct):
     ticks: list[SeenTick] = field(default_factory=list)
     true: list[tuple[float, ...]] = field(default_factory=list)
+    edges: list[tuple[float, float]] = field(default_factory=list)
+    paces: list[tuple[float, SeenPace]] = field(default_factory=list)
 
 
 def gather(news: Iterable[News]) -> History:
@@ -69,6 +83,7 @@ def gather(news: Iterable[News]) -> History:
     true_t: list[float] = []
     heard: dict[str, list[tuple[float, float]]] = {}
     loop: list[tuple[float, float, float]] = []
+    phases: list[tuple[float, str]] = []
     for one in news:
         match one.message:
             case SeenTick() as tick:
@@ -84,11 +99,18 @@ def gather(news: Iterable[News]) -> History:
                     vehicles.setdefault(name, _Vehicle()).true.append(row)
             case Loop(t=t, late_s=late, busy_s=busy):
                 loop.append((t, late, busy))
+            case SeenPace() as pace:
+                vehicles.setdefault(one.who, _Vehicle()).paces.append((one.t, pace))
+            case SeenValves(t=t, mask=mask):
+                vehicles.setdefault(one.who, _Vehicle()).edges.append((t, float(mask)))
+            case SeenPhase(t=t, phase=phase, because=because):
+                phases.append((t, f"{phase}: {because}"))
     return History(
-        {name: _arrays(v.ticks, v.true) for name, v in vehicles.items()},
+        {name: _arrays(v) for name, v in vehicles.items()},
         np.array(true_t),
         {name: (np.array(r)[:, 0], np.array(r)[:, 1]) for name, r in heard.items()},
         np.array(loop).reshape(-1, 3),
+        phases,
     )
 
 
@@ -100,7 +122,8 @@ def _pose(pose: Pose | None) -> tuple[float, ...]:
     return NAN3 if pose is None else (pose.x, pose.y, pose.theta)
 
 
-def _arrays(ticks: list[SeenTick], true: list[tuple[float, ...]]) -> VehicleHistory:
+def _arrays(vehicle: _Vehicle) -> VehicleHistory:
+    ticks, true = vehicle.ticks, vehicle.true
     outs = [tick.outputs for tick in ticks]
     jets = max((len(out.command.on_us) for out in outs), default=0)
     states = [out.state for out in outs]
@@ -126,9 +149,34 @@ def _arrays(ticks: list[SeenTick], true: list[tuple[float, ...]]) -> VehicleHist
         tank=np.array([tick.inputs.health.tank_pressure for tick in ticks]),
         pose_age=np.array([math.nan if s is None else s.pose_age for s in states]),
         filtered=_table(changed, 2),
-        events=list(events(ticks)),
+        events=sorted([*events(ticks), *camera_events(vehicle.paces)]),
+        edges=_table(vehicle.edges, 2),
+        wires=_table(
+            [(t, p.late_s, _or_nan(p.setpoint_delay_s), lost_share(p)) for t, p in vehicle.paces], 4
+        ),
         true=_table(true, 6),
     )
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def lost_share(pace: SeenPace) -> float:
+    """Of the setpoints so far, how many never came."""
+    return pace.setpoints_lost / max(1, pace.setpoints_heard + pace.setpoints_lost)
+
+
+def camera_events(
+    paces: Iterable[tuple[float, SeenPace]], said: str = ""
+) -> list[tuple[float, str]]:
+    """What changed in the trouble with the cameras, and when [s]; `said` was the last."""
+    found = []
+    for t, pace in paces:
+        if pace.cameras != said:
+            found.append((t, f"cameras: {pace.cameras or 'well again'}"))
+        said = pace.cameras
+    return found
 
 
 def events(ticks: Iterable[SeenTick]) -> list[tuple[float, str]]:

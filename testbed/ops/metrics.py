@@ -89,6 +89,8 @@ class Metrics(Struct, frozen=True):
     board: str | None = None
     formation: Any = None  # `testbed.ops.formation.FormationMetrics` of two or more vehicles
     warnings: list[Concern] = []  # what a law's proof asks for and the run does not have
+    phase: str = ""  # of the supervisor, in the end: DISARMED, STOPPED or FAULT
+    red: list[str] = []  # arming checks that kept the run from starting
 
 
 class Track(Struct, frozen=True):

@@ -25,12 +25,14 @@ class Offset:
     def __init__(self) -> None:
         self._readings: deque[Reading] = deque(maxlen=REMEMBERED)
         self._earliest: deque[float] = deque(maxlen=REMEMBERED)
+        self._best: Reading | None = None  # of the readings
 
     def exchanged(self, asked_ns: int, other_ns: float, answered_ns: int) -> None:
         """A question at `asked_ns`, the other clock in the answer, which came at `answered_ns`."""
         delay = answered_ns - asked_ns
         if delay >= 0:
             self._readings.append(Reading(other_ns - 0.5 * (asked_ns + answered_ns), delay))
+            self._best = min(self._readings, key=lambda r: r.delay_ns)
 
     def heard(self, sent_ns: float, arrived_ns: int) -> None:
         """A message with the other clock in it."""
@@ -39,8 +41,8 @@ class Offset:
     @property
     def best(self) -> Reading | None:
         """The best reading there is; None before the first. Delay -1: it is not known."""
-        if self._readings:
-            return min(self._readings, key=lambda r: r.delay_ns)
+        if self._best is not None:
+            return self._best
         if self._earliest:
             return Reading(max(self._earliest), -1.0)
         return None

@@ -3,6 +3,9 @@
     /<vehicle>/tick    one tick of the flight chain: inputs and outputs
     /<vehicle>/host    one tick of its law, where that runs on the host
     /<vehicle>/valves  what its board drove, where firmware is in the loop
+    /<vehicle>/pace    how its ticks keep their time and how its wires are, where it has any
+    /loop              how the host keeps its time, by a real clock
+    /supervisor        who may fire, from when on, and why
     /truth             where the vehicles really were; only a twin knows
 
 JSON messages, each topic with the JSON Schema of its struct: any MCAP reader can open it without

@@ -19,6 +19,7 @@ from testbed.ops.feed import Loop, News, SeenHost, SeenTick, pose_of, stopping_p
 from testbed.ops.history import events
 from testbed.ops.recorder import Motion, Truth
 from testbed.ops.scenario import Scenario, law_of, range_of
+from testbed.ops.scene_wires import VALVE_STATES, WireScene
 from testbed.ops.setting import (
     FLAME,
     LAYER,
@@ -52,6 +53,7 @@ class Scene:
         self._renewed: dict[str, tuple[float, float]] = {}
         self._means: dict[str, tuple[float, float]] = {}
         self._places: dict[str, tuple[float, float]] = {}
+        self._wires = WireScene(scenario, recording)
         self.now = 0.0
         setting(recording, scenario)
 
@@ -79,6 +81,7 @@ class Scene:
             if name in self._trails:
                 self._ticks(self._names.index(name), name, flown)
         self._links(hosts, ticks)
+        self._wires.draw(news)
         if loops:
             self._column("plot/loop/late", [o.t for o in loops], [1e3 * o.late_s for o in loops])
             self._column("plot/loop/busy", [o.t for o in loops], [1e3 * o.busy_s for o in loops])
@@ -224,13 +227,7 @@ class Scene:
                     states += ["open", "shut"]
             if (name, jet) not in self._open:
                 self._open[name, jet] = True
-                self._rec.log(
-                    f"valve/{name}/jet_{jet + 1}",
-                    rr.StateConfiguration(
-                        values=["open", "shut"], labels=["", ""], colors=[0xFFD666FF, 0x1A2028FF]
-                    ),
-                    static=True,
-                )
+                self._rec.log(f"valve/{name}/jet_{jet + 1}", VALVE_STATES, static=True)
                 times, states = [0.0, *times], ["shut", *states]
             if times:
                 self._rec.send_columns(
@@ -372,6 +369,8 @@ class Scene:
                 words = "flies" if not tick.outputs.filtered else "flies, filter intervenes"
             states.append(f"**{name}** {words}")
         head = f"### {self._scenario.name}, law {law_of(self._scenario)}   |   "
+        if self._wires.phase:
+            head += f"{self._wires.phase}   |   "
         said = plain(head + "   |   ".join(states))
         if said != self._said:
             self._said = said

@@ -13,9 +13,9 @@ import psutil
 import pytest
 
 from testbed.bench.host import WireRig
-from testbed.config import find, load
+from testbed.config import ConfigError, find, load
 from testbed.ops.stop import stop_everything
-from testbed.rig import Nobody, make_agent, warm_up
+from testbed.rig import Nobody, make_agent, make_twin, warm_up
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -86,6 +86,48 @@ def test_the_firmware_moves_the_vehicle(flown):
     track = rig.track()
     assert track.states[-1, 0, 1] > -0.1 + 0.002  # from y = -0.1 m towards 0
     assert track.t[-1] <= 3.0
+
+
+def test_the_log_has_the_valves_as_the_board_drove_them(flown):
+    rig, _, _, _ = flown
+    told = [(valves.t, valves.mask) for name, valves in rig.valves(since=-1.0)]
+    seen = [(1e-9 * (1000 * at - rig.epoch_ns), mask) for at, mask in rig.report.edges["sat1"]]
+    flying = [edge for edge in seen if edge[0] < told[-1][0] + 1e-3]
+    assert [mask for _, mask in told] == [mask for _, mask in flying]
+    for (t, _), (at, _) in zip(told, flying, strict=True):
+        assert t == pytest.approx(at, abs=0.02)  # two readings of the board's clock
+
+
+def test_the_log_has_how_the_wires_are(flown):
+    rig, _, _, _ = flown
+    paces = [pace for _, _, pace in rig.paces()]
+    assert len(paces) >= 29
+    assert paces[-1].setpoints_heard >= 28
+    assert paces[-1].setpoint_delay_s > 0.0
+    assert paces[-1].round_trip_s > 0.0
+    assert rig.loop[1] > 0.0
+
+
+def test_poses_may_come_on_the_network():
+    rig, ending, noted, _ = fly("hold", "duration_s=1", "table.lab.mocap.system=zenoh")
+    assert ending.fault is None
+    assert sum(len(tick.inputs.samples) for tick in noted.ticks["sat1"]) > 50
+    assert rig.ended["sat1"].counts.lost_frames < 20
+
+
+@pytest.mark.parametrize(
+    ("bench", "board", "words"),
+    [(True, "inproc", "host or qemu"), (True, "unicorn", "host or qemu"),
+     (False, "qemu", "its boards are the lab")],
+)  # fmt: skip
+def test_a_board_that_this_rig_cannot_have_is_refused(bench, board, words):
+    with pytest.raises(ConfigError, match=words):
+        WireRig(load(find("hold"), [f"board={board}"]), bench=bench)
+
+
+def test_a_twin_has_no_board_in_real_time():
+    with pytest.raises(ConfigError, match="on the twin"):
+        make_twin(load(find("hold"), ["board=qemu"]))
 
 
 def test_what_the_metrics_say(flown):
@@ -166,7 +208,11 @@ def start(tmp_path):
     started = []
 
     def start():
-        env = os.environ | {"PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(tmp_path)}
+        env = os.environ | {
+            "PYTHONPATH": str(ROOT),
+            "XDG_RUNTIME_DIR": str(tmp_path),
+            "XDG_STATE_HOME": str(tmp_path),
+        }
         process = subprocess.Popen(
             [sys.executable, "-m", "testbed.cli.main", "run", "hold", "--rig", "bench",
              "--out", str(tmp_path / "out")],

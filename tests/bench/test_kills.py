@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("case", ["agent-stop", "serial-cut", "host-kill"])
+@pytest.mark.parametrize("case", ["agent-stop", "serial-cut", "host-kill", "host-stop-vehicle"])
 def test_killed_stopped_cut(case):
     done = subprocess.run(
         [sys.executable, "benchmarks/bench_kills.py", case, "--count", "3", "--limit-ms", "2000"],

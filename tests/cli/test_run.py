@@ -17,6 +17,7 @@ WIRES = {
 METRICS = {
     "experiment", "rig", "seed", "completed", "duration_s", "wall_s", "real_time_factor",
     "contacts", "min_vehicle_distance_m", "criteria", "vehicles", "warnings",
+    "phase", "red",
     "formation",
 }  # fmt: skip
 VEHICLE_METRICS = {
@@ -217,10 +218,15 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
     log = read_log(Path("out"))
     names = ["sat1", "sat2", "sat3"]
     assert set(log.messages) == {f"/{n}/{end}" for n in names for end in ("tick", "host")} | {
-        "/truth", "/formation",
+        "/truth", "/formation", "/supervisor",
     }  # fmt: skip
+    events = log.messages["/supervisor"]
+    phases = [(stamp, event["phase"]) for stamp, event in events]
+    assert phases == [(0, "ARMED"), (0, "RUNNING"), (2 * 10**9, "STOPPED")]
     stamps = [k * 10**8 for k in range(20)]
     for topic, rows in log.messages.items():
+        if rows is events:
+            continue
         every = 10 if topic == "/formation" else 1  # the five elements, once a second
         assert [stamp for stamp, _ in rows] == stamps[::every], topic
     for topic, (encoding, name, schema) in log.schemas.items():
@@ -228,6 +234,7 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
         assert schema["type"] == "object"
         wanted = {
             "tick": "Tick", "host": "HostTick", "truth": "Truth", "formation": "Characterisation",
+            "supervisor": "Event",
         }  # fmt: skip
         assert name == wanted[topic.rpartition("/")[2]]
         assert set(schema["required"]) == set(log.messages[topic][0][1])
@@ -240,7 +247,14 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
 def test_a_law_on_the_vehicle_has_no_host_topic(testbed, read_log):
     testbed("run", "zhang2023_table_wrench", "duration_s=1", "--out", "out")
     topics = set(read_log(Path("out")).messages)
-    assert topics == {"/sat1/tick", "/sat2/tick", "/sat3/tick", "/truth", "/formation"}
+    assert topics == {
+        "/sat1/tick",
+        "/sat2/tick",
+        "/sat3/tick",
+        "/truth",
+        "/formation",
+        "/supervisor",
+    }
 
 
 def test_runs_go_to_runs_by_default(testbed, here):

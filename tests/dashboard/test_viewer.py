@@ -87,7 +87,7 @@ def test_a_run_is_followed_while_it_is_flown(tmp_path, pictures, rig):
         [sys.executable, "-m", "testbed.cli.main", "run", "zhang2023_table",
          "--rig", rig, *paced, "--out", str(folder)],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(tmp_path / "state")},
     )  # fmt: skip
     eventually((folder / "config.toml").exists, "the run has a folder")
     board = Dashboard(folder, "headless", address_for())

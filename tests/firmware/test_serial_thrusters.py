@@ -161,10 +161,20 @@ def test_nothing_is_left_of_a_tap(limits, tmp_path):
 
 
 def test_a_board_without_a_gauge_is_believed_to_have_pressure(limits, tmp_path):
-    with (
-        served(limits, tmp_path) as (tap, _),
-        SerialThrusters(str(tap.link), limits, 0.0, 1, set_pressure=4e5) as thrusters,
-    ):
-        assert thrusters.health().supply_pressure == 5e5  # it has one
+    with served(limits, tmp_path) as (tap, _):
         tap.sense(24_000, 0)
-        wait_for(lambda: thrusters.health().supply_pressure == 4e5)
+        wait_for(lambda: tap.status is not None and tap.status.supply_pa == 0)
+        with SerialThrusters(str(tap.link), limits, 0.0, 1, set_pressure=4e5) as thrusters:
+            assert thrusters.health().supply_pressure == 4e5
+            assert thrusters.health().battery == 24.0
+
+
+def test_a_gauge_that_falls_to_nothing_is_believed(limits, tmp_path):
+    with served(limits, tmp_path) as (tap, _), SerialThrusters(
+        str(tap.link), limits, 0.002, 1, set_pressure=600_000.0
+    ) as thrusters:  # fmt: skip
+        wait_for(lambda: thrusters.health().supply_pressure == 500_000)
+        tap.sense(0, 0)  # the tank is empty, and the battery too
+        wait_for(lambda: thrusters.health().supply_pressure == 0.0)
+        wait_for(lambda: thrusters.health().battery == 0.0)
+        assert thrusters.health().silent_s < 5.0

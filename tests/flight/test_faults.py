@@ -27,6 +27,7 @@ NEEDED = {  # what the issue of a table of faults asks for, and the detector tha
     "poses_rejected", "supply_share", "battery", "push_unexplained", "turn_unexplained",
     "jet_missing", "tank_loss", "spare_room", "raised", "not_a_number", "tick_late", "operator_age",
     "clock_offset", "config_differs", "disk_free", "neighbour_age", "board_silent", "fleet",
+    "foreign",
 }  # fmt: skip
 PERIOD = 0.1  # [s]
 

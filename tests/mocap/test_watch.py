@@ -123,6 +123,7 @@ def test_poses_of_one_vehicle_in_the_frame_and_time_of_the_run():
     ]  # fmt: skip
     poses = MocapPoses(Recorded(exposures), wire, WallClock(10**9), "sat1", BodyWatch())
     samples = poses.samples()
+    poses.review()
     assert [s.captured_at for s in samples] == pytest.approx([0.0, 0.01, 0.02, 0.03])
     assert [(s.x, s.y, s.theta) for s in samples] == [
         pytest.approx((p.x, p.y, p.theta)) for p in truth

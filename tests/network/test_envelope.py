@@ -118,3 +118,17 @@ def test_laws_on_one_computer_hear_each_other_a_tick_later():
     assert board.read("a") == {}
     board.tick = 3
     assert board.read("b") == {"a": Told(0.2, (2.0,))}
+
+
+def test_what_never_came_is_counted_and_how_long_the_newest_took():
+    out, box = Outbox(7), Inbox(open_anything, 7, 1.0)
+    messages = [out.seal(k, 0.1 * k, 10.0) for k in range(6)]
+    for k in (0, 1, 4, 5):
+        box.take(messages[k], 0.1 * k + 0.02)
+    assert box.missed == 2
+    assert box.delay == pytest.approx(0.02)
+    assert box.issued_at == pytest.approx(0.5)
+
+
+def open_anything(body):
+    return msgspec.msgpack.decode(body)

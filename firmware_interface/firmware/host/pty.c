@@ -2,8 +2,9 @@
  *
  *     pty CONFIG FIRMWARE_ID BOOT_NONCE LINK
  *
- * CONFIG is the limits record in hexadecimal; LINK becomes a symbolic link to the terminal. On
- * standard input, a line each, answered by "ok" on standard output:
+ * CONFIG is the limits record in hexadecimal; LINK becomes a symbolic link to the terminal. With
+ * fd:N for LINK there is no terminal: the line is the socket that was inherited as number N, whose
+ * bytes no thread of the kernel has to move. On standard input, a line each, answered by "ok" on standard output:
  *
  *     sense MV PA    what the sensors say from now on
  *     down           power fails: what is under way on the line is lost
@@ -38,7 +39,7 @@ typedef struct {
     bool powered;
     struct timespec power_on;
     int line; /* our end of the terminal */
-    int other; /* its other end, kept open so that reading never fails */
+    int other; /* its other end, kept open so that reading never fails; -1: the line is a socket */
     uint8_t unsent[ABT_FRAME_MAX];
     size_t unsent_count;
     char order[LINE_MAX_SIZE];
@@ -92,8 +93,14 @@ static void power_down(board *b)
     b->powered = false;
     b->identity.boot_nonce++;
     b->unsent_count = 0;
-    tcflush(b->other, TCIOFLUSH);
-    tcflush(b->line, TCIOFLUSH);
+    if (b->other >= 0) {
+        tcflush(b->other, TCIOFLUSH);
+        tcflush(b->line, TCIOFLUSH);
+        return;
+    }
+    uint8_t lost[256];
+    while (read(b->line, lost, sizeof lost) > 0) {
+    }
 }
 
 /* ---- Orders of the parent ----------------------------------------------------------------- */
@@ -142,6 +149,9 @@ static void hear_line(board *b)
 {
     uint8_t bytes[256];
     const ssize_t count = read(b->line, bytes, sizeof bytes);
+    if (count == 0 && b->other < 0) { /* whoever had the other end of the socket is gone */
+        ended = 1;
+    }
     if (count > 0 && b->powered &&
         abt_receive(&b->firmware, now_us(b), bytes, (size_t)count)) {
         run(b);
@@ -180,6 +190,15 @@ static void open_line(board *b)
     }
     cfmakeraw(&raw);
     tcsetattr(b->other, TCSANOW, &raw);
+}
+
+static void take_line(board *b, const char *number)
+{
+    b->line = (int)strtol(number, NULL, 10);
+    b->other = -1;
+    if (fcntl(b->line, F_SETFL, O_NONBLOCK)) {
+        die("no such line");
+    }
 }
 
 /* ---- Process ------------------------------------------------------------------------------ */
@@ -256,13 +275,21 @@ int main(int count, char **argument)
     b.identity.firmware_id = (uint32_t)strtoul(argument[2], NULL, 0);
     b.identity.boot_nonce = (uint32_t)strtoul(argument[3], NULL, 0);
     b.sensors = (abt_sensors){24000, 500000};
-    open_line(&b);
-    const char *terminal = ptsname(b.line);
-    make_link(terminal, argument[4]);
+    const bool inherited = strncmp(argument[4], "fd:", 3) == 0;
+    const char *terminal = NULL;
+    if (inherited) {
+        take_line(&b, argument[4] + 3);
+    } else {
+        open_line(&b);
+        terminal = ptsname(b.line);
+        make_link(terminal, argument[4]);
+    }
     power_up(&b, ABT_RESET_CAUSE_POWER_ON);
     puts("ok");
     fflush(stdout);
     serve(&b);
-    remove_link(terminal, argument[4]);
+    if (!inherited) {
+        remove_link(terminal, argument[4]);
+    }
     return 0;
 }

@@ -258,17 +258,14 @@ def decode_frame(payload: memoryview, version: Version) -> MocapFrame:
     Raises:
         NatNetError: the payload is none of this version.
     """
+    if version >= (4, 1):
+        return _decode_sized(payload)
     r = _Reader(payload, version)
     number = r.number()
     r.section(_marker_set)
     r.section(lambda r: r.skip(12))  # unlabelled markers
-    count = r.count()
-    if r.sized and r.number() != count * BODY.size:
-        raise NatNetError(f"{count} rigid bodies of another size")
-    bodies = tuple(_body(r.take(BODY)) for _ in range(count))
+    bodies = tuple(_body(r.take(BODY)) for _ in range(r.count()))
     r.section(_skeleton)
-    if r.sized:
-        r.section(_skeleton)  # assets; stepped over by size
     r.section(lambda r: r.skip(26))  # labelled markers
     r.section(_channels)  # force plates
     r.section(_channels)  # devices
@@ -276,6 +273,38 @@ def decode_frame(payload: memoryview, version: Version) -> MocapFrame:
     timestamp = r.take(_FLOAT)[0]
     exposed, received, sent = r.take(STAMPS)
     return MocapFrame(number, bodies, timestamp, exposed, received, sent)
+
+
+_SECTION = struct.Struct("<ii")  # how many, and in how many bytes
+_TAIL = struct.Struct("<8xdQQQ")  # time code, timestamp, stamps
+
+
+def _over(data: memoryview, at: int, sections: int) -> int:
+    """Where it goes on after so many sections that say how long they are."""
+    end = len(data)
+    for _ in range(sections):
+        count, size = _SECTION.unpack_from(data, at)
+        at += 8
+        if not (0 <= count <= end - at + 4 and 0 <= size <= end - at):
+            raise NatNetError(f"a section of {count} in {size} bytes at byte {at} of {end}")
+        at += size
+    return at
+
+
+def _decode_sized(data: memoryview) -> MocapFrame:
+    """A frame of 4.1 or later: what flies waits for this."""
+    try:
+        (number,) = _I32.unpack_from(data)
+        at = _over(data, 4, 2)  # marker sets, unlabelled markers
+        count, size = _SECTION.unpack_from(data, at)
+        first, at = at + 8, _over(data, at, 1)
+        if size != count * BODY.size:
+            raise NatNetError(f"{count} rigid bodies of another size")
+        bodies = tuple([_body(one) for one in BODY.iter_unpack(data[first:at])])
+        at = _over(data, at, 5)  # skeletons, assets, labelled markers, force plates, devices
+        return MocapFrame(number, bodies, *_TAIL.unpack_from(data, at))
+    except struct.error:
+        raise NatNetError(f"it ends at byte {len(data)}, in the middle") from None
 
 
 def _names(r: _Reader) -> None:

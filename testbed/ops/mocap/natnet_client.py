@@ -35,6 +35,9 @@ MOST = (
 )
 
 
+_FRAME = int(Packet.FRAME)
+
+
 class NatNetClient:
     """A `MocapSource`.
 
@@ -102,6 +105,10 @@ class NatNetClient:
 
     def _take(self, data: bytes, arrived_ns: int) -> Exposure | None:
         kind, payload = unpack(data)
+        if kind == _FRAME:
+            if self.info is None or not self.names:
+                return None
+            return self._expose(decode_frame(payload, self.info.version), arrived_ns)
         match kind:
             case Packet.SERVER_INFO:
                 self.info = decode_server_info(payload)
@@ -114,8 +121,6 @@ class NatNetClient:
                 if asked != self._asked:
                     raise NatNetError("an echo of nothing that was asked")
                 self.clock.exchanged(asked, self._ns(server), arrived_ns)
-            case Packet.FRAME if self.info and self.names:
-                return self._expose(decode_frame(payload, self.info.version), arrived_ns)
         return None
 
     def _ns(self, ticks: int) -> float:

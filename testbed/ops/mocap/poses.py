@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose, PoseSample
-from testbed.ops.mocap.exposure import Axes, MocapSource, Sighting
+from testbed.ops.mocap.exposure import Axes, Exposure, MocapSource, Sighting
 from testbed.ops.mocap.watch import BodyWatch
 from testbed.ops.ticking import WallClock
 
@@ -17,7 +17,9 @@ FARTHEST = 1e4  # [m] no camera sees so far
 class MocapPoses:
     """Poses of one vehicle, in W and in the run's time.
 
-    The watch sees all bodies, because a swap takes two.
+    Every tracked pose is handed on, believable or not: what to make of it is the fault table's
+    business, as on the twin. The watch only says what it looks like, for the log; it sees all
+    bodies, because a swap takes two.
     """
 
     def __init__(
@@ -30,7 +32,8 @@ class MocapPoses:
         self.latencies: deque[float] = deque(maxlen=1000)  # exposure to arrival [s]
         self.lost_frames = 0  # by their numbers
         self._number: int | None = None
-        self.implausible = 0  # exposures of another time, and poses that are no numbers
+        self.implausible = 0  # exposures of another time, and own poses that are no numbers
+        self._unseen: deque[tuple[float, Exposure]] = deque(maxlen=1000)
 
     def samples(self) -> Sequence[PoseSample]:
         """See `PoseSource`."""
@@ -44,21 +47,29 @@ class MocapPoses:
                 self.implausible += 1
                 continue
             t = self._clock.of(exposure.exposed_ns)
-            poses = {name: self._seen(sighting) for name, sighting in exposure.bodies.items()}
-            pose = self.watch.look(t, poses).get(self._body)
+            self._unseen.append((t, exposure))
             self.latencies.append(1e-9 * age)
+            seen = exposure.bodies.get(self._body)
+            pose = None if seen is None else self._seen(seen)
+            if seen is not None and seen.tracked and pose is None:
+                self.implausible += 1
             if pose is not None:
                 samples.append(PoseSample(t, pose.x, pose.y, pose.theta))
                 self.arrived_ns = exposure.arrived_ns
-        self.watch.pass_time(self._clock.now)
         return samples
+
+    def review(self) -> None:
+        """Look at all bodies, when the plan is out: it does not wait for that."""
+        while self._unseen:
+            t, exposure = self._unseen.popleft()
+            self.watch.look(t, {n: self._seen(seen) for n, seen in exposure.bodies.items()})
+        self.watch.pass_time(self._clock.now)
 
     def _seen(self, sighting: Sighting) -> Pose | None:
         """Where a body is, if that is known."""
         if not sighting.tracked:
             return None
         if not all(abs(x) < FARTHEST for x in (*sighting.position, *sighting.rotation)):
-            self.implausible += 1
             return None
         return self._axes.to_table(sighting)
 

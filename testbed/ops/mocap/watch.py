@@ -6,8 +6,7 @@
     jumped    it is somewhere it cannot have got to
     swapped   it jumped to where another body was, and the other one away from there
 
-Poses of a body in trouble are kept from the flight: without them its estimate gets older, and the
-gate closes the valves when it is too old.
+It names, for the log. The responses are those of the fault table, which has detectors of its own.
 """
 
 import math

@@ -74,8 +74,15 @@ class Inbox(Generic[M]):
         self._open, self._session, self._late_s = open_body, session, late_s
         self._seq = 0
         self.newest: M | None = None
-        self.valid_until = -float("inf")  # of the newest
+        self.valid_until = self.issued_at = -float("inf")  # of the newest
         self.counts = dict.fromkeys(Verdict, 0)
+        self.missed = 0  # messages that never came, by the numbers of those that did
+        self.delay: float | None = None  # of the newest, from issue to arrival [s]
+
+    @property
+    def foreign(self) -> int:
+        """Messages of another session so far."""
+        return self.counts[Verdict.FOREIGN]
 
     def take(self, data: bytes, arrived_at: float) -> Verdict:
         """Judge a message that came in at this time of the run."""
@@ -103,7 +110,11 @@ class Inbox(Generic[M]):
             message = self._open(head.body)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
             return Verdict.GARBLED
+        if self._seq:
+            self.missed += head.seq - self._seq - 1
+        self.delay = arrived_at - head.issued_at
         self._seq, self.newest, self.valid_until = head.seq, message, head.valid_until
+        self.issued_at = head.issued_at
         return Verdict.TAKEN
 
 

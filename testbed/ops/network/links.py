@@ -11,7 +11,7 @@ from testbed.core.types import Setpoint, State, Told
 from testbed.ops.network.envelope import Inbox, Outbox, open_setpoint, open_state, open_told
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.session import Ear, Mouth
-from testbed.ops.network.weather import Storm
+from testbed.ops.network.weather import Storm, calm
 from testbed.ops.ticking import WallClock
 
 M = TypeVar("M")
@@ -28,6 +28,7 @@ class Party(Struct, frozen=True):
     clock: WallClock
     seed: int
     name: str  # of the party: a vehicle, or "host"
+    worse: Callable[[], tuple[float, float]] = calm  # see `Storm`
 
     @property
     def keys(self) -> Keys:
@@ -39,7 +40,7 @@ class Heard(Generic[M]):
     """The newest message on a key."""
 
     def __init__(self, party: Party, key: str, open_body: Callable[[Any], M]) -> None:
-        storm = Storm(party.lab.weather, party.seed, f"{key} to {party.name}")
+        storm = Storm(party.lab.weather, party.seed, f"{key} to {party.name}", party.worse)
         self._ear = Ear(party.session, key, storm.arrival)
         self._clock = party.clock
         self.inbox: Inbox[M] = Inbox(open_body, party.run, party.lab.late_s)
@@ -80,6 +81,12 @@ class ZenohVehicleLink:
         self._states = {n: Heard(party, keys.of(n, "state"), open_state) for n in others}
         self._words = {n: Heard(party, keys.of(n, "told"), open_told) for n in others}
         self._state, self._told = (Said(party, keys.of(name, what)) for what in ("state", "told"))
+
+    @property
+    def foreign(self) -> int:
+        """Messages of another session so far."""
+        heard: list[Heard[Any]] = [self.heard, *self._states.values(), *self._words.values()]
+        return sum(one.inbox.foreign for one in heard)
 
     def setpoint(self) -> Setpoint | None:
         """See `VehicleLink`."""

@@ -1,8 +1,16 @@
 """What the parties say to each other besides states and setpoints."""
 
+from hashlib import sha256
+
+import msgspec
 from msgspec import Struct
 
 from testbed.core.types import Tick
+from testbed.flight.arming import Readiness
+
+
+class Look(Struct, frozen=True, tag=True):
+    """Say how you are. Answered by `Ready` or `Refused`."""
 
 
 class Start(Struct, frozen=True, tag=True):
@@ -18,7 +26,7 @@ class Stop(Struct, frozen=True, tag=True):
     reason: str
 
 
-Order = Start | Stop
+Order = Look | Start | Stop
 
 
 class Accepted(Struct, frozen=True, tag=True):
@@ -33,19 +41,48 @@ class Refused(Struct, frozen=True, tag=True):
     reason: str
 
 
-Answer = Accepted | Refused
+class Ready(Struct, frozen=True, tag=True):
+    """How a vehicle is that wants to be armed; what only the host knows is left at its default."""
+
+    readiness: Readiness
+    config: str  # see `config_id`
+
+
+Answer = Accepted | Ready | Refused
 
 
 class Permit(Struct, frozen=True):
-    """Go on flying, until the envelope's valid-until."""
+    """Go on flying, until the envelope's valid-until; and what a vehicle must know of the host."""
+
+    may_fire: bool = True  # the supervisor's word
+    fleet: str = ""  # a fault of another vehicle that stops all
+    config: str = ""  # see `config_id`
+    disk_free: float = 1e12  # where the log goes [bytes]
+
+
+def config_id(experiment: Struct) -> str:
+    """Tells one experiment from another: host and vehicles must have the same.
+
+    As it is after a journey: a whole number for a real one comes out as a real one.
+    """
+    text = msgspec.json.encode(experiment)
+    arrived = msgspec.json.encode(msgspec.json.decode(text, type=type(experiment)))
+    return sha256(arrived).hexdigest()[:16]
 
 
 class Pace(Struct, frozen=True, gc=False):
-    """How a tick kept its time."""
+    """How a tick kept its time, and how its wires are."""
 
     late_s: float  # the tick began so long after it was due
     # of the newest plan that has gone out: newest pose's arrival to its first frame
     pose_to_valve_s: float | None
+    setpoint_delay_s: float | None = None  # of the newest, from issue to arrival; None: none yet
+    setpoints_heard: int = 0  # so far
+    setpoints_lost: int = 0  # so far, by their numbers
+    refused: int = 0  # messages that were late, expired, foreign, ..., so far
+    round_trip_s: float | None = None  # of the newest question to the host
+    cameras: str = ""  # what is wrong with this vehicle's body, see `mocap.watch`
+    frames_lost: int = 0  # of the cameras, so far
 
 
 class Flown(Struct, frozen=True, gc=False):
@@ -54,6 +91,7 @@ class Flown(Struct, frozen=True, gc=False):
     k: int
     tick: Tick
     pace: Pace
+    edges: tuple[tuple[float, int], ...] = ()  # of the valves, as the board reports: t [s], mask
 
 
 class Counts(Struct, frozen=True):
@@ -74,3 +112,5 @@ class Ended(Struct, frozen=True):
     t: float  # [s]
     fault: str | None
     counts: Counts
+    rows: dict[str, float] = {}  # of the fault table that held at any time, and since when [s]
+    responses: dict[str, float] = {}  # that were in force, and since when [s]

@@ -1,0 +1,54 @@
+"""A long flight on the bench while other programs want the machine: how near the watchdog came.
+
+    python benchmarks/bench_long.py [EXPERIMENT] [KEY=VALUE ...] [--hogs N]
+
+Prints how the flight ended, lateness, and for each board the longest time without a word from the
+vehicle while it was armed; the watchdog bites at 150 ms, and a word is said every 20 ms.
+"""
+
+import argparse
+import subprocess
+import sys
+
+from testbed.bench.host import WireRig
+from testbed.config import find, load
+from testbed.ops.steady import steady
+from testbed.rig import Nobody, warm_up
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("experiment", nargs="?", default="zhang2023_table")
+    parser.add_argument("overrides", nargs="*")
+    parser.add_argument("--hogs", type=int, default=0)
+    args = parser.parse_intermixed_args()
+    experiment = load(find(args.experiment), args.overrides)
+    warm_up(experiment)
+    rig = WireRig(experiment, bench=True)
+    hogs = []
+
+    def started(rig):
+        words = [sys.executable, "-c", "while 1: pass"]
+        hogs.extend(subprocess.Popen(words) for _ in range(args.hogs))
+
+    rig.on_start = started
+    try:
+        with steady():
+            ending = rig.fly(Nobody())
+    finally:
+        for hog in hogs:
+            hog.kill()
+            hog.wait()
+    wires = rig.wires()
+    print(f"{experiment.name}, law on the {experiment.deploy.law}, {args.hogs} hogs: {ending}")
+    print(
+        f"lateness p99 {wires['lateness_p99_ms']:.1f} ms; longest silence of an armed board [ms]:"
+    )
+    if rig.report is not None:
+        print("  " + ", ".join(f"{n} {ms:.0f}" for n, ms in rig.report.silence_ms.items()))
+        print(f"  late edges {rig.report.late_edges}, contacts {rig.contacts}")
+    return int(ending.fault is not None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,67 @@
+"""A vehicle before its flight: it looks at itself, so that the host can ask how it is.
+
+A second flight chain, of the same build and never armed, is fed with poses and the board's reports
+from the first moment on; the one that will fly starts fresh, so that its log can be replayed.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from threading import Lock
+
+from firmware_interface.serial_thrusters import SerialThrusters
+from testbed.config import Experiment
+from testbed.core.types import Inputs, State, Vitals
+from testbed.flight.arming import Readiness
+from testbed.ops.mocap.exposure import MocapSource
+from testbed.ops.mocap.poses import MocapPoses
+from testbed.ops.mocap.watch import BodyWatch
+from testbed.ops.network.orders import Ready, Refused, config_id
+from testbed.ops.ticking import WallClock, monotonic_ns
+from testbed.rig import make_agent
+
+
+class Lookout:
+    """Looks whenever it is told that time has passed; `ready` may be asked from any thread."""
+
+    def __init__(
+        self, experiment: Experiment, name: str, source: MocapSource, thrusters: SerialThrusters
+    ) -> None:
+        self._clock = WallClock(monotonic_ns())
+        wire = experiment.table.lab.mocap
+        self._poses = MocapPoses(source, wire, self._clock, name, BodyWatch())
+        self._agent, self._thrusters = make_agent(experiment, name), thrusters
+        self._period = experiment.flight.jet_period_s
+        self._due = 0.0
+        self._seen: deque[float] = deque()  # of the poses of the last second [s]
+        self._state: State | None = None
+        self._looked_at = 0.0
+        self._config, self._lock = config_id(experiment), Lock()
+        self.clock_offset: Callable[[], float] = lambda: 0.0  # the host's minus the own [s]
+
+    def look(self) -> None:
+        """Time has passed."""
+        now = self._clock.now
+        if now < self._due:
+            return
+        self._due = now + self._period
+        samples = tuple(self._poses.samples())
+        health = self._thrusters.health()
+        step = self._agent.step(Inputs(now, False, samples, None, {}, health))
+        with self._lock:
+            self._seen += [sample.captured_at for sample in samples]
+            while self._seen and self._seen[0] < now - 1.0:
+                self._seen.popleft()
+            self._state, self._looked_at = step.state, now
+
+    def ready(self) -> Ready | Refused:
+        """How it is."""
+        with self._lock:
+            state, rate, at = self._state, float(len(self._seen)), self._looked_at
+        trouble = self._thrusters.trouble
+        if trouble is not None:
+            return Refused(trouble)
+        if not self._clock.now - at < 10.0 * self._period:
+            return Refused("it is busy with something else")
+        vitals = Vitals(clock_offset=self.clock_offset())
+        health, shut = self._thrusters.health(), self._thrusters.shut
+        return Ready(Readiness(at, state, rate, health, vitals, 0.0, shut, {}), self._config)

@@ -1,0 +1,222 @@
+"""`testbed drill --rig bench`: the catalogue over real wires, judged by what boards reported."""
+
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import msgspec
+import numpy as np
+import tomli_w
+from msgspec import Struct
+from msgspec.structs import replace
+from rich.console import Console
+from rich.progress import track
+
+from testbed.bench.server import TableReport
+from testbed.cli.drill import shipped, somewhere
+from testbed.config import dump
+from testbed.core.injection import Injection
+from testbed.flight.faults import SEVERITY
+from testbed.ops.drill import ADRIFT, DEAD_WITHIN, NAMES, Drilled, deadline, draw
+from testbed.ops.network.orders import Ended
+from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+from testbed.rig import warm_up
+
+EXPERIMENT = "zhang2023_table"
+COUNT = 72
+WHEN = (1.5, 4.0)  # [s]
+LASTS = 6.0  # [s] after an injection, if nothing ends the flight before
+LONGER = {"leak": 12.0, "stick_open": 10.0}
+TWIN_ONLY = ("stick_closed",)  # takes a flight of a minute to show itself
+# names that only wires can give; the others are those of the twin
+ON_THE_WAY: dict[str, tuple[str, ...]] = {
+    "drop_mocap": NAMES["drop_mocap"],
+    "brown_out": ("board_silent", "battery_low", "the serial line"),
+    "delay_link": (*NAMES["delay_link"], "operator_gone"),
+    "lose_link": (*NAMES["lose_link"], "operator_gone"),
+    "overrun": ("overrun", "watchdog"),
+    "clock_step": ("clock_off", "pose_stale", "pose_lost"),
+    "stop_process": NAMES["kill_process"],
+    "cut_serial": ("board_silent", "watchdog"),
+    "sag": ("supply_low", "supply_weak"),
+    "flat_battery": ("battery_low",),
+    "foreign_session": ("foreign",),
+    "kill_host": ("operator_gone", "link_late", "link_out", "link_lost"),
+    "stop_host": ("operator_gone", "link_late", "link_out", "link_lost"),
+}
+# whose own process or board cannot say or do anything more
+MUTE = ("kill_process", "stop_process", "cut_serial", "brown_out")
+GRACE_S = 180.0
+
+
+class Flown(Struct, frozen=True):
+    """What is left of a flight."""
+
+    epoch_ns: int
+    report: TableReport
+    ended: dict[str, Ended]
+    fault: str | None  # as the host saw it
+
+
+def kinds() -> list[Any]:
+    """What is rehearsed here."""
+    return [kind for kind in {**NAMES, **ON_THE_WAY} if kind not in TWIN_ONLY]
+
+
+def drill_wires(count: int, seed: int, console: Console) -> list[Drilled]:
+    """Fly them all, one after the other: a bench needs the machine for itself."""
+    warm_up(shipped(EXPERIMENT))  # compiles, before four processes do it at once
+    numbers = track(
+        range(count), "drilling", console=console, transient=True, disable=not console.is_terminal
+    )
+    cases = []
+    for number in numbers:
+        try:
+            cases.append(case(number, seed))
+        except DrillError as error:  # once more: a flight that does not begin rehearses nothing
+            console.print(f"case {number}: {error}", markup=False, soft_wrap=True)
+            cases.append(case(number, seed))
+        line = msgspec.json.encode(cases[-1]).decode()
+        console.print(f"{number}: {line}", markup=False, soft_wrap=True)
+    return cases
+
+
+def case(number: int, seed: int) -> Drilled:
+    """Case `number`: kinds take turns, the rest is drawn."""
+    rng = np.random.default_rng([seed, number])
+    catalogue = kinds()
+    kind = catalogue[number % len(catalogue)]
+    begun = somewhere(EXPERIMENT, rng)
+    jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
+    what = replace(
+        draw(kind, list(begun.vehicles), jets, rng), at_s=round(float(rng.uniform(*WHEN)), 3)
+    )
+    assert what.at_s is not None
+    experiment = replace(
+        begun, seed=int(rng.integers(2**31)), inject=[what],
+        duration_s=round(what.at_s + LONGER.get(kind, LASTS), 1),
+    )  # fmt: skip
+    with TemporaryDirectory(prefix="airbearing-drill-") as name:
+        folder = Path(name)
+        file = folder / "experiment.toml"
+        file.write_text(tomli_w.dumps(dump(experiment)), encoding="utf-8")
+        flown = fly(file, folder, list(experiment.vehicles), experiment.duration_s)
+    return judge(what, experiment.name, experiment.seed, list(experiment.vehicles), flown)
+
+
+class DrillError(Exception):
+    """A flight of the drill did not begin."""
+
+
+def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
+    """One flight, whatever becomes of its host."""
+    words = [sys.executable, "-m", "testbed.bench.rehearse", str(file), str(folder)]
+    host = subprocess.Popen(words, start_new_session=True, stderr=subprocess.PIPE)
+    start, report = folder / "start.json", folder / "report.json"
+    end = monotonic_ns() + round(1e9 * (duration_s + GRACE_S))
+    over = None
+    while monotonic_ns() < end and not report.exists():
+        sleep_until_ns(monotonic_ns() + 50_000_000)
+        if host.poll() is not None and not start.exists():
+            break
+        if start.exists() and over is None:
+            epoch_ns = msgspec.json.decode(start.read_bytes())[0]
+            over = epoch_ns + round(1e9 * (duration_s + 4.0))
+        if over is not None and monotonic_ns() > over:  # a host that is stopped ends nothing
+            with suppress(ProcessLookupError):
+                host.kill()
+    with suppress(subprocess.TimeoutExpired):
+        host.wait(20.0)
+    host.kill()
+    _, said = host.communicate()
+    if not report.exists() or not start.exists():
+        ending = folder / "ending.json"
+        told = ending.read_text() if ending.exists() else said.decode()[-2000:]
+        raise DrillError(f"the flight did not begin: {told}")
+    ended = {
+        name: msgspec.json.decode((folder / f"{name}.json").read_bytes(), type=Ended)
+        for name in names
+        if (folder / f"{name}.json").exists()
+    }
+    fault = None
+    if (folder / "ending.json").exists():
+        fault = msgspec.json.decode((folder / "ending.json").read_bytes())[0]["fault"]
+    return Flown(
+        msgspec.json.decode(start.read_bytes())[0],
+        msgspec.json.decode(report.read_bytes(), type=TableReport), ended, fault,
+    )  # fmt: skip
+
+
+def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: Flown) -> Drilled:
+    """What became of an injection."""
+    began, report = what.at_s or 0.0, flown.report
+    wanted = ON_THE_WAY.get(what.kind) or NAMES[what.kind]
+    right = [
+        (t, row) for one in flown.ended.values() for row, t in one.rows.items()
+        if row in wanted and t >= began
+    ]  # fmt: skip
+    faults = [flown.fault, *(one.fault for one in flown.ended.values())]
+    for fault in faults:
+        right += [(_said_at(flown, fault), w) for w in wanted if fault is not None and w in fault]
+    found, named = min(right, default=(None, ""))
+    shut, late, responses = 0.0, 0, set()
+    for name in names:
+        severest, since = "", began
+        if (one := flown.ended.get(name)) is not None:
+            told = [r for r, t in one.responses.items() if t >= began]
+            severest = max(told, default="", key=SEVERITY.__getitem__)
+            since = one.responses.get(severest, began)
+            responses.add(severest)
+        limit = since + deadline(severest)
+        if what.kind in MUTE and name == what.vehicle:
+            limit = began + DEAD_WITHIN
+        closed, open_after = _closing(report.edges[name], flown.epoch_ns, limit)
+        shut, late = max(shut, closed), late + open_after
+    offset = 1e-9 * ((report.released_ns or 0) - flown.epoch_ns)
+    touches = [touch for touch in report.touches if touch.t + offset >= began]
+    adrift = sum(
+        what.kind in (*ADRIFT, *MUTE) and what.vehicle in (touch.vehicle, touch.other)
+        for touch in touches
+    )
+    over = any(fault is not None for fault in faults)
+    early = sorted({o.fault for o in flown.ended.values() if o.fault and o.t < began})
+    return Drilled(
+        what.kind, experiment, what.vehicle, seed, began, named,
+        None if found is None else found - began,
+        max(responses, default="", key=SEVERITY.__getitem__),
+        shut - began if over else None, late, len(touches) - adrift, _travelled(flown, began),
+        next((fault for fault in faults if fault is not None), None), tuple(early), adrift,
+        dormant=False,
+    )  # fmt: skip
+
+
+def _said_at(flown: Flown, fault: str) -> float:
+    """When a vehicle's flight ended with these words [s]; the end of the run if it was the host."""
+    at = [one.t for one in flown.ended.values() if one.fault == fault]
+    return min(at, default=max((one.t for one in flown.ended.values()), default=0.0))
+
+
+def _closing(edges: list[tuple[int, int]], epoch_ns: int, limit: float) -> tuple[float, int]:
+    """When a board's last valve closed [s], and how many were open after the limit."""
+    closed, mask, late = 0.0, 0, 0
+    for at_us, new in edges:
+        t = 1e-9 * (1000 * at_us - epoch_ns)
+        if mask & ~new:
+            closed = t
+            if t > limit:
+                late |= mask & ~new
+        mask = new
+    return closed, (late | mask).bit_count()
+
+
+def _travelled(flown: Flown, began: float) -> float:
+    """The farthest that any vehicle got from where it was when it began [m]."""
+    report = flown.report
+    t = np.array(report.t) + 1e-9 * ((report.released_ns or 0) - flown.epoch_ns)
+    since = np.array(report.states)[t >= began, :, :2]
+    if len(since) == 0:
+        return 0.0
+    return float(np.hypot(*(since - since[0]).transpose(2, 0, 1)).max())

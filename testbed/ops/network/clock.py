@@ -1,0 +1,54 @@
+"""The host's clock during a flight: asked now and then, and nobody waits for the answer.
+
+What is said is how far the clocks are apart for certain: an answer that took long says less, and a
+slow network never looks like a clock that was set.
+"""
+
+from typing import Any
+
+import zenoh
+
+from testbed.ops.network.keys import Keys
+from testbed.ops.ticking import WallClock, monotonic_ns
+
+ASK_NS = 200_000_000  # between two questions
+
+
+class HostClock:
+    """Watches the host's clock against the vehicle's.
+
+    Args:
+        session: the network.
+        keys: of the lab.
+        clock: the run's, on this vehicle.
+        epoch_ns: the run's time 0 on the host's monotonic clock.
+    """
+
+    def __init__(self, session: zenoh.Session, keys: Keys, clock: WallClock, epoch_ns: int) -> None:
+        self._session, self._key = session, keys.clock
+        self._clock, self._epoch_ns = clock, epoch_ns
+        self._due = 0
+        self._off = 0.0
+        self.trip: float | None = None  # of the newest question and answer [s]
+
+    def off(self) -> float:
+        """The host's clock minus the own, as far as that is certain [s]; asks again, if due."""
+        now = monotonic_ns()
+        if now >= self._due:
+            self._due = now + ASK_NS
+            asked = self._clock.now
+
+            def answered(reply: Any) -> None:
+                if reply.ok is not None:
+                    self._take(asked, int.from_bytes(reply.ok.payload.to_bytes(), "little"))
+
+            answers = zenoh.handlers.Callback(answered, indirect=False)
+            self._session.get(self._key, answers, timeout=1.0)
+        return self._off
+
+    def _take(self, asked: float, host_ns: int) -> None:
+        now = self._clock.now
+        self.trip = now - asked
+        apart = 1e-9 * (host_ns - self._epoch_ns) - 0.5 * (asked + now)
+        sure = abs(apart) - 0.5 * self.trip
+        self._off = 0.0 if sure <= 0.0 else sure if apart > 0.0 else -sure

@@ -1,0 +1,28 @@
+"""The arming checks of a twin: what a lab's vehicles say of themselves, everybody knows here."""
+
+from collections.abc import Callable
+
+from sim_twin.twin import Twin
+from testbed.config import Experiment
+from testbed.core.types import Accel, Pose, State, Twist
+from testbed.flight.arming import Check, Expected, Readiness, arming_checks
+
+
+def twin_checks(
+    experiment: Experiment, twin: Twin, expected: Callable[[str], Expected]
+) -> list[Check]:
+    """All of all vehicles, as they stand at time 0; the link is as it is."""
+    still = Accel(0.0, 0.0, 0.0)
+    states = {
+        name: State(0.0, Pose(*row[:3]), Twist(*row[3:]), still, 0.0, 0)
+        for name, row in zip(twin.names, twin.plant.x.tolist(), strict=True)
+    }
+    found: list[Check] = []
+    for name, state in states.items():
+        others = {other: one for other, one in states.items() if other != name}
+        ready = Readiness(
+            0.0, state, experiment.table.mocap.rate_hz, twin.health(name), twin.vitals(name),
+            0.0, True, others,
+        )  # fmt: skip
+        found += arming_checks(ready, expected(name), experiment.arming)
+    return found

@@ -1,0 +1,82 @@
+"""A run on wires is armed by its supervisor, or it is said why not."""
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from testbed.cli.main import BAD_INPUT, FAULT, NOT_STARTED, main
+from testbed.ops.latch import KILLED, Latch
+from testbed.ops.logbook import Logbook
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*words):
+    return CliRunner().invoke(main, ["run", "hold", *words])
+
+
+def phases(out):
+    book = Logbook(Path(out) / "log.mcap")
+    return [json.loads(data)["phase"] for topic, _, data in book.read() if topic == "/supervisor"]
+
+
+def metrics(out):
+    return json.loads((Path(out) / "metrics.json").read_text())
+
+
+def test_a_red_check_is_named_and_nothing_is_armed():
+    done = run("--rig", "bench", "arming.battery=13", "arming.clearance=1", "--out", "out")
+    assert done.exit_code == NOT_STARTED
+    assert "red: sat1 battery: 12.0 V" in done.output
+    assert metrics("out")["red"] == ["sat1 battery: 12.0 V"]
+    assert metrics("out")["phase"] == "DISARMED"
+    assert Latch("bench", "lab", "").fault is None  # no valve could open
+
+
+def test_after_a_fault_somebody_has_to_look():
+    first = run("--rig", "bench", "duration_s=3", "faults.battery_low.below=12.5", "--out", "one")
+    assert first.exit_code == FAULT
+    assert phases("one") == ["ARMED", "RUNNING", "FAULT"]
+    assert "battery_low" in Latch("bench", "lab", "").fault
+
+    again = run("--rig", "bench", "duration_s=1", "--out", "two")
+    assert again.exit_code == BAD_INPUT
+    assert "battery_low" in again.output
+    assert "--reset" in again.output
+    assert not (Path("two") / "metrics.json").exists()
+
+    looked = run("--rig", "bench", "duration_s=1", "--reset", "--out", "three")
+    assert looked.exit_code != FAULT
+    assert phases("three") == ["DISARMED", "ARMED", "RUNNING", "STOPPED"]
+    assert Latch("bench", "lab", "").fault is None
+
+
+def test_on_the_table_somebody_has_to_be_there():
+    done = run("--rig", "table", "--out", "out")
+    assert done.exit_code == BAD_INPUT
+    assert "--arm" in done.output
+    assert not Path("out").exists()
+
+
+def test_a_host_that_was_killed_is_a_fault_too():
+    Latch("table", "lab", "runs/yesterday").set()
+    done = run("--rig", "table", "--arm", "--out", "out")
+    assert done.exit_code == BAD_INPUT
+    assert KILLED in " ".join(done.output.split())
+
+
+def test_on_the_twin_the_same_checks_are_asked():
+    done = run("arming.battery=13", "--out", "out")
+    assert done.exit_code == NOT_STARTED
+    assert "red: sat1 battery: 12.0 V" in done.output
+    assert phases("out") == []

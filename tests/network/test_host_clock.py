@@ -1,0 +1,71 @@
+"""The host's clock is watched, and a slow network never looks like a clock that was set."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from testbed.ops.network.clock import HostClock
+from testbed.ops.network.keys import Keys
+
+
+class Network:
+    """Answers in hand: the host's clock is `ahead` [s], the way takes `there` and `back` [s]."""
+
+    def __init__(self):
+        self.t, self.ahead, self.there, self.back = 1.0, 0.0, 0.0, 0.0
+        self.asked = []
+
+    @property
+    def now(self):
+        return self.t
+
+    def get(self, key, answers, timeout):
+        self.asked.append(key)
+        self.t += self.there
+        stamp = round(1e9 * (self.t + self.ahead)).to_bytes(8, "little")
+        self.t += self.back
+        answers.callback(SimpleNamespace(ok=SimpleNamespace(payload=Payload(stamp))))
+
+
+class Payload:
+    def __init__(self, data):
+        self._data = data
+
+    def to_bytes(self):
+        return self._data
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    network = Network()
+    clock = HostClock(network, Keys("lab"), network, 0)
+    ticks = iter(range(0, 10**12, 10**9))  # each look is late enough to ask again
+    monkeypatch.setattr("testbed.ops.network.clock.monotonic_ns", lambda: next(ticks) + 10**9)
+    monkeypatch.setattr(
+        "testbed.ops.network.clock.zenoh.handlers.Callback",
+        lambda call, indirect: SimpleNamespace(callback=call),
+    )
+    return network, clock
+
+
+def test_clocks_that_agree(watched):
+    network, clock = watched
+    network.there = network.back = 0.001
+    assert clock.off() == 0.0
+    assert clock.trip == pytest.approx(0.002)
+    assert network.asked == ["lab/host/clock"]
+
+
+@pytest.mark.parametrize("ahead", [0.05, -0.05])
+def test_a_clock_that_was_set_is_seen(watched, ahead):
+    network, clock = watched
+    network.there = network.back = 0.001
+    network.ahead = ahead
+    assert clock.off() == pytest.approx(ahead, abs=0.0011)
+
+
+@pytest.mark.parametrize(("there", "back"), [(0.3, 0.0), (0.0, 0.3), (0.15, 0.15)])
+def test_a_slow_network_is_no_clock_that_was_set(watched, there, back):
+    network, clock = watched
+    network.there, network.back = there, back
+    assert clock.off() == pytest.approx(0.0, abs=1e-9)
