@@ -18,6 +18,9 @@ from testbed.core.types import Health, Setpoint, State, ValveCommand, Wrench
 from testbed.core.vehicle import NonNegative, Positive
 
 EARLY = 1e-3  # a pose may seem to come from the future by so much: clocks are read twice [s]
+# so far ahead a plan may be dated: a clock that was set back by less is the fault table's to name,
+# and the plan is played from when it arrives
+AHEAD = 0.05  # [s]
 
 
 class GateParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -130,7 +133,7 @@ def refuse_plan(command: ValveCommand, now: float, newest: int, longest: float) 
     life = command.valid_until - command.issued_at
     if not 0.0 < life <= longest + EARLY:
         return f"a plan of {life:.3f} s (limit {longest} s)"
-    if not command.issued_at <= now + EARLY:
+    if not command.issued_at <= now + AHEAD:
         return "a plan from the future"
     if not now < command.valid_until:
         return "a plan that has expired"

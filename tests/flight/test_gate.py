@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.core.types import Demand, Health, Pose, Twist, ValveCommand, Wrench
-from testbed.flight.gate import EARLY, Fence, Gate, GateParams, closed, refuse_plan
+from testbed.flight.gate import AHEAD, EARLY, Fence, Gate, GateParams, closed, refuse_plan
 
 PARAMS = GateParams(
     pose_timeout_s=0.5,
@@ -217,7 +217,7 @@ def test_an_unusual_gate_is_asked_for():
         pose_timeout_s=0.5, blind_s=4.0, link_timeout_s=2.0, max_rejected=30, max_speed=0.6,
         max_spin=1.5, fence_margin=0.0,
     )  # fmt: skip
-    assert EARLY == 1e-3
+    assert (EARLY, AHEAD) == (1e-3, 0.05)
 
 
 # Sessions
@@ -283,8 +283,8 @@ PLAN = ValveCommand(8, NOW, NOW + 0.1, (5000, 0, 100_000), (10_000, 0, 0))
     ("change", "now", "newest", "reason"),
     [
         ({}, NOW, 7, OK),
-        ({}, NOW - EARLY / 2, 7, OK),
-        ({}, NOW - 2 * EARLY, 7, "from the future"),
+        ({}, NOW - AHEAD / 2, 7, OK),
+        ({}, NOW - 2 * AHEAD, 7, "from the future"),
         ({}, math.nextafter(NOW + 0.1, 0.0), 7, OK),
         ({}, NOW + 0.1, 7, "expired"),
         ({}, math.nan, 7, "from the future"),
@@ -318,8 +318,8 @@ LONGEST, WHOLE = 0.1, 100_001  # [s], [us]: a pulse may be one longer, for round
         (0.0, up(LONGEST + EARLY), 0.0, "a plan of 0.101 s"),
         (0.0, 5e-324, 0.0, OK),
         (0.0, 0.0, -1.0, "a plan of 0.000 s"),
-        (EARLY, 0.05, 0.0, OK),
-        (up(EARLY), 0.05, 0.0, "from the future"),
+        (AHEAD, 0.1, 0.0, OK),
+        (up(AHEAD), 0.1, 0.0, "from the future"),
     ],
 )
 def test_the_times_of_a_plan_to_the_last_bit(issued_at, valid_until, now, reason):

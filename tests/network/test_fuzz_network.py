@@ -9,6 +9,7 @@ import socket
 import struct
 import tracemalloc
 from contextlib import suppress
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -16,7 +17,7 @@ import psutil
 import pytest
 
 from testbed.bench.flight import newest_truth
-from testbed.bench.vehicle import Tower
+from testbed.bench.tower import Tower
 from testbed.config import find, load
 from testbed.core.types import (
     Accel,
@@ -45,10 +46,12 @@ from testbed.ops.network.envelope import (
     open_told,
 )
 from testbed.ops.network.keys import Keys
-from testbed.ops.network.orders import Counts, Ended, Order, Permit, Start, Stop
+from testbed.ops.network.orders import Counts, Ended, Order, Permit, Refused, Start, Stop
 from testbed.ops.network.session import LARGEST, NetworkError, answer_to, ask, dial, listen
 from testbed.ops.ticking import monotonic_ns
 from testbed.rig import make_agent
+
+BLIND = SimpleNamespace(ready=lambda: Refused("sees nothing"))  # a lookout
 
 COUNT = int(os.environ.get("ABT_FUZZ", "9000")) // 3
 ROUND = int(os.environ.get("ABT_ROUND", "0"))
@@ -241,7 +244,7 @@ def test_orders():
     rng = np.random.default_rng((ROUND, 1))
     now = monotonic_ns()
     whole = [pack(Start(7, now)), pack(Stop("enough"))]
-    tower = Tower(NoSession(), Keys("lab"), "sat1", "a board", lambda ns: ns)
+    tower = Tower(NoSession(), Keys("lab"), "sat1", "a board", BLIND, lambda ns: ns)
     fed = answered = 0
 
     def feed():
@@ -263,7 +266,7 @@ def test_orders():
 
 @pytest.mark.parametrize("ahead_s", [-2.0, 31.0, 1e9, -1e9])
 def test_an_order_to_start_at_another_time_is_refused(ahead_s):
-    tower = Tower(NoSession(), Keys("lab"), "sat1", "a board", lambda ns: ns)
+    tower = Tower(NoSession(), Keys("lab"), "sat1", "a board", BLIND, lambda ns: ns)
     when = max(0, monotonic_ns() + round(1e9 * ahead_s))
     assert b"expected 0 to 30 s" in tower._order(pack(Start(7, when)))
     assert tower.starts.empty()

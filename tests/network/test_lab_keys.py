@@ -12,13 +12,14 @@ import threading
 import tomllib
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
 import zenoh
 from click.testing import CliRunner
 
-from testbed.bench.vehicle import Tower
+from testbed.bench.tower import Tower
 from testbed.cli.keys import lab_keys
 from testbed.config import ConfigError, find, load
 from testbed.core.lab import Network
@@ -27,7 +28,7 @@ from testbed.ops.authority import Wanted, make_keys
 from testbed.ops.network.access import ACCESS, control, open_lab, read_access
 from testbed.ops.network.badge import BadgeError, is_local, read_badge
 from testbed.ops.network.keys import Keys
-from testbed.ops.network.orders import Accepted, Answer, Start, Stop
+from testbed.ops.network.orders import Accepted, Answer, Refused, Start, Stop
 from testbed.ops.network.session import (
     Ear,
     Mouth,
@@ -39,6 +40,8 @@ from testbed.ops.network.session import (
     listen,
 )
 from testbed.ops.stop import FAILED, OK, noted, stop_everything
+
+BLIND = SimpleNamespace(ready=lambda: Refused("sees nothing"))  # a lookout
 
 KEYS = Keys("lab")
 VEHICLES = ["sat1", "sat2"]
@@ -84,7 +87,7 @@ class Told:
     """What a vehicle has been told to do."""
 
     def __init__(self, session, name):
-        self.tower = Tower(session, KEYS, name, "a board")
+        self.tower = Tower(session, KEYS, name, "a board", BLIND)
         self.shut = 0
         self.tower.take_off(self.close)
         self.setpoints = Ear(session, KEYS.of(name, "setpoint"))
