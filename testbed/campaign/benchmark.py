@@ -193,7 +193,7 @@ fly it on a table.
 
 `pd`, `smc` and `sotsmc` fly a reference model that the vehicle tracks; `_wrench` closes the loop
 through the law itself. `pd` does not know of obstacles: it is there to be seen colliding in
-`crossing`.
+`crossing`, which is flown without the safety filter.
 """
 
 
