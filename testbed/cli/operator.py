@@ -47,6 +47,9 @@ class Operator:
     def latched(self, rig: str, experiment: Experiment, folder: str) -> tuple[Latch, str | None]:
         """The lab's latch, and the fault in it that the operator wants to be reset.
 
+        On the bench it is said and reset: the vehicles are put back to their starts, and nobody is
+        there who could look.
+
         Raises:
             ConfigError: nobody has looked at it.
         """
@@ -55,6 +58,9 @@ class Operator:
         if fault is None or self._reset:
             return latch, fault
         errors.print(f"latched: {fault}", style="red", markup=False, soft_wrap=True)
+        if rig != "table":
+            errors.print("on the table it would take --reset", style="yellow")
+            return latch, fault
         if not self._says_yes("Have you looked at every vehicle, and may the fault be reset?"):
             expected = "somebody who has looked at the vehicles and says so, or --reset"
             raise ConfigError("the run before", "--reset", expected, fault)
