@@ -101,7 +101,7 @@ def test_a_typo_in_a_key(override: str, meant: str) -> None:
 def test_a_key_far_from_any() -> None:
     message = refused("hold", ["foo=1"])
     assert message.key == "foo"
-    assert message.expected.startswith("one of: board, controller, criteria, ")
+    assert message.expected.startswith("one of: arming, board, controller, ")
     assert message.found == "unknown key `foo`"
 
 

@@ -1,15 +1,13 @@
 """OptiTrack's NatNet on the wire, 3.0 to 4.1: bytes to frames and back. No socket, no clock.
 
-Source: the layout that OptiTrack publishes for direct depacketization (NatNet SDK, "NatNet: Data
-Types" and "NatNet: Direct Depacketization Sample"). Little endian throughout.
+Source: NatNet SDK, "NatNet: Data Types" and "NatNet: Direct Depacketization Sample". Little endian.
 
     packet   u16 id, u16 size of what follows
     frame    number; then a count of each kind of data and the data: marker sets, unlabelled
              markers, rigid bodies, skeletons, [4.1: assets], labelled markers, force plates,
              devices; then time stamps. From 4.1 a byte size follows every count.
 
-Only rigid bodies are kept. What else a frame carries is stepped over, so that a lab may stream
-whatever it likes besides.
+Only rigid bodies are kept; what else a frame carries is stepped over.
 """
 
 import struct
