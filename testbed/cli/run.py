@@ -171,6 +171,7 @@ class Watcher:
         """Log what boards, wires and the supervisor have said since they were asked last."""
         for name, valves in self._rig.valves(since=self._seen):
             self._record(f"/{name}/valves", max(0.0, valves.t), valves)
+        self._seen = self._rig.now
         for name, at, wires in self._rig.paces():
             self._record(f"/{name}/pace", at, wires)
         events = self._rig.supervisor.events

@@ -18,8 +18,10 @@ def test_topics_rates_and_gaps(testbed):
     assert result.exit_code == 0
     contents = json.loads(result.stdout)
     assert contents["finished"] is True
-    assert [t["topic"] for t in contents["topics"]] == ["/sat1/host", "/sat1/tick", "/truth"]
-    for topic in contents["topics"]:
+    topics = {t["topic"]: t for t in contents["topics"]}
+    assert list(topics) == ["/sat1/host", "/sat1/tick", "/supervisor", "/truth"]
+    assert topics.pop("/supervisor")["messages"] == 3  # armed, running, stopped
+    for topic in topics.values():
         assert (topic["messages"], topic["gaps"]) == (20, 0)
         assert topic["rate_hz"] == pytest.approx(10.0)
     words = testbed("log", "out/log.mcap").stdout
@@ -39,7 +41,9 @@ def test_export_writes_files_and_never_over_others(testbed):
     result = testbed("export", "out", "--to", "csv")
     assert result.exit_code == 0
     paths = [Path(line) for line in result.stdout.split()]
-    assert [p.name for p in paths] == ["sat1_tick.csv", "sat1_host.csv", "truth.csv"]
+    assert [p.name for p in paths] == [
+        "sat1_tick.csv", "sat1_host.csv", "truth.csv", "supervisor.csv",
+    ]  # fmt: skip
     assert all(p.parent == Path("out/export") and p.stat().st_size > 0 for p in paths)
     assert testbed("export", "out", "--to", "csv").exit_code == 2
     assert testbed("export", "out", "--to", "csv", "--out", "elsewhere").exit_code == 0

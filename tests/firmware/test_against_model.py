@@ -54,15 +54,13 @@ def test_same_edges_on_random_plans(new_host, seed):
     rng = np.random.default_rng(seed)
     host = new_host(board={"clock_us": int(rng.integers(0, 1 << 32))}, **FREE)
     pulses, seen = no_pulses(8), [{} for _ in range(8)]
-    scale = np.array([1000])
     for number in range(100):
         on, offset, ttl = plan(rng, host.limits)
         start = host.board.now_us
         host.plan(number, dict(enumerate(on)), dict(enumerate(offset)), ttl)
         play(
-            pulses, start * 1000, (start + ttl) * 1000, np.array(on) * scale,
-            np.array(offset) * scale, host.limits.min_on_us * 1000,
-            host.limits.min_off_us * 1000, np.ones(8),
+            pulses, 1e-6 * start, 1e-6 * (start + ttl), 0, np.array([*on, *offset]),
+            host.limits.min_on_us * 1000, host.limits.min_off_us * 1000, 0.0, np.zeros(8),
         )  # fmt: skip
         wait = int(rng.choice([100_000, ttl, rng.integers(1, 150_000), max(on), min(offset)]))
         host.wait(max(1, wait))
