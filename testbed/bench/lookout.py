@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Callable
 from threading import Lock
 
+from msgspec.structs import replace
+
 from firmware_interface.serial_thrusters import SerialThrusters
 from testbed.config import Experiment
 from testbed.core.types import Inputs, State, Vitals
