@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from testbed.core.types import Inputs, PoseSample, Setpoint, State, Trajectory, Wrench
 from testbed.core.vehicle import Vehicle
 from testbed.flight.evidence import Evidence
+from testbed.flight.gate import is_number
 
 SAME_PLACE = 0.15  # [m] a pose so near to where another vehicle should be is that one's
 TRUSTED_AGE = 0.1  # [s]
@@ -66,11 +67,6 @@ def whose(
 def due_at(setpoint: Setpoint) -> float:
     """The instant that a setpoint begins to be for [s]."""
     return setpoint.references[0].t if isinstance(setpoint, Trajectory) else setpoint.t
-
-
-def is_number(*values: float) -> bool:
-    """Whether all values are finite and of a size that means something."""
-    return math.hypot(*values) < 1e9  # false for nan and inf
 
 
 class Detectors:

@@ -46,7 +46,8 @@ class Fence(Struct, frozen=True):
     half_y: float  # [m]
 
 
-def _finite(*values: float) -> bool:
+def is_number(*values: float) -> bool:
+    """Whether all values are finite and of a size that means something."""
     return math.hypot(*values) < 1e9  # false for nan and inf
 
 
@@ -86,7 +87,7 @@ class Gate:
         if setpoint is None and not braking:
             return "no setpoint yet"
         self._fault = self._trouble(t, state, None if braking else setpoint, wanted)
-        if self._fault is None and not _finite(health.supply_pressure):
+        if self._fault is None and not is_number(health.supply_pressure):
             self._fault = "supply pressure is not a number"
         return self._fault
 
@@ -102,9 +103,9 @@ class Gate:
         pose_timeout = (
             p.pose_timeout_s if setpoint is not None else max(p.blind_s, p.pose_timeout_s)
         )
-        if not _finite(pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega):
+        if not is_number(pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega):
             return "estimate is not a number"
-        if not _finite(wanted.fx, wanted.fy, wanted.tau):
+        if not is_number(wanted.fx, wanted.fy, wanted.tau):
             return "law or tracker asks for something that is not a number"
         if not -EARLY < state.pose_age <= pose_timeout:
             return f"no pose for {state.pose_age:.2f} s (limit {pose_timeout} s)"
