@@ -218,18 +218,13 @@ def maker(
     """What builds this rig."""
     if rig == "twin":
         return make_twin
-    from testbed.bench.host import WireRig
+    from testbed.bench.host import WireRig, anybody
 
     latch, latched = operator.latched(rig, experiment, str(folder))
     return lambda experiment: WireRig(
         experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched,
         agree=operator.agree if rig == "table" else anybody,
     )  # fmt: skip
-
-
-def anybody(names: Sequence[str]) -> bool:
-    """An operator who is not asked: where nobody can be hurt."""
-    return True
 
 
 def fly_and_judge(
