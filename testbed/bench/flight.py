@@ -199,7 +199,7 @@ class HostFlight:
                 clock, nodes, hosts, period, experiment.ticks, self,
                 stopped=lambda: stopped() or self._stopped,
             )  # fmt: skip
-        if ending.t < experiment.ticks * period:
+        if ending.t < experiment.end_s:
             self._stop_all(ending.fault or "the host has ended the flight")
         self._await_ends()
         self._book.note_host(

@@ -146,8 +146,8 @@ class WireRig(Findings):
 
     def _close(self, ending: Ending) -> None:
         """The flight is over, and the latch says how."""
-        planned = self.experiment.ticks * self.experiment.flight.jet_period_s
-        self.supervisor.close(ending.t, ending.fault, flown=ending.t >= planned)
+        flown = ending.t >= self.experiment.end_s
+        self.supervisor.close(ending.t, ending.fault, flown=flown)
         if self._latch is None or not self._ran:
             return
         if self.supervisor.fault is not None:

@@ -265,8 +265,7 @@ def fly_and_judge(
                     raise RecorderError(watcher.trouble)
     except RecorderError as error:
         ending = Ending(rig.now, f"log: {error}")
-    planned = experiment.ticks * experiment.flight.jet_period_s
-    completed = ending.fault is None and ending.t >= planned
+    completed = ending.fault is None and ending.t >= experiment.end_s
     return measure(rig, outputs, ending, wall, completed=completed)
 
 

@@ -61,3 +61,8 @@ class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
     def ticks(self) -> int:
         """Jet periods in the run."""
         return max(1, round(self.duration_s / self.flight.jet_period_s))
+
+    @property
+    def end_s(self) -> float:
+        """When the run is over, in whole jet periods [s]."""
+        return self.ticks * self.flight.jet_period_s
