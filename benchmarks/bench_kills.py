@@ -48,7 +48,8 @@ from pathlib import Path
 from testbed.bench.flight import PERMIT_S
 from testbed.bench.host import WireRig
 from testbed.config import find, load
-from testbed.rig import Nobody, warm_up
+from testbed.rig.interface import Nobody
+from testbed.rig.twin import warm_up
 
 class Told(Nobody):
     def host(self, name, tick):

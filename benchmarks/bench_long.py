@@ -13,7 +13,8 @@ import sys
 from testbed.bench.host import WireRig
 from testbed.config import find, load
 from testbed.ops.steady import steady
-from testbed.rig import Nobody, warm_up
+from testbed.rig.interface import Nobody
+from testbed.rig.twin import warm_up
 
 
 def main():

@@ -16,7 +16,8 @@ from pathlib import Path
 import tomli_w
 
 from testbed.config import dump, find, load
-from testbed.rig import Nobody, make_twin
+from testbed.rig.interface import Nobody
+from testbed.rig.twin import make_twin
 
 SPACING, STEP, RANGE, RIM = 2.0, 0.5, 2.5, 1.5  # [m]
 

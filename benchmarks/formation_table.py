@@ -19,7 +19,7 @@ import numpy as np
 from controllers.graph import formation
 from testbed.config import find, load
 from testbed.ops.metrics import obstacle_distances
-from testbed.rig import make_twin
+from testbed.rig.twin import make_twin
 
 TOLERANCES = (0.05, 0.08)  # [m]
 NAMES = (

@@ -20,7 +20,7 @@ from controllers.bifurcating_design import distance_to
 from testbed.config import find, load
 from testbed.core.types import HostTick, Tick
 from testbed.ops.metrics import Track, smallest_separation
-from testbed.rig import make_twin
+from testbed.rig.twin import make_twin
 
 FORMED = 0.10  # [m]
 END = 5.0  # of a phase, that counts [s]

@@ -66,7 +66,8 @@ from testbed.ops.mocap.poses import MocapPoses
 from testbed.ops.mocap.watch import BodyWatch
 from testbed.ops.steady import preferred, steady
 from testbed.ops.ticking import WallClock, monotonic_ns
-from testbed.rig import make_agent, warm_up
+from testbed.rig.chain import make_agent
+from testbed.rig.twin import warm_up
 name, port, command, words = sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.argv[4:]
 experiment = load(find("zhang2023_table"), words)
 warm_up(experiment)

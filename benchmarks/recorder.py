@@ -49,7 +49,7 @@ def messages(path: Path, seconds: float) -> Messages:
     """Of a flight on the twin; kept in a file, so that it is flown once."""
     if not path.exists():
         from testbed.config import find, load
-        from testbed.rig import make_twin
+        from testbed.rig.twin import make_twin
 
         keeper = Keeper()
         make_twin(load(find("hold"), [f"duration_s={seconds}"])).fly(keeper)

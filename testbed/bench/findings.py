@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from testbed.bench.server import TableReport
-from testbed.boards import Valves
 from testbed.config import Experiment
 from testbed.core.law import Concern
 from testbed.ops.metrics import Commands, Spent, Track
 from testbed.ops.network.envelope import Verdict
 from testbed.ops.network.orders import Ended, Flown, Pace
 from testbed.ops.ticking import WallClock
+from testbed.rig.boards import Valves
 
 
 class Findings:

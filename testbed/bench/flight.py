@@ -32,7 +32,7 @@ from testbed.ops.network.orders import Ended, Flown, Permit, Stop, config_id
 from testbed.ops.network.session import Ear, Mouth, NetworkError, on_word
 from testbed.ops.steady import preferred
 from testbed.ops.ticking import monotonic_ns, sleep_until_ns
-from testbed.rig import make_guidance
+from testbed.rig.chain import make_guidance
 
 PRIORITY = 10  # below the vehicles: they hold the valves
 PERMIT_S = 1.0  # a permit is good for as long as the operator may be gone

@@ -23,7 +23,6 @@ from testbed.bench.flight import HostFlight
 from testbed.bench.preflight import Preflight, order
 from testbed.bench.rehearsal import OF_PROCESSES
 from testbed.bench.server import TableReport
-from testbed.boards import LOCKSTEP
 from testbed.config import ConfigError, Experiment, dump
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Answer, Request, Supervisor
@@ -37,7 +36,8 @@ from testbed.ops.network.orders import Accepted, Refused, Start, Stop
 from testbed.ops.network.session import Ear, NetworkError, answer_to
 from testbed.ops.stop import noted
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
-from testbed.rig import not_armed
+from testbed.rig.boards import LOCKSTEP
+from testbed.rig.interface import not_armed
 
 READY_S = 180.0  # for vehicles to get ready; the first start compiles
 GREEN_S = 10.0  # for checks to become green: the cameras' rate is counted over a second

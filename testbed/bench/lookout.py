@@ -19,7 +19,7 @@ from testbed.ops.mocap.poses import MocapPoses
 from testbed.ops.mocap.watch import BodyWatch
 from testbed.ops.network.orders import Ready, Refused, config_id
 from testbed.ops.ticking import WallClock, monotonic_ns
-from testbed.rig import make_agent
+from testbed.rig.chain import make_agent
 
 
 class Lookout:

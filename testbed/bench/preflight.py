@@ -12,7 +12,7 @@ from testbed.ops.network.keys import Keys
 from testbed.ops.network.orders import Answer, Look, Order, Ready, Refused, config_id
 from testbed.ops.network.session import NetworkError, ask
 from testbed.ops.ticking import monotonic_ns
-from testbed.rig import expected_of
+from testbed.rig.chain import expected_of
 
 
 def order(session: zenoh.Session, keys: Keys, name: str, what: Order) -> Answer:

@@ -15,7 +15,8 @@ import msgspec
 from testbed.bench.host import WireRig
 from testbed.config import load
 from testbed.ops.steady import steady
-from testbed.rig import Nobody, warm_up
+from testbed.rig.interface import Nobody
+from testbed.rig.twin import warm_up
 
 
 def main() -> int:

@@ -51,7 +51,8 @@ from testbed.ops.offset import Offset
 from testbed.ops.port_gate import PortGate
 from testbed.ops.steady import preferred, steady
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
-from testbed.rig import make_agent, warm_up
+from testbed.rig.chain import make_agent
+from testbed.rig.twin import warm_up
 
 PRIORITY = 20
 READINGS = 16  # of the host's clock before a flight

@@ -23,7 +23,8 @@ from testbed.ops.admission import (
     nearest_rims,
 )
 from testbed.ops.metrics import obstacle_distances
-from testbed.rig import fence_of, make_twin
+from testbed.rig.chain import fence_of
+from testbed.rig.twin import make_twin
 
 
 class Nobody:

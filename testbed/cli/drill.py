@@ -33,7 +33,8 @@ from testbed.ops.drill import (
     draw,
     summarise,
 )
-from testbed.rig import TwinRig, fence_of, make_twin
+from testbed.rig.chain import fence_of
+from testbed.rig.twin import TwinRig, make_twin
 
 EXPERIMENTS = ("zhang2023_table", "zhang2023_table_wrench")
 AFTERWARDS = 5.0  # [s] contacts are looked for so long after the last valve is shut

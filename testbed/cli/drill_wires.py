@@ -23,7 +23,7 @@ from testbed.flight.faults import SEVERITY
 from testbed.ops.drill import ADRIFT, DEAD_WITHIN, NAMES, Drilled, deadline, draw
 from testbed.ops.network.orders import Ended
 from testbed.ops.ticking import monotonic_ns, sleep_until_ns
-from testbed.rig import warm_up
+from testbed.rig.twin import warm_up
 
 EXPERIMENT = "zhang2023_table"
 COUNT = 72

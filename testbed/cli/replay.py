@@ -13,7 +13,7 @@ from testbed.flight.agent import lead_time
 from testbed.flight.loop import HostNode
 from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
-from testbed.rig import make_agent, make_guidance
+from testbed.rig.chain import make_agent, make_guidance
 
 errors = Console(stderr=True, highlight=False)
 

@@ -14,7 +14,6 @@ from msgspec import Struct
 from msgspec.structs import replace
 from rich.console import Console
 
-from testbed.boards import check_boards
 from testbed.cli.live import LiveTable
 from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.cli.operator import Operator
@@ -44,7 +43,10 @@ from testbed.ops.recorder import Motion, Recorder, RecorderError, Truth
 from testbed.ops.report import ReportError
 from testbed.ops.steady import steady
 from testbed.ops.viewer import ViewerError
-from testbed.rig import Rig, TwinRig, crew_of, make_twin, warm_up
+from testbed.rig.boards import check_boards
+from testbed.rig.chain import crew_of
+from testbed.rig.interface import Rig
+from testbed.rig.twin import TwinRig, make_twin, warm_up
 
 errors = Console(stderr=True, highlight=False)
 

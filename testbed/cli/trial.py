@@ -16,7 +16,7 @@ from testbed.config import ConfigError, Experiment, dump, load
 from testbed.core.types import HostTick, Outputs, Tick
 from testbed.ops.folder import write_config, write_metrics
 from testbed.ops.steady import settle, steady
-from testbed.rig import make_twin
+from testbed.rig.twin import make_twin
 
 
 class _Memory:

@@ -22,7 +22,7 @@ from testbed.ops.children import end_on_terminate, orphaned
 from testbed.ops.network.badge import BadgeError, read_badge
 from testbed.ops.network.session import NetworkError
 from testbed.ops.steady import prefer_process, preferred, steady
-from testbed.rig import warm_up
+from testbed.rig.twin import warm_up
 
 PRIORITY = 30  # the table does not wait for anybody
 

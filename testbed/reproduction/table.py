@@ -11,7 +11,7 @@ from testbed.core.types import HostTick, Outputs, Tick
 from testbed.ops.metrics import VehicleMetrics, aim, smallest_separation, vehicle_metrics
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.targets import Measures
-from testbed.rig import make_twin
+from testbed.rig.twin import make_twin
 
 SMALLEST = ("min_obstacle_distance_m",)  # the worst is the smallest
 

@@ -25,7 +25,7 @@ from testbed.config import ConfigError, dump, find, load
 from testbed.core.path import Circle
 from testbed.ops.folder import new_folder, write_config, write_metrics
 from testbed.ops.metrics import Track
-from testbed.rig import make_twin
+from testbed.rig.twin import make_twin
 
 PATH = CONFIGS / "benchmark.toml"
 FILE = load_benchmark(PATH)

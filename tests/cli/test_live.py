@@ -7,7 +7,7 @@ from rich.console import Console
 
 from testbed.cli.live import LiveTable
 from testbed.config import find, load
-from testbed.rig import make_twin
+from testbed.rig.twin import make_twin
 
 
 class Shower:

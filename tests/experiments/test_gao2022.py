@@ -7,7 +7,7 @@ from controllers.bifurcating_design import distance_to
 from testbed.config import find, load
 from testbed.core.types import HostTick, Tick
 from testbed.ops.metrics import smallest_separation
-from testbed.rig import make_twin
+from testbed.rig.twin import make_twin
 
 # The others' reference models are not heard, only where they are: the law on the host, flown on a
 # reference model of its own, forms the same formations.

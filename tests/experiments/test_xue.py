@@ -7,7 +7,7 @@ from controllers.graph import formation
 from testbed.config import find, load
 from testbed.core.types import HostTick, Tick
 from testbed.ops.metrics import obstacle_distances
-from testbed.rig import make_twin
+from testbed.rig.twin import make_twin
 
 SAFE = 0.4  # two radii [m]
 

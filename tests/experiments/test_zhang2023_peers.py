@@ -6,7 +6,7 @@ import pytest
 from testbed.config import find, load
 from testbed.core.types import HostTick, Tick
 from testbed.ops.metrics import obstacle_distances, settle_time, smallest_separation
-from testbed.rig import make_twin
+from testbed.rig.twin import make_twin
 
 
 class Nobody:

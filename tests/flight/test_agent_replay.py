@@ -30,7 +30,8 @@ from testbed.core.types import (
 )
 from testbed.flight.agent import lead_time
 from testbed.ops.message import from_json, to_json
-from testbed.rig import make_agent, make_guidance, make_twin
+from testbed.rig.chain import make_agent, make_guidance
+from testbed.rig.twin import make_twin
 
 
 class Keeper:

@@ -49,7 +49,7 @@ from testbed.ops.network.keys import Keys
 from testbed.ops.network.orders import Counts, Ended, Order, Permit, Refused, Start, Stop
 from testbed.ops.network.session import LARGEST, NetworkError, answer_to, ask, dial, listen
 from testbed.ops.ticking import monotonic_ns
-from testbed.rig import make_agent
+from testbed.rig.chain import make_agent
 
 BLIND = SimpleNamespace(ready=lambda: Refused("sees nothing"))  # a lookout
 

@@ -1,16 +1,13 @@
 """The arming checks of a twin: what a lab's vehicles say of themselves, everybody knows here."""
 
-from collections.abc import Callable
-
 from sim_twin.twin import Twin
 from testbed.config import Experiment
 from testbed.core.types import Accel, Pose, State, Twist
-from testbed.flight.arming import Check, Expected, Readiness, arming_checks
+from testbed.flight.arming import Check, Readiness, arming_checks
+from testbed.rig.chain import expected_of
 
 
-def twin_checks(
-    experiment: Experiment, twin: Twin, expected: Callable[[str], Expected]
-) -> list[Check]:
+def twin_checks(experiment: Experiment, twin: Twin) -> list[Check]:
     """All of all vehicles, as they stand at time 0; the link is as it is."""
     still = Accel(0.0, 0.0, 0.0)
     states = {
@@ -24,5 +21,5 @@ def twin_checks(
             0.0, state, experiment.table.mocap.rate_hz, twin.health(name), twin.vitals(name),
             0.0, True, others,
         )  # fmt: skip
-        found += arming_checks(ready, expected(name), experiment.arming)
+        found += arming_checks(ready, expected_of(experiment, name), experiment.arming)
     return found

@@ -1,0 +1,1 @@
+"""Who is plugged into what: the only package that knows everybody."""

@@ -1,0 +1,137 @@
+"""A vehicle's flight chain, plugged together from its experiment."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from controllers.catalogue import make_law
+from testbed.config import Experiment
+from testbed.core.types import Pose
+from testbed.flight.agent import Agent
+from testbed.flight.allocation import weakest_force
+from testbed.flight.arming import Expected
+from testbed.flight.barrier import Barrier, reaches
+from testbed.flight.detectors import Detectors
+from testbed.flight.estimator import Estimator
+from testbed.flight.gate import Fence, Gate
+from testbed.flight.guidance import Guidance
+from testbed.flight.safety import Safety
+from testbed.flight.watch import Watch
+from testbed.ops.formation import Crew
+from testbed.ops.rehearsal import SpoiltLaw
+
+
+def make_guidance(
+    experiment: Experiment, name: str, spoilt: Callable[[], str] | None = None
+) -> Guidance:
+    """One vehicle's law and the world it is told about; `spoilt` is for rehearsals."""
+    setup = experiment.vehicles[name]
+    law = make_law(experiment.controller, list(experiment.vehicles))
+    return Guidance(
+        experiment.guidance,
+        law if spoilt is None else SpoiltLaw(law, spoilt),
+        setup.model,
+        Pose(*setup.goal),
+        list(experiment.obstacles.values()),
+        experiment.flight.jet_period_s,
+        name=name,
+        formation=list(experiment.vehicles),
+        path=setup.path,
+        barrier=make_barrier(experiment, name, experiment.guidance.force_share),
+    )
+
+
+SPARE_FORCE = 0.95  # of the weakest direction: droop, and a jet that is weaker than its file
+
+
+def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) -> Barrier | None:
+    """One vehicle's safety filter, for a share of what its jets can do; None: switched off.
+
+    A reference model has a smaller share, and plans its stops with more of it: it has no errors.
+    """
+    params, setup = experiment.flight.barrier, experiment.vehicles[name]
+    if not params.on:
+        return None
+    force = SPARE_FORCE * weakest_force(setup.model)
+    radii = {other: one.model.radius for other, one in experiment.vehicles.items()}
+    return Barrier(
+        params,
+        setup.model.mass,
+        force_share * force,
+        experiment.flight.jet_period_s,
+        fence_of(experiment, name),
+        experiment.obstacles,
+        reaches(radii, name),
+        effort=min(1.0, params.effort / force_share),
+    )
+
+
+def fence_of(experiment: Experiment, name: str) -> tuple[float, float]:
+    """Where the vehicle's centre may be, either way from the middle [m]."""
+    size, rim = experiment.table.size, experiment.vehicles[name].model.radius
+    rim += experiment.flight.gate.fence_margin
+    return size[0] / 2 - rim, size[1] / 2 - rim
+
+
+def expected_of(experiment: Experiment, name: str) -> Expected:
+    """What a vehicle that wants to be armed is measured against."""
+    setups = experiment.vehicles
+    return Expected(
+        name,
+        experiment.table.mocap.rate_hz,
+        setups[name].model.air.set_pressure,
+        Fence(*fence_of(experiment, name)),
+        reaches({other: one.model.radius for other, one in setups.items()}, name),
+    )
+
+
+def make_safety(experiment: Experiment, name: str) -> Safety:
+    """One vehicle's watch, brake and filter."""
+    vehicle, period = experiment.vehicles[name].model, experiment.flight.jet_period_s
+    return Safety(
+        vehicle,
+        period,
+        Watch(experiment.faults),
+        Detectors(vehicle, period, noisy=experiment.table.mocap.noise > 0.0),
+        make_barrier(experiment, name),
+        SPARE_FORCE * weakest_force(vehicle) / vehicle.mass,
+    )
+
+
+def make_agent(experiment: Experiment, name: str, spoilt: Callable[[], str] | None = None) -> Agent:
+    """One vehicle's flight chain."""
+    flight, table, vehicle = experiment.flight, experiment.table, experiment.vehicles[name].model
+    fence = Fence(*fence_of(experiment, name))
+    blind = max(flight.gate.pose_timeout_s, flight.gate.blind_s) + table.mocap.latency_s
+    memory = 2 + math.ceil(blind / flight.jet_period_s)
+    on_board = experiment.deploy.law == "vehicle"
+    return Agent(
+        flight,
+        vehicle,
+        Estimator(flight.estimator, vehicle, table.mocap, memory),
+        Gate(flight.gate, fence),
+        make_guidance(experiment, name, spoilt) if on_board else None,
+        make_safety(experiment, name),
+    )
+
+
+def crew_of(experiment: Experiment) -> Crew:
+    """Who flies; the leader is the goal of the first vehicle that has a path, or the first's."""
+    setups = list(experiment.vehicles.values())
+    led = next((setup for setup in setups if setup.path), setups[0])
+
+    def leader(t: float) -> tuple[np.ndarray, np.ndarray]:
+        start = np.array(led.goal[:2])
+        if led.path is None:
+            return start, np.zeros(2)
+        moved = led.path.at(t)
+        return start + moved.p, np.array(moved.v)
+
+    return Crew(
+        list(experiment.vehicles),
+        np.array([setup.model.radius for setup in setups]),
+        np.array([setup.model.mass for setup in setups]),
+        experiment.guidance.force_share * min(weakest_force(setup.model) for setup in setups),
+        leader,
+    )

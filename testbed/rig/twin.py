@@ -1,0 +1,187 @@
+"""The experiment on the twin."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
+
+from sim_twin.board import DrivenBoard
+from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
+from testbed.config import ConfigError, Experiment
+from testbed.core.injection import ON_WIRES
+from testbed.core.law import Concern
+from testbed.core.ports import Clock
+from testbed.core.types import Pose
+from testbed.flight.agent import lead_time
+from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
+from testbed.flight.supervisor import Supervisor
+from testbed.ops.characterisation import characterise
+from testbed.ops.metrics import Spent, Track
+from testbed.ops.rehearsal import MortalNode
+from testbed.rig.boards import Valves, WiredBoard, make_drivers
+from testbed.rig.chain import make_agent, make_guidance
+from testbed.rig.interface import Nobody, not_armed
+from testbed.rig.readiness import twin_checks
+
+
+class TwinRig(Struct, frozen=True):
+    """The experiment on the twin, ready to fly."""
+
+    experiment: Experiment
+    twin: Twin
+    vehicles: list[VehicleNode | MortalNode]
+    hosts: list[HostNode]
+    boards: dict[str, WiredBoard]  # with firmware; empty with the twin's own
+    pace: Clock | None = None  # slows the twin down, for whoever looks
+    supervisor: Supervisor = field(default_factory=Supervisor)
+    red: list[str] = field(default_factory=list)  # see `Rig`
+
+    def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
+        """See `Rig`."""
+        experiment, supervisor = self.experiment, self.supervisor
+        checks = twin_checks(experiment, self.twin)
+        if red := supervisor.take_off(0.0, checks):
+            self.red.extend(red)
+            return Ending(0.0, not_armed(red))
+        ending = self.fly_unasked(observer, stopped)
+        supervisor.close(ending.t, ending.fault, flown=ending.t >= experiment.end_s)
+        return ending
+
+    def fly_unasked(self, observer: Observer, stopped: Callable[[], bool]) -> Ending:
+        """Fly, whatever the arming checks would say."""
+        experiment = self.experiment
+        ending = fly(
+            self.pace or self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
+            experiment.ticks, observer, stopped=lambda: bool(self._trouble()) or stopped(),
+        )  # fmt: skip
+        return Ending(ending.t, ending.fault or self._trouble())
+
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """What each vehicle's board drove after `since` [s]; nothing with the twin's own."""
+        for name, board in self.twin.plant.boards.items():
+            if isinstance(board, DrivenBoard):
+                new = bisect_right(board.edges, round(since * 1e6), key=lambda edge: edge[0])
+                for at_us, mask in board.edges[new:]:
+                    yield name, Valves(at_us * 1e-6, mask)
+
+    @property
+    def loop(self) -> tuple[float, float] | None:
+        """See `Rig`."""
+        return None
+
+    def paces(self) -> Iterator[tuple[str, float, Any]]:
+        """See `Rig`."""
+        return iter(())
+
+    def _trouble(self) -> str | None:
+        """The first board that does not play plans any more, and why."""
+        found = ((name, board.trouble) for name, board in self.boards.items())
+        return next((f"{name}: {trouble}" for name, trouble in found if trouble), None)
+
+    def concerns(self) -> list[Concern]:
+        """What the laws have to say of the flight."""
+        nodes = [*self.vehicles, *self.hosts]
+        return [
+            Concern(concern.name, f"{node.name}: {concern.text}")
+            for node in nodes
+            if node.guidance is not None
+            for concern in node.guidance.concerns
+        ]
+
+    def track(self) -> Track:
+        """The truth at every camera frame so far."""
+        twin = self.twin
+        states = np.concatenate(twin.seen) if twin.seen else np.zeros((0, len(twin.names), 6))
+        return Track(np.array(twin.seen_at), states)
+
+    def truth(self) -> Iterator[tuple[str, list[float]]]:
+        """Each vehicle and its true x, y, theta, vx, vy, omega now."""
+        return zip(self.twin.names, self.twin.plant.x.tolist(), strict=True)
+
+    def spent(self, name: str) -> Spent:
+        """What a vehicle has used so far."""
+        plant = self.twin.plant
+        k = plant.names.index(name)
+        return Spent(float(plant.impulse[k]), float(plant.used[k]), plant.boards[name].openings)
+
+    @property
+    def name(self) -> str:
+        """See `Rig`."""
+        return "twin"
+
+    @property
+    def now(self) -> float:
+        """See `Rig`."""
+        return self.twin.now
+
+    @property
+    def contacts(self) -> int:
+        """See `Rig`."""
+        return len(self.twin.plant.touches)
+
+    def wires(self) -> dict[str, Any]:
+        """See `Rig`."""
+        return {}
+
+
+def make_twin(experiment: Experiment) -> TwinRig:
+    """Everything of the experiment on the twin."""
+    setups = experiment.vehicles
+    for what in experiment.inject:
+        if what.kind in ON_WIRES:
+            expected = "a fault that a twin without wires can have, or --rig bench"
+            raise ConfigError("this rig", "inject", expected, what.kind)
+    models = {name: setup.model for name, setup in setups.items()}
+    drivers = make_drivers(experiment.board, models)
+    twin = Twin(
+        models,
+        {name: Pose(*setup.start) for name, setup in setups.items()},
+        experiment.table,
+        experiment.obstacles,
+        experiment.seed,
+        listeners=list(setups),
+        drivers=drivers,
+        injections=experiment.inject,
+    )
+    period = experiment.flight.jet_period_s
+    sabotage = twin.sabotage
+    spoilt = {n: None if sabotage is None else partial(sabotage.spoilt, n) for n in setups}
+    vehicles: list[VehicleNode | MortalNode] = []
+    for name, setup in setups.items():
+        node = VehicleNode(
+            name,
+            make_agent(experiment, name, spoilt[name]),
+            TwinPoses(twin, name),
+            TwinThrusters(twin, name),
+            TwinVehicleLink(twin, name),
+            partial(twin.vitals, name),
+        )
+        if sabotage is None:
+            vehicles.append(node)
+        else:
+            jets = len(setup.model.jets)
+            vehicles.append(MortalNode(node, jets, partial(sabotage.dead, name)))
+    hosts = [
+        HostNode(
+            name,
+            make_guidance(experiment, name, spoilt[name]),
+            TwinHostLink(twin, name),
+            period,
+            lead_time(setup.model),
+        )
+        for name, setup in setups.items()
+        if experiment.deploy.law == "host"
+    ]
+    return TwinRig(experiment, twin, vehicles, hosts, drivers or {})
+
+
+def warm_up(experiment: Experiment, stopped: Callable[[], bool] = lambda: False) -> None:
+    """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
+    period = experiment.flight.jet_period_s
+    short = replace(experiment, duration_s=4 * period, board="model", inject=[])
+    make_twin(short).fly_unasked(Nobody(), stopped)  # a red check is not about compiling
+    characterise(np.eye(2))
