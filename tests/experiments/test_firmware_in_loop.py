@@ -7,10 +7,10 @@ from mcap.reader import make_reader
 
 from firmware_interface.compiler import CompilerError
 from firmware_interface.messages import Config
-from testbed import boards
 from testbed.cli.main import main
 from testbed.cli.run import fly_and_judge
 from testbed.config import ConfigError, find, load
+from testbed.rig import boards
 from testbed.rig.interface import Nobody
 from testbed.rig.twin import make_twin
 

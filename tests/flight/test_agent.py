@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from testbed import rig
 from testbed.config import find, load
 from testbed.core.pulse import open_time, timing
 from testbed.core.types import (
@@ -25,6 +24,7 @@ from testbed.flight.agent import Agent, FlightParams, lead_time
 from testbed.flight.estimator import Estimator
 from testbed.flight.gate import Fence, Gate
 from testbed.flight.modulation import PwpfParams
+from testbed.rig import chain
 
 PARAMS = FlightParams()
 PERIOD = PARAMS.jet_period_s
@@ -190,7 +190,7 @@ def test_a_loss_of_poses_is_flown_through_on_what_was_fired(period):
     # a steady push, and nothing seen from 1 s on
     experiment = load(find("hold"), [f"flight.jet_period_s={period}", "faults={}"])
     setup = experiment.vehicles["sat1"]
-    agent, a = rig.make_agent(experiment, "sat1"), 0.3 / setup.model.mass
+    agent, a = chain.make_agent(experiment, "sat1"), 0.3 / setup.model.mass
     health = Health(0.0, setup.model.air.set_pressure, 20e6)
     push = Demand(0.0, 0.3, 0.0, 0.0, 0.0, 0.0, FOR_EVER)
     states = []

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from testbed import rig
 from testbed.config import find, load
 from testbed.config.shipped import shipped_faults
 from testbed.core.se2 import to_table
@@ -24,6 +23,7 @@ from testbed.flight.detectors import Detectors, Repeats, jump, whose
 from testbed.flight.safety import AT_REST, LONGEST_BRAKE, Safety
 from testbed.flight.tracker import halt
 from testbed.flight.watch import Watch
+from testbed.rig.chain import fence_of, make_agent
 
 PERIOD = 0.1  # [s]
 FOR_EVER = 1e6  # [s]
@@ -208,8 +208,8 @@ def inputs_of(t, tick):
 @settings(max_examples=150)
 @given(sequence=st.lists(ticks, min_size=1, max_size=25))
 def test_no_valve_opens_in_a_forbidden_state(sequence):
-    agent, t, latched = rig.make_agent(EXPERIMENT, NAME), 0.0, False
-    gate, fence = EXPERIMENT.flight.gate, rig.fence_of(EXPERIMENT, NAME)
+    agent, t, latched = make_agent(EXPERIMENT, NAME), 0.0, False
+    gate, fence = EXPERIMENT.flight.gate, fence_of(EXPERIMENT, NAME)
     for tick in sequence:
         t += tick["after"]
         inputs = inputs_of(t, tick)

@@ -55,7 +55,7 @@ def test_imports_point_down():
 @pytest.mark.parametrize(
     ("module", "imported"),
     [
-        ("controllers/potential.py", "testbed.rig"),
+        ("controllers/potential.py", "testbed.rig.twin"),
         ("controllers/potential.py", "sim_twin"),
         ("testbed/flight/tracker.py", "controllers.potential"),
         ("testbed/core/types.py", "time"),
