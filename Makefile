@@ -40,6 +40,7 @@ mutants: $(DEV)  ## Put every small fault into the firmware's core; do the tests
 	@PYTHONPATH=. $(BIN)/python tests/firmware/mutation.py
 
 fuzz: $(DEV)  ## Feed rubbish to all that reads from outside (ROUNDS=10, two minutes each)
+	@ABT_SOAK=10 $(BIN)/python -m pytest tests/firmware/test_soak.py
 	@for round in $$(seq $(or $(ROUNDS),10)); do ABT_FUZZ=100000 ABT_ROUND=$$round \
 		$(BIN)/python -m pytest --hypothesis-seed=$$round tests/config/test_fuzz.py \
 		tests/config/test_fuzz_files.py tests/network/test_fuzz_network.py \

@@ -30,14 +30,14 @@ V = TypeVar("V")
 LEAN: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 _ROOT = Path(__file__).resolve().parents[2]
-_PACKAGES = (
+PACKAGES = (
     "testbed/core", "testbed/flight", "testbed/reproduction/kernel", "controllers", "sim_twin",
 )  # fmt: skip
 
 
 def _source_digest() -> str:
     digest = hashlib.blake2b(numba.__version__.encode(), digest_size=8)
-    for package in _PACKAGES:
+    for package in PACKAGES:
         for path in sorted((_ROOT / package).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -50,7 +50,7 @@ def _cache_folder() -> Path:
 
 def is_ours(thing: Callable[..., Any]) -> bool:
     """Whether a function or class is from a file whose edits mean a new cache folder."""
-    names = (package.replace("/", ".") for package in _PACKAGES)
+    names = (package.replace("/", ".") for package in PACKAGES)
     return any(thing.__module__ == n or thing.__module__.startswith(f"{n}.") for n in names)
 
 

@@ -14,7 +14,7 @@ FILE = """
 name = "try"
 experiment = "hold"
 set = ["duration_s=1", "criteria={settle_s=0.9}", "vehicles.sat1.start=[0.0,0.0,1.57]"]
-samples = 40
+samples = 15
 keep = 1
 
 [[grid]]
@@ -57,11 +57,11 @@ def wait_for_lines(process: subprocess.Popen, folder: Path, count: int) -> None:
 def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, here):
     rng = np.random.default_rng(8)
     for kill in range(5):
-        process = start("campaign", "try.toml", "--jobs", "2", "--out", "a")
+        process = start("campaign", "try.toml", "--jobs", str(1 + kill % 2), "--out", "a")
         if kill == 0:
             wait_for_lines(process, here / "a", 1)  # before any run
         else:
-            wait_for_lines(process, here / "a", lines(here / "a") + int(rng.integers(1, 12)))
+            wait_for_lines(process, here / "a", lines(here / "a") + int(rng.integers(1, 4)))
         process.kill()
         process.communicate()
 
@@ -79,14 +79,14 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     assert (process.returncode, stderr) == (0, "")
     summary = json.loads(stdout)
     assert summary.keys() > SUMMARY
-    assert (summary["runs"], summary["succeeded"]) == (80, 40)
-    assert summary["resumed"] > 8
+    assert (summary["runs"], summary["succeeded"]) == (30, 15)
+    assert summary["resumed"] > 5
     low, high = summary["confidence_interval"]
     assert low < 0.5 < high
     assert summary["not_repeatable"] == []
 
     messages = (here / "a" / "journal.jsonl").read_bytes().splitlines()[1:]
-    assert sorted(json.loads(m.split(b" ", 1)[1])["k"] for m in messages) == list(range(80))
+    assert sorted(json.loads(m.split(b" ", 1)[1])["k"] for m in messages) == list(range(30))
     kept = here / "a" / "failures" / "run_000001"
     assert {p.name for p in kept.iterdir()} == {
         "config.toml", "log.mcap", "metrics.json", "replay.txt",
@@ -97,16 +97,16 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     for name in ("results.parquet", "base.toml"):
         assert (here / "a" / name).read_bytes() == (here / "b" / name).read_bytes()
 
-    (here / "try.toml").write_text(FILE.replace("samples = 40", "samples = 41"))
+    (here / "try.toml").write_text(FILE.replace("samples = 15", "samples = 16"))
     process = start("campaign", "try.toml", "--out", "a")
     stdout, stderr = process.communicate(timeout=120)
     assert process.returncode == 2
-    assert "has changed since these 80 runs were flown" in stderr
+    assert "has changed since these 30 runs were flown" in stderr
 
 
 @pytest.mark.slow
 def test_the_command_of_a_run_repeats_it(start, testbed, here):
-    (here / "try.toml").write_text(FILE.replace("samples = 40", "samples = 1"))
+    (here / "try.toml").write_text(FILE.replace("samples = 15", "samples = 1"))
     process = start("campaign", "try.toml", "--out", "a")
     assert process.communicate(timeout=600)[1] == ""
     messages = (here / "a" / "journal.jsonl").read_bytes().splitlines()[1:]

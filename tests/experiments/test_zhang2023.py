@@ -9,7 +9,7 @@ from testbed.cli.run import fly_and_judge
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load
 from testbed.ops.metrics import Metrics
 
-SEEDS = range(20)
+SEEDS = range(6)  # benchmarks/zhang2023_table.py flies twenty in each mode
 SHORT_PERIOD = ("flight.jet_period_s=0.05", 'flight.modulator={ type = "sigma_delta" }')
 
 
@@ -28,6 +28,7 @@ def assert_promises(metrics: Metrics, impulse_ns: float, *, tracks: bool) -> Non
         assert m.hold_rms_m <= 0.001, name
         assert m.heading_rms_deg <= 0.1, name
         assert m.impulse_ns <= impulse_ns, name
+        assert m.filtered_ns <= 0.01 * m.impulse_ns, name  # left alone by the filter
         if tracks:
             assert m.track_rms_m <= 0.0015, name
         else:
@@ -76,7 +77,7 @@ def shifted(name: str, seed: int) -> Experiment:
             return experiment
 
 
-@pytest.mark.parametrize("seed", range(100, 106))
+@pytest.mark.parametrize("seed", range(100, 104))
 @pytest.mark.parametrize("name", ["zhang2023_table", "zhang2023_table_wrench"])
 def test_shifted_layouts(name: str, seed: int, tmp_path: Path) -> None:
     metrics = fly(shifted(name, seed), tmp_path)
@@ -116,14 +117,6 @@ def test_swapped_goals_keep_clear_of_obstacles_and_of_each_other(name: str, tmp_
     assert metrics.fault is None
     assert metrics.contacts == 0
     assert metrics.criteria["clear_of_obstacles"] is True
-
-
-@pytest.mark.parametrize("name", ["zhang2023_table", "zhang2023_table_wrench"])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_safety_filter_leaves_the_paper_alone(name: str, seed: int, tmp_path: Path) -> None:
-    metrics = fly(load(find(name), [f"seed={seed}"]), tmp_path)
-    for m in metrics.vehicles.values():
-        assert m.filtered_ns <= 0.01 * m.impulse_ns
 
 
 def test_smc_is_slower_and_peaks_higher_than_sotsmc(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from testbed.core import compiled
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("testbed", "controllers", "sim_twin", "firmware_interface")
 LAWS = (
@@ -87,6 +89,14 @@ def test_there_are_modules():
 def test_no_module_is_longer_than_400_lines():
     lengths = {name_of(path): len(path.read_text().splitlines()) for path in MODULES}
     assert {name: lines for name, lines in lengths.items() if lines > 400} == {}
+
+
+def test_what_is_compiled_is_kept_on_disk():
+    """Elsewhere it would be compiled anew by every process."""
+    marked = [p for p in MODULES if re.search(r"^@(compiled|inlined)", p.read_text(), re.M)]
+    assert len(marked) > 20
+    kept = tuple(f"{package}/" for package in compiled.PACKAGES)
+    assert [name_of(p) for p in marked if not name_of(p).startswith(kept)] == []
 
 
 def test_every_module_says_what_it_is():
