@@ -18,7 +18,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.repulsion import cells, pairs, repulsion, rows
+from controllers.repulsion import pairs, repulsion, rows
+from controllers.repulsion_cells import cells
 
 Array = NDArray[np.float64]
 

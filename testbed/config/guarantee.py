@@ -6,11 +6,12 @@ import numpy as np
 
 from controllers.bifurcating import BifurcatingParams
 from controllers.bifurcating_design import reaches
-from controllers.guarantee import Start, concerns
+from controllers.guarantee import Bounded, Start, Unbounded, concerns
 from testbed.config.experiment import Experiment
 from testbed.core.law import Concern, Discs
 from testbed.flight.allocation import weakest_force
 
+SPARE = 1.1  # mass and force of a vehicle may be that far from those of a design
 LOOKS = 200  # at a goal's path, for its largest acceleration
 
 
@@ -35,14 +36,50 @@ def warnings_of(experiment: Experiment) -> list[Concern]:
         ),
     )
     found = concerns(experiment.controller, list(experiment.vehicles), start)
-    return [*found, *_off_the_table(experiment)]
+    found += _unseen(experiment)
+    return [*found, *_field(experiment, start.max_force)]
 
 
-def _off_the_table(experiment: Experiment) -> list[Concern]:
-    """Curves of gao2022's field that no table of this size holds; a line has no end."""
+def _unseen(experiment: Experiment) -> list[Concern]:
+    """Obstacles that a law with a proof for a formation does not know, or does not mind."""
+    params = experiment.controller
+    blind = (
+        isinstance(params, BifurcatingParams)
+        or (isinstance(params, Bounded) and params.proxy.obstacle_band == 0.0)
+        or (isinstance(params, Unbounded) and params.potential.k_o == 0.0)
+    )
+    if not blind or not experiment.obstacles:
+        return []
+    text = f"nothing in the law keeps off {', '.join(experiment.obstacles)}"
+    return [Concern("obstacles-unseen", text)]
+
+
+def _field(experiment: Experiment, force: float) -> list[Concern]:
+    """What gao2022's field is designed for, and this experiment is not."""
     params = experiment.controller
     if not isinstance(params, BifurcatingParams):
         return []
+    found = _off_the_table(experiment, params)
+    n, mass = len(experiment.vehicles), max(s.model.mass for s in experiment.vehicles.values())
+    plan = params.fleet
+    if plan and (n != plan.count or mass > SPARE * plan.mass or SPARE * force < plan.force):
+        text = (
+            f"the field is designed for {plan.count} vehicles of {plan.mass:g} kg that push with "
+            f"{plan.force:g} N; here are {n} of up to {mass:.4g} kg and {force:.4g} N"
+        )
+        found.append(Concern("fleet-differs", text))
+    for k, phase in enumerate(params.phases):
+        if phase.at >= experiment.duration_s:
+            text = (
+                f"phases[{k}] begins at {phase.at:g} s, the run ends at {experiment.duration_s:g} s"
+            )
+            found.append(Concern("phase-never-flown", text))
+            break
+    return found
+
+
+def _off_the_table(experiment: Experiment, params: BifurcatingParams) -> list[Concern]:
+    """Curves that no table of this size holds, or the law's own wall; a line has no end."""
     rim = max(setup.model.radius for setup in experiment.vehicles.values())
     middle = params.centre or (0.0, 0.0)
     for k, phase in enumerate(params.phases):
@@ -55,4 +92,7 @@ def _off_the_table(experiment: Experiment) -> list[Concern]:
                     f"vehicle on this table to {room:.4g} m"
                 )
                 return [Concern("curve-off-table", text)]
+            if params.wall and need > params.wall.at / params.scale.length:
+                text = f"the curve of phases[{k}] goes out to {need:.4g} m, the wall is nearer"
+                return [Concern("curve-behind-wall", text)]
     return []

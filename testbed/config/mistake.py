@@ -27,9 +27,13 @@ class ConfigError(Exception):
 
 
 def refused(key: Key, error: Exception) -> Mistake:
-    """What a struct or a law has against its values: "expected this, found that"."""
-    expected, _, found = str(error).partition(", found ")
-    return Mistake(key, expected.removeprefix("expected "), found or "values that do not fit it")
+    """What a struct or a law has against its values: "expected this, found that", or a sentence."""
+    about, wanted, wish = str(error).rpartition("expected ")
+    if not wanted:
+        return Mistake(key, "values that fit together", about or wish)
+    expected, _, found = wish.partition(", found ")
+    found = found or "values that do not fit it"
+    return Mistake(key, expected, f"{found}: {about.rstrip(': ')}" if about else found)
 
 
 def show(value: object) -> str:

@@ -12,6 +12,8 @@ Measures of a run, where "i-j" is a pair of names and `leader` may be one of the
     speed_end                               largest |v - v_leader| in the last hundredth [m/s]
     proxy_m, proxy_end_m, proxy_speed_end   satellite against its proxy
     v0, phi_min, pq, height_needed_m        the certificate; eps/2 with which phi_min = P Q [J, m]
+    longer_than_bar_m, bar_room_m           longest first edge less Delta bar; Delta hat less it
+    gravity_n                               largest m |g| on the way
     v_rise, v_end                           largest rise of V between samples; V at the end / V(0)
     concern <name>                          1 if the certificate raises it, else 0
 """
@@ -27,12 +29,14 @@ from controllers import certificate as proof
 from controllers.bounded_formation import BoundedFormationParams
 from controllers.bounded_leader import BoundedLeaderParams
 from controllers.bounded_leader_varying import BoundedLeaderVaryingParams
+from controllers.bounded_potential import inside
 from controllers.catalogue import Controller
 from controllers.connectivity_static import ConnectivityStaticParams
 from controllers.formation_potential import FormationPotential
 from controllers.graph import Formation, pinned, smallest_eigenvalue
 from controllers.log_potential import log_potential, repulsion
 from controllers.proxy import Coupling
+from sim_twin.orbit.relative import field, frame_at
 from testbed.core.law import CompiledLaw
 from testbed.core.vehicle import NonNegative, Positive
 from testbed.reproduction.compiled_law import gains_of
@@ -231,6 +235,7 @@ def certificates(run: Together, law: CompiledLaw, params: Bounded) -> Measures:
         "height_needed_m": [height / c.limit + 0.5 * corner],
         "kinetic0": [proof.energy(c, fleet, np.zeros_like(c.formation.first))],
     }
+    found |= bars(c, fleet)
     if isinstance(params, BoundedLeaderVaryingParams) and leader:
         accel = leader.top_accel
         concerns += proof.sgn_certificate(c, params.alpha, params.beta, params.layer, mass, accel)
@@ -240,6 +245,34 @@ def certificates(run: Together, law: CompiledLaw, params: Bounded) -> Measures:
         found["mass_max"] = [params.beta * root / gamma]
     raised = {concern.name for concern in concerns}
     return found | {f"concern {kind}": [float(kind in raised)] for kind in KINDS}
+
+
+def bars(c: Coupling, fleet: proof.Fleet) -> Measures:
+    """Delta bar of xue2022, Eq. (18): there the edges of the start together have potential Q."""
+    p = np.vstack([fleet.p, fleet.leader_p])
+    pairs = np.argwhere(np.triu(c.formation.first) > 0.0)
+    beyond, room = -np.inf, np.inf
+    for i, j in pairs:
+        low, high = float(c.formation.desired[i, j]), c.potential.far
+        desired = low
+        for _ in range(60):  # psi rises from 0 to Q
+            middle = 0.5 * (low + high)
+            above = len(pairs) * inside(c.potential, middle, desired)[0] > c.potential.height
+            low, high = (low, middle) if above else (middle, high)
+        beyond = max(beyond, float(np.linalg.norm(p[i] - p[j])) - low)
+        room = min(room, c.potential.far - low)
+    return {"longer_than_bar_m": [beyond], "bar_room_m": [room]}
+
+
+def gravity(run: Together, where: Place, f: Flight) -> Measures:
+    """Of Assumption 3."""
+    frames = [frame_at(where.chief, t) for t in f.t]
+    pulls = [
+        m * np.linalg.norm(field(frame, p))
+        for frame, row in zip(frames, f.p, strict=True)
+        for m, p in zip(run.mass, row, strict=True)
+    ]
+    return {"gravity_n": [float(max(pulls))]}
 
 
 def static_energy(run: Together, law: CompiledLaw, track: Tracks, f: Flight) -> Array:
@@ -290,7 +323,7 @@ def run_together(run: Together, *, quick: bool) -> tuple[Measures, list[Figure]]
     track = tracks_of(run, where, shape, edges_at, f)
     found = distances(run, shape, track) | obstacles(where, track) | efforts(run, track, f)
     if isinstance(run.controller, Bounded):
-        found |= proxies(track, f) | certificates(run, law, run.controller)
+        found |= proxies(track, f) | certificates(run, law, run.controller) | gravity(run, where, f)
         gains: Any = law.gains
         found |= rises(energies(run, gains.coupling, track, f))
     if isinstance(run.controller, ConnectivityStaticParams):

@@ -54,6 +54,25 @@ WARNED = {  # experiment, what is changed: what is said
     "a double line off the table": (
         "gao2022_table", ["controller.phases=[{shape='double_line',mu=3.0}]"], ["curve-off-table"],
     ),
+    "a field for other vehicles": (
+        "gao2022_table", ["controller.fleet.count=3"], ["fleet-differs"],
+    ),
+    "a field for lighter vehicles": (
+        "gao2022_table", ["controller.fleet.mass=5.0"], ["fleet-differs"],
+    ),
+    "a formation after the end": ("gao2022_table", ["duration_s=200"], ["phase-never-flown"]),
+    "a wall inside the circle": (
+        "gao2022_table", ["controller.wall.at=1.0"], ["curve-behind-wall"],
+    ),
+    "an obstacle that the field does not know": (
+        "gao2022_table", ["obstacles.o1={position=[0.0,2.4],radius=0.3}"], ["obstacles-unseen"],
+    ),
+    "an obstacle that the proxies do not know": (
+        "xue2022_table", ["obstacles.o1={position=[0.0,2.4],radius=0.3}"], ["obstacles-unseen"],
+    ),
+    "an obstacle that pushes nobody": (
+        "xue2021_table_static", ["controller.potential.k_o=0.0"], ["obstacles-unseen"],
+    ),
     "laws without a proof": ("zhang2023_table", [], []),
     "a start too far from the shape": (
         "xue2022_table", ["vehicles.sat3.start=[0.75,0.0,0.0]"], ["start-energy"],
@@ -117,7 +136,8 @@ def test_a_start_that_may_be_flown_is_warned_of(testbed, case):
 FOLLOWING = f"{SHAPE}.edges=['sat1-sat2','sat2-sat3','sat3-leader']"
 ERRORS = {
     "not connected by its own edges": (
-        "xue2022_table", [f'{SHAPE}.edges=["sat1-sat2"]'], "not connected", "sat3",
+        "xue2022_table", [f'{SHAPE}.edges=["sat1-sat2"]'],
+        "found     the graph of the start is not connected", "sat3",
     ),
     "a distance that the range does not reach": (
         "xue2022_table", [f'{SHAPE}.edges=["sat1-sat2","sat1-sat3"]'], "less than range", "2.5 m",

@@ -5,15 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import pdist
 
-from controllers.repulsion import (
-    cells,
-    cells_on_all_cores,
-    nearby_share,
-    pairs,
-    repulsion,
-    rows,
-    rows_on_all_cores,
-)
+from controllers.repulsion import nearby_share, pairs, repulsion, rows, rows_on_all_cores
+from controllers.repulsion_cells import cells, cells_on_all_cores, grid_of
 
 WAYS = [pairs, rows, rows_on_all_cores, cells, cells_on_all_cores]
 every_way = pytest.mark.parametrize("way", WAYS, ids=lambda way: way.py_func.__name__)
@@ -166,6 +159,21 @@ def test_threads_do_not_change_a_bit(one, all_cores, d):
 def test_the_way_that_is_chosen_gives_the_same(count, reach):
     x = scattered(count, 2)
     assert_same(repulsion(x, 1.0, reach), force_by(cells, 1.0, reach, x))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize(("apart", "scattered"), [(0.0, False), (1e5, True)])
+def test_rows_of_cells_lie_in_order_or_scattered_and_nobody_is_asked_twice(d, apart, scattered):
+    x = scattered_in_two(d, apart)
+    assert (grid_of(x, 0.2)[3] > 0) == scattered
+    for way in (cells, cells_on_all_cores):
+        assert_same(force_by(way, 1.0, 0.2, x), in_numpy(1.0, 0.2, x))
+
+
+def scattered_in_two(d, apart):
+    x = scattered(2000, d)
+    x[::2] += apart
+    return x
 
 
 def test_crowds_are_told_from_crowded_places():

@@ -24,8 +24,8 @@ class Nobody:
     def done(self, t: float) -> None: ...
 
 
-# whoever is nearest goes to each of the two lines: of one seed in sixteen, 1 for instance, all five
-# go to the same one
+# which of the two lines a vehicle goes to is the side of the one line it is on, by tenths of a
+# millimetre: of one seed in eight, 1 for instance, all five go to the same one
 @pytest.mark.parametrize(
     ("seed", "overrides"),
     [(0, ()), (3, ()), (2, HOST)],
