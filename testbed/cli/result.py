@@ -97,8 +97,19 @@ def _limit(experiment: Experiment, criterion: str | None, scale: float) -> str:
     return "" if limit is None else f"<= {scale * limit:g}"
 
 
+def _unmeasured(metrics: Metrics, criterion: str) -> bool:
+    """Such as what is said of the last 30 s of a run of 20 s; "never settled" is a measurement."""
+    if criterion in ("settle_s", "clear_of_obstacles"):
+        return False
+    return any(getattr(m, criterion, 0.0) is None for m in metrics.vehicles.values())
+
+
 def _verdict(metrics: Metrics) -> str:
-    failed = [name for name, met in metrics.criteria.items() if not met]
+    failed = [
+        name + " (nothing was measured)" * _unmeasured(metrics, name)
+        for name, met in metrics.criteria.items()
+        if not met
+    ]
     if metrics.fault:
         return f"[bold red]aborted[/] after {metrics.duration_s:.1f} s by a fault: {metrics.fault}"
     if not metrics.completed:
