@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from testbed.cli.keys import lab_keys
+from testbed.cli.lab import agent, poses, stop, twin
 from testbed.cli.many import bench, campaign, tune
 
 OK, FAILED, BAD_INPUT, FAULT, NOT_STARTED, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -89,71 +90,6 @@ def run(
     context.exit(
         run_experiment(experiment, overrides, out, as_json, rig, view, speed, arm=arm, reset=reset)
     )
-
-
-@main.command()
-@click.argument("experiment")
-@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-@click.option(
-    "--ports",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
-    default=Path(),
-    help="Folder in which the vehicles' serial ports appear.  [default: here]",
-)
-@click.option("--report", type=click.Path(path_type=Path), hidden=True)
-@click.option("--child", is_flag=True, hidden=True)
-@click.pass_context
-def twin(
-    context: click.Context,
-    experiment: str,
-    overrides: tuple[str, ...],
-    ports: Path,
-    report: Path | None,
-    child: bool,
-) -> None:
-    """Serve the table of an EXPERIMENT in real time.
-
-    It has cameras, serial ports with firmware behind them, and the truth, for `testbed agent` and
-    `testbed run --rig table` to try a lab's wiring without a lab.
-    """
-    from testbed.cli.wires import serve_twin
-
-    context.exit(serve_twin(experiment, overrides, ports, report, child=child))
-
-
-@main.command()
-@click.argument("vehicle")
-@click.option("--connect", help="Where the host listens.  [default: as the keys say; loopback]")
-@click.option("--lab", help="First part of all keys.  [default: as the keys say; lab]")
-@click.option("--serial", help="The board's port.  [default: the table file's]")
-@click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
-@click.option("--report", type=click.Path(path_type=Path), hidden=True)
-@click.option("--child", is_flag=True, hidden=True)
-@click.pass_context
-def agent(
-    context: click.Context, vehicle: str, connect: str | None, lab: str | None,
-    serial: str | None, keys: Path | None, report: Path | None, child: bool,
-) -> None:  # fmt: skip
-    """Fly a VEHICLE: on its own computer, beside its valve board."""
-    from testbed.cli.wires import fly_agent
-
-    context.exit(fly_agent(vehicle, connect, lab, serial, keys, child=child, report=report))
-
-
-@main.command()
-@click.option("--connect", help="Where the host listens.  [default: every flight on this machine]")
-@click.option("--lab", default="lab", show_default=True, help="First part of all keys.")
-@click.option(
-    "--keys",
-    type=click.Path(path_type=Path),
-    help="The operator's folder of `testbed lab-keys`.  [default: ~/.airbearing-testbed]",
-)
-@click.pass_context
-def stop(context: click.Context, connect: str | None, lab: str, keys: Path | None) -> None:
-    """Stop whatever flies: shut every valve, now."""
-    from testbed.ops.stop import stop_everything
-
-    context.exit(stop_everything(connect, lab, keys))
 
 
 @main.command()
@@ -354,7 +290,7 @@ def reproduce(
     )
 
 
-for verb in (campaign, tune, bench, lab_keys):
+for verb in (agent, bench, campaign, lab_keys, poses, stop, tune, twin):
     main.add_command(verb)
 
 

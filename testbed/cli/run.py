@@ -234,6 +234,7 @@ def maker(
     return lambda experiment: WireRig(
         experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched,
         agree=operator.agree if rig == "table" else anybody,
+        say=lambda text: errors.print(text, markup=False, soft_wrap=True),
     )  # fmt: skip
 
 

@@ -1,16 +1,18 @@
 """What an operator reads who typed something wrong, or whose disk is full."""
 
 import shutil
-import signal
 import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from testbed.cli import refusal
 from testbed.cli.main import main
+from testbed.cli.result import _verdict
+from testbed.ops.report import read_metrics
 
 VERBS = sorted(main.commands)
 
@@ -138,6 +140,13 @@ def test_a_verdict_stands_without_its_report(testbed, here, monkeypatch):
 # words of the result
 
 
+def test_brackets_in_a_fault_are_shown(testbed, here):
+    """A table file's section, say: brackets are markup to what prints the result."""
+    testbed("run", "hold", "duration_s=1", "--out", "out")
+    metrics = replace(read_metrics(here / "out"), fault="see [lab.network] of the table file")
+    assert _verdict(metrics).endswith(r"see \[lab.network] of the table file")
+
+
 def test_a_criterion_that_was_not_measured_says_so(testbed, here):
     result = testbed("run", "hold", "duration_s=1", "--out", "out")
     assert result.exit_code == 1
@@ -197,6 +206,6 @@ def test_an_agent_that_looks_for_its_host_hears_an_interrupt(start):
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"  # bound, but nobody listens
         process = start("agent", "sat1", "--connect", endpoint)
         assert f"sat1: looking for the host at {endpoint}" in process.stderr.readline()
-        process.send_signal(signal.SIGINT)
+        process.terminate()  # the same as Ctrl-C, and heard when tests run in the background, too
         process.communicate(timeout=40)  # less than the minute that it waits for a host
     assert process.returncode == 130
