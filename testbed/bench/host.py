@@ -23,6 +23,7 @@ from testbed.bench.flight import HostFlight
 from testbed.bench.preflight import Preflight, order
 from testbed.bench.rehearsal import OF_PROCESSES
 from testbed.bench.server import TableReport
+from testbed.bench.vehicle import unheard
 from testbed.config import ConfigError, Experiment, dump
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Answer, Request, Supervisor
@@ -98,6 +99,7 @@ class WireRig(Findings):
         agree: asks the operator whether these vehicles may be armed.
         latch: keeps a fault for the next run.
         latched: a fault of the run before, which has to be reset first.
+        say: tells the operator what is waited for on the table; by default nobody.
     """
 
     def __init__(
@@ -110,6 +112,7 @@ class WireRig(Findings):
         agree: Callable[[Sequence[str]], bool] = anybody,
         latch: Latch | None = None,
         latched: str | None = None,
+        say: Callable[[str], None] = unheard,
     ) -> None:
         super().__init__(experiment)
         self._bench, self._keep = bench, keep
@@ -119,7 +122,7 @@ class WireRig(Findings):
         if not bench and experiment.board != "model":
             expected = "nothing on the table: its boards are the lab's"
             raise ConfigError("this rig", "board", expected, experiment.board)
-        self._log, self._agree, self._latch = log, agree, latch
+        self._log, self._agree, self._latch, self._say = log, agree, latch, say
         self.supervisor = Supervisor(latched)
         self.red: list[str] = []
         self._ran = False  # valves may have opened
@@ -240,9 +243,12 @@ class WireRig(Findings):
         Raises:
             HostError: one of them cannot.
         """
-        missing = set(self.experiment.vehicles)
+        missing, told = set(self.experiment.vehicles), set[str]()
         end = monotonic_ns() + round(1e9 * READY_S)
         while missing:
+            if not self._bench and missing != told:
+                self._say(f"waiting for {', '.join(sorted(missing))}: `testbed agent` on each")
+                told = missing
             if stopped():
                 return None
             if children is not None:

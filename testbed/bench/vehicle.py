@@ -45,7 +45,7 @@ from testbed.ops.network.orders import (
     Start,
     config_id,
 )
-from testbed.ops.network.session import Ear, Mouth, NetworkError, ask, dial
+from testbed.ops.network.session import Ear, Mouth, NetworkError, NobodyError, ask, dial
 from testbed.ops.network.weather import Storm
 from testbed.ops.offset import Offset
 from testbed.ops.port_gate import PortGate
@@ -58,12 +58,17 @@ PRIORITY = 20
 READINGS = 16  # of the host's clock before a flight
 LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
 PATIENCE_S = 60.0  # for a host that does not answer
+TRY_S = 2.0
 KEPT_S = 10.0
 PERMITTED_S = 3.0  # a flight that the host has not permitted by then will not be
 
 
 class VehicleError(Exception):
     """This vehicle cannot fly."""
+
+
+def unheard(_: str) -> None:
+    """Nobody is at a terminal."""
 
 
 def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
@@ -203,7 +208,7 @@ class Permitted:
 
 def fly_vehicle(
     name: str, endpoint: str, lab: str, port: str | None, badge: Path | None = None, *,
-    child: bool, report: Path | None = None,
+    child: bool, report: Path | None = None, say: Callable[[str], None] = unheard,
 ) -> None:  # fmt: skip
     """Get ready, wait for the order, fly once, and tell the host how it went.
 
@@ -215,6 +220,7 @@ def fly_vehicle(
         badge: its key folder; None: the host is on this machine.
         child: end when standard input does.
         report: a file for its last words, for when the host is gone.
+        say: tells somebody at a terminal how far it is; by default nobody.
 
     Raises:
         VehicleError: it cannot.
@@ -225,7 +231,7 @@ def fly_vehicle(
 
     keys = Keys(lab)
     with ExitStack() as stack:
-        session = stack.enter_context(dial(endpoint, PATIENCE_S, badge))
+        session = stack.enter_context(await_host(endpoint, badge, gone))
         experiment = ask_experiment(session, keys, gone)
         if name not in experiment.vehicles:
             raise VehicleError(f"the host flies {', '.join(experiment.vehicles)}, not {name}")
@@ -236,6 +242,7 @@ def fly_vehicle(
                 f"no serial port for {name}: expected --serial, or an entry of"
                 " [lab.serial.ports] in the table file"
             )
+        say(f"the host flies {experiment.name}; getting ready (compiles on the first run)")
         clock = WallClock(monotonic_ns())  # until the run's time 0 is known
         rehearsal = Rehearsal(experiment.inject, lambda: clock.now)
         spoilt = partial(rehearsal.spoilt, name) if experiment.inject else None
@@ -258,9 +265,12 @@ def fly_vehicle(
         stack.enter_context(steady())  # now: the last collection of garbage takes its time
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
+        say(f"ready, board at {port}; waiting for the host's order to start")
         start = await_start(tower, lookout.look, gone)
         if start is None:
+            say(f"not flown: {tower.stop_reason or 'its parent is gone'}")
             return
+        say("flies")
         epoch = clock_of_host.to_own(start.epoch_ns)
         assert epoch is not None
         clock.epoch_ns = epoch
@@ -300,7 +310,19 @@ def fly_vehicle(
             part.write_bytes(msgspec.json.encode(ended))
             part.replace(report)
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
+        say(f"ended after {ending.t:.1f} s{f' by a fault: {fault}' if fault else ''}")
         await_end(gone, tower)
+
+
+def await_host(endpoint: str, badge: Path | None, gone: Callable[[], bool]) -> zenoh.Session:
+    """The host, as soon as it listens; in short tries, because none of them hears Ctrl-C."""
+    end = monotonic_ns() + round(1e9 * PATIENCE_S)
+    while True:
+        try:
+            return dial(endpoint, TRY_S, badge)
+        except NobodyError:
+            if monotonic_ns() > end or gone():
+                raise
 
 
 def ask_experiment(session: zenoh.Session, keys: Keys, gone: Callable[[], bool]) -> Experiment:

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table as Grid
 
-from testbed.cli.main import BAD_INPUT, FAILED, OK
+from testbed.cli.main import FAILED, OK
+from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.types import HostTick, Tick
 from testbed.ops.admission import (
@@ -80,12 +81,10 @@ def run_admission(
     name: str, overrides: Sequence[str], flights: int, *, force: bool, as_json: bool
 ) -> int:
     """Judge, print, return the exit code."""
-    errors = Console(stderr=True, highlight=False)
     try:
         experiment = load(find(name), overrides)
     except ConfigError as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
+        return refuse(error)
     admission = admit(experiment, flights)
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(admission)).decode() + "\n")

@@ -22,9 +22,10 @@ from testbed.campaign.engine import workers
 from testbed.campaign.evidence import read_run
 from testbed.campaign.flight import Crew, fly_campaign, write_whole
 from testbed.campaign.sweep import experiment_path
-from testbed.cli.campaign import TROUBLE, Bar, find_campaign, say_trouble, write_results
+from testbed.cli.campaign import TROUBLE, Bar, find_campaign, write_results
 from testbed.cli.main import INTERRUPTED, OK
-from testbed.cli.run import Interrupt, errors
+from testbed.cli.refusal import errors, refuse
+from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import SHIPPED, ConfigError
 
@@ -61,9 +62,7 @@ def run_benchmark(
             options = f" --samples {samples}" if samples else ""
             write_whole(folder / "benchmark.md", page(table, options, "twin").encode())
     except TROUBLE as error:
-        return say_trouble(error)
-    except OSError as error:
-        return say_trouble(f"{error.filename}: {error.strerror}")
+        return refuse(error)
     if as_json:
         sys.stdout.write(text.decode())
     else:

@@ -34,13 +34,14 @@ from testbed.campaign.result import table_of, write_parquet
 from testbed.campaign.row import Flown
 from testbed.campaign.summary import Summary, summarise, worst_runs
 from testbed.campaign.sweep import Campaign, load_campaign
-from testbed.cli.main import BAD_INPUT, FAILED, INTERRUPTED, OK
-from testbed.cli.run import Interrupt, errors
+from testbed.cli.main import FAILED, INTERRUPTED, OK
+from testbed.cli.refusal import errors, refuse
+from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import ConfigError
 from testbed.config.tree import trouble_at
 
-TROUBLE = (ConfigError, JournalError, EngineError, MissingExtraError)
+TROUBLE = (ConfigError, JournalError, EngineError, MissingExtraError, OSError)
 
 
 def run_campaign(
@@ -60,9 +61,7 @@ def run_campaign(
             return INTERRUPTED
         summary = write_results(campaign, ended, folder)
     except TROUBLE as error:
-        return say_trouble(error)
-    except OSError as error:
-        return say_trouble(f"{error.filename}: {error.strerror}")
+        return refuse(error)
     if as_json:
         sys.stdout.write((folder / "summary.json").read_text(encoding="utf-8"))
     else:
@@ -77,12 +76,6 @@ def find_campaign(name: str) -> Path:
     if trouble := trouble_at(path):
         raise ConfigError(name, "", "a campaign file", trouble)
     return path
-
-
-def say_trouble(error: Exception | str) -> int:
-    """Tell the operator what is wrong with the input."""
-    errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-    return BAD_INPUT
 
 
 def say_interrupted(campaign: Campaign, folder: Path) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as Grid
 
-from testbed.cli.main import BAD_INPUT, OK
+from testbed.cli.main import OK
+from testbed.cli.refusal import refuse
 from testbed.cli.replay import config_of
 from testbed.config import ConfigError, Experiment, load
 from testbed.ops.chart import HUES, Chart, Disc, Item, Limit, Line
@@ -20,7 +21,7 @@ from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.metrics import Metrics
 from testbed.ops.report import ROWS, ReportError, figure, page, read_metrics
 
-errors = Console(stderr=True, highlight=False)
+FIRST_COLUMN = 25  # characters of the table's first column, with its frame
 
 
 class Run(msgspec.Struct, frozen=True):
@@ -44,12 +45,8 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
         if out is not None:
             with out.open("x", encoding="utf-8") as file:
                 file.write(render(runs))
-    except (ReportError, LogError, ConfigError) as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
-    except OSError as error:
-        errors.print(f"error: {error.filename}: {error.strerror}", style="red", markup=False)
-        return BAD_INPUT
+    except (ReportError, LogError, ConfigError, OSError) as error:
+        return refuse(error)
     if as_json:
         found = {run.label: {key: worst(run, key) for _, key, *_ in ROWS} for run in runs}
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(found)).decode() + "\n")
@@ -77,17 +74,22 @@ def worst(run: Run, key: str) -> float | None:
 
 
 def print_table(runs: Sequence[Run]) -> None:
-    """One column per run, the worst vehicle in each row."""
+    """One column per run, the worst vehicle in each row; numbers for names that are too long."""
+    out = Console(highlight=False)
+    fits = FIRST_COLUMN + sum(len(run.label) + 3 for run in runs) <= out.width
+    if not fits:
+        for k, run in enumerate(runs, 1):
+            out.print(f"{k:3}  {run.label}", markup=False, soft_wrap=True)
     grid = Grid(title="worst vehicle of each run", title_justify="left")
-    grid.add_column("")
-    for run in runs:
-        grid.add_column(run.label, justify="right")
+    grid.add_column("", overflow="fold")
+    for k, run in enumerate(runs, 1):
+        grid.add_column(run.label if fits else str(k), justify="right", overflow="fold")
     for heading, key, scale, digits, _ in ROWS:
         cells = [worst(run, key) for run in runs]
         words = ["-" if v is None else f"{scale * v:.{digits}f}" for v in cells]
         grid.add_row(heading.replace("[", "\\["), *words)
     grid.add_row("verdict", *[verdict(run.metrics) for run in runs])
-    Console(highlight=False).print(grid)
+    out.print(grid)
 
 
 def verdict(metrics: Metrics) -> str:

@@ -12,8 +12,9 @@ from types import FrameType
 
 from rich.console import Console
 
-from testbed.cli.main import BAD_INPUT, OK
-from testbed.ops.logbook import LogError
+from testbed.cli.main import OK
+from testbed.cli.refusal import errors, refuse
+from testbed.ops.logbook import LogError, log_of
 from testbed.ops.viewer import (
     LOOPBACK,
     Address,
@@ -28,8 +29,6 @@ from testbed.ops.viewer import (
 
 PERIOD_S = 0.2
 PATIENCE = 150  # periods until a viewer must listen
-
-errors = Console(stderr=True, highlight=False)
 
 
 class Dashboard:
@@ -104,6 +103,10 @@ def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:
     def handle(number: int, frame: FrameType | None) -> None:
         stop.set()
 
+    try:
+        log_of(run)
+    except LogError as error:
+        return refuse(error)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handle)
     board = Dashboard(run, kind, address_for(bind, port))
@@ -117,8 +120,7 @@ def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:
         while not stop.wait(PERIOD_S) and board.keep(stop.wait):
             pass
     except ViewerError as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
+        return refuse(error)
     finally:
         board.close()
     return OK
@@ -153,4 +155,4 @@ def play_run(run: Path) -> None:
             recording = write_recording(run, Path(folder) / "run.rrd")
             start("window", address_for(), [recording]).wait()
         except (LogError, ViewerError) as error:
-            errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
+            refuse(error)

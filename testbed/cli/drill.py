@@ -15,7 +15,8 @@ from rich.progress import track
 from rich.table import Table as Grid
 
 from sim_twin.board import last_closing
-from testbed.cli.main import BAD_INPUT, FAILED, OK
+from testbed.cli.main import FAILED, OK
+from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.injection import Injection
 from testbed.core.types import HostTick, Tick
@@ -217,7 +218,6 @@ def drill_twin(injections: int, seed: int, jobs: int, errors: Console) -> list[D
 
 def run_drill(rig: str, injections: int | None, seed: int, jobs: int, as_json: bool) -> int:
     """Fly the drill, print the table, return the exit code."""
-    errors = Console(stderr=True, highlight=False)
     try:
         if rig == "bench":
             from testbed.cli.drill_wires import COUNT, drill_wires
@@ -226,8 +226,7 @@ def run_drill(rig: str, injections: int | None, seed: int, jobs: int, as_json: b
         else:
             cases = drill_twin(injections or 513, seed, jobs, errors)
     except ConfigError as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
+        return refuse(error)
     drill = summarise(rig, cases)
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(drill)).decode() + "\n")

@@ -60,12 +60,14 @@ def lab_keys(
     operator: tuple[str, ...], watcher: tuple[str, ...], lab: str | None, port: int | None,
     days: int, force: bool, renew: bool,
 ) -> None:  # fmt: skip
-    """Make the lab's keys in FOLDER, or show what is there (docs/lab_keys.md).
+    """Make the lab's keys in FOLDER, or show what is there.
+
+    See docs/lab_keys.md. Options for a name may be repeated.
 
     \b
-      testbed lab-keys keys --host 192.168.1.2 --vehicle sat1 --vehicle sat2 --operator anna
-      testbed lab-keys keys --watcher screen          later: one more
-      testbed lab-keys keys                           who is there, and until when
+      testbed lab-keys keys --host 192.168.1.2 --vehicle sat1 --operator anna
+      testbed lab-keys keys --watcher screen    later: one more
+      testbed lab-keys keys                     who is there, and until when
     """  # noqa: D301
     from testbed.cli.main import BAD_INPUT, OK
     from testbed.ops.network.badge import BadgeError
@@ -75,10 +77,10 @@ def lab_keys(
     try:
         _make(folder, host, wanted, (lab, port), days, force=force, renew=renew)
         context.exit(OK)
-    except BadgeError as error:
-        sys.stderr.write(f"error: {error}\n")
-    except OSError as error:
-        sys.stderr.write(f"error: {error}\n")
+    except (BadgeError, OSError) as error:
+        from testbed.cli.refusal import refuse
+
+        refuse(error)
     except ImportError as error:
         if error.name is None or not error.name.startswith("cryptography"):
             raise

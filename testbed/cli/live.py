@@ -10,6 +10,7 @@ from types import TracebackType
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
@@ -93,11 +94,12 @@ class LiveTable:
 
     def _row(self, name: str, tick: Tick) -> tuple[str, ...]:
         setup, out = self._experiment.vehicles[name], tick.outputs
-        gas = 100.0 * tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
-        said = out.fault or out.closed_because
+        left = tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
+        gas = f"{100.0 * left:.0f}" if left > 0.0 else "-"  # no gauge
+        said = escape(out.fault or out.closed_because or "")
         state = f"[red]{said}[/]" if out.fault else f"[yellow]{said}[/]" if said else "flies"
         if (now := out.state) is None:
-            return name, state, "-", "-", "-", f"{gas:.0f}", "-"
+            return name, state, "-", "-", "-", gas, "-"
         pose = now.pose
         gaps = [
             math.hypot(
@@ -111,5 +113,5 @@ class LiveTable:
         speed = math.hypot(now.twist.vx, now.twist.vy)
         return (
             name, state, f"{1e3 * error:.1f}", f"{min(gaps):.3f}" if gaps else "-",
-            f"{1e3 * speed:.1f}", f"{gas:.0f}", f"{1e3 * now.pose_age:.0f}",
+            f"{1e3 * speed:.1f}", gas, f"{1e3 * now.pose_age:.0f}",
         )  # fmt: skip

@@ -7,12 +7,11 @@ import msgspec
 from rich.console import Console
 from rich.table import Table as Grid
 
-from testbed.cli.main import BAD_INPUT, OK
+from testbed.cli.main import OK
+from testbed.cli.refusal import refuse
 from testbed.ops.export import WRITERS, ExportError, tables
 from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.topics import Contents, survey
-
-errors = Console(stderr=True, highlight=False)
 
 
 def show_log(run: Path, as_json: bool) -> int:
@@ -21,8 +20,7 @@ def show_log(run: Path, as_json: bool) -> int:
         book = Logbook(log_of(run))
         topics = survey(book.read(), book.kinds)
     except LogError as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
+        return refuse(error)
     contents = Contents(book.finished, topics)
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(contents)).decode() + "\n")
@@ -57,12 +55,8 @@ def export_run(run: Path, kind: str, out: Path | None) -> int:
             paths = [write_recording(run, folder / "run.rrd")]
         else:
             paths = WRITERS[kind](tables(Logbook(log_of(run)).read()), folder)
-    except (LogError, ExportError, ValueError) as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
-    except OSError as error:
-        errors.print(f"error: {error.filename}: {error.strerror}", style="red", markup=False)
-        return BAD_INPUT
+    except (LogError, ExportError, ValueError, OSError) as error:
+        return refuse(error)
     for path in paths:
         Console(highlight=False).print(str(path), markup=False, soft_wrap=True)
     return OK

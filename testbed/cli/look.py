@@ -1,7 +1,7 @@
 """Verbs that only look: `check`, `list`, `schema`."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from pathlib import Path
 from typing import Any, get_args
 
@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table as Grid
 
 from controllers import catalogue
-from testbed.cli.main import BAD_INPUT, OK
+from testbed.cli.main import OK
+from testbed.cli.refusal import errors, refuse
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
 from testbed.config.guarantee import warnings_of
 from testbed.core.table import Table
@@ -23,23 +24,26 @@ def check_experiment(name: str, overrides: Sequence[str]) -> int:
         path = find(name)
         experiment = load(path, overrides)
     except ConfigError as error:
-        Console(stderr=True, highlight=False).print(
-            f"error: {error}", style="red", markup=False, soft_wrap=True
-        )
-        return BAD_INPUT
+        return refuse(error)
     law = type(experiment.controller).__struct_config__.tag
     Console(highlight=False).print(
         f"ok: {path}\n"
-        f"  {len(experiment.vehicles)} vehicles, {len(experiment.obstacles)} obstacles, "
+        f"  {counted(experiment.vehicles, 'vehicle')}, "
+        f"{counted(experiment.obstacles, 'obstacle')}, "
         f"law {law} in {experiment.guidance.mode} mode on the {experiment.deploy.law}, "
         f"{experiment.duration_s:g} s in {experiment.ticks} jet periods",
         markup=False, soft_wrap=True,
     )  # fmt: skip
     for warning in warnings_of(experiment):
-        Console(stderr=True, highlight=False).print(
+        errors.print(
             f"warning: {warning.name}: {warning.text}", style="yellow", markup=False, soft_wrap=True
         )
     return OK
+
+
+def counted(things: Sized, word: str) -> str:
+    """One vehicle, two vehicles."""
+    return f"{len(things)} {word}{'s' * (len(things) != 1)}"
 
 
 def _first_comment(path: Path) -> str:

@@ -10,12 +10,24 @@ from pathlib import Path
 import click
 
 from testbed.cli.keys import lab_keys
+from testbed.cli.lab import agent, poses, stop, twin
 from testbed.cli.many import bench, campaign, tune
 
 OK, FAILED, BAD_INPUT, FAULT, NOT_STARTED, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+EPILOG = """\b
+Exit codes:
+  0  flown, all criteria met        3  aborted by a fault
+  1  flown, a criterion failed      4  not armed: a check is red
+  2  bad input                    130  interrupted
+"""
+
+
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog=EPILOG,
+)
 @click.version_option(package_name="airbearing-testbed", prog_name="testbed")
 def main() -> None:
     """Fly satellite simulators on an air-bearing table, or on its twin."""
@@ -61,15 +73,15 @@ def run(
     arm: bool,
     reset: bool,
 ) -> None:
-    """Fly an EXPERIMENT: a file, or the name of a shipped one (see `testbed list`).
+    """Fly an EXPERIMENT and judge it.
 
-    KEY=VALUE changes a value of the file for this run; VALUE is TOML and `*` in KEY means every
-    entry:
+    EXPERIMENT is a file, or the name of a shipped one (see `testbed list`). KEY=VALUE changes a
+    value of the file for this run; VALUE is TOML and `*` in KEY means every entry:
 
     \b
       testbed run zhang2023_table
-      testbed run zhang2023_table vehicles.sat1.start=[1.2,-1.4,0.0] controller.lambda=1.2
-      testbed run hold vehicles.*.model.mass=18.0 --seed 7 --out runs/heavy
+      testbed run zhang2023_table vehicles.sat1.start=[1.2,-1.4,0.0]
+      testbed run hold 'vehicles.*.model.mass=18.0' --seed 7 --out runs/heavy
     """  # noqa: D301  (a real backspace: click keeps the lines after it as they are)
     from testbed.cli.run import run_experiment
 
@@ -78,67 +90,6 @@ def run(
     context.exit(
         run_experiment(experiment, overrides, out, as_json, rig, view, speed, arm=arm, reset=reset)
     )
-
-
-@main.command()
-@click.argument("experiment")
-@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-@click.option(
-    "--ports",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path(),
-    help="Folder in which the vehicles' serial ports appear.  [default: here]",
-)
-@click.option("--report", type=click.Path(path_type=Path), hidden=True)
-@click.option("--child", is_flag=True, hidden=True)
-@click.pass_context
-def twin(
-    context: click.Context,
-    experiment: str,
-    overrides: tuple[str, ...],
-    ports: Path,
-    report: Path | None,
-    child: bool,
-) -> None:
-    """Serve the table of an EXPERIMENT in real time: cameras, serial ports with firmware, truth."""
-    from testbed.cli.wires import serve_twin
-
-    context.exit(serve_twin(experiment, overrides, ports, report, child=child))
-
-
-@main.command()
-@click.argument("vehicle")
-@click.option("--connect", help="Where the host listens.  [default: as the keys say; loopback]")
-@click.option("--lab", help="First part of all keys.  [default: as the keys say; lab]")
-@click.option("--serial", help="The board's port.  [default: the table file's]")
-@click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
-@click.option("--report", type=click.Path(path_type=Path), hidden=True)
-@click.option("--child", is_flag=True, hidden=True)
-@click.pass_context
-def agent(
-    context: click.Context, vehicle: str, connect: str | None, lab: str | None,
-    serial: str | None, keys: Path | None, report: Path | None, child: bool,
-) -> None:  # fmt: skip
-    """Fly a VEHICLE: on its own computer, with the board on a serial port."""
-    from testbed.cli.wires import fly_agent
-
-    context.exit(fly_agent(vehicle, connect, lab, serial, keys, child=child, report=report))
-
-
-@main.command()
-@click.option("--connect", help="Where the host listens.  [default: every flight on this machine]")
-@click.option("--lab", default="lab", show_default=True, help="First part of all keys.")
-@click.option(
-    "--keys",
-    type=click.Path(path_type=Path),
-    help="The operator's folder of `testbed lab-keys`.  [default: ~/.airbearing-testbed]",
-)
-@click.pass_context
-def stop(context: click.Context, connect: str | None, lab: str, keys: Path | None) -> None:
-    """Stop whatever flies: shut every valve, now."""
-    from testbed.ops.stop import stop_everything
-
-    context.exit(stop_everything(connect, lab, keys))
 
 
 @main.command()
@@ -164,7 +115,10 @@ def list_all(as_json: bool) -> None:
 @main.command()
 @click.argument("experiment")
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-@click.option("--flights", type=click.IntRange(min=1), default=8, show_default=True)
+@click.option(
+    "--flights", type=click.IntRange(min=1), default=8, show_default=True,
+    help="How many, each with other chance.",
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Ask for its name to admit it all the same.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
 @click.pass_context
@@ -172,7 +126,7 @@ def admit(
     context: click.Context, experiment: str, overrides: tuple[str, ...], flights: int,
     force: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    """Predict in the twin whether an EXPERIMENT may be flown on hardware."""
+    """Predict in the twin whether an EXPERIMENT may fly on hardware."""
     from testbed.cli.admit import run_admission
 
     code = run_admission(experiment, overrides, flights, force=force, as_json=as_json)
@@ -180,16 +134,32 @@ def admit(
 
 
 @main.command()
-@click.option("--rig", type=click.Choice(["twin", "bench"]), default="twin", show_default=True)
-@click.option("--injections", type=click.IntRange(min=1), help="[default: 513, or 72 on the bench]")
+@click.option(
+    "--rig",
+    type=click.Choice(["twin", "bench"]),
+    default="twin",
+    show_default=True,
+    help="What to rehearse on.",
+)
+@click.option(
+    "--injections",
+    type=click.IntRange(min=1),
+    help="How many faults.  [default: 513, or 72 on the bench]",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Of what is drawn.")
-@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True)
+@click.option(
+    "--jobs", type=click.IntRange(min=1), default=2, show_default=True,
+    help="Processes on this machine.",
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
 @click.pass_context
 def drill(
     context: click.Context, rig: str, injections: int | None, seed: int, jobs: int, as_json: bool
 ) -> None:
-    """Rehearse the whole catalogue of faults: what is found, how soon, and what is done."""
+    """Rehearse the whole catalogue of faults (docs/safety.md).
+
+    Says of each fault whether it is found, how soon, and what is done about it.
+    """
     from testbed.cli.drill import run_drill
 
     context.exit(run_drill(rig, injections, seed, jobs, as_json))
@@ -198,7 +168,7 @@ def drill(
 @main.command()
 @click.argument("kind", type=click.Choice(["experiment", "vehicle", "table"]), default="experiment")
 def schema(kind: str) -> None:
-    """Print the JSON Schema of an experiment, vehicle or table file, for editors."""
+    """Print the JSON Schema of a kind of file, for editors."""
     from testbed.cli.look import print_schema
 
     print_schema(kind)
@@ -213,7 +183,10 @@ def schema(kind: str) -> None:
 def replay(
     context: click.Context, run: Path, overrides: tuple[str, ...], as_json: bool, view: bool
 ) -> None:
-    """Feed the log of a RUN folder to today's code: exit code 1 if it does anything else."""
+    """Feed the log of a RUN folder to today's code.
+
+    The exit code is 1 if it does anything else than the log says.
+    """
     from testbed.cli.replay import replay_run
 
     code = replay_run(run, overrides, as_json)
@@ -255,7 +228,7 @@ def export(context: click.Context, run: Path, kind: str, out: Path | None) -> No
 @click.option("--png", is_flag=True, help="Also figures/*.png, 2400 pixels wide.")
 @click.pass_context
 def report(context: click.Context, run: Path, png: bool) -> None:
-    """Make report.html and figures/*.svg of a RUN again, for instance of an older one."""
+    """Make report.html and figures/*.svg of a RUN folder again."""
     from testbed.cli.report import report_run
 
     context.exit(report_run(run, png))
@@ -284,7 +257,7 @@ def compare(
 @click.option("--port", type=click.IntRange(1, 65534), help="Of the data; the page is one above.")
 @click.pass_context
 def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | None) -> None:
-    """Open the dashboard on a RUN folder, while it is flown or afterwards."""
+    """Open the dashboard on a RUN folder, flown now or long ago."""
     from testbed.cli.dash import show_run
 
     context.exit(show_run(run, "web" if web else "window", bind, port))
@@ -305,7 +278,7 @@ def reproduce(
     as_markdown: bool,
     plots: Path | None,
 ) -> None:
-    """Fly the simulations of a paper again and say which of its claims hold.
+    """Say which claims of a paper hold: its simulations, again.
 
     KEY is a paper (gao2022, xue2021, xue2022, xue2024, zhang2023) or all. The exit code is 1 if a
     verdict is not the one that configs/papers expects.
@@ -317,7 +290,7 @@ def reproduce(
     )
 
 
-for verb in (campaign, tune, bench, lab_keys):
+for verb in (agent, bench, campaign, lab_keys, poses, stop, tune, twin):
     main.add_command(verb)
 
 
@@ -330,6 +303,10 @@ def entry() -> None:
     except click.ClickException as error:
         error.show()
         sys.exit(BAD_INPUT)
+    except OSError as error:  # such as a full disk behind standard output
+        from testbed.cli.refusal import refuse
+
+        code = refuse(error)
     sys.exit(code)
 
 

@@ -43,7 +43,7 @@ def campaign(
     scheduler: str | None,
     as_json: bool,
 ) -> None:
-    """Fly the many runs of a campaign FILE and sum them up (docs/campaigns.md)."""
+    """Fly the many runs of a campaign FILE (docs/campaigns.md)."""
     from testbed.cli.campaign import run_campaign
 
     context.exit(run_campaign(file, out, jobs, scheduler, as_json))
@@ -62,7 +62,10 @@ def tune(
     scheduler: str | None,
     as_json: bool,
 ) -> None:
-    """Choose gains within the bounds of a tuning FILE and write the best as an experiment."""
+    """Choose gains within the bounds of a tuning FILE.
+
+    The best are written as an experiment (docs/campaigns.md).
+    """
     from testbed.cli.tune import run_tuning
 
     context.exit(run_tuning(file, out, jobs, scheduler, as_json))
@@ -73,7 +76,8 @@ def tune(
 @flown_into("runs/benchmark")
 @click.option("--samples", type=click.IntRange(1, 10_000), help="Seeds; the file says how many.")
 @click.option("--only", multiple=True, metavar="SCENARIO", help="Some scenarios; may be repeated.")
-@click.option("--from", "runs", type=click.Path(path_type=Path, exists=True, file_okay=False),
+@click.option("--from", "runs", metavar="FOLDER",
+              type=click.Path(path_type=Path, exists=True, file_okay=False),
               help="Score run folders in FOLDER/scenario/law/ instead of flying.")  # fmt: skip
 @click.option("--commands", is_flag=True, help="Print the commands that fly it run by run.")
 @click.option("--json", "as_json", is_flag=True, help="Print scores.json and nothing else.")
@@ -90,7 +94,10 @@ def bench(
     commands: bool,
     as_json: bool,
 ) -> None:
-    """Fly the benchmark of record: standard scenarios under all laws (docs/benchmark.md)."""
+    """Fly the benchmark of record (docs/benchmark.md).
+
+    Standard scenarios under all laws; FILE, if given, is another benchmark than the shipped one.
+    """
     from testbed.cli.bench import run_benchmark
 
     context.exit(run_benchmark(file, out, jobs, scheduler, as_json, samples, only, runs, commands))

@@ -5,13 +5,11 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
 import click
-from rich.console import Console
 
 from testbed.cli.live import LiveTable
+from testbed.cli.refusal import errors
 from testbed.config import ConfigError, Experiment
 from testbed.ops.latch import Latch
-
-errors = Console(stderr=True, highlight=False)
 
 
 class Operator:

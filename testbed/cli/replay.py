@@ -7,15 +7,14 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from testbed.cli.main import BAD_INPUT, FAILED, OK
+from testbed.cli.main import FAILED, OK
+from testbed.cli.refusal import refuse
 from testbed.config import ConfigError, Experiment, load
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import HostNode
 from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
 from testbed.rig.chain import make_agent, make_guidance
-
-errors = Console(stderr=True, highlight=False)
 
 
 def config_of(run: Path) -> Path:
@@ -26,11 +25,10 @@ def config_of(run: Path) -> Path:
 def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
     """Replay, say what came of it, and return the exit code."""
     try:
-        experiment = load(config_of(run), overrides)
-        verdict = replay_experiment(experiment, log_of(run))
+        log = log_of(run)
+        verdict = replay_experiment(load(config_of(run), overrides), log)
     except (ConfigError, LogError) as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
+        return refuse(error)
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(verdict)).decode() + "\n")
     else:

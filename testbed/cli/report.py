@@ -5,15 +5,13 @@ from pathlib import Path
 
 from rich.console import Console
 
-from testbed.cli.main import BAD_INPUT, OK
+from testbed.cli.main import OK
+from testbed.cli.refusal import refuse
 from testbed.config import ConfigError, load
 from testbed.ops.feed import LogFeed
 from testbed.ops.history import gather
 from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.report import ReportError, read_metrics, write_report
-
-errors = Console(stderr=True, highlight=False)
-
 
 ZOOM = 4  # of a picture made of pixels: 2400 wide, 8 inches at 300 dpi
 
@@ -24,18 +22,17 @@ def report_run(folder: Path, png: bool = False) -> int:
         paths = make_report(folder)
         if png:
             make_pictures(paths[1:])
-    except (ReportError, LogError, ConfigError) as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
+    except (ReportError, LogError, ConfigError, OSError) as error:
+        return refuse(error)
     Console(highlight=False).print(str(paths[0]), markup=False, soft_wrap=True)
     return OK
 
 
 def make_report(folder: Path) -> list[Path]:
     """The files of the page; all that it says is in the folder."""
-    config = folder / "config.toml"
+    config, log = folder / "config.toml", log_of(folder)
     scenario = load(config)
-    history = gather(LogFeed(Logbook(log_of(folder))).news())
+    history = gather(LogFeed(Logbook(log)).news())
     text = config.read_text(encoding="utf-8")
     return write_report(folder, scenario, history, read_metrics(folder), text)
 

@@ -12,7 +12,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as Grid
 from rich.text import Text
 
-from testbed.cli.main import BAD_INPUT, FAILED, INTERRUPTED, OK
+from testbed.cli.main import FAILED, INTERRUPTED, OK
+from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError
 from testbed.reproduction.audit import Made, RunError, made, rows_of, tasks_of
 from testbed.reproduction.claim import CORRECTED, FAILS, HOLDS, UNTESTABLE, MeasureError, Paper, Row
@@ -20,7 +21,6 @@ from testbed.reproduction.page import page
 from testbed.reproduction.paper import EVERY, chosen, read_papers
 
 STYLES = {HOLDS: "green", CORRECTED: "cyan", FAILS: "red", UNTESTABLE: "yellow"}
-errors = Console(stderr=True, highlight=False)
 
 
 def reproduce_papers(
@@ -36,8 +36,7 @@ def reproduce_papers(
             name: rows_of(name, paper, found[name], quick=quick) for name, paper in papers.items()
         }
     except (ConfigError, MeasureError, RunError) as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
+        return refuse(error)
     rows = {name: rows for name, (rows, _) in audited.items()}
     missing = [one for _, lost in audited.values() for one in lost]
     if as_json:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table as Grid
 
 from testbed.config import Experiment
@@ -29,6 +30,10 @@ ROWS = (  # heading, key, scale, format, criterion
 def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None:
     """Print a table, the verdict and where the run is."""
     out = Console(highlight=False)
+    if metrics.red:
+        out.print(f"[bold red]not started[/]: {metrics.experiment} on the {metrics.rig}")
+        out.print(f"run folder: {folder}", markup=False, soft_wrap=True)
+        return
     grid = Grid(title=f"{metrics.experiment} on the {metrics.rig}, seed {metrics.seed}",
                 title_justify="left", title_style="bold")  # fmt: skip
     grid.add_column("")
@@ -97,10 +102,22 @@ def _limit(experiment: Experiment, criterion: str | None, scale: float) -> str:
     return "" if limit is None else f"<= {scale * limit:g}"
 
 
+def _unmeasured(metrics: Metrics, criterion: str) -> bool:
+    """Such as what is said of the last 30 s of a run of 20 s; "never settled" is a measurement."""
+    if criterion in ("settle_s", "clear_of_obstacles"):
+        return False
+    return any(getattr(m, criterion, 0.0) is None for m in metrics.vehicles.values())
+
+
 def _verdict(metrics: Metrics) -> str:
-    failed = [name for name, met in metrics.criteria.items() if not met]
+    failed = [
+        name + " (nothing was measured)" * _unmeasured(metrics, name)
+        for name, met in metrics.criteria.items()
+        if not met
+    ]
     if metrics.fault:
-        return f"[bold red]aborted[/] after {metrics.duration_s:.1f} s by a fault: {metrics.fault}"
+        why = escape(metrics.fault)
+        return f"[bold red]aborted[/] after {metrics.duration_s:.1f} s by a fault: {why}"
     if not metrics.completed:
         return f"[bold yellow]interrupted[/] after {metrics.duration_s:.1f} s"
     if failed:

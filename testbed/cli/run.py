@@ -12,11 +12,11 @@ from types import FrameType
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
-from rich.console import Console
 
 from testbed.cli.live import LiveTable
-from testbed.cli.main import BAD_INPUT, FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
+from testbed.cli.main import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.cli.operator import Operator
+from testbed.cli.refusal import errors, refuse
 from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
@@ -47,8 +47,6 @@ from testbed.rig.boards import check_boards
 from testbed.rig.chain import crew_of
 from testbed.rig.interface import Rig
 from testbed.rig.twin import TwinRig, make_twin, warm_up
-
-errors = Console(stderr=True, highlight=False)
 
 FORMATION_S = 1.0  # between two entries of the five elements in the log [s]
 
@@ -84,14 +82,13 @@ def run_experiment(
             make = maker(rig, experiment, folder, operator)
             metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator)
             write_metrics(folder, metrics)
-            make_report(folder)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
             else:
                 print_result(metrics, experiment, folder)
-    except (ConfigError, FolderError, LogError, ReportError, ViewerError) as error:
-        errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-        return BAD_INPUT
+            report(folder)
+    except (ConfigError, FolderError, ViewerError) as error:
+        return refuse(error)
     if view == "web" and board is not None:
         from testbed.cli.dash import leave
 
@@ -105,6 +102,17 @@ def run_experiment(
     if not metrics.completed:
         return INTERRUPTED
     return OK if all(metrics.criteria.values()) else FAILED
+
+
+def report(folder: Path) -> None:
+    """Make the page; the verdict on the flight stands without it."""
+    try:
+        make_report(folder)
+    except (ReportError, LogError) as error:
+        errors.print(
+            f"warning: no report: {error}\n  later     testbed report {folder}",
+            style="yellow", markup=False, soft_wrap=True,
+        )  # fmt: skip
 
 
 class Interrupt:
@@ -226,6 +234,7 @@ def maker(
     return lambda experiment: WireRig(
         experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched,
         agree=operator.agree if rig == "table" else anybody,
+        say=lambda text: errors.print(text, markup=False, soft_wrap=True),
     )  # fmt: skip
 
 

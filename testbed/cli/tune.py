@@ -28,9 +28,10 @@ from testbed.campaign.tuning import (
     load_tuning,
     tune,
 )
-from testbed.cli.campaign import TROUBLE, find_campaign, say_trouble
+from testbed.cli.campaign import TROUBLE, find_campaign
 from testbed.cli.main import FAILED, INTERRUPTED, OK
-from testbed.cli.run import Interrupt, errors
+from testbed.cli.refusal import errors, refuse
+from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, read, warm
 from testbed.config import dump, load
 
@@ -70,9 +71,7 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
         if result.best is not None:
             write_experiment(tuning, result.best, folder)
     except TROUBLE as error:
-        return say_trouble(error)
-    except OSError as error:
-        return say_trouble(f"{error.filename}: {error.strerror}")
+        return refuse(error)
     if as_json:
         sys.stdout.write(text.decode())
     else:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
-from rich.console import Console
 
 from firmware_interface.compiler import CompilerError
 from firmware_interface.limits import LimitsError
@@ -15,7 +14,8 @@ from firmware_interface.serial_board import BoardError
 from firmware_interface.serial_thrusters import ThrustersError
 from testbed.bench.server import TableServer, port_of
 from testbed.bench.vehicle import VehicleError, fly_vehicle
-from testbed.cli.main import BAD_INPUT, FAULT, INTERRUPTED, OK
+from testbed.cli.main import FAULT, INTERRUPTED, OK
+from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, find, load
 from testbed.core.lab import Network
 from testbed.ops.children import end_on_terminate, orphaned
@@ -26,8 +26,6 @@ from testbed.rig.twin import warm_up
 
 PRIORITY = 30  # the table does not wait for anybody
 
-errors = Console(stderr=True, highlight=False)
-
 
 def serve_twin(
     name: str, overrides: Sequence[str], ports: Path, report: Path | None, *, child: bool
@@ -37,7 +35,7 @@ def serve_twin(
     try:
         experiment = load(find(name), overrides)
     except ConfigError as error:
-        return _failed(error, BAD_INPUT)
+        return refuse(error)
     try:
         warm_up(experiment)
         with TableServer(experiment, ports) as server:
@@ -58,7 +56,7 @@ def serve_twin(
                 part.write_bytes(msgspec.json.encode(server.report()))
                 part.replace(report)
     except (OSError, TapError, BoardError, CompilerError, LimitsError) as error:
-        return _failed(error, FAULT)
+        return refuse(error, FAULT)
     except KeyboardInterrupt:
         return INTERRUPTED
     return OK
@@ -79,19 +77,20 @@ def fly_agent(
                 errors.print(badge.ending, style="yellow", markup=False, soft_wrap=True)
             endpoint, lab = endpoint or badge.endpoint, lab or badge.lab
     except BadgeError as error:
-        return _failed(error, BAD_INPUT)
+        return refuse(error)
+
+    def say(text: str) -> None:
+        if not child:
+            errors.print(f"{name}: {text}", markup=False, soft_wrap=True)
+
+    say(f"looking for the host at {endpoint or Network().endpoint}")
     try:
         fly_vehicle(
             name, endpoint or Network().endpoint, lab or Network().lab, port, keys,
-            child=child, report=report,
+            child=child, report=report, say=say,
         )  # fmt: skip
     except (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError) as error:
-        return _failed(error, FAULT)
+        return refuse(error, FAULT)
     except KeyboardInterrupt:
         return INTERRUPTED
     return OK
-
-
-def _failed(error: Exception, code: int) -> int:
-    errors.print(f"error: {error}", style="red", markup=False, soft_wrap=True)
-    return code

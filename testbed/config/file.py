@@ -23,6 +23,13 @@ from testbed.config.source import Source
 from testbed.config.timing import bad_timing
 from testbed.config.tree import trouble_at
 
+OTHER_KINDS = {  # by their first key that no experiment has
+    "mass": "a vehicle, which `vehicles.NAME.model` of an experiment names",
+    "size": "a table, which `table` of an experiment names",
+    "experiment": "a campaign (`testbed campaign`), or of tuning (`testbed tune`)",
+    "samples": "a benchmark (`testbed bench`)",
+}
+
 
 def find(name: str) -> Path:
     """The file of an experiment given as a path or as the name of a shipped one."""
@@ -34,7 +41,13 @@ def find(name: str) -> Path:
     if name in known:
         return known[name]
     expected = f"an experiment file or one of: {', '.join(known)}"
-    raise ConfigError(name, "", expected, trouble + did_you_mean(path.stem, known))
+    if name and trouble_at(path / "config.toml") is None:
+        hint = f" (of a run? its experiment is {path / 'config.toml'})"
+    elif name and trouble_at(Path(f"{path}.toml")) is None:
+        hint = f" (did you mean `{path}.toml`?)"
+    else:
+        hint = did_you_mean(path.stem, known)
+    raise ConfigError(name, "", expected, trouble + hint)
 
 
 def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
@@ -55,7 +68,10 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
     try:
         experiment = msgspec.convert(source.tree, Experiment)
     except msgspec.ValidationError:
-        raise source.error(first_misfit(source.tree, Experiment)) from None
+        mistake = first_misfit(source.tree, Experiment)
+        if len(mistake.key) == 1 and (kind := OTHER_KINDS.get(str(mistake.key[0]))):
+            mistake = mistake._replace(found=f"{mistake.found}: the file of {kind}?")
+        raise source.error(mistake) from None
     for mistake in mistakes(experiment):
         raise source.error(mistake)
     return with_content(experiment)

@@ -104,7 +104,8 @@ def _parse(origin: Origin, key: Key, raw: str) -> Any:
     except ValueError:
         if _BARE_WORD.fullmatch(raw):
             return raw
-    raise ConfigError(origin.where, spell(key), "a TOML value", show(raw) if raw else "nothing")
+    expected = """a TOML value: a number, a word, [...], {...}, or text in quotes, 'key="..."'"""
+    raise ConfigError(origin.where, spell(key), expected, show(raw) if raw else "nothing")
 
 
 def _meant(origin: Origin, key: Key, parent: Any, part: str | int) -> list[tuple[Key, Any]]:

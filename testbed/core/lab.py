@@ -18,7 +18,7 @@ class MocapWire(Struct, frozen=True, forbid_unknown_fields=True):
 
     system: Literal["natnet", "zenoh", "vicon", "qualisys", "vrpn"] = "natnet"
     server: str = "127.0.0.1"
-    interface: str = "127.0.0.1"  # this machine's address towards the server
+    interface: str = "127.0.0.1"  # own address towards it; 0.0.0.0: whichever leads there
     command_port: Port = 1510
     data_port: Port = 1511
     group: str | None = None  # frames are multicast to this address; none: sent to each client

@@ -38,9 +38,8 @@ def new_folder(out: Path | None, name: str) -> Path:
     try:
         if out is not None:
             if out.exists() and (not out.is_dir() or any(out.iterdir())):
-                raise FolderError(
-                    f"{out}\n  expected  a new or empty folder\n  found     older files"
-                )
+                found = "older files in it" if out.is_dir() else "a file"
+                raise FolderError(f"{out}\n  expected  a new or empty folder\n  found     {found}")
             out.mkdir(parents=True, exist_ok=True)
             if not os.access(out, os.W_OK | os.X_OK):
                 raise FolderError(f"{out}: Permission denied")
@@ -54,7 +53,10 @@ def new_folder(out: Path | None, name: str) -> Path:
                 continue
             return path
     except OSError as error:
-        raise FolderError(f"{error.filename}: {error.strerror}") from None
+        raise FolderError(
+            f"{error.filename}\n  expected  a place that can be written; --out names another\n"
+            f"  found     {error.strerror}"
+        ) from None
     raise FolderError(f"runs/{stamp}_{name}: a thousand runs in one second")
 
 

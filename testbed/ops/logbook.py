@@ -103,5 +103,16 @@ def reads(kind: type[S]) -> msgspec.json.Decoder[S]:
 
 
 def log_of(run: Path) -> Path:
-    """The log that an operator means by a run folder or by the log itself."""
-    return run / "log.mcap" if run.is_dir() else run
+    """The log that an operator means by a run folder or by the log itself.
+
+    Raises:
+        LogError: the folder is none of a run.
+    """
+    if not run.is_dir():
+        return run
+    if not any((run / name).exists() for name in ("log.mcap", "config.toml")):
+        raise LogError(
+            f"{run}\n  expected  a run folder, with a log.mcap and a config.toml in it\n"
+            "  found     neither"
+        )
+    return run / "log.mcap"

@@ -60,7 +60,10 @@ def write_report(
         text = render(scenario, history, metrics, config, charts)
         paths[0].write_text(text, encoding="utf-8")
     except OSError as error:
-        raise ReportError(f"{error.filename}: {error.strerror}") from None
+        raise ReportError(
+            f"{error.filename or paths[-1]}\n  expected  a place that can be written\n"
+            f"  found     {error.strerror}"
+        ) from None
     return paths
 
 

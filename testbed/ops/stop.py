@@ -134,7 +134,8 @@ def _stop(flight: Flight) -> bool:
             session.put(key, b"stop")
             heard = ask_all(session, key)
     except NetworkError as error:
-        sys.stderr.write(f"{endpoint} is not stopped: {error}\n")
+        sys.stderr.write(f"not stopped: {error}\n")
         return False
-    sys.stdout.write(f"{endpoint}: {heard} vehicles have closed their valves\n")
+    whose = "1 vehicle has closed its" if heard == 1 else f"{heard} vehicles have closed their"
+    sys.stdout.write(f"{endpoint}: {whose} valves\n")
     return heard > 0

@@ -7,6 +7,7 @@ from msgspec import Struct
 
 from testbed.ops.logbook import Row
 
+UNTIMED = {"Event", "Valves"}  # kinds that come when something happens: no rate, no gaps
 GAP = 1.5  # a pause longer than so many usual ones is a gap
 
 
@@ -16,7 +17,7 @@ class Topic(Struct, frozen=True):
     topic: str
     kind: str  # name of its schema
     messages: int
-    rate_hz: float | None  # null with fewer than two messages
+    rate_hz: float | None  # null with fewer than two messages, and of what has none
     first_s: float
     last_s: float
     gaps: int
@@ -43,7 +44,7 @@ def survey(rows: Iterable[Row], kinds: dict[str, str]) -> list[Topic]:
 
 def _topic(name: str, kind: str, stamps: list[int], size: int) -> Topic:
     steps = np.diff(np.array(stamps)) * 1e-9
-    usual = float(np.median(steps)) if len(steps) else 0.0
+    usual = float(np.median(steps)) if len(steps) and kind not in UNTIMED else 0.0
     long = steps[steps > GAP * usual] if usual > 0.0 else steps[:0]
     return Topic(
         name,

@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from testbed.bench.host import WireRig, loopback
 from testbed.cli.main import BAD_INPUT, FAULT, NOT_STARTED, main
+from testbed.config import find, load
 from testbed.ops.latch import KILLED, Latch
 from testbed.ops.logbook import Logbook
 
@@ -38,9 +40,19 @@ def test_a_red_check_is_named_and_nothing_is_armed():
     done = run("--rig", "bench", "arming.battery=13", "arming.clearance=1", "--out", "out")
     assert done.exit_code == NOT_STARTED
     assert "red: sat1 battery: 12.0 V" in done.output
+    assert "not started: hold on the bench\n" in done.output
+    assert "final error" not in done.output  # there is nothing to show
     assert metrics("out")["red"] == ["sat1 battery: 12.0 V"]
     assert metrics("out")["phase"] == "DISARMED"
     assert Latch("bench", "lab", "").fault is None  # no valve could open
+
+
+def test_on_the_table_it_says_whom_it_waits_for():
+    said = []
+    rig = WireRig(loopback(load(find("hold")), Path()), bench=False, say=said.append)
+    ending = rig.fly(None, stopped=lambda: bool(said))
+    assert said == ["waiting for sat1: `testbed agent` on each"]
+    assert (ending.t, ending.fault) == (0.0, None)
 
 
 def test_the_run_after_a_fault_says_so_and_resets_it():

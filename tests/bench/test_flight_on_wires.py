@@ -187,7 +187,7 @@ def test_an_operator_says_stop(capsys):
     assert ending.fault == "stopped by the operator"
     assert ending.t < 20.0
     assert rig.report.left_as["sat1"] == ("SAFE", [])
-    assert "1 vehicles have closed their valves" in capsys.readouterr().out
+    assert "1 vehicle has closed its valves" in capsys.readouterr().out
     assert_nothing_is_left(met)
 
 

@@ -3,6 +3,7 @@
 import io
 
 import pytest
+from msgspec.structs import replace
 from rich.console import Console
 
 from testbed.cli.live import LiveTable
@@ -51,6 +52,15 @@ def test_a_row_for_everybody():
     assert clearance == pytest.approx(1.65, abs=0.05)
     assert 0.0 < speed < 60.0
     assert gas == 100.0
+
+
+def test_a_board_without_a_gauge_has_no_percentage():
+    live = flown(Console(file=io.StringIO()))
+    for name, tick in list(live._ticks.items()):
+        health = replace(tick.inputs.health, tank_pressure=0.0)
+        live.vehicle(name, replace(tick, inputs=replace(tick.inputs, health=health)))
+    row = next(line for line in words(live).splitlines() if line.startswith("sat1"))
+    assert row.split()[-2] == "-"
 
 
 def test_a_fault_is_in_it():

@@ -129,6 +129,8 @@ def test_a_wrong_choice(override: str) -> None:
     assert message.found == found
 
 
+TOML_VALUE = """a TOML value: a number, a word, [...], {...}, or text in quotes, 'key="..."'"""
+
 WRONG = {  # override: (key if it is not that of the override, expected, found)
     # wrong types, however deep
     "name=7": ("", "a string", "7"),
@@ -318,14 +320,14 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "table.size[2]=1": ("table.size", "an index below 2", "[6.0, 6.0]"),
     "table.size.x=1": ("table.size", "an index below 2", "[6.0, 6.0]"),
     # values that cannot be
-    "name=": ("", "a TOML value", "nothing"),
-    "name=two words": ("", "a TOML value", '"two words"'),
-    'name="x': ("", "a TOML value", '"\\"x"'),
-    "controller.lambda=[1,x]": ("", "a TOML value", '"[1,x]"'),
-    "seed=1\nname='b'": ("", "a TOML value", '"1\\nname=\'b\'"'),
-    f"seed={'9' * 5000}": ("", "a TOML value", '"' + "9" * 68 + "..."),
-    f"controller.k={'[' * 1000}": ("", "a TOML value", '"' + "[" * 68 + "..."),
-    f"controller.k={'[' * 40}{']' * 40}": ("", "a TOML value", '"' + "[" * 40 + "]" * 28 + "..."),
+    "name=": ("", TOML_VALUE, "nothing"),
+    "name=two words": ("", TOML_VALUE, '"two words"'),
+    'name="x': ("", TOML_VALUE, '"\\"x"'),
+    "controller.lambda=[1,x]": ("", TOML_VALUE, '"[1,x]"'),
+    "seed=1\nname='b'": ("", TOML_VALUE, '"1\\nname=\'b\'"'),
+    f"seed={'9' * 5000}": ("", TOML_VALUE, '"' + "9" * 68 + "..."),
+    f"controller.k={'[' * 1000}": ("", TOML_VALUE, '"' + "[" * 68 + "..."),
+    f"controller.k={'[' * 40}{']' * 40}": ("", TOML_VALUE, '"' + "[" * 40 + "]" * 28 + "..."),
 }  # fmt: skip
 
 

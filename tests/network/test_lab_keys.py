@@ -544,7 +544,7 @@ def test_stop_with_an_operators_keys(rig, folder, nowhere, monkeypatch, capsys):
     monkeypatch.setattr(stopping, "own_keys", lambda: folder / "operator-anna")
     assert stop_everything(None, "lab") == OK  # the same without a word
     assert told.shut > shut
-    assert "1 vehicles have closed" in capsys.readouterr().out
+    assert "1 vehicle has closed" in capsys.readouterr().out
 
 
 def test_stop_on_the_hosts_machine_needs_no_keys(rig, folder, endpoint, nowhere):

@@ -47,7 +47,13 @@ class NatNetClient:
 
     def __init__(self, wire: MocapWire) -> None:
         self._server = (wire.server, wire.command_port)
-        self._sockets = [_stamped(wire.interface, 0)]
+        try:
+            self._sockets = [_stamped(wire.interface, 0)]
+        except OSError as error:
+            raise OSError(
+                f"[lab.mocap] interface = {wire.interface!r}: {error.strerror}; expected an address"
+                " of this machine towards the cameras (`ip -brief address` shows them)"
+            ) from None
         if wire.group:
             data = _stamped(wire.group, wire.data_port, shared=True)
             membership = socket.inet_aton(wire.group) + socket.inet_aton(wire.interface)
@@ -147,7 +153,11 @@ def _stamped(host: str, port: int, *, shared: bool = False) -> socket.socket:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     one.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
     one.setblocking(False)
-    one.bind((host, port))
+    try:
+        one.bind((host, port))
+    except OSError:
+        one.close()
+        raise
     return one
 
 

@@ -10,14 +10,17 @@ from testbed.ops.network.keys import Keys
 
 def make_source(wire: MocapWire, session: zenoh.Session, keys: Keys) -> MocapSource:
     """Connect to it."""
-    match wire.system:
-        case "natnet":
-            return NatNetClient(wire)
-        case "zenoh":
-            from testbed.ops.mocap.topic import PoseTopic
+    if wire.system == "zenoh":
+        from testbed.ops.mocap.topic import PoseTopic
 
-            return PoseTopic(session, keys.pose)
-        case _:
-            from testbed.ops.mocap.foreign import ForeignSource
+        return PoseTopic(session, keys.pose)
+    return datagrams(wire)
 
-            return ForeignSource(wire)
+
+def datagrams(wire: MocapWire) -> MocapSource:
+    """Connect to a system that needs no session of Zenoh's."""
+    if wire.system == "natnet":
+        return NatNetClient(wire)
+    from testbed.ops.mocap.foreign import ForeignSource
+
+    return ForeignSource(wire)

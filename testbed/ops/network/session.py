@@ -29,6 +29,10 @@ class NetworkError(Exception):
     """There is no network."""
 
 
+class NobodyError(NetworkError):
+    """Nobody listens there, or one side does not believe the other's keys."""
+
+
 def _config(
     mode: str, listen: list[str], connect: list[str], wait_ms: int,
     keys: Path | None = None, control: Mapping[str, Any] | None = None,
@@ -113,14 +117,15 @@ def dial(endpoint: str, wait_s: float = 1.0, keys: Path | None = None) -> zenoh.
     """Open a vehicle's or an onlooker's end.
 
     Raises:
-        NetworkError: nobody listens there, or one side does not believe the other's keys.
+        NobodyError: nobody listens there, or one side does not believe the other's keys.
+        NetworkError: nobody should dial there with these keys.
     """
     _checked(endpoint, keys)
     try:
         return zenoh.open(_config("client", [], [endpoint], round(1e3 * wait_s), keys))
     except zenoh.ZError as error:
         doubt = "" if keys is None else f", and are the keys in {keys} of its lab and not expired"
-        raise NetworkError(
+        raise NobodyError(
             f"nobody answers at {endpoint}: {_words(error)}; is `testbed run` waiting on the host,"
             f" and is the address right{doubt}?"
         ) from None

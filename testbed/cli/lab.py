@@ -1,0 +1,91 @@
+"""The verbs of a lab: their arguments. What they do is imported when it is needed."""
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("experiment")
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option(
+    "--ports",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    default=Path(),
+    help="Folder in which the vehicles' serial ports appear.  [default: here]",
+)
+@click.option("--report", type=click.Path(path_type=Path), hidden=True)
+@click.option("--child", is_flag=True, hidden=True)
+@click.pass_context
+def twin(
+    context: click.Context,
+    experiment: str,
+    overrides: tuple[str, ...],
+    ports: Path,
+    report: Path | None,
+    child: bool,
+) -> None:
+    """Serve the table of an EXPERIMENT in real time.
+
+    It has cameras, serial ports with firmware behind them, and the truth, for `testbed agent` and
+    `testbed run --rig table` to try a lab's wiring without a lab.
+    """
+    from testbed.cli.wires import serve_twin
+
+    context.exit(serve_twin(experiment, overrides, ports, report, child=child))
+
+
+@click.command()
+@click.argument("vehicle")
+@click.option("--connect", help="Where the host listens.  [default: as the keys say; loopback]")
+@click.option("--lab", help="First part of all keys.  [default: as the keys say; lab]")
+@click.option("--serial", help="The board's port.  [default: the table file's]")
+@click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
+@click.option("--report", type=click.Path(path_type=Path), hidden=True)
+@click.option("--child", is_flag=True, hidden=True)
+@click.pass_context
+def agent(
+    context: click.Context, vehicle: str, connect: str | None, lab: str | None,
+    serial: str | None, keys: Path | None, report: Path | None, child: bool,
+) -> None:  # fmt: skip
+    """Fly a VEHICLE: on its own computer, beside its valve board."""
+    from testbed.cli.wires import fly_agent
+
+    context.exit(fly_agent(vehicle, connect, lab, serial, keys, child=child, report=report))
+
+
+@click.command()
+@click.argument("experiment")
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option(
+    "--for", "seconds", type=click.FloatRange(min=0.0, min_open=True),
+    help="How long to look [s].  [default: until Ctrl-C]",
+)  # fmt: skip
+@click.pass_context
+def poses(
+    context: click.Context, experiment: str, overrides: tuple[str, ...], seconds: float | None
+) -> None:
+    """Show where the cameras see the bodies of an EXPERIMENT.
+
+    In the table's frame, with rates and latencies; nothing is commanded. The exit code is 1 if one
+    of its vehicles is not seen.
+    """
+    from testbed.cli.poses import watch_poses
+
+    context.exit(watch_poses(experiment, overrides, seconds))
+
+
+@click.command()
+@click.option("--connect", help="Where the host listens.  [default: every flight on this machine]")
+@click.option("--lab", default="lab", show_default=True, help="First part of all keys.")
+@click.option(
+    "--keys",
+    type=click.Path(path_type=Path),
+    help="The operator's folder of `testbed lab-keys`.  [default: ~/.airbearing-testbed]",
+)
+@click.pass_context
+def stop(context: click.Context, connect: str | None, lab: str, keys: Path | None) -> None:
+    """Stop whatever flies: shut every valve, now."""
+    from testbed.ops.stop import stop_everything
+
+    context.exit(stop_everything(connect, lab, keys))

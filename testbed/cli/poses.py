@@ -1,0 +1,121 @@
+"""`testbed poses`: where the cameras of a lab see every body, in the table's frame.
+
+For the first day with a table: carry a vehicle along the table's x axis and x must grow; turn it
+counter-clockwise and the heading must. Nothing is commanded and no host is needed.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from math import degrees
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table as Grid
+
+from testbed.cli.main import FAILED, OK
+from testbed.cli.refusal import errors, refuse
+from testbed.config import ConfigError, find, load
+from testbed.core.lab import MocapWire
+from testbed.core.types import Pose
+from testbed.ops.mocap.exposure import Axes, Exposure
+from testbed.ops.mocap.source import datagrams
+from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+
+LOOK_NS = 100_000_000  # between two looks at the sockets, and two pictures
+SECOND_NS = 1_000_000_000
+
+
+class Seen:
+    """One body: its newest pose, and the last second of it."""
+
+    def __init__(self) -> None:
+        self.pose: Pose | None = None
+        self.latency_ms = 0.0  # exposure to arrival
+        self.arrived_ns: deque[int] = deque()  # of the frames of the last second that track it
+
+    def rate(self, now_ns: int) -> int:
+        """Frames of the last second that track it [Hz]."""
+        while self.arrived_ns and self.arrived_ns[0] <= now_ns - SECOND_NS:
+            self.arrived_ns.popleft()
+        return len(self.arrived_ns)
+
+
+class Room:
+    """All that the cameras see, by the names that they have for it."""
+
+    def __init__(self, wire: MocapWire, vehicles: Iterable[str]) -> None:
+        self._axes = Axes(wire)
+        self.bodies = {name: wire.bodies.get(name, name) for name in vehicles}
+        self.seen: dict[str, Seen] = {}
+
+    def take(self, exposures: Sequence[Exposure]) -> None:
+        """What has come in."""
+        for exposure in exposures:
+            for body, sighting in exposure.bodies.items():
+                one = self.seen.setdefault(body, Seen())
+                if sighting.tracked:
+                    one.pose = self._axes.to_table(sighting)
+                    one.latency_ms = 1e-6 * (exposure.arrived_ns - exposure.exposed_ns)
+                    one.arrived_ns.append(exposure.arrived_ns)
+
+    def picture(self, now_ns: int) -> Grid:
+        """One row per body."""
+        vehicle_of = {body: name for name, body in self.bodies.items()}
+        grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+        for heading in ("body", "vehicle"):
+            grid.add_column(heading, overflow="fold")
+        for heading in ("x [m]", "y [m]", "heading [deg]", "rate [Hz]", "latency [ms]"):
+            grid.add_column(heading.replace("[", "\\["), justify="right", no_wrap=True)
+        for body, one in sorted(self.seen.items()):
+            cells = ("-", "-", "-")
+            if one.pose is not None:
+                pose = one.pose
+                cells = (f"{pose.x:.3f}", f"{pose.y:.3f}", f"{degrees(pose.theta):.1f}")
+            rate, name = one.rate(now_ns), vehicle_of.get(body, "-")
+            grid.add_row(body, name, *cells, str(rate), f"{one.latency_ms:.1f}")
+        return grid
+
+    def missing(self) -> Mapping[str, str]:
+        """Vehicles whose body was never tracked, and its name."""
+        tracked = {body for body, one in self.seen.items() if one.pose is not None}
+        return {name: body for name, body in self.bodies.items() if body not in tracked}
+
+
+def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> int:
+    """Look until Ctrl-C, or for so long [s]; 1 if a vehicle of the experiment is not seen."""
+    try:
+        experiment = load(find(name), overrides)
+        wire = experiment.table.lab.mocap
+        if wire.system == "zenoh":
+            expected = "a system that sends datagrams; who dials the host sees Zenoh's poses"
+            raise ConfigError(name, "table.lab.mocap.system", expected, "zenoh")
+        source = datagrams(wire)
+    except (ConfigError, OSError) as error:
+        return refuse(error)
+    room, out = Room(wire, experiment.vehicles), Console(highlight=False)
+    end = None if seconds is None else monotonic_ns() + round(1e9 * seconds)
+    with ExitStack() as stack:
+        stack.callback(source.close)
+        live = None
+        if out.is_terminal:
+            live = stack.enter_context(Live(console=out, transient=True, auto_refresh=False))
+        with suppress(KeyboardInterrupt):
+            while end is None or monotonic_ns() < end:
+                room.take(source.poll())
+                if live is not None:
+                    live.update(room.picture(monotonic_ns()), refresh=True)
+                sleep_until_ns(monotonic_ns() + LOOK_NS)
+    if not room.seen:
+        return refuse(
+            f"{wire.system} at {wire.server}\n  expected  poses that arrive at {wire.interface}\n"
+            "  found     none: is it streaming, to this address, and through the firewall?",
+            FAILED,
+        )
+    out.print(room.picture(monotonic_ns()))
+    for vehicle, body in room.missing().items():
+        errors.print(
+            f"{vehicle}: the cameras do not track {body!r}; [lab.mocap] bodies maps its name",
+            style="red", markup=False, soft_wrap=True,
+        )  # fmt: skip
+    return FAILED if room.missing() else OK

@@ -1,0 +1,45 @@
+"""What a verb says when it cannot go on: where, what was expected, what was found."""
+
+import errno
+import textwrap
+
+from rich.console import Console
+
+from testbed.cli.main import BAD_INPUT
+
+LABEL = 12  # characters of "  expected  "
+
+errors = Console(stderr=True, highlight=False)
+
+
+def refuse(error: Exception | str, code: int = BAD_INPUT) -> int:
+    """Tell the operator what is wrong; the exit code."""
+    text = of_the_disk(error) if isinstance(error, OSError) else error
+    errors.print(laid_out(f"error: {text}"), style="red", markup=False, soft_wrap=True)
+    return code
+
+
+def laid_out(text: str) -> str:
+    """At a terminal, long lines of a message broken between words, under their beginning."""
+    if not errors.is_terminal:
+        return text
+    lines = []
+    for line in text.splitlines():
+        indent = " " * LABEL if line.startswith("  ") else "  "
+        lines += textwrap.wrap(
+            line, errors.width, subsequent_indent=indent,
+            break_long_words=False, break_on_hyphens=False, drop_whitespace=True,
+        ) or [""]  # fmt: skip
+    return "\n".join(lines)
+
+
+def of_the_disk(error: OSError) -> str:
+    """What the system says of a file, in the form of every other message."""
+    place, expected = error.filename2 or error.filename, "a file or folder that can be used"
+    if place is None and error.errno == errno.ENOSPC:
+        place, expected = "standard output", "room for what is printed"
+    elif place is None:  # of a socket, for instance
+        return str(error)
+    elif isinstance(error, FileExistsError):
+        expected = "a new file: nothing is written over; remove it, or name another with --out"
+    return f"{place}\n  expected  {expected}\n  found     {error.strerror}"

@@ -1,0 +1,95 @@
+"""`testbed poses`: what the cameras of a lab see, before anything is commanded."""
+
+import math
+
+import pytest
+
+from testbed.cli import poses
+from testbed.core.lab import MocapWire
+from testbed.core.types import Pose
+from testbed.ops.mocap.exposure import Axes, Exposure, Sighting
+from testbed.ops.ticking import monotonic_ns
+
+LOST = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
+
+
+class Cameras:
+    """A source with one look's worth of exposures."""
+
+    def __init__(self, *exposures: Exposure) -> None:
+        self.exposures, self.closed = list(exposures), False
+
+    def poll(self):
+        found, self.exposures = self.exposures, []
+        return found
+
+    def close(self):
+        self.closed = True
+
+
+def exposure(number=0, latency_ms=20.0, **bodies):
+    now = monotonic_ns()
+    return Exposure(number, now - round(1e6 * latency_ms), now, bodies)
+
+
+@pytest.fixture
+def look(testbed, monkeypatch):
+    def call(*exposures, words=()):
+        cameras = Cameras(*exposures)
+        monkeypatch.setattr(poses, "datagrams", lambda wire: cameras)
+        result = testbed("poses", "hold", "--for", "0.01", *words)
+        assert cameras.closed
+        return result
+
+    return call
+
+
+def test_a_vehicle_is_shown_in_the_frame_of_the_table(look):
+    words = ["table.lab.mocap.origin=[0.1,-0.4]", "table.lab.mocap.turn_deg=90"]
+    wire = MocapWire(origin=(0.1, -0.4), turn_deg=90.0)
+    there = Axes(wire).to_cameras(Pose(1.5, -2.0, math.radians(30.0)))
+    result = look(exposure(sat1=there), words=words)
+    assert result.exit_code == 0
+    assert "sat1 sat1 1.500 -2.000 30.0 1 20.0" in " ".join(result.stdout.split())
+
+
+def test_a_name_of_the_cameras_is_mapped(look):
+    there = Axes(MocapWire()).to_cameras(Pose(0.0, 0.0, 0.0))
+    result = look(exposure(Body_1=there), words=["table.lab.mocap.bodies={sat1='Body_1'}"])
+    assert result.exit_code == 0
+    assert "Body_1 sat1 " in " ".join(result.stdout.split())
+
+
+def test_a_vehicle_that_is_not_seen_is_named_and_so_are_the_others(look):
+    there = Axes(MocapWire()).to_cameras(Pose(0.0, 0.0, 0.0))
+    result = look(exposure(Body_1=there, sat1=LOST))
+    assert result.exit_code == 1
+    assert "sat1: the cameras do not track 'sat1'" in result.stderr
+    shown = " ".join(result.stdout.split())
+    assert "Body_1 - 0.000" in shown
+    assert "sat1 sat1 - - - 0 " in shown
+
+
+def test_no_frame_at_all(look):
+    result = look()
+    assert result.exit_code == 1
+    assert "natnet at 127.0.0.1\n  expected  poses that arrive at 127.0.0.1" in result.stderr
+
+
+def test_the_rate_is_of_the_last_second():
+    seen = poses.Seen()
+    seen.arrived_ns.extend(range(0, 3 * poses.SECOND_NS, poses.SECOND_NS // 100))
+    assert seen.rate(3 * poses.SECOND_NS - 1) == 100
+
+
+def test_an_interface_of_another_machine(testbed):
+    result = testbed("poses", "hold", 'table.lab.mocap.interface="192.0.2.1"')
+    assert result.exit_code == 2
+    assert "[lab.mocap] interface = '192.0.2.1': " in result.stderr
+    assert "expected an address of this machine" in result.stderr
+
+
+def test_poses_on_zenoh_come_with_the_host(testbed):
+    result = testbed("poses", "hold", "table.lab.mocap.system=zenoh")
+    assert result.exit_code == 2
+    assert "table.lab.mocap.system" in result.stderr
