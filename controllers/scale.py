@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.law import (
     Ahead,
     Body,
@@ -116,6 +116,7 @@ class Scaled:
         self.law, self._mass, self.words = law, scale.mass, law.words
         length, time = scale.length, scale.time
         self._rates = length, length / time, length / time**2, length / time**3, time
+        self._fly_scaled = settled(fly_scaled)
 
     def _units(self, own: Body) -> Units:
         mass = self._mass or own.mass
@@ -147,7 +148,7 @@ class Scaled:
         """See `Law`."""
         units, law = self._units(own), self.law
         if isinstance(law, CompiledLaw):
-            return fly_scaled(
+            return self._fly_scaled(
                 law.gains, units, law_state, own, neighbours, world, t, duration, steps
             )
         body, others, scene = scene_in(units, own, neighbours, world)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.randomness import Draws
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.types import PoseSample
@@ -75,6 +75,7 @@ class Camera:
             mocap.dropout_s,
         )
         self._lost_until = -np.inf
+        self._photograph = settled(photograph)
         self._on_the_way: list[list[float]] = []  # (arrival, capture, x, y, theta)
 
     def expose(self, times: Array, states: Array) -> None:
@@ -85,8 +86,13 @@ class Camera:
             states: true x, y, theta, ... then, shape (n, 6).
         """
         n = len(times)
-        rows, self._lost_until = photograph(
-            times, states, self._noise.take(n), self._luck.take(n), self._optics, self._lost_until
+        rows, self._lost_until = self._photograph(
+            times,
+            np.ascontiguousarray(states),
+            self._noise.take(n),
+            self._luck.take(n),
+            self._optics,
+            self._lost_until,
         )
         self._on_the_way += rows.tolist()
 

@@ -28,7 +28,7 @@ from sim_twin.flow import pieces
 from sim_twin.ground import lay
 from sim_twin.metal import forge
 from sim_twin.randomness import stream
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.table import Obstacle, Table
 from testbed.core.types import Pose
 from testbed.core.vehicle import Vehicle
@@ -188,6 +188,7 @@ class Plant:
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
+        self._advance = settled(advance)
 
     def _pulses_of(self, k: int) -> Pulses:
         return Pulses(self._pulses.up[k], self._pulses.down[k], self._pulses.strength[k])
@@ -230,7 +231,7 @@ class Plant:
         rows = np.empty((64, 4))
         origin = nanoseconds(self.t)
         span = 1e-9 * (nanoseconds(t) - origin)
-        seen, count = advance(
+        seen, count = self._advance(
             self.x,
             (self.used, self.impulse),
             self.metal,

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.types import (
     Demand,
     Inputs,
@@ -87,6 +87,7 @@ class Agent:
             min_off_s=max(0.0, valve.min_off_s + 0.5 * stretch),
         )
         self._stretch, in_flow = stretch, replace(vehicle, valve=flow)
+        self._in_microseconds = settled(in_microseconds)
         self._modulator = make_modulator(params.modulator, in_flow, params.jet_period_s)
 
     @property
@@ -176,7 +177,7 @@ class Agent:
         period, jets = self._period, len(self._vehicle.jets)
         duty = self._allocator.allocate(wanted, max(share, 0.1), self._vehicle.air.droop)
         on, offset = self._modulator.pulses(duty)
-        times, fx, fy, tau = in_microseconds(
+        times, fx, fy, tau = self._in_microseconds(
             on, offset, self._stretch, period, self._allocator.effect
         )
         times_us = times.tolist()

@@ -40,7 +40,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.table import Obstacle
 from testbed.core.types import Intervention, State
 from testbed.core.vehicle import NonNegative, Positive
@@ -348,6 +348,7 @@ class Barrier:
             for rock in obstacles.values()
         ])  # fmt: skip
         self.spare = np.inf  # see `filtered` [m]
+        self._guarded = settled(guarded)
 
     def filter(
         self, t: float, force: tuple[float, float], motion: tuple[float, ...],
@@ -368,7 +369,7 @@ class Barrier:
         for name, state in neighbours.items():
             pose, twist = state.pose, state.twist
             rows.append((pose.x, pose.y, twist.vx, twist.vy, self._keep[name], state.t))
-        x, y, hazard, self.spare = guarded(
+        x, y, hazard, self.spare = self._guarded(
             t, fx, fy, px, py, vx, vy, bx, by,
             self._rocks, np.array(rows) if rows else NOBODY, self._limits, max(share, WORST_SHARE),
         )  # fmt: skip

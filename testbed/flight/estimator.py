@@ -21,7 +21,7 @@ from msgspec import Struct
 from msgspec.structs import astuple
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.jets import effect_matrix
 from testbed.core.pulse import Timing, open_time, timing
 from testbed.core.se2 import wrap, wrap_compiled
@@ -322,11 +322,13 @@ class Estimator:
         self._cov_spin = np.zeros((3, 3))
         self._clock = Clock(0.0, 0.0, 0, 0, 1.0)
         self._last = np.zeros((2, 4))  # samples
+        self._note, self._absorb = settled(note), settled(absorb)
+        self._predict_mean = settled(predict_mean)
 
     def remember(self, command: ValveCommand) -> None:
         """Note a plan that was really sent: the prediction is driven by it."""
         start, end = command.issued_at + self._delay, command.valid_until + self._delay
-        note(self._fired, start, end, np.array(command.on_us + command.offset_us))
+        self._note(self._fired, start, end, np.array(command.on_us + command.offset_us))
 
     def update(self, samples: Sequence[PoseSample], now: float) -> None:
         """Absorb poses in order of arrival; the first one ever starts the filter, at rest.
@@ -344,7 +346,7 @@ class Estimator:
                 return
             self._start(table[0])
         assert self._x is not None
-        self._clock = absorb(
+        self._clock = self._absorb(
             self._x, self._cov, self._cov_spin, self._clock, self._last, table, now, self._fired,
             self._model, self._noise, self._walk, self._params.gate_sigma,
         )  # fmt: skip
@@ -369,7 +371,7 @@ class Estimator:
         if self._x is None:
             return None
         x = self._x.copy()
-        predict_mean(x, self._fired, self._model, self._clock.t, t)
+        self._predict_mean(x, self._fired, self._model, self._clock.t, t)
         px, py, theta, vx, vy, omega, bx, by, spin = x.tolist()
         return State(
             t,

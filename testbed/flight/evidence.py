@@ -22,7 +22,7 @@ is an average over SETTLING, so that it knows tilt and drag but not what is miss
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.jets import effect_matrix
 from testbed.core.types import State
 from testbed.core.vehicle import Vehicle
@@ -115,6 +115,7 @@ class Evidence:
         self._before: Array | None = None
         self.missing = 0.0  # standard deviations by which the worst jet gives too little
         self.jet = 0
+        self._weigh = settled(weigh)
 
     def look(self, state: State, duty: Array, share: float) -> None:
         """Note a tick: the estimate, and the duties (n,) of the plan that led to it."""
@@ -123,7 +124,7 @@ class Evidence:
         if self._before is not None:
             self._ticks += 1
             settling = max(1.0 / self._ticks, self._period / SETTLING)
-            self.missing, self.jet = weigh(
+            self.missing, self.jet = self._weigh(
                 self._before, now, duty * share, self._effect, self._smooth, self._sums,
                 self._spread, self._bias, settling, self._memory, self._lag, self._thrust,
                 self._period,
