@@ -1,5 +1,7 @@
 """Motion capture: true states in, late and noisy poses out."""
 
+from bisect import bisect_right
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -76,7 +78,7 @@ class Camera:
         )
         self._lost_until = -np.inf
         self._photograph = settled(photograph)
-        self._on_the_way: list[list[float]] = []  # (arrival, capture, x, y, theta)
+        self._on_the_way: list[list[float]] = []  # (arrival, capture, x, y, theta), sorted
 
     def expose(self, times: Array, states: Array) -> None:
         """Take pictures.
@@ -95,9 +97,10 @@ class Camera:
             self._lost_until,
         )
         self._on_the_way += rows.tolist()
+        self._on_the_way.sort()
 
     def arrived(self, now: float) -> list[PoseSample]:
         """Poses that have arrived by `now` and were not asked for yet, in order of arrival."""
-        here = sorted(row for row in self._on_the_way if row[0] <= now)
-        self._on_the_way = [row for row in self._on_the_way if row[0] > now]
+        count = bisect_right(self._on_the_way, now, key=itemgetter(0))
+        here, self._on_the_way = self._on_the_way[:count], self._on_the_way[count:]
         return [PoseSample(t, x, y, theta) for _, t, x, y, theta in here]

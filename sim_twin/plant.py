@@ -98,7 +98,7 @@ def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_t
         pulses: board.Pulses with a leading vehicle axis.
         origin: start of the window in the run [ns].
         span: its length [s].
-        marks: increasing times in (0, span] at which to note the states, shape (n,) [s].
+        marks: increasing times of the run at which to note the states, shape (n,) [s].
         last_touch: see contact.resolve.
         touches: see contact.resolve.
 
@@ -111,7 +111,8 @@ def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_t
     count, t = 0, 0.0
     resting = False
     for m in range(marks.shape[0] + 1):
-        target = marks[m] if m < marks.shape[0] else span
+        at = marks[m] - 1e-9 * origin if m < marks.shape[0] else span
+        target = min(max(at, 0.0), span)
         while t < target:
             end = t + (REST if resting else MAX_STEP)
             if end > target - HAIR:
@@ -240,7 +241,7 @@ class Plant:
             self.played(),
             origin,
             span,
-            np.clip(np.asarray(marks, dtype=np.float64) - 1e-9 * origin, 0.0, span),
+            np.asarray(marks, dtype=np.float64),
             self._last_touch,
             rows,
         )

@@ -52,6 +52,7 @@ class Twin:
         injections: Sequence[Injection] = (),
     ) -> None:
         self.names = list(vehicles)
+        self._rows = {name: k for k, name in enumerate(self.names)}
         self.vehicles = vehicles
         self.plant = Plant(vehicles, starts, table, obstacles, seed, drivers)
         half = (table.size[0] / 2, table.size[1] / 2)
@@ -89,13 +90,14 @@ class Twin:
         if t <= self.now:
             return
         last = math.floor(t * self._rate - self._phase)
-        frames = np.arange(self._frame, last + 1)
+        frames = range(self._frame, last + 1)
         self._frame = max(self._frame, last + 1)
-        times = ((frames + self._phase) / self._rate).astype(np.float64)
+        exposed = [(frame + self._phase) / self._rate for frame in frames]
+        times = np.array(exposed, dtype=np.float64)
         if self.sabotage is not None:
             self.sabotage.before(t)
         seen = self.plant.advance(t, times)
-        self.seen_at += times.tolist()
+        self.seen_at += exposed
         self.seen.append(seen)
         shown = seen
         if self.sabotage is not None:
@@ -129,7 +131,7 @@ class Twin:
 
     def health(self, name: str) -> Health:
         """What the board's sensors read."""
-        k = self.names.index(name)
+        k = self._rows[name]
         air = self.vehicles[name].air
         left = air.gas - float(self.plant.used[k])
         pressures = air.supply_pressure(left), air.pressure_in_tank(left)
