@@ -306,7 +306,6 @@ def guarded(t, fx, fy, px, py, vx, vy, bx, by, rocks, others, limits, share):
     return x, y, hazard, spare
 
 
-NOBODY = np.zeros((0, 6))
 EDGES = ("the right edge", "the left edge", "the upper edge", "the lower edge", "its top speed")
 
 
@@ -365,13 +364,14 @@ class Barrier:
         """
         fx, fy = force
         px, py, vx, vy, bx, by = motion
-        rows = []
+        rows: list[float] = []  # one after the other
         for name, state in neighbours.items():
             pose, twist = state.pose, state.twist
-            rows.append((pose.x, pose.y, twist.vx, twist.vy, self._keep[name], state.t))
+            rows += (pose.x, pose.y, twist.vx, twist.vy, self._keep[name], state.t)
+        others = np.array(rows, dtype=np.float64).reshape(-1, 6)
         x, y, hazard, self.spare = self._guarded(
             t, fx, fy, px, py, vx, vy, bx, by,
-            self._rocks, np.array(rows) if rows else NOBODY, self._limits, max(share, WORST_SHARE),
+            self._rocks, others, self._limits, max(share, WORST_SHARE),
         )  # fmt: skip
         if hazard < 0:
             return fx, fy, None
