@@ -60,6 +60,7 @@ class Twin:
             Sabotage(injections, self.plant, obstacles, half, seed) if injections else None
         )
         self.cameras = {n: Camera(table.mocap, stream(seed, n, "camera")) for n in self.names}
+        self.now = 0.0  # time of the run [s]
         self._rate = table.mocap.rate_hz
         self._phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))
         self._frame = 0
@@ -80,11 +81,6 @@ class Twin:
         self._near = {n: [other for other in self.names if other != n] for n in self.names}
         self.blackboard: dict[str, tuple[float, Told, Told | None]] = {}  # of laws on the host
 
-    @property
-    def now(self) -> float:
-        """Time of the run [s]."""
-        return self.plant.t
-
     def wait_until(self, t: float) -> None:
         """Let the world move on to `t`."""
         if t <= self.now:
@@ -97,6 +93,7 @@ class Twin:
         if self.sabotage is not None:
             self.sabotage.before(t)
         seen = self.plant.advance(t, times)
+        self.now = t
         self.seen_at += exposed
         self.seen.append(seen)
         shown = seen

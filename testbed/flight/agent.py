@@ -66,6 +66,8 @@ class Agent:
         safety: Safety | None = None,
     ) -> None:
         self._safety = safety
+        # neighbours' states are of use to a law, and to stay clear of them
+        self.hears_neighbours = guidance is not None or safety is not None
         self._vehicle, self._period = vehicle, params.jet_period_s
         self._lead = lead_time(vehicle)
         self._estimator, self._gate, self._guidance = estimator, gate, guidance
@@ -94,11 +96,6 @@ class Agent:
     def guidance(self) -> Guidance | None:
         """The law at work, if it runs on board."""
         return self._guidance
-
-    @property
-    def hears_neighbours(self) -> bool:
-        """Whether neighbours' states are of any use to it: to its law, or to stay clear of them."""
-        return self._guidance is not None or self._safety is not None
 
     def step(self, inputs: Inputs) -> Outputs:
         """One tick: call it once per jet period, with time increasing."""

@@ -39,7 +39,20 @@ SPIN_SPREAD = 5e-3  # [rad/s]
 
 @compiled
 def weigh(
-    before, now, duty, effect, smooth, sums, spread, bias, settling, memory, lag, thrust, period
+    before,
+    now,
+    duty,
+    share,
+    effect,
+    smooth,
+    sums,
+    spread,
+    bias,
+    settling,
+    memory,
+    lag,
+    thrust,
+    period,
 ):
     """Add one tick to the sums, in place.
 
@@ -47,6 +60,7 @@ def weigh(
         before: theta, vx, vy, omega at the last tick, shape (4,).
         now: the same at this one.
         duty: of the plan in between, shape (n,).
+        share: of the thrust that the supply gave.
         effect: acceleration by each fully open jet in B, shape (3, n).
         smooth: smoothed effects in W, shape (n, 3).
         sums: N, and S as its last row, shape (n + 1, n).
@@ -69,9 +83,10 @@ def weigh(
     ew = now[3] - before[3] - period * bias[2]
     worst, which = 0.0, 0
     for j in range(n):
-        x = period * duty[j] * (c * effect[0, j] - s * effect[1, j])
-        y = period * duty[j] * (s * effect[0, j] + c * effect[1, j])
-        w = period * duty[j] * effect[2, j]
+        open_for = period * (duty[j] * share)
+        x = open_for * (c * effect[0, j] - s * effect[1, j])
+        y = open_for * (s * effect[0, j] + c * effect[1, j])
+        w = open_for * effect[2, j]
         ex -= x
         ey -= y
         ew -= w
@@ -125,7 +140,7 @@ class Evidence:
             self._ticks += 1
             settling = max(1.0 / self._ticks, self._period / SETTLING)
             self.missing, self.jet = self._weigh(
-                self._before, now, duty * share, self._effect, self._smooth, self._sums,
+                self._before, now, duty, share, self._effect, self._smooth, self._sums,
                 self._spread, self._bias, settling, self._memory, self._lag, self._thrust,
                 self._period,
             )  # fmt: skip
