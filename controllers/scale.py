@@ -9,13 +9,14 @@ and a time scale T
 and the nominal mass of the paper's satellite stands for the vehicle's.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.law import (
     Ahead,
     Body,
@@ -114,13 +115,16 @@ class Scaled:
 
     def __init__(self, law: Law, scale: Scale) -> None:
         self.law, self._mass, self.words = law, scale.mass, law.words
+        self._units = lru_cache(maxsize=8)(self._units_of)
         length, time = scale.length, scale.time
         self._rates = length, length / time, length / time**2, length / time**3, time
+        self._fly_scaled = settled(fly_scaled)
 
-    def _units(self, own: Body) -> Units:
-        mass = self._mass or own.mass
+    def _units_of(self, vehicle: float) -> Units:
+        """Units for a vehicle of this mass [kg]."""
+        mass = self._mass or vehicle
         length, speed, accel, jerk, time = self._rates
-        return Units(length, speed, accel, jerk, time, accel * mass / own.mass, mass)
+        return Units(length, speed, accel, jerk, time, accel * mass / vehicle, mass)
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """What the law has to say of the flight, if it says anything."""
@@ -129,13 +133,13 @@ class Scaled:
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`; the law's state stays in the paper's units."""
-        return self.law.initial(*scene_in(self._units(own), own, neighbours, world))
+        return self.law.initial(*scene_in(self._units(own.mass), own, neighbours, world))
 
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
         """See `Law`; force in newtons here, law state in the paper's units per second here."""
-        units = self._units(own)
+        units = self._units(own.mass)
         body, others, scene = scene_in(units, own, neighbours, world)
         force, change = self.law.rate(law_state, body, others, scene, t * units.time)
         return force / units.force, change * units.time
@@ -145,9 +149,9 @@ class Scaled:
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        units, law = self._units(own), self.law
+        units, law = self._units(own.mass), self.law
         if isinstance(law, CompiledLaw):
-            return fly_scaled(
+            return self._fly_scaled(
                 law.gains, units, law_state, own, neighbours, world, t, duration, steps
             )
         body, others, scene = scene_in(units, own, neighbours, world)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.randomness import Draws
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.types import ValveCommand
 from testbed.core.vehicle import Vehicle
 
@@ -110,6 +110,7 @@ class Board:
         self._draws = Draws(rng.standard_normal, len(vehicle.jets))
         self.pulses = pulses
         self.openings = 0
+        self._play = settled(play)
         self._down = (math.inf, math.inf)  # without power from .. to [s]
 
     def lose_power(self, since: float, until: float) -> None:
@@ -125,7 +126,7 @@ class Board:
         """Play a plan."""
         if self._down[0] <= command.issued_at < self._down[1]:
             return
-        self.openings += play(
+        self.openings += self._play(
             self.pulses, command.issued_at, command.valid_until, self._delay,
             np.array(command.on_us + command.offset_us),
             self._min_on, self._min_off, self._spread, self._draws.take(1)[0],

@@ -1,12 +1,14 @@
 """Motion capture: true states in, late and noisy poses out."""
 
+from bisect import bisect_right
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.randomness import Draws
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.types import PoseSample
@@ -75,7 +77,8 @@ class Camera:
             mocap.dropout_s,
         )
         self._lost_until = -np.inf
-        self._on_the_way: list[list[float]] = []  # (arrival, capture, x, y, theta)
+        self._photograph = settled(photograph)
+        self._on_the_way: list[list[float]] = []  # (arrival, capture, x, y, theta), sorted
 
     def expose(self, times: Array, states: Array) -> None:
         """Take pictures.
@@ -85,13 +88,19 @@ class Camera:
             states: true x, y, theta, ... then, shape (n, 6).
         """
         n = len(times)
-        rows, self._lost_until = photograph(
-            times, states, self._noise.take(n), self._luck.take(n), self._optics, self._lost_until
+        rows, self._lost_until = self._photograph(
+            times,
+            np.ascontiguousarray(states),
+            self._noise.take(n),
+            self._luck.take(n),
+            self._optics,
+            self._lost_until,
         )
         self._on_the_way += rows.tolist()
+        self._on_the_way.sort()
 
     def arrived(self, now: float) -> list[PoseSample]:
         """Poses that have arrived by `now` and were not asked for yet, in order of arrival."""
-        here = sorted(row for row in self._on_the_way if row[0] <= now)
-        self._on_the_way = [row for row in self._on_the_way if row[0] > now]
+        count = bisect_right(self._on_the_way, now, key=itemgetter(0))
+        here, self._on_the_way = self._on_the_way[:count], self._on_the_way[count:]
         return [PoseSample(t, x, y, theta) for _, t, x, y, theta in here]

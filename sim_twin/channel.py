@@ -26,7 +26,8 @@ class Channel(Generic[M]):
         self._luck, self._delays = rows(luck.random, 3), rows(delays.standard_exponential, 1)
         self._bad = False
         self._sent = 0
-        self._heard: tuple[int, M | None] = (0, None)  # number and message heard last
+        self._number = 0  # of the message heard last
+        self._message: M | None = None
         self._on_the_way: list[tuple[float, int, M]] = []  # (arrival, number, message)
 
     def send(self, t: float, message: M, trouble: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -49,19 +50,25 @@ class Channel(Generic[M]):
 
     def newest(self, t: float) -> M | None:
         """The message sent last of all that have arrived by `t`, however old; None before any."""
-        if self._on_the_way:
-            waiting = []
-            for entry in self._on_the_way:
-                if entry[0] > t:
-                    waiting.append(entry)
-                elif entry[1] > self._heard[0]:
-                    self._heard = entry[1], entry[2]
-            self._on_the_way = waiting
-        return self._heard[1]
+        for entry in self._on_the_way:
+            if entry[0] <= t:
+                self._listen(t)
+                break
+        return self._message
+
+    def _listen(self, t: float) -> None:
+        waiting = []
+        for entry in self._on_the_way:
+            arrival, number, message = entry
+            if arrival > t:
+                waiting.append(entry)
+            elif number > self._number:
+                self._number, self._message = number, message
+        self._on_the_way = waiting
 
     def forget(self) -> None:
         """They have lost each other: what was said is worth nothing when they meet again."""
-        self._on_the_way, self._heard = [], (self._sent, None)
+        self._on_the_way, self._number, self._message = [], self._sent, None
 
 
 class Air(Generic[M]):
@@ -73,10 +80,10 @@ class Air(Generic[M]):
 
     def between(self, sender: str, receiver: str) -> Channel[M]:
         """From one to the other."""
-        pair = sender, receiver
-        if pair not in self._channels:
-            self._channels[pair] = self._make(*pair)
-        return self._channels[pair]
+        channel = self._channels.get((sender, receiver))
+        if channel is None:
+            channel = self._channels[sender, receiver] = self._make(sender, receiver)
+        return channel
 
     def part(self, sender: str, receiver: str) -> None:
         """They have moved out of range."""
@@ -85,7 +92,9 @@ class Air(Generic[M]):
 
     def heard(self, receiver: str, senders: Iterable[str], t: float) -> dict[str, M]:
         """The newest of each of `senders` that `receiver` has heard by `t`."""
-        found = {}
+        found: dict[str, M] = {}
+        if not self._channels:  # nobody has anything of the kind to say
+            return found
         for sender in senders:
             channel = self._channels.get((sender, receiver))
             if channel is not None and (message := channel.newest(t)) is not None:

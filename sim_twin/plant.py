@@ -28,7 +28,7 @@ from sim_twin.flow import pieces
 from sim_twin.ground import lay
 from sim_twin.metal import forge
 from sim_twin.randomness import stream
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.table import Obstacle, Table
 from testbed.core.types import Pose
 from testbed.core.vehicle import Vehicle
@@ -98,7 +98,7 @@ def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_t
         pulses: board.Pulses with a leading vehicle axis.
         origin: start of the window in the run [ns].
         span: its length [s].
-        marks: increasing times in (0, span] at which to note the states, shape (n,) [s].
+        marks: increasing times of the run at which to note the states, shape (n,) [s].
         last_touch: see contact.resolve.
         touches: see contact.resolve.
 
@@ -111,7 +111,8 @@ def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_t
     count, t = 0, 0.0
     resting = False
     for m in range(marks.shape[0] + 1):
-        target = marks[m] if m < marks.shape[0] else span
+        at = marks[m] - 1e-9 * origin if m < marks.shape[0] else span
+        target = min(max(at, 0.0), span)
         while t < target:
             end = t + (REST if resting else MAX_STEP)
             if end > target - HAIR:
@@ -188,6 +189,7 @@ class Plant:
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
+        self._advance = settled(advance)
 
     def _pulses_of(self, k: int) -> Pulses:
         return Pulses(self._pulses.up[k], self._pulses.down[k], self._pulses.strength[k])
@@ -230,7 +232,7 @@ class Plant:
         rows = np.empty((64, 4))
         origin = nanoseconds(self.t)
         span = 1e-9 * (nanoseconds(t) - origin)
-        seen, count = advance(
+        seen, count = self._advance(
             self.x,
             (self.used, self.impulse),
             self.metal,
@@ -239,7 +241,7 @@ class Plant:
             self.played(),
             origin,
             span,
-            np.clip(np.asarray(marks, dtype=np.float64) - 1e-9 * origin, 0.0, span),
+            np.asarray(marks, dtype=np.float64),
             self._last_touch,
             rows,
         )

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-AT_ONCE = 64  # rows: a call for each would cost more than the rows, and many fill the cache
-A_FEW = 16  # the same for what there are many of
+AT_ONCE = 256  # rows: a call for each would cost more than the rows
+A_FEW = 16  # the same for what there are many of: they would fill the cache
 
 
 def stream(seed: int, *name: str) -> np.random.Generator:
@@ -29,15 +29,15 @@ class Draws:
     def __init__(self, draw: Callable[[tuple[int, int]], Array], width: int) -> None:
         """Rows of `width` numbers by `draw`, a method of a generator."""
         self._draw, self._width = draw, width
-        self._rows, self._next = np.empty((0, width)), 0
+        self._rows, self._count, self._next = np.empty((0, width)), 0, 0
 
     def take(self, n: int) -> Array:
         """The next rows, shape (n, width)."""
         start, end = self._next, self._next + n
-        if end > len(self._rows):
+        if end > self._count:
             fresh = self._draw((max(n, AT_ONCE), self._width))
             self._rows = np.concatenate((self._rows[start:], fresh))
-            start, end = 0, n
+            self._count, start, end = len(self._rows), 0, n
         self._next = end
         return self._rows[start:end]
 

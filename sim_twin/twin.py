@@ -52,6 +52,7 @@ class Twin:
         injections: Sequence[Injection] = (),
     ) -> None:
         self.names = list(vehicles)
+        self._rows = {name: k for k, name in enumerate(self.names)}
         self.vehicles = vehicles
         self.plant = Plant(vehicles, starts, table, obstacles, seed, drivers)
         half = (table.size[0] / 2, table.size[1] / 2)
@@ -59,6 +60,7 @@ class Twin:
             Sabotage(injections, self.plant, obstacles, half, seed) if injections else None
         )
         self.cameras = {n: Camera(table.mocap, stream(seed, n, "camera")) for n in self.names}
+        self.now = 0.0  # time of the run [s]
         self._rate = table.mocap.rate_hz
         self._phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))
         self._frame = 0
@@ -79,23 +81,20 @@ class Twin:
         self._near = {n: [other for other in self.names if other != n] for n in self.names}
         self.blackboard: dict[str, tuple[float, Told, Told | None]] = {}  # of laws on the host
 
-    @property
-    def now(self) -> float:
-        """Time of the run [s]."""
-        return self.plant.t
-
     def wait_until(self, t: float) -> None:
         """Let the world move on to `t`."""
         if t <= self.now:
             return
         last = math.floor(t * self._rate - self._phase)
-        frames = np.arange(self._frame, last + 1)
+        frames = range(self._frame, last + 1)
         self._frame = max(self._frame, last + 1)
-        times = ((frames + self._phase) / self._rate).astype(np.float64)
+        exposed = [(frame + self._phase) / self._rate for frame in frames]
+        times = np.array(exposed, dtype=np.float64)
         if self.sabotage is not None:
             self.sabotage.before(t)
         seen = self.plant.advance(t, times)
-        self.seen_at += times.tolist()
+        self.now = t
+        self.seen_at += exposed
         self.seen.append(seen)
         shown = seen
         if self.sabotage is not None:
@@ -129,7 +128,7 @@ class Twin:
 
     def health(self, name: str) -> Health:
         """What the board's sensors read."""
-        k = self.names.index(name)
+        k = self._rows[name]
         air = self.vehicles[name].air
         left = air.gas - float(self.plant.used[k])
         pressures = air.supply_pressure(left), air.pressure_in_tank(left)

@@ -106,6 +106,25 @@ def pasted(function: F) -> F:
     return cast(F, numba.njit(error_model="numpy", inline="always")(function))
 
 
+def settled(function: F) -> F:
+    """The same compiled function, for one caller whose arguments are of the same types for ever.
+
+    At every call numba finds out the types of all arguments, down to the last array of a tuple:
+    for the small functions of a tick that takes longer than what they do. Here it is done at the
+    first call. So a settled function has one owner, who hands over what looks alike every time:
+    floats where there were floats, arrays of the same number of dimensions, layout and kind.
+    """
+    direct: Callable[..., Any] | None = None
+
+    def call(*args: Any) -> Any:
+        nonlocal direct
+        if direct is None:
+            direct = cast(Any, function).compile(tuple(map(numba.typeof, args)))
+        return direct(*args)
+
+    return cast(F, call)
+
+
 def _compiled(function: F, *, forceinline: bool = False) -> F:
     dispatcher: Any = numba.njit(**LEAN, forceinline=forceinline)(function)
     if is_ours(function):

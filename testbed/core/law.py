@@ -25,7 +25,7 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from testbed.core.compiled import borrowed, compiled, inlined, keep
+from testbed.core.compiled import borrowed, compiled, inlined, keep, settled
 
 Array = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
@@ -227,6 +227,7 @@ class CompiledLaw:
         words: int = 0,
     ) -> None:
         self.gains, self._initial, self._rate, self.words = gains, initial, rate, words
+        self._fly_ahead = settled(fly_ahead)
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""
@@ -243,7 +244,7 @@ class CompiledLaw:
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        return fly_ahead(self.gains, law_state, own, neighbours, world, t, duration, steps)
+        return self._fly_ahead(self.gains, law_state, own, neighbours, world, t, duration, steps)
 
 
 @inlined

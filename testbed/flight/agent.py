@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.types import (
     Demand,
     Inputs,
@@ -66,6 +66,8 @@ class Agent:
         safety: Safety | None = None,
     ) -> None:
         self._safety = safety
+        # neighbours' states are of use to a law, and to stay clear of them
+        self.hears_neighbours = guidance is not None or safety is not None
         self._vehicle, self._period = vehicle, params.jet_period_s
         self._lead = lead_time(vehicle)
         self._estimator, self._gate, self._guidance = estimator, gate, guidance
@@ -87,17 +89,13 @@ class Agent:
             min_off_s=max(0.0, valve.min_off_s + 0.5 * stretch),
         )
         self._stretch, in_flow = stretch, replace(vehicle, valve=flow)
+        self._in_microseconds = settled(in_microseconds)
         self._modulator = make_modulator(params.modulator, in_flow, params.jet_period_s)
 
     @property
     def guidance(self) -> Guidance | None:
         """The law at work, if it runs on board."""
         return self._guidance
-
-    @property
-    def hears_neighbours(self) -> bool:
-        """Whether neighbours' states are of any use to it: to its law, or to stay clear of them."""
-        return self._guidance is not None or self._safety is not None
 
     def step(self, inputs: Inputs) -> Outputs:
         """One tick: call it once per jet period, with time increasing."""
@@ -176,7 +174,7 @@ class Agent:
         period, jets = self._period, len(self._vehicle.jets)
         duty = self._allocator.allocate(wanted, max(share, 0.1), self._vehicle.air.droop)
         on, offset = self._modulator.pulses(duty)
-        times, fx, fy, tau = in_microseconds(
+        times, fx, fy, tau = self._in_microseconds(
             on, offset, self._stretch, period, self._allocator.effect
         )
         times_us = times.tolist()

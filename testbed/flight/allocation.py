@@ -19,7 +19,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.types import Wrench
 from testbed.core.vehicle import Vehicle
@@ -235,6 +235,7 @@ class Allocator:
     def __init__(self, params: AllocatorParams, vehicle: Vehicle) -> None:
         self.effect, self._gas, self._opposing = jets_of(vehicle)
         self._torque_first = params.priority == "torque"
+        self._made_up_for = settled(made_up_for)
 
     def allocate(self, wanted: Wrench, thrust_share: float = 1.0, droop: float = 0.0) -> Array:
         """Duties in [0, 1], shape (jets,).
@@ -245,7 +246,7 @@ class Allocator:
             droop: of the supply, per open jet: made up for.
         """
         wrench = (wanted.fx, wanted.fy, wanted.tau)
-        return made_up_for(
+        return self._made_up_for(
             self.effect, self._gas, thrust_share, wrench, self._torque_first, self._opposing, droop
         )
 

@@ -40,7 +40,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.table import Obstacle
 from testbed.core.types import Intervention, State
 from testbed.core.vehicle import NonNegative, Positive
@@ -306,7 +306,6 @@ def guarded(t, fx, fy, px, py, vx, vy, bx, by, rocks, others, limits, share):
     return x, y, hazard, spare
 
 
-NOBODY = np.zeros((0, 6))
 EDGES = ("the right edge", "the left edge", "the upper edge", "the lower edge", "its top speed")
 
 
@@ -348,6 +347,7 @@ class Barrier:
             for rock in obstacles.values()
         ])  # fmt: skip
         self.spare = np.inf  # see `filtered` [m]
+        self._guarded = settled(guarded)
 
     def filter(
         self, t: float, force: tuple[float, float], motion: tuple[float, ...],
@@ -364,13 +364,14 @@ class Barrier:
         """
         fx, fy = force
         px, py, vx, vy, bx, by = motion
-        rows = []
+        rows: list[float] = []  # one after the other
         for name, state in neighbours.items():
             pose, twist = state.pose, state.twist
-            rows.append((pose.x, pose.y, twist.vx, twist.vy, self._keep[name], state.t))
-        x, y, hazard, self.spare = guarded(
+            rows += (pose.x, pose.y, twist.vx, twist.vy, self._keep[name], state.t)
+        others = np.array(rows, dtype=np.float64).reshape(-1, 6)
+        x, y, hazard, self.spare = self._guarded(
             t, fx, fy, px, py, vx, vy, bx, by,
-            self._rocks, np.array(rows) if rows else NOBODY, self._limits, max(share, WORST_SHARE),
+            self._rocks, others, self._limits, max(share, WORST_SHARE),
         )  # fmt: skip
         if hazard < 0:
             return fx, fy, None

@@ -23,16 +23,17 @@ class Repeats:
     """How often the cameras have said exactly the same."""
 
     def __init__(self) -> None:
-        self._last: tuple[float, float, float] | None = None
+        self._last: PoseSample | None = None
         self._count = 0
 
     def count(self, samples: Sequence[PoseSample]) -> int:
         """Equal poses in a row, after these; 0: the newest differs from the one before."""
+        last, count = self._last, self._count
         for s in samples:
-            pose = (s.x, s.y, s.theta)
-            self._count = self._count + 1 if pose == self._last else 0
-            self._last = pose
-        return self._count
+            same = last is not None and s.x == last.x and s.y == last.y and s.theta == last.theta
+            last, count = s, count + 1 if same else 0
+        self._last, self._count = last, count
+        return count
 
 
 def place(state: State, t: float) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from msgspec import Struct
 from msgspec.structs import astuple
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.jets import effect_matrix
 from testbed.core.pulse import Timing, open_time, timing
 from testbed.core.se2 import wrap, wrap_compiled
@@ -195,14 +195,10 @@ def correct(cov, noise):
     return pp * by, pv * by, pb * by
 
 
-class Clock(NamedTuple):
-    """Where the filter stands."""
-
-    t: float  # time of the state [s]
-    newest: float  # capture time of the newest accepted sample [s]
-    refused: int  # samples refused of late, see FORGIVEN
-    agreed: int  # samples in a row that are on a line, while they are refused
-    rough: float  # mean of `off_line`
+# where the filter stands, columns of `clock`: time of the state [s], capture time of the newest
+# accepted sample [s], samples refused of late (see FORGIVEN), samples in a row that are on a line
+# while they are refused, mean of `off_line`
+T, NEWEST, REFUSED, AGREED, ROUGH_SO_FAR = range(5)
 
 
 @compiled
@@ -242,13 +238,13 @@ def off_line(last, sample, noise):
 
 @compiled
 def absorb(x, cov, cov_spin, clock, last, samples, now, fired, model, noise, walk, gate):
-    """Run the filter over `samples`, shape (n, 4), changing x, cov, cov_spin, last in place.
+    """Run the filter over `samples`, shape (n, 4), changing x, cov, cov_spin, clock, last in place.
 
     A sample captured before the filter's time has come too late and is passed over: the ones after
-    it already said more; so is one from after `now`, and one that is not a number. Returns the new
-    clock.
+    it already said more; so is one from after `now`, and one that is not a number.
     """
-    t, newest, refused, agreed, rough = clock
+    t, newest, rough = clock[T], clock[NEWEST], clock[ROUGH_SO_FAR]
+    refused, agreed = clock[REFUSED], clock[AGREED]
     for n in range(samples.shape[0]):
         captured = samples[n, 0]
         whole = np.isfinite(samples[n, 1] + samples[n, 2] + samples[n, 3])
@@ -285,7 +281,16 @@ def absorb(x, cov, cov_spin, clock, last, samples, now, fired, model, noise, wal
             x[3 * i + 2] += gain_spin[i] * turn
         newest, agreed = captured, 0
         refused = max(0, refused - FORGIVEN)
-    return Clock(t, newest, refused, agreed, rough)
+    clock[T], clock[NEWEST], clock[ROUGH_SO_FAR] = t, newest, rough
+    clock[REFUSED], clock[AGREED] = refused, agreed
+
+
+@compiled
+def ahead(x, clock, fired, model, until):
+    """The state predicted to `until`, then the clock's newest and refused, in one plain tuple."""
+    y = x.copy()
+    predict_mean(y, fired, model, clock[T], until)
+    return y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8], clock[NEWEST], clock[REFUSED]
 
 
 class Estimator:
@@ -320,13 +325,15 @@ class Estimator:
         self._x: Array | None = None
         self._cov = np.zeros((3, 3))
         self._cov_spin = np.zeros((3, 3))
-        self._clock = Clock(0.0, 0.0, 0, 0, 1.0)
+        self._clock = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
         self._last = np.zeros((2, 4))  # samples
+        self._note, self._absorb = settled(note), settled(absorb)
+        self._ahead = settled(ahead)
 
     def remember(self, command: ValveCommand) -> None:
         """Note a plan that was really sent: the prediction is driven by it."""
         start, end = command.issued_at + self._delay, command.valid_until + self._delay
-        note(self._fired, start, end, np.array(command.on_us + command.offset_us))
+        self._note(self._fired, start, end, np.array(command.on_us + command.offset_us))
 
     def update(self, samples: Sequence[PoseSample], now: float) -> None:
         """Absorb poses in order of arrival; the first one ever starts the filter, at rest.
@@ -344,7 +351,7 @@ class Estimator:
                 return
             self._start(table[0])
         assert self._x is not None
-        self._clock = absorb(
+        self._absorb(
             self._x, self._cov, self._cov_spin, self._clock, self._last, table, now, self._fired,
             self._model, self._noise, self._walk, self._params.gate_sigma,
         )  # fmt: skip
@@ -353,7 +360,7 @@ class Estimator:
         x = np.zeros(9)
         x[:3] = sample[1:]
         self._x = x
-        self._clock = Clock(float(sample[0]), float(sample[0]), 0, 0, 1.0)
+        self._clock[:] = sample[0], sample[0], 0.0, 0.0, 1.0
         self._last[:] = sample
         spread = self._params.speed_spread**2
         self._cov = np.diag([self._noise[0], spread, self._params.bias_spread**2])
@@ -368,14 +375,14 @@ class Estimator:
         """
         if self._x is None:
             return None
-        x = self._x.copy()
-        predict_mean(x, self._fired, self._model, self._clock.t, t)
-        px, py, theta, vx, vy, omega, bx, by, spin = x.tolist()
+        px, py, theta, vx, vy, omega, bx, by, spin, newest, refused = self._ahead(
+            self._x, self._clock, self._fired, self._model, t
+        )
         return State(
             t,
             Pose(px, py, wrap(theta)),
             Twist(vx, vy, omega),
             Accel(bx, by, spin),
-            pose_age=now - self._clock.newest,
-            rejected=int(self._clock.refused),
+            pose_age=now - newest,
+            rejected=int(refused),
         )

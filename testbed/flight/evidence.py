@@ -22,7 +22,7 @@ is an average over SETTLING, so that it knows tilt and drag but not what is miss
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.jets import effect_matrix
 from testbed.core.types import State
 from testbed.core.vehicle import Vehicle
@@ -39,7 +39,20 @@ SPIN_SPREAD = 5e-3  # [rad/s]
 
 @compiled
 def weigh(
-    before, now, duty, effect, smooth, sums, spread, bias, settling, memory, lag, thrust, period
+    before,
+    now,
+    duty,
+    share,
+    effect,
+    smooth,
+    sums,
+    spread,
+    bias,
+    settling,
+    memory,
+    lag,
+    thrust,
+    period,
 ):
     """Add one tick to the sums, in place.
 
@@ -47,6 +60,7 @@ def weigh(
         before: theta, vx, vy, omega at the last tick, shape (4,).
         now: the same at this one.
         duty: of the plan in between, shape (n,).
+        share: of the thrust that the supply gave.
         effect: acceleration by each fully open jet in B, shape (3, n).
         smooth: smoothed effects in W, shape (n, 3).
         sums: N, and S as its last row, shape (n + 1, n).
@@ -69,9 +83,10 @@ def weigh(
     ew = now[3] - before[3] - period * bias[2]
     worst, which = 0.0, 0
     for j in range(n):
-        x = period * duty[j] * (c * effect[0, j] - s * effect[1, j])
-        y = period * duty[j] * (s * effect[0, j] + c * effect[1, j])
-        w = period * duty[j] * effect[2, j]
+        open_for = period * (duty[j] * share)
+        x = open_for * (c * effect[0, j] - s * effect[1, j])
+        y = open_for * (s * effect[0, j] + c * effect[1, j])
+        w = open_for * effect[2, j]
         ex -= x
         ey -= y
         ew -= w
@@ -115,6 +130,7 @@ class Evidence:
         self._before: Array | None = None
         self.missing = 0.0  # standard deviations by which the worst jet gives too little
         self.jet = 0
+        self._weigh = settled(weigh)
 
     def look(self, state: State, duty: Array, share: float) -> None:
         """Note a tick: the estimate, and the duties (n,) of the plan that led to it."""
@@ -123,8 +139,8 @@ class Evidence:
         if self._before is not None:
             self._ticks += 1
             settling = max(1.0 / self._ticks, self._period / SETTLING)
-            self.missing, self.jet = weigh(
-                self._before, now, duty * share, self._effect, self._smooth, self._sums,
+            self.missing, self.jet = self._weigh(
+                self._before, now, duty, share, self._effect, self._smooth, self._sums,
                 self._spread, self._bias, settling, self._memory, self._lag, self._thrust,
                 self._period,
             )  # fmt: skip

@@ -124,6 +124,7 @@ class Guidance:
             np.array([o.velocity for o in obstacles]).reshape(-1, 2),
             np.array([o.radius for o in obstacles]),
         )
+        self._world = World(self._fixed_goal, self._obstacles)
         self._they_move = bool(self._obstacles.v.any())
         self._company: tuple[tuple[str, ...], Neighbours] | None = None  # who was heard last
         self._law_state: Array | None = None
@@ -196,10 +197,7 @@ class Guidance:
     def _fly(self, t: float, p: Array, v: Array, drift: Array, heard: _Heard) -> Ahead:
         """Fly the law ahead over one period; its state is carried on."""
         own = Body(p, v, self._mass, drift, ZERO, self._max_force, self._own)
-        obstacles = self._obstacles
-        if self._they_move:
-            obstacles = Discs(obstacles.p + t * obstacles.v, obstacles.v, obstacles.radius)
-        world, others = World(self._goal_at(t), obstacles), self._others(heard, t)
+        world, others = self._world_at(t), self._others(heard, t)
         if self._law_state is None:
             self._law_state = self._law.initial(own, others, world)
         ahead = self._law.fly_ahead(
@@ -210,12 +208,17 @@ class Guidance:
             self.told = Told(t + self._period, tuple(ahead.told.tolist()))
         return ahead
 
-    def _goal_at(self, t: float) -> Goal:
-        """The goal, moved along its path."""
-        if self._path is None:
-            return self._fixed_goal
-        p, v, a, jerk = (np.array(value) for value in self._path.at(t))
-        return Goal(self._fixed_goal.p + p, v, a, jerk)
+    def _world_at(self, t: float) -> World:
+        """The goal, moved along its path, and the obstacles, moved along theirs."""
+        goal, obstacles = self._world
+        if self._path is not None:
+            p, v, a, jerk = (np.array(value) for value in self._path.at(t))
+            goal = Goal(goal.p + p, v, a, jerk)
+        elif not self._they_move:
+            return self._world
+        if self._they_move:
+            obstacles = Discs(obstacles.p + t * obstacles.v, obstacles.v, obstacles.radius)
+        return World(goal, obstacles)
 
     def _predict(self, own: State, drift: Array, t: float) -> tuple[Array, Array]:
         """Position and velocity at `t`, through the demands that are still on their way."""
@@ -243,12 +246,15 @@ class Guidance:
         if self._company is None or self._company[0] != names:
             self._company = names, self._strangers(names)
         company = self._company[1]
-        p, v = np.empty_like(company.p), np.empty_like(company.v)
-        for n, name in enumerate(names):
+        places: list[float] = []
+        speeds: list[float] = []
+        for name in names:
             state = heard.states[name]
             ago, pose, twist = t - state.t, state.pose, state.twist
-            p[n] = pose.x + ago * twist.vx, pose.y + ago * twist.vy
-            v[n] = twist.vx, twist.vy
+            places += (pose.x + ago * twist.vx, pose.y + ago * twist.vy)
+            speeds += (twist.vx, twist.vy)
+        # one array from plain numbers: the quickest way to fill a small one
+        p, v = np.array(places + speeds, dtype=np.float64).reshape(2, -1, 2)
         said, said_at = company.told, company.told_at
         if k and names:
             said = np.array([words[name].values for name in names])

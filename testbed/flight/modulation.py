@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, settled
 from testbed.core.jets import opposing_pairs
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 
@@ -135,10 +135,11 @@ class SigmaDelta:
         self._thrust = np.array([jet.thrust for jet in vehicle.jets])
         self._opposing = np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2)
         self._carry = np.zeros(len(vehicle.jets))
+        self._fire = settled(fire_with_carry)
 
     def pulses(self, duty: Array) -> Pulses:
         """See `Modulator`."""
-        return fire_with_carry(duty, self._carry, self._thrust, self._opposing, *self._limits)
+        return self._fire(duty, self._carry, self._thrust, self._opposing, *self._limits)
 
 
 class Pwpf:

@@ -52,8 +52,7 @@ class Safety:
         """Guard a vehicle; `decel` [m/s^2] is what its jets can do in every direction."""
         self._vehicle, self._period, self._decel = vehicle, period, decel
         self._watch, self._detectors, self._barrier = watch, detectors, barrier
-        self._no_duty = np.zeros(len(vehicle.jets))
-        self._duty, self._share = self._no_duty, 1.0
+        self._duty, self._share = np.zeros(len(vehicle.jets)), 1.0
         self._braking_since: float | None = None
         self._stopped: str | None = None
 
@@ -87,12 +86,8 @@ class Safety:
 
     def remember(self, command: ValveCommand, share: float) -> None:
         """Note the plan that was really sent."""
-        on = command.on_us
-        if any(on):
-            self._duty = np.array(on) * (1e-6 / self._period)
-        else:
-            self._duty = self._no_duty
-        self._share = share
+        unit = 1e-6 / self._period
+        self._duty, self._share = np.array([unit * us for us in command.on_us]), share
 
     @property
     def latched(self) -> tuple[str, ...]:

@@ -101,8 +101,10 @@ def carry_forward(reference: Reference, t: float) -> Reference:
 def due(trajectory: Trajectory, t: float) -> Reference:
     """The trajectory's reference for time `t`, carried forward from the last one before it."""
     references = trajectory.references
-    past = [r for r in references if r.t <= t + 1e-9]
-    return carry_forward(past[-1] if past else references[0], t)
+    for reference in reversed(references):
+        if reference.t <= t + 1e-9:
+            return carry_forward(reference, t)
+    return carry_forward(references[0], t)
 
 
 def brake(state: State, decel: float) -> Reference:

@@ -1,0 +1,55 @@
+"""Compiled functions that look at the types of their arguments once are handed the same always."""
+
+import sys
+
+import numba
+import numpy as np
+import pytest
+
+from testbed.config import find, load
+from testbed.core.compiled import compiled, settled
+from testbed.rig.interface import Nobody
+from testbed.rig.twin import make_twin
+
+
+@compiled
+def total(scale, rows):
+    return scale * rows.sum()
+
+
+def test_a_settled_function_gives_what_the_function_gives():
+    rows, own = np.arange(6.0).reshape(2, 3), settled(total)
+    for scale in (2.0, 0.1, 1.0 / 3.0):
+        assert own(scale, rows) == total(scale, rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "inject"),
+    [
+        ("zhang2023_table", ""),
+        ("zhang2023_table_wrench", "{kind='drop_mocap', vehicle='sat2', at_s=1.0, for_s=0.3}"),
+        ("gao2022_table", "{kind='lose_link', vehicle='sat2', at_s=1.0, value=0.7}"),
+        ("xue2021_table_dynamic", "{kind='swap_bodies', vehicle='sat1', other='sat2', at_s=1.0}"),
+    ],
+)
+def test_a_flight_never_hands_over_other_types(name, inject, monkeypatch):
+    changed = []
+
+    def watched(function):
+        first = []
+
+        def call(*args):
+            kinds = tuple(map(numba.typeof, args))
+            first.append(kinds)
+            if kinds != first[0]:
+                changed.append((function.__name__, first[0], kinds))
+            return function(*args)
+
+        return call
+
+    for module in list(sys.modules.values()):
+        if getattr(module, "settled", None) is settled and module.__name__ != __name__:
+            monkeypatch.setattr(module, "settled", watched)
+    flight = ["duration_s=2.0", "table.mocap.rate_hz=25.0", f"inject=[{inject}]"]
+    make_twin(load(find(name), flight)).fly(Nobody())
+    assert changed == []
