@@ -9,7 +9,7 @@ all, such as a graph that is not connected by its own list of edges, is an error
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,9 @@ from controllers.certificate import certificate, sgn_certificate, starting
 from controllers.collision_sliding import CollisionSlidingParams
 from controllers.connectivity_dynamic import ConnectivityDynamicParams
 from controllers.connectivity_static import ConnectivityStaticParams
+from controllers.formation_potential import FormationPotential, add_gradient, formation_potential
 from controllers.graph import LEADER, Formation, formation, unreached
+from controllers.log_potential import log_potential, repulsion
 from controllers.proxy import coupling
 from testbed.core.law import Concern, Discs
 
@@ -69,6 +71,7 @@ def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Con
     return [
         *_edges(shape, names, scaled, params.formation.safe),
         *_unbounded(params, scaled),
+        *_demand(params, names, scaled),
         *_shape(shape, names, scaled),
     ]
 
@@ -88,6 +91,48 @@ def _unbounded(params: Unbounded, start: Start) -> list[Concern]:
             text = f"the proof is for sgn; inside a layer of {params.layer:.4g} m/s V may grow"
             found.append(Concern("boundary-layer", text))
     return found
+
+
+def _demand(params: Unbounded, names: Sequence[str], start: Start) -> list[Concern]:
+    """What the potential asks for at the start; xue2021's theorems know of no bound."""
+    if isinstance(params, CollisionSlidingParams):
+        return []  # its force is not the gradient
+    u = formation_potential(params.potential, params.formation, names)
+    wanted = np.zeros_like(start.p)
+    rocks, bodies = start.obstacles, range(len(start.p))
+    for i in bodies:
+        slopes = [(start.p[j], _pull(u, start.p, i, j)) for j in bodies if j != i]
+        slopes += [
+            (p, _push(u, start.p[i], p, safe))
+            for p, safe in zip(rocks.p, rocks.radius, strict=True)
+        ]
+        for there, slope in slopes:
+            x = float(np.linalg.norm(start.p[i] - there))
+            add_gradient(slope, start.p[i], there, x, wanted[i])
+    worst = int(np.argmax(np.linalg.norm(wanted, axis=1)))
+    most = float(np.linalg.norm(wanted[worst]))
+    if most <= start.max_force:
+        return []
+    text = (
+        f"at the start the potential asks {most:.4g} N of {names[worst]}, which has "
+        f"{start.max_force:.4g} N: the force is cut where the proof does not know of it"
+    )
+    return [Concern("demand-beyond-thrust", text)]
+
+
+def _pull(u: FormationPotential, p: Array, i: int, j: int) -> float:
+    """Slope of a pair's potential [N]; 0 out of range."""
+    x: Any = np.linalg.norm(p[i] - p[j])
+    held = bool(u.formation.first[i, j] > 0.0)
+    if x >= u.formation.range:
+        return 0.0
+    return float(u.pairs * log_potential(u.single, x, u.formation.desired[i, j], held)[1])
+
+
+def _push(u: FormationPotential, here: Array, there: Array, safe: float) -> float:
+    """Slope of an obstacle's potential [N]."""
+    x: Any = np.linalg.norm(here - there)
+    return float(u.obstacles * repulsion(u.single, x, safe + u.band, safe)[1]) if u.band else 0.0
 
 
 def _field(params: BifurcatingParams) -> list[Concern]:

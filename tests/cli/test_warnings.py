@@ -70,6 +70,9 @@ WARNED = {  # experiment, what is changed: what is said
     "an obstacle that the proxies do not know": (
         "xue2022_table", ["obstacles.o1={position=[0.0,2.4],radius=0.3}"], ["obstacles-unseen"],
     ),
+    "a potential beyond the jets": (
+        "xue2021_table_static", ["controller.potential.k_f=5.0"], ["demand-beyond-thrust"],
+    ),
     "an obstacle that pushes nobody": (
         "xue2021_table_static", ["controller.potential.k_o=0.0"], ["obstacles-unseen"],
     ),
