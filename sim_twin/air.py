@@ -1,13 +1,13 @@
 """What leaving gas changes: supply pressure, mass, centre of mass, inertia."""
 
 from sim_twin.body import CX, CY, FX, INERTIA, MASS, A, B, C
-from testbed.core.compiled import compiled
+from testbed.core.compiled import inlined
 
 PASSES = 12
 FLOW, SHARE = range(2)  # columns of `Stages.gas`
 
 
-@compiled
+@inlined
 def supply_share(metal, v, used):
     """Supply pressure over set pressure of vehicle `v` with `used` kg gone, isothermal tank."""
     left = max(0.0, metal.gas[v] - used)
@@ -16,7 +16,7 @@ def supply_share(metal, v, used):
     return supply / metal.set_pressure[v]
 
 
-@compiled
+@inlined
 def body_now(metal, v, used):
     """Mass, inertia about the centre of mass, and centre of mass (x, y) with `used` kg gone.
 
@@ -33,7 +33,7 @@ def body_now(metal, v, used):
     return mass, inertia, cx, cy
 
 
-@compiled
+@inlined
 def breathe(stages, now, rate, h, metal, v, used):
     """What vehicle `v` is at the three Gauss points of a step, see `body.step`.
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.ground import tilt_at
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, inlined
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def new_stages():
     )
 
 
-@compiled
+@inlined
 def step(x, h, stages, drag, spin_drag, ground):
     """Advance `x`, shape (6,), by `h` in place.
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import inlined
 from testbed.core.table import Table
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ def lay(table: Table) -> Ground:
     )
 
 
-@compiled
+@inlined
 def tilt_at(ground, x, y):
     """Acceleration along the surface at a point (ax, ay) [m/s^2]."""
     ax, ay = ground.uniform[0], ground.uniform[1]

@@ -28,7 +28,7 @@ from sim_twin.flow import pieces
 from sim_twin.ground import lay
 from sim_twin.metal import forge
 from sim_twin.randomness import stream
-from testbed.core.compiled import compiled, settled
+from testbed.core.compiled import borrowed, compiled, inlined, keep, settled
 from testbed.core.table import Obstacle, Table
 from testbed.core.types import Pose
 from testbed.core.vehicle import Vehicle
@@ -46,7 +46,7 @@ GROUNDED = 200.0  # [N s/m]
 GROUNDED_SPIN = 4.0  # [N m s/rad]
 
 
-@compiled
+@inlined
 def drift(x, spent, stages, metal, ground, windows, start, end):
     """Move every vehicle from `start` to `end` of the window without looking at contacts."""
     cuts, value, slope, count = windows
@@ -105,9 +105,13 @@ def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_t
     Returns:
         states at the marks (n, v, 6), and rows used in `touches`.
     """
-    used, impulse = spent
-    windows, stages = cut_windows(pulses, metal, origin, span), new_stages()
+    x, metal, ground, solids = borrowed(x), borrowed(metal), borrowed(ground), borrowed(solids)
+    used, impulse = borrowed(spent)
+    own_windows, own_stages = cut_windows(borrowed(pulses), metal, origin, span), new_stages()
+    windows, stages = borrowed(own_windows), borrowed(own_stages)
     seen = np.empty((marks.shape[0], x.shape[0], 6))
+    start = x.copy(), used.copy(), impulse.copy()  # of a step that may have to be cut short
+    before = borrowed(start)
     count, t = 0, 0.0
     resting = False
     for m in range(marks.shape[0] + 1):
@@ -117,7 +121,7 @@ def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_t
             end = t + (REST if resting else MAX_STEP)
             if end > target - HAIR:
                 end = target
-            before = x.copy(), used.copy(), impulse.copy()
+            before[0][:], before[1][:], before[2][:] = x, used, impulse
             drift(x, spent, stages, metal, ground, windows, t, end)
             if closing(x, metal, ground, solids, origin * 1e-9 + end):
                 low, high = t, end
@@ -141,6 +145,7 @@ def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_t
                 t = end
         if m < marks.shape[0]:
             seen[m] = x
+    keep((own_windows, own_stages, start))
     return seen, count
 
 
