@@ -212,3 +212,16 @@ def test_a_reader_that_has_seen_enough_is_no_error(start):
     assert process.stderr.read() == ""
     assert process.wait() == 1
     process.stdout = None  # communicate() of the fixture reads no more
+
+
+# keys: what to do next
+
+
+def test_keys_say_what_is_to_be_carried(testbed, here):
+    pytest.importorskip("cryptography")
+    first = testbed("lab-keys", "keys", "--host", "127.0.0.1", "--vehicle", "sat1")
+    assert "Take each folder to where it belongs" in first.stdout
+    more = testbed("lab-keys", "keys", "--watcher", "wall")
+    assert "Carry keys/host to the host again" in more.stdout
+    assert "Carry every folder" in testbed("lab-keys", "keys", "--renew").stdout
+    assert "arry" not in testbed("lab-keys", "keys").stdout
