@@ -31,7 +31,8 @@ class Findings:
         self._lateness: list[float] = []
         self._sent = 0
         self._warned: list[str] = []  # about keys
-        self._fresh: list[tuple[str, Flown]] = []  # ticks whose valves and pace nobody has taken
+        self._new_valves: list[tuple[str, Valves]] = []  # that nobody has taken yet
+        self._new_paces: list[tuple[str, float, Pace]] = []
         self.loop: tuple[float, float] | None = None
         self._states: dict[str, list[tuple[float, list[float]]]] = {}
         self._fired_us: dict[str, int] = {}
@@ -67,7 +68,8 @@ class Findings:
     def note_tick(self, name: str, flown: Flown) -> None:
         """A vehicle's tick."""
         self._paces.append(flown.pace)
-        self._fresh.append((name, flown))
+        self._new_paces.append((name, flown.tick.inputs.t, flown.pace))
+        self._new_valves += [(name, Valves(t, mask)) for t, mask in flown.edges]
         state = flown.tick.outputs.state
         if state is not None:
             row = [
@@ -122,15 +124,13 @@ class Findings:
 
     def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
         """See `Rig`. As the boards reported them since the last call, however long that took."""
-        for name, flown in self._fresh:
-            for t, mask in flown.edges:
-                yield name, Valves(t, mask)
+        new, self._new_valves = self._new_valves, []
+        yield from new
 
     def paces(self) -> Iterator[tuple[str, float, Pace]]:
-        """See `Rig`; what `valves` gave is forgotten."""
-        fresh, self._fresh = self._fresh, []
-        for name, flown in fresh:
-            yield name, flown.tick.inputs.t, flown.pace
+        """See `Rig`."""
+        new, self._new_paces = self._new_paces, []
+        yield from new
 
     @property
     def report(self) -> TableReport | None:

@@ -74,7 +74,10 @@ def admit(experiment: Experiment, flights: int, limits: AdmissionParams | None =
 
 def forced(name: str, asked: Callable[[str], str]) -> bool:
     """Whether somebody types the experiment's name to fly it against the judgement."""
-    return asked(f"Type the name of the experiment to fly it all the same [{name}]: ") == name
+    try:
+        return asked(f"Type the name of the experiment to fly it all the same [{name}]: ") == name
+    except EOFError:  # nobody is there
+        return False
 
 
 def run_admission(
@@ -85,7 +88,8 @@ def run_admission(
         experiment = load(find(name), overrides)
     except ConfigError as error:
         return refuse(error)
-    admission = admit(experiment, flights)
+    with errors.status(f"flying {flights} times in the twin (compiles on the first run)"):
+        admission = admit(experiment, flights)
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(admission)).decode() + "\n")
     else:

@@ -127,6 +127,12 @@ def _make(
         _show(folder, made)
         if there is None:
             _explain(folder, endpoint, name)
+        elif renew:
+            sys.stdout.write(
+                "\nCarry every folder to its machine again; the old keys end by themselves.\n"
+            )
+        else:
+            sys.stdout.write(f"\nCarry {folder / 'host'} to the host again: its list has grown.\n")
     else:
         _show(folder, before)
 

@@ -7,8 +7,8 @@ from typing import Any
 import click
 
 
-def flown_into(default: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options of all of them: where to, and who flies."""
+def flown_into(default: str, result: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Options of all of them: where to, who flies, and the file that `--json` prints."""
     options = [
         click.option(
             "--out",
@@ -20,6 +20,7 @@ def flown_into(default: str) -> Callable[[Callable[..., Any]], Callable[..., Any
             help="Processes on this machine.",
         ),
         click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead."),
+        click.option("--json", "as_json", is_flag=True, help=f"Print {result} and nothing else."),
     ]  # fmt: skip
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -32,17 +33,12 @@ def flown_into(default: str) -> Callable[[Callable[..., Any]], Callable[..., Any
 
 @click.command()
 @click.argument("file")
-@flown_into("runs/campaign")
-@click.option("--json", "as_json", is_flag=True, help="Print summary.json and nothing else.")
+@flown_into("runs/campaign", "summary.json")
 @click.pass_context
 def campaign(
-    context: click.Context,
-    file: str,
-    out: Path | None,
-    jobs: int,
-    scheduler: str | None,
+    context: click.Context, file: str, out: Path | None, jobs: int, scheduler: str | None,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Fly the many runs of a campaign FILE (docs/campaigns.md)."""
     from testbed.cli.campaign import run_campaign
 
@@ -51,17 +47,12 @@ def campaign(
 
 @click.command()
 @click.argument("file")
-@flown_into("runs/tuning")
-@click.option("--json", "as_json", is_flag=True, help="Print tuning.json and nothing else.")
+@flown_into("runs/tuning", "tuning.json")
 @click.pass_context
 def tune(
-    context: click.Context,
-    file: str,
-    out: Path | None,
-    jobs: int,
-    scheduler: str | None,
+    context: click.Context, file: str, out: Path | None, jobs: int, scheduler: str | None,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Choose gains within the bounds of a tuning FILE.
 
     The best are written as an experiment (docs/campaigns.md).
@@ -73,14 +64,13 @@ def tune(
 
 @click.command()
 @click.argument("file", required=False)
-@flown_into("runs/benchmark")
+@flown_into("runs/benchmark", "scores.json")
 @click.option("--samples", type=click.IntRange(1, 10_000), help="Seeds; the file says how many.")
 @click.option("--only", multiple=True, metavar="SCENARIO", help="Some scenarios; may be repeated.")
 @click.option("--from", "runs", metavar="FOLDER",
               type=click.Path(path_type=Path, exists=True, file_okay=False),
               help="Score run folders in FOLDER/scenario/law/ instead of flying.")  # fmt: skip
 @click.option("--commands", is_flag=True, help="Print the commands that fly it run by run.")
-@click.option("--json", "as_json", is_flag=True, help="Print scores.json and nothing else.")
 @click.pass_context
 def bench(
     context: click.Context,

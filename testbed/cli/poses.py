@@ -71,7 +71,7 @@ class Room:
             cells = ("-", "-", "-")
             if one.pose is not None:
                 pose = one.pose
-                cells = (f"{pose.x:.3f}", f"{pose.y:.3f}", f"{degrees(pose.theta):.1f}")
+                cells = (f"{pose.x:z.3f}", f"{pose.y:z.3f}", f"{degrees(pose.theta):z.1f}")
             rate, name = one.rate(now_ns), vehicle_of.get(body, "-")
             grid.add_row(body, name, *cells, str(rate), f"{one.latency_ms:.1f}")
         return grid

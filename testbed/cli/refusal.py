@@ -14,6 +14,8 @@ errors = Console(stderr=True, highlight=False)
 
 def refuse(error: Exception | str, code: int = BAD_INPUT) -> int:
     """Tell the operator what is wrong; the exit code."""
+    if isinstance(error, BrokenPipeError):  # nobody reads any more: click ends the program
+        raise error
     text = of_the_disk(error) if isinstance(error, OSError) else error
     errors.print(laid_out(f"error: {text}"), style="red", markup=False, soft_wrap=True)
     return code

@@ -39,7 +39,6 @@ NAMES: dict[str, tuple[str, ...]] = {
 SHUT_WITHIN = {"": math.inf, "warn": math.inf, "hold": math.inf, "coast": 0.15, "land": 0.15}
 BRAKE_WITHIN = 7.0  # [s] the longest stop on board, and the ticks before and after it
 DEAD_WITHIN = 0.25  # [s] a plan that a dead process has sent, and its time to live
-POSE_LOSS_WITHIN = 0.15  # [s]
 ASKED = 1.5  # [s] of open time that a jet must be asked for before its silence can be noticed
 WHEN = (2.0, 12.0)  # [s]
 ADRIFT = ("kill_process", "brown_out", "leak")  # these take a vehicle's means to push away

@@ -25,6 +25,15 @@ class Log(NamedTuple):
 
 
 @pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, empty."""
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.fixture
 def testbed() -> Callable[..., Result]:
     """Call the command in this process."""
 

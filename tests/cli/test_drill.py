@@ -48,8 +48,13 @@ def test_a_refusal_says_the_numbers(capsys):
     assert "0.010 m, at least 0.05 m" in said
 
 
+def nobody(_):
+    raise EOFError
+
+
 def test_force_needs_the_name_and_no_other_word():
     assert forced("hold", lambda _: "hold")
+    assert not forced("hold", nobody)
     assert not any(forced("hold", lambda _, word=word: word) for word in ("y", "yes", "", "HOLD"))
 
 

@@ -14,16 +14,10 @@ from testbed.cli import run
 from testbed.cli.main import entry
 from testbed.config import load
 
+pytestmark = pytest.mark.usefixtures("here")
+
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 FOR_EVER = "duration_s=4000"  # half a minute at least
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path, monkeypatch):
-    folder = tmp_path / "here"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
 
 
 @pytest.fixture

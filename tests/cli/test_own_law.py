@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("here")
+
 SPRING = """
 import numpy as np
 from msgspec import Struct
@@ -22,14 +24,6 @@ class Spring(Struct, frozen=True):
 """
 SHORT = ("duration_s=2", "criteria={}")
 LAW = 'controller={type="python", law="law_of_mine.py:Spring"}'
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path, monkeypatch):
-    folder = tmp_path / "here"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
 
 
 @pytest.fixture

@@ -18,12 +18,6 @@ VERBS = sorted(main.commands)
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
 def flown(testbed, here):
     testbed("run", "hold", "duration_s=1", "--out", "flown")
     return here / "flown"
@@ -209,3 +203,25 @@ def test_an_agent_that_looks_for_its_host_hears_an_interrupt(start):
         process.terminate()  # the same as Ctrl-C, and heard when tests run in the background, too
         process.communicate(timeout=40)  # less than the minute that it waits for a host
     assert process.returncode == 130
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(start):
+    process = start("bench", "--commands")
+    assert process.stdout.readline().startswith("testbed run ")
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait() == 1
+    process.stdout = None  # communicate() of the fixture reads no more
+
+
+# keys: what to do next
+
+
+def test_keys_say_what_is_to_be_carried(testbed, here):
+    pytest.importorskip("cryptography")
+    first = testbed("lab-keys", "keys", "--host", "127.0.0.1", "--vehicle", "sat1")
+    assert "Take each folder to where it belongs" in first.stdout
+    more = testbed("lab-keys", "keys", "--watcher", "wall")
+    assert "Carry keys/host to the host again" in more.stdout
+    assert "Carry every folder" in testbed("lab-keys", "keys", "--renew").stdout
+    assert "arry" not in testbed("lab-keys", "keys").stdout

@@ -11,6 +11,8 @@ import pytest
 
 from testbed.config import find, load
 
+pytestmark = pytest.mark.usefixtures("here")
+
 WIRES = {
     "lateness_p99_ms", "pose_to_valve_p50_ms", "pose_to_valve_p99_ms", "commands", "board",
 }  # fmt: skip
@@ -28,14 +30,6 @@ VEHICLE_METRICS = {
 FILES = ["config.toml", "figures", "log.mcap", "metrics.json", "report.html"]
 LOST = ("table.mocap.dropout_rate=5", "table.mocap.dropout_s=100")  # every body, soon and for good
 SHORT = "duration_s=3"
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path, monkeypatch):
-    folder = tmp_path / "here"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
 
 
 def metrics_of(folder: Path) -> dict:

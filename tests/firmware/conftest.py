@@ -5,7 +5,7 @@ import msgspec
 import pytest
 
 from firmware_interface.board import settled
-from firmware_interface.compiler import CompilerError, compiler
+from firmware_interface.compiler import CompilerError, compiler, cross_compiler
 from firmware_interface.frame import Decoder, encode_message
 from firmware_interface.inproc import InprocBoard
 from firmware_interface.messages import (
@@ -41,6 +41,14 @@ def need_tool():
 def a_compiler():
     try:
         compiler()
+    except CompilerError as error:
+        need(str(error))
+
+
+@pytest.fixture(scope="session")
+def a_cross_compiler():
+    try:
+        cross_compiler()
     except CompilerError as error:
         need(str(error))
 

@@ -8,7 +8,7 @@ import struct
 import numpy as np
 import pytest
 
-from firmware_interface.compiler import CompilerError, cross_compiler, image
+from firmware_interface.compiler import image
 from firmware_interface.frame import Decoder, encode_message
 from firmware_interface.inproc import InprocBoard
 from firmware_interface.messages import (
@@ -33,18 +33,12 @@ from firmware_interface.stm32 import (
 )
 from firmware_interface.unicorn_board import UnicornBoard
 
+pytestmark = pytest.mark.usefixtures("a_cross_compiler")
+
 CLOSE = 0x01FF_0000  # all valves and bearing air low
 OUTPUTS = 0x0001_5555  # PC0 to PC8
 BITE_US = 50_000
 V0 = 1
-
-
-@pytest.fixture(scope="module", autouse=True)
-def a_cross_compiler(need_tool):
-    try:
-        cross_compiler()
-    except CompilerError as error:
-        need_tool(str(error))
 
 
 @pytest.fixture

@@ -9,20 +9,14 @@ import msgspec
 import pytest
 
 from firmware_interface import compiler
-from firmware_interface.compiler import CompilerError, cross_compiler, image
+from firmware_interface.compiler import image
 from firmware_interface.limits import config_hash, limits_of
 from testbed.core.vehicle import Vehicle
 
+pytestmark = pytest.mark.usefixtures("a_cross_compiler")
+
 ROOT = Path(__file__).parents[2]
 FLOATER = ROOT / "configs" / "vehicles" / "floater.toml"
-
-
-@pytest.fixture(autouse=True)
-def a_cross_compiler(need_tool):
-    try:
-        cross_compiler()
-    except CompilerError as error:
-        need_tool(str(error))
 
 
 @pytest.fixture

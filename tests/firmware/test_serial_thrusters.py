@@ -9,6 +9,7 @@ import pytest
 from firmware_interface.line_tap import LineTap
 from firmware_interface.serial_board import BoardError, monotonic_us
 from firmware_interface.serial_thrusters import SerialThrusters, ThrustersError
+from patience import wait_for
 from testbed.core.types import ValveCommand
 
 PERIOD_US = 100_000
@@ -32,14 +33,6 @@ def served(limits, folder, **options):
         finally:
             over.set()
             thread.join()
-
-
-def wait_for(condition):
-    for _ in range(6000):
-        if condition():
-            return
-        threading.Event().wait(0.005)
-    pytest.fail("half a minute is enough")
 
 
 def plan(seq, issued_at, on, offset=0):

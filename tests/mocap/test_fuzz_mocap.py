@@ -7,12 +7,12 @@ import math
 import os
 import socket
 import struct
-import tracemalloc
 from contextlib import suppress
 
 import numpy as np
 import pytest
 
+from growth import growth
 from testbed.core.lab import MocapWire
 from testbed.ops.mocap import natnet_client
 from testbed.ops.mocap.exposure import Exposure, Sighting
@@ -120,19 +120,10 @@ def test_datagrams(port, client):
             assert all(map(math.isfinite, (sample.captured_at, sample.x, sample.y, sample.theta)))
         poses.review()
 
-    for _ in range(COUNT // 2):
-        feed()
-    tracemalloc.start()
-    for _ in range(1200):  # until the latencies are full
-        feed()
-    before, _ = tracemalloc.get_traced_memory()
-    for _ in range(COUNT // 2):
-        feed()
-    after, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
+    grown = growth(feed, COUNT, until_full=1200)  # of the latencies
     assert client.bad > 0.1 * fed
     assert poses.implausible > 0.001 * fed
-    assert after - before < GROWN
+    assert grown < GROWN
 
     found = []  # and when the server is itself again, so is the vehicle
     client._asked = 1

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from patience import wait_for
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
 from testbed.ops.mocap.exposure import Axes, Sighting
@@ -64,14 +65,6 @@ def streaming(version, group):
         finally:
             over.set()
             thread.join()
-
-
-def wait_for(condition):
-    for _ in range(3000):
-        if condition():
-            return
-        threading.Event().wait(0.01)
-    pytest.fail("half a minute is enough")
 
 
 def wire(address, version):

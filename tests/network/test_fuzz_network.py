@@ -7,7 +7,6 @@ import math
 import os
 import socket
 import struct
-import tracemalloc
 from contextlib import suppress
 from types import SimpleNamespace
 
@@ -16,6 +15,7 @@ import numpy as np
 import psutil
 import pytest
 
+from growth import growth
 from testbed.bench.flight import newest_truth
 from testbed.bench.tower import Tower
 from testbed.config import find, load
@@ -140,21 +140,6 @@ def numbers(value):
     if isinstance(value, list | tuple):
         return [x for one in value for x in numbers(one)]
     return [value] if isinstance(value, float) else []
-
-
-def growth(feed, count):
-    """Bytes that a second half of the messages has left behind [bytes]."""
-    for _ in range(count // 2):
-        feed()
-    tracemalloc.start()
-    for _ in range(200):
-        feed()
-    before, _ = tracemalloc.get_traced_memory()
-    for _ in range(count // 2):
-        feed()
-    after, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    return after - before
 
 
 @pytest.mark.parametrize("kind", MESSAGES)

@@ -8,7 +8,6 @@ import json
 import socket
 import ssl
 import stat
-import threading
 import tomllib
 from contextlib import ExitStack
 from pathlib import Path
@@ -19,6 +18,7 @@ import pytest
 import zenoh
 from click.testing import CliRunner
 
+from patience import wait_for
 from testbed.bench.tower import Tower
 from testbed.cli.keys import lab_keys
 from testbed.config import ConfigError, find, load
@@ -59,14 +59,6 @@ def lab(folder, *arguments):
     done = CliRunner().invoke(lab_keys, [str(folder), *arguments])
     assert done.exit_code == 0, done.output
     return done.stdout
-
-
-def wait_for(condition):
-    for _ in range(3000):
-        if condition():
-            return
-        threading.Event().wait(0.01)
-    pytest.fail("half a minute is enough")
 
 
 @pytest.fixture(scope="module")

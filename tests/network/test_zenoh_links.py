@@ -1,11 +1,11 @@
 """Links over a real Zenoh session on loopback."""
 
 import socket
-import threading
 from contextlib import ExitStack
 
 import pytest
 
+from patience import wait_for
 from testbed.core.lab import Lab
 from testbed.core.types import Accel, Demand, Pose, State, Told, Twist
 from testbed.ops.mocap.topic import PoseTopic, encode_poses
@@ -26,14 +26,6 @@ def endpoint():
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{one.getsockname()[1]}"
-
-
-def wait_for(condition):
-    for _ in range(3000):
-        if condition():
-            return
-        threading.Event().wait(0.01)
-    pytest.fail("half a minute is enough")
 
 
 def state(t):

@@ -4,12 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import psutil
 import pytest
 
+from patience import wait_for
 from testbed.ops.children import ChildError, Children
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,14 +23,6 @@ with Children(grace_s=0.2) as children:
     print(*pids, children.folder, flush=True)
     sys.stdin.read()
 """
-
-
-def wait_for(condition):
-    for _ in range(3000):
-        if condition():
-            return
-        threading.Event().wait(0.01)
-    pytest.fail("half a minute is enough")
 
 
 def test_children_end_with_the_block():
