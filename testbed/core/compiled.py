@@ -113,6 +113,8 @@ def settled(function: F) -> F:
     for the small functions of a tick that takes longer than what they do. Here it is done at the
     first call. So a settled function has one owner, who hands over what looks alike every time:
     floats where there were floats, arrays of the same number of dimensions, layout and kind.
+    Nothing checks that: a float where the first call had a whole number is cut off, silently
+    (tests/experiments/test_settled.py flies with the types compared at every call).
     """
     direct: Callable[..., Any] | None = None
 
