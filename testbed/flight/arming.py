@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
+from testbed.core.se2 import wrap
 from testbed.core.types import Health, State, Vitals
 from testbed.core.vehicle import NonNegative, Positive
 from testbed.flight.gate import Fence
@@ -21,6 +22,8 @@ class ArmingParams(Struct, frozen=True, forbid_unknown_fields=True):
     rejected: NonNegative = 2  # poses in a row
     at_rest: Positive = 0.01  # [m/s]
     no_spin: Positive = 0.05  # [rad/s]
+    start_distance: Positive = 0.3  # from where the experiment starts it [m]
+    start_turn_deg: Positive = 20.0
     clearance: NonNegative = 0.05  # between the rims of two vehicles [m]
     supply_share: Positive = 0.95
     battery: Positive = 11.0  # [V]
@@ -58,6 +61,7 @@ class Expected(Struct, frozen=True):
     camera_rate: float  # [Hz]
     set_pressure: float  # [Pa]
     fence: Fence
+    start: tuple[float, float, float]  # x, y, theta, as the experiment gives it [m, rad]
     reach: Mapping[str, float]  # distance of the centres at which it touches each other one [m]
 
 
@@ -79,6 +83,12 @@ def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) ->
         check("estimate", state.rejected <= p.rejected, f"contradicts {state.rejected} poses")
         inside = abs(pose.x) <= fence.half_x and abs(pose.y) <= fence.half_y
         check("fence", inside, f"outside at ({pose.x:.2f}, {pose.y:.2f}) m")
+        x, y, theta = expected.start
+        away = math.hypot(pose.x - x, pose.y - y)
+        turn = math.degrees(abs(wrap(pose.theta - theta)))
+        placed = away <= p.start_distance and turn <= p.start_turn_deg
+        off = f"{away:.2f} m and {turn:.0f} deg from where the experiment starts it"
+        check("start", placed, off, at_reset=False)  # also if the cameras' axes are other ones
         rests = speed <= p.at_rest and abs(twist.omega) <= p.no_spin
         moving = f"moves at {speed:.3f} m/s, turns at {twist.omega:.3f} rad/s"
         check("at rest", rests, moving)
@@ -103,7 +113,9 @@ def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) ->
     offset = vitals.clock_offset
     check("clock", abs(offset) <= p.clock_offset_s, f"{offset:+.3f} s from the host's")
     check("session", vitals.session_ok, "of somebody else")
-    check("config", vitals.same_config, "host and vehicle have different ones")
+    check(
+        "config", vitals.same_config, "host and vehicle have different ones: start the agent again"
+    )
     check("disk", vitals.disk_free >= p.disk_free, f"{vitals.disk_free:.1e} bytes free")
     absent = f"not heard for {vitals.operator_age:.1f} s"
     check("operator", vitals.operator_age <= p.operator_age_s, absent)

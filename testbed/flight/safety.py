@@ -19,7 +19,6 @@ from testbed.flight.watch import Watch
 AT_REST = 0.003  # [m/s] slower is stopped: the estimate is not better
 NO_SPIN = 0.02  # [rad/s]
 LONGEST_BRAKE = 6.0  # [s] twice what the top speed of the filter takes with the shipped jets
-ENDING = ("coast", "land")
 
 
 class Acted(NamedTuple):

@@ -70,7 +70,7 @@ def complete_runs(runs: Any) -> None:
         chain = [name]
         while isinstance(run, dict) and "like" in run:
             model = run.pop("like")
-            if model not in runs or model in chain:
+            if not isinstance(model, str) or model not in runs or model in chain:
                 raise ValueError(f"{chain[-1]} is like {model}")
             chain.append(model)
             run = merged(runs[model], run)

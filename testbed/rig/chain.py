@@ -82,6 +82,7 @@ def expected_of(experiment: Experiment, name: str) -> Expected:
         experiment.table.mocap.rate_hz,
         setups[name].model.air.set_pressure,
         Fence(*fence_of(experiment, name)),
+        setups[name].start,
         reaches({other: one.model.radius for other, one in setups.items()}, name),
     )
 

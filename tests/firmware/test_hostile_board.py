@@ -99,9 +99,8 @@ def test_a_hostile_board_takes_no_memory(limits):
             with suppress(SessionError):
                 session.receive(chunk(rng), now)
 
-    feed(12_000)  # until what is kept is full
     tracemalloc.start()
-    feed(200)
+    feed(12_000)  # until what is kept is full
     before, _ = tracemalloc.get_traced_memory()
     feed(CHUNKS // 3)
     after, _ = tracemalloc.get_traced_memory()

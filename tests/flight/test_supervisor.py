@@ -156,14 +156,14 @@ def test_nothing_fires_that_was_not_armed_and_run_with_green_checks(sequence):
 
 
 PARAMS = ArmingParams()
-EXPECTED = Expected("a", 100.0, 5e5, Fence(2.8, 2.8), {"b": 0.4})
+EXPECTED = Expected("a", 100.0, 5e5, Fence(2.8, 2.8), (0.1, 0.0, 0.2), {"b": 0.4})
 
 
 @pytest.fixture
 def ready(make_state):
     return Readiness(
         10.0, make_state(t=10.0), 100.0, Health(10.0, 5e5, 2e7), Vitals(), 0.01, True,
-        {"b": make_state((1.0, 0.0, 0.0), t=10.0)},
+        {"b": make_state((0.83, 0.0, 0.0), t=10.0)},
     )  # fmt: skip
 
 
@@ -173,7 +173,7 @@ def red(ready):
 
 def test_all_green_when_all_is_well(ready):
     assert red(ready) == {}
-    assert len(arming_checks(ready, EXPECTED, PARAMS)) == 17
+    assert len(arming_checks(ready, EXPECTED, PARAMS)) == 18
 
 
 ROWS = [
@@ -181,17 +181,28 @@ ROWS = [
     ("a pose", {"pose_age": -0.11}),
     ("a pose", {"pose_age": math.nan}),
     ("a estimate", {"rejected": 3}),
-    ("a fence", {"pose": Pose(2.81, 0.0, 0.0)}),
-    ("a fence", {"pose": Pose(0.0, -2.81, 0.0)}),
+    ("a start", {"pose": Pose(0.1, 0.31, 0.2)}),
+    ("a start", {"pose": Pose(0.1, 0.0, 0.2 - math.radians(20.1))}),
     ("a at rest", {"twist": Twist(0.011, 0.0, 0.0)}),
     ("a at rest", {"twist": Twist(0.0, 0.0, -0.051)}),
-    ("a clear of b", {"pose": Pose(0.56, 0.0, 0.0)}),
+    ("a clear of b", {"pose": Pose(0.39, 0.0, 0.2)}),
 ]
 
 
 @pytest.mark.parametrize(("name", "change"), ROWS)
 def test_a_bad_state_is_red(name, change, ready):
     assert list(red(replace(ready, state=replace(ready.state, **change)))) == [name]
+
+
+@pytest.mark.parametrize("place", [Pose(2.81, 0.0, 0.2), Pose(0.0, -2.81, 0.2)])
+def test_beyond_the_fence_is_red_wherever_it_was_to_start(place, ready):
+    far = replace(ready, state=replace(ready.state, pose=place))
+    assert list(red(far)) == ["a fence", "a start"]
+
+
+def test_the_heading_is_compared_round_the_circle(ready):
+    turned = replace(ready.state, pose=Pose(0.1, 0.0, 0.2 + 2.0 * math.pi))
+    assert red(replace(ready, state=turned)) == {}
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,13 @@ def test_a_run_like_another_has_its_keys_and_its_own():
 
 
 @pytest.mark.parametrize(
-    "runs", [{"a": {"like": "b"}}, {"a": {"like": "a"}}, {"a": {"like": "b"}, "b": {"like": "a"}}]
+    "runs",
+    [
+        {"a": {"like": "b"}},
+        {"a": {"like": "a"}},
+        {"a": {"like": "b"}, "b": {"like": "a"}},
+        {"a": {"like": ["a"]}},
+    ],
 )
 def test_a_run_like_nothing(runs):
     with pytest.raises(ValueError, match="is like"):
