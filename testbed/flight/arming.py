@@ -22,7 +22,7 @@ class ArmingParams(Struct, frozen=True, forbid_unknown_fields=True):
     rejected: NonNegative = 2  # poses in a row
     at_rest: Positive = 0.01  # [m/s]
     no_spin: Positive = 0.05  # [rad/s]
-    start_distance: Positive = 0.3  # from where the experiment starts it [m]
+    start_distance: Positive = 0.15  # from where the experiment starts it [m]
     start_turn_deg: Positive = 20.0
     clearance: NonNegative = 0.05  # between the rims of two vehicles [m]
     supply_share: Positive = 0.95

@@ -163,7 +163,7 @@ EXPECTED = Expected("a", 100.0, 5e5, Fence(2.8, 2.8), (0.1, 0.0, 0.2), {"b": 0.4
 def ready(make_state):
     return Readiness(
         10.0, make_state(t=10.0), 100.0, Health(10.0, 5e5, 2e7), Vitals(), 0.01, True,
-        {"b": make_state((0.83, 0.0, 0.0), t=10.0)},
+        {"b": make_state((0.68, 0.0, 0.0), t=10.0)},
     )  # fmt: skip
 
 
@@ -181,11 +181,11 @@ ROWS = [
     ("a pose", {"pose_age": -0.11}),
     ("a pose", {"pose_age": math.nan}),
     ("a estimate", {"rejected": 3}),
-    ("a start", {"pose": Pose(0.1, 0.31, 0.2)}),
+    ("a start", {"pose": Pose(0.1, 0.16, 0.2)}),
     ("a start", {"pose": Pose(0.1, 0.0, 0.2 - math.radians(20.1))}),
     ("a at rest", {"twist": Twist(0.011, 0.0, 0.0)}),
     ("a at rest", {"twist": Twist(0.0, 0.0, -0.051)}),
-    ("a clear of b", {"pose": Pose(0.39, 0.0, 0.2)}),
+    ("a clear of b", {"pose": Pose(0.24, 0.0, 0.2)}),
 ]
 
 
