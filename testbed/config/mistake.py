@@ -28,9 +28,9 @@ class ConfigError(Exception):
 
 def refused(key: Key, error: Exception) -> Mistake:
     """What a struct or a law has against its values: "expected this, found that", or a sentence."""
-    about, wanted, wish = str(error).rpartition("expected ")
+    about, wanted, wish = str(error).partition("expected ")
     if not wanted:
-        return Mistake(key, "values that fit together", about or wish)
+        return Mistake(key, "values that fit together", about)
     expected, _, found = wish.partition(", found ")
     found = found or "values that do not fit it"
     return Mistake(key, expected, f"{found}: {about.rstrip(': ')}" if about else found)

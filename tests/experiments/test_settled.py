@@ -11,6 +11,8 @@ from testbed.core.compiled import compiled, settled
 from testbed.rig.interface import Nobody
 from testbed.rig.twin import make_twin
 
+OURS = ("testbed.", "controllers.", "sim_twin.")
+
 
 @compiled
 def total(scale, rows):
@@ -47,8 +49,9 @@ def test_a_flight_never_hands_over_other_types(name, inject, monkeypatch):
 
         return call
 
-    for module in list(sys.modules.values()):
-        if getattr(module, "settled", None) is settled and module.__name__ != __name__:
+    ours = [m for name, m in sys.modules.items() if name.startswith(OURS)]
+    for module in ours:
+        if getattr(module, "settled", None) is settled:
             monkeypatch.setattr(module, "settled", watched)
     flight = ["duration_s=2.0", "table.mocap.rate_hz=25.0", f"inject=[{inject}]"]
     make_twin(load(find(name), flight)).fly(Nobody())
