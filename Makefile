@@ -22,10 +22,9 @@ help:  ## Show this list
 demo: $(DASHBOARD)  ## Fly zhang2023's experiment on the twin of the table
 	@$(BIN)/testbed run zhang2023_table
 
-# One process more than cores: a third of the time tests wait for something that flies in real time. Each
-# process begins with a stretch of its own, so that not all of them compile the same at the start.
+# One process more than cores: a third of the time tests wait for something that flies in real time.
 test: $(DEV)  ## Run the tests (JOBS=4: processes at most)
-	@$(BIN)/python -m pytest -n $$(($$(nproc) + 1)) --maxprocesses $(JOBS) --dist worksteal
+	@$(BIN)/python -m pytest -n $$(($$(nproc) + 1)) --maxprocesses $(JOBS)
 
 lint: $(DEV)  ## Check format, style, types and the direction of imports
 	@$(BIN)/ruff format --check
