@@ -111,17 +111,22 @@ def settled(function: F) -> F:
 
     At every call numba finds out the types of all arguments, down to the last array of a tuple:
     for the small functions of a tick that takes longer than what they do. Here it is done at the
-    first call. So a settled function has one owner, who hands over what looks alike every time:
-    floats where there were floats, arrays of the same number of dimensions, layout and kind.
-    Nothing checks that: a float where the first call had a whole number is cut off, silently
+    first call, and again if a whole number is one no longer: it would be cut off, silently. So a
+    settled function has one owner, who hands over what looks alike every time: arrays of the same
+    number of dimensions, layout and kind, and tuples of the same kinds. That nothing checks
     (tests/experiments/test_settled.py flies with the types compared at every call).
     """
     direct: Callable[..., Any] | None = None
+    whole: list[int] = []  # which arguments are whole numbers
 
     def call(*args: Any) -> Any:
-        nonlocal direct
+        nonlocal direct, whole
+        for k in whole:
+            if not isinstance(args[k], int):
+                direct = None
         if direct is None:
             direct = cast(Any, function).compile(tuple(map(numba.typeof, args)))
+            whole = [k for k, value in enumerate(args) if isinstance(value, int)]
         return direct(*args)
 
     return cast(F, call)

@@ -25,6 +25,11 @@ def test_a_settled_function_gives_what_the_function_gives():
         assert own(scale, rows) == total(scale, rows)
 
 
+def test_a_fraction_where_a_whole_number_was_is_not_cut_off():
+    rows, own = np.ones((2, 3)), settled(total)
+    assert [own(scale, rows) for scale in (2, 0.5, 3, 0.25)] == [12.0, 3.0, 18.0, 1.5]
+
+
 @pytest.mark.parametrize(
     ("name", "inject"),
     [
