@@ -1,7 +1,8 @@
 """`testbed`: the operator's command. Each verb imports what it needs when it runs.
 
 Exit codes: 0 flown and all criteria met; 1 flown, a criterion failed; 2 bad input; 3 aborted by a
-fault; 4 not started, because an arming check is red or the operator did not agree; 130 interrupted.
+fault; 4 not started, because an arming check is red or the operator did not agree; 70 this software
+has failed (as in sysexits.h); 130 interrupted.
 """
 
 import sys
@@ -13,14 +14,15 @@ from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
 from testbed.cli.many import bench, campaign, tune
 
-OK, FAILED, BAD_INPUT, FAULT, NOT_STARTED, INTERRUPTED = 0, 1, 2, 3, 4, 130
+OK, FAILED, BAD_INPUT, FAULT, NOT_STARTED, OUR_FAULT, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
 
 
 EPILOG = """\b
 Exit codes:
-  0  flown, all criteria met        3  aborted by a fault
-  1  flown, a criterion failed      4  not armed: a check is red
+  0  flown, all criteria met        4  not armed: a check is red
+  1  flown, a criterion failed     70  this software has failed
   2  bad input                    130  interrupted
+  3  aborted by a fault
 """
 
 
@@ -307,6 +309,10 @@ def entry() -> None:
         from testbed.cli.refusal import refuse
 
         code = refuse(error)
+    except Exception:  # none of what can be wrong with files, wires or laws: those are refused
+        from testbed.cli.refusal import confess
+
+        code = confess()
     sys.exit(code)
 
 

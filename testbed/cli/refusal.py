@@ -2,10 +2,11 @@
 
 import errno
 import textwrap
+import traceback
 
 from rich.console import Console
 
-from testbed.cli.main import BAD_INPUT
+from testbed.cli.main import BAD_INPUT, OUR_FAULT
 
 LABEL = 12  # characters of "  expected  "
 
@@ -19,6 +20,18 @@ def refuse(error: Exception | str, code: int = BAD_INPUT) -> int:
     text = of_the_disk(error) if isinstance(error, OSError) else error
     errors.print(laid_out(f"error: {text}"), style="red", markup=False, soft_wrap=True)
     return code
+
+
+def confess() -> int:
+    """Tell the operator where this software has failed; the exit code."""
+    errors.print(traceback.format_exc().rstrip(), markup=False, soft_wrap=True)
+    text = (
+        "error: this software has failed, not your files\n"
+        "  expected  to fly, or to say what is wrong\n"
+        "  found     what is above; please report it, with the command and `testbed --version`"
+    )
+    errors.print(laid_out(text), style="red", markup=False, soft_wrap=True)
+    return OUR_FAULT
 
 
 def laid_out(text: str) -> str:

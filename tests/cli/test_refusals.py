@@ -1,5 +1,6 @@
 """What an operator reads who typed something wrong, or whose disk is full."""
 
+import os
 import shutil
 import socket
 import subprocess
@@ -10,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.cli import refusal
-from testbed.cli.main import main
+from testbed.cli.main import entry, main
 from testbed.cli.result import _verdict
 from testbed.ops.report import read_metrics
 
@@ -116,6 +117,22 @@ def test_a_full_disk_behind_the_output(words):
     assert result.returncode == 2
 
 
+def test_a_fault_of_this_software_is_no_verdict_on_a_flight(monkeypatch, capsys):
+    from testbed.cli import look
+
+    def broken(as_json):
+        raise RuntimeError("nobody thought of this")
+
+    monkeypatch.setattr(look, "list_everything", broken)
+    monkeypatch.setattr(sys, "argv", ["testbed", "list"])
+    with pytest.raises(SystemExit) as ended:
+        entry()
+    said = capsys.readouterr().err
+    assert ended.value.code == 70
+    assert "RuntimeError: nobody thought of this" in said
+    assert "error: this software has failed, not your files" in said
+
+
 def test_a_verdict_stands_without_its_report(testbed, here, monkeypatch):
     from testbed.cli import run
     from testbed.ops.report import ReportError
@@ -205,13 +222,17 @@ def test_an_agent_that_looks_for_its_host_hears_an_interrupt(start):
     assert process.returncode == 130
 
 
-def test_a_reader_that_has_seen_enough_is_no_error(start):
-    process = start("bench", "--commands")
-    assert process.stdout.readline().startswith("testbed run ")
-    process.stdout.close()
-    assert process.stderr.read() == ""
-    assert process.wait() == 1
-    process.stdout = None  # communicate() of the fixture reads no more
+def test_a_reader_that_has_seen_enough_is_no_error():
+    reader, writer = os.pipe()
+    os.close(reader)
+    code = "from testbed.cli.main import entry; entry()"
+    result = subprocess.run(
+        [sys.executable, "-c", code, "bench", "--commands"], stdout=writer, stderr=subprocess.PIPE,
+        text=True, check=False,
+    )  # fmt: skip
+    os.close(writer)
+    assert result.stderr == ""
+    assert result.returncode == 1
 
 
 # keys: what to do next
