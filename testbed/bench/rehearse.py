@@ -15,6 +15,7 @@ import msgspec
 from testbed.bench.host import WireRig
 from testbed.config import load
 from testbed.ops.steady import steady
+from testbed.ops.whole import write_whole
 from testbed.rig.interface import Nobody
 from testbed.rig.twin import warm_up
 
@@ -28,12 +29,12 @@ def main() -> int:
 
     def started(rig: WireRig) -> None:
         assert rig.epoch_ns is not None
-        (folder / "start.json").write_bytes(msgspec.json.encode((rig.epoch_ns, rig.children)))
+        write_whole(folder / "start.json", msgspec.json.encode((rig.epoch_ns, rig.children)))
 
     rig.on_start = started
     with steady():
         ending = rig.fly(Nobody())
-    (folder / "ending.json").write_bytes(msgspec.json.encode((ending, rig.supervisor.phase)))
+    write_whole(folder / "ending.json", msgspec.json.encode((ending, rig.supervisor.phase)))
     return 0
 
 

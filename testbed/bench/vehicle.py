@@ -51,6 +51,7 @@ from testbed.ops.offset import Offset
 from testbed.ops.port_gate import PortGate
 from testbed.ops.steady import preferred, steady
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
+from testbed.ops.whole import write_whole
 from testbed.rig.chain import make_agent
 from testbed.rig.twin import warm_up
 
@@ -306,9 +307,7 @@ def fly_vehicle(
         out = Outbox(start.session)
         ended = Ended(ending.t, fault, counts, flight.rows, flight.responses)
         if report is not None:
-            part = report.with_suffix(".part")
-            part.write_bytes(msgspec.json.encode(ended))
-            part.replace(report)
+            write_whole(report, msgspec.json.encode(ended))
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
         say(f"ended after {ending.t:.1f} s{f' by a fault: {fault}' if fault else ''}")
         await_end(gone, tower)

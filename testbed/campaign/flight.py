@@ -25,6 +25,7 @@ from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import Flown, Kept, Task, within
 from testbed.campaign.sweep import Campaign
+from testbed.ops.whole import write_whole
 
 MOST_WARMED = 20  # combinations of a grid; others are compiled by their worker
 
@@ -181,10 +182,3 @@ def replay_command(campaign: Campaign, folder: Path, k: int) -> str:
     """The command that flies run k alone."""
     words = ["testbed", "run", str(folder / "base.toml"), *campaign.overrides(k)]
     return shlex.join(words)
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write the whole file or nothing."""
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(data)
-    part.replace(path)

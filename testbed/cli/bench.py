@@ -20,7 +20,7 @@ from testbed.campaign.benchmark import (
 )
 from testbed.campaign.engine import workers
 from testbed.campaign.evidence import read_run
-from testbed.campaign.flight import Crew, fly_campaign, write_whole
+from testbed.campaign.flight import Crew, fly_campaign
 from testbed.campaign.sweep import experiment_path
 from testbed.cli.campaign import TROUBLE, Bar, find_campaign, write_results
 from testbed.cli.main import INTERRUPTED, OK
@@ -28,6 +28,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import SHIPPED, ConfigError
+from testbed.ops.whole import write_whole
 
 
 def run_benchmark(

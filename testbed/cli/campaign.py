@@ -26,7 +26,6 @@ from testbed.campaign.flight import (
     fly_campaign,
     open_journal,
     replay_command,
-    write_whole,
 )
 from testbed.campaign.journal import JournalError
 from testbed.campaign.report import html_report
@@ -40,6 +39,7 @@ from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import ConfigError
 from testbed.config.tree import trouble_at
+from testbed.ops.whole import write_whole
 
 TROUBLE = (ConfigError, JournalError, EngineError, MissingExtraError, OSError)
 

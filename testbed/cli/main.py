@@ -5,6 +5,7 @@ fault; 4 not started, because an arming check is red or the operator did not agr
 has failed (as in sysexits.h); 130 interrupted.
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -296,19 +297,28 @@ for verb in (agent, bench, campaign, lab_keys, poses, stop, tune, twin):
     main.add_command(verb)
 
 
+def _say_no_more(code: int) -> int:
+    """Let go of standard output, or Python would fail at its end once more."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    return code
+
+
 def entry() -> None:
     """Run the command as a program, with the exit codes above."""
     try:
         code = main(standalone_mode=False)
+        sys.stdout.flush()  # here, and not when nobody can say any more what is wrong
     except click.Abort:
         sys.exit(INTERRUPTED)
     except click.ClickException as error:
         error.show()
         sys.exit(BAD_INPUT)
+    except BrokenPipeError:  # nobody reads any more; click says 1, too
+        code = _say_no_more(FAILED)
     except OSError as error:  # such as a full disk behind standard output
         from testbed.cli.refusal import refuse
 
-        code = refuse(error)
+        code = _say_no_more(refuse(error))
     except Exception:  # none of what can be wrong with files, wires or laws: those are refused
         from testbed.cli.refusal import confess
 

@@ -15,7 +15,6 @@ from rich.table import Table as Grid
 from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
-from testbed.campaign.flight import write_whole
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import Flown, Task
 from testbed.campaign.tuning import (
@@ -34,6 +33,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, read, warm
 from testbed.config import dump, load
+from testbed.ops.whole import write_whole
 
 
 class TuningResult(Struct, frozen=True):

@@ -22,6 +22,7 @@ from testbed.ops.children import end_on_terminate, orphaned
 from testbed.ops.network.badge import BadgeError, read_badge
 from testbed.ops.network.session import NetworkError
 from testbed.ops.steady import prefer_process, preferred, steady
+from testbed.ops.whole import write_whole
 from testbed.rig.twin import warm_up
 
 PRIORITY = 30  # the table does not wait for anybody
@@ -52,9 +53,7 @@ def serve_twin(
             with steady(), preferred(PRIORITY), contextlib.suppress(KeyboardInterrupt):
                 server.run(lambda: child and orphaned())
             if report is not None:
-                part = report.with_suffix(".part")
-                part.write_bytes(msgspec.json.encode(server.report()))
-                part.replace(report)
+                write_whole(report, msgspec.json.encode(server.report()))
     except (OSError, TapError, BoardError, CompilerError, LimitsError) as error:
         return refuse(error, FAULT)
     except KeyboardInterrupt:

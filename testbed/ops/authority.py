@@ -37,6 +37,7 @@ from testbed.ops.network.badge import (
     common_name,
     read_badge,
 )
+from testbed.ops.whole import write_whole
 
 AUTHORITY_DAYS = 3650
 BACKDATED = datetime.timedelta(days=1)  # a vehicle's clock may be behind
@@ -230,10 +231,7 @@ def _write_list(folder: Path, wanted: Wanted, made: Sequence[Badge]) -> None:
             for b in entries.values()
         ],
     }
-    path = folder / "host" / ACCESS
-    part = path.with_suffix(".part")
-    part.write_text(HEADING + tomli_w.dumps(tree), encoding="utf-8")
-    part.replace(path)
+    write_whole(folder / "host" / ACCESS, (HEADING + tomli_w.dumps(tree)).encode())
 
 
 def host_badge(folder: Path) -> Badge | None:

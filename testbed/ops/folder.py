@@ -17,6 +17,7 @@ import tomli_w
 
 from controllers.law_file import digest, file_of
 from testbed.ops.metrics import Metrics
+from testbed.ops.whole import write_whole
 
 LAW = "law.py"
 
@@ -90,9 +91,7 @@ def write_metrics(folder: Path, metrics: Metrics) -> None:
 
 def _replace(path: Path, text: str) -> None:
     """Write the whole file or nothing."""
-    part = path.with_suffix(path.suffix + ".part")
     try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
+        write_whole(path, text.encode())
     except OSError as error:
         raise FolderError(f"{path}: {error.strerror}") from None

@@ -10,6 +10,8 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from testbed.ops.whole import write_whole
+
 KILLED = "the run did not come to an orderly end: its host was killed, or lost power"
 
 
@@ -50,9 +52,7 @@ class Latch:
             OSError: it cannot be kept.
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        fresh = self.path.with_suffix(".fresh")
-        fresh.write_text(json.dumps([self._run, fault]), encoding="utf-8")
-        fresh.replace(self.path)
+        write_whole(self.path, json.dumps([self._run, fault]).encode())
 
     def clear(self) -> None:
         """The run has ended in order."""

@@ -15,6 +15,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from testbed.ops.whole import write_whole
+
 OK, FAILED = 0, 1
 WAIT_S = 0.0  # for a host that is not there
 LAST_RESORT = "what still moves: the main valve and the cord need neither keys nor network\n"
@@ -45,7 +47,8 @@ def noted(endpoint: str, lab: str, keys: str = "") -> Iterator[None]:
     note = folder / f"{os.getpid()}.json"
     with suppress(OSError):
         folder.mkdir(mode=0o700, exist_ok=True)
-        note.write_text(json.dumps([endpoint, lab, str(Path(keys).absolute()) if keys else ""]))
+        words = [endpoint, lab, str(Path(keys).absolute()) if keys else ""]
+        write_whole(note, json.dumps(words).encode())
     try:
         yield
     finally:

@@ -109,7 +109,7 @@ def test_a_full_disk_behind_the_output(words):
     with open("/dev/full", "w") as full:  # noqa: PTH123
         result = subprocess.run(
             [sys.executable, "-c", code, *words], stdout=full, stderr=subprocess.PIPE, text=True,
-            check=False,
+            check=False, env=os.environ | {"PYTHONUNBUFFERED": ""},
         )  # fmt: skip
     assert result.stderr.startswith("error: standard output\n")
     assert "No space left on device" in result.stderr
@@ -228,7 +228,7 @@ def test_a_reader_that_has_seen_enough_is_no_error():
     code = "from testbed.cli.main import entry; entry()"
     result = subprocess.run(
         [sys.executable, "-c", code, "bench", "--commands"], stdout=writer, stderr=subprocess.PIPE,
-        text=True, check=False,
+        text=True, check=False, env=os.environ | {"PYTHONUNBUFFERED": ""},
     )  # fmt: skip
     os.close(writer)
     assert result.stderr == ""
