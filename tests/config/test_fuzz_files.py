@@ -10,6 +10,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from growth import in_use
 from testbed.campaign.benchmark import load_benchmark
 from testbed.campaign.sweep import load_campaign
 from testbed.campaign.tuning import load_tuning
@@ -87,8 +88,8 @@ def test_a_spoilt_file(name, shelf):
                 if len(said) > 1500 or not said.replace("\n", "").isprintable():
                     pytest.fail(said)
             if number == COUNT // 2:
-                before, _ = tracemalloc.get_traced_memory()
-        after, _ = tracemalloc.get_traced_memory()
+                before = in_use()
+        after = in_use()
     finally:
         tracemalloc.stop()
         (shelf / name).write_bytes(whole)
