@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from testbed.flight.faults import DETECTORS, SEVERITY, Fault, FaultTable, most_severe
 
-
 LONGEST_WORDS = 300  # characters of what somebody else says: all of it has to go over the network
 
 
