@@ -122,6 +122,13 @@ class WireRig(Findings):
         if not bench and experiment.board != "model":
             expected = "nothing on the table: its boards are the lab's"
             raise ConfigError("this rig", "board", expected, experiment.board)
+        if experiment.inject and not bench:
+            expected = "nothing on the table: faults are rehearsed on the twin and on the bench"
+            raise ConfigError("this rig", "inject", expected, f"{len(experiment.inject)} of them")
+        for k, one in enumerate(experiment.inject):
+            if one.at_s is None and one.kind in OF_PROCESSES:
+                expected = f"`at_s`: on the bench {one.kind} is injected at a time"
+                raise ConfigError("this rig", f"inject[{k}]", expected, f'event = "{one.event}"')
         self._log, self._agree, self._latch, self._say = log, agree, latch, say
         self.supervisor = Supervisor(latched)
         self.red: list[str] = []
@@ -170,11 +177,6 @@ class WireRig(Findings):
         if self._bench:
             children = stack.enter_context(Children())
             self.experiment = loopback(self.experiment, children.folder)
-        elif self.experiment.inject:
-            raise HostError("faults are rehearsed on the twin and on the bench: remove [[inject]]")
-        for one in self.experiment.inject:
-            if one.at_s is None and one.kind in OF_PROCESSES:
-                raise HostError(f"on the bench {one.kind} is injected at a time: give it at_s")
         network = self.experiment.table.lab.network
         opened, self._warned = open_lab(network, self.experiment.vehicles)
         session = stack.enter_context(opened)

@@ -11,6 +11,7 @@ import zenoh
 from testbed.ops.network.keys import Keys
 from testbed.ops.ticking import WallClock, monotonic_ns
 
+STAMP = 8  # [bytes] of an answer
 ASK_NS = 200_000_000  # between two questions
 
 
@@ -39,8 +40,9 @@ class HostClock:
             asked = self._clock.now
 
             def answered(reply: Any) -> None:
-                if reply.ok is not None:
-                    self._take(asked, int.from_bytes(reply.ok.payload.to_bytes(), "little"))
+                said = b"" if reply.ok is None else reply.ok.payload.to_bytes()
+                if len(said) == STAMP:
+                    self._take(asked, int.from_bytes(said, "little"))
 
             answers = zenoh.handlers.Callback(answered, indirect=False)
             self._session.get(self._key, answers, timeout=1.0)
