@@ -32,7 +32,7 @@ from testbed.ops.children import orphaned
 from testbed.ops.mocap.poses import MocapPoses
 from testbed.ops.mocap.source import make_source
 from testbed.ops.mocap.watch import BodyWatch
-from testbed.ops.network.clock import HostClock
+from testbed.ops.network.clock import HostClock, Reader
 from testbed.ops.network.envelope import Inbox, Outbox, Verdict
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party, ZenohVehicleLink
@@ -259,8 +259,11 @@ def fly_vehicle(
                 setup.model.air.set_pressure,
             )
         )  # fmt: skip
-        lookout = Lookout(experiment, name, source, thrusters)
         clock_of_host = read_clock(session, keys)
+        reader = Reader(session, keys, clock_of_host)
+        # nobody has anything to say there before the order to start
+        strangers = [Ear(session, key) for key in (keys.of(name, "setpoint"), keys.permit)]
+        lookout = Lookout(experiment, name, source, thrusters, reader, strangers)
         tower = Tower(session, keys, name, thrusters.board, lookout, clock_of_host.to_own)
         stack.enter_context(steady())  # now: the last collection of garbage takes its time
         token = session.liveliness().declare_token(keys.of(name, "alive"))
@@ -285,6 +288,8 @@ def fly_vehicle(
         while monotonic_ns() < epoch - LOOK_NS:
             lookout.look()
             sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
+        for ear in strangers:
+            ear.close()
         poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
         flight = Flight(
             party, thrusters, poses, tower, config_id(experiment), drift, link, rehearsal

@@ -1,6 +1,7 @@
 """A run on wires is armed by its supervisor, or it is said why not."""
 
 import json
+import threading
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,9 @@ from testbed.cli.main import BAD_INPUT, FAULT, NOT_STARTED, main
 from testbed.config import find, load
 from testbed.ops.latch import KILLED, Latch
 from testbed.ops.logbook import Logbook
+from testbed.ops.network.session import Mouth, dial
+from testbed.rig.interface import Nobody
+from testbed.rig.twin import warm_up
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,6 +49,46 @@ def test_a_red_check_is_named_and_nothing_is_armed():
     assert metrics("out")["red"] == ["sat1 battery: 12.0 V"]
     assert metrics("out")["phase"] == "DISARMED"
     assert Latch("bench", "lab", "").fault is None  # no valve could open
+
+
+DIES = """
+def force(own, neighbours, world, t):
+    raise ZeroDivisionError("as it was written")
+"""
+
+
+def test_a_law_that_dies_and_a_clock_that_is_not_known_are_red():
+    Path("dies.py").write_text(DIES)
+    law = 'controller={type="python", law="dies.py:force"}'
+    done = run("--rig", "bench", law, "criteria={}", "arming.clock_offset_s=1e-7", "--out", "out")
+    assert done.exit_code == NOT_STARTED, done.output
+    reasons = dict(reason.split(": ", 1) for reason in metrics("out")["red"])
+    assert reasons["sat1 law"] == "ZeroDivisionError: as it was written"
+    assert reasons["sat1 clock"].endswith("s from the host's")
+    assert phases("out") == []
+
+
+def test_setpoints_of_somebody_else_before_the_start_are_red():
+    rig, over = WireRig(load(find("hold")), bench=True), threading.Event()
+
+    def intrude(endpoint):
+        with dial(endpoint) as session:
+            mouth = Mouth(session, "lab/sat1/setpoint")
+            while not over.wait(0.1):
+                mouth.say(b"anything at all")
+
+    def way(endpoint):
+        threading.Thread(target=intrude, args=(endpoint,)).start()
+        return endpoint
+
+    rig.way = way
+    warm_up(rig.experiment)
+    try:
+        ending = rig.fly(Nobody())
+    finally:
+        over.set()
+    assert rig.red == ["sat1 session: of somebody else"]
+    assert ending.t == 0.0
 
 
 def test_on_the_table_it_says_whom_it_waits_for():
