@@ -126,14 +126,15 @@ def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> i
         stack.callback(source.close)
         room = Room(experiment.table.lab.mocap, experiment.vehicles)
         end = None if seconds is None else monotonic_ns() + round(1e9 * seconds)
-        live = None
+        live, looked = None, monotonic_ns()
         if out.is_terminal:
             live = stack.enter_context(Live(console=out, transient=True, auto_refresh=False))
         with suppress(KeyboardInterrupt):
             while end is None or monotonic_ns() < end:
                 room.take(source.poll())
+                looked = monotonic_ns()
                 if live is not None:
-                    live.update(room.picture(monotonic_ns()), refresh=True)
+                    live.update(room.picture(looked), refresh=True)
                 sleep_until_ns(monotonic_ns() + LOOK_NS)
     if not room.seen:
         sender, address = where(experiment)
@@ -142,7 +143,7 @@ def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> i
         return refuse(
             f"{sender}\n  expected  poses that arrive at {address}\n  found     {found}", FAILED
         )
-    out.print(room.picture(monotonic_ns()))
+    out.print(room.picture(looked))  # what has come since then is not in it
     for vehicle, body in room.missing().items():
         errors.print(
             f"{vehicle}: the cameras do not track {body!r}; [lab.mocap] bodies maps its name",

@@ -52,14 +52,17 @@ def test_a_red_check_is_named_and_nothing_is_armed():
 
 
 DIES = """
-def force(own, neighbours, world, t):
-    raise ZeroDivisionError("as it was written")
+class Law:
+    def force(self, own, neighbours, world, t):
+        if abs(own.p[1] + 0.1) < 0.05:  # where it begins, not where it is tried
+            raise ZeroDivisionError("as it was written")
+        return 0.0 * own.p
 """
 
 
 def test_a_law_that_dies_and_a_clock_that_is_not_known_are_red():
     Path("dies.py").write_text(DIES)
-    law = 'controller={type="python", law="dies.py:force"}'
+    law = 'controller={type="python", law="dies.py:Law"}'
     done = run("--rig", "bench", law, "criteria={}", "arming.clock_offset_s=1e-7", "--out", "out")
     assert done.exit_code == NOT_STARTED, done.output
     reasons = dict(reason.split(": ", 1) for reason in metrics("out")["red"])

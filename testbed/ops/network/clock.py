@@ -9,13 +9,27 @@ from typing import Any
 import zenoh
 
 from testbed.ops.network.keys import Keys
+from testbed.ops.network.session import NetworkError, ask
 from testbed.ops.offset import Offset
 from testbed.ops.ticking import WallClock, monotonic_ns
 
 STAMP = 8  # [bytes] of an answer
 ASK_NS = 200_000_000  # between two questions
+READINGS = 16  # before a flight
 READ_NS = 1_000_000_000  # the same, while a vehicle waits
 UNREAD_S = 1e3  # a clock that was never read
+
+
+def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
+    """The host's clock, from some questions and answers."""
+    clock = Offset()
+    for _ in range(READINGS):
+        asked = monotonic_ns()
+        said = ask(session, keys.clock)
+        if len(said) != STAMP:
+            raise NetworkError(f"the host's clock says {len(said)} bytes, expected {STAMP}")
+        clock.exchanged(asked, int.from_bytes(said, "little"), monotonic_ns())
+    return clock
 
 
 class Reader:
