@@ -45,10 +45,6 @@ def _mocap(experiment: Experiment) -> Iterator[Mistake]:
     if there is None and not re.fullmatch(NAME, wire.server, re.ASCII):
         expected = "the name or the IPv4 address of the machine that the cameras' program runs on"
         yield Mistake((*key, "server"), expected, show(wire.server))
-    elsewhere = there is not None and not there.is_loopback and not there.is_unspecified
-    if elsewhere and own is not None and own.is_loopback:
-        expected = f"an address that leads to {wire.server}, or 0.0.0.0: whichever does"
-        yield Mistake((*key, "interface"), expected, show(wire.interface))
 
 
 def _ipv4(text: str) -> IPv4Address | None:

@@ -323,10 +323,6 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
         "", "the name or the IPv4 address of the machine that the cameras' program runs on",
         '"10.0.0.300"',
     ),
-    "table.lab.mocap.server='192.168.1.10'": (
-        "table.lab.mocap.interface",
-        "an address that leads to 192.168.1.10, or 0.0.0.0: whichever does", '"127.0.0.1"',
-    ),
     "table.lab.network.endpoint='foo/127.0.0.1:7450'": (
         "", "PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7450", '"foo/127.0.0.1:7450"',
     ),

@@ -204,6 +204,13 @@ def test_a_server_of_another_time_is_named(port, client):
     assert "NatNet 2.10" in client.complaint
 
 
+def test_an_interface_that_does_not_lead_there_is_named():
+    client = NatNetClient(MocapWire(server="192.0.2.1"))
+    client.poll()
+    assert client.complaint == "none: 127.0.0.1 does not lead to 192.0.2.1; 0.0.0.0 does"
+    client.close()
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [

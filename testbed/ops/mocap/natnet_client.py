@@ -5,6 +5,7 @@ with echoes once a second; a server that does not answer them is believed by its
 What another address than the server's sends is not looked at: the usual group is everybody's.
 """
 
+import ipaddress
 import socket
 import struct
 from contextlib import suppress
@@ -53,6 +54,7 @@ class NatNetClient:
     def __init__(self, wire: MocapWire) -> None:
         host = _address_of(wire.server)  # once: whoever asks for a name waits for the answer
         self._server = (host, wire.command_port)
+        self._interface = wire.interface
         self._only = None if host == ANYBODY else host
         try:
             self._sockets = [_stamped(wire.interface, 0)]
@@ -87,6 +89,9 @@ class NatNetClient:
         if self.foreign:
             others = ", ".join(f"{n} from {sender}" for sender, n in self.foreign.items())
             return f"datagrams that were not the server's: {others}"
+        away = not ipaddress.ip_address(self._server[0]).is_loopback and self._only is not None
+        if self.info is None and away and ipaddress.ip_address(self._interface).is_loopback:
+            return f"none: {self._interface} does not lead to {self._server[0]}; 0.0.0.0 does"
         if self.info is not None and not self.names:
             return "the server answers, and describes no rigid body"
         return ""
