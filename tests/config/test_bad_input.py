@@ -308,6 +308,9 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "flight.jet_period_s=1e-6": ("", "at least 0.001 s", "1e-06 s"),
     "table.mocap.rate_hz=1e5": ("", "at most 10000 Hz", "100000 Hz"),
     "table.mocap.rate_hz=2": ("", "more than 2.08 Hz: the gate waits 0.5 s for a pose", "2 Hz"),
+    "obstacles.--child={position=[2,2],radius=0.1}": (
+        "obstacles.--child", "a name that begins with a letter, a digit or `_`", '"--child"',
+    ),
     "table.lab.mocap.interface='::1'": (
         "", "an IPv4 address of the vehicle's computer, or 0.0.0.0: whichever leads there",
         '"::1"',
