@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from msgspec.structs import replace
 
 from testbed.bench.host import WireRig, loopback
 from testbed.cli.main import BAD_INPUT, FAULT, NOT_STARTED, main
-from testbed.config import find, load
+from testbed.config import ConfigError, find, load
 from testbed.ops.latch import KILLED, Latch
 from testbed.ops.logbook import Logbook
 from testbed.ops.network.session import Mouth, dial
@@ -92,6 +93,20 @@ def test_setpoints_of_somebody_else_before_the_start_are_red():
         over.set()
     assert rig.red == ["sat1 session: of somebody else"]
     assert ending.t == 0.0
+
+
+def test_what_cannot_be_flown_on_wires_is_refused_before_anything_starts():
+    slope = [[[0.0001234567, 0.0001]] * 120] * 120
+    table = replace(
+        load(find("hold")).table, tilt=replace(load(find("hold")).table.tilt, map=slope)
+    )
+    with pytest.raises(ConfigError, match="at most 256 kB"):
+        WireRig(replace(load(find("hold")), table=table), bench=True)
+    dies = 'inject=[{kind="kill_process", vehicle="sat1", event="near_edge", threshold=1}]'
+    with pytest.raises(ConfigError, match="is injected at a time"):
+        WireRig(load(find("hold"), [dies]), bench=True)
+    with pytest.raises(ConfigError, match="nothing on the table"):
+        WireRig(load(find("hold"), [dies]), bench=False)
 
 
 def test_on_the_table_it_says_whom_it_waits_for():
