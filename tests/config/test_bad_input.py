@@ -311,6 +311,15 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "obstacles.--child={position=[2,2],radius=0.1}": (
         "obstacles.--child", "a name that begins with a letter, a digit or `_`", '"--child"',
     ),
+    "table.lab.mocap.bodies={sat1='A',sat2='A'}": (
+        "table.lab.mocap.bodies.sat2", "a body for sat1 and another for sat2", '"A"',
+    ),
+    "table.lab.mocap.bodies={sat1='sat3'}": (
+        "table.lab.mocap.bodies.sat1", "a body for sat1 and another for sat3", '"sat3"',
+    ),
+    "table.lab.serial.ports={sat1='/dev/x',sat3='/dev/x'}": (
+        "table.lab.serial.ports.sat3", "another port than that of sat1", '"/dev/x"',
+    ),
     "table.lab.mocap.interface='::1'": (
         "", "an IPv4 address of the vehicle's computer, or 0.0.0.0: whichever leads there",
         '"::1"',
