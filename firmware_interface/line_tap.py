@@ -110,6 +110,11 @@ class LineTap:
         return [str(host_program()), self._config.pack().hex(), *identity, f"fd:{line}"]
 
     def _open_port(self, stack: ExitStack) -> None:
+        if _is_taken(self.link):  # on a lab's machine it may be the board itself
+            raise TapError(
+                f"{self.link} is there already, and no twin has made it: expected a free name;"
+                " [lab.serial] ports or --ports gives another"
+            )
         self.port_fd, other = pty.openpty()
         stack.callback(os.close, self.port_fd)
         stack.callback(os.close, other)  # held open: or reading fails while nobody has the port
@@ -118,7 +123,13 @@ class LineTap:
         fresh = self.link.with_name(f".{self.link.name}-fresh")
         fresh.symlink_to(os.ttyname(other))
         fresh.replace(self.link)
-        stack.callback(self.link.unlink, missing_ok=True)
+        stack.callback(self._give_back, os.ttyname(other))
+
+    def _give_back(self, terminal: str) -> None:
+        """Take the link away, if it is still the own one."""
+        with suppress(OSError):
+            if str(self.link.readlink()) == terminal:
+                self.link.unlink()
 
     def __exit__(self, *_: object) -> None:
         self._over = True
@@ -212,6 +223,13 @@ class LineTap:
             return []
         offset = min(self._offsets)
         return [Edge(edge.t_us + offset, edge.mask) for edge in edges]
+
+
+def _is_taken(link: Path) -> bool:
+    """Whether something else than a twin's port is there; a twin that was killed leaves its own."""
+    if not link.is_symlink():
+        return link.exists()
+    return not str(link.readlink()).startswith("/dev/pts/")
 
 
 def _read(fd: int) -> bytes:

@@ -34,7 +34,7 @@ from testbed.ops.network.badge import neighbour
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party
 from testbed.ops.network.orders import Accepted, Refused, Start, Stop
-from testbed.ops.network.session import Ear, NetworkError, answer_to
+from testbed.ops.network.session import LARGEST, Ear, NetworkError, answer_to
 from testbed.ops.stop import noted
 from testbed.ops.ticking import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.boards import LOCKSTEP
@@ -45,6 +45,7 @@ GREEN_S = 10.0  # for checks to become green: the cameras' rate is counted over 
 AHEAD_NS = 1_500_000_000  # from the order to start until the run's time 0
 PERMIT_NS = 100_000_000  # between two permits before that
 LOOK_NS = 20_000_000
+SPARE = 6_000  # [bytes] for what goes with a message
 
 
 class HostError(Exception):
@@ -122,6 +123,17 @@ class WireRig(Findings):
         if not bench and experiment.board != "model":
             expected = "nothing on the table: its boards are the lab's"
             raise ConfigError("this rig", "board", expected, experiment.board)
+        if experiment.inject and not bench:
+            expected = "nothing on the table: faults are rehearsed on the twin and on the bench"
+            raise ConfigError("this rig", "inject", expected, f"{len(experiment.inject)} of them")
+        for k, one in enumerate(experiment.inject):
+            if one.at_s is None and one.kind in OF_PROCESSES:
+                expected = f"`at_s`: on the bench {one.kind} is injected at a time"
+                raise ConfigError("this rig", f"inject[{k}]", expected, f'event = "{one.event}"')
+        size = len(msgspec.json.encode(experiment))
+        if size > LARGEST - SPARE:
+            expected = f"an experiment of at most {(LARGEST - SPARE) // 1000} kB as it is sent"
+            raise ConfigError("this rig", "", expected, f"{size // 1000} kB: a tilt map so fine?")
         self._log, self._agree, self._latch, self._say = log, agree, latch, say
         self.supervisor = Supervisor(latched)
         self.red: list[str] = []
@@ -170,11 +182,6 @@ class WireRig(Findings):
         if self._bench:
             children = stack.enter_context(Children())
             self.experiment = loopback(self.experiment, children.folder)
-        elif self.experiment.inject:
-            raise HostError("faults are rehearsed on the twin and on the bench: remove [[inject]]")
-        for one in self.experiment.inject:
-            if one.at_s is None and one.kind in OF_PROCESSES:
-                raise HostError(f"on the bench {one.kind} is injected at a time: give it at_s")
         network = self.experiment.table.lab.network
         opened, self._warned = open_lab(network, self.experiment.vehicles)
         session = stack.enter_context(opened)

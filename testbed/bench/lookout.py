@@ -4,8 +4,9 @@ A second flight chain, of the same build and never armed, is fed with poses and 
 from the first moment on; the one that will fly starts fresh, so that its log can be replayed.
 """
 
+import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Sequence
 from threading import Lock
 
 from msgspec.structs import replace
@@ -17,17 +18,23 @@ from testbed.flight.arming import Readiness
 from testbed.ops.mocap.exposure import MocapSource
 from testbed.ops.mocap.poses import MocapPoses
 from testbed.ops.mocap.watch import BodyWatch
+from testbed.ops.network.clock import Reader
 from testbed.ops.network.orders import Ready, Refused, config_id
+from testbed.ops.network.session import Ear
 from testbed.ops.ticking import WallClock, monotonic_ns
 from testbed.rig.chain import make_agent
+
+ALONE_S = 1.0  # without a word of somebody else
 
 
 class Lookout:
     """Looks whenever it is told that time has passed; `ready` may be asked from any thread."""
 
     def __init__(
-        self, experiment: Experiment, name: str, source: MocapSource, thrusters: SerialThrusters
-    ) -> None:
+        self, experiment: Experiment, name: str, source: MocapSource, thrusters: SerialThrusters,
+        reader: Reader, strangers: Sequence[Ear],
+    ) -> None:  # fmt: skip
+        """Look; `strangers` are heard where nobody speaks before the order to start."""
         self._clock = WallClock(monotonic_ns())
         wire = experiment.table.lab.mocap
         self._poses = MocapPoses(source, wire, self._clock, name, BodyWatch())
@@ -38,7 +45,8 @@ class Lookout:
         self._state: State | None = None
         self._looked_at = 0.0
         self._config, self._lock = config_id(experiment), Lock()
-        self.clock_offset: Callable[[], float] = lambda: 0.0  # the host's minus the own [s]
+        self._reader, self._strangers = reader, strangers
+        self._strange_at = -math.inf  # when one was heard
 
     def look(self) -> None:
         """Time has passed."""
@@ -46,6 +54,9 @@ class Lookout:
         if now < self._due:
             return
         self._due = now + self._period
+        self._reader.look()
+        if sum(len(ear.heard()) for ear in self._strangers):
+            self._strange_at = now
         samples = tuple(self._poses.samples())
         health = self._thrusters.health()
         step = self._agent.step(Inputs(now, False, samples, None, {}, health))
@@ -65,6 +76,7 @@ class Lookout:
         if state is not None:  # a process that is busy with something else has an old pose
             late = max(0.0, self._clock.now - at - self._period)
             state = replace(state, pose_age=state.pose_age + late)
-        vitals = Vitals(clock_offset=self.clock_offset())
+        alone = self._clock.now - self._strange_at > ALONE_S
+        vitals = Vitals(session_ok=alone, clock_offset=self._reader.unsure())
         health, shut = self._thrusters.health(), self._thrusters.shut
         return Ready(Readiness(at, state, rate, health, vitals, 0.0, shut, {}), self._config)

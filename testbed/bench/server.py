@@ -43,6 +43,7 @@ SENSE_NS = 100_000_000  # between two looks of the boards at their gauges
 TRUTH_FRAMES = 5  # every so many exposures the truth is told
 DIAL_NS = 1_000_000_000  # between two attempts to find the host
 QUIET_NS = 500_000_000  # a line on which nobody says anything for so long is nobody's
+LARGEST_S = 1e6  # that a permit's stamp can be
 SUPPLY_MV = 12_000
 ERROR_M = 0.0002  # of the markers' fit, as a healthy system reports it
 UNTRACKED = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
@@ -101,12 +102,7 @@ class TableServer:
 
     def __enter__(self) -> "TableServer":
         with ExitStack() as stack:
-            self._taps = {}
-            for k, name in enumerate(self.names):
-                link = port_of(self.experiment, name, self._folder)
-                limits = limits_of(self.models[name])
-                chip = self.experiment.board == "qemu"
-                self._taps[name] = stack.enter_context(LineTap(limits, 1 + k, link, chip=chip))
+            # first: of two twins with the same file the second ends here, and takes nothing away
             wire = self.experiment.table.lab.mocap
             major, minor = wire.version.split(".")
             self._mocap = stack.enter_context(
@@ -116,6 +112,12 @@ class TableServer:
                     [Described(k + 1, wire.bodies.get(n, n)) for k, n in enumerate(self.names)],
                 )
             )
+            self._taps = {}
+            for k, name in enumerate(self.names):
+                link = port_of(self.experiment, name, self._folder)
+                limits = limits_of(self.models[name])
+                chip = self.experiment.board == "qemu"
+                self._taps[name] = stack.enter_context(LineTap(limits, 1 + k, link, chip=chip))
             self._stack = stack.pop_all()
         return self
 
@@ -305,7 +307,12 @@ class TableServer:
         if self._permits is None or self._released_ns is None or not self.experiment.inject:
             return
         for at, data in self._permits.heard():
-            stamp = msgspec.msgpack.decode(data, type=Sealed).issued_at
+            try:
+                stamp = msgspec.msgpack.decode(data, type=Sealed).issued_at
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                continue  # whoever said that, it was not the host
+            if not abs(stamp) < LARGEST_S:
+                continue
             later = 1e-9 * (at - self._released_ns) - stamp
             shifted = [
                 one if one.at_s is None else replace(one, at_s=max(0.0, one.at_s + later))

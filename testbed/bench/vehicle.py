@@ -32,7 +32,7 @@ from testbed.ops.children import orphaned
 from testbed.ops.mocap.poses import MocapPoses
 from testbed.ops.mocap.source import make_source
 from testbed.ops.mocap.watch import BodyWatch
-from testbed.ops.network.clock import HostClock
+from testbed.ops.network.clock import HostClock, Reader, read_clock
 from testbed.ops.network.envelope import Inbox, Outbox, Verdict
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.links import Party, ZenohVehicleLink
@@ -56,10 +56,10 @@ from testbed.rig.chain import make_agent
 from testbed.rig.twin import warm_up
 
 PRIORITY = 20
-READINGS = 16  # of the host's clock before a flight
 LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
 PATIENCE_S = 60.0  # for a host that does not answer
 TRY_S = 2.0
+ALONE_NS = 2_000_000_000  # some leases of a network that was cut
 KEPT_S = 10.0
 PERMITTED_S = 3.0  # a flight that the host has not permitted by then will not be
 
@@ -70,18 +70,6 @@ class VehicleError(Exception):
 
 def unheard(_: str) -> None:
     """Nobody is at a terminal."""
-
-
-def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
-    """The host's clock, from some questions and answers."""
-    clock = Offset()
-    for _ in range(READINGS):
-        asked = monotonic_ns()
-        said = ask(session, keys.clock)
-        if len(said) != 8:
-            raise NetworkError(f"the host's clock says {len(said)} bytes, expected 8")
-        clock.exchanged(asked, int.from_bytes(said, "little"), monotonic_ns())
-    return clock
 
 
 class Flight:
@@ -260,10 +248,14 @@ def fly_vehicle(
                 setup.model.air.set_pressure,
             )
         )  # fmt: skip
-        lookout = Lookout(experiment, name, source, thrusters)
         clock_of_host = read_clock(session, keys)
+        reader = Reader(session, keys, clock_of_host)
+        # nobody has anything to say there before the order to start
+        strangers = [Ear(session, key) for key in (keys.of(name, "setpoint"), keys.permit)]
+        lookout = Lookout(experiment, name, source, thrusters, reader, strangers)
         tower = Tower(session, keys, name, thrusters.board, lookout, clock_of_host.to_own)
         stack.enter_context(steady())  # now: the last collection of garbage takes its time
+        await_alone(session, keys, name)
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
         say(f"ready, board at {port}; waiting for the host's order to start")
@@ -286,6 +278,8 @@ def fly_vehicle(
         while monotonic_ns() < epoch - LOOK_NS:
             lookout.look()
             sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
+        for ear in strangers:
+            ear.close()
         poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
         flight = Flight(
             party, thrusters, poses, tower, config_id(experiment), drift, link, rehearsal
@@ -322,6 +316,22 @@ def await_host(endpoint: str, badge: Path | None, gone: Callable[[], bool]) -> z
         except NobodyError:
             if monotonic_ns() > end or gone():
                 raise
+
+
+def await_alone(session: zenoh.Session, keys: Keys, name: str) -> None:
+    """See that nobody else flies under this name; one that was killed is forgotten by then.
+
+    Raises:
+        VehicleError: somebody does.
+    """
+    end = monotonic_ns() + ALONE_NS
+    while list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0)):
+        if monotonic_ns() > end:
+            raise VehicleError(
+                f"somebody else flies as {name}: expected one `testbed agent` for each vehicle;"
+                " end the other, or wait until its flight is over"
+            )
+        sleep_until_ns(monotonic_ns() + 10 * LOOK_NS)
 
 
 def ask_experiment(session: zenoh.Session, keys: Keys, gone: Callable[[], bool]) -> Experiment:

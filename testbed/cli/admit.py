@@ -88,7 +88,8 @@ def run_admission(
         experiment = load(find(name), overrides)
     except ConfigError as error:
         return refuse(error)
-    with errors.status(f"flying {flights} times in the twin (compiles on the first run)"):
+    times = "once" if flights == 1 else f"{flights} times"
+    with errors.status(f"flying {times} in the twin (compiles on the first run)"):
         admission = admit(experiment, flights)
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(admission)).decode() + "\n")
@@ -105,7 +106,8 @@ def run_admission(
 def print_admission(admission: Admission) -> None:
     """The numbers, and the verdict."""
     out = Console(highlight=False)
-    title = f"{admission.experiment}, {admission.flights} flights in the twin"
+    flights = "1 flight" if admission.flights == 1 else f"{admission.flights} flights"
+    title = f"{admission.experiment}, {flights} in the twin"
     grid = Grid(title=title, title_justify="left", title_style="bold")
     for heading in ("", "worst", "seed"):
         grid.add_column(heading)

@@ -4,6 +4,13 @@ from pathlib import Path
 
 import click
 
+from testbed.cli.keys import words
+
+
+def word(context: click.Context, option: click.Parameter, given: str | None) -> str | None:
+    """A name that can be part of a key of the network."""
+    return None if given is None else words(context, option, [given])[0]
+
 
 @click.command()
 @click.argument("experiment")
@@ -36,9 +43,11 @@ def twin(
 
 
 @click.command()
-@click.argument("vehicle")
+@click.argument("vehicle", callback=word)
 @click.option("--connect", help="Where the host listens.  [default: as the keys say; loopback]")
-@click.option("--lab", help="First part of all keys.  [default: as the keys say; lab]")
+@click.option(
+    "--lab", callback=word, help="First part of all keys.  [default: as the keys say; lab]"
+)
 @click.option("--serial", help="The board's port.  [default: the table file's]")
 @click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
 @click.option("--report", type=click.Path(path_type=Path), hidden=True)
@@ -77,7 +86,9 @@ def poses(
 
 @click.command()
 @click.option("--connect", help="Where the host listens.  [default: every flight on this machine]")
-@click.option("--lab", default="lab", show_default=True, help="First part of all keys.")
+@click.option(
+    "--lab", callback=word, default="lab", show_default=True, help="First part of all keys."
+)
 @click.option(
     "--keys",
     type=click.Path(path_type=Path),

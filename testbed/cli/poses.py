@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from math import degrees
+from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
@@ -15,15 +16,20 @@ from rich.table import Table as Grid
 
 from testbed.cli.main import FAILED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.config import ConfigError, find, load
+from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
-from testbed.ops.mocap.exposure import Axes, Exposure
-from testbed.ops.mocap.source import datagrams
+from testbed.ops.mocap.exposure import Axes, Exposure, MocapSource
+from testbed.ops.mocap.natnet_client import NatNetClient
+from testbed.ops.mocap.source import datagrams, make_source
+from testbed.ops.network.access import open_lab
+from testbed.ops.network.keys import Keys
+from testbed.ops.network.session import NetworkError, NobodyError, dial
 from testbed.ops.ticking import monotonic_ns, sleep_until_ns
 
 LOOK_NS = 100_000_000  # between two looks at the sockets, and two pictures
 SECOND_NS = 1_000_000_000
+HOST_S = 0.5  # for a host to answer, where poses come by it
 
 
 class Seen:
@@ -82,37 +88,62 @@ class Room:
         return {name: body for name, body in self.bodies.items() if body not in tracked}
 
 
+def cameras(experiment: Experiment, stack: ExitStack) -> MocapSource:
+    """Connect to the cameras; with Zenoh by the host, or in its place where none is there.
+
+    Raises:
+        OSError, NetworkError: it cannot be done.
+    """
+    lab = experiment.table.lab
+    if lab.mocap.system != "zenoh":
+        return datagrams(lab.mocap)
+    network = lab.network
+    try:
+        session = dial(network.endpoint, HOST_S, Path(network.keys) if network.keys else None)
+    except NobodyError:
+        session, _ = open_lab(network, experiment.vehicles)
+    stack.enter_context(session)
+    return make_source(lab.mocap, session, Keys(network.lab))
+
+
+def where(experiment: Experiment) -> tuple[str, str]:
+    """Where poses should come from, and where they should arrive."""
+    lab = experiment.table.lab
+    if lab.mocap.system == "zenoh":
+        return f"zenoh on {Keys(lab.network.lab).pose}", lab.network.endpoint
+    return f"{lab.mocap.system} at {lab.mocap.server}", lab.mocap.interface
+
+
 def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> int:
     """Look until Ctrl-C, or for so long [s]; 1 if a vehicle of the experiment is not seen."""
-    try:
-        experiment = load(find(name), overrides)
-        wire = experiment.table.lab.mocap
-        if wire.system == "zenoh":
-            expected = "a system that sends datagrams; who dials the host sees Zenoh's poses"
-            raise ConfigError(name, "table.lab.mocap.system", expected, "zenoh")
-        source = datagrams(wire)
-    except (ConfigError, OSError) as error:
-        return refuse(error)
-    room, out = Room(wire, experiment.vehicles), Console(highlight=False)
-    end = None if seconds is None else monotonic_ns() + round(1e9 * seconds)
+    out = Console(highlight=False)
     with ExitStack() as stack:
+        try:
+            experiment = load(find(name), overrides)
+            source = cameras(experiment, stack)
+        except (ConfigError, NetworkError, OSError) as error:
+            return refuse(error)
         stack.callback(source.close)
-        live = None
+        room = Room(experiment.table.lab.mocap, experiment.vehicles)
+        end = None if seconds is None else monotonic_ns() + round(1e9 * seconds)
+        live, looked = None, monotonic_ns()
         if out.is_terminal:
             live = stack.enter_context(Live(console=out, transient=True, auto_refresh=False))
         with suppress(KeyboardInterrupt):
             while end is None or monotonic_ns() < end:
                 room.take(source.poll())
+                looked = monotonic_ns()
                 if live is not None:
-                    live.update(room.picture(monotonic_ns()), refresh=True)
+                    live.update(room.picture(looked), refresh=True)
                 sleep_until_ns(monotonic_ns() + LOOK_NS)
     if not room.seen:
+        sender, address = where(experiment)
+        found = source.complaint if isinstance(source, NatNetClient) else ""
+        found = found or "none: is it streaming, to this address, and through the firewall?"
         return refuse(
-            f"{wire.system} at {wire.server}\n  expected  poses that arrive at {wire.interface}\n"
-            "  found     none: is it streaming, to this address, and through the firewall?",
-            FAILED,
+            f"{sender}\n  expected  poses that arrive at {address}\n  found     {found}", FAILED
         )
-    out.print(room.picture(monotonic_ns()))
+    out.print(room.picture(looked))  # what has come since then is not in it
     for vehicle, body in room.missing().items():
         errors.print(
             f"{vehicle}: the cameras do not track {body!r}; [lab.mocap] bodies maps its name",

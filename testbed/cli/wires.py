@@ -19,7 +19,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, find, load
 from testbed.core.lab import Network
 from testbed.ops.children import end_on_terminate, orphaned
-from testbed.ops.network.badge import BadgeError, read_badge
+from testbed.ops.network.badge import BadgeError, read_badge, trouble
 from testbed.ops.network.session import NetworkError
 from testbed.ops.steady import prefer_process, preferred, steady
 from testbed.ops.whole import write_whole
@@ -75,6 +75,9 @@ def fly_agent(
             if badge.ending:
                 errors.print(badge.ending, style="yellow", markup=False, soft_wrap=True)
             endpoint, lab = endpoint or badge.endpoint, lab or badge.lab
+        endpoint, lab = endpoint or Network().endpoint, lab or Network().lab
+        if (why := trouble(endpoint, keys)) is not None:
+            raise BadgeError(f"{endpoint} is not opened: {why}")
     except BadgeError as error:
         return refuse(error)
 
@@ -82,11 +85,10 @@ def fly_agent(
         if not child:
             errors.print(f"{name}: {text}", markup=False, soft_wrap=True)
 
-    say(f"looking for the host at {endpoint or Network().endpoint}")
+    say(f"looking for the host at {endpoint}")
     try:
         fly_vehicle(
-            name, endpoint or Network().endpoint, lab or Network().lab, port, keys,
-            child=child, report=report, say=say,
+            name, endpoint, lab, port, keys, child=child, report=report, say=say,
         )  # fmt: skip
     except (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError) as error:
         return refuse(error, FAULT)

@@ -10,6 +10,7 @@ from controllers.guarantee import Bounded, Start, Unbounded, concerns
 from testbed.config.experiment import Experiment
 from testbed.core.law import Concern, Discs
 from testbed.flight.allocation import weakest_force
+from testbed.flight.faults import DETECTORS
 
 SPARE = 1.1  # mass and force of a vehicle may be that far from those of a design
 LOOKS = 200  # at a goal's path, for its largest acceleration
@@ -36,7 +37,7 @@ def warnings_of(experiment: Experiment) -> list[Concern]:
         ),
     )
     found = concerns(experiment.controller, list(experiment.vehicles), start)
-    found += _unseen(experiment)
+    found += _unseen(experiment) + _unwatched(experiment)
     return [*found, *_field(experiment, start.max_force)]
 
 
@@ -52,6 +53,15 @@ def _unseen(experiment: Experiment) -> list[Concern]:
         return []
     text = f"nothing in the law keeps off {', '.join(experiment.obstacles)}"
     return [Concern("obstacles-unseen", text)]
+
+
+def _unwatched(experiment: Experiment) -> list[Concern]:
+    """Detectors that no row of the fault table asks: the file of one's own may have lost some."""
+    asked = {row.detector for row in experiment.faults.values()}
+    blind = [name for name in DETECTORS if name not in asked]
+    if not blind:
+        return []
+    return [Concern("faults-unwatched", f"no row of `faults` looks at {', '.join(blind)}")]
 
 
 def _field(experiment: Experiment, force: float) -> list[Concern]:

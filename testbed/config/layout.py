@@ -41,6 +41,8 @@ def _names(experiment: Experiment) -> Iterator[Mistake]:
     for key in chain(named, (("obstacles", n) for n in experiment.obstacles)):
         if not re.fullmatch(r"[\w-]{1,32}", key[1], re.ASCII):
             yield Mistake(key, "a name of at most 32 letters, digits, `_`, `-`", show(key[1]))
+        elif key[1][0] == "-":  # `testbed agent -h` asks for help
+            yield Mistake(key, "a name that begins with a letter, a digit or `_`", show(key[1]))
         if key[1] in TAKEN:
             yield Mistake(key, f"a name that is not one of: {', '.join(TAKEN)}", show(key[1]))
     for name in experiment.obstacles:

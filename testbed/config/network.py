@@ -1,17 +1,68 @@
-"""What cannot be about a lab's network: an address for everybody without keys, keys without use."""
+"""What cannot be about a lab's wires: addresses that are none, one body or port for two vehicles.
 
+An address for everybody without keys and keys without use are none either.
+"""
+
+import ipaddress
+import re
 from collections.abc import Iterator
+from ipaddress import IPv4Address
+from itertools import combinations
 from pathlib import Path
 
 from testbed.config.experiment import Experiment
 from testbed.config.mistake import Mistake, show
 from testbed.ops.network.badge import trouble
 
+NAME = r"(?=.*[A-Za-z])[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"  # of a machine
+
 
 def bad_network(experiment: Experiment) -> Iterator[Mistake]:
-    """All that is wrong with `[lab.network]`."""
+    """All that is wrong with `[lab]`."""
+    yield from _mocap(experiment)
+    yield from _shared(experiment)
     network = experiment.table.lab.network
     keys = Path(network.keys) if network.keys else None
     if (why := trouble(network.endpoint, keys)) is not None:
         at = ("table", "lab", "network", "endpoint")
         yield Mistake(at, why.partition("expected ")[2], show(network.endpoint))
+
+
+def _mocap(experiment: Experiment) -> Iterator[Mistake]:
+    wire, key = experiment.table.lab.mocap, ("table", "lab", "mocap")
+    if wire.system == "zenoh":
+        return
+    own = _ipv4(wire.interface)
+    if own is None or own.is_multicast:
+        expected = "an IPv4 address of the vehicle's computer, or 0.0.0.0: whichever leads there"
+        yield Mistake((*key, "interface"), expected, show(wire.interface))
+    if wire.group is not None and ((to := _ipv4(wire.group)) is None or not to.is_multicast):
+        expected = "the IPv4 address of a group, from 224.0.0.0 to 239.255.255.255"
+        yield Mistake((*key, "group"), expected, show(wire.group))
+    if wire.system != "natnet":
+        return
+    there = _ipv4(wire.server)
+    if there is None and not re.fullmatch(NAME, wire.server, re.ASCII):
+        expected = "the name or the IPv4 address of the machine that the cameras' program runs on"
+        yield Mistake((*key, "server"), expected, show(wire.server))
+
+
+def _ipv4(text: str) -> IPv4Address | None:
+    try:
+        return ipaddress.IPv4Address(text)
+    except ValueError:
+        return None
+
+
+def _shared(experiment: Experiment) -> Iterator[Mistake]:
+    """Vehicles of the experiment that the table file takes for one another."""
+    lab = experiment.table.lab
+    for a, b in combinations(experiment.vehicles, 2):
+        if lab.mocap.bodies.get(a, a) == lab.mocap.bodies.get(b, b):
+            key = ("table", "lab", "mocap", "bodies", b if b in lab.mocap.bodies else a)
+            yield Mistake(
+                key, f"a body for {a} and another for {b}", show(lab.mocap.bodies[key[-1]])
+            )
+        if a in lab.serial.ports and lab.serial.ports[a] == lab.serial.ports.get(b):
+            key = ("table", "lab", "serial", "ports", b)
+            yield Mistake(key, f"another port than that of {a}", show(lab.serial.ports[b]))

@@ -11,6 +11,7 @@ stays until an explicit reset.
 `land`   close every valve and shut the air off, the bearings' too
 """
 
+from string import Formatter
 from typing import Annotated, Literal, get_args
 
 from msgspec import Meta, Struct
@@ -18,6 +19,7 @@ from msgspec import Meta, Struct
 from testbed.core.vehicle import NonNegative
 
 Response = Literal["warn", "hold", "brake", "coast", "land"]
+LONGEST_FORMAT = 6  # characters after the colon, as in {value:>9.2e}
 SEVERITY = {name: k for k, name in enumerate(("", *get_args(Response)))}
 
 Detector = Literal[
@@ -65,12 +67,25 @@ class Fault(Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if (self.above is None) == (self.below is None):
             raise ValueError("expected one of `above` and `below`, found both or neither")
-        try:
-            self.text.format(value=0.0, said="")
-        except (KeyError, IndexError, ValueError, AttributeError):
-            raise ValueError(
-                "expected a text with {value} and {said} only, found another field"
-            ) from None
+        if not _is_plain(self.text):
+            raise ValueError("expected a text with {value} and {said} only, found another field")
+
+
+def _is_plain(text: str) -> bool:
+    """Whether a text can be filled in whatever the detector says, and stays one line or two."""
+    try:
+        for _, field, how, _ in Formatter().parse(text):
+            # a format that is itself filled in, or as wide as a book, shows only in flight
+            if field is not None and (field not in ("value", "said") or not _is_short(how or "")):
+                return False
+        text.format(value=0.0, said="")
+    except (KeyError, IndexError, ValueError, AttributeError):
+        return False
+    return True
+
+
+def _is_short(how: str) -> bool:
+    return len(how) <= LONGEST_FORMAT and "{" not in how
 
 
 FaultTable = dict[str, Fault]

@@ -27,6 +27,7 @@ from testbed.flight.agent import Agent
 from testbed.flight.guidance import Guidance
 
 SILENT = 1.2  # [s] a host that has not heard of its vehicle for so long stops all
+LONGEST_WORDS = 300  # characters of what a law dies of: it goes over the network
 LONGEST_STOP = 15.0  # [s] the flight ends so long after a fault, whoever still moves
 
 
@@ -121,7 +122,7 @@ class HostNode:
         try:
             setpoint = guidance.step(t + self._ahead, inputs.own, inputs.neighbours, inputs.told)
         except Exception as error:  # whatever a law dies of, the vehicles are brought to a stop
-            self._raised = f"{type(error).__name__}: {error}"
+            self._raised = f"{type(error).__name__}: {error}"[:LONGEST_WORDS]
             return HostTick(inputs, HostOutputs(t, None, raised=self._raised))
         if not _is_number(setpoint):
             self._raised = "asks for something that is not a number"

@@ -73,8 +73,14 @@ class Safety:
         verdict = self._watch.look(inputs.t, inputs.armed, numbers, detectors.said)
         response, holding, fault = verdict
         if not response or response == "warn" or not inputs.armed:
+            self._braking_since = None  # of a row that is not latched: the next stop is another
             return Acted(through, response, holding, fault, filtered)
-        if response == "hold":  # the tracker stands already: setpoints that ran out are not flown
+        if response == "hold":
+            self._braking_since = None
+            # the tracker stands already where setpoints ran out: those are not flown
+            if state is not None and setpoint is not None and effect_at <= setpoint.valid_until:
+                stop = halt(state, self._vehicle, share * self._decel, self._period)
+                return Acted(stop, response, holding, fault)
             return Acted(through, response, holding, fault, filtered)
         if self._stopped is None and response == "brake" and state is not None:
             stop = halt(state, self._vehicle, share * self._decel, self._period)

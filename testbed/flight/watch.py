@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 from testbed.flight.faults import DETECTORS, SEVERITY, Fault, FaultTable, most_severe
 
+LONGEST_WORDS = 300  # characters of what somebody else says: all of it has to go over the network
+
 
 class Verdict(NamedTuple):
     """What the watch says of a tick."""
@@ -61,10 +63,9 @@ class Watch:
             if count + 1 >= row.misses and t - since >= row.timeout_s:
                 holding.append(name)
                 if armed and row.latched and name not in self._latched:
-                    words = said.get(row.detector, "")
-                    self._latched[name] = f"{name}: " + row.text.format(
-                        value=numbers[k], said=words
-                    )
+                    words = said.get(row.detector, "")[:LONGEST_WORDS]
+                    value = float(numbers[k])  # some count, and {value:.3} is for fractions
+                    self._latched[name] = f"{name}: " + row.text.format(value=value, said=words)
         self._counts = counts
         in_force = [
             self._table[name].response for name in dict.fromkeys((*self._latched, *holding))

@@ -1,16 +1,21 @@
 """A run on wires is armed by its supervisor, or it is said why not."""
 
 import json
+import threading
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from msgspec.structs import replace
 
 from testbed.bench.host import WireRig, loopback
 from testbed.cli.main import BAD_INPUT, FAULT, NOT_STARTED, main
-from testbed.config import find, load
+from testbed.config import ConfigError, find, load
 from testbed.ops.latch import KILLED, Latch
 from testbed.ops.logbook import Logbook
+from testbed.ops.network.session import Mouth, dial
+from testbed.rig.interface import Nobody
+from testbed.rig.twin import warm_up
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,6 +50,63 @@ def test_a_red_check_is_named_and_nothing_is_armed():
     assert metrics("out")["red"] == ["sat1 battery: 12.0 V"]
     assert metrics("out")["phase"] == "DISARMED"
     assert Latch("bench", "lab", "").fault is None  # no valve could open
+
+
+DIES = """
+class Law:
+    def force(self, own, neighbours, world, t):
+        if abs(own.p[1] + 0.1) < 0.05:  # where it begins, not where it is tried
+            raise ZeroDivisionError("as it was written")
+        return 0.0 * own.p
+"""
+
+
+def test_a_law_that_dies_and_a_clock_that_is_not_known_are_red():
+    Path("dies.py").write_text(DIES)
+    law = 'controller={type="python", law="dies.py:Law"}'
+    done = run("--rig", "bench", law, "criteria={}", "arming.clock_offset_s=1e-7", "--out", "out")
+    assert done.exit_code == NOT_STARTED, done.output
+    reasons = dict(reason.split(": ", 1) for reason in metrics("out")["red"])
+    assert reasons["sat1 law"].endswith("in force: ZeroDivisionError: as it was written")
+    assert reasons["sat1 clock"].endswith("s from the host's")
+    assert phases("out") == []
+
+
+def test_setpoints_of_somebody_else_before_the_start_are_red():
+    rig, over = WireRig(load(find("hold")), bench=True), threading.Event()
+
+    def intrude(endpoint):
+        with dial(endpoint) as session:
+            mouth = Mouth(session, "lab/sat1/setpoint")
+            while not over.wait(0.1):
+                mouth.say(b"anything at all")
+
+    def way(endpoint):
+        threading.Thread(target=intrude, args=(endpoint,)).start()
+        return endpoint
+
+    rig.way = way
+    warm_up(rig.experiment)
+    try:
+        ending = rig.fly(Nobody())
+    finally:
+        over.set()
+    assert rig.red == ["sat1 session: of somebody else"]
+    assert ending.t == 0.0
+
+
+def test_what_cannot_be_flown_on_wires_is_refused_before_anything_starts():
+    slope = [[[0.0001234567, 0.0001]] * 120] * 120
+    table = replace(
+        load(find("hold")).table, tilt=replace(load(find("hold")).table.tilt, map=slope)
+    )
+    with pytest.raises(ConfigError, match="at most 256 kB"):
+        WireRig(replace(load(find("hold")), table=table), bench=True)
+    dies = 'inject=[{kind="kill_process", vehicle="sat1", event="near_edge", threshold=1}]'
+    with pytest.raises(ConfigError, match="is injected at a time"):
+        WireRig(load(find("hold"), [dies]), bench=True)
+    with pytest.raises(ConfigError, match="nothing on the table"):
+        WireRig(load(find("hold"), [dies]), bench=False)
 
 
 def test_on_the_table_it_says_whom_it_waits_for():

@@ -1,6 +1,9 @@
 """`testbed poses`: what the cameras of a lab see, before anything is commanded."""
 
 import math
+import socket
+import threading
+from contextlib import nullcontext, suppress
 
 import pytest
 
@@ -8,6 +11,8 @@ from testbed.cli import poses
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
 from testbed.ops.mocap.exposure import Axes, Exposure, Sighting
+from testbed.ops.mocap.topic import encode_poses
+from testbed.ops.network.session import Mouth, NobodyError, dial, listen
 from testbed.ops.ticking import monotonic_ns
 
 LOST = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
@@ -89,7 +94,45 @@ def test_an_interface_of_another_machine(testbed):
     assert "expected an address of this machine" in result.stderr
 
 
-def test_poses_on_zenoh_come_with_the_host(testbed):
-    result = testbed("poses", "hold", "table.lab.mocap.system=zenoh")
-    assert result.exit_code == 2
-    assert "table.lab.mocap.system" in result.stderr
+@pytest.fixture
+def where():
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{one.getsockname()[1]}"
+
+
+def speak(session, over):
+    """Say where sat1 is, as cameras do that speak Zenoh."""
+    mouth, x = Mouth(session, "lab/table/pose"), Axes(MocapWire()).to_cameras(Pose(0.5, 0.0, 0.0))
+    while not over.wait(0.02):
+        now = monotonic_ns()
+        mouth.say(encode_poses(1, now, now, {"sat1": (*x.position, *x.rotation)}))
+
+
+@pytest.mark.parametrize("host", [True, False])
+def test_poses_on_zenoh_come_by_the_host_or_in_its_absence(testbed, where, host):
+    over = threading.Event()
+
+    def cameras():
+        while not over.is_set():
+            with suppress(NobodyError), dial(where, 0.5) as session:
+                speak(session, over)
+
+    thread = threading.Thread(target=cameras)
+    with listen(where) if host else nullcontext():
+        thread.start()
+        try:
+            words = ["table.lab.mocap.system=zenoh", f'table.lab.network.endpoint="{where}"']
+            result = testbed("poses", "hold", "--for", "3", *words)
+        finally:
+            over.set()
+            thread.join()
+    assert result.exit_code == 0, result.output
+    assert "sat1 sat1 0.500 0.000 0.0 " in " ".join(result.stdout.split())
+
+
+def test_no_message_on_zenoh_at_all(testbed, where):
+    words = ["table.lab.mocap.system=zenoh", f'table.lab.network.endpoint="{where}"']
+    result = testbed("poses", "hold", "--for", "0.1", *words)
+    assert result.exit_code == 1
+    assert f"zenoh on lab/table/pose\n  expected  poses that arrive at {where}" in result.stderr

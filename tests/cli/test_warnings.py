@@ -44,6 +44,10 @@ WARNED = {  # experiment, what is changed: what is said
     "an obstacle that the static law has no proof for": (
         "xue2021_table_static", ["obstacles.o1.velocity=[0.01,0.0]"], ["obstacle-moves"],
     ),
+    "a fault table that looks at nothing": ("xue2022_table", ["faults={}"], ["faults-unwatched"]),
+    "a fault table that has lost a row": (
+        "xue2022_table", ["faults.operator_gone.detector=pose_age"], ["faults-unwatched"],
+    ),
     "as shipped, field": ("gao2022_table", [], []),
     "a field without damping": (
         "gao2022_table", ["controller.phases=[{shape='circle',k_v=0.0}]"], ["no-damping"],

@@ -308,6 +308,39 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "flight.jet_period_s=1e-6": ("", "at least 0.001 s", "1e-06 s"),
     "table.mocap.rate_hz=1e5": ("", "at most 10000 Hz", "100000 Hz"),
     "table.mocap.rate_hz=2": ("", "more than 2.08 Hz: the gate waits 0.5 s for a pose", "2 Hz"),
+    "obstacles.--child={position=[2,2],radius=0.1}": (
+        "obstacles.--child", "a name that begins with a letter, a digit or `_`", '"--child"',
+    ),
+    "table.lab.mocap.bodies={sat1='A',sat2='A'}": (
+        "table.lab.mocap.bodies.sat2", "a body for sat1 and another for sat2", '"A"',
+    ),
+    "table.lab.mocap.bodies={sat1='sat3'}": (
+        "table.lab.mocap.bodies.sat1", "a body for sat1 and another for sat3", '"sat3"',
+    ),
+    "table.lab.serial.ports={sat1='/dev/x',sat3='/dev/x'}": (
+        "table.lab.serial.ports.sat3", "another port than that of sat1", '"/dev/x"',
+    ),
+    "table.lab.mocap.interface='::1'": (
+        "", "an IPv4 address of the vehicle's computer, or 0.0.0.0: whichever leads there",
+        '"::1"',
+    ),
+    "table.lab.mocap.group='192.168.1.7'": (
+        "", "the IPv4 address of a group, from 224.0.0.0 to 239.255.255.255", '"192.168.1.7"',
+    ),
+    "table.lab.mocap.server='a b'": (
+        "", "the name or the IPv4 address of the machine that the cameras' program runs on",
+        '"a b"',
+    ),
+    "table.lab.mocap.server='10.0.0.300'": (
+        "", "the name or the IPv4 address of the machine that the cameras' program runs on",
+        '"10.0.0.300"',
+    ),
+    "table.lab.network.endpoint='foo/127.0.0.1:7450'": (
+        "", "PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7450", '"foo/127.0.0.1:7450"',
+    ),
+    "table.lab.network.endpoint='tcp/127.0.0.1:99999'": (
+        "", "PROTOCOL/HOST:PORT, such as tcp/127.0.0.1:7450", '"tcp/127.0.0.1:99999"',
+    ),
     "table.mocap.latency_s=20": ("", "less than flight.gate.pose_timeout_s, 0.5 s", "20 s"),
     "guidance.step_s=1e-9": ("", "at least 1e-05 s, 10000 steps in a jet period", "1e-09 s"),
     "guidance.preview_s=1e6": ("", "at most 100 jet periods, 10 s", "1e+06 s"),

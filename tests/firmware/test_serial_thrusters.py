@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from firmware_interface.line_tap import LineTap
+from firmware_interface.line_tap import LineTap, TapError
 from firmware_interface.serial_board import BoardError, monotonic_us
 from firmware_interface.serial_thrusters import SerialThrusters, ThrustersError
 from patience import wait_for
@@ -171,3 +171,30 @@ def test_a_gauge_that_falls_to_nothing_is_believed(limits, tmp_path):
         wait_for(lambda: thrusters.health().supply_pressure == 0.0)
         wait_for(lambda: thrusters.health().battery == 0.0)
         assert thrusters.health().silent_s < 5.0
+
+
+def test_a_twin_does_not_take_the_place_of_what_is_there(limits, tmp_path):
+    board, link = tmp_path / "ttyACM0", tmp_path / "port"
+    board.write_text("what a lab has")
+    link.symlink_to(board)
+    for place in (board, link):
+        with pytest.raises(TapError, match="is there already"), LineTap(limits, 1, place):
+            pass
+    assert board.read_text() == "what a lab has"
+    assert link.readlink() == board
+
+
+def test_the_port_of_a_twin_that_was_killed_is_taken_over(limits, tmp_path):
+    link = tmp_path / "port"
+    link.symlink_to("/dev/pts/4096")
+    with LineTap(limits, 1, link) as tap:
+        assert tap.link.exists()
+    assert not link.is_symlink()
+
+
+def test_a_twin_takes_away_no_port_but_its_own(limits, tmp_path):
+    link = tmp_path / "port"
+    with LineTap(limits, 1, link):
+        link.unlink()
+        link.symlink_to("/dev/pts/4096")
+    assert str(link.readlink()) == "/dev/pts/4096"

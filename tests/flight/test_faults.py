@@ -161,11 +161,26 @@ ROW = TABLE["pose_lost"]
         ({"text": "{speed}"}, "{value} and {said} only"),
         ({"text": "{value:q}"}, "{value} and {said} only"),
         ({"text": "{0}"}, "{value} and {said} only"),
+        ({"text": "{value:{said}}"}, "{value} and {said} only"),
+        ({"text": "{value:{value}}"}, "{value} and {said} only"),
+        ({"text": "{value:10000000.1f}"}, "{value} and {said} only"),
+        ({"text": "{said.__class__}"}, "{value} and {said} only"),
+        ({"text": "{value"}, "{value} and {said} only"),
     ],
 )
 def test_a_row_that_says_nothing_is_refused(change, words):
     with pytest.raises(ValueError, match=words):
         Fault(**(msgspec.structs.asdict(ROW) | change))
+
+
+@pytest.mark.parametrize("text", ["{value:.3}", "{value:+.1e}{{}}", "{value!s} of {said:>6}", ""])
+@pytest.mark.parametrize("value", [13, 13.7, math.nan, math.inf])
+def test_words_that_are_taken_can_be_said_of_every_number(text, value):
+    watch = Watch({"row": Fault("poses_rejected", "brake", text, latched=True, above=12)})
+    said = {"poses_rejected": "long " * 1000}
+    verdict = watch.look(0.0, True, numbers(poses_rejected=value), said)
+    assert verdict.fault.startswith("row: ")
+    assert len(verdict.fault) < 400
 
 
 @pytest.mark.parametrize(

@@ -142,6 +142,29 @@ def test_a_stop_that_does_not_end_is_given_up(safety, make_state):
     assert not act(safety, moving, LONGEST_BRAKE + 0.1, gone).braking
 
 
+def edited(vehicle, name, **changes):
+    table = shipped_faults()
+    watch = Watch(table | {name: replace(table[name], **changes)})
+    return Safety(vehicle, PERIOD, watch, Detectors(vehicle, PERIOD, noisy=True), None, 0.08)
+
+
+def test_the_second_stop_of_a_row_that_is_not_latched_is_a_stop_again(vehicle, make_state):
+    safety = edited(vehicle, "operator_gone", latched=False)
+    moving, gone = make_state((0.0, 0.0, 0.0), (0.05, 0.0, 0.0)), Vitals(operator_age=1.5)
+    assert act(safety, moving, 0.0, gone).braking
+    assert act(safety, moving, 1.0).closed_because is None
+    assert act(safety, moving, LONGEST_BRAKE + 1.0, gone).braking
+
+
+def test_whoever_holds_comes_to_rest_also_where_setpoints_still_come(vehicle, make_state):
+    safety = edited(vehicle, "operator_gone", latched=False, response="hold")
+    moving, gone = make_state((0.0, 0.0, 0.0), (0.05, 0.0, 0.0)), Vitals(operator_age=1.5)
+    held = act(safety, moving, 0.0, gone)
+    assert (held.response, held.closed_because, held.braking) == ("hold", None, False)
+    assert held.wanted == halt(moving, vehicle, 0.08, PERIOD)
+    assert act(safety, moving, 0.1).wanted == Wrench(0.3, 0.0, 0.0)  # and goes on afterwards
+
+
 def test_what_cannot_brake_coasts(safety):
     acted = act(safety, None, vitals=Vitals(operator_age=1.5))
     assert not acted.braking

@@ -58,9 +58,26 @@ def test_poses_come_through(make):
     assert source.starts == 1
 
 
-def test_one_that_dies_is_started_again(make):
+def test_one_that_dies_is_started_again(make, monkeypatch):
+    monkeypatch.setattr(foreign, "AGAIN_NS", 0)
     source = make(DIES)
     poll_until(source, lambda e: source.starts == 3)
+
+
+PRINTS = GOOD.replace("for k in", 'os.write(1, b"Error 42: no camera\\n" * 9)\nfor k in')
+
+
+def test_what_a_package_prints_is_no_pose_and_no_end(make, monkeypatch):
+    monkeypatch.setattr(foreign, "AGAIN_NS", 0)
+    source = make(PRINTS)
+    poll_until(source, lambda e: source.bad >= 2)
+    assert source.starts >= 2
+
+
+def test_a_package_that_is_not_there_is_named(monkeypatch):
+    monkeypatch.setattr(foreign, "PACKAGE", "no_such_package")
+    with pytest.raises(OSError, match=r"airbearing-testbed\[mocap\]"):
+        ForeignSource(MocapWire(system="vicon"))
 
 
 def test_one_that_hangs_is_started_again(make, monkeypatch):

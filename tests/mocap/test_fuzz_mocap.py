@@ -79,7 +79,7 @@ class Port:
         self.waiting = []
 
     def receive(self, one):
-        return self.waiting.pop(0) if self.waiting else None
+        return (*self.waiting.pop(0), "127.0.0.1") if self.waiting else None
 
 
 @pytest.fixture
@@ -138,7 +138,7 @@ def test_datagrams(port, client):
 
 
 def test_a_flood_does_not_keep_the_vehicle_from_flying(client, monkeypatch):
-    monkeypatch.setattr(natnet_client, "_receive", lambda one: (b"x", monotonic_ns()))
+    monkeypatch.setattr(natnet_client, "_receive", lambda one: (b"x", monotonic_ns(), "127.0.0.1"))
     assert client.poll() == []
     assert client.bad == MOST
 
@@ -158,6 +158,77 @@ def test_echoes_of_nothing_that_was_asked_do_not_set_the_clock(port, client):
     client.poll()
     assert client.bad == 1
     assert client.clock.best is None
+
+
+def described(*bodies):
+    return encode_models([Described(k, name) for k, name in bodies], VERSION)
+
+
+def test_a_body_that_nobody_describes_does_not_hide_the_others(port, client):
+    now = monotonic_ns()
+    port.waiting = [(greeting()[0], now), (described((1, "sat1")), now)]
+    client.poll()
+    found = []
+    for k in range(5):  # frames show bodies 1 and 2; the server is asked, and knows of 1 only
+        port.waiting += [(frame(k, now), now), (described((1, "sat1")), now)]
+        found += client.poll()
+    assert len(found) == 4
+    assert all(set(one.bodies) == {"sat1"} for one in found)
+    port.waiting = [(described((1, "sat1"), (2, "late")), now), (frame(9, now), now)]
+    assert set(client.poll()[0].bodies) == {"sat1", "late"}
+
+
+def test_bodies_that_change_places_are_asked_for_again(port, client):
+    now = monotonic_ns()
+    port.waiting = [(data, now) for data in (*greeting(), frame(1, now))]
+    assert len(client.poll()) == 1
+    strange = MocapFrame(2, (RigidBody(3, (1, 1, 1), (0, 0, 0, 1), 0, True),), 0.0, now, now, now)
+    port.waiting = [(encode_frame(strange, VERSION), now), (frame(3, now), now)]
+    assert client.poll() == []  # until the server has said who is who
+    port.waiting = [(described((1, "sat2"), (2, "sat1"), (3, "new")), now), (frame(4, now), now)]
+    assert client.poll()[0].bodies["sat2"].position[0] == 1.5
+
+
+def test_what_another_machine_sends_is_not_looked_at(client, monkeypatch):
+    now = monotonic_ns()
+    said = [(data, now, "10.0.0.9") for data in (*greeting(), frame(1, now))]
+    monkeypatch.setattr(natnet_client, "_receive", lambda one: said.pop(0) if said else None)
+    assert client.poll() == []
+    assert client.info is None
+    assert client.complaint == "datagrams that were not the server's: 3 from 10.0.0.9"
+
+
+def test_a_server_of_another_time_is_named(port, client):
+    info = ServerInfo("Motive", (2, 10), 10**9, 1511, None)
+    port.waiting = [(encode_server_info(info), monotonic_ns())]
+    client.poll()
+    assert client.info is None
+    assert "NatNet 2.10" in client.complaint
+
+
+def test_an_interface_that_does_not_lead_there_is_named():
+    client = NatNetClient(MocapWire(server="192.0.2.1"))
+    client.poll()
+    assert client.complaint == "none: 127.0.0.1 does not lead to 192.0.2.1; 0.0.0.0 does"
+    client.close()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"server": "no.such.machine.invalid"}, "IPv4 address of the machine"),
+        ({"server": "a b"}, "IPv4 address of the machine"),
+        ({"interface": "::1"}, "interface = '::1'"),
+        ({"interface": "203.0.113.7"}, "an address of this machine"),
+        ({"group": "300.1.2.3"}, "such as 239.255.42.99"),
+        ({"group": "10.0.0.1"}, "such as 239.255.42.99"),
+        ({"group": "127.0.0.1"}, "such as 239.255.42.99"),
+    ],
+)
+def test_an_address_that_is_none_is_named(wrong, words):
+    with pytest.raises(OSError, match=r"lab\.mocap") as error:
+        NatNetClient(MocapWire(**wrong))
+    assert words in str(error.value)
 
 
 class Told:

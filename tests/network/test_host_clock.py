@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from testbed.ops.network.clock import HostClock
+from testbed.ops.network.clock import HostClock, Reader
 from testbed.ops.network.keys import Keys
+from testbed.ops.offset import Offset
 
 
 class Network:
@@ -14,6 +15,7 @@ class Network:
     def __init__(self):
         self.t, self.ahead, self.there, self.back = 1.0, 0.0, 0.0, 0.0
         self.asked = []
+        self.says: bytes | None = None  # instead of its clock
 
     @property
     def now(self):
@@ -22,7 +24,7 @@ class Network:
     def get(self, key, answers, timeout):
         self.asked.append(key)
         self.t += self.there
-        stamp = round(1e9 * (self.t + self.ahead)).to_bytes(8, "little")
+        stamp = self.says or round(1e9 * (self.t + self.ahead)).to_bytes(8, "little")
         self.t += self.back
         answers.callback(SimpleNamespace(ok=SimpleNamespace(payload=Payload(stamp))))
 
@@ -69,3 +71,22 @@ def test_a_slow_network_is_no_clock_that_was_set(watched, there, back):
     network, clock = watched
     network.there, network.back = there, back
     assert clock.off() == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("said", [bytes(7), bytes(9), b"\xff" * 200_000])
+def test_an_answer_that_is_no_time_is_not_taken(watched, said):
+    network, clock = watched
+    network.ahead = 5.0
+    network.says = said
+    clock.off()
+    assert clock.off() == 0.0
+    assert clock.trip is None
+
+
+def test_a_vehicle_that_waits_goes_on_reading_and_knows_how_well(watched):
+    network, _ = watched
+    offset, network.says = Offset(), (10**15).to_bytes(8, "little")
+    reader = Reader(network, Keys("lab"), offset)
+    assert reader.unsure() > 100.0
+    reader.look()
+    assert 0.0 <= reader.unsure() == pytest.approx(0.5e-9 * offset.best.delay_ns)

@@ -582,3 +582,17 @@ def test_the_list_is_toml_that_a_person_can_edit(folder):
         "host", "table", "vehicle", "vehicle", "operator", "watcher",
     ]  # fmt: skip
     assert Path(folder / "host" / ACCESS).exists()
+
+
+def test_a_vehicle_sees_whether_somebody_else_has_its_name_and_nothing_more(rig, folder, endpoint):
+    own, other = KEYS.of("sat1", "alive"), KEYS.of("sat2", "alive")
+    tokens = [
+        rig[who].liveliness().declare_token(key)
+        for who, key in (("vehicle-sat1", own), ("vehicle-sat2", other))
+    ]
+    for key in (own, other):
+        wait_for(lambda key=key: list(rig.host.liveliness().get(key)))
+    with dial(endpoint, 1.0, folder / "vehicle-sat1") as second:
+        wait_for(lambda: list(second.liveliness().get(own, timeout=1.0)))
+        assert not list(second.liveliness().get(other, timeout=0.5))
+    del tokens

@@ -6,6 +6,8 @@ from contextlib import ExitStack
 import pytest
 
 from patience import wait_for
+from testbed.bench import vehicle
+from testbed.bench.vehicle import VehicleError, await_alone
 from testbed.core.lab import Lab
 from testbed.core.types import Accel, Demand, Pose, State, Told, Twist
 from testbed.ops.mocap.topic import PoseTopic, encode_poses
@@ -152,3 +154,18 @@ def test_poses_from_a_topic(sessions):
     assert last.arrived_ns - last.exposed_ns >= 10**7 - 10**6
     mouth.say(b"garbage")
     wait_for(lambda: topic.poll() is None or topic.bad == 1)
+
+
+def test_a_second_vehicle_of_the_same_name_is_refused_until_the_first_is_gone(
+    sessions, monkeypatch
+):
+    monkeypatch.setattr(vehicle, "ALONE_NS", 0)
+    keys = Keys("lab")
+    token = sessions[1].liveliness().declare_token(keys.of("sat1", "alive"))
+    wait_for(lambda: list(sessions[0].liveliness().get(keys.of("sat1", "alive"))))
+    with pytest.raises(VehicleError, match="somebody else flies as sat1"):
+        await_alone(sessions[2], keys, "sat1")
+    await_alone(sessions[2], keys, "sat2")
+    monkeypatch.setattr(vehicle, "ALONE_NS", 60_000_000_000)
+    token.undeclare()
+    await_alone(sessions[2], keys, "sat1")

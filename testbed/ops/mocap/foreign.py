@@ -12,6 +12,7 @@ import struct
 import subprocess
 import sys
 from contextlib import suppress
+from importlib.util import find_spec
 
 import msgspec
 
@@ -21,12 +22,18 @@ from testbed.ops.ticking import monotonic_ns
 
 SILENCE_NS = 2_000_000_000  # of a child that has said something before
 START_NS = 10_000_000_000  # until it has
+AGAIN_NS = 500_000_000  # between two starts: one that dies at once would be all that there is
+GIVEN_UP = 0  # as the time until which a child may be silent
+LONGEST = 1 << 20  # [bytes] of a message; more is something else that was printed
+PACKAGE = "motioncapture"
 CHILD = """
 import os, struct, sys, threading, time
 def end_with_parent():
     sys.stdin.buffer.read()
     os._exit(0)
 threading.Thread(target=end_with_parent, daemon=True).start()
+out = os.dup(1)
+os.dup2(2, 1)  # what the package prints is no message
 import motioncapture, msgspec
 system = motioncapture.connect(sys.argv[1], msgspec.json.decode(sys.argv[2]))
 number = 0
@@ -39,7 +46,7 @@ while True:
         bodies[name] = (float(p[0]), float(p[1]), float(p[2]), q.x, q.y, q.z, q.w)
     number += 1
     data = msgspec.msgpack.encode((number, now, bodies))
-    os.write(1, struct.pack("<I", len(data)) + data)
+    os.write(out, struct.pack("<I", len(data)) + data)
 """
 HEAD = struct.Struct("<I")
 Bodies = dict[str, tuple[float, float, float, float, float, float, float]]
@@ -51,13 +58,21 @@ class ForeignSource:
     Args:
         wire: the table file's.
         program: of the child; tests put in worse ones.
+
+    Raises:
+        OSError: the package is not there.
     """
 
     def __init__(self, wire: MocapWire, program: str = CHILD) -> None:
+        if program is CHILD and find_spec(PACKAGE) is None:
+            raise OSError(
+                f"[lab.mocap] system = {wire.system!r} needs the package {PACKAGE}, which is not"
+                " there: pip install 'airbearing-testbed[mocap]'"
+            )
         self._wire, self._program = wire, program
         self._decode = msgspec.msgpack.Decoder(tuple[int, int, Bodies]).decode
         self._known: set[str] = set()
-        self.starts = 0
+        self.starts = self.bad = 0
         self._start()
 
     def _start(self) -> None:
@@ -75,6 +90,7 @@ class ForeignSource:
         assert self._child.stdout is not None
         os.set_blocking(self._child.stdout.fileno(), False)
         self._rest = b""
+        self._again = monotonic_ns() + AGAIN_NS
         self._due = monotonic_ns() + START_NS
         self.starts += 1
 
@@ -84,18 +100,24 @@ class ForeignSource:
         with suppress(BlockingIOError):
             while data := os.read(self._child.stdout.fileno(), 65536):
                 self._rest += data
-        exposures = []
+        if self._due == GIVEN_UP:
+            self._rest = b""
+        exposures: list[Exposure] = []
         while len(self._rest) >= HEAD.size:
             size = HEAD.unpack_from(self._rest)[0]
             body = self._rest[HEAD.size : HEAD.size + size]
-            if len(body) < size:
+            if len(body) < size <= LONGEST:
                 break
             self._rest = self._rest[HEAD.size + size :]
-            exposures.append(self._expose(body))
+            try:
+                exposures.append(self._expose(body))
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                self.bad += 1  # and nobody knows where the next message begins
+                self._rest, self._due = b"", GIVEN_UP
         now = monotonic_ns()
-        if exposures:
+        if exposures and self._due != GIVEN_UP:
             self._due = now + SILENCE_NS
-        elif self._child.poll() is not None or now > self._due:
+        elif (self._child.poll() is not None or now > self._due) and now > self._again:
             self._end()
             self._start()
         return exposures

@@ -51,7 +51,15 @@ class NatNetServer:
         self._alive: dict[tuple[str, int], int] = {}  # who keeps alive, and when last
         self._silent: set[str] = set()  # machines that asked once
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind((address.host, address.command_port))
+        try:
+            self.socket.bind((address.host, address.command_port))
+        except OSError as error:
+            self.socket.close()
+            raise OSError(
+                f"cameras cannot be served at {address.host}, port {address.command_port}:"
+                f" {error.strerror}; expected an address of this machine and a port that nobody"
+                " has, see `server` and `command_port` of [lab.mocap]: is another twin running?"
+            ) from None
         self.socket.setblocking(False)
         if address.group:
             to = self.socket

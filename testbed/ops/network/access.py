@@ -104,6 +104,7 @@ def deeds(badge: Badge, keys: Keys, vehicles: Iterable[str]) -> list[tuple[Act, 
             return [
                 (SAY, of(own, "state", "told", "tick", "event")),
                 (LIVE, of(own, "alive")),
+                (HEAR, of(own, "alive")),  # whether somebody else is there under its name
                 (HEAR, [*of(own, "setpoint"), keys.permit, keys.stop, keys.pose]),
                 (HEAR, of(everybody, "state", "told")),
                 (ASK, [keys.clock, keys.experiment]),

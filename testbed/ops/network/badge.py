@@ -20,6 +20,7 @@ BADGE, AUTHORITY, CERTIFICATE, KEY = (
     "badge.json", "authority.pem", "certificate.pem", "private.key",
 )  # fmt: skip
 ROLES = ("host", "table", "vehicle", "operator", "watcher")
+PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")  # of Zenoh's, with a host and a port
 OPEN_MODE = 0o077  # bits of a private key's mode that should not be there
 
 
@@ -126,8 +127,21 @@ def is_local(endpoint: str) -> bool:
         return False
 
 
+def is_endpoint(endpoint: str) -> bool:
+    """Whether it has the form of one; who is there is another question."""
+    protocol, _, rest = endpoint.partition("/")
+    if protocol == "unixsock-stream":
+        return bool(rest)
+    host, _, port = rest.partition("?")[0].partition("#")[0].rpartition(":")
+    whole = port.isascii() and port.isdecimal() and int(port[:6]) < 65536
+    return protocol in PROTOCOLS and bool(host) and whole
+
+
 def trouble(endpoint: str, keys: Path | None) -> str | None:
     """Why nobody should listen or dial there with these keys, or None."""
+    if not is_endpoint(endpoint):
+        example = "tcp/127.0.0.1:7450" if keys is None else "tls/192.168.1.2:7450"
+        return f"that is no endpoint: expected PROTOCOL/HOST:PORT, such as {example}"
     if keys is None:
         if is_local(endpoint):
             return None

@@ -153,6 +153,10 @@ class Ear:
         if at is not None:
             self._waiting.append((at, sample.payload.to_bytes()))
 
+    def close(self) -> None:
+        """Listen no more."""
+        self._subscriber.undeclare()
+
     def heard(self) -> list[tuple[int, bytes]]:
         """Messages since the last call, in order of arrival; their times are monotonic [ns]."""
         now = monotonic_ns()
