@@ -288,16 +288,16 @@ def measure(
     obstacles = experiment.obstacles
     vehicles, clear = {}, True
     for k, (name, setup) in enumerate(experiment.vehicles.items()):
+        distances = obstacle_distances(track, k, obstacles)
         vehicles[name] = vehicle_metrics(
             track,
             k,
             setup.goal,
             aim(outputs[name]),
             rig.spent(name),
-            obstacles,
+            distances,
             filtered(outputs[name]),
         )
-        distances = obstacle_distances(track, k, obstacles)
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
     contacts = rig.contacts
     together = formation_metrics(experiment.controller, crew_of(experiment), track, obstacles)

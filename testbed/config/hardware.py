@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import chain, combinations
+from itertools import chain
 
 import numpy as np
 
@@ -54,7 +54,8 @@ def push_everywhere(jets: Sequence[Jet], com: Point, radius: float) -> bool:
     effect = effect_matrix(jets, about=com).T / (thrust * np.array([1.0, 1.0, radius]))
     if len(jets) < 4 or np.linalg.matrix_rank(effect, tol=WEAK) < 3:
         return False
-    normals = np.array([np.cross(a, b) for a, b in combinations(effect, 2)])
+    first, second = np.triu_indices(len(jets), 1)
+    normals = np.cross(effect[first], effect[second])
     length = np.linalg.norm(normals, axis=1)
     reach = (normals[length > WEAK**2] / length[length > WEAK**2, None]) @ effect.T
     return bool(np.all(reach.max(axis=1) > WEAK) and np.all(reach.min(axis=1) < -WEAK))

@@ -3,6 +3,8 @@
 import re
 import tomllib
 from collections.abc import Iterator
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +26,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         reason = error.strerror if isinstance(error, OSError) else None
         raise ConfigError(str(path), "", "a readable file", reason or str(error)) from None
     try:
-        return parse(data)
+        return deepcopy(_parsed(data))
     except ValueError as error:
         raise ConfigError(str(path), "", "a TOML file", str(error)) from None
 
@@ -50,6 +52,10 @@ def parse(data: bytes) -> dict[str, Any]:
     if level:
         raise ValueError(f"more than {DEEPEST} tables or lists in each other")
     return tree
+
+
+# the same vehicle is read for each name, and the same experiment for each run of a campaign
+_parsed = lru_cache(maxsize=16)(parse)
 
 
 def _children(node: Any) -> list[Any]:

@@ -13,6 +13,8 @@ optimum of an ideal layout never wants it, and where misaligned nozzles would, o
 shut and the rest solved again.
 """
 
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 from testbed.core.compiled import compiled, settled
 from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.types import Wrench
-from testbed.core.vehicle import Vehicle
+from testbed.core.vehicle import Jet, Point, Vehicle
 
 Array = NDArray[np.float64]
 
@@ -220,12 +222,12 @@ def weakest(effect, gas, opposing, directions, plenty):
     return least
 
 
-def jets_of(vehicle: Vehicle) -> tuple[Array, Array, NDArray[np.int64]]:
+def in_numbers(jets: Sequence[Jet], about: Point) -> tuple[Array, Array, NDArray[np.int64]]:
     """B (3, jets), price of each jet (jets,), pairs that push against each other (n, 2)."""
     return (
-        effect_matrix(vehicle.jets, about=vehicle.com),
-        np.array([jet.thrust for jet in vehicle.jets]),
-        np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2),
+        effect_matrix(jets, about),
+        np.array([jet.thrust for jet in jets]),
+        np.array(opposing_pairs(jets), dtype=np.int64).reshape(-1, 2),
     )
 
 
@@ -233,7 +235,7 @@ class Allocator:
     """Duty of each jet for a wanted wrench."""
 
     def __init__(self, params: AllocatorParams, vehicle: Vehicle) -> None:
-        self.effect, self._gas, self._opposing = jets_of(vehicle)
+        self.effect, self._gas, self._opposing = in_numbers(vehicle.jets, vehicle.com)
         self._torque_first = params.priority == "torque"
         self._made_up_for = settled(made_up_for)
 
@@ -257,5 +259,11 @@ def weakest_force(vehicle: Vehicle) -> float:
     Directions are tried, DIRECTIONS of them; between two of them the force of a vehicle whose jets
     push along a few axes is hardly less.
     """
-    effect, gas, opposing = jets_of(vehicle)
+    return _weakest_of(tuple(vehicle.jets), vehicle.com)
+
+
+@lru_cache(maxsize=64)
+def _weakest_of(jets: tuple[Jet, ...], com: Point) -> float:
+    """The same, found once: a flight chain asks several times, and so does each run of many."""
+    effect, gas, opposing = in_numbers(jets, com)
     return weakest(effect, gas, opposing, DIRECTIONS, 2.0 * gas.sum())

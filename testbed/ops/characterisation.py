@@ -85,6 +85,22 @@ def characterise(
     )
 
 
+def extremes(positions: Array, radii: Array) -> tuple[float, float]:
+    """Smallest gap, Eq. (4), and largest distance from the mean, Eq. (3), of a group on its way.
+
+    Args:
+        positions: at each time, shape (m, n, d), n >= 2 [m].
+        radii: of the satellites themselves, shape (n,) [m].
+    """
+    off = positions - positions.mean(axis=1, keepdims=True)
+    gaps = [
+        np.min(np.linalg.norm(positions[:, :i] - positions[:, i, None], axis=2) - radii[:i]) - a
+        for i, a in enumerate(radii.tolist())
+        if i > 0
+    ]
+    return float(min(gaps)), float(np.linalg.norm(off, axis=2).max())
+
+
 def ring_uniformity(count: int) -> float:
     """L of `count` satellites spread evenly over a circle, Eq. (28) corrected: arcs for chords."""
     return count * (np.pi / (count + np.pi)) ** 3

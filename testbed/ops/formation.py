@@ -33,7 +33,7 @@ from controllers.proxy import coupling
 from controllers.scale import Scale
 from testbed.core.law import Discs
 from testbed.core.table import Obstacle
-from testbed.ops.characterisation import Characterisation, characterise
+from testbed.ops.characterisation import Characterisation, characterise, extremes
 from testbed.ops.metrics import Track
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class FormationMetrics(Struct, frozen=True):
     """The section `formation` of metrics.json; null where the law has nothing of the kind."""
 
     end: Characterisation  # the five elements at the end
-    closest_m: float | None  # smallest gap between two surfaces, of the run
+    closest_m: float  # smallest gap between two surfaces, of the run
     widest_m: float  # largest distance from the mean position, of the run
     error_m: float | None = None  # largest in the last 5 s, of the run or of each phase
     settled_s: float | None = None  # after which it is small for good; of the slowest phase
@@ -171,9 +171,8 @@ def formation_metrics(
     looked = np.append(np.arange(0, len(track.t) - 1, STRIDE), len(track.t) - 1)
     t, states = track.t[looked], track.states[looked]
     p = states[:, :, :2]
-    every = [characterise(now[:, :2], now[:, 3:5], crew.radius) for now in states[::STRIDE]]
     end = characterise(p[-1], states[-1, :, 3:5], crew.radius)
-    gaps = [one.inner for one in (*every, end) if one.inner is not None]
+    closest, widest = extremes(np.concatenate([p[::STRIDE], p[-1:]]), crew.radius)
     shape: Shape | None = None
     said: list[Concern] = []
     if isinstance(controller, BifurcatingParams):
@@ -184,8 +183,8 @@ def formation_metrics(
         said = concerns(controller, crew, p[0], obstacles)
     return FormationMetrics(
         end,
-        min(gaps) if gaps else None,
-        max(one.outer for one in (*every, end)),
+        closest,
+        widest,
         shape.error_m if shape else None,
         shape.settled_s if shape else None,
         shape.longest_edge_m if shape else None,

@@ -205,11 +205,10 @@ def vehicle_metrics(
     goal: tuple[float, float, float],
     aimed: Aim,
     spent: Spent,
-    obstacles: Mapping[str, Obstacle],
+    distances: Mapping[str, float],
     filtered_ns: float | None = None,
 ) -> VehicleMetrics:
-    """Judge one vehicle's flight."""
-    distances = obstacle_distances(track, vehicle, obstacles)
+    """Judge one vehicle's flight; `distances` are those of `obstacle_distances`."""
     error = np.hypot(*(track.states[:, vehicle, :2] - np.array(goal[:2])).T)
     end = track.t[-1] if len(track.t) else 0.0
     inside = (aimed.t >= track.t[0]) & (aimed.t <= end) if len(track.t) > 1 else aimed.t < 0

@@ -8,7 +8,13 @@ from msgspec import Struct
 
 from testbed.config import find, load
 from testbed.core.types import HostTick, Outputs, Tick
-from testbed.ops.metrics import VehicleMetrics, aim, smallest_separation, vehicle_metrics
+from testbed.ops.metrics import (
+    VehicleMetrics,
+    aim,
+    obstacle_distances,
+    smallest_separation,
+    vehicle_metrics,
+)
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.targets import Measures
 from testbed.rig.twin import make_twin
@@ -54,7 +60,7 @@ def fly_seed(run: Table, seed: int) -> tuple[dict[str, float | None], list[Figur
     judged = [
         vehicle_metrics(
             track, k, setup.goal, aim(listener.outputs[name]), rig.spent(name),
-            experiment.obstacles,
+            obstacle_distances(track, k, experiment.obstacles),
         )
         for k, (name, setup) in enumerate(experiment.vehicles.items())
     ]  # fmt: skip

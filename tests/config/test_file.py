@@ -181,3 +181,13 @@ def test_a_resolved_experiment_refers_to_no_other_file():
 
 def test_read_toml():
     assert read_toml(SHIPPED / "experiments" / "hold.toml")["name"] == "hold"
+
+
+def test_a_file_that_is_read_twice_gives_two_trees(tmp_path):
+    path = tmp_path / "some.toml"
+    path.write_text("[a]\nlist = [1]\n", encoding="utf-8")
+    first = read_toml(path)
+    first["a"]["list"].append(2)
+    assert read_toml(path) == {"a": {"list": [1]}}
+    path.write_text("[a]\nlist = [3]\n", encoding="utf-8")
+    assert read_toml(path) == {"a": {"list": [3]}}

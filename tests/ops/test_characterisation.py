@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist, squareform
 
-from testbed.ops.characterisation import characterise, ring_uniformity
+from testbed.ops.characterisation import characterise, extremes, ring_uniformity
 
 
 def ring(count, radius=1.0, phase=0.0):
@@ -131,6 +131,15 @@ def test_rings_shells_and_clumps_as_the_book_has_it(count):
     lone = np.concatenate([0.01 * rng.normal(size=(count, 2)), [[1.0, 0.0], [0.0, 0.9]]])
     for x in (ring(count), sphere, lone, np.repeat(ring(10), 7, axis=0)):
         assert elements(x) == pytest.approx(by_the_book(x), rel=1e-12)
+
+
+@pytest.mark.parametrize("count", [2, 3, 10])
+def test_extremes_of_a_group_on_its_way_are_those_of_its_moments(count):
+    rng = np.random.default_rng(count)
+    x, radii = rng.normal(size=(40, count, 2)), rng.uniform(0.0, 0.2, count)
+    moments = [characterise(now, radii=radii) for now in x]
+    expected = min(one.inner for one in moments), max(one.outer for one in moments)
+    assert extremes(x, radii) == pytest.approx(expected, rel=1e-14)
 
 
 def test_uniformity_does_not_depend_on_scale_place_or_order():

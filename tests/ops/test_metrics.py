@@ -60,7 +60,8 @@ def still(t, *places) -> Track:
 
 
 def judged(track: Track, aimed: Aim = NO_AIM, goal=GOAL, obstacles=None) -> VehicleMetrics:
-    return vehicle_metrics(track, 0, goal, aimed, NOTHING_SPENT, obstacles or {})
+    distances = obstacle_distances(track, 0, obstacles or {})
+    return vehicle_metrics(track, 0, goal, aimed, NOTHING_SPENT, distances)
 
 
 def aimed_at(t, x=0.0, y=0.0, theta=0.0, force=0.0) -> Aim:
