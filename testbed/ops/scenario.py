@@ -8,6 +8,7 @@ from typing import Protocol
 
 from msgspec import Struct
 
+from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Vehicle
 from testbed.flight.agent import FlightParams
@@ -31,6 +32,11 @@ class Setup(Protocol):
     @property
     def goal(self) -> tuple[float, float, float]:
         """Where it is sent: x, y [m], theta [rad]."""
+        ...
+
+    @property
+    def path(self) -> Path | None:
+        """How the goal moves; null: not at all."""
         ...
 
 
