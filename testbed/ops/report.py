@@ -17,6 +17,7 @@ from testbed.ops.scenario import Scenario, law_of
 
 CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
 SHOWN_EVENTS = 40
+UNCOUNTED = -1  # contacts of a run that was killed before anybody counted them
 FIRST = ("trajectory", "error", "error_xy")  # figures before the numbers
 
 ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
@@ -104,6 +105,8 @@ def page(title: str, body: str) -> str:
 
 def _verdict(metrics: Metrics) -> tuple[str, str]:
     failed = [CRITERIA.get(k, (k,))[0] for k, met in metrics.criteria.items() if not met]
+    if metrics.contacts == UNCOUNTED:
+        return "stopped", f"not judged, {metrics.duration_s:.1f} s in the log"
     if metrics.red:
         return "stopped", "not started: a check is red"
     if metrics.fault:
@@ -163,7 +166,7 @@ def _tiles(scenario: Scenario, metrics: Metrics) -> str:
         *of_goals,
         ("nearest obstacle, centres", _number(min(near) if near else None, 1.0, 2), "m"),
         ("nearest two, centres", _number(metrics.min_vehicle_distance_m, 1.0, 2), "m"),
-        ("contacts", str(metrics.contacts), ""),
+        ("contacts", DASH if metrics.contacts == UNCOUNTED else str(metrics.contacts), ""),
         ("gas, all together", _number(sum(gas) if gas else None, 1.0, 0), "g"),
     )
     return '<div class="tiles">' + "".join(

@@ -102,6 +102,9 @@ def test_a_run_without_metrics(testbed):
     Path("out/metrics.json").write_text("{}")
     assert "expected  the metrics of a run" in testbed("report", "out").stderr
     Path("out/metrics.json").unlink()
+    assert testbed("report", "out").exit_code == 0
+    assert "not judged, 0.9 s in the log" in read()[1]
+    Path("out/log.mcap").unlink()
     result = testbed("report", "out")
     assert result.exit_code == 2
     assert result.stderr.startswith("error: ")
