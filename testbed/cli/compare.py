@@ -33,6 +33,7 @@ FORMATION_ROWS = (
     ("formation settled [s]", "formation_settled_s", 1.0, 1, ""),
     ("longest edge [m]", "longest_edge_m", 1.0, 2, ""),
 )
+STYLES = ("", "dashed", "dotted")  # runs that did the same are seen through one another
 FIRST_COLUMN = 25  # characters of the table's first column, with its frame
 
 
@@ -170,22 +171,23 @@ def charts(runs: Sequence[Run]) -> list[Chart]:
     for k, run in enumerate(runs):
         rocks, asked = list(run.experiment.obstacles.values()), Wanted(run.experiment)
         titles.append(asked.title)
+        style = STYLES[k % len(STYLES)]
         times, places = run.history.together()
         for n, off in enumerate(asked.parts(times, places).values()):
-            errors_.append(Line(times, 1e3 * off, k, run.label if n == 0 else ""))
+            errors_.append(Line(times, 1e3 * off, k, run.label if n == 0 else "", style))
         for n, (name, vehicle) in enumerate(run.history.vehicles.items()):
             label = run.label if n == 0 else ""
             t, state = run.history.where(name)
-            tracks.append(Line(state[:, 0], state[:, 1], k, label))
-            speeds.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, label))
-            gas.append(Line(vehicle.t, vehicle.tank / 1e6, k, label))
+            tracks.append(Line(state[:, 0], state[:, 1], k, label, style))
+            speeds.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, label, style))
+            gas.append(Line(vehicle.t, vehicle.tank / 1e6, k, label, style))
             if rocks:
                 gaps = [
                     np.hypot(*(state[:, :2] - np.array(r.position) - np.outer(t, r.velocity)).T)
                     - r.radius
                     for r in rocks
                 ]
-                clear.append(Line(t, np.min(gaps, axis=0), k, label))
+                clear.append(Line(t, np.min(gaps, axis=0), k, label, style))
     span = (0.0, max(end, 1e-3))
     made = [
         Chart("trajectory", "Trajectories", "x [m]", "y [m]", tracks, (-half_x, half_x),

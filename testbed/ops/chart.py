@@ -33,6 +33,7 @@ text { font: 12px system-ui, 'Helvetica Neue', Arial, sans-serif; fill: var(--so
 .axis { stroke: var(--soft); stroke-width: 1; fill: none; }
 .line { fill: none; stroke-width: 1.6; stroke-linejoin: round; stroke-linecap: round; }
 .thin { stroke-width: 1; opacity: .55; } .dashed { stroke-dasharray: 5 4; }
+.dotted { stroke-dasharray: 1.5 4; }
 .limit { stroke: var(--danger); stroke-width: 1.3; stroke-dasharray: 7 4; fill: none; }
 .limitname { fill: var(--danger); } .table { fill: var(--stone); stroke: var(--soft); }
 .danger { fill: var(--danger); fill-opacity: .09; stroke: var(--danger); stroke-dasharray: 5 4; }
@@ -50,7 +51,7 @@ class Line(Struct, frozen=True):
     y: Array
     hue: int
     name: str = ""  # in the legend
-    style: str = ""  # thin, dashed
+    style: str = ""  # thin, dashed, dotted
 
 
 class Limit(Struct, frozen=True):
