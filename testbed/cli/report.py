@@ -31,9 +31,7 @@ def report_run(folder: Path, png: bool = False) -> int:
 
 def make_report(folder: Path) -> list[Path]:
     """The files of the page; all that it says is in the folder."""
-    log = log_of(folder)
-    folder = log.parent  # the log itself is meant as well
-    config = folder / "config.toml"
+    config, log = folder / "config.toml", log_of(folder)
     scenario = load(config)
     history = gather(LogFeed(Logbook(log)).news())
     text = config.read_text(encoding="utf-8")

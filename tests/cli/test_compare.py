@@ -92,6 +92,7 @@ def test_a_killed_flight_is_compared_and_reported_from_its_log(testbed):
     assert found["killed"]["gas_g"] is None
     assert "not judged" in testbed("compare", "killed").stdout
     log = Path("killed/log.mcap")
-    log.write_bytes(log.read_bytes()[:-40_000])
-    assert testbed("report", "killed/log.mcap").exit_code == 0
+    whole = log.read_bytes()
+    log.write_bytes(whole[: len(whole) // 2])
+    assert testbed("report", "killed").exit_code == 0
     assert "the log has no end" in Path("killed/report.html").read_text()
