@@ -15,7 +15,7 @@ from rich.table import Table as Grid
 from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
-from testbed.campaign.flight import write_whole
+from testbed.campaign.flight import make_folder, write_whole
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import Flown, Task
 from testbed.campaign.tuning import (
@@ -58,7 +58,7 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
     try:
         tuning = load_tuning(find_campaign(name))
         folder = out or Path("runs") / f"tuning_{tuning.file.name}"
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         with interrupt.caught(), interrupt.at_once():
             result = fly_tuning(tuning, folder, jobs, scheduler)
         if result is None:
