@@ -56,8 +56,9 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
     """
     if scheduler is None and jobs > (most := most_workers()):
         raise EngineError(
-            f"--jobs {jobs}\n  expected  at most {most}: a worker takes {WORKER_GB:g} GB of memory; "
-            f"more than this machine's {os.cpu_count()} cores fly no faster\n  found     {jobs}"
+            f"--jobs {jobs}\n  expected  at most {most}: a worker takes {WORKER_GB:g} GB of "
+            f"memory; more than this machine's {os.cpu_count()} cores fly no faster\n"
+            f"  found     {jobs}"
         )
     with needs_extra("campaign"):
         import dask

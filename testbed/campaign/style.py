@@ -29,7 +29,8 @@ p { margin: 0 0 12px; max-width: 78ch; } .soft { color: var(--soft); }
 .meter u { position: absolute; top: -3px; width: 3px; height: 12px; border-radius: 2px;
   background: var(--good); }
 .poor .meter i, .poor .meter u { background: var(--bad); }
-.charts { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 390px), 1fr)); gap: 14px; }
+.charts { display: grid; gap: 14px;
+  grid-template-columns: repeat(auto-fill, minmax(min(100%, 390px), 1fr)); }
 figure { margin: 0; padding: 10px 12px 8px; } svg { display: block; width: 100%; height: auto; }
 figcaption { color: var(--soft); font-size: 12.5px; padding: 0 6px 4px; }
 .tick { font-size: 10.5px; fill: var(--soft); font-variant-numeric: tabular-nums; }

@@ -9,16 +9,19 @@ one, and a run that is opened later looks as it did live.
 
 import math
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
 from testbed.core.types import State
+from testbed.flight.faults import Response
 from testbed.ops.feed import Loop, News, SeenHost, SeenTick, pose_of, stopping_point
 from testbed.ops.history import events
 from testbed.ops.recorder import Motion, Truth
 from testbed.ops.scenario import Scenario, law_of, range_of
+from testbed.ops.scene_aims import AimScene
 from testbed.ops.scene_wires import VALVE_STATES, WireScene
 from testbed.ops.setting import (
     FLAME,
@@ -37,6 +40,7 @@ from testbed.ops.setting import (
 Array = NDArray[np.float64]
 
 
+TROUBLE = ("valves shut", "fault", *get_args(Response))  # how bad news begins
 MEAN_S = 1.0  # of forces: pulses of milliseconds say little by themselves
 
 
@@ -54,6 +58,7 @@ class Scene:
         self._means: dict[str, tuple[float, float]] = {}
         self._places: dict[str, tuple[float, float]] = {}
         self._wires = WireScene(scenario, recording)
+        self._aims_of = AimScene(scenario, recording)
         self.now = 0.0
         setting(recording, scenario)
 
@@ -87,6 +92,7 @@ class Scene:
             self._column("plot/loop/busy", [o.t for o in loops], [1e3 * o.busy_s for o in loops])
         if news:
             obstacles(self._rec, self._scenario, self.now)
+            self._aims_of.draw(ticks, self.now)
             self._banner()
 
     def _column(self, path: str, t: Sequence[float], values: Sequence[float]) -> None:
@@ -127,19 +133,13 @@ class Scene:
                 at,
                 [1e3 * math.hypot(s.twist.vx, s.twist.vy) for _, s in seen],
             )
-            gx, gy, _ = setup.goal
-            self._column(
-                f"plot/error/{name}",
-                at,
-                [1e3 * math.hypot(s.pose.x - gx, s.pose.y - gy) for _, s in seen],
-            )
             self._clearances(name, seen)
         self._jets(name, flown, period)
         self._valves(name, flown, setup.model.command_delay_s)
         words = [(self._last[name], 1)] if name in self._last else []
         before = [tick for tick, _ in words]
         for when, said in events([*before, *flown])[len(events(before)) :]:
-            bad = "valves shut" in said and when > 0.0
+            bad = when > 0.0 and said.startswith(TROUBLE)
             self._rec.set_time("t", duration=when)
             self._rec.log(
                 "event",
