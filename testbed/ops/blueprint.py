@@ -79,7 +79,7 @@ def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
                 text_log_columns=["LogLevel", "Body"],
             ),
         ),
-        row_shares=[0.9, 9, 1.9],
+        row_shares=[1.0, 9, 2.1],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, rrb.Tabs(flight, air, timing, valves), column_shares=[11, 9]),

@@ -34,6 +34,11 @@ class AimScene:
                 self._error(name)
         self._goals(now)
 
+    def matters(self, a: str, b: str) -> bool:
+        """Whether two have to stay within the range: the edges of a formation, if there is one."""
+        edges = self._wanted.edges
+        return not edges or any({a, b} == {e.a, e.b} for e in edges)
+
     def _error(self, name: str) -> None:
         """How far one is from what is asked of him, with the others where they were then."""
         t = self._known[name][1:, 0]

@@ -240,3 +240,20 @@ def test_a_formation_is_shown_with_its_leader_and_without_goals(tmp_path):
     found = {str(c.entity_path) for c in chunks}
     assert {"/world/goal/leader", "/plot/error/sat1", "/plot/error/sat3"} <= found
     assert "/world/goal/sat1" not in found
+
+
+def test_those_in_the_same_state_share_the_banner():
+    from testbed.ops.scene import grouped
+
+    states = {"sat1": "flies", "sat2": "waits: not armed", "sat3": "flies"}
+    assert grouped(states) == ["**sat1, sat3** flies", "**sat2** waits: not armed"]
+
+
+def test_only_an_edge_of_the_formation_has_to_stay_in_range():
+    from testbed.config import find, load
+    from testbed.ops.scene_aims import AimScene
+
+    rr = pytest.importorskip("rerun")
+    aims = AimScene(load(find("xue2024_table_constant")), rr.RecordingStream("test"))
+    assert aims.matters("sat2", "sat1")
+    assert not aims.matters("sat1", "sat3")
