@@ -13,6 +13,7 @@ from testbed.ops.wanted import Wanted, goal_at
 
 Array = NDArray[np.float64]
 
+MOST_PAIRS = 6  # that get a line each
 GHOSTS = 9  # instants at which the vehicles are drawn along their tracks
 PAPERS = {  # what a figure is the analogue of
     "zhang2023": {
@@ -196,18 +197,37 @@ def _distances(scenario: Scenario, history: History) -> Iterator[Chart]:
 def _separations(scenario: Scenario, history: History) -> Iterator[Chart]:
     names, items = list(history.vehicles), []
     pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+    if len(pairs) > MOST_PAIRS:
+        yield _nearest(scenario, history)
+        return
     for k, (a, b) in enumerate(pairs):
         (t, first), (_, second) = history.where(a), history.where(b)
         n = min(len(first), len(second))
         gap = np.hypot(*(first[:n, :2] - second[:n, :2]).T)
-        items.append(Line(t[:n], gap, k, f"{a}, {b}" if len(pairs) <= 6 else ""))
-    limits: list[Item] = []
-    if items:
-        radii = sorted(setup.model.radius for setup in scenario.vehicles.values())
-        touch = radii[-1] + radii[-2]
-        limits.append(Limit(touch, f"touch, {touch:g} m"))
+        items.append(Line(t[:n], gap, k, f"{a}, {b}"))
+    limits = [_touch(scenario)] if items else []
     yield Chart("separation", "Distance between vehicles, centre to centre", "time [s]",
                 "distance [m]", [*items, *limits], _time(history), height=190)  # fmt: skip
+
+
+def _touch(scenario: Scenario) -> Limit:
+    radii = sorted(setup.model.radius for setup in scenario.vehicles.values())
+    touch = radii[-1] + radii[-2]
+    return Limit(touch, f"touch, {touch:g} m")
+
+
+def _nearest(scenario: Scenario, history: History) -> Chart:
+    """Of many vehicles, one line for each and not for each pair."""
+    t, places = history.together()
+    items: list[Item] = [
+        Line(t, np.min([np.hypot(*(place - other).T) for whose, other in places.items()
+                        if whose != name], axis=0), k, name)
+        for k, (name, place) in enumerate(places.items())
+        if len(places) > 1
+    ]  # fmt: skip
+    title = "Distance to the nearest other vehicle, centre to centre"
+    items.append(_touch(scenario))
+    return Chart("separation", title, "time [s]", "distance [m]", items, _time(history), height=190)
 
 
 def _speed(scenario: Scenario, history: History) -> Iterator[Chart]:

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Mapping
+from pathlib import PurePath
 from typing import Protocol
 
 from msgspec import Struct
@@ -100,7 +101,10 @@ class Scenario(Protocol):
 
 
 def law_of(scenario: Scenario) -> str:
-    """The law's name in an experiment file."""
+    """The law's name in an experiment file; of somebody's own, its file and name in there."""
+    own = getattr(scenario.controller, "law", None)
+    if isinstance(own, str):
+        return PurePath(own).name
     return str(type(scenario.controller).__struct_config__.tag)
 
 
