@@ -21,7 +21,16 @@ from testbed.ops.formation import has_formation
 from testbed.ops.history import History, gather
 from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.metrics import Metrics
-from testbed.ops.report import OF_A_GOAL, ROWS, UNCOUNTED, ReportError, figure, page, together_of
+from testbed.ops.report import (
+    OF_A_GOAL,
+    ROWS,
+    UNCOUNTED,
+    ReportError,
+    figure,
+    known,
+    page,
+    together_of,
+)
 from testbed.ops.wanted import Wanted
 
 TOGETHER = {  # key of a row, of the formation's metrics
@@ -90,11 +99,11 @@ def worst(run: Run, key: str) -> float | None:
         return getattr(together_of(run.experiment, run.metrics), TOGETHER[key], None)
     if key in OF_A_GOAL and has_formation(run.experiment.controller):
         return None
-    values = [getattr(v, key) for v in run.metrics.vehicles.values()]
-    known = [v for v in values if v is not None]
-    if len(known) < len(values) or not known:
+    values = [known(run.experiment, run.metrics, name, key) for name in run.metrics.vehicles]
+    there = [v for v in values if v is not None]
+    if len(there) < len(values) or not there:
         return None
-    return min(known) if key.startswith("min_") else max(known)
+    return min(there) if key.startswith("min_") else max(there)
 
 
 def print_table(runs: Sequence[Run]) -> None:

@@ -33,6 +33,7 @@ ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
     ("filtered by safety [N s]", "filtered_ns", 1.0, 2, ""),
     ("largest force [N]", "max_force_n", 1.0, 2, ""),
 )
+TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")
 OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 CRITERIA = {  # unit, scale from the file's
     "max_contacts": ("contacts", "", 1.0), "clear_of_obstacles": ("danger radii kept", "", 1.0),
@@ -140,11 +141,18 @@ def together_of(scenario: Scenario, metrics: Metrics) -> FormationMetrics | None
     return msgspec.convert(metrics.formation, FormationMetrics, from_attributes=True)
 
 
+def known(scenario: Scenario, metrics: Metrics, name: str, key: str) -> float | None:
+    """A vehicle's number; null where it is of the place at which a moving goal had started."""
+    if key in TO_THE_START and scenario.vehicles[name].path is not None:
+        return None
+    found: float | None = getattr(metrics.vehicles[name], key)
+    return found
+
+
 def _tiles(scenario: Scenario, metrics: Metrics) -> str:
     def worst(key: str) -> float | None:
-        values = [getattr(v, key) for v in metrics.vehicles.values()]
-        known = [v for v in values if v is not None]
-        return max(known) if known else None
+        values = [known(scenario, metrics, name, key) for name in metrics.vehicles]
+        return max((v for v in values if v is not None), default=None)
 
     nearest = [v.min_obstacle_distance_m for v in metrics.vehicles.values()]
     near = [v for v in nearest if v is not None]
@@ -281,7 +289,8 @@ def _results(scenario: Scenario, metrics: Metrics) -> str:
             continue
         look = ' class="missed"' if metrics.criteria.get(criterion) is False else ""
         cells = "".join(
-            f"<td>{_number(getattr(v, key), scale, digits)}</td>" for v in metrics.vehicles.values()
+            f"<td>{_number(known(scenario, metrics, name, key), scale, digits)}</td>"
+            for name in metrics.vehicles
         )
         rows.append(f"<tr{look}><td>{heading}</td>{cells}</tr>")
     return (

@@ -66,6 +66,9 @@ def test_a_goal_that_moves_is_followed(testbed):
     line = re.search(r'id="error".*?(<path class="line s0 "[^>]*>)(?!<text)', page, re.DOTALL)
     assert line is not None
     assert line[1] in Path("one.html").read_text()  # the same curve as in the report
+    found = json.loads(testbed("compare", "round", "--json").stdout)["round"]
+    assert found["hold_rms_m"] is None  # it would be to where the goal had started
+    assert found["track_rms_m"] is not None
 
 
 def test_a_killed_flight_is_compared_and_reported_from_its_log(testbed):
