@@ -13,7 +13,7 @@ from typing import Annotated
 import tomli_w
 from msgspec import Meta, Struct, field
 
-from testbed.campaign.row import Flown, Number
+from testbed.campaign.row import Flown, Number, check_columns
 from testbed.campaign.sweep import (
     Axis,
     Campaign,
@@ -80,6 +80,8 @@ def load_benchmark(path: Path) -> BenchmarkFile:
     check_name(path, file.name)
     for name, scenario in file.scenarios.items():
         check_name(path, name)
+        for key, bounds in (("most", scenario.most), ("least", scenario.least)):
+            check_columns(str(path), f"scenarios.{name}.{key}", bounds)
         for law in scenario.laws:
             if law not in file.laws:
                 expected = f"one of [laws]: {', '.join(file.laws)}"

@@ -32,6 +32,7 @@ class Axis(NamedTuple):
     end: float
     title: str
     log: bool = False
+    whole: bool = False  # it counts things: nothing between two numbers
 
     def at(self, value: float) -> float:
         """Where a number is on the page."""
@@ -42,7 +43,9 @@ class Axis(NamedTuple):
 
     def ticks(self) -> list[float]:
         """Round numbers along it."""
-        return log_ticks(self.low, self.high) if self.log else ticks(self.low, self.high)
+        if self.log:
+            return log_ticks(self.low, self.high)
+        return [t for t in ticks(self.low, self.high) if not self.whole or t == round(t)]
 
 
 def wants_log(values: Sequence[float]) -> bool:
@@ -148,7 +151,8 @@ def histogram(passed: Sequence[float], others: Sequence[float], title: str, bins
         return low * (high / low) ** share if log else low + share * (high - low)
 
     good, bad = count(passed), count(others)
-    y = tall(0.0, 1.08 * max(g + b for g, b in zip(good, bad, strict=True)), "runs")
+    highest = max(g + b for g, b in zip(good, bad, strict=True))
+    y = tall(0.0, 1.08 * highest, "runs")._replace(whole=True)
     parts = frame(x, y)
     for k, (g, b) in enumerate(zip(good, bad, strict=True)):
         left = x.start + k * width + 0.75
@@ -207,7 +211,8 @@ def heat(
     cells: Sequence[Cell], columns: Sequence[str], rows: Sequence[str], x_title: str, y_title: str
 ) -> str:
     """Numbers on a grid of two axes."""
-    x, y = wide(0, len(columns), x_title), tall(0, len(rows), y_title)
+    left = max(LEFT, 28.0 + 6.4 * max(len(name) for name in rows))
+    x, y = wide(0, len(columns), x_title)._replace(start=left), tall(0, len(rows), y_title)
     parts = frame(x, y, x_ticks=False, y_ticks=False)
     side, rise = x.at(1) - x.at(0), y.at(0) - y.at(1)
     for cell in cells:

@@ -8,6 +8,7 @@ no more memory than ten; a batch whose workers die is taken apart to find the ru
 
 import logging
 import math
+import os
 import time
 from asyncio import CancelledError as FutureCancelled
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +26,7 @@ BATCH_S = 1.0  # of flying in one message [s]
 LARGEST_BATCH = 100
 AHEAD = 2  # batches per worker under way
 ASK_S = 2.0  # between looks at how many workers there are [s]
+WORKER_GB = 0.3  # [GB] measured 0.22 to 0.27 (docs/performance.md)
 TRIES = 2  # workers that a batch may take with it before it is given up
 
 WORKER_ENVIRONMENT = {  # one thread each: runs are what is parallel
@@ -39,6 +41,12 @@ class EngineError(Exception):
     """There is nobody to fly the runs, and why."""
 
 
+def most_workers() -> int:
+    """As many as this machine's memory holds."""
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return max(os.cpu_count() or 1, int(memory / (1e9 * WORKER_GB)))
+
+
 @contextmanager
 def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
     """A Dask client: of `jobs` processes of this machine, or of the cluster at `scheduler`.
@@ -46,6 +54,12 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
     Raises:
         EngineError: the cluster does not answer, or flies other code.
     """
+    if scheduler is None and jobs > (most := most_workers()):
+        raise EngineError(
+            f"--jobs {jobs}\n  expected  at most {most}: a worker takes {WORKER_GB:g} GB of "
+            f"memory; more than this machine's {os.cpu_count()} cores fly no faster\n"
+            f"  found     {jobs}"
+        )
     with needs_extra("campaign"):
         import dask
         from distributed import Client, LocalCluster
@@ -73,7 +87,8 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
             client = Client(scheduler, timeout="10s")
         except (OSError, TimeoutError, ValueError) as error:
             raise EngineError(
-                f"{scheduler}\n  expected  a Dask scheduler, for instance tcp://10.0.0.1:8786\n"
+                f"--scheduler {scheduler}\n  expected  a Dask scheduler, for instance "
+                "tcp://10.0.0.1:8786\n"
                 f"  found     {error or 'no answer within 10 s'}"
             ) from None
         with client:

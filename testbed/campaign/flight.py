@@ -22,7 +22,7 @@ from msgspec import Struct
 from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import Read, Warm, compile_first
 from testbed.campaign.engine import Fleet, workers
-from testbed.campaign.journal import Head, Journal
+from testbed.campaign.journal import Head, Journal, JournalError
 from testbed.campaign.row import Flown, Kept, Task, within
 from testbed.campaign.sweep import Campaign
 from testbed.ops.whole import write_whole
@@ -78,9 +78,25 @@ def head_of(campaign: Campaign) -> Head:
     return Head(digest_of(campaign.payload()), code_digest())
 
 
+def make_folder(folder: Path) -> None:
+    """Of a campaign or a tuning; it may be there.
+
+    Raises:
+        JournalError: it cannot be.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        found = "a file" if folder.is_file() else error.strerror
+        raise JournalError(
+            f"{folder}\n  expected  a folder that can be written; --out names another\n"
+            f"  found     {found}"
+        ) from None
+
+
 def open_journal(campaign: Campaign, folder: Path) -> Journal[Flown]:
     """The campaign's journal in its folder."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     return Journal(folder / "journal.jsonl", head_of(campaign), Flown)
 
 

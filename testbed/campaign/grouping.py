@@ -26,7 +26,9 @@ def fields(values: Sequence[float]) -> tuple[list[int], list[str]]:
     """Which field of an axis each value belongs to, and what the fields are called."""
     distinct = sorted(set(values))
     if len(distinct) <= FEW:
-        return [distinct.index(value) for value in values], [chart.number(v) for v in distinct]
+        return [distinct.index(value) for value in values], [
+            chart.number(float(f"{v:.3g}")) for v in distinct
+        ]
     even = np.geomspace if chart.wants_log(distinct) else np.linspace
     edges = even(distinct[0], distinct[-1], BINS + 1)
     where = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)

@@ -45,6 +45,7 @@ TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
     "max_force_n": max,
 }
 TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")  # where a goal moves, they say nothing
+SINGLE = ("duration_s", "contacts", "min_vehicle_distance_m")  # of a run as a whole
 BESIDE = ("goal_rms_m", "shape_rms_m", "clearance_m")  # not among a vehicle's metrics
 
 
@@ -92,6 +93,20 @@ def broken_bound(
             if sign * (value - bound) > 0.0:
                 return f"{name} is {value:.4g}, {words} than {bound:g}"
     return ""
+
+
+def check_columns(where: str, key: str, names: Iterable[str]) -> None:
+    """Refuse a bound on a number that no run has; which vehicles there are is seen in flight.
+
+    Raises:
+        ConfigError: there is no such column.
+    """
+    known = [*SINGLE, *VehicleMetrics.__struct_fields__, *BESIDE]
+    for name in names:
+        vehicle, _, last = name.rpartition(".")
+        if last not in known or (vehicle and last in SINGLE):
+            found = f"no such column{did_you_mean(last, known)}"
+            raise ConfigError(where, f"{key}.{name}", f"one of: {', '.join(known)}", found)
 
 
 def column(columns: Mapping[str, Number], name: str) -> Number:

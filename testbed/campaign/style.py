@@ -4,7 +4,7 @@ STYLE = """
 :root { color-scheme: light dark;
   --paper: #fbfaf7; --card: #ffffff; --ink: #1d2530; --soft: #5b6775; --line: #e3e1da;
   --good: #1f7a8c; --bad: #d1495b; --front: #b07d12; --shade: 0 1px 2px #1d253014; }
-@media (prefers-color-scheme: dark) { :root {
+@media screen and (prefers-color-scheme: dark) { :root {
   --paper: #12161c; --card: #1a2028; --ink: #e8e6e1; --soft: #98a3b0; --line: #2b333e;
   --good: #4db6c6; --bad: #ff7a86; --front: #f0b840; --shade: none; } }
 * { box-sizing: border-box; }
@@ -29,7 +29,8 @@ p { margin: 0 0 12px; max-width: 78ch; } .soft { color: var(--soft); }
 .meter u { position: absolute; top: -3px; width: 3px; height: 12px; border-radius: 2px;
   background: var(--good); }
 .poor .meter i, .poor .meter u { background: var(--bad); }
-.charts { display: grid; grid-template-columns: repeat(auto-fill, minmax(390px, 1fr)); gap: 14px; }
+.charts { display: grid; gap: 14px;
+  grid-template-columns: repeat(auto-fill, minmax(min(100%, 390px), 1fr)); }
 figure { margin: 0; padding: 10px 12px 8px; } svg { display: block; width: 100%; height: auto; }
 figcaption { color: var(--soft); font-size: 12.5px; padding: 0 6px 4px; }
 .tick { font-size: 10.5px; fill: var(--soft); font-variant-numeric: tabular-nums; }
@@ -58,6 +59,9 @@ td code { display: block; overflow-wrap: anywhere; } td.wide { width: 52%; min-w
 button { font: inherit; font-size: 12px; color: var(--soft); background: none; cursor: pointer;
   border: 1px solid var(--line); border-radius: 6px; padding: 1px 8px; margin-top: 4px; }
 button:hover { color: var(--ink); border-color: var(--soft); }
+@media (max-width: 640px) { main { padding: 22px 14px 48px; } td.wide { min-width: 220px; }
+  .tiles { grid-template-columns: 1fr 1fr; } th, td { padding: 6px 8px; } .tick { font-size: 12px; }
+  .label { font-size: 13px; } }
 @media print { main { padding: 0; } button { display: none; } figure { break-inside: avoid; } }
 """
 

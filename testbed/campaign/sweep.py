@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from testbed.campaign.inline import inline
+from testbed.campaign.row import check_columns
 from testbed.config import ConfigError, Experiment, dump, find, load, read_toml
 from testbed.config.experiment import Seed
 from testbed.config.key import spell
@@ -228,6 +229,14 @@ def load_campaign(path: Path) -> Campaign:
     for name in names:
         if names.count(name) > 1 or name == "seed":
             raise ConfigError(str(path), "", "each column once, none called seed", show(name))
+    for axis in file.grid:
+        shown = [show(value) for value in axis.values]
+        if twice := [value for value in shown if shown.count(value) > 1]:
+            raise ConfigError(
+                str(path), axis.key, "each value once: the same run twice is no evidence", twice[0]
+            )
+    for key, bounds in (("most", file.most), ("least", file.least)):
+        check_columns(str(path), key, bounds)
     size = math.prod(len(axis.points()) for axis in file.grid) * file.samples
     if size > MOST_RUNS:
         raise ConfigError(str(path), "", f"at most {MOST_RUNS} runs", str(size))
@@ -246,7 +255,7 @@ def check_corners(path: Path, campaign: Campaign) -> None:
             try:
                 load(Path(base.name), texts)
             except ConfigError as error:
-                where = error.where.replace(base.name, f"{path}, {' '.join(texts)}")
+                where = f"{path}, the run with {' '.join(texts)}"
                 raise ConfigError(where, error.key, error.expected, error.found) from None
 
 
@@ -280,7 +289,15 @@ def experiment_path(path: Path, name: str) -> Path:
 
 def base_experiment(path: Path, name: str, overrides: list[str]) -> Experiment:
     """The experiment that the file at `path` names, with what is set for all runs."""
-    return load(experiment_path(path, name), overrides)
+    try:
+        return load(experiment_path(path, name), overrides)
+    except ConfigError as error:
+        if error.where == name:  # nothing is called so
+            raise ConfigError(str(path), "experiment", error.expected, error.found) from None
+        if error.where.startswith("command line"):
+            where = f"{path}, set{error.where.removeprefix('command line')}"
+            raise ConfigError(where, error.key, error.expected, error.found) from None
+        raise
 
 
 def corners(campaign: Campaign) -> Iterator[Overrides]:

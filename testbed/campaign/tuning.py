@@ -34,7 +34,7 @@ import tomli_w
 from msgspec import Meta, Struct
 
 from testbed.campaign.extra import needs_extra
-from testbed.campaign.row import Flown, Task, broken_bound, column
+from testbed.campaign.row import Flown, Task, broken_bound, check_columns, column
 from testbed.campaign.sweep import (
     Count,
     base_experiment,
@@ -45,6 +45,7 @@ from testbed.campaign.sweep import (
 from testbed.config import ConfigError, dump, load
 from testbed.config.experiment import Seed
 from testbed.config.key import assignment
+from testbed.config.mistake import show
 from testbed.core.vehicle import Positive
 
 BROKEN = 1e6  # what breaking the safety bounds costs, for each of the runs that do
@@ -130,10 +131,19 @@ def load_tuning(path: Path) -> Tuning:
     check_name(path, file.name)
     base = base_experiment(path, file.experiment, file.set)
     tree = dump(base)
+    for key, columns in (("cost", file.cost), ("most", file.most), ("least", file.least)):
+        check_columns(str(path), key, columns)
+    keys = [gain.key for gain in file.gain]
     for gain in file.gain:
+        if keys.count(gain.key) > 1:
+            raise ConfigError(str(path), "gain", "each key once", show(gain.key))
         for end in (gain.low, gain.high):
             text = f"{gain.key}={float(end)!r}"
-            load(experiment_path(path, file.experiment), [*file.set, text])
+            try:
+                load(experiment_path(path, file.experiment), [*file.set, text])
+            except ConfigError as error:
+                where = f"{path}, the choice {text}"
+                raise ConfigError(where, error.key, error.expected, error.found) from None
     now = [_value(path, tree, gain) for gain in file.gain]
     return Tuning(file, tomli_w.dumps(tree), now)
 

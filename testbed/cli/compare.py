@@ -11,16 +11,38 @@ from rich.console import Console
 from rich.table import Table as Grid
 
 from testbed.cli.main import OK
+from testbed.cli.postmortem import judged
 from testbed.cli.refusal import refuse
 from testbed.cli.replay import config_of
 from testbed.config import ConfigError, Experiment, load
 from testbed.ops.chart import HUES, Chart, Disc, Item, Limit, Line
 from testbed.ops.feed import LogFeed
+from testbed.ops.formation import has_formation
 from testbed.ops.history import History, gather
 from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.metrics import Metrics
-from testbed.ops.report import ROWS, ReportError, figure, page, read_metrics
+from testbed.ops.report import (
+    OF_A_GOAL,
+    ROWS,
+    UNCOUNTED,
+    ReportError,
+    figure,
+    known,
+    page,
+    together_of,
+)
+from testbed.ops.wanted import Wanted
 
+TOGETHER = {  # key of a row, of the formation's metrics
+    "formation_error_m": "error_m", "formation_settled_s": "settled_s",
+    "longest_edge_m": "longest_edge_m",
+}  # fmt: skip
+FORMATION_ROWS = (
+    ("formation error [mm]", "formation_error_m", 1e3, 1, ""),
+    ("formation settled [s]", "formation_settled_s", 1.0, 1, ""),
+    ("longest edge [m]", "longest_edge_m", 1.0, 2, ""),
+)
+STYLES = ("", "dashed", "dotted")  # runs that did the same are seen through one another
 FIRST_COLUMN = 25  # characters of the table's first column, with its frame
 
 
@@ -48,7 +70,8 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
     except (ReportError, LogError, ConfigError, OSError) as error:
         return refuse(error)
     if as_json:
-        found = {run.label: {key: worst(run, key) for _, key, *_ in ROWS} for run in runs}
+        rows = rows_for(runs)
+        found = {run.label: {key: worst(run, key) for _, key, *_ in rows} for run in runs}
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(found)).decode() + "\n")
     else:
         print_table(runs)
@@ -59,18 +82,28 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
 
 def read_run(folder: Path, label: str) -> Run:
     """A run, whole."""
-    history = gather(LogFeed(Logbook(log_of(folder))).news())
-    metrics = read_metrics(folder)
-    return Run(label, load(config_of(folder)), history, metrics)
+    log, experiment = log_of(folder), load(config_of(folder))
+    history = gather(LogFeed(Logbook(log)).news())
+    return Run(label, experiment, history, judged(log.parent, log, experiment, history))
+
+
+def rows_for(runs: Sequence[Run]) -> Sequence[tuple[str, str, float, int, str]]:
+    """Those of a formation only where there is one."""
+    some = any(has_formation(run.experiment.controller) for run in runs)
+    return (*FORMATION_ROWS, *ROWS) if some else ROWS
 
 
 def worst(run: Run, key: str) -> float | None:
-    """Of all vehicles; for a distance the smallest."""
-    values = [getattr(v, key) for v in run.metrics.vehicles.values()]
-    known = [v for v in values if v is not None]
-    if len(known) < len(values) or not known:
+    """Of all vehicles; for a distance the smallest. Of a formation what it was worth together."""
+    if key in TOGETHER:
+        return getattr(together_of(run.experiment, run.metrics), TOGETHER[key], None)
+    if key in OF_A_GOAL and has_formation(run.experiment.controller):
         return None
-    return min(known) if key.startswith("min_") else max(known)
+    values = [known(run.experiment, run.metrics, name, key) for name in run.metrics.vehicles]
+    there = [v for v in values if v is not None]
+    if len(there) < len(values) or not there:
+        return None
+    return min(there) if key.startswith("min_") else max(there)
 
 
 def print_table(runs: Sequence[Run]) -> None:
@@ -84,7 +117,7 @@ def print_table(runs: Sequence[Run]) -> None:
     grid.add_column("", overflow="fold")
     for k, run in enumerate(runs, 1):
         grid.add_column(run.label if fits else str(k), justify="right", overflow="fold")
-    for heading, key, scale, digits, _ in ROWS:
+    for heading, key, scale, digits, _ in rows_for(runs):
         cells = [worst(run, key) for run in runs]
         words = ["-" if v is None else f"{scale * v:.{digits}f}" for v in cells]
         grid.add_row(heading.replace("[", "\\["), *words)
@@ -94,6 +127,10 @@ def print_table(runs: Sequence[Run]) -> None:
 
 def verdict(metrics: Metrics) -> str:
     """In one word."""
+    if metrics.contacts == UNCOUNTED:
+        return "not judged"
+    if metrics.red:
+        return "not started"
     if metrics.fault:
         return "aborted"
     if not metrics.completed:
@@ -109,7 +146,7 @@ def render(runs: Sequence[Run]) -> str:
         for k, run in enumerate(runs)
     )
     rows = []
-    for heading, key, scale, digits, _ in ROWS:
+    for heading, key, scale, digits, _ in rows_for(runs):
         cells = [worst(run, key) for run in runs]
         words = "".join(
             f"<td>{'-' if v is None else f'{scale * v:.{digits}f}'}</td>" for v in cells
@@ -138,29 +175,33 @@ def charts(runs: Sequence[Run]) -> list[Chart]:
     clear: list[Item] = []
     speeds: list[Item] = []
     gas: list[Item] = []
+    titles: list[str] = []
     end = max(run.history.end for run in runs)
     for k, run in enumerate(runs):
-        rocks = list(run.experiment.obstacles.values())
+        rocks, asked = list(run.experiment.obstacles.values()), Wanted(run.experiment)
+        titles.append(asked.title)
+        style = STYLES[k % len(STYLES)]
+        times, places = run.history.together()
+        for n, off in enumerate(asked.parts(times, places).values()):
+            errors_.append(Line(times, 1e3 * off, k, run.label if n == 0 else "", style))
         for n, (name, vehicle) in enumerate(run.history.vehicles.items()):
             label = run.label if n == 0 else ""
             t, state = run.history.where(name)
-            goal = np.array(run.experiment.vehicles[name].goal[:2])
-            tracks.append(Line(state[:, 0], state[:, 1], k, label))
-            errors_.append(Line(t, 1e3 * np.hypot(*(state[:, :2] - goal).T), k, label))
-            speeds.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, label))
-            gas.append(Line(vehicle.t, vehicle.tank / 1e6, k, label))
+            tracks.append(Line(state[:, 0], state[:, 1], k, label, style))
+            speeds.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, label, style))
+            gas.append(Line(vehicle.t, vehicle.tank / 1e6, k, label, style))
             if rocks:
                 gaps = [
                     np.hypot(*(state[:, :2] - np.array(r.position) - np.outer(t, r.velocity)).T)
                     - r.radius
                     for r in rocks
                 ]
-                clear.append(Line(t, np.min(gaps, axis=0), k, label))
+                clear.append(Line(t, np.min(gaps, axis=0), k, label, style))
     span = (0.0, max(end, 1e-3))
     made = [
         Chart("trajectory", "Trajectories", "x [m]", "y [m]", tracks, (-half_x, half_x),
               (-half_y, half_y), equal=True),
-        Chart("error", "Distance to the goal, every vehicle", "time [s]",
+        Chart("error", "; ".join(dict.fromkeys(titles)), "time [s]",
               "distance [mm], log scale", errors_, span, log=True),
         Chart("speed", "Speed", "time [s]", "speed [mm/s]", speeds, span),
         Chart("tank", "Gas left: tank pressure", "time [s]", "pressure [MPa]", gas, span),

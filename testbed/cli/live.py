@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
 
+import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.markup import escape
@@ -16,6 +17,7 @@ from rich.table import Table as Grid
 
 from testbed.config import Experiment
 from testbed.core.types import Tick
+from testbed.ops.wanted import Wanted
 
 REFRESH_HZ = 8
 
@@ -24,7 +26,7 @@ class LiveTable:
     """Everybody's state in one table, and how far the flight is."""
 
     def __init__(self, experiment: Experiment, console: Console) -> None:
-        self._experiment = experiment
+        self._experiment, self._wanted = experiment, Wanted(experiment)
         self._ticks: dict[str, Tick] = {}
         self._t = 0.0
         self.phase = "DISARMED"  # of the supervisor
@@ -92,6 +94,16 @@ class LiveTable:
             grid.add_row(*self._row(name, tick))
         return Group(self._progress, grid)
 
+    def _off(self, t: float) -> dict[str, float]:
+        """How far each is from what is asked of him [m]."""
+        places = {
+            name: np.array([[tick.outputs.state.pose.x, tick.outputs.state.pose.y]])
+            for name, tick in list(self._ticks.items())
+            if tick.outputs.state is not None
+        }
+        off = self._wanted.by_vehicle(np.array([t]), places)
+        return {name: float(value[0]) for name, value in off.items()}
+
     def _row(self, name: str, tick: Tick) -> tuple[str, ...]:
         setup, out = self._experiment.vehicles[name], tick.outputs
         left = tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
@@ -109,9 +121,10 @@ class LiveTable:
             - rock.radius
             for rock in self._experiment.obstacles.values()
         ]
-        error = math.hypot(pose.x - setup.goal[0], pose.y - setup.goal[1])
+        error = self._off(now.t).get(name, math.nan)
         speed = math.hypot(now.twist.vx, now.twist.vy)
         return (
-            name, state, f"{1e3 * error:.1f}", f"{min(gaps):.3f}" if gaps else "-",
-            f"{1e3 * speed:.1f}", gas, f"{1e3 * now.pose_age:.0f}",
+            name, state, "-" if math.isnan(error) else f"{1e3 * error:.1f}",
+            f"{min(gaps):.3f}" if gaps else "-", f"{1e3 * speed:.1f}", gas,
+            f"{1e3 * now.pose_age:.0f}",
         )  # fmt: skip

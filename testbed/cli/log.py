@@ -54,7 +54,8 @@ def export_run(run: Path, kind: str, out: Path | None) -> int:
 
             paths = [write_recording(run, folder / "run.rrd")]
         else:
-            paths = WRITERS[kind](tables(Logbook(log_of(run)).read()), folder)
+            book = Logbook(log_of(run))
+            paths = WRITERS[kind](tables(book.read(), book.kinds), folder)
     except (LogError, ExportError, ValueError, OSError) as error:
         return refuse(error)
     for path in paths:

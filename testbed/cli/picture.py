@@ -7,6 +7,7 @@ import rerun as rr
 from testbed.cli.replay import config_of
 from testbed.config import ConfigError, load
 from testbed.ops.blueprint import blueprint
+from testbed.ops.export import refuse_older, whole
 from testbed.ops.feed import LogFeed
 from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.scene import Scene
@@ -16,22 +17,22 @@ BATCH = 500  # messages
 
 def write_recording(run: Path, out: Path) -> Path:
     """Draw a whole run into a file."""
-    if out.exists():
-        raise LogError(f"{out}: File exists")
+    refuse_older(out)
     try:
         scenario = load(config_of(run))
     except ConfigError as error:
         raise LogError(str(error)) from None
     recording = rr.RecordingStream("airbearing-testbed", recording_id=str(run.resolve()))
-    recording.set_sinks(rr.FileSink(out))
-    recording.send_blueprint(blueprint(scenario, live=False))
-    scene, batch = Scene(scenario, recording), []
-    for one in LogFeed(Logbook(log_of(run))).news():
-        batch.append(one)
-        if len(batch) >= BATCH and one.topic == "/truth":
-            scene.draw(batch)
-            batch = []
-    scene.draw(batch)
-    recording.flush()
-    recording.disconnect()
+    with whole(out) as part:
+        recording.set_sinks(rr.FileSink(part))
+        recording.send_blueprint(blueprint(scenario, live=False))
+        scene, batch = Scene(scenario, recording), []
+        for one in LogFeed(Logbook(log_of(run))).news():
+            batch.append(one)
+            if len(batch) >= BATCH and one.topic == "/truth":
+                scene.draw(batch)
+                batch = []
+        scene.draw(batch)
+        recording.flush()
+        recording.disconnect()
     return out

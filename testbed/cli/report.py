@@ -6,12 +6,13 @@ from pathlib import Path
 from rich.console import Console
 
 from testbed.cli.main import OK
+from testbed.cli.postmortem import judged
 from testbed.cli.refusal import refuse
 from testbed.config import ConfigError, load
 from testbed.ops.feed import LogFeed
 from testbed.ops.history import gather
 from testbed.ops.logbook import Logbook, LogError, log_of
-from testbed.ops.report import ReportError, read_metrics, write_report
+from testbed.ops.report import ReportError, write_report
 
 ZOOM = 4  # of a picture made of pixels: 2400 wide, 8 inches at 300 dpi
 
@@ -34,7 +35,7 @@ def make_report(folder: Path) -> list[Path]:
     scenario = load(config)
     history = gather(LogFeed(Logbook(log)).news())
     text = config.read_text(encoding="utf-8")
-    return write_report(folder, scenario, history, read_metrics(folder), text)
+    return write_report(folder, scenario, history, judged(folder, log, scenario, history), text)
 
 
 def make_pictures(drawings: Iterable[Path]) -> None:

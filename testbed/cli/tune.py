@@ -15,6 +15,7 @@ from rich.table import Table as Grid
 from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
+from testbed.campaign.flight import make_folder
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import Flown, Task
 from testbed.campaign.tuning import (
@@ -46,6 +47,7 @@ class TuningResult(Struct, frozen=True):
     start: Trial
     proof_seeds: int
     start_proof: float | None  # mean cost over seeds that were not tuned on
+    start_proof_broken: int
     best_proof: float | None
     best_proof_broken: int
     gains: dict[str, float]
@@ -57,7 +59,7 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
     try:
         tuning = load_tuning(find_campaign(name))
         folder = out or Path("runs") / f"tuning_{tuning.file.name}"
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         with interrupt.caught(), interrupt.at_once():
             result = fly_tuning(tuning, folder, jobs, scheduler)
         if result is None:
@@ -135,6 +137,7 @@ def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResul
         start=trials[0],
         proof_seeds=len(seeds),
         start_proof=proof[0].cost if proof else None,
+        start_proof_broken=proof[0].broken if proof else 0,
         best_proof=proof[1].cost if proof else None,
         best_proof_broken=proof[1].broken if proof else 0,
         gains=dict(zip([g.key for g in file.gain], best.gains, strict=True)) if best else {},
@@ -158,14 +161,18 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("", "as it was", "tuned", "between"):
         grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
-    for gain, before, after in zip(
-        tuning.file.gain, result.start.gains, result.best.gains, strict=True
-    ):
-        grid.add_row(gain.key, f"{before:.4g}", f"{after:.4g}", f"{gain.low:g} and {gain.high:g}")
-    grid.add_row("cost, tuned on", _cost(result.start.cost), _cost(result.best.cost), "")
+    for gain, old, new in zip(tuning.file.gain, result.start.gains, result.best.gains, strict=True):
+        grid.add_row(gain.key, f"{old:.4g}", f"{new:.4g}", f"{gain.low:g} and {gain.high:g}")
+    before, after = result.start, result.best
+    costs = _cost(before.cost, before.broken), _cost(after.cost, after.broken)
+    grid.add_row("cost, tuned on", *costs, "")
     if result.start_proof is not None and result.best_proof is not None:
         words = f"cost, {result.proof_seeds} other seeds"
-        grid.add_row(words, _cost(result.start_proof), _cost(result.best_proof), "")
+        costs = (
+            _cost(result.start_proof, result.start_proof_broken),
+            _cost(result.best_proof, result.best_proof_broken),
+        )
+        grid.add_row(words, *costs, "")
     out.print(f"[bold]{result.tuning}[/]: {kept}, the best is trial {result.best.number}")
     out.print(grid)
     if result.best_proof_broken:
@@ -175,5 +182,5 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
     out.print(f"tuned experiment: {folder / 'tuned.toml'}", markup=False, soft_wrap=True)
 
 
-def _cost(cost: float) -> str:
-    return "not safe" if cost >= 1e5 else f"{cost:.4g}"
+def _cost(cost: float, broken: int) -> str:
+    return "not safe" if broken else f"{cost:.4g}"

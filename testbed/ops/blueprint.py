@@ -11,6 +11,7 @@ from rerun.blueprint.encodings import TimelineColumn
 
 from testbed.ops.scenario import Scenario
 from testbed.ops.setting import plain
+from testbed.ops.wanted import Wanted
 
 FIELD = 57.0  # [deg] vertical, of rerun's eye
 WINDOW_S = 60.0  # of the plots
@@ -30,7 +31,7 @@ def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
         line_grid=LineGrid3D(visible=True, spacing=1.0, color=[60, 68, 80]),
     )  # fmt: skip
     flight = rrb.Vertical(
-        _plot("error", "Distance to the goal [mm] over time [s]"),
+        _plot("error", f"{Wanted(scenario).title} [mm] over time [s]"),
         _plot("clearance", "Clearance to the nearest danger zone [m] over time [s]")
         if scenario.obstacles
         else _plot("speed", "Speed [mm/s] over time [s]"),
@@ -78,7 +79,7 @@ def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
                 text_log_columns=["LogLevel", "Body"],
             ),
         ),
-        row_shares=[0.9, 9, 1.9],
+        row_shares=[1.0, 9, 2.1],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, rrb.Tabs(flight, air, timing, valves), column_shares=[11, 9]),

@@ -20,6 +20,7 @@ WIDTH = 600  # of a figure; it scales with the page
 HUES = 6
 THINNEST = 0.7  # of a bar, so that a pulse of milliseconds is seen in a run of minutes
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 44
+LETTER, ROW = 7.2, 18  # of a legend: width of a letter, height of a row
 
 LIGHT = {
     "ink": "#1c2430", "soft": "#5b6675", "grid": "#e3e7ec", "stone": "#eef1f4",
@@ -32,6 +33,7 @@ text { font: 12px system-ui, 'Helvetica Neue', Arial, sans-serif; fill: var(--so
 .axis { stroke: var(--soft); stroke-width: 1; fill: none; }
 .line { fill: none; stroke-width: 1.6; stroke-linejoin: round; stroke-linecap: round; }
 .thin { stroke-width: 1; opacity: .55; } .dashed { stroke-dasharray: 5 4; }
+.dotted { stroke-dasharray: 1.5 4; }
 .limit { stroke: var(--danger); stroke-width: 1.3; stroke-dasharray: 7 4; fill: none; }
 .limitname { fill: var(--danger); } .table { fill: var(--stone); stroke: var(--soft); }
 .danger { fill: var(--danger); fill-opacity: .09; stroke: var(--danger); stroke-dasharray: 5 4; }
@@ -49,7 +51,7 @@ class Line(Struct, frozen=True):
     y: Array
     hue: int
     name: str = ""  # in the legend
-    style: str = ""  # thin, dashed
+    style: str = ""  # thin, dashed, dotted
 
 
 class Limit(Struct, frozen=True):
@@ -77,6 +79,7 @@ class Point(Struct, frozen=True):
     hue: int
     shape: str  # ring: a start; cross: a goal
     name: str = ""
+    room: float = 0.0  # radius of what is there: the name stands outside
 
 
 class Raster(Struct, frozen=True):
@@ -170,12 +173,12 @@ class _Frame:
         self.chart = chart
         self.x0, self.x1 = chart.x_range
         self.y0, self.y1 = chart.y_range or _range(chart)
-        named = [i for i in chart.items if isinstance(i, Line) and i.name]
-        self.top = TOP + (22 if named else 0)
         self.left = max(LEFT, 22 + 7 * max([len(r.name) for r in chart.items
                                              if isinstance(r, Raster)], default=0))  # fmt: skip
         self.right = chart.width - RIGHT
         self.width = self.right - self.left
+        rows = 1 + max([row for _, _, row in self._placed()], default=-1)
+        self.top = TOP + (ROW * rows + 4 if rows else 0)
         inner = float(chart.height)
         if chart.equal:
             inner = self.width * (self.y1 - self.y0) / (self.x1 - self.x0)
@@ -223,7 +226,7 @@ class _Frame:
 
     def _y_ticks(self) -> list[float]:
         if not self.chart.log:
-            return ticks(self.y0, self.y1, round((self.bottom - self.top) / 45))
+            return ticks(self.y0, self.y1, round((self.bottom - self.top) / 38))
         decades = range(math.ceil(math.log10(self.y0)), math.floor(math.log10(self.y1)) + 1)
         return [10.0**k for k in decades]
 
@@ -233,8 +236,11 @@ class _Frame:
                 return f'<path class="line s{hue % HUES} {style}" d="{self._path(x, y)}"/>'
             case Limit(y, name):
                 at = self.y(y)
+                others = [self.y(i.y) for i in self.chart.items if isinstance(i, Limit)]
+                crowded = any(0.0 < at - other < 17.0 for other in others)
                 return (f'<path class="limit" d="M{self.left} {at:.1f}H{self.right}"/>'
-                        f'<text class="limitname" x="{self.right - 4}" y="{at - 5:.1f}" '
+                        f'<text class="limitname" x="{self.right - 4}" '
+                        f'y="{at + 13 if crowded else at - 5:.1f}" '
                         f'text-anchor="end">{escape(name)}</text>')  # fmt: skip
             case Disc(x, y, radius, style, hue):
                 r = radius * self.width / (self.x1 - self.x0)
@@ -274,22 +280,37 @@ class _Frame:
 
     def _point(self, point: Point) -> str:
         a, b, hue = self.x(point.x), self.y(point.y), point.hue % HUES
-        name = (f'<text class="name f{hue}" x="{a + 9:.1f}" y="{b - 9:.1f}">'
+        away = max(9.0, 3.0 + 0.72 * point.room * self.width / (self.x1 - self.x0))
+        late = a + away + LETTER * len(point.name) > self.right  # no room on the right
+        name = (f'<text class="name f{hue}" x="{a - away if late else a + away:.1f}" '
+                f'y="{max(b - away, self.top + 11):.1f}" '
+                f'text-anchor="{"end" if late else "start"}">'
                 f"{escape(point.name)}</text>" if point.name else "")  # fmt: skip
         if point.shape == "ring":
             return f'<circle class="line s{hue}" cx="{a:.1f}" cy="{b:.1f}" r="5"/>{name}'
         return f'<path class="line s{hue}" d="M{a - 5:.1f} {b - 5:.1f}l10 10m0 -10l-10 10"/>{name}'
 
     def legend(self) -> list[str]:
-        out, at = [], float(self.left)
+        out = []
+        for item, at, row in self._placed():
+            y = TOP + ROW * row
+            out.append(f'<path class="line s{item.hue % HUES} {item.style}" '
+                       f'd="M{at:.0f} {y + 4}h22"/>'
+                       f'<text class="name" x="{at + 28:.0f}" y="{y + 8}">'
+                       f"{escape(item.name)}</text>")  # fmt: skip
+        return out
+
+    def _placed(self) -> list[tuple[Line, float, int]]:
+        """Everything in the legend, how far along and in which row."""
+        out, at, row = [], float(self.left), 0
         for item in self.chart.items:
             if not isinstance(item, Line) or not item.name:
                 continue
-            out.append(f'<path class="line s{item.hue % HUES} {item.style}" '
-                       f'd="M{at:.0f} {TOP + 4}h22"/>'
-                       f'<text class="name" x="{at + 28:.0f}" y="{TOP + 8}">'
-                       f"{escape(item.name)}</text>")  # fmt: skip
-            at += 28 + 7.2 * len(item.name) + 18
+            wide = 28 + LETTER * len(item.name)
+            if at + wide > self.right and at > self.left:
+                at, row = float(self.left), row + 1
+            out.append((item, at, row))
+            at += wide + 18
         return out
 
 

@@ -1,22 +1,28 @@
 """A log as tables: one per topic, one row per message, one column per number.
 
+Units are SI and radians, times seconds of the run, where a name does not say otherwise (`on_us`).
 Nested fields are joined with dots (`outputs.state.pose.x`), lists of up to LISTED numbers become
 `name[0]`, `name[1]`, ...; longer and uneven lists stay JSON text. Times are `t` [s]. A number that
 is not there is nan, a word that is not there is empty.
 """
 
 import csv
+import errno
 import json
-from collections.abc import Callable, Iterable
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.ops.defaults import KINDS, complete
 from testbed.ops.logbook import LogError, Row
 
 LISTED = 16
+UNITS = "SI and radians, times in seconds of the run, where a name does not say otherwise (on_us)"
 NO_NUMBERS = {"nan", "inf", "-inf"}  # spelled out in the log, because JSON has none of them
 
 Table = dict[str, NDArray[Any]]
@@ -26,12 +32,20 @@ class ExportError(Exception):
     """It cannot be written."""
 
 
-def tables(rows: Iterable[Row]) -> dict[str, Table]:
-    """Every topic as a table of columns of equal length."""
+def tables(rows: Iterable[Row], kinds: Mapping[str, str] | None = None) -> dict[str, Table]:
+    """Every topic as a table of columns of equal length.
+
+    Args:
+        rows: of a log.
+        kinds: name of each topic's schema, known when its first row is (`Logbook.kinds`).
+    """
     flat: dict[str, list[dict[str, Any]]] = {}
     for topic, stamp, data in rows:
         row: dict[str, Any] = {"t": stamp * 1e-9}
-        _flatten("", json.loads(data), row)
+        message = json.loads(data)
+        if kinds is not None and (kind := KINDS.get(kinds.get(topic, ""))) is not None:
+            message = complete(kind, message)
+        _flatten("", message, row)
         flat.setdefault(topic, []).append(row)
     if not flat:
         raise LogError("there are no messages in the log")
@@ -72,32 +86,56 @@ def _column(values: list[Any]) -> NDArray[Any]:
     return np.array(["" if v is None else str(v) for v in values])
 
 
-def _name(topic: str) -> str:
-    return topic.strip("/").replace("/", "_")
+def _names(found: Mapping[str, Table], folder: Path, ending: str) -> dict[str, Path]:
+    """A new file for each topic.
+
+    Raises:
+        FileExistsError: one of them is there, before any is written.
+    """
+    paths = {t: folder / f"{t.strip('/').replace('/', '_')}.{ending}" for t in found}
+    for path in paths.values():
+        refuse_older(path)
+    return paths
+
+
+def refuse_older(path: Path) -> None:
+    """Nothing is written over."""
+    if path.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Where to write a file that is then there as a whole, or not at all."""
+    part = path.with_name(path.name + ".part")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def to_csv(found: dict[str, Table], folder: Path) -> list[Path]:
     """One file per topic."""
-    paths = []
+    paths = _names(found, folder, "csv")
     for topic, table in found.items():
-        path = folder / f"{_name(topic)}.csv"
-        with path.open("x", newline="", encoding="utf-8") as file:
+        with whole(paths[topic]) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(table)
             writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
-        paths.append(path)
-    return paths
+    return list(paths.values())
 
 
 def to_npz(found: dict[str, Table], folder: Path) -> list[Path]:
     """One file; names are `sat1/tick/outputs.state.pose.x`."""
     path = folder / "log.npz"
+    refuse_older(path)
     arrays = {
         f"{topic.strip('/')}/{name}": column
         for topic, table in found.items()
         for name, column in table.items()
     }
-    with path.open("xb") as file:
+    with whole(path) as part, part.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     return [path]
 
@@ -111,13 +149,12 @@ def to_parquet(found: dict[str, Table], folder: Path) -> list[Path]:
         raise ExportError(
             "parquet needs pyarrow: pip install 'airbearing-testbed[export]'"
         ) from None
-    paths = []
+    paths = _names(found, folder, "parquet")
     for topic, table in found.items():
-        path = folder / f"{_name(topic)}.parquet"
-        with path.open("xb") as file:
-            parquet.write_table(arrow.table(table), file, compression="zstd")
-        paths.append(path)
-    return paths
+        with whole(paths[topic]) as part:
+            rows = arrow.table(table, metadata={"topic": topic, "units": UNITS})
+            parquet.write_table(rows, part, compression="zstd")
+    return list(paths.values())
 
 
 WRITERS: dict[str, Callable[[dict[str, Table], Path], list[Path]]] = {

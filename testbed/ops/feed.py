@@ -59,6 +59,7 @@ class SeenOutputs(Struct, frozen=True, gc=False):
     planned: Wrench = _ZERO
     closed_because: str | None = None
     fault: str | None = None
+    faults: tuple[str, ...] = ()
     response: str = ""
     filtered: SeenFilter | None = None
 

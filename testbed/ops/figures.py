@@ -7,11 +7,13 @@ from numpy.typing import NDArray
 
 from testbed.ops.chart import WIDTH, Chart, Disc, Item, Limit, Line, Point, Raster
 from testbed.ops.history import History, VehicleHistory
-from testbed.ops.metrics import HOLD_S, SETTLED_M
+from testbed.ops.metrics import HOLD_S
 from testbed.ops.scenario import Scenario
+from testbed.ops.wanted import Wanted, goal_at
 
 Array = NDArray[np.float64]
 
+MOST_PAIRS = 6  # that get a line each
 GHOSTS = 9  # instants at which the vehicles are drawn along their tracks
 PAPERS = {  # what a figure is the analogue of
     "zhang2023": {
@@ -28,7 +30,17 @@ def figures(scenario: Scenario, history: History) -> list[Chart]:
         _force, _valves, _air, _timing, _filter,
     )  # fmt: skip
     made = [chart for maker in makers for chart in maker(scenario, history)]
-    return [chart for chart in made if any(not isinstance(i, Limit) for i in chart.items)]
+    return [chart for chart in made if any(_shows(item) for item in chart.items)]
+
+
+def _shows(item: Item) -> bool:
+    """Whether there is anything to see; a limit alone is not."""
+    match item:
+        case Line(_, y):
+            return bool(np.isfinite(y).any())
+        case Limit():
+            return False
+    return True
 
 
 def analogue(scenario: Scenario, key: str) -> str:
@@ -49,6 +61,8 @@ def _vehicles(history: History) -> Iterator[tuple[int, str, VehicleHistory]]:
 
 def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
     items: list[Item] = []
+    wanted = Wanted(scenario)
+    has_goals = not wanted.forms
     for rock in scenario.obstacles.values():
         (x, y), (vx, vy) = rock.position, rock.velocity
         items.append(Disc(x, y, rock.radius, "danger"))
@@ -67,41 +81,52 @@ def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
             items.append(
                 Disc(float(state[i, 0]), float(state[i, 1]), setup.model.radius, "ghost", k)
             )
-        items.append(Point(setup.start[0], setup.start[1], k, "ring"))
-        items.append(Point(setup.goal[0], setup.goal[1], k, "cross", name))
+        (x, y, _), room = setup.start, setup.model.radius
+        items.append(Point(x, y, k, "ring", "" if has_goals else name, room))
+        if has_goals:
+            x, y = goal_at(setup, np.array([history.end]))[0].tolist()
+            items.append(Point(x, y, k, "cross", name, room))
+    if wanted.led:
+        led = wanted.leader_at(np.linspace(0.0, history.end, 200))
+        hue = len(history.vehicles)
+        items.append(Line(led[:, 0], led[:, 1], hue, "", "dashed"))
+        items.append(Point(float(led[-1, 0]), float(led[-1, 1]), hue, "cross", "leader"))
     half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
-    note = "Rings are starts, crosses goals; circles are the vehicles to scale at "
-    note += f"{GHOSTS} instants; dashed red is a danger radius, for the vehicle's centre."
+    note = "Rings are starts"
+    note += ", crosses goals" * has_goals + ", the cross is the leader" * wanted.led
+    note += f"; circles are the vehicles to scale at {GHOSTS} instants"
+    if not all(np.isnan(v.reference).all() for v in history.vehicles.values()):
+        note += "; thin dashed lines are the references"
+    if scenario.obstacles:
+        note += "; dashed red is a danger radius, for the vehicle's centre"
+    note += "."
     yield Chart("trajectory", "Trajectories on the table", "x [m]", "y [m]", items,
                 (-half_x, half_x), (-half_y, half_y), equal=True, note=note)  # fmt: skip
 
 
-def _goal_error(scenario: Scenario, history: History, name: str) -> tuple[Array, Array]:
-    t, state = history.where(name)
-    setup = scenario.vehicles[name]
-    path = getattr(setup, "path", None)
-    goal = np.tile(np.array(setup.goal[:2]), (len(t), 1))
-    if path is not None:
-        goal = goal + np.array([path.at(one)[0] for one in t.tolist()])
-    return t, state[:, :2] - goal
-
-
 def _error(scenario: Scenario, history: History) -> Iterator[Chart]:
-    items: list[Item] = [Limit(1e3 * SETTLED_M, f"settled below {1e3 * SETTLED_M:.0f} mm")]
-    hold = scenario.criteria.hold_rms_m
+    wanted, (t, places) = Wanted(scenario), history.together()
+    settled = 1e3 * wanted.settled_m
+    items: list[Item] = [Limit(settled, f"settled below {settled:.0f} mm")]
+    hold, shape = scenario.criteria.hold_rms_m, scenario.criteria.formation
     if hold is not None and history.end > HOLD_S:
         items.append(Limit(1e3 * hold, f"hold RMS limit {1e3 * hold:g} mm"))
-    for k, name, _ in _vehicles(history):
-        t, off = _goal_error(scenario, history, name)
-        items.append(Line(t, 1e3 * np.hypot(*off.T), k, name))
-    yield Chart("error", "Distance to the goal", "time [s]", "distance [mm], log scale",
+    if shape is not None and shape.error_m is not None:
+        limit = 1e3 * shape.error_m
+        items.append(Limit(limit, f"limit at the end {limit:g} mm"))
+    for k, (name, off) in enumerate(wanted.parts(t, places).items()):
+        items.append(Line(t, 1e3 * off, k, name))
+    yield Chart("error", wanted.title, "time [s]", "distance [mm], log scale",
                 items, _time(history), log=True)  # fmt: skip
 
 
 def _error_xy(scenario: Scenario, history: History) -> Iterator[Chart]:
     items: list[Item] = []
+    if Wanted(scenario).forms:
+        return  # nobody has a goal of his own
     for k, name, _ in _vehicles(history):
-        t, off = _goal_error(scenario, history, name)
+        t, state = history.where(name)
+        off = state[:, :2] - goal_at(scenario.vehicles[name], t)
         items += [Line(t, off[:, 0], k, f"{name} x"), Line(t, off[:, 1], k, "y", "dashed")]
     yield Chart("error_xy", "Relative position error", "time [s]", "error [m]", items,
                 _time(history))  # fmt: skip
@@ -172,18 +197,37 @@ def _distances(scenario: Scenario, history: History) -> Iterator[Chart]:
 def _separations(scenario: Scenario, history: History) -> Iterator[Chart]:
     names, items = list(history.vehicles), []
     pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+    if len(pairs) > MOST_PAIRS:
+        yield _nearest(scenario, history)
+        return
     for k, (a, b) in enumerate(pairs):
         (t, first), (_, second) = history.where(a), history.where(b)
         n = min(len(first), len(second))
         gap = np.hypot(*(first[:n, :2] - second[:n, :2]).T)
-        items.append(Line(t[:n], gap, k, f"{a}, {b}" if len(pairs) <= 6 else ""))
-    limits: list[Item] = []
-    if items:
-        radii = sorted(setup.model.radius for setup in scenario.vehicles.values())
-        touch = radii[-1] + radii[-2]
-        limits.append(Limit(touch, f"touch, {touch:g} m"))
+        items.append(Line(t[:n], gap, k, f"{a}, {b}"))
+    limits = [_touch(scenario)] if items else []
     yield Chart("separation", "Distance between vehicles, centre to centre", "time [s]",
                 "distance [m]", [*items, *limits], _time(history), height=190)  # fmt: skip
+
+
+def _touch(scenario: Scenario) -> Limit:
+    radii = sorted(setup.model.radius for setup in scenario.vehicles.values())
+    touch = radii[-1] + radii[-2]
+    return Limit(touch, f"touch, {touch:g} m")
+
+
+def _nearest(scenario: Scenario, history: History) -> Chart:
+    """Of many vehicles, one line for each and not for each pair."""
+    t, places = history.together()
+    items: list[Item] = [
+        Line(t, np.min([np.hypot(*(place - other).T) for whose, other in places.items()
+                        if whose != name], axis=0), k, name)
+        for k, (name, place) in enumerate(places.items())
+        if len(places) > 1
+    ]  # fmt: skip
+    title = "Distance to the nearest other vehicle, centre to centre"
+    items.append(_touch(scenario))
+    return Chart("separation", title, "time [s]", "distance [m]", items, _time(history), height=190)
 
 
 def _speed(scenario: Scenario, history: History) -> Iterator[Chart]:

@@ -3,7 +3,8 @@
 config.toml   the resolved experiment: `testbed run config.toml` repeats the run
 log.mcap      every tick's inputs and outputs
 metrics.json  what it was worth; "completed": false if it did not reach its end
-law.py        a copy of the law, where it is a file outside the package; config.toml then means it
+*.py          a copy of the law, where it is a file outside the package; config.toml then means it.
+              It keeps its name, which is in what a law that fails says and so in the log.
 """
 
 import os
@@ -18,8 +19,6 @@ import tomli_w
 from controllers.law_file import digest, file_of
 from testbed.ops.metrics import Metrics
 from testbed.ops.whole import write_whole
-
-LAW = "law.py"
 
 
 class FolderError(Exception):
@@ -73,14 +72,14 @@ def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
     path = file_of(controller["law"]) if controller.get("type") == "python" else None
     if path is None:
         return controller
-    copy = folder / LAW
+    copy = folder / path.name
     try:
         shutil.copyfile(path, copy)
     except OSError as error:
         raise FolderError(f"{path}: {error.strerror}") from None
     if digest(copy) != controller.get("sha256"):
         raise FolderError(f"{path}\n  expected  the law as it was read\n  found     an edited one")
-    return {**controller, "law": f"{LAW}:{controller['law'].rpartition(':')[2]}"}
+    return {**controller, "law": f"{path.name}:{controller['law'].rpartition(':')[2]}"}
 
 
 def write_metrics(folder: Path, metrics: Metrics) -> None:

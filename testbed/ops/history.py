@@ -61,6 +61,18 @@ class History(Struct, frozen=True):
         """Last tick [s]."""
         return max((float(v.t[-1]) for v in self.vehicles.values() if len(v.t)), default=0.0)
 
+    def together(self) -> tuple[Array, dict[str, Array]]:
+        """One row of times, and where each vehicle was then, (n, 2) [m]."""
+        flown = {name: self.where(name) for name in self.vehicles}
+        flown = {name: (t, state) for name, (t, state) in flown.items() if len(t)}
+        if not flown:
+            return np.zeros(0), {}
+        t = max((t for t, _ in flown.values()), key=len)
+        return t, {
+            name: np.stack([np.interp(t, at, state[:, k]) for k in (0, 1)], axis=1)
+            for name, (at, state) in flown.items()
+        }
+
     def where(self, name: str) -> tuple[Array, Array]:
         """Times and states (m, 6) of a vehicle: the truth if anybody knew it, else the estimate."""
         vehicle = self.vehicles[name]
@@ -180,9 +192,13 @@ def camera_events(
 
 
 def events(ticks: Iterable[SeenTick]) -> list[tuple[float, str]]:
-    """What changed in the words of gate, fault table and filter, and when [s]."""
+    """What changed in the words of gate, fault table and filter, and when [s].
+
+    A response comes with the rows of the fault table that hold, and again when one more does.
+    """
     said: list[tuple[float, str]] = []
-    shut, response, kept = None, "", ""
+    shut, fault, response, kept = None, None, "", ""
+    held: frozenset[str] = frozenset()
     for tick in ticks:
         t, out = tick.inputs.t, tick.outputs
         because = out.filtered.because if out.filtered else ""
@@ -190,9 +206,16 @@ def events(ticks: Iterable[SeenTick]) -> list[tuple[float, str]]:
             said.append(
                 (t, f"valves shut: {out.closed_because}" if out.closed_because else "flies")
             )
-        if out.response != response and out.response:
-            said.append((t, out.response))
+        fresh = [row for row in out.faults if row not in held]
+        if out.response and (fresh or out.response != response):
+            rows = ", ".join(fresh or out.faults)
+            said.append((t, f"{out.response}: {rows}" if rows else out.response))
+        elif response == "hold" and not out.response:
+            said.append((t, "goes on"))
+        if out.fault and out.fault != fault:
+            said.append((t, f"fault: {out.fault}"))
         if because and because != kept:
             said.append((t, f"filter: {because}"))
-        shut, response, kept = out.closed_because, out.response, because
+        shut, fault, response, kept = out.closed_because, out.fault, out.response, because
+        held = frozenset(out.faults)
     return said

@@ -4,10 +4,12 @@
 """
 
 from collections.abc import Mapping
+from pathlib import PurePath
 from typing import Protocol
 
 from msgspec import Struct
 
+from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Vehicle
 from testbed.flight.agent import FlightParams
@@ -31,6 +33,11 @@ class Setup(Protocol):
     @property
     def goal(self) -> tuple[float, float, float]:
         """Where it is sent: x, y [m], theta [rad]."""
+        ...
+
+    @property
+    def path(self) -> Path | None:
+        """How the goal moves; null: not at all."""
         ...
 
 
@@ -94,7 +101,10 @@ class Scenario(Protocol):
 
 
 def law_of(scenario: Scenario) -> str:
-    """The law's name in an experiment file."""
+    """The law's name in an experiment file; of somebody's own, its file and name in there."""
+    own = getattr(scenario.controller, "law", None)
+    if isinstance(own, str):
+        return PurePath(own).name
     return str(type(scenario.controller).__struct_config__.tag)
 
 

@@ -8,17 +8,20 @@ one, and a run that is opened later looks as it did live.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import get_args
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
 from testbed.core.types import State
+from testbed.flight.faults import Response
 from testbed.ops.feed import Loop, News, SeenHost, SeenTick, pose_of, stopping_point
 from testbed.ops.history import events
 from testbed.ops.recorder import Motion, Truth
 from testbed.ops.scenario import Scenario, law_of, range_of
+from testbed.ops.scene_aims import AimScene
 from testbed.ops.scene_wires import VALVE_STATES, WireScene
 from testbed.ops.setting import (
     FLAME,
@@ -37,7 +40,16 @@ from testbed.ops.setting import (
 Array = NDArray[np.float64]
 
 
+TROUBLE = ("valves shut", "fault", *get_args(Response))  # how bad news begins
 MEAN_S = 1.0  # of forces: pulses of milliseconds say little by themselves
+
+
+def grouped(states: Mapping[str, str]) -> list[str]:
+    """Those who are in the same state together, so that a banner is one line."""
+    names: dict[str, list[str]] = {}
+    for name, words in states.items():
+        names.setdefault(words, []).append(name)
+    return [f"**{', '.join(who)}** {words}" for words, who in names.items()]
 
 
 class Scene:
@@ -54,6 +66,7 @@ class Scene:
         self._means: dict[str, tuple[float, float]] = {}
         self._places: dict[str, tuple[float, float]] = {}
         self._wires = WireScene(scenario, recording)
+        self._aims_of = AimScene(scenario, recording)
         self.now = 0.0
         setting(recording, scenario)
 
@@ -87,6 +100,7 @@ class Scene:
             self._column("plot/loop/busy", [o.t for o in loops], [1e3 * o.busy_s for o in loops])
         if news:
             obstacles(self._rec, self._scenario, self.now)
+            self._aims_of.draw(ticks, self.now)
             self._banner()
 
     def _column(self, path: str, t: Sequence[float], values: Sequence[float]) -> None:
@@ -127,19 +141,13 @@ class Scene:
                 at,
                 [1e3 * math.hypot(s.twist.vx, s.twist.vy) for _, s in seen],
             )
-            gx, gy, _ = setup.goal
-            self._column(
-                f"plot/error/{name}",
-                at,
-                [1e3 * math.hypot(s.pose.x - gx, s.pose.y - gy) for _, s in seen],
-            )
             self._clearances(name, seen)
         self._jets(name, flown, period)
         self._valves(name, flown, setup.model.command_delay_s)
         words = [(self._last[name], 1)] if name in self._last else []
         before = [tick for tick, _ in words]
         for when, said in events([*before, *flown])[len(events(before)) :]:
-            bad = "valves shut" in said and when > 0.0
+            bad = when > 0.0 and said.startswith(TROUBLE)
             self._rec.set_time("t", duration=when)
             self._rec.log(
                 "event",
@@ -331,9 +339,10 @@ class Scene:
             (ax, ay), (bx, by) = self._places[a], self._places[b]
             gap = math.hypot(bx - ax, by - ay)
             lines.append([[ax, ay, LAYER["link"]], [bx, by, LAYER["link"]]])
-            far = reach is not None and gap > reach
+            far = reach is not None and gap > reach and self._aims_of.matters(a, b)
             colours.append((*RED, 255) if far else (120, 130, 145, 130))
-            labels.append("" if reach is None else f"{gap:.2f} of {reach:g} m")
+            said = reach is not None and self._aims_of.matters(a, b)
+            labels.append(f"{gap:.2f} of {reach:g} m" if said else "")
         if lines:
             self._rec.set_time("t", duration=self.now)
             self._rec.log(
@@ -356,7 +365,8 @@ class Scene:
 
     def _banner(self) -> None:
         """Everybody's state in words."""
-        states = []
+        over = self._wires.phase in ("DISARMED", "STOPPED", "FAULT")
+        states = {}
         for name in self._names:
             tick = self._last.get(name)
             if tick is None:
@@ -366,12 +376,13 @@ class Scene:
             elif tick.outputs.closed_because:
                 words = f"waits: {tick.outputs.closed_because}"
             else:
-                words = "flies" if not tick.outputs.filtered else "flies, filter intervenes"
-            states.append(f"**{name}** {words}")
+                words = "flown" if over else "flies"
+                words += ", filter intervenes" * (tick.outputs.filtered is not None)
+            states[name] = words
         head = f"### {self._scenario.name}, law {law_of(self._scenario)}   |   "
         if self._wires.phase:
             head += f"{self._wires.phase}   |   "
-        said = plain(head + "   |   ".join(states))
+        said = plain(head + "   |   ".join(grouped(states)))
         if said != self._said:
             self._said = said
             self._rec.set_time("t", duration=self.now)

@@ -9,6 +9,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from testbed.ops.scenario import Scenario
+from testbed.ops.wanted import Wanted
 
 Array = NDArray[np.float64]
 
@@ -202,18 +203,34 @@ def vehicle(rec: rr.RecordingStream, scenario: Scenario, k: int, name: str) -> N
         ),
         static=True,
     )
-    x, y, theta = setup.goal
-    gz = LAYER["trail"]
-    tip = [[x, y, gz], [x + 0.3 * math.cos(theta), y + 0.3 * math.sin(theta), gz]]
+    if setup.path is None and not Wanted(scenario).forms:
+        goal(rec, name, setup.goal, model.radius, colour, static=True)
+
+
+def goal(
+    rec: rr.RecordingStream,
+    name: str,
+    pose: tuple[float, float, float],
+    radius: float,
+    colour: tuple[int, int, int],
+    *,
+    static: bool = False,
+) -> None:
+    """Where somebody is sent: a ring with a cross and an arrow."""
+    x, y, theta = pose
+    z = LAYER["trail"]
+    tip = [[x, y, z], [x + 1.5 * radius * math.cos(theta), y + 1.5 * radius * math.sin(theta), z]]
+    size = 0.4 * radius
     cross = [
-        [[x - 0.08, y - 0.08, gz], [x + 0.08, y + 0.08, gz]],
-        [[x - 0.08, y + 0.08, gz], [x + 0.08, y - 0.08, gz]],
+        [[x - size, y - size, z], [x + size, y + size, z]],
+        [[x - size, y + size, z], [x + size, y - size, z]],
     ]
-    dim = [*colour, 150]
-    log(
-        f"world/goal/{name}",
-        rr.LineStrips3D([circle(x, y, model.radius, gz), tip, *cross], colors=[dim], radii=0.007),
-        static=True,
+    rec.log(
+        f"world/goal/{plain(name)}",
+        rr.LineStrips3D(
+            [circle(x, y, radius, z), tip, *cross], colors=[[*colour, 150]], radii=0.007
+        ),
+        static=static,
     )
 
 

@@ -129,3 +129,17 @@ def test_fields_of_a_map_hold_every_value():
     assert (min(where), max(where), len(names)) == (0, 5, 6)
     few, labels = fields([2.0, 1.0, 2.0])
     assert (few, labels) == ([1, 0, 1], ["1", "2"])
+
+
+def test_a_histogram_has_no_half_runs():
+    drawn = ET.fromstring(chart.histogram([1.0, 2.0, 2.0, 3.0], [], "x"))
+    ends = [e.text for e in drawn.iter("text") if e.get("text-anchor") == "end"]
+    assert ends == ["0", "1", "2"]
+
+
+def test_a_map_has_room_for_the_names_of_its_rows():
+    cells = [chart.Cell(0, 0, 0.5, "1", "hint")]
+    drawn = ET.fromstring(chart.heat(cells, ["0.1"], ["0.00001234"], "x", "a key [s]"))
+    row = next(e for e in drawn.iter("text") if e.text == "0.00001234")
+    title = next(e for e in drawn.iter("text") if e.text == "a key [s]")
+    assert float(row.get("x")) - 6.0 * len(row.text) > float(title.get("x")) + 4.0

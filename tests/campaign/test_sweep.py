@@ -126,3 +126,27 @@ def test_the_experiment_may_stand_beside_the_campaign(write, tmp_path):
     campaign = load_campaign(write(set=["duration_s=4"]))
     (tmp_path / "mine.toml").write_text(campaign.base)
     assert tomli_w.dumps(parse(load_campaign(write(experiment="mine.toml")).base.encode()))
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"grid": [{"key": "controller.bandwith", "values": [1.0]}]}, "with controller.bandwith="),
+        ({"set": ["controller.bandwith=1"]}, "campaign.toml, set"),
+        ({"experiment": "hodl"}, "key       experiment"),
+        ({"grid": [{"key": "controller.bandwidth", "values": [0.1, 0.1]}]}, "each value once"),
+        ({"most": {"goal_rms": 1.0}}, "did you mean `goal_rms_m`"),
+        ({"least": {"sat1.contacts": 1.0}}, "key       least.sat1.contacts"),
+    ],
+)
+def test_what_is_wrong_in_the_file_is_looked_for_in_the_file(write, keys, words):
+    with pytest.raises(ConfigError) as error:
+        load_campaign(write(**keys))
+    assert words in str(error.value)
+    assert "campaign.toml" in str(error.value)
+    assert "command line" not in str(error.value)
+
+
+def test_columns_that_a_run_has_can_be_bounded(write):
+    bounds = {"goal_rms_m": 1.0, "contacts": 0.0, "sat1.settle_s": 9.0, "clearance_m": 1.0}
+    assert load_campaign(write(most=bounds)).file.most == bounds

@@ -115,3 +115,19 @@ def test_what_is_wrong_is_said_before_anything_flies(tuning, keys, words):
     with pytest.raises(ConfigError) as error:
         tuning(**keys)
     assert words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"cost": {"goal_rms": 1.0}}, "did you mean `goal_rms_m`"),
+        ({"most": {"max_force": 1.0}}, "did you mean `max_force_n`"),
+        ({"gain": [BANDWIDTH, BANDWIDTH]}, "each key once"),
+        ({"gain": [{**BANDWIDTH, "low": -1.0, "log": False}]}, "the choice controller.bandwidth="),
+    ],
+)
+def test_a_tuning_of_nothing_is_refused_before_it_flies(tuning, keys, words):
+    with pytest.raises(ConfigError) as error:
+        tuning(**keys)
+    assert words in str(error.value)
+    assert "campaign.toml" in str(error.value)

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from testbed.campaign.engine import EngineError, workers
+
 FILE = """
 name = "try"
 experiment = "hold"
@@ -175,3 +177,24 @@ def test_bench_knows_its_scenarios(testbed):
     result = testbed("bench", "--only", "holt")
     assert result.exit_code == 2
     assert "hold" in result.stderr
+
+
+def test_more_workers_than_the_memory_holds_are_refused_before_any_starts(testbed, here):
+    with pytest.raises(EngineError) as error, workers(100_000, None):
+        pass
+    assert "a worker takes 0.3 GB" in str(error.value)
+    assert "found     100000" in str(error.value)
+
+
+@pytest.mark.parametrize("verb", ["campaign", "tune"])
+def test_a_file_where_the_folder_should_be(testbed, here, verb):
+    if verb == "tune":
+        (here / "try.toml").write_text(
+            'name = "t"\nexperiment = "hold"\ncost = { gas_g = 1.0 }\n'
+            '[[gain]]\nkey = "controller.damping"\nlow = 0.5\nhigh = 1.0\n'
+        )
+    (here / "taken").write_text("mine")
+    result = testbed(verb, "try.toml", "--out", "taken")
+    assert result.exit_code == 2
+    assert "expected  a folder that can be written" in result.stderr
+    assert (here / "taken").read_text() == "mine"

@@ -1,10 +1,13 @@
 """`testbed compare`: several runs in one table and on one page."""
 
 import json
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
+
+from testbed.config import SHIPPED
 
 
 @pytest.fixture(autouse=True)
@@ -38,3 +41,61 @@ def test_what_is_no_run(testbed):
     result = testbed("compare", "empty")
     assert result.exit_code == 2
     assert result.stderr.startswith("error: ")
+
+
+def test_a_formation_beside_a_flight_to_a_goal(testbed):
+    testbed("run", "xue2024_table_constant", "duration_s=2", "--out", "together")
+    testbed("run", "hold", "duration_s=2", "--out", "alone")
+    found = json.loads(testbed("compare", "together", "alone", "--json").stdout)
+    metrics = json.loads(Path("together/metrics.json").read_text())
+    assert found["together"]["formation_error_m"] == metrics["formation"]["error_m"]
+    assert found["together"]["final_error_m"] is None  # nobody has a goal of his own
+    assert found["alone"]["formation_error_m"] is None
+    testbed("compare", "together", "alone", "--out", "both.html")
+    assert (
+        "Edges of the formation: off their wanted length; Distance to the goal"
+        in Path("both.html").read_text()
+    )
+
+
+def test_a_goal_that_moves_is_followed(testbed):
+    circle = str(SHIPPED / "scenarios" / "circle.toml")
+    testbed("run", circle, "duration_s=30", "--out", "round")
+    page = Path("round/report.html").read_text()
+    testbed("compare", "round", "--out", "one.html")
+    line = re.search(r'id="error".*?(<path class="line s0 "[^>]*>)(?!<text)', page, re.DOTALL)
+    assert line is not None
+    assert line[1] in Path("one.html").read_text()  # the same curve as in the report
+    found = json.loads(testbed("compare", "round", "--json").stdout)["round"]
+    assert found["hold_rms_m"] is None  # it would be to where the goal had started
+    assert found["track_rms_m"] is not None
+
+
+def test_a_killed_flight_is_compared_and_reported_from_its_log(testbed):
+    for name in ("whole", "killed"):
+        testbed("run", "hold", "duration_s=40", "--out", name)
+    for name in ("metrics.json", "report.html"):
+        Path("killed", name).unlink()
+    result = testbed("report", "killed")
+    assert result.exit_code == 0
+    page = Path("killed/report.html").read_text()
+    assert "not judged, 39.9 s in the log" in page
+    assert "killed before it was judged" in page
+    found = json.loads(testbed("compare", "whole", "killed", "--json").stdout)
+    close = {
+        "final_error_m": 2e-4,
+        "settle_s": 0.11,
+        "track_rms_m": 1e-4,
+        "hold_rms_m": 3e-4,
+        "heading_rms_deg": 1e-3,
+        "max_force_n": 1e-12,
+    }  # ten times a second, not every frame
+    for key, within in close.items():
+        assert found["killed"][key] == pytest.approx(found["whole"][key], abs=within), key
+    assert found["killed"]["gas_g"] is None
+    assert "not judged" in testbed("compare", "killed").stdout
+    log = Path("killed/log.mcap")
+    whole = log.read_bytes()
+    log.write_bytes(whole[: len(whole) // 2])
+    assert testbed("report", "killed").exit_code == 0
+    assert "the log has no end" in Path("killed/report.html").read_text()

@@ -2,12 +2,14 @@
 
 import io
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
 from testbed.cli.live import LiveTable
 from testbed.config import find, load
+from testbed.ops.wanted import Wanted
 from testbed.rig.twin import make_twin
 
 
@@ -85,3 +87,16 @@ def test_a_terminal_sees_it_and_it_goes_away():
     said = console.file.getvalue()
     assert "sat3" in said
     assert said.count("\n") < 2000
+
+
+def test_the_error_of_a_formation_is_of_its_edges():
+    experiment = load(find("xue2024_table_constant"), ["duration_s=2"])
+    live = LiveTable(experiment, Console(file=io.StringIO()))
+    with live:
+        live.flies()
+        make_twin(experiment).fly(Shower(live))
+    rows = {line.split()[0]: line.split() for line in words(live).splitlines() if "flies" in line}
+    wanted = {frozenset((e.a, e.b)): e.length for e in Wanted(experiment).edges}
+    place = {name: np.array(setup.start[:2]) for name, setup in experiment.vehicles.items()}
+    first = abs(np.linalg.norm(place["sat1"] - place["sat2"]) - wanted[frozenset(("sat1", "sat2"))])
+    assert float(rows["sat1"][2]) == pytest.approx(1e3 * first, abs=30.0)  # little has moved

@@ -59,7 +59,7 @@ def test_it_flies_in_every_process_and_the_folder_repeats_the_run(testbed, start
     mine.unlink()  # the folder has a copy
     assert testbed("run", "one/config.toml", "--out", "three").exit_code == 0
     assert final_error("one") == final_error("two") == final_error("three")
-    assert Path("one/law.py").read_text() == SPRING.format(factor=1.0)
+    assert Path("one/law_of_mine.py").read_text() == SPRING.format(factor=1.0)
 
 
 def test_an_edit_is_noticed(testbed, mine):
@@ -76,11 +76,11 @@ def test_an_edit_is_noticed(testbed, mine):
 
 def test_an_edited_copy_is_not_the_run_that_was(testbed, mine):
     testbed("run", "hold", *SHORT, LAW, "--out", "out")
-    Path("out/law.py").write_text(SPRING.format(factor=2.0))
+    Path("out/law_of_mine.py").write_text(SPRING.format(factor=2.0))
     key, expected, found = refusal(testbed("check", "out/config.toml"))
     assert key == "controller.sha256"
     assert "without the key, any" in expected
-    assert found.endswith("law.py was edited")
+    assert found.endswith("law_of_mine.py was edited")
 
 
 def test_a_parameter_on_the_command_line(testbed, mine):
@@ -231,3 +231,18 @@ def test_a_law_that_fails_in_flight_ends_the_run_as_a_fault(testbed, here, what,
     assert f"law on the host: LawError: {reason}" in metrics["fault"]
     assert metrics["completed"] is False
     assert 0.3 < metrics["duration_s"] < 1.0  # references are sent ahead
+
+
+def test_a_law_that_fails_is_replayed_to_the_last_bit_and_named_in_the_report(testbed, here):
+    (here / "sick.py").write_text(
+        "import math\n\nimport numpy as np\n\n\nclass Sick:\n"
+        "    def force(self, own, neighbours, world, t):\n"
+        "        return np.array([math.nan if t > 0.7 else 0.0, 0.0])\n"
+    )
+    sick = 'controller={type="python", law="sick.py:Sick"}'
+    assert testbed("run", "hold", "duration_s=2", sick, "--out", "out").exit_code == 3
+    found = json.loads(testbed("replay", "out", "--json").stdout)
+    assert found["first_difference"] is None
+    page = Path("out/report.html").read_text()
+    assert "Law <b>sick.py:Sick</b>" in page
+    assert "sick.py: a force that is no number" in page

@@ -1,5 +1,6 @@
 """report.html: there after every run, whole, and true."""
 
+import json
 import re
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
@@ -101,6 +102,49 @@ def test_a_run_without_metrics(testbed):
     Path("out/metrics.json").write_text("{}")
     assert "expected  the metrics of a run" in testbed("report", "out").stderr
     Path("out/metrics.json").unlink()
+    assert testbed("report", "out").exit_code == 0
+    assert "not judged, 0.9 s in the log" in read()[1]
+    Path("out/log.mcap").unlink()
     result = testbed("report", "out")
     assert result.exit_code == 2
     assert result.stderr.startswith("error: ")
+
+
+def test_a_formation_is_judged_by_its_edges_and_not_by_goals(testbed):
+    testbed("run", "xue2024_table_varying", "duration_s=6", "--out", "out")
+    page, words = read()
+    for said in ("Edges of the formation", "sat1, sat2", "sat3, leader", "formation settled",
+                 "formation, error at the end", "longest edge", "boundary-layer"):  # fmt: skip
+        assert said in words, said
+    for said in ("hold RMS", "Distance to the goal", "Relative position error", "goal</th>"):
+        assert said not in page, said
+    assert "formation.error_m" not in words
+    found = json.loads(Path("out/metrics.json").read_text())["formation"]
+    assert f"{found['longest_edge_m']:.3g} m" in words
+    assert f"{1e3 * found['error_m']:.3g} mm" in words
+
+
+def test_why_a_flight_ended_is_among_the_events(testbed):
+    lost = ("table.mocap.dropout_rate=5", "table.mocap.dropout_s=100")
+    assert testbed("run", "hold", "duration_s=4", *lost, "--out", "out").exit_code == 3
+    _, words = read()
+    assert "aborted by a fault after" in words
+    events = words[words.index("Faults and interventions") :]
+    assert "warn: pose_stale" in events
+    assert "brake: pose_lost" in events
+    assert "fault: pose_lost: pose lost: none for" in events
+    assert "supervisor" in events
+
+
+def test_events_of_many_vehicles_share_a_row(testbed):
+    testbed("run", "zhang2023_table", "duration_s=1", "--out", "out")
+    page, words = read()
+    assert "sat1, sat2, sat3" in words
+    assert page.count("no pose yet") == 1
+
+
+def test_nothing_is_drawn_of_what_was_not_measured(testbed):
+    testbed("run", "hold", "duration_s=0.3", "--out", "out")
+    page, words = read()
+    assert 'id="tracking"' not in page
+    assert "0.3 s" in words

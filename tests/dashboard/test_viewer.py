@@ -222,3 +222,38 @@ def test_a_recording_has_everything(run, tmp_path):
         assert wanted <= found, wanted - found
     assert {"/banner", "/event", "/world/fence", "/world/link", "/plot/clearance/limit"} <= found
     assert json.dumps(sorted(found))  # plain words
+
+
+def test_a_formation_is_shown_with_its_leader_and_without_goals(tmp_path):
+    chunk = pytest.importorskip("rerun.chunk")
+    from testbed.cli.picture import write_recording
+
+    flown = tmp_path / "flown"
+    words = ["run", "xue2024_table_constant", "duration_s=2", "--out", str(flown)]
+    subprocess.run(
+        [sys.executable, "-m", "testbed.cli.main", *words], cwd=ROOT, check=False,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    path = write_recording(flown, tmp_path / "run.rrd")
+    chunks = list(chunk.RrdReader(str(path)).stream().to_chunks())
+    found = {str(c.entity_path) for c in chunks}
+    assert {"/world/goal/leader", "/plot/error/sat1", "/plot/error/sat3"} <= found
+    assert "/world/goal/sat1" not in found
+
+
+def test_those_in_the_same_state_share_the_banner():
+    from testbed.ops.scene import grouped
+
+    states = {"sat1": "flies", "sat2": "waits: not armed", "sat3": "flies"}
+    assert grouped(states) == ["**sat1, sat3** flies", "**sat2** waits: not armed"]
+
+
+def test_only_an_edge_of_the_formation_has_to_stay_in_range():
+    from testbed.config import find, load
+    from testbed.ops.scene_aims import AimScene
+
+    rr = pytest.importorskip("rerun")
+    aims = AimScene(load(find("xue2024_table_constant")), rr.RecordingStream("test"))
+    assert aims.matters("sat2", "sat1")
+    assert not aims.matters("sat1", "sat3")

@@ -92,3 +92,33 @@ def test_numbers_as_a_reader_writes_them():
     assert [number(v) for v in (0.1 + 0.2, -2.0, 1e-17, 1500.0)] == [
         "0.3", "\N{MINUS SIGN}2", "0", "1500",
     ]  # fmt: skip
+
+
+def test_a_long_legend_goes_on_in_another_row():
+    lines = [Line(T, T * k, k, f"sat{k} demanded") for k in range(9)]
+    root = ET.fromstring(draw(chart(*lines)))
+    names = [t for t in root.iter("{http://www.w3.org/2000/svg}text") if "dem" in (t.text or "")]
+    assert len(names) == 9
+    assert all(float(t.get("x")) + 7.2 * len(t.text) <= WIDTH for t in names)
+    assert len({t.get("y") for t in names}) > 1
+    axis = next(e for e in root if e.get("class") == "axis").get("d")
+    top = float(axis.rpartition("M")[2].partition("V")[0].split()[1])
+    assert top > max(float(t.get("y")) for t in names)
+
+
+def test_names_of_limits_that_are_near_do_not_overlap():
+    near = chart(Line(T, T, 0), Limit(80.0, "settled"), Limit(78.0, "at the end"))
+    root = ET.fromstring(draw(near))
+    ys = [
+        float(t.get("y")) for t in root.iter("{http://www.w3.org/2000/svg}text")
+        if t.get("class") == "limitname"
+    ]  # fmt: skip
+    assert abs(ys[0] - ys[1]) > 12.0
+
+
+def test_a_name_at_the_edge_stays_inside():
+    goal = Point(99.0, 99.0, 0, "cross", "sat1", 3.0)
+    root = ET.fromstring(draw(chart(goal, y_range=(0.0, 100.0), equal=True)))
+    name = next(t for t in root.iter("{http://www.w3.org/2000/svg}text") if t.text == "sat1")
+    assert name.get("text-anchor") == "end"
+    assert float(name.get("y")) > 10.0

@@ -4,10 +4,12 @@ import csv
 import json
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
-from testbed.ops.export import WRITERS, tables
+from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
+from testbed.ops.export import WRITERS, tables, whole
 from testbed.ops.logbook import LogError, Row
 from testbed.ops.topics import survey
 
@@ -80,3 +82,46 @@ def test_one_message_has_no_rate():
     (topic,) = survey([Row("/a", 0, b"")], {"/a": "Truth"})
     assert (topic.rate_hz, topic.longest_gap_s, topic.gaps) == (None, None, 0)
     assert not math.isnan(topic.last_s)
+
+
+def test_what_the_log_leaves_out_is_in_the_table():
+    health = Health(0.0, 5e5, 2e7)
+    low = msgspec.structs.replace(health, battery=10.5)
+    at = ValveCommand(0, 0.0, 0.1, (0,) * 8, (0,) * 8)
+    still = Wrench(0.0, 0.0, 0.0)
+    bad = Vitals(session_ok=False, late_s=1.0)
+    ticks = [
+        Tick(Inputs(0.1 * k, True, (), None, {}, said, vitals=vitals),
+             Outputs(0.1 * k, None, None, still, still, at))
+        for k, (said, vitals) in enumerate([(health, Vitals()), (low, bad)])
+    ]  # fmt: skip
+    log = [Row("/sat1/tick", k * 10**8, msgspec.json.encode(t)) for k, t in enumerate(ticks)]
+    assert b"session_ok" not in log[0].data  # as it has its default
+    table = tables(log, {"/sat1/tick": "Tick"})["/sat1/tick"]
+    assert table["inputs.health.battery"].tolist() == [12.0, 10.5]
+    assert table["inputs.vitals.session_ok"].tolist() == [True, False]
+    assert table["inputs.vitals.session_ok"].dtype == bool
+    assert table["inputs.vitals.late_s"].tolist() == [0.0, 1.0]
+    assert table["outputs.response"].tolist() == ["", ""]
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_nothing_is_written_when_one_file_is_there(tmp_path, kind):
+    if kind == "parquet":
+        pytest.importorskip("pyarrow")
+    two = [*rows(), Row("/truth", 0, b'{"t": 0.0}')]
+    (tmp_path / f"truth.{kind}").write_text("older")
+    with pytest.raises(FileExistsError):
+        WRITERS[kind](tables(two), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [f"truth.{kind}"]
+
+
+def test_half_a_file_is_none(tmp_path):
+    def full() -> None:
+        with whole(tmp_path / "log.npz") as part:
+            part.write_text("half")
+            raise OSError("full")
+
+    with pytest.raises(OSError, match="full"):
+        full()
+    assert list(tmp_path.iterdir()) == []
