@@ -7,6 +7,7 @@ from typing import Any
 from testbed.campaign.extra import needs_extra
 from testbed.campaign.row import Flown
 from testbed.campaign.sweep import Campaign
+from testbed.ops.whole import whole
 
 Table = dict[str, list[Any]]
 
@@ -46,6 +47,5 @@ def write_parquet(path: Path, table: Table, facts: dict[str, str]) -> None:
         for name, column in table.items()
     }
     arrow = pyarrow.table(numbers).replace_schema_metadata(facts)
-    part = path.with_suffix(".part")
-    parquet.write_table(arrow, part, compression="zstd")
-    part.replace(path)
+    with whole(path) as part:
+        parquet.write_table(arrow, part, compression="zstd")

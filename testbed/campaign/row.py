@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from testbed.config import ConfigError, Experiment
 from testbed.config.mistake import did_you_mean
-from testbed.ops.metrics import Metrics, VehicleMetrics
+from testbed.ops.metrics import TO_THE_START, Metrics, VehicleMetrics
 
 Task = tuple[int, tuple[str, ...]]  # run, "key=value" on top of the base experiment
 Number = float | int | None
@@ -44,7 +44,6 @@ TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
     "filtered_ns": sum,
     "max_force_n": max,
 }
-TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")  # where a goal moves, they say nothing
 SINGLE = ("duration_s", "contacts", "min_vehicle_distance_m")  # of a run as a whole
 BESIDE = ("goal_rms_m", "shape_rms_m", "clearance_m")  # not among a vehicle's metrics
 

@@ -20,6 +20,7 @@ from testbed.ops.metrics import (
     VehicleMetrics,
     aim,
     filtered,
+    obstacle_distances,
     smallest_separation,
     vehicle_metrics,
 )
@@ -73,8 +74,9 @@ def _vehicle(
     track: Track, k: int, experiment: Experiment, name: str, outputs: list[Outputs]
 ) -> VehicleMetrics:
     goal, nobody_knows = experiment.vehicles[name].goal, Spent(0.0, 0.0, None)
+    distances = obstacle_distances(track, k, experiment.obstacles)
     found = vehicle_metrics(
-        track, k, goal, aim(outputs), nobody_knows, experiment.obstacles, filtered(outputs)
+        track, k, goal, aim(outputs), nobody_knows, distances, filtered(outputs)
     )
     return replace(found, impulse_ns=None, gas_g=None)
 

@@ -8,7 +8,8 @@ from rich.table import Table as Grid
 
 from testbed.config import Experiment
 from testbed.ops.formation import FormationMetrics, has_formation
-from testbed.ops.metrics import FormationCriteria, Metrics, VehicleMetrics
+from testbed.ops.metrics import FormationCriteria, Metrics
+from testbed.ops.report import known
 
 OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 
@@ -45,7 +46,7 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
     for heading, key, scale, form, criterion in ROWS:
         if key in OF_A_GOAL and not has_goals:
             continue
-        cells = [_cell(m, key, scale, form) for m in metrics.vehicles.values()]
+        cells = [_cell(known(experiment, metrics, n, key), scale, form) for n in metrics.vehicles]
         met = metrics.criteria.get(criterion or "")
         style = "red" if met is False else None
         grid.add_row(heading, *cells, _limit(experiment, criterion, scale), style=style)
@@ -87,8 +88,7 @@ def print_formation(out: Console, f: FormationMetrics, experiment: Experiment) -
         out.print(f"concern {concern.name}: {concern.text}", style="yellow", markup=False)
 
 
-def _cell(metrics: VehicleMetrics, key: str, scale: float, form: str) -> str:
-    value = getattr(metrics, key)
+def _cell(value: float | None, scale: float, form: str) -> str:
     return "-" if value is None else form.format(scale * value)
 
 

@@ -10,8 +10,7 @@ import csv
 import errno
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from testbed.ops.defaults import KINDS, complete
 from testbed.ops.logbook import LogError, Row
+from testbed.ops.whole import whole
 
 LISTED = 16
 UNITS = "SI and radians, times in seconds of the run, where a name does not say otherwise (on_us)"
@@ -102,17 +102,6 @@ def refuse_older(path: Path) -> None:
     """Nothing is written over."""
     if path.exists():
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-
-
-@contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """Where to write a file that is then there as a whole, or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        yield part
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def to_csv(found: dict[str, Table], folder: Path) -> list[Path]:

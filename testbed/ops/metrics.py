@@ -51,6 +51,10 @@ class Commands(Struct, frozen=True):
     rejected: int  # of another session or version, garbled, or refused by a board
 
 
+# these are of the place at which a goal was at the start: where it moves, they say nothing
+TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")
+
+
 class VehicleMetrics(Struct, frozen=True):
     """One vehicle's flight; null where a number does not apply."""
 

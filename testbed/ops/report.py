@@ -12,7 +12,7 @@ from testbed.ops.colophon import colophon
 from testbed.ops.figures import analogue, figures
 from testbed.ops.formation import FormationMetrics, has_formation
 from testbed.ops.history import History
-from testbed.ops.metrics import Metrics
+from testbed.ops.metrics import TO_THE_START, Metrics
 from testbed.ops.scenario import Scenario, law_of
 
 CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
@@ -33,7 +33,6 @@ ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
     ("filtered by safety [N s]", "filtered_ns", 1.0, 2, ""),
     ("largest force [N]", "max_force_n", 1.0, 2, ""),
 )
-TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")
 OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 CRITERIA = {  # unit, scale from the file's
     "max_contacts": ("contacts", "", 1.0), "clear_of_obstacles": ("danger radii kept", "", 1.0),

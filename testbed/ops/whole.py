@@ -1,14 +1,26 @@
-"""A file that is there whole or not at all: whoever looks for it never reads half of one."""
+"""Files that are there whole or not at all: whoever looks for one never reads half of it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Where to write a file that takes its place in one step, when all is written."""
+    part = path.with_name(path.name + ".part")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file, or write over it, in one step for everybody else.
+    """Write a file, or write over it.
 
     Raises:
         OSError: it cannot be written; what was there before still is.
     """
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(data)
-    part.replace(path)
+    with whole(path) as part:
+        part.write_bytes(data)
