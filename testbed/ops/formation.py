@@ -107,11 +107,12 @@ def edges(controller: Edged, crew: Crew, t: Array, p: Array) -> Shape:
     if led:
         p = np.concatenate([p, np.array([crew.leader(s)[0] for s in t.tolist()])[:, None]], axis=1)
     off, longest, lost = np.zeros(len(t)), 0.0, 0
+    metres = 1.0 / controller.scale.length  # of the law's unit
     for i, j in np.argwhere(np.triu(shape.first) > 0.0):
         gap = np.linalg.norm(p[:, i] - p[:, j], axis=1)
-        off = np.maximum(off, np.abs(gap - shape.desired[i, j]))
+        off = np.maximum(off, np.abs(gap - metres * shape.desired[i, j]))
         longest = max(longest, float(gap.max()))
-        lost += bool(gap.max() >= shape.range)
+        lost += bool(gap.max() >= metres * shape.range)
     error = float(off[t >= t[-1] - END_S].max())
     return Shape(error, settled(t, off > EDGE_M), longest, lost)
 

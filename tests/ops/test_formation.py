@@ -11,6 +11,7 @@ from controllers.bounded_leader import BoundedLeaderParams
 from controllers.graph import FormationParams
 from controllers.pd import PdParams
 from controllers.proxy import ProxyParams
+from controllers.scale import Scale
 from testbed.ops.formation import Crew, formation_metrics, has_formation
 from testbed.ops.metrics import Criteria, FormationCriteria, Track, judge_formation
 
@@ -82,6 +83,19 @@ def test_an_edge_beyond_the_range_is_lost_and_never_settles():
     assert found.lost_edges == 1
     assert found.longest_edge_m == pytest.approx(2.5)
     assert found.error_m == pytest.approx(1.0)
+
+
+def test_edges_of_a_scaled_law_are_measured_in_metres():
+    # a law for space in the table's metres: ten of its units are one
+    big = FormationParams(
+        range=20.0, safe=5.0, far_margin=2.0, near_margin=2.0,
+        distances={"a-b": 15.0, "b-c": 15.0, "a-c": 25.0},
+    )  # fmt: skip
+    law = BoundedFormationParams(big, PROXY, beta=2.4, scale=Scale(length=10.0))
+    flown = track((0.0, 0.0), (1.5, 0.0), (3.0, 0.3))
+    small, found = judged(CHAIN, flown), judged(law, flown)
+    assert found.error_m == pytest.approx(small.error_m)
+    assert found.lost_edges == small.lost_edges == 0
 
 
 def test_an_edge_to_the_leader_counts_and_follows_it():
