@@ -1,14 +1,16 @@
 """What looking on costs the flight: the loop's lateness without a viewer, with one, and with one
 that is stopped (SIGSTOP) or killed.
 
-    python benchmarks/dashboard.py [SECONDS PER CASE AND ROUND, 10] [ROUNDS, 3] [SPEED, 10]
+    python benchmarks/dashboard.py [--seconds 10] [--rounds 3] [--speed 10] [--growth 0]
 
 The flight is three vehicles at 10 ticks a second of the run, SPEED times as fast as real time. The
 cases take turns, so that a busy machine is busy for all of them; what counts are the ratios.
+`--growth S` flies S seconds of the run with a viewer, and with one that is stopped, and prints what
+memory the loop, the process that tells the viewer, and the viewer had meanwhile.
 """
 
+import argparse
 import signal
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,18 +21,17 @@ import numpy as np
 
 from testbed.cli.dash import Dashboard, address_for
 from testbed.cli.run import fly_and_judge
-from testbed.config import dump, find, load
+from testbed.config import Experiment, dump, find, load
 from testbed.ops.feed import LogFeed
 from testbed.ops.folder import write_config
 from testbed.ops.history import gather
 from testbed.ops.logbook import Logbook
 
 CASES = ("absent", "attached", "stopped", "killed")
-SPEED = float(sys.argv[3]) if len(sys.argv) > 3 else 10.0
 
 
 @contextmanager
-def looked_at(folder: Path, case: str) -> Iterator[None]:
+def looked_at(folder: Path, case: str) -> Iterator[Dashboard | None]:
     """The dashboard on the run, and what happens to its viewer a second later."""
     board, left = Dashboard(folder, "headless", address_for()), Event()
 
@@ -44,37 +45,40 @@ def looked_at(folder: Path, case: str) -> Iterator[None]:
         left.wait()
 
     if case == "absent":
-        yield
+        yield None
         return
     thread = Thread(target=look)
     thread.start()
     try:
-        yield
+        yield board
     finally:
         left.set()
         thread.join()
         board.close()
 
 
-def lateness(folder: Path, case: str, seconds: float) -> np.ndarray:
-    """Of every tick after the first three seconds [s]."""
-    experiment = load(find("zhang2023_table"), [f"duration_s={SPEED * seconds}"])
+def make_run(folder: Path, seconds: float) -> Experiment:
+    """What is flown, and its folder."""
+    experiment = load(find("zhang2023_table"), [f"duration_s={seconds}"])
     folder.mkdir()
     write_config(folder, dump(experiment), "benchmark")
+    return experiment
+
+
+def lateness(folder: Path, case: str, seconds: float, speed: float) -> np.ndarray:
+    """Of every tick after the first three seconds [s]."""
+    experiment = make_run(folder, speed * seconds)
     with looked_at(folder, case):
-        fly_and_judge(experiment, folder, speed=SPEED)
+        fly_and_judge(experiment, folder, speed=speed)
     loop = gather(LogFeed(Logbook(folder / "log.mcap")).news()).loop
-    return loop[loop[:, 0] > 3.0 * SPEED, 1]
+    return loop[loop[:, 0] > 3.0 * speed, 1]
 
 
-def main() -> None:
-    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
-    rounds = int(sys.argv[2]) if len(sys.argv) > 2 else 3
+def compare(folder: Path, seconds: float, rounds: int, speed: float) -> None:
     late: dict[str, list[np.ndarray]] = {case: [] for case in CASES}
-    with tempfile.TemporaryDirectory() as folder:
-        for n in range(rounds):
-            for case in CASES:
-                late[case].append(lateness(Path(folder) / f"{case}{n}", case, seconds))
+    for n in range(rounds):
+        for case in CASES:
+            late[case].append(lateness(folder / f"{case}{n}", case, seconds, speed))
     absent = np.percentile(np.concatenate(late["absent"]), 99)
     print("viewer     p50 [ms]  p99 [ms]  max [ms]  p99 / absent")
     for case in CASES:
@@ -83,6 +87,53 @@ def main() -> None:
         print(
             f"{case:9s} {p50:9.3f} {p99:9.3f} {all_of_it.max():9.1f} {p99 / (1e3 * absent):11.2f}"
         )
+
+
+def resident(process: int | str) -> float:
+    """Memory of a process, 0 of one that is over [MB]."""
+    try:
+        words = Path(f"/proc/{process}/status").read_text().split()
+    except OSError:
+        return 0.0
+    return int(words[words.index("VmRSS:") + 1]) / 1024 if "VmRSS:" in words else 0.0
+
+
+def grow(folder: Path, seconds: float, speed: float) -> None:
+    print("memory [MB]       of the run   loop  teller  viewer")
+    for case in ("attached", "stopped"):
+        run = folder / f"growth_{case}"
+        experiment, over = make_run(run, seconds), Event()
+        seen: list[tuple[float, ...]] = []
+        with looked_at(run, case) as board:
+
+            def watch(board=board, seen=seen, over=over) -> None:
+                while not over.wait(0.5):
+                    others = (p.pid for p in (board.teller, board.viewer) if p is not None)
+                    seen.append((resident("self"), *map(resident, others)))
+
+            thread = Thread(target=watch)
+            thread.start()
+            fly_and_judge(experiment, run, speed=speed)
+            over.set()
+            thread.join()
+        for share in (0.1, 0.25, 0.5, 0.75, 1.0):
+            row = seen[max(0, round(share * len(seen)) - 1)]
+            numbers = "".join(f"{one:8.0f}" for one in row)
+            print(f"{case:9s} after {share * seconds:7.0f} s {numbers}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seconds", type=float, default=10.0, help="per case and round")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--speed", type=float, default=10.0)
+    parser.add_argument("--growth", type=float, default=0.0, help="seconds of the run")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        if options.rounds:
+            compare(Path(folder), options.seconds, options.rounds, options.speed)
+        if options.growth:
+            grow(Path(folder), options.growth, options.speed)
 
 
 if __name__ == "__main__":
