@@ -7,10 +7,11 @@ import rerun as rr
 from testbed.cli.replay import config_of
 from testbed.config import ConfigError, load
 from testbed.ops.blueprint import blueprint
-from testbed.ops.export import refuse_older, whole
+from testbed.ops.export import refuse_older
 from testbed.ops.feed import LogFeed
 from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.scene import Scene
+from testbed.ops.whole import whole
 
 BATCH = 500  # messages
 
