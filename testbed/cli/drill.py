@@ -90,7 +90,9 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
     limits = {name: _limit(name, what, after, began) for name in plant.names}
     touches = [touch for touch in plant.touches if touch.t >= began]
     adrift = sum(
-        what.kind in ADRIFT and what.vehicle in (touch.vehicle, touch.other) for touch in touches
+        (what.kind in ADRIFT and what.vehicle in (touch.vehicle, touch.other))
+        or (over and touch.t > ending.t and _moves(experiment, touch.other))
+        for touch in touches
     )
     early = tuple(sorted({words for t, _, words in notes.words if t < began}))
     asked = sum(
@@ -114,6 +116,12 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
         adrift,
         what.kind == "stick_closed" and found is None and asked < 1e6 * ASKED,
     )
+
+
+def _moves(experiment: Experiment, obstacle: str) -> bool:
+    """Whether an obstacle comes to vehicles that have shut: a stop does not stop it."""
+    rock = experiment.obstacles.get(obstacle)
+    return rock is not None and any(rock.velocity)
 
 
 def _limit(

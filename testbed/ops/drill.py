@@ -71,7 +71,7 @@ class Drilled(Struct, frozen=True):
     travelled_m: float  # the farthest that any vehicle got from where it was when it began
     fault: str | None  # how the run ended
     early: tuple[str, ...]  # faults that were latched before it began
-    adrift: int  # contacts of the one that could not push any more, with whatever it drifted into
+    adrift: int  # contacts of one that could not push any more, or that a moving obstacle ran into
     dormant: bool  # it had no occasion to show: a valve that is stuck shut and not asked for
 
 

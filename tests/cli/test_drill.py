@@ -169,6 +169,13 @@ def test_an_injected_fault_is_named_and_answered(inject, named, response, within
     assert (found.contacts, found.late) == (0, 0)
 
 
+def test_an_obstacle_that_runs_into_a_vehicle_at_rest_is_no_fault_of_the_response():
+    inject = '{kind="drop_mocap",vehicle="sat3",at_s=5.8}'
+    found = flown("xue2021_table_dynamic", inject, 15.0)
+    assert found.response == "brake"
+    assert (found.contacts, found.adrift) == (0, 1)
+
+
 @pytest.mark.parametrize(
     ("number", "kind"),
     [
