@@ -22,6 +22,7 @@ from testbed.ops.logbook import Logbook, LogError, log_of
 from testbed.ops.scene import Scene
 
 PERIOD_S = 0.04  # between two pictures: 25 Hz
+NOTHING, SEVERED = 1, 2  # exit codes: there is nothing to tell; nobody to tell it
 BATCH = 5000  # messages in one picture, when there is something to catch up with
 
 
@@ -54,12 +55,16 @@ def wait_for(path: Path) -> Logbook:
 
 
 def main() -> int:
-    """1 and a line on stderr if there is nothing to tell."""
+    """The exit code, and a line on stderr if there is nothing to tell."""
     try:
         tell(Path(sys.argv[1]), sys.argv[2])
     except (LogError, ConfigError) as error:
         sys.stderr.write(f"dashboard: {error}\n")
-        return 1
+        return NOTHING
+    except RuntimeError as error:
+        if "gRPC" not in str(error):  # rerun has no class for it
+            raise
+        return SEVERED  # whoever has started us starts the viewer and us again
     return 0
 
 

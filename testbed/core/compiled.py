@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 from numba import types
 from numba.core import cgutils, config
 from numba.core.caching import FunctionCache
@@ -125,11 +126,29 @@ def settled(function: F) -> F:
             if not isinstance(args[k], int):
                 direct = None
         if direct is None:
-            direct = cast(Any, function).compile(tuple(map(numba.typeof, args)))
+            direct = _machine_code(cast(Any, function), args)
             whole = [k for k, value in enumerate(args) if isinstance(value, int)]
         return direct(*args)
 
     return cast(F, call)
+
+
+def _machine_code(function: Any, args: tuple[Any, ...]) -> Callable[..., Any]:
+    """What numba runs for arguments that look like these; found once for all owners.
+
+    Among a hundred vehicles each asking numba is a tenth of a short flight.
+    """
+    found: dict[Any, Callable[..., Any]] = function.__dict__.setdefault("machine_code", {})
+    if (code := found.get(look := _look(args))) is None:
+        code = found[look] = function.compile(tuple(map(numba.typeof, args)))
+    return code
+
+
+def _look(value: Any) -> Any:
+    """Values that look alike are of one type to numba; arrays of one type may look different."""
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.ndim, value.flags.num
+    return (type(value), *map(_look, value)) if isinstance(value, tuple) else type(value)
 
 
 def _compiled(function: F, *, forceinline: bool = False) -> F:

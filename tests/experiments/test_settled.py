@@ -30,6 +30,22 @@ def test_a_fraction_where_a_whole_number_was_is_not_cut_off():
     assert [own(scale, rows) for scale in (2, 0.5, 3, 0.25)] == [12.0, 3.0, 18.0, 1.5]
 
 
+@compiled
+def first_of_each(pair):
+    one, other = pair
+    return 10.0 * one[0, 1] + other[0]
+
+
+def test_owners_share_machine_code_only_for_what_looks_alike():
+    grid, line = np.arange(6.0).reshape(2, 3), np.array([4.0, 5.0])
+    frozen, whole = line.copy(), np.array([4, 5])
+    frozen.flags.writeable = False
+    for rows in (grid, np.asfortranarray(grid), grid[:, ::-1][:, ::-1], grid.astype(np.float32)):
+        for column in (line, frozen, whole, np.arange(8.0)[4::2]):
+            pair = (rows, column)
+            assert settled(first_of_each)(pair) == first_of_each.py_func(pair)
+
+
 @pytest.mark.parametrize(
     ("name", "inject"),
     [
