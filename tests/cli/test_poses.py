@@ -1,12 +1,12 @@
 """`testbed poses`: what the cameras of a lab see, before anything is commanded."""
 
 import math
-import socket
 import threading
 from contextlib import nullcontext, suppress
 
 import pytest
 
+from ports import free_port
 from testbed.cli import poses
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
@@ -96,9 +96,7 @@ def test_an_interface_of_another_machine(testbed):
 
 @pytest.fixture
 def where():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{one.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 def speak(session, over):

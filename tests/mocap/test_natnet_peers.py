@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import pytest
 
 from patience import wait_for
+from ports import free_port
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
 from testbed.ops.mocap.exposure import Axes, Sighting
@@ -21,12 +22,6 @@ from testbed.ops.ticking import monotonic_ns
 
 WAYS = [((3, 1), None), ((4, 1), None), ((3, 1), "239.255.42.99"), ((4, 1), "239.255.42.99")]
 NAMES = ["sat1", "sat2"]
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 def frame(number):
@@ -45,7 +40,7 @@ def frame(number):
 @contextmanager
 def streaming(version, group):
     """A server that answers, and sends a frame every few milliseconds until the end."""
-    address = Address("127.0.0.1", free_port(), free_port(), group)
+    address = Address("127.0.0.1", *(free_port(socket.SOCK_DGRAM) for _ in range(2)), group)
     bodies = [Described(k + 1, name) for k, name in enumerate(NAMES)]
     sent, over = {}, threading.Event()
     with NatNetServer(address, version, bodies) as server:

@@ -16,6 +16,7 @@ import psutil
 import pytest
 
 from growth import growth
+from ports import free_port
 from testbed.bench.flight import newest_truth
 from testbed.bench.tower import Tower
 from testbed.config import find, load
@@ -329,12 +330,6 @@ def test_key_folders(tmp_path):
 
 
 # Zenoh itself
-
-
-def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 def test_rubbish_at_the_hosts_door_keeps_nobody_out():

@@ -5,7 +5,6 @@ All of it with real certificates that `testbed lab-keys` made, over real TLS on 
 
 import hashlib
 import json
-import socket
 import ssl
 import stat
 import tomllib
@@ -19,6 +18,7 @@ import zenoh
 from click.testing import CliRunner
 
 from patience import wait_for
+from ports import free_port
 from testbed.bench.tower import Tower
 from testbed.cli.keys import lab_keys
 from testbed.config import ConfigError, find, load
@@ -48,12 +48,6 @@ VEHICLES = ["sat1", "sat2"]
 UNWELCOME = ["watcher-screen", "vehicle-sat2", "table"]
 START = msgspec.msgpack.encode(Start(7, 10**9))
 LATER = b"later"  # said until it is heard, so it may be heard again
-
-
-def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 def lab(folder, *arguments):

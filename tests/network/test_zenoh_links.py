@@ -1,11 +1,11 @@
 """Links over a real Zenoh session on loopback."""
 
-import socket
 from contextlib import ExitStack
 
 import pytest
 
 from patience import wait_for
+from ports import free_port
 from testbed.bench import vehicle
 from testbed.bench.vehicle import VehicleError, await_alone
 from testbed.core.lab import Lab
@@ -25,9 +25,7 @@ from testbed.ops.ticking import WallClock, monotonic_ns
 
 
 def endpoint():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{one.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 def state(t):
