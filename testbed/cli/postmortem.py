@@ -9,17 +9,17 @@ import numpy as np
 from msgspec.structs import replace
 
 from testbed.config import Experiment
-from testbed.core.types import Outputs, Tick
+from testbed.core.types import Tick
 from testbed.ops.formation import formation_metrics
 from testbed.ops.history import Array, History
 from testbed.ops.logbook import Logbook, reads
 from testbed.ops.metrics import (
+    Aim,
+    Aims,
     Metrics,
     Spent,
     Track,
     VehicleMetrics,
-    aim,
-    filtered,
     obstacle_distances,
     smallest_separation,
     vehicle_metrics,
@@ -37,12 +37,12 @@ def judged(folder: Path, log: Path, experiment: Experiment, history: History) ->
 
 def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
     """What the log says."""
-    outputs: dict[str, list[Outputs]] = {name: [] for name in experiment.vehicles}
+    aims = {name: Aims() for name in experiment.vehicles}
     book, decode = Logbook(log), reads(Tick).decode
     for topic, _, data in book.read():
         name, _, kind = topic.removeprefix("/").rpartition("/")
-        if kind == "tick" and name in outputs:
-            outputs[name].append(decode(data).outputs)
+        if kind == "tick" and name in aims:
+            aims[name].note(decode(data).outputs)
     track = track_of(experiment, history)
     wires = any(len(vehicle.wires) for vehicle in history.vehicles.values())
     why = "the flight was killed before it was judged; gas and contacts are not in the log"
@@ -61,7 +61,7 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
         fault=why,
         criteria={},
         vehicles={
-            name: _vehicle(track, k, experiment, name, outputs[name])
+            name: _vehicle(track, k, experiment, name, aims[name].aim())
             for k, name in enumerate(experiment.vehicles)
         },
         formation=formation_metrics(
@@ -70,14 +70,10 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
     )
 
 
-def _vehicle(
-    track: Track, k: int, experiment: Experiment, name: str, outputs: list[Outputs]
-) -> VehicleMetrics:
+def _vehicle(track: Track, k: int, experiment: Experiment, name: str, aimed: Aim) -> VehicleMetrics:
     goal, nobody_knows = experiment.vehicles[name].goal, Spent(0.0, 0.0, None)
     distances = obstacle_distances(track, k, experiment.obstacles)
-    found = vehicle_metrics(
-        track, k, goal, aim(outputs), nobody_knows, distances, filtered(outputs)
-    )
+    found = vehicle_metrics(track, k, goal, aimed, nobody_knows, distances)
     return replace(found, impulse_ns=None, gas_g=None)
 
 

@@ -3,7 +3,7 @@
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -21,7 +21,7 @@ from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.config.guarantee import warnings_of
-from testbed.core.types import HostTick, Outputs, Tick
+from testbed.core.types import HostTick, Tick
 from testbed.flight.loop import Ending
 from testbed.ops.characterisation import characterise
 from testbed.ops.feed import Loop
@@ -29,9 +29,8 @@ from testbed.ops.folder import FolderError, new_folder, write_config, write_metr
 from testbed.ops.formation import formation_metrics
 from testbed.ops.logbook import LogError
 from testbed.ops.metrics import (
+    Aims,
     Metrics,
-    aim,
-    filtered,
     judge,
     judge_formation,
     obstacle_distances,
@@ -150,17 +149,17 @@ class Interrupt:
 
 
 class Watcher:
-    """Observer of a flight: log and live table, and the outputs kept for the metrics."""
+    """Observer of a flight: log and live table, and what the metrics need."""
 
     def __init__(
         self,
         rig: Rig,
-        outputs: dict[str, list[Outputs]],
+        aims: Mapping[str, Aims],
         recorder: Recorder,
         live: LiveTable,
         pace: Pace | None = None,
     ) -> None:
-        self._rig, self._outputs = rig, outputs
+        self._rig, self._aims = rig, aims
         self._recorder, self._live, self._pace = recorder, live, pace
         self._seen = -1.0  # up to here the valves are in the log
         self._told = 0  # changes of phase that are in the log
@@ -170,7 +169,7 @@ class Watcher:
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
         self._record(f"/{name}/tick", tick.inputs.t, tick)
-        self._outputs[name].append(tick.outputs)
+        self._aims[name].note(tick.outputs)
         self._live.vehicle(name, tick)
 
     def host(self, name: str, tick: HostTick) -> None:
@@ -256,13 +255,13 @@ def fly_and_judge(
     if speed is not None and isinstance(rig, TwinRig):
         pace = Pace(rig.twin, speed)
         rig = replace(rig, pace=pace)
-    outputs: dict[str, list[Outputs]] = {name: [] for name in experiment.vehicles}
+    aims = {name: Aims() for name in experiment.vehicles}
     try:
         with Recorder(folder / "log.mcap") as recorder, live:
             with interrupt.at_once():
                 warm_up(experiment, lambda: interrupt.asked)
             if not interrupt.asked:
-                watcher = Watcher(rig, outputs, recorder, live, pace)
+                watcher = Watcher(rig, aims, recorder, live, pace)
                 live.flies()
                 with steady():
                     began = time.perf_counter()
@@ -277,11 +276,11 @@ def fly_and_judge(
     except RecorderError as error:
         ending = Ending(rig.now, f"log: {error}")
     completed = ending.fault is None and ending.t >= experiment.end_s
-    return measure(rig, outputs, ending, wall, completed=completed)
+    return measure(rig, aims, ending, wall, completed=completed)
 
 
 def measure(
-    rig: Rig, outputs: dict[str, list[Outputs]], ending: Ending, wall: float, *, completed: bool
+    rig: Rig, aims: Mapping[str, Aims], ending: Ending, wall: float, *, completed: bool
 ) -> Metrics:
     """Judge a flight."""
     experiment, track = rig.experiment, rig.track()
@@ -293,10 +292,9 @@ def measure(
             track,
             k,
             setup.goal,
-            aim(outputs[name]),
+            aims[name].aim(),
             rig.spent(name),
             distances,
-            filtered(outputs[name]),
         )
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
     contacts = rig.contacts

@@ -1,7 +1,8 @@
 """What a flight was worth: the numbers of metrics.json and the criteria of an experiment."""
 
 import math
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
 import numpy as np
@@ -131,38 +132,44 @@ class Aim(Struct, frozen=True):
     t: Array  # (n,) [s]
     pose: Array  # (n, 3) reference; x, y are NaN where only a heading was asked for
     force: Array  # (n,) size of the mean force asked of the jets [N]
+    filtered_ns: float = 0.0  # impulse by which the safety filter changed what was asked for [N s]
 
 
-def aim(outputs: Sequence[Outputs]) -> Aim:
-    """The ticks of one vehicle that had a setpoint.
+class Aims:
+    """What a vehicle was asked to do, noted tick by tick: a flight need not keep its outputs."""
 
-    Where a law asked for forces, the references it braked to when those did not come are no track.
-    """
-    asked_for_force = any(isinstance(out.flown, Demand) for out in outputs)
-    rows = []
-    for out in outputs:
-        if out.flown is None or out.state is None:
-            continue
-        force = math.hypot(out.wanted.fx, out.wanted.fy)
-        if isinstance(out.flown, Demand):
-            rows.append((out.state.t, math.nan, math.nan, out.flown.theta, force))
-        elif asked_for_force:
-            rows.append((out.state.t, math.nan, math.nan, out.flown.pose.theta, force))
-        else:
-            pose = out.flown.pose
-            rows.append((out.state.t, pose.x, pose.y, pose.theta, force))
-    table = np.array(rows).reshape(-1, 5)
-    return Aim(table[:, 0], table[:, 1:4], table[:, 4])
+    def __init__(self, outputs: Iterable[Outputs] = ()) -> None:
+        self._rows = array("d")  # t, x, y, theta, force; one tick after the other
+        self._forces = False  # whether a law asked for forces
+        self._filtered = 0.0  # [N s]
+        for out in outputs:
+            self.note(out)
 
-
-def filtered(outputs: Sequence[Outputs]) -> float:
-    """Impulse by which the safety filter changed what was asked for [N s]."""
-    total = 0.0
-    for out in outputs:
+    def note(self, out: Outputs) -> None:
+        """One more tick; only those that had a setpoint and a state count."""
         if out.filtered is not None and out.closed_because is None:
             period = out.command.valid_until - out.command.issued_at
-            total += period * math.hypot(out.filtered.dfx_w, out.filtered.dfy_w)
-    return total
+            self._filtered += period * math.hypot(out.filtered.dfx_w, out.filtered.dfy_w)
+        if out.flown is None or out.state is None:
+            return
+        force = math.hypot(out.wanted.fx, out.wanted.fy)
+        if isinstance(out.flown, Demand):
+            self._forces = True
+            self._rows.extend((out.state.t, math.nan, math.nan, out.flown.theta, force))
+        else:
+            pose = out.flown.pose
+            self._rows.extend((out.state.t, pose.x, pose.y, pose.theta, force))
+
+    def aim(self) -> Aim:
+        """All of it so far.
+
+        Where a law asked for forces, the references it braked to when those did not come are no
+        track.
+        """
+        table = np.array(self._rows).reshape(-1, 5)
+        if self._forces:
+            table[:, 1:3] = math.nan
+        return Aim(table[:, 0], table[:, 1:4], table[:, 4], self._filtered)
 
 
 def _rms(values: Array) -> float | None:
@@ -210,7 +217,6 @@ def vehicle_metrics(
     aimed: Aim,
     spent: Spent,
     distances: Mapping[str, float],
-    filtered_ns: float | None = None,
 ) -> VehicleMetrics:
     """Judge one vehicle's flight; `distances` are those of `obstacle_distances`."""
     error = np.hypot(*(track.states[:, vehicle, :2] - np.array(goal[:2])).T)
@@ -233,7 +239,7 @@ def vehicle_metrics(
         gas_g=1e3 * spent.gas,
         valve_pulses=spent.openings,
         max_force_n=float(np.max(aimed.force)) if len(aimed.force) else None,
-        filtered_ns=filtered_ns,
+        filtered_ns=aimed.filtered_ns,
     )
 
 

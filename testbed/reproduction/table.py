@@ -4,13 +4,15 @@ Measures are the worst vehicle's, one value per seed: those of `testbed.ops.metr
 and `contacts`, `fault` (1 if there was one), `vehicles_m` (nearest two).
 """
 
+from collections.abc import Iterable
+
 from msgspec import Struct
 
 from testbed.config import find, load
-from testbed.core.types import HostTick, Outputs, Tick
+from testbed.core.types import HostTick, Tick
 from testbed.ops.metrics import (
+    Aims,
     VehicleMetrics,
-    aim,
     obstacle_distances,
     smallest_separation,
     vehicle_metrics,
@@ -34,14 +36,14 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True, tag="table"):
 
 
 class Listener:
-    """Observer that keeps the outputs."""
+    """Observer that keeps what the metrics need."""
 
-    def __init__(self, names: list[str]) -> None:
-        self.outputs: dict[str, list[Outputs]] = {name: [] for name in names}
+    def __init__(self, names: Iterable[str]) -> None:
+        self.aims = {name: Aims() for name in names}
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
-        self.outputs[name].append(tick.outputs)
+        self.aims[name].note(tick.outputs)
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
@@ -54,12 +56,12 @@ def fly_seed(run: Table, seed: int) -> tuple[dict[str, float | None], list[Figur
     """One flight: its measures, and where the vehicles went."""
     alone = "flight.barrier.on=false"  # it is the law that is on trial, not the safety filter
     experiment = load(find(run.experiment), [*run.overrides, alone, f"seed={seed}"])
-    rig, listener = make_twin(experiment), Listener(list(experiment.vehicles))
+    rig, listener = make_twin(experiment), Listener(experiment.vehicles)
     ending = rig.fly(listener)
     track = rig.track()
     judged = [
         vehicle_metrics(
-            track, k, setup.goal, aim(listener.outputs[name]), rig.spent(name),
+            track, k, setup.goal, listener.aims[name].aim(), rig.spent(name),
             obstacle_distances(track, k, experiment.obstacles),
         )
         for k, (name, setup) in enumerate(experiment.vehicles.items())

@@ -22,11 +22,11 @@ from testbed.ops.metrics import (
     HOLD_S,
     SETTLED_M,
     Aim,
+    Aims,
     Criteria,
     Spent,
     Track,
     VehicleMetrics,
-    aim,
     judge,
     obstacle_distances,
     settle_time,
@@ -208,6 +208,7 @@ def test_null_where_nothing_applies():
     assert metrics == VehicleMetrics(
         final_error_m=1.0, settle_s=None, track_rms_m=None, hold_rms_m=None, heading_rms_deg=None,
         min_obstacle_distance_m=None, impulse_ns=0.0, gas_g=0.0, valve_pulses=0, max_force_n=None,
+        filtered_ns=0.0,
     )  # fmt: skip
     assert smallest_separation(still(t, (0.0, 0.0))) is None
 
@@ -246,16 +247,17 @@ def test_aim_takes_the_ticks_that_had_a_setpoint():
         output(0.0, None), output(0.1, reference(0.1), seen=False),
         output(0.2, reference(0.2, 1.0, 2.0), (0.3, -0.4)),
     ]  # fmt: skip
-    aimed = aim(outputs)
+    aimed = Aims(outputs).aim()
     assert aimed.t.tolist() == [0.2]
     assert aimed.pose.tolist() == [[1.0, 0.0, 2.0]]
     assert aimed.force.tolist() == [0.5]
-    assert aim([]).pose.shape == (0, 3)
+    assert Aims().aim().pose.shape == (0, 3)
 
 
 def test_in_wrench_mode_there_is_a_heading_to_track_but_no_place():
     t = np.linspace(0.0, 1.0, 11)
-    metrics = judged(still(t, (0.0, 0.0)), aim([output(k, demand(k, 0.01)) for k in t.tolist()]))
+    outputs = [output(k, demand(k, 0.01)) for k in t.tolist()]
+    metrics = judged(still(t, (0.0, 0.0)), Aims(outputs).aim())
     assert metrics.track_rms_m is None
     assert metrics.heading_rms_deg == pytest.approx(math.degrees(0.01))
 
@@ -264,12 +266,12 @@ def test_braking_in_wrench_mode_is_not_tracking():
     t = np.linspace(0.0, 1.0, 11)
     flown = [output(k, demand(k)) for k in t[:8].tolist()]
     flown += [output(k, reference(k, 0.2)) for k in t[8:].tolist()]
-    assert judged(still(t, (0.0, 0.0)), aim(flown)).track_rms_m is None
+    assert judged(still(t, (0.0, 0.0)), Aims(flown).aim()).track_rms_m is None
 
 
 def test_largest_force():
     t = np.linspace(0.0, 1.0, 11)
-    aimed = aim([output(k, reference(k), (0.3 * k, 0.4 * k)) for k in t.tolist()])
+    aimed = Aims(output(k, reference(k), (0.3 * k, 0.4 * k)) for k in t.tolist()).aim()
     assert judged(still(t, (0.0, 0.0)), aimed).max_force_n == pytest.approx(0.5)
 
 
