@@ -1,5 +1,6 @@
 """`testbed dash`: a viewer and the process that tells it, both kept alive."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -61,8 +62,8 @@ class Dashboard:
         self.teller = subprocess.Popen(
             [sys.executable, "-m", "testbed.cli.teller", str(self._run), self.address.data],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            env={"RUST_LOG": "off"} | os.environ,  # rerun would write into the operator's table
         )  # fmt: skip
-
         step_back(self.teller)
 
     def keep(self, waited: Callable[[float], bool]) -> bool:
