@@ -21,6 +21,7 @@ import pytest
 pytest.importorskip("rerun_cli", reason="the dashboard extra is not installed")
 Image = pytest.importorskip("PIL.Image")
 
+from testbed.cli import teller  # noqa: E402
 from testbed.cli.dash import Dashboard, address_for  # noqa: E402
 from testbed.ops.setting import HUES  # noqa: E402
 from testbed.ops.viewer import (  # noqa: E402
@@ -138,6 +139,19 @@ def test_who_dies_is_started_again(headless):
     assert headless.keep(Event().wait)
     assert headless.restarts == 2
     assert headless.teller.wait(PATIENCE_S) == 0  # all is told
+
+
+def test_whoever_tells_a_viewer_that_is_gone_says_so_and_no_more(monkeypatch, capsys):
+    def tell(words):
+        raise RuntimeError(words)
+
+    monkeypatch.setattr(sys, "argv", ["teller", "a run", "an address"])
+    monkeypatch.setattr(teller, "tell", lambda *_: tell("gRPC connection severed: no such viewer"))
+    assert teller.main() == teller.SEVERED
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(teller, "tell", lambda *_: tell("something else"))
+    with pytest.raises(RuntimeError):
+        teller.main()
 
 
 @pytest.mark.slow
