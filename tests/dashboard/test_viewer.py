@@ -111,7 +111,8 @@ def test_a_run_is_followed_while_it_is_flown(tmp_path, pictures, rig):
             lambda: seen(client.take_screenshot(), pictures / f"headless_{rig}.png"),
             "the table and three vehicles are seen",
         )
-        views = {view.name: view for view in client.get_state().views}
+        state = eventually(client.get_state, "it says what it shows")
+        views = {view.name: view for view in state.views}
         for wanted in ("Table from above", "Distance to the goal [mm]", "Clearance", "Force",
                        "Valves", "Gas left [%]", "Age of the newest pose [ms]", "Link delay",
                        "Loop lateness [ms]", "Events", "State"):  # fmt: skip
