@@ -145,7 +145,13 @@ def _machine_code(function: Any, args: tuple[Any, ...]) -> Callable[..., Any]:
 
 
 def _look(value: Any) -> Any:
-    """Values that look alike are of one type to numba; arrays of one type may look different."""
+    """Values that look alike are of one type to numba; arrays of one type may look different.
+
+    Raises:
+        TypeError: for a list or the like, whose type hangs on what is in it.
+    """
+    if isinstance(value, (list, set, dict)):
+        raise TypeError(f"expected arrays, tuples and numbers, found a {type(value).__name__}")
     if isinstance(value, np.ndarray):
         return value.dtype, value.ndim, value.flags.num
     return (type(value), *map(_look, value)) if isinstance(value, tuple) else type(value)

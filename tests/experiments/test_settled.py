@@ -44,6 +44,8 @@ def test_owners_share_machine_code_only_for_what_looks_alike():
         for column in (line, frozen, whole, np.arange(8.0)[4::2]):
             pair = (rows, column)
             assert settled(first_of_each)(pair) == first_of_each.py_func(pair)
+    with pytest.raises(TypeError, match="found a list"):
+        settled(first_of_each)((grid, [4.0]))
 
 
 @pytest.mark.parametrize(
