@@ -25,7 +25,7 @@ from testbed.core.types import HostTick, Tick
 from testbed.flight.loop import Ending
 from testbed.ops.characterisation import characterise
 from testbed.ops.feed import Loop
-from testbed.ops.folder import FolderError, new_folder, write_config, write_metrics
+from testbed.ops.folder import FolderError, new_folder, take_back, write_config, write_metrics
 from testbed.ops.formation import formation_metrics
 from testbed.ops.logbook import LogError
 from testbed.ops.metrics import (
@@ -63,7 +63,7 @@ def run_experiment(
     reset: bool = False,
 ) -> int:
     """Fly and return the exit code."""
-    interrupt, board = Interrupt(), None
+    interrupt, board, folder = Interrupt(), None, None
     operator = Operator(arm=arm, reset=reset, at_once=interrupt.at_once)
     if view is not None and speed is None:
         speed = 1.0  # to be looked at
@@ -86,7 +86,14 @@ def run_experiment(
             else:
                 print_result(metrics, experiment, folder)
             report(folder)
-    except (ConfigError, FolderError, ViewerError) as error:
+    except (ConfigError, ViewerError) as error:
+        if board is not None:
+            board.terminate()
+            board.wait()
+        if folder is not None:
+            take_back(folder)
+        return refuse(error)
+    except FolderError as error:
         return refuse(error)
     if view == "web" and board is not None:
         from testbed.cli.dash import leave

@@ -60,6 +60,12 @@ def new_folder(out: Path | None, name: str) -> Path:
     raise FolderError(f"runs/{stamp}_{name}: a thousand runs in one second")
 
 
+def take_back(folder: Path) -> None:
+    """Remove the folder of a run that was refused before it had a log; what was flown stays."""
+    if not (folder / "log.mcap").exists():
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def write_config(folder: Path, tree: dict[str, Any], version: str) -> None:
     """Write the resolved experiment, and the law with it if that is a file of somebody's."""
     tree = {**tree, "controller": _keep_law(folder, tree.get("controller", {}))}

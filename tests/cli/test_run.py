@@ -278,6 +278,13 @@ def test_bad_input_makes_no_folder(testbed, here):
     assert list(here.iterdir()) == []
 
 
+def test_what_a_rig_refuses_leaves_no_folder(testbed, here):
+    result = testbed("run", "hold", "--rig", "bench", "board=unicorn", "--out", "new")
+    assert result.exit_code == 2
+    assert "host or qemu on the bench" in result.stderr
+    assert list(here.iterdir()) == []
+
+
 @pytest.mark.parametrize("out", ["file", "file/below", "/proc/nowhere"])
 def test_a_place_where_no_folder_can_be(testbed, here, out):
     Path("file").write_text("mine")
