@@ -18,7 +18,7 @@ from testbed.core.types import (
     Vitals,
     Wrench,
 )
-from testbed.flight.loop import LONGEST_STOP, Ending, HostNode, VehicleNode, fly
+from testbed.flight.loop import LONGEST_STOP, LONGEST_WORDS, Ending, HostNode, VehicleNode, fly
 
 PERIOD = 0.1  # [s]
 STILL = Wrench(0.0, 0.0, 0.0)
@@ -139,6 +139,19 @@ def test_a_law_that_dies_on_the_host_is_a_fault_of_all(diary, make_state):
     ending = flown(diary, [Node(diary, "a")], [host], ticks=9)
     assert ending == Ending(2 * PERIOD, "a: law on the host: ZeroDivisionError: of zero")
     assert ports.published == []
+
+
+def test_long_last_words_of_a_law_are_cut(make_state):
+    class Wordy:
+        told = None
+
+        def step(self, *_):
+            raise ValueError("o" * 10_000)
+
+    host = HostNode("a", Wordy(), Ports({}, own=make_state()), PERIOD, lead=0.0)
+    raised = host.tick(0.0).outputs.raised
+    assert raised.startswith("ValueError: ooo")
+    assert len(raised) == LONGEST_WORDS
 
 
 def test_the_first_fault_is_the_reason(diary):
