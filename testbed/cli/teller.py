@@ -39,10 +39,10 @@ def tell(run: Path, url: str) -> None:
         ended, news = feed.ended, feed.news()
         while batch := list(islice(news, BATCH)):
             scene.draw(batch)
+            recording.flush()  # waits for a viewer that is stopped: rerun would gather 300 MB
         if ended:
             break
         pause.wait(PERIOD_S)
-    recording.flush()
 
 
 def wait_for(path: Path) -> Logbook:
