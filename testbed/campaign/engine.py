@@ -27,6 +27,7 @@ LARGEST_BATCH = 100
 AHEAD = 2  # batches per worker under way
 ASK_S = 2.0  # between looks at how many workers there are [s]
 WORKER_GB = 0.3  # [GB] measured 0.22 to 0.27 (docs/performance.md)
+LOOP = "tornado.application"
 TRIES = 2  # workers that a batch may take with it before it is given up
 
 WORKER_ENVIRONMENT = {  # one thread each: runs are what is parallel
@@ -110,14 +111,18 @@ def _same_code(client: Any, scheduler: str) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What Dask tells its log when a worker goes is said by the campaign itself."""
-    logger = logging.getLogger("distributed")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
+    """What Dask tells its logs when a worker goes is said by the campaign itself.
+
+    Its event loop, tornado's, would tell of callbacks that an interrupt came in the middle of.
+    """
+    before = {name: logging.getLogger(name).level for name in ("distributed", LOOP)}
+    for name in before:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
 
 
 class Fleet(Generic[Task, Result]):

@@ -1,6 +1,7 @@
 """From a campaign file to its folder, with workers that only pretend to fly."""
 
 import shlex
+from threading import Event
 
 import pyarrow.parquet
 import pytest
@@ -96,6 +97,15 @@ def test_a_cluster_with_other_code_is_refused(monkeypatch):
         monkeypatch.setattr(lab, "run", lambda *_, **__: {})
         with pytest.raises(EngineError, match="without any"):
             engine._same_code(lab, "tcp://lab:8786")
+
+
+def test_what_an_interrupt_breaks_in_dask_is_not_said(capfd):
+    with workers(1, None) as lab:
+        over = Event()
+        lab.loop.add_callback(lambda: 1 / 0)  # as its own do when their caller is gone
+        lab.loop.add_callback(over.set)
+        over.wait()
+    assert capfd.readouterr().err == ""
 
 
 def test_a_cluster_that_is_not_there_is_said():
