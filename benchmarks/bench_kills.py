@@ -48,7 +48,7 @@ from pathlib import Path
 from testbed.bench.flight import PERMIT_S
 from testbed.bench.host import WireRig
 from testbed.config import find, load
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import warm_up
 
 class Told(Nobody):

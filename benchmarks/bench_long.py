@@ -13,7 +13,7 @@ import sys
 from testbed.bench.host import WireRig
 from testbed.config import find, load
 from testbed.ops.steady import steady
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import warm_up
 
 

@@ -17,7 +17,7 @@ import tomli_w
 
 from testbed.config import dump, find, load
 from testbed.ops.steady import steady
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import make_twin
 
 SPACING, STEP, RANGE, RIM = 2.0, 0.5, 2.5, 1.5  # [m]

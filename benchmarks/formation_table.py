@@ -19,6 +19,7 @@ import numpy as np
 from controllers.graph import formation
 from testbed.config import find, load
 from testbed.ops.metrics import obstacle_distances
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import make_twin
 
 TOLERANCES = (0.05, 0.08)  # [m]
@@ -34,19 +35,6 @@ AS_PRINTED = (
 )  # fmt: skip
 DRIFT = 0.1  # towards the obstacle; its 2 m/s, 0.247 m/s here, would not stop before it [m/s]
 LED = ("bounded_leader", "bounded_leader_varying")
-
-
-class Nobody:
-    """Watches nothing."""
-
-    def vehicle(self, name, tick):
-        pass
-
-    def host(self, name, tick):
-        pass
-
-    def done(self, t):
-        pass
 
 
 class Flight(NamedTuple):

@@ -18,26 +18,13 @@ import numpy as np
 
 from controllers.bifurcating_design import distance_to
 from testbed.config import find, load
-from testbed.core.types import HostTick, Tick
 from testbed.ops.metrics import Track, smallest_separation
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import make_twin
 
 FORMED = 0.10  # [m]
 END = 5.0  # of a phase, that counts [s]
 HALF, APART = 2.4, 0.7  # drawn starts [m]
-
-
-class Nobody:
-    """Observer of a flight."""
-
-    def vehicle(self, name: str, tick: Tick) -> None:
-        """See `Observer`."""
-
-    def host(self, name: str, tick: HostTick) -> None:
-        """See `Observer`."""
-
-    def done(self, t: float) -> None:
-        """See `Observer`."""
 
 
 def draw_starts(seed: int, count: int) -> np.ndarray:

@@ -23,7 +23,7 @@ from testbed.config import SHIPPED, find, load, read_toml
 from testbed.core.table import Table
 from testbed.core.types import Pose, ValveCommand
 from testbed.core.vehicle import Vehicle
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import make_twin
 
 PERIOD = 0.1  # [s]

@@ -16,7 +16,7 @@ from testbed.bench.host import WireRig
 from testbed.config import load
 from testbed.ops.steady import steady
 from testbed.ops.whole import write_whole
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import warm_up
 
 

@@ -14,7 +14,6 @@ from rich.table import Table as Grid
 from testbed.cli.main import FAILED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, Experiment, find, load
-from testbed.core.types import HostTick, Tick
 from testbed.ops.admission import (
     Admission,
     AdmissionParams,
@@ -25,20 +24,8 @@ from testbed.ops.admission import (
 )
 from testbed.ops.metrics import obstacle_distances
 from testbed.rig.chain import fence_of
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import make_twin
-
-
-class Nobody:
-    """Observer that does not look."""
-
-    def vehicle(self, name: str, tick: Tick) -> None:
-        """See `Observer`."""
-
-    def host(self, name: str, tick: HostTick) -> None:
-        """See `Observer`."""
-
-    def done(self, t: float) -> None:
-        """See `Observer`."""
 
 
 def fly_once(experiment: Experiment, seed: int) -> Flown:

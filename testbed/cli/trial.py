@@ -4,7 +4,7 @@ import resource
 import tempfile
 import time
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -13,28 +13,10 @@ from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_
 from testbed.campaign.score import beside_metrics
 from testbed.cli.run import fly_and_judge, measure, warm_up
 from testbed.config import ConfigError, Experiment, dump, load
-from testbed.core.types import HostTick, Tick
 from testbed.ops.folder import write_config, write_metrics
-from testbed.ops.metrics import Aims
 from testbed.ops.steady import settle, steady
+from testbed.rig.onlookers import Judge
 from testbed.rig.twin import make_twin
-
-
-class _Memory:
-    """Observer that keeps what the metrics need."""
-
-    def __init__(self, names: Iterable[str]) -> None:
-        self.aims = {name: Aims() for name in names}
-
-    def vehicle(self, name: str, tick: Tick) -> None:
-        """See `Observer`."""
-        self.aims[name].note(tick.outputs)
-
-    def host(self, name: str, tick: HostTick) -> None:
-        """See `Observer`."""
-
-    def done(self, t: float) -> None:
-        """See `Observer`."""
 
 
 def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
@@ -42,11 +24,11 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     began = time.perf_counter()
     try:
         experiment = read(base, overrides)
-        memory, rig = _Memory(experiment.vehicles), make_twin(experiment)
+        judge, rig = Judge(experiment.vehicles), make_twin(experiment)
         with steady():
-            ending = rig.fly(memory)
+            ending = rig.fly(judge)
         completed = ending.fault is None
-        metrics = measure(rig, memory.aims, ending, 0.0, completed=completed)
+        metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)
         columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
     except ConfigError as error:
         return Flown(k, "refused", f"{error.key}: expected {error.expected}, found {error.found}")

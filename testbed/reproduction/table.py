@@ -4,14 +4,10 @@ Measures are the worst vehicle's, one value per seed: those of `testbed.ops.metr
 and `contacts`, `fault` (1 if there was one), `vehicles_m` (nearest two).
 """
 
-from collections.abc import Iterable
-
 from msgspec import Struct
 
 from testbed.config import find, load
-from testbed.core.types import HostTick, Tick
 from testbed.ops.metrics import (
-    Aims,
     VehicleMetrics,
     obstacle_distances,
     smallest_separation,
@@ -19,6 +15,7 @@ from testbed.ops.metrics import (
 )
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.targets import Measures
+from testbed.rig.onlookers import Judge
 from testbed.rig.twin import make_twin
 
 SMALLEST = ("min_obstacle_distance_m",)  # the worst is the smallest
@@ -35,33 +32,16 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True, tag="table"):
     assumptions: tuple[str, ...] = ()
 
 
-class Listener:
-    """Observer that keeps what the metrics need."""
-
-    def __init__(self, names: Iterable[str]) -> None:
-        self.aims = {name: Aims() for name in names}
-
-    def vehicle(self, name: str, tick: Tick) -> None:
-        """See `Observer`."""
-        self.aims[name].note(tick.outputs)
-
-    def host(self, name: str, tick: HostTick) -> None:
-        """See `Observer`."""
-
-    def done(self, t: float) -> None:
-        """See `Observer`."""
-
-
 def fly_seed(run: Table, seed: int) -> tuple[dict[str, float | None], list[Figure]]:
     """One flight: its measures, and where the vehicles went."""
     alone = "flight.barrier.on=false"  # it is the law that is on trial, not the safety filter
     experiment = load(find(run.experiment), [*run.overrides, alone, f"seed={seed}"])
-    rig, listener = make_twin(experiment), Listener(experiment.vehicles)
-    ending = rig.fly(listener)
+    rig, judge = make_twin(experiment), Judge(experiment.vehicles)
+    ending = rig.fly(judge)
     track = rig.track()
     judged = [
         vehicle_metrics(
-            track, k, setup.goal, listener.aims[name].aim(), rig.spent(name),
+            track, k, setup.goal, judge.aims[name].aim(), rig.spent(name),
             obstacle_distances(track, k, experiment.obstacles),
         )
         for k, (name, setup) in enumerate(experiment.vehicles.items())

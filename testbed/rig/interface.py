@@ -5,7 +5,6 @@ from typing import Any, Protocol
 
 from testbed.config import Experiment
 from testbed.core.law import Concern
-from testbed.core.types import HostTick, Tick
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Supervisor
 from testbed.ops.metrics import Spent, Track
@@ -86,16 +85,3 @@ class Rig(Protocol):
 def not_armed(reasons: Sequence[str]) -> str:
     """What a run that was not started says instead of a fault."""
     return "not started: " + "; ".join(reasons)
-
-
-class Nobody:
-    """An observer that looks away."""
-
-    def vehicle(self, name: str, tick: Tick) -> None:
-        """See `Observer`."""
-
-    def host(self, name: str, tick: HostTick) -> None:
-        """See `Observer`."""
-
-    def done(self, t: float) -> None:
-        """See `Observer`."""

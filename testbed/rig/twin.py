@@ -24,7 +24,8 @@ from testbed.ops.metrics import Spent, Track
 from testbed.ops.rehearsal import MortalNode
 from testbed.rig.boards import Valves, WiredBoard, make_drivers
 from testbed.rig.chain import make_agent, make_guidance
-from testbed.rig.interface import Nobody, not_armed
+from testbed.rig.interface import not_armed
+from testbed.rig.onlookers import Nobody
 from testbed.rig.readiness import twin_checks
 
 

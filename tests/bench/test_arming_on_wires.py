@@ -14,7 +14,7 @@ from testbed.config import ConfigError, find, load
 from testbed.ops.latch import KILLED, Latch
 from testbed.ops.logbook import Logbook
 from testbed.ops.network.session import Mouth, dial
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import warm_up
 
 ROOT = Path(__file__).resolve().parents[2]

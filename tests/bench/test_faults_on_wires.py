@@ -8,7 +8,7 @@ import pytest
 from testbed.bench.host import WireRig
 from testbed.config import find, load
 from testbed.core.injection import Injection
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import warm_up
 
 AT = 1.0  # [s]

@@ -16,7 +16,7 @@ from testbed.bench.host import WireRig
 from testbed.config import ConfigError, find, load
 from testbed.ops.stop import stop_everything
 from testbed.rig.chain import make_agent
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import make_twin, warm_up
 
 ROOT = Path(__file__).resolve().parents[2]

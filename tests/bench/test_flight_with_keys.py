@@ -10,7 +10,7 @@ from testbed.config import find, load
 from testbed.ops.network.keys import Keys
 from testbed.ops.network.session import NetworkError, ask, dial
 from testbed.ops.stop import FAILED, stop_everything
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import warm_up
 
 TLS = ['table.lab.network.endpoint="tls/127.0.0.1:7450"']

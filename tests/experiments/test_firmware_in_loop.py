@@ -11,7 +11,7 @@ from testbed.cli.main import main
 from testbed.cli.run import fly_and_judge
 from testbed.config import ConfigError, find, load
 from testbed.rig import boards
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import make_twin
 
 SATELLITES = ("sat1", "sat2", "sat3")

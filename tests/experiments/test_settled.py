@@ -8,7 +8,7 @@ import pytest
 
 from testbed.config import find, load
 from testbed.core.compiled import compiled, settled
-from testbed.rig.interface import Nobody
+from testbed.rig.onlookers import Nobody
 from testbed.rig.twin import make_twin
 
 OURS = ("testbed.", "controllers.", "sim_twin.")
