@@ -23,7 +23,7 @@ class Channel(Generic[M]):
         self._link = link
         # a fixed number of draws per message: what is lost does not depend on what is injected
         luck, delays = rng.spawn(2)
-        self._luck, self._delays = rows(luck.random, 3), rows(delays.standard_exponential, 1)
+        self._chance = zip(rows(luck.random, 3), rows(delays.standard_exponential, 1), strict=True)
         self._bad = False
         self._sent = 0
         self._number = 0  # of the message heard last
@@ -36,8 +36,7 @@ class Channel(Generic[M]):
         `trouble` is an injected delay [s] and probability of loss on top of the link's own.
         """
         link = self._link
-        turn, lose, unlucky = next(self._luck)
-        (delay,) = next(self._delays)
+        (turn, lose, unlucky), (delay,) = next(self._chance)
         if turn < (link.burst_leave if self._bad else link.burst_enter):
             self._bad = not self._bad
         self._sent += 1

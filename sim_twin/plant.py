@@ -69,9 +69,9 @@ def cut_windows(pulses, metal, origin, span):
     """flow.pieces for every vehicle, padded to the longest."""
     vehicles, jets = pulses.up.shape[0], pulses.up.shape[1]
     room = 4 * jets * SLOTS + 1
-    cuts = np.zeros((vehicles, room + 1))
-    value, slope = np.zeros((vehicles, room, 4)), np.zeros((vehicles, room, 4))
-    count = np.zeros(vehicles, dtype=np.int64)
+    cuts = np.empty((vehicles, room + 1))  # most of it is never used
+    value, slope = np.empty((vehicles, room, 4)), np.empty((vehicles, room, 4))
+    count = np.empty(vehicles, dtype=np.int64)
     for v in range(vehicles):
         own = Pulses(pulses.up[v], pulses.down[v], pulses.strength[v])
         start, level, rate = pieces(

@@ -4,6 +4,7 @@ A stream is known by its name, so adding a vehicle or a camera does not change w
 """
 
 from collections.abc import Callable, Iterator
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,5 +45,5 @@ class Draws:
 
 def rows(draw: Callable[[tuple[int, int]], Array], width: int) -> Iterator[list[float]]:
     """The same one row at a time, as plain numbers; for parts of which there are many."""
-    while True:
-        yield from draw((A_FEW, width)).tolist()
+    blocks = iter(lambda: draw((A_FEW, width)).tolist(), None)
+    return chain.from_iterable(blocks)
