@@ -9,8 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from testbed.campaign.engine import EngineError, workers
+from testbed.cli.trial import fly_with_log
+from testbed.config import dump, find, load
 
 FILE = """
 name = "try"
@@ -86,6 +89,7 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     low, high = summary["confidence_interval"]
     assert low < 0.5 < high
     assert summary["not_repeatable"] == []
+    assert summary["reasons"] == {"failed: settle_s not reached": 15}
 
     messages = (here / "a" / "journal.jsonl").read_bytes().splitlines()[1:]
     assert sorted(json.loads(m.split(b" ", 1)[1])["k"] for m in messages) == list(range(30))
@@ -104,6 +108,15 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     stdout, stderr = process.communicate(timeout=120)
     assert process.returncode == 2
     assert "has changed since these 30 runs were flown" in stderr
+
+
+@pytest.mark.slow
+def test_a_worker_draws_nothing_on_the_terminal(here, monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # what rich takes for a terminal
+    base = tomli_w.dumps(dump(load(find("hold"), ["duration_s=1"])))
+    (kept,) = fly_with_log(base, [(0, ())])
+    assert "log.mcap" in kept.files
+    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.slow
