@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 import tomli_w
 
+from testbed.campaign.benchmark import score
 from testbed.campaign.engine import EngineError, workers
+from testbed.campaign.row import Flown
+from testbed.cli.bench import print_scores
 from testbed.cli.trial import fly_with_log
 from testbed.config import dump, find, load
 
@@ -184,6 +187,15 @@ def test_bench_says_the_commands_for_a_table(testbed):
     result = testbed("bench", "--commands", "--only", "hold")
     assert result.exit_code == 0
     assert result.stdout.count("--out runs/benchmark_standard/hold/pd/") == 4
+
+
+def test_no_number_of_the_benchmark_is_cut_in_a_narrow_window(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    runs = [Flown(0, "passed", columns={"goal_rms_m": 0.000123, "clearance_m": 1.234567})]
+    print_scores([score("a_long_scenario", "a_very_long_law", runs)])
+    assert {"0.123", "+1.235", "a_very_long_law", "obstacles"} <= set(
+        capsys.readouterr().out.split()
+    )
 
 
 def test_bench_knows_its_scenarios(testbed):
