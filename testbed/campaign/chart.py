@@ -34,6 +34,11 @@ class Axis(NamedTuple):
     log: bool = False
     whole: bool = False  # it counts things: nothing between two numbers
 
+    @property
+    def words(self) -> str:
+        """What stands beside it."""
+        return f"{self.title}, log scale" if self.log else self.title
+
     def at(self, value: float) -> float:
         """Where a number is on the page."""
         share = (value - self.low) / (self.high - self.low)
@@ -124,11 +129,11 @@ def frame(x: Axis, y: Axis, x_ticks: bool = True, y_ticks: bool = True) -> list[
         parts.append(text(at, y.start + 15, number(value), "tick", 'text-anchor="middle"'))
     parts.append(f'<path class="axis" d="M{x.start:g} {y.start:g}H{x.end:g}"/>')
     middle = 0.5 * (x.start + x.end)
-    parts.append(text(middle, y.start + 33, x.title, "label", 'text-anchor="middle"'))
+    parts.append(text(middle, y.start + 33, x.words, "label", 'text-anchor="middle"'))
     if y.title:
         up = 0.5 * (y.start + y.end)
         turned = f'text-anchor="middle" transform="rotate(-90 13 {up:g})"'
-        parts.append(text(13, up, y.title, "label", turned))
+        parts.append(text(13, up, y.words, "label", turned))
     return parts
 
 
@@ -222,7 +227,7 @@ def heat(
             f'height="{rise - 2:.1f}" rx="2" style="--share:{cell.share:.3f}">'
             f"<title>{escape(cell.hint)}</title></rect>"
         )
-        kind = "on-heat dark" if cell.share > 0.55 else "on-heat"
+        kind = "on-heat dark" if cell.share > 0.75 else "on-heat"
         if side > 26:
             at = left + side / 2, top + rise / 2 + 3.5
             parts.append(text(*at, cell.words, kind, 'text-anchor="middle"'))
