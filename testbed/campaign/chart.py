@@ -253,7 +253,8 @@ def whiskers(rows: Sequence[Whisker]) -> str:
     longest = max(len(row.name) for row in rows)
     left = min(200.0, 16.0 + 6.2 * longest)
     height = 30.0 + 22.0 * len(rows) + 12.0
-    x = Axis(0.0, 100.0, left, WIDTH - 78.0, "")
+    right = 26.0 + 6.2 * max(len(row.words) for row in rows)
+    x = Axis(0.0, 100.0, left, WIDTH - right, "")
     parts = []
     for value in (0, 25, 50, 75, 100):
         at = x.at(value)
@@ -262,11 +263,11 @@ def whiskers(rows: Sequence[Whisker]) -> str:
     for k, row in enumerate(rows):
         y = 22.0 + 22.0 * k
         name = row.name if len(row.name) < 32 else row.name[:30] + "\N{HORIZONTAL ELLIPSIS}"
-        parts.append(text(left - 10, y + 3.5, name, "label", 'text-anchor="end"'))
+        parts.append(text(left - 10, y + 3.5, name, "row", 'text-anchor="end"'))
         parts.append(
             f'<path class="whisker" d="M{x.at(100 * row.low):.1f} {y:.1f}'
             f'H{x.at(100 * row.high):.1f}"/>'
             f'<circle class="good" cx="{x.at(100 * row.rate):.1f}" cy="{y:.1f}" r="4.5"/>'
         )
-        parts.append(text(WIDTH - 68, y + 3.5, row.words, "label"))
+        parts.append(text(x.end + 10, y + 3.5, row.words, "row"))
     return page(parts, "success rate with interval", height)

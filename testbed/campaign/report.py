@@ -79,8 +79,8 @@ def _head(campaign: Campaign, summary: Summary) -> str:
             counts.append((words, str(summary.outcomes[outcome])))
     for one in summary.spreads[:1]:
         unit = f" {one.quantity.unit}"
-        counts.append((f"median {one.quantity.title}", f"{one.median:.3g}{unit}"))
-        counts.append((f"worst, in run {one.worst_run}", f"{one.worst:.3g}{unit}"))
+        counts.append((f"median {one.quantity.title}", f"{chart.number(one.median)}{unit}"))
+        counts.append((f"worst, in run {one.worst_run}", f"{chart.number(one.worst)}{unit}"))
     tiles += [f'<div class="tile"><b>{b}</b><span>{escape(a)}</span></div>' for a, b in counts]
     said = escape(campaign.file.description)
     return (

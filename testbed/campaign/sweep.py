@@ -271,7 +271,8 @@ def check_replaced(path: Path, file: CampaignFile) -> None:
         for other, later in list(keys)[place + 1 :]:
             if other != label and covers(later, key):
                 expected = f"`{spell(key)}` as it was set, in every run"
-                found = f"`{spell(later)}` of {other}, which replaces it; swap them, or name cases"
+                cure = "keep one" if later == key else "put it into cases, behind what replaces it"
+                found = f"`{spell(later)}` of {other}, which replaces it; {cure}"
                 raise ConfigError(str(path), label, expected, found)
 
 

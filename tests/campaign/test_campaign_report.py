@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testbed.campaign import chart
-from testbed.campaign.chart import Point
+from testbed.campaign.chart import Point, Whisker
 from testbed.campaign.flight import Ended, replay_command
 from testbed.campaign.grouping import best_front, fields
 from testbed.campaign.report import MOST_POINTS, html_report
@@ -67,6 +67,12 @@ def test_without_a_run_that_passed_there_is_no_front(write, tmp_path):
     assert "The line is the Pareto front" in page_of(campaign, runs, tmp_path)
     page = page_of(campaign, [r for r in runs if r.outcome == "failed"], tmp_path)
     assert "No run passed: there is no Pareto front." in page
+
+
+def test_the_longest_words_beside_a_whisker_have_room():
+    rows = [Whisker("smc", 0.1, 0.2, 0.3, "10000 of 1000000")]
+    words = next(e for e in ET.fromstring(chart.whiskers(rows)) if e.text == rows[0].words)
+    assert float(words.get("x")) + 6.0 * len(words.text) < chart.WIDTH
 
 
 def test_an_axis_says_that_it_is_logarithmic():
