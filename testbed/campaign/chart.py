@@ -34,6 +34,11 @@ class Axis(NamedTuple):
     log: bool = False
     whole: bool = False  # it counts things: nothing between two numbers
 
+    @property
+    def words(self) -> str:
+        """What stands beside it."""
+        return f"{self.title}, log scale" if self.log else self.title
+
     def at(self, value: float) -> float:
         """Where a number is on the page."""
         share = (value - self.low) / (self.high - self.low)
@@ -124,11 +129,11 @@ def frame(x: Axis, y: Axis, x_ticks: bool = True, y_ticks: bool = True) -> list[
         parts.append(text(at, y.start + 15, number(value), "tick", 'text-anchor="middle"'))
     parts.append(f'<path class="axis" d="M{x.start:g} {y.start:g}H{x.end:g}"/>')
     middle = 0.5 * (x.start + x.end)
-    parts.append(text(middle, y.start + 33, x.title, "label", 'text-anchor="middle"'))
+    parts.append(text(middle, y.start + 33, x.words, "label", 'text-anchor="middle"'))
     if y.title:
         up = 0.5 * (y.start + y.end)
         turned = f'text-anchor="middle" transform="rotate(-90 13 {up:g})"'
-        parts.append(text(13, up, y.title, "label", turned))
+        parts.append(text(13, up, y.words, "label", turned))
     return parts
 
 
@@ -222,7 +227,7 @@ def heat(
             f'height="{rise - 2:.1f}" rx="2" style="--share:{cell.share:.3f}">'
             f"<title>{escape(cell.hint)}</title></rect>"
         )
-        kind = "on-heat dark" if cell.share > 0.55 else "on-heat"
+        kind = "on-heat dark" if cell.share > 0.75 else "on-heat"
         if side > 26:
             at = left + side / 2, top + rise / 2 + 3.5
             parts.append(text(*at, cell.words, kind, 'text-anchor="middle"'))
@@ -248,7 +253,8 @@ def whiskers(rows: Sequence[Whisker]) -> str:
     longest = max(len(row.name) for row in rows)
     left = min(200.0, 16.0 + 6.2 * longest)
     height = 30.0 + 22.0 * len(rows) + 12.0
-    x = Axis(0.0, 100.0, left, WIDTH - 78.0, "")
+    right = 26.0 + 6.2 * max(len(row.words) for row in rows)
+    x = Axis(0.0, 100.0, left, WIDTH - right, "")
     parts = []
     for value in (0, 25, 50, 75, 100):
         at = x.at(value)
@@ -257,11 +263,11 @@ def whiskers(rows: Sequence[Whisker]) -> str:
     for k, row in enumerate(rows):
         y = 22.0 + 22.0 * k
         name = row.name if len(row.name) < 32 else row.name[:30] + "\N{HORIZONTAL ELLIPSIS}"
-        parts.append(text(left - 10, y + 3.5, name, "label", 'text-anchor="end"'))
+        parts.append(text(left - 10, y + 3.5, name, "row", 'text-anchor="end"'))
         parts.append(
             f'<path class="whisker" d="M{x.at(100 * row.low):.1f} {y:.1f}'
             f'H{x.at(100 * row.high):.1f}"/>'
             f'<circle class="good" cx="{x.at(100 * row.rate):.1f}" cy="{y:.1f}" r="4.5"/>'
         )
-        parts.append(text(WIDTH - 68, y + 3.5, row.words, "label"))
+        parts.append(text(x.end + 10, y + 3.5, row.words, "row"))
     return page(parts, "success rate with interval", height)

@@ -94,9 +94,12 @@ class Journal(Generic[Message]):
                 return msgspec.json.decode(text, type=kind)
         except (ValueError, msgspec.DecodeError):
             pass
+        cure = "take the line out to fly what it was again, or fly all anew"
+        if kind is Head:
+            cure = "fly all anew"
         raise JournalError(
             f"{self._path}: line {number} is damaged\n  expected  a journal as it was written\n"
-            f"  found     {line[:60].decode(errors='replace')!r}; mend it or fly anew (--out)"
+            f"  found     {line[:60].decode(errors='replace')!r}; {cure} (--out)"
         )
 
     def _append(self, message: Struct) -> None:

@@ -11,7 +11,7 @@ from testbed.campaign.grouping import best_front, heat_map
 from testbed.campaign.result import Table
 from testbed.campaign.row import OUTCOMES, Flown
 from testbed.campaign.style import SCRIPT, STYLE
-from testbed.campaign.summary import Quantity, Summary, worst_runs
+from testbed.campaign.summary import Quantity, Summary, spread, worst_runs
 from testbed.campaign.sweep import Campaign
 
 MOST_POINTS = 1500  # in one scatter; more are no clearer and make a page of megabytes
@@ -27,6 +27,7 @@ def html_report(
     sections = [
         _head(campaign, summary),
         _cases(summary),
+        _medians(campaign, summary, runs),
         _distributions(summary, table),
         _influences(campaign, table, error),
         _maps(campaign, table, error),
@@ -46,7 +47,7 @@ def html_report(
 
 def main_error(summary: Summary, table: Table) -> Quantity:
     """The error that the campaign is about: of the formation, if there is one, or to the goal."""
-    known = {spread.quantity.column: spread.quantity for spread in summary.spreads}
+    known = {one.quantity.column: one.quantity for one in summary.spreads}
     names = [name for name in ERRORS if name in known]
     law_has_formation = any(value is not None for value in table.get("shape_rms_m", ()))
     if law_has_formation:
@@ -76,10 +77,10 @@ def _head(campaign: Campaign, summary: Summary) -> str:
     for outcome, words in OUTCOMES.items():
         if outcome != "passed" and outcome in summary.outcomes:
             counts.append((words, str(summary.outcomes[outcome])))
-    for spread in summary.spreads[:1]:
-        unit = f" {spread.quantity.unit}"
-        counts.append((f"median {spread.quantity.title}", f"{spread.median:.3g}{unit}"))
-        counts.append((f"worst, in run {spread.worst_run}", f"{spread.worst:.3g}{unit}"))
+    for one in summary.spreads[:1]:
+        unit = f" {one.quantity.unit}"
+        counts.append((f"median {one.quantity.title}", f"{chart.number(one.median)}{unit}"))
+        counts.append((f"worst, in run {one.worst_run}", f"{chart.number(one.worst)}{unit}"))
     tiles += [f'<div class="tile"><b>{b}</b><span>{escape(a)}</span></div>' for a, b in counts]
     said = escape(campaign.file.description)
     return (
@@ -117,17 +118,42 @@ def _cases(summary: Summary) -> str:
     )
 
 
+def _medians(campaign: Campaign, summary: Summary, runs: Sequence[Flown]) -> str:
+    """Of each combination of the grid, what its runs had in the middle."""
+    if not summary.cases:
+        return ""
+    by_point: dict[int, list[Flown]] = {}
+    for run in sorted(runs, key=lambda run: run.k % campaign.combinations):
+        by_point.setdefault(run.k % campaign.combinations, []).append(run)
+    quantities = [one.quantity for one in summary.spreads]
+    rows = []
+    for point, flown in list(by_point.items())[:MOST_CASES]:
+        parameters = campaign.parameters(point)
+        name = ", ".join(str(parameters[axis.label]) for axis in campaign.file.grid)
+        found = [spread(quantity, flown) for quantity in quantities]
+        cells = "".join(
+            f'<td class="n">{chart.number(one.median) if one else "-"}</td>' for one in found
+        )
+        rows.append(f"<tr><td>{escape(name)}</td>{cells}</tr>")
+    heads = "".join(f'<th class="n">{escape(titled(quantity))}</th>' for quantity in quantities)
+    return (
+        '<h2>Numbers by case</h2><p class="soft">Median of the runs that have the number, whether '
+        'they passed or not. The figures below are of all cases together.</p><div class="card">'
+        f"<table><tr><th>case</th>{heads}</tr>{''.join(rows)}</table></div>"
+    )
+
+
 def _distributions(summary: Summary, table: Table) -> str:
     figures = []
-    for spread in summary.spreads:
-        quantity = spread.quantity
+    for one in summary.spreads:
+        quantity = one.quantity
         pairs = zip(table[quantity.column], table["outcome"], strict=True)
         known = [(v * quantity.scale, o == "passed") for v, o in pairs if v is not None]
         good = [value for value, passed in known if passed]
         bad = [value for value, passed in known if not passed]
         words = (
-            f"median {chart.number(spread.median)}, 95 % within {chart.number(spread.p95)}, "
-            f"worst {chart.number(spread.worst)} in run {spread.worst_run}"
+            f"median {chart.number(one.median)}, 95 % within {chart.number(one.p95)}, "
+            f"worst {chart.number(one.worst)} in run {one.worst_run}"
         )
         picture = chart.histogram(good, bad, titled(quantity))
         figures.append(f"<figure>{picture}<figcaption>{words}</figcaption></figure>")
@@ -207,9 +233,13 @@ def _front(table: Table, error: Quantity) -> str:
         return ""
     front = best_front(points)
     picture = chart.scatter(points, "gas [g]", titled(error), front)
+    words = (
+        "The line is the Pareto front of the runs that passed: no run has less error for less gas."
+        if front
+        else "No run passed: there is no Pareto front."
+    )
     return (
-        '<h2>Error against gas</h2><p class="soft">The line is the Pareto front of the runs that '
-        "passed: no run has less error for less gas.</p>"
+        f'<h2>Error against gas</h2><p class="soft">{words}</p>'
         f'<div class="charts"><figure>{picture}</figure></div>'
     )
 

@@ -72,7 +72,12 @@ def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
     """How a flight ended, and why it did not pass."""
     if metrics.fault:
         return "fault", metrics.fault
-    failed = [name for name, met in metrics.criteria.items() if not met]
+    flown = metrics.vehicles.values()
+    failed = [
+        f"{name} not reached" if any(getattr(one, name, 0.0) is None for one in flown) else name
+        for name, met in metrics.criteria.items()
+        if not met
+    ]
     return ("failed", ", ".join(failed)) if failed else ("passed", "")
 
 
@@ -94,18 +99,33 @@ def broken_bound(
     return ""
 
 
-def check_columns(where: str, key: str, names: Iterable[str]) -> None:
-    """Refuse a bound on a number that no run has; which vehicles there are is seen in flight.
+def check_columns(where: str, key: str, bounds: Mapping[str, float]) -> None:
+    """Refuse a bound that is none, or on a number that no run has.
 
     Raises:
         ConfigError: there is no such column.
     """
     known = [*SINGLE, *VehicleMetrics.__struct_fields__, *BESIDE]
-    for name in names:
+    for name, bound in bounds.items():
+        if not math.isfinite(bound):
+            raise ConfigError(where, f"{key}.{name}", "a finite number", f"{bound:g}")
         vehicle, _, last = name.rpartition(".")
         if last not in known or (vehicle and last in SINGLE):
             found = f"no such column{did_you_mean(last, known)}"
             raise ConfigError(where, f"{key}.{name}", f"one of: {', '.join(known)}", found)
+
+
+def check_vehicles(where: str, key: str, bounds: Iterable[str], names: Iterable[str]) -> None:
+    """Refuse a bound on a vehicle that is not there.
+
+    Raises:
+        ConfigError: none is called so.
+    """
+    for bound in bounds:
+        vehicle = bound.rpartition(".")[0]
+        if vehicle and vehicle not in names:
+            found = f"no such vehicle{did_you_mean(vehicle, names)}"
+            raise ConfigError(where, f"{key}.{bound}", f"one of: {', '.join(names)}", found)
 
 
 def column(columns: Mapping[str, Number], name: str) -> Number:

@@ -34,7 +34,7 @@ p { margin: 0 0 12px; max-width: 78ch; } .soft { color: var(--soft); }
 figure { margin: 0; padding: 10px 12px 8px; } svg { display: block; width: 100%; height: auto; }
 figcaption { color: var(--soft); font-size: 12.5px; padding: 0 6px 4px; }
 .tick { font-size: 10.5px; fill: var(--soft); font-variant-numeric: tabular-nums; }
-.label { font-size: 11.5px; fill: var(--ink); }
+.label, .row { font-size: 11.5px; fill: var(--ink); }
 .grid { stroke: var(--line); stroke-width: 1; fill: none; }
 .axis { stroke: var(--soft); stroke-width: 1; fill: none; }
 .good { fill: var(--good); } circle.good { fill-opacity: .62; } .bad { fill: var(--bad); }

@@ -7,8 +7,8 @@
     seed = 0                              # sample j flies with seed + j and has its own draws
 
     [[grid]]
-    key = "controller.lambda"
-    values = [0.8, 1.0, 1.2]
+    key = "table.mocap.latency_s"
+    values = [0.02, 0.05, 0.1]
 
     [[grid]]                              # several keys that go together
     name = "law"
@@ -41,10 +41,10 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from testbed.campaign.inline import inline
-from testbed.campaign.row import check_columns
+from testbed.campaign.row import check_columns, check_vehicles
 from testbed.config import ConfigError, Experiment, dump, find, load, read_toml
 from testbed.config.experiment import Seed
-from testbed.config.key import spell
+from testbed.config.key import ANY, Key, assignment, spell
 from testbed.config.misfit import first_misfit
 from testbed.config.mistake import show
 from testbed.core.table import Probability
@@ -72,6 +72,8 @@ class Axis(Struct, frozen=True, forbid_unknown_fields=True):
             return
         if given == (False, True) and not self.values and not self.key:
             return
+        if (self.key or self.name) and not self.values and not self.cases:
+            raise ValueError(f"expected values, or cases, found none for {self.label}")
         raise ValueError("expected either key and values, or name and cases, found neither or both")
 
     @property
@@ -103,10 +105,15 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
         if {ends.count(None), bell.count(None)} != {0, 2}:
             raise ValueError("expected low and high, or mean and sd, found neither or both")
         if self.low is not None and self.high is not None:
+            found = f"found {self.low:g} and {self.high:g} for {self.key}"
             if not self.low < self.high:
-                raise ValueError(f"expected low < high, found {self.low:g} and {self.high:g}")
+                raise ValueError(f"expected low < high, {found}")
             if self.log and self.low <= 0.0:
-                raise ValueError(f"expected low > 0 for log, found {self.low:g}")
+                raise ValueError(f"expected low > 0 for log, {found}")
+            if self.whole and not (self.low.is_integer() and self.high.is_integer()):
+                raise ValueError(f"expected whole ends for whole, {found}")
+        elif self.log:
+            raise ValueError(f"expected low and high for log, found mean and sd for {self.key}")
 
     @property
     def label(self) -> str:
@@ -120,10 +127,14 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
         else:
             assert self.low is not None
             assert self.high is not None
+            rim = 0.5 * self.whole  # the ends are as likely as what is between them
+            low, high = self.low - rim, self.high + rim
             if self.log:
-                value = self.low * math.exp(share * math.log(self.high / self.low))
+                value = low * math.exp(share * math.log(high / low))
             else:
-                value = self.low + share * (self.high - self.low)
+                value = low + share * (high - low)
+            if self.whole:
+                return min(max(round(value), int(self.low)), int(self.high))
         return round(value) if self.whole else value
 
 
@@ -225,6 +236,7 @@ def load_campaign(path: Path) -> Campaign:
     """
     file = read_file(path, CampaignFile)
     check_name(path, file.name)
+    check_replaced(path, file)
     names = [axis.label for axis in file.grid] + [draw.label for draw in file.draw]
     for name in names:
         if names.count(name) > 1 or name == "seed":
@@ -246,17 +258,44 @@ def load_campaign(path: Path) -> Campaign:
     return campaign
 
 
+def check_replaced(path: Path, file: CampaignFile) -> None:
+    """Refuse a key of which another one leaves nothing: its column would say what was not flown."""
+    settings = [
+        (axis.label, text) for axis in file.grid for _, texts in axis.points() for text in texts
+    ] + [(draw.label, f"{draw.key}=0") for draw in file.draw]
+    keys = dict.fromkeys((label, assignment(text)[0]) for label, text in settings)
+    for place, (label, key) in enumerate(keys):
+        if key == ("seed",):
+            expected = "`seed` and `samples` of the campaign: sample j flies with seed + j"
+            raise ConfigError(str(path), label, expected, "the key `seed`")
+        for other, later in list(keys)[place + 1 :]:
+            if other != label and covers(later, key):
+                expected = f"`{spell(key)}` as it was set, in every run"
+                cure = "keep one" if later == key else "put it into cases, behind what replaces it"
+                found = f"`{spell(later)}` of {other}, which replaces it; {cure}"
+                raise ConfigError(str(path), label, expected, found)
+
+
+def covers(key: Key, other: Key) -> bool:
+    """Whether setting `key` leaves nothing of `other`."""
+    pairs = zip(key, other, strict=False)
+    return len(key) <= len(other) and all(a in (b, ANY) for a, b in pairs)
+
+
 def check_corners(path: Path, campaign: Campaign) -> None:
-    """Refuse a campaign of which a combination or an end of a draw is not possible."""
+    """Refuse a campaign of which a combination, an end of a draw or a bound is not possible."""
+    names: dict[str, None] = {}  # of vehicles
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as base:
         base.write(campaign.base)
         base.flush()
         for texts in corners(campaign):
             try:
-                load(Path(base.name), texts)
+                names |= dict.fromkeys(load(Path(base.name), texts).vehicles)
             except ConfigError as error:
                 where = f"{path}, the run with {' '.join(texts)}"
                 raise ConfigError(where, error.key, error.expected, error.found) from None
+    for key, bounds in (("most", campaign.file.most), ("least", campaign.file.least)):
+        check_vehicles(str(path), key, bounds, names)
 
 
 def read_file(path: Path, kind: type[Any]) -> Any:
@@ -301,10 +340,11 @@ def base_experiment(path: Path, name: str, overrides: list[str]) -> Experiment:
 
 
 def corners(campaign: Campaign) -> Iterator[Overrides]:
-    """Each combination of the grid with the first draws, and both ends of each draw."""
-    combinations = min(campaign.combinations, MOST_CHECKED)
-    yield from (campaign.overrides(k) for k in range(combinations))
+    """Both ends of each draw, and each combination of the grid with the first draws."""
     first = campaign.overrides(0)
     for draw in campaign.file.draw:
         ends = (0.0, 1.0) if draw.mean is None else (0.001, 0.999)
-        yield from ((*first, f"{draw.key}={draw.at(share)!r}") for share in ends)
+        others = [text for text in first if not text.startswith(f"{draw.key}=")]
+        yield from ((*others, f"{draw.key}={draw.at(share)!r}") for share in ends)
+    combinations = min(campaign.combinations, MOST_CHECKED)
+    yield from (campaign.overrides(k) for k in range(combinations))

@@ -34,7 +34,7 @@ import tomli_w
 from msgspec import Meta, Struct
 
 from testbed.campaign.extra import needs_extra
-from testbed.campaign.row import Flown, Task, broken_bound, check_columns, column
+from testbed.campaign.row import Flown, Task, broken_bound, check_columns, check_vehicles, column
 from testbed.campaign.sweep import (
     Count,
     base_experiment,
@@ -63,10 +63,11 @@ class Gain(Struct, frozen=True, forbid_unknown_fields=True):
     log: bool = False
 
     def __post_init__(self) -> None:
+        found = f"found {self.low:g} and {self.high:g} for {self.key}"
         if not self.low < self.high:
-            raise ValueError(f"expected low < high, found {self.low:g} and {self.high:g}")
+            raise ValueError(f"expected low < high, {found}")
         if self.log and self.low <= 0.0:
-            raise ValueError(f"expected low > 0 for log, found {self.low:g}")
+            raise ValueError(f"expected low > 0 for log, {found}")
 
 
 class TuningFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -133,6 +134,7 @@ def load_tuning(path: Path) -> Tuning:
     tree = dump(base)
     for key, columns in (("cost", file.cost), ("most", file.most), ("least", file.least)):
         check_columns(str(path), key, columns)
+        check_vehicles(str(path), key, columns, base.vehicles)
     keys = [gain.key for gain in file.gain]
     for gain in file.gain:
         if keys.count(gain.key) > 1:

@@ -30,6 +30,8 @@ from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import SHIPPED, ConfigError
 from testbed.ops.whole import write_whole
 
+WIDEST = 500  # characters of a line
+
 
 def run_benchmark(
     name: str | None, out: Path | None, jobs: int, scheduler: str | None, as_json: bool,
@@ -60,7 +62,8 @@ def run_benchmark(
         text = msgspec.json.format(msgspec.json.encode(table), indent=2) + b"\n"
         if runs is None:
             write_whole(folder / "scores.json", text)
-            options = f" --samples {samples}" if samples else ""
+            options = "".join(f" --only {name}" for name in only)
+            options += f" --samples {samples}" if samples else ""
             write_whole(folder / "benchmark.md", page(table, options, "twin").encode())
     except TROUBLE as error:
         return refuse(error)
@@ -129,11 +132,12 @@ def print_commands(path: Path, file: BenchmarkFile, runs: Path) -> None:
 
 
 def print_scores(table: list[Score]) -> None:
-    """Print the table."""
+    """Print the table; no number is cut, in however narrow a window."""
     grid = Grid(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("scenario", "law"):
         grid.add_column(heading, no_wrap=True)
-    for heading in ("passed", *(h.replace("[", "\\[") for h, *_ in COLUMNS), "robust"):
+    headings = [heading.replace(" ", "\n").replace("[", "\\[") for heading, *_ in COLUMNS]
+    for heading in ("passed", *headings, "robust"):
         grid.add_column(heading, justify="right")
     before = ""
     for row in table:
@@ -145,4 +149,6 @@ def print_scores(table: list[Score]) -> None:
         cells.append(f"{row.robust_passed}/{row.robust_runs}" if row.robust_runs else "-")
         grid.add_row(*cells, style="red" if row.passed < row.runs else None)
         before = row.scenario
-    Console(highlight=False).print(grid)
+    out = Console(highlight=False)
+    out.width = max(out.width, out.measure(grid, options=out.options.update(width=WIDEST)).maximum)
+    out.print(grid)

@@ -5,8 +5,9 @@ import tempfile
 import time
 import traceback
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import redirect_stderr, suppress
 from importlib.metadata import version
+from io import StringIO
 from pathlib import Path
 
 from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_of
@@ -65,7 +66,8 @@ def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
         try:
             experiment = read(base, overrides)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
-            metrics = fly_and_judge(experiment, folder)
+            with redirect_stderr(StringIO()):  # the screen is the campaign's
+                metrics = fly_and_judge(experiment, folder)
             write_metrics(folder, metrics)
             columns = columns_of(metrics, experiment, {})
         except Exception:  # the same that ended the first flight

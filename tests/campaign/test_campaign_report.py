@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testbed.campaign import chart
-from testbed.campaign.chart import Point
+from testbed.campaign.chart import Point, Whisker
 from testbed.campaign.flight import Ended, replay_command
 from testbed.campaign.grouping import best_front, fields
 from testbed.campaign.report import MOST_POINTS, html_report
@@ -49,6 +49,38 @@ def test_the_page_fetches_nothing_and_every_picture_is_sound(write, tmp_path):
     assert len(pictures(page)) > 8
     for label in ("success rate", "distribution of", "gas [g]", "by controller.bandwidth"):
         assert any(label in svg.get("aria-label") for svg in pictures(page) if svg.get("role"))
+
+
+def test_each_case_has_its_own_medians(write, tmp_path):
+    campaign = load_campaign(write(grid=[GRID], samples=20))
+    runs = some_runs(60)
+    page = page_of(campaign, runs, tmp_path)
+    for place, bandwidth in enumerate(GRID["values"]):
+        gas = np.median([run.columns["gas_g"] for run in runs[place::3]])
+        row = re.search(rf"<tr><td>{bandwidth}</td>.*?</tr>", page)[0]
+        assert f'<td class="n">{gas:.4g}</td>' in row
+
+
+def test_without_a_run_that_passed_there_is_no_front(write, tmp_path):
+    campaign = load_campaign(write(samples=30))
+    runs = some_runs(30)
+    assert "The line is the Pareto front" in page_of(campaign, runs, tmp_path)
+    page = page_of(campaign, [r for r in runs if r.outcome == "failed"], tmp_path)
+    assert "No run passed: there is no Pareto front." in page
+
+
+def test_the_longest_words_beside_a_whisker_have_room():
+    rows = [Whisker("smc", 0.1, 0.2, 0.3, "10000 of 1000000")]
+    words = next(e for e in ET.fromstring(chart.whiskers(rows)) if e.text == rows[0].words)
+    assert float(words.get("x")) + 6.0 * len(words.text) < chart.WIDTH
+
+
+def test_an_axis_says_that_it_is_logarithmic():
+    for high, words in ((1000.0, ", log scale"), (2.0, "")):
+        points = [Point(1.0, 1.0, True, ""), Point(2.0, high, True, "")]
+        titles = [e.text for e in ET.fromstring(chart.scatter(points, "a", "b")) if e.text]
+        assert f"b{words}" in titles
+        assert "a" in titles
 
 
 def test_the_worst_runs_come_with_the_command_that_flies_them(write, tmp_path):

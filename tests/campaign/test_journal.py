@@ -53,6 +53,19 @@ def test_damage_in_the_middle_is_not_passed_over(path):
         read(path)
 
 
+def test_without_the_damaged_line_its_run_is_the_only_one_that_is_missing(path):
+    write(path, RUNS)
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([*lines[:3], b"hello\n", *lines[4:]]))
+    with pytest.raises(JournalError, match="take the line out to fly what it was again"):
+        read(path)
+    path.write_bytes(b"".join(lines[:3] + lines[4:]))
+    assert read(path) == RUNS[:2] + RUNS[3:]
+    path.write_bytes(b"hello\n" + b"".join(lines[1:]))
+    with pytest.raises(JournalError, match="'hello'; fly all anew"):
+        read(path)
+
+
 @pytest.mark.parametrize(
     ("head", "words"),
     [

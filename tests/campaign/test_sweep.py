@@ -10,10 +10,13 @@ from testbed.config import ConfigError, load
 from testbed.config.tree import parse
 
 BANDWIDTH = {"key": "controller.bandwidth", "values": [0.1, 0.2, 0.4]}
+DAMPING = {"key": "controller.damping", "values": [0.5, 1.0, 2.0]}
+LATE = {"name": "late", "cases": {"no": [], "yes": ["table.mocap.latency_s=0.1"]}}
 LAWS = {
     "name": "law",
     "cases": {"slow": ["controller.bandwidth=0.1"], "smc": ["controller={type='smc'}"]},
 }
+WIDE = {"key": "controller.bandwidth", "low": 0.1, "high": 0.2}
 MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
 LATENCY = {"key": "table.mocap.latency_s", "mean": 0.05, "sd": 0.005}
 
@@ -23,11 +26,11 @@ def all_runs(campaign):
 
 
 def test_a_grid_is_every_combination_with_every_sample(write):
-    campaign = load_campaign(write(grid=[BANDWIDTH, LAWS], samples=2, seed=7))
+    campaign = load_campaign(write(grid=[DAMPING, LATE], samples=2, seed=7))
     runs = {tuple(campaign.parameters(k).values()) for k in range(campaign.count)}
     assert runs == {
-        (bandwidth, law, seed)
-        for bandwidth in (0.1, 0.2, 0.4) for law in ("slow", "smc") for seed in (7, 8)
+        (damping, late, seed)
+        for damping in (0.5, 1.0, 2.0) for late in ("no", "yes") for seed in (7, 8)
     }  # fmt: skip
 
 
@@ -76,6 +79,33 @@ def test_draws_keep_their_ends_and_their_shape(write):
     assert latency.std() == pytest.approx(0.005, rel=0.1)
 
 
+def test_the_ends_of_a_whole_draw_are_as_likely_as_the_others(write):
+    grams = {"key": "vehicles.*.model.mass", "low": 10.0, "high": 13.0, "whole": True}
+    campaign = load_campaign(write(draw=[grams], samples=400, design="latin_hypercube"))
+    drawn = [campaign.parameters(k)["vehicles.*.model.mass"] for k in range(400)]
+    assert {mass: drawn.count(mass) for mass in sorted(drawn)} == dict.fromkeys(range(10, 14), 100)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"grid": [DAMPING, LAWS]}, "`controller` of law, which replaces it"),
+        ({"grid": [{**BANDWIDTH, "name": "b"}], "draw": [WIDE]}, "of controller.bandwidth, which"),
+        ({"draw": [{**MASS, "key": "vehicles.sat1.model.mass"}, MASS]}, "which replaces it"),
+    ],
+)
+def test_a_column_that_says_what_was_not_flown_is_refused(write, keys, words):
+    with pytest.raises(ConfigError) as error:
+        load_campaign(write(**keys))
+    assert words in str(error.value)
+
+
+def test_one_axis_may_refine_what_another_one_set(write):
+    law = {"name": "law", "cases": {"as it is": [], "pd": ["controller={type='pd'}"]}}
+    one = {**MASS, "key": "vehicles.sat1.model.mass"}
+    assert load_campaign(write(grid=[law, BANDWIDTH], draw=[MASS, one])).combinations == 6
+
+
 def test_a_run_is_what_its_command_line_flies(write, tmp_path):
     campaign = load_campaign(write(grid=[LAWS], draw=[MASS], set=["duration_s=5"], seed=3))
     base = tmp_path / "base.toml"
@@ -101,12 +131,19 @@ def test_a_value_on_one_line_reads_back(value):
     [
         ({"grid": [{"key": "controller.bandwith", "values": [1.0]}]}, "did you mean `bandwidth`"),
         ({"grid": [{"key": "controller.bandwidth", "values": [-1.0]}]}, "> 0"),
-        ({"grid": [{"key": "controller.bandwidth"}]}, "either key and values, or name and cases"),
+        ({"grid": [{**BANDWIDTH, **LAWS}]}, "either key and values, or name and cases"),
         ({"draw": [{"key": "duration_s", "low": 2.0, "high": 1.0}]}, "low < high"),
         ({"draw": [{"key": "duration_s", "low": 0.0, "high": 1.0, "log": True}]}, "low > 0"),
         ({"draw": [{"key": "duration_s", "low": 1.0}]}, "low and high, or mean and sd"),
-        ({"draw": [{"key": "duration_s", "low": -1.0, "high": 9.0}]}, "duration_s"),
-        ({"draw": [{"key": "seed", "low": 1.0, "high": 9.0}]}, "none called seed"),
+        ({"draw": [{"key": "duration_s", "low": -1.0, "high": 9.0}]}, "found     -1.0"),
+        ({"draw": [{"key": "duration_s", "low": 2.5, "high": 9.0, "whole": True}]}, "whole ends"),
+        ({"draw": [{"key": "duration_s", "mean": 9.0, "sd": 1.0, "log": True}]}, "low and high"),
+        ({"grid": [{"key": "duration_s", "values": []}]}, "found     none for duration_s"),
+        ({"grid": [{"key": "seed", "name": "mine", "values": [1, 2]}]}, "seed + j"),
+        ({"most": {"gas_g": float("nan")}}, "a finite number"),
+        ({"most": {"sat2.gas_g": 1.0}}, "no such vehicle (did you mean `sat1`?)"),
+        ({"draw": [{"key": "seed", "low": 1.0, "high": 9.0}]}, "seed + j"),
+        ({"grid": [{"name": "seed", "cases": {"a": []}}]}, "none called seed"),
         ({"grid": [BANDWIDTH, BANDWIDTH]}, "each column once"),
         ({"samples": 0}, ">= 1"),
         ({"sampels": 3}, "did you mean `samples`"),

@@ -9,8 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
+from testbed.campaign.benchmark import score
 from testbed.campaign.engine import EngineError, workers
+from testbed.campaign.row import Flown
+from testbed.cli.bench import print_scores
+from testbed.cli.trial import fly_with_log
+from testbed.config import dump, find, load
 
 FILE = """
 name = "try"
@@ -86,6 +92,7 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     low, high = summary["confidence_interval"]
     assert low < 0.5 < high
     assert summary["not_repeatable"] == []
+    assert summary["reasons"] == {"failed: settle_s not reached": 15}
 
     messages = (here / "a" / "journal.jsonl").read_bytes().splitlines()[1:]
     assert sorted(json.loads(m.split(b" ", 1)[1])["k"] for m in messages) == list(range(30))
@@ -104,6 +111,15 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     stdout, stderr = process.communicate(timeout=120)
     assert process.returncode == 2
     assert "has changed since these 30 runs were flown" in stderr
+
+
+@pytest.mark.slow
+def test_a_worker_draws_nothing_on_the_terminal(here, monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # what rich takes for a terminal
+    base = tomli_w.dumps(dump(load(find("hold"), ["duration_s=1"])))
+    (kept,) = fly_with_log(base, [(0, ())])
+    assert "log.mcap" in kept.files
+    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.slow
@@ -171,6 +187,15 @@ def test_bench_says_the_commands_for_a_table(testbed):
     result = testbed("bench", "--commands", "--only", "hold")
     assert result.exit_code == 0
     assert result.stdout.count("--out runs/benchmark_standard/hold/pd/") == 4
+
+
+def test_no_number_of_the_benchmark_is_cut_in_a_narrow_window(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    runs = [Flown(0, "passed", columns={"goal_rms_m": 0.000123, "clearance_m": 1.234567})]
+    print_scores([score("a_long_scenario", "a_very_long_law", runs)])
+    assert {"0.123", "+1.235", "a_very_long_law", "obstacles"} <= set(
+        capsys.readouterr().out.split()
+    )
 
 
 def test_bench_knows_its_scenarios(testbed):
