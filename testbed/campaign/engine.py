@@ -9,6 +9,7 @@ no more memory than ten; a batch whose workers die is taken apart to find the ru
 import logging
 import math
 import os
+import socket
 import time
 from asyncio import CancelledError as FutureCancelled
 from collections.abc import Callable, Iterator, Sequence
@@ -125,6 +126,19 @@ def _quiet() -> Iterator[None]:
             logging.getLogger(name).setLevel(level)
 
 
+class OtherCodeError(Exception):
+    """A worker, one that joined late, has other code."""
+
+
+def _fly_here(
+    fly: Callable[[list[Task]], list[Result]], digest: str, batch: list[Task]
+) -> list[Result]:
+    """In the worker: a batch, if the code is the one that the campaign began with."""
+    if code_digest() != digest:
+        raise OtherCodeError(f"{code_digest()} on {socket.gethostname()}, process {os.getpid()}")
+    return fly(batch)
+
+
 class Fleet(Generic[Task, Result]):
     """Flies tasks on all workers of a client.
 
@@ -158,7 +172,8 @@ class Fleet(Generic[Task, Result]):
         done = as_completed()
 
         def submit(batch: list[Task]) -> None:
-            future = self._client.submit(self._fly, batch, pure=False)
+            words = self._fly, code_digest(), batch
+            future = self._client.submit(_fly_here, *words, pure=False)
             under_way[future] = batch
             done.add(future)
 
@@ -189,6 +204,13 @@ class Fleet(Generic[Task, Result]):
                         submit([suspects.pop()])
                     continue
                 results = [self._lost(batch[0])]
+            except Exception as error:  # whatever a run does is in its result: it is the worker
+                raise EngineError(
+                    "a worker cannot fly\n"
+                    f"  expected  workers with the code of this machine, {code_digest()}\n"
+                    f"  found     {type(error).__name__}: {error}; without it, the same command "
+                    "goes on"
+                ) from None
             for result in results:
                 self._pace += 0.3 * (self._took(result) - self._pace)
                 yield result

@@ -31,3 +31,11 @@ def no_warm_up(base: str, batch: Sequence[Task]) -> None:
 def hold(base: str, overrides: Sequence[str]) -> Experiment:
     """What is flown is never looked at."""
     return load(find("hold"))
+
+
+def of_another_version(base: str, batch: Sequence[Task]) -> list[Flown]:
+    """As a worker that joins late with other code."""
+    from testbed.campaign import engine
+
+    engine.code_digest = lambda: "other"
+    return pretend(base, batch)

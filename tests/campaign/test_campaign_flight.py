@@ -6,8 +6,10 @@ from threading import Event
 import pyarrow.parquet
 import pytest
 from msgspec.structs import replace
+from pretence import of_another_version
 from scipy.stats import beta
 
+from testbed.campaign.code import code_digest
 from testbed.campaign.engine import EngineError, workers
 from testbed.campaign.flight import Watch, failure_folder, fly_campaign, replay_command
 from testbed.campaign.interval import success_rate
@@ -97,6 +99,14 @@ def test_a_cluster_with_other_code_is_refused(monkeypatch):
         monkeypatch.setattr(lab, "run", lambda *_, **__: {})
         with pytest.raises(EngineError, match="without any"):
             engine._same_code(lab, "tcp://lab:8786")
+
+
+def test_a_worker_with_other_code_that_joins_late_is_refused(write, crew, tmp_path):
+    campaign = load_campaign(write(samples=9, keep=0))
+    with pytest.raises(EngineError, match=f"code of this machine, {code_digest()}\n.*other on"):
+        fly(campaign, tmp_path / "a", replace(crew(1), fly=of_another_version))
+    resumed = fly(campaign, tmp_path / "a", crew(1))
+    assert [run.k for run in resumed.runs] == list(range(9))
 
 
 def test_what_an_interrupt_breaks_in_dask_is_not_said(capfd):
