@@ -3,9 +3,11 @@
 Here there is only what is particular to a campaign: a worker has one thread, because a flight holds
 the interpreter; runs travel in batches of about a second, because a scheduler does some thousand
 tasks a second and no more; a few batches per worker are under way, so that ten thousand runs take
-no more memory than ten; a batch whose workers die is taken apart to find the run that kills them.
+no more memory than ten; a batch whose workers die is taken apart to find the run that kills them;
+a worker that a run keeps for longer than the limit is one that dies.
 """
 
+import faulthandler
 import logging
 import math
 import os
@@ -15,6 +17,7 @@ from asyncio import CancelledError as FutureCancelled
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from testbed.campaign.code import code_digest
@@ -131,12 +134,20 @@ class OtherCodeError(Exception):
 
 
 def _fly_here(
-    fly: Callable[[list[Task]], list[Result]], digest: str, batch: list[Task]
+    fly: Callable[[list[Task]], list[Result]], digest: str, limit_s: float, batch: list[Task]
 ) -> list[Result]:
-    """In the worker: a batch, if the code is the one that the campaign began with."""
+    """In the worker: a batch, if the code is the one that the campaign began with.
+
+    What hangs, in Python or in machine code, can only be ended with its process.
+    """
     if code_digest() != digest:
         raise OtherCodeError(f"{code_digest()} on {socket.gethostname()}, process {os.getpid()}")
-    return fly(batch)
+    with Path(os.devnull).open("w") as nowhere:
+        faulthandler.dump_traceback_later(limit_s, exit=True, file=nowhere)
+        try:
+            return fly(batch)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
 
 
 class Fleet(Generic[Task, Result]):
@@ -147,6 +158,7 @@ class Fleet(Generic[Task, Result]):
         fly: takes a list of tasks to the list of their results; in the worker.
         lost: the result of a task that took its workers with it.
         took: how long a result's task took [s].
+        limit_s: a worker that has not done a batch after this is ended [s].
     """
 
     def __init__(
@@ -155,8 +167,10 @@ class Fleet(Generic[Task, Result]):
         fly: Callable[[list[Task]], list[Result]],
         lost: Callable[[Task], Result],
         took: Callable[[Result], float],
+        limit_s: float,
     ) -> None:
         self._client, self._fly, self._lost, self._took = client, fly, lost, took
+        self._limit_s = limit_s
         self._count, self._asked = 1, -math.inf
         self._pace = 0.0  # mean of what a task takes [s]
 
@@ -172,7 +186,7 @@ class Fleet(Generic[Task, Result]):
         done = as_completed()
 
         def submit(batch: list[Task]) -> None:
-            words = self._fly, code_digest(), batch
+            words = self._fly, code_digest(), self._limit_s, batch
             future = self._client.submit(_fly_here, *words, pure=False)
             under_way[future] = batch
             done.add(future)

@@ -131,7 +131,7 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
                 compile_first(campaign.base, some, crew.read, crew.warm)
             with crew.workers(max(1, len(tasks))) as client:
                 began = time.perf_counter()
-                for flown in _fleet(client, campaign.base, crew).results(tasks):
+                for flown in _fleet(client, campaign, crew).results(tasks):
                     run = within(flown, campaign.file.most, campaign.file.least)
                     journal.append(run)
                     runs[run.k] = run
@@ -141,11 +141,16 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
     return Ended([runs[k] for k in sorted(runs)], resumed, wall, unlike)
 
 
-def _fleet(client: Any, base: str, crew: Crew) -> Fleet[Task, Flown]:
-    def lost(task: Task) -> Flown:
-        return Flown(task[0], "lost", "two workers died while flying it")
+def _fleet(client: Any, campaign: Campaign, crew: Crew) -> Fleet[Task, Flown]:
+    fly = partial(crew.fly, campaign.base)
+    return Fleet(client, fly, gone, lambda run: run.wall_s, campaign.file.limit_s)
 
-    return Fleet(client, partial(crew.fly, base), lost, lambda run: run.wall_s)
+
+def gone(task: Task) -> Flown:
+    """A run that took its workers with it."""
+    return Flown(
+        task[0], "lost", "its workers died while flying it, or it took longer than limit_s"
+    )
 
 
 def failure_folder(folder: Path, k: int) -> Path:
@@ -178,6 +183,7 @@ def keep_failures(
         partial(crew.fly_with_log, campaign.base),
         lambda task: Kept(task[0], {"error.txt": b"its workers died\n"}, {}),
         lambda kept: 1.0,
+        campaign.file.limit_s,
     )
     unlike = []
     for kept in fleet.results([(k, campaign.overrides(k)) for k in missing]):

@@ -25,7 +25,7 @@ OUTCOMES = {
     "fault": "ended by a fault",
     "error": "ended by an exception",
     "refused": "its configuration is not possible",
-    "lost": "its worker died, again and again",
+    "lost": "its worker died or did not return, again and again",
 }
 
 TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {

@@ -54,6 +54,7 @@ MOST_RUNS = 1_000_000
 MOST_CHECKED = 200  # combinations, before the first run
 
 Count = Annotated[int, Meta(ge=1, le=MOST_RUNS)]
+Limit = Annotated[float, Meta(gt=0.0, le=604_800.0)]
 Overrides = tuple[str, ...]
 Parameters = dict[str, float | int | bool | str]
 
@@ -144,6 +145,7 @@ class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
     keep: Annotated[int, Meta(ge=0, le=1000)] = 20  # failures whose log is kept
     confidence: Annotated[float, Meta(gt=0.5, lt=1.0)] = 0.95  # of the interval
     success: Probability | None = None  # what the interval's lower end must reach
+    limit_s: Limit = 3600.0  # of computing a run; one that takes longer is lost [s]
 
 
 class Campaign:

@@ -15,7 +15,7 @@ from rich.table import Table as Grid
 from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
-from testbed.campaign.flight import make_folder
+from testbed.campaign.flight import gone, make_folder
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import Flown, Task
 from testbed.campaign.tuning import (
@@ -100,7 +100,7 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
         with workers(jobs, scheduler) as client:
 
             def fly(tasks: Sequence[Task]) -> Iterator[Flown]:
-                return _fleet(client, tuning.base).results(tasks)
+                return _fleet(client, tuning).results(tasks)
 
             def done(trial: Trial) -> None:
                 journal.append(trial)
@@ -112,11 +112,9 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
             return compare(tuning, trials, fly)
 
 
-def _fleet(client: object, base: str) -> Fleet[Task, Flown]:
-    def lost(task: Task) -> Flown:
-        return Flown(task[0], "lost", "two workers died while flying it")
-
-    return Fleet(client, partial(fly_batch, base), lost, lambda run: run.wall_s)
+def _fleet(client: object, tuning: Tuning) -> Fleet[Task, Flown]:
+    fly = partial(fly_batch, tuning.base)
+    return Fleet(client, fly, gone, lambda run: run.wall_s, tuning.file.limit_s)
 
 
 def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResult:

@@ -78,6 +78,14 @@ def test_a_run_that_kills_its_workers_is_found_and_the_others_fly(write, crew, t
     assert [run.k for run in ended.runs if run.outcome == "lost"] == [4]
 
 
+def test_a_run_that_never_ends_is_given_up_and_the_others_fly(write, crew, tmp_path):
+    keys = {"set": ["description='endless.4.'"], "limit_s": 1.0}
+    campaign = load_campaign(write(samples=9, keep=0, **keys))
+    ended = fly(campaign, tmp_path / "a", crew(1))
+    assert [run.k for run in ended.runs] == list(range(9))
+    assert [run.k for run in ended.runs if run.outcome == "lost"] == [4]
+
+
 def test_a_cluster_flies_the_same_and_stays(write, crew, tmp_path):
     campaign = load_campaign(write(grid=[GRID], samples=10, keep=2))
     straight = fly(campaign, tmp_path / "a", crew(1))
