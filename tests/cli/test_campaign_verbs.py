@@ -7,10 +7,14 @@ import subprocess
 from contextlib import suppress
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+import tomli_w
 
 from testbed.campaign.engine import EngineError, workers
+from testbed.cli.trial import fly, fly_with_log
+from testbed.config import dump, find, load
 
 FILE = """
 name = "try"
@@ -146,6 +150,42 @@ def test_a_detuned_law_is_tuned(start, here):
     assert result["best_proof"] < 0.5 * result["start_proof"]
     process = start("check", "t/tuned.toml")
     assert process.communicate(timeout=60)[0].startswith("ok: ")
+
+
+# What a law does is in the result
+
+LAW = """
+import sys
+
+class Mine:
+    def __init__(self, what: str):
+        self.what = what
+
+    def force(self, own, neighbours, world, t):
+        if t > 0.5:
+            exec(self.what)
+        return 0.1 * (world.goal.p - own.p) - own.v
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "outcome", "words"),
+    [
+        ("raise ValueError('boom')", "fault", "boom"),
+        ("sys.exit('enough')", "error", "SystemExit: enough"),
+        ("raise ValueError(chr(0xDC80))", "fault", r"\udc80"),
+    ],
+)
+def test_whatever_a_law_does_is_a_result_that_can_be_kept(here, what, outcome, words):
+    (here / "law.py").write_text(LAW)
+    law = f"controller={{type='python',law='law.py:Mine',parameters={{what={json.dumps(what)}}}}}"
+    base = tomli_w.dumps(dump(load(find("hold"), ["duration_s=1", law])))
+    run = fly(base, 0, ())
+    assert (run.outcome, run.wall_s > 0.0) == (outcome, True)
+    assert words in run.reason
+    assert json.loads(msgspec.json.encode(run))["reason"] == run.reason
+    (kept,) = fly_with_log(base, [(0, ())])
+    assert "config.toml" in kept.files
 
 
 # What is wrong is said
