@@ -3,6 +3,7 @@
 A compiler takes 300 MB that a worker would keep to its end, and each worker would compile the same.
 """
 
+import os
 import signal
 from collections.abc import Callable, Sequence
 from multiprocessing import get_context
@@ -59,4 +60,5 @@ def kind_of(experiment: Experiment) -> str:
 
 def _run(warm: Warm, base: str, tasks: Sequence[Task]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # go without a word
+    os.dup2(2, 1)  # what a law prints is not what the campaign says
     warm(base, tasks)

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import msgspec
@@ -51,10 +52,11 @@ def run_campaign(
     interrupt, ended, watch = Interrupt(), None, Bar()
     try:
         path = find_campaign(name)
-        campaign = load_campaign(path)
+        with redirect_stdout(sys.stderr):  # what a law prints is not what the campaign says
+            campaign = load_campaign(path)
         folder = out or Path("runs") / f"campaign_{campaign.file.name}"
         crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler)
-        with interrupt.caught(), interrupt.at_once(), watch:
+        with interrupt.caught(), interrupt.at_once(), watch, redirect_stdout(sys.stderr):
             ended = fly_campaign(campaign, path.read_bytes(), folder, crew, watch)
         if ended is None:
             say_interrupted(campaign, folder)

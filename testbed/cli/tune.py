@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
 
@@ -57,10 +58,11 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
     """Tune and return the exit code."""
     interrupt, result = Interrupt(), None
     try:
-        tuning = load_tuning(find_campaign(name))
+        with redirect_stdout(sys.stderr):  # what a law prints is not what the tuning says
+            tuning = load_tuning(find_campaign(name))
         folder = out or Path("runs") / f"tuning_{tuning.file.name}"
         make_folder(folder)
-        with interrupt.caught(), interrupt.at_once():
+        with interrupt.caught(), interrupt.at_once(), redirect_stdout(sys.stderr):
             result = fly_tuning(tuning, folder, jobs, scheduler)
         if result is None:
             errors.print(

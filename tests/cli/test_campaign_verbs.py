@@ -162,7 +162,7 @@ class Mine:
         self.what = what
 
     def force(self, own, neighbours, world, t):
-        if t > 0.5:
+        if t >= 0.5:
             exec(self.what)
         return 0.1 * (world.goal.p - own.p) - own.v
 """
@@ -186,6 +186,17 @@ def test_whatever_a_law_does_is_a_result_that_can_be_kept(here, what, outcome, w
     assert json.loads(msgspec.json.encode(run))["reason"] == run.reason
     (kept,) = fly_with_log(base, [(0, ())])
     assert "config.toml" in kept.files
+
+
+@pytest.mark.slow
+def test_what_a_law_prints_is_not_what_the_campaign_says(start, here):
+    (here / "law.py").write_text(LAW)
+    law = "controller={type='python',law='law.py:Mine',parameters={what='print(t)'}}"
+    file = {"name": "loud", "experiment": "hold", "set": ["duration_s=1", "criteria={}", law]}
+    (here / "loud.toml").write_text(tomli_w.dumps(file))
+    stdout, stderr = start("campaign", "loud.toml", "--json").communicate(timeout=600)
+    assert json.loads(stdout)["succeeded"] == 1
+    assert "0.6" in stderr
 
 
 # What is wrong is said
