@@ -46,6 +46,8 @@ TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
 }
 SINGLE = ("duration_s", "contacts", "min_vehicle_distance_m")  # of a run as a whole
 BESIDE = ("goal_rms_m", "shape_rms_m", "clearance_m")  # not among a vehicle's metrics
+OF_A_VEHICLE = (*VehicleMetrics.__struct_fields__, *BESIDE)
+COLUMNS = ("run", "outcome", "reason", *SINGLE, *OF_A_VEHICLE)  # of the results, beside the file's
 
 
 class Flown(Struct, frozen=True):
@@ -94,14 +96,16 @@ def broken_bound(
     return ""
 
 
-def check_columns(where: str, key: str, names: Iterable[str]) -> None:
+def check_columns(where: str, key: str, bounds: Mapping[str, float]) -> None:
     """Refuse a bound on a number that no run has; which vehicles there are is seen in flight.
 
     Raises:
-        ConfigError: there is no such column.
+        ConfigError: there is no such column, or the bound is no number, which all would keep.
     """
-    known = [*SINGLE, *VehicleMetrics.__struct_fields__, *BESIDE]
-    for name in names:
+    known = [*SINGLE, *OF_A_VEHICLE]
+    for name, bound in bounds.items():
+        if math.isnan(bound):
+            raise ConfigError(where, f"{key}.{name}", "a number", "nan")
         vehicle, _, last = name.rpartition(".")
         if last not in known or (vehicle and last in SINGLE):
             found = f"no such column{did_you_mean(last, known)}"
@@ -141,16 +145,16 @@ def columns_of(
         "contacts": metrics.contacts,
         "min_vehicle_distance_m": metrics.min_vehicle_distance_m,
     }
-    names = [*VehicleMetrics.__struct_fields__, *BESIDE]
     each: dict[str, dict[str, Number]] = {}
     for vehicle, one in metrics.vehicles.items():
         beside = extra.get(vehicle, {})
         each[vehicle] = {
-            name: beside.get(name) if name in BESIDE else getattr(one, name) for name in names
+            name: beside.get(name) if name in BESIDE else getattr(one, name)
+            for name in OF_A_VEHICLE
         }
         if experiment.vehicles[vehicle].path is not None:
             each[vehicle] |= dict.fromkeys(TO_THE_START)
-    for name in names:
+    for name in OF_A_VEHICLE:
         values = [numbers[name] for numbers in each.values()]
         known = [value for value in values if value is not None]
         unsettled = name == "settle_s" and len(known) < len(values)  # somebody never did

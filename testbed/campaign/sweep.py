@@ -29,7 +29,7 @@ import math
 import re
 import tempfile
 from collections.abc import Iterator
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -41,10 +41,10 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from testbed.campaign.inline import inline
-from testbed.campaign.row import check_columns
+from testbed.campaign.row import COLUMNS, check_columns
 from testbed.config import ConfigError, Experiment, dump, find, load, read_toml
 from testbed.config.experiment import Seed
-from testbed.config.key import spell
+from testbed.config.key import ANY, Key, assignment, spell
 from testbed.config.misfit import first_misfit
 from testbed.config.mistake import show
 from testbed.core.table import Probability
@@ -52,6 +52,7 @@ from testbed.core.vehicle import Positive
 
 MOST_RUNS = 1_000_000
 MOST_CHECKED = 200  # combinations, before the first run
+SEED: Key = ("seed",)
 
 Count = Annotated[int, Meta(ge=1, le=MOST_RUNS)]
 Limit = Annotated[float, Meta(gt=0.0, le=604_800.0)]
@@ -108,6 +109,8 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError(f"expected low < high, found {self.low:g} and {self.high:g}")
             if self.log and self.low <= 0.0:
                 raise ValueError(f"expected low > 0 for log, found {self.low:g}")
+        elif self.log:
+            raise ValueError("expected low and high for log, found mean and sd")
 
     @property
     def label(self) -> str:
@@ -231,6 +234,9 @@ def load_campaign(path: Path) -> Campaign:
     for name in names:
         if names.count(name) > 1 or name == "seed":
             raise ConfigError(str(path), "", "each column once, none called seed", show(name))
+        if name in COLUMNS or name.startswith("met."):
+            expected = "a `name` that no result has"
+            raise ConfigError(str(path), "", expected, f"{show(name)}, a column of the results")
     for axis in file.grid:
         shown = [show(value) for value in axis.values]
         if twice := [value for value in shown if shown.count(value) > 1]:
@@ -245,7 +251,29 @@ def load_campaign(path: Path) -> Campaign:
     base = base_experiment(path, file.experiment, file.set)
     campaign = Campaign(file, tomli_w.dumps(dump(base)))
     check_corners(path, campaign)
+    check_order(path, file)
     return campaign
+
+
+def check_order(path: Path, file: CampaignFile) -> None:
+    """Refuse a sweep of which one column says what a later one overwrites."""
+    columns = [("set", [key for key, _ in map(assignment, file.set) if key == SEED])]
+    for axis in file.grid:
+        texts = [text for _, point in axis.points() for text in point]
+        columns.append((axis.label, [assignment(text)[0] for text in texts]))
+    columns += [(draw.label, [assignment(f"{draw.key}=0")[0]]) for draw in file.draw]
+    columns.append(("seed", [SEED]))
+    for (name, keys), (later, others) in combinations(columns, 2):
+        for key in keys:
+            if any(covers(other, key) for other in others):
+                expected = f"a key that `{later}`, which is applied later, leaves alone"
+                raise ConfigError(str(path), name, expected, spell(key))
+
+
+def covers(key: Key, other: Key) -> bool:
+    """Whether to set `key` is to set all of `other`."""
+    pairs = zip(key, other, strict=False)
+    return len(key) <= len(other) and all(a in (b, ANY) for a, b in pairs)
 
 
 def check_corners(path: Path, campaign: Campaign) -> None:
@@ -304,8 +332,8 @@ def base_experiment(path: Path, name: str, overrides: list[str]) -> Experiment:
 
 def corners(campaign: Campaign) -> Iterator[Overrides]:
     """Each combination of the grid with the first draws, and both ends of each draw."""
-    combinations = min(campaign.combinations, MOST_CHECKED)
-    yield from (campaign.overrides(k) for k in range(combinations))
+    count = min(campaign.combinations, MOST_CHECKED)
+    yield from (campaign.overrides(k) for k in range(count))
     first = campaign.overrides(0)
     for draw in campaign.file.draw:
         ends = (0.0, 1.0) if draw.mean is None else (0.001, 0.999)

@@ -14,6 +14,7 @@ LAWS = {
     "name": "law",
     "cases": {"slow": ["controller.bandwidth=0.1"], "smc": ["controller={type='smc'}"]},
 }
+STARTS = {"name": "start", "cases": {"near": [], "far": ["vehicles.sat1.start=[0.5,0.0,0.0]"]}}
 MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
 LATENCY = {"key": "table.mocap.latency_s", "mean": 0.05, "sd": 0.005}
 
@@ -23,11 +24,11 @@ def all_runs(campaign):
 
 
 def test_a_grid_is_every_combination_with_every_sample(write):
-    campaign = load_campaign(write(grid=[BANDWIDTH, LAWS], samples=2, seed=7))
+    campaign = load_campaign(write(grid=[BANDWIDTH, STARTS], samples=2, seed=7))
     runs = {tuple(campaign.parameters(k).values()) for k in range(campaign.count)}
     assert runs == {
-        (bandwidth, law, seed)
-        for bandwidth in (0.1, 0.2, 0.4) for law in ("slow", "smc") for seed in (7, 8)
+        (bandwidth, start, seed)
+        for bandwidth in (0.1, 0.2, 0.4) for start in ("near", "far") for seed in (7, 8)
     }  # fmt: skip
 
 
@@ -137,6 +138,8 @@ def test_the_experiment_may_stand_beside_the_campaign(write, tmp_path):
         ({"grid": [{"key": "controller.bandwidth", "values": [0.1, 0.1]}]}, "each value once"),
         ({"most": {"goal_rms": 1.0}}, "did you mean `goal_rms_m`"),
         ({"least": {"sat1.contacts": 1.0}}, "key       least.sat1.contacts"),
+        ({"most": {"gas_g": float("nan")}}, "key       most.gas_g"),
+        ({"draw": [{**LATENCY, "log": True}]}, "expected  low and high for log"),
     ],
 )
 def test_what_is_wrong_in_the_file_is_looked_for_in_the_file(write, keys, words):
@@ -145,6 +148,27 @@ def test_what_is_wrong_in_the_file_is_looked_for_in_the_file(write, keys, words)
     assert words in str(error.value)
     assert "campaign.toml" in str(error.value)
     assert "command line" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"grid": [{**BANDWIDTH, "name": "outcome"}]}, '"outcome", a column'),
+        ({"grid": [{"key": "duration_s", "values": [3.0]}]}, '"duration_s", a column'),
+        ({"draw": [{**MASS, "name": "met.gas"}]}, '"met.gas", a column'),
+        ({"draw": [MASS, {**MASS, "name": "again"}]}, "a key that `again`"),
+        ({"draw": [{**MASS, "key": "vehicles.sat1.model.mass"}, MASS]}, f"that `{MASS['key']}`"),
+        ({"grid": [BANDWIDTH, LAWS]}, "a key that `law`"),
+        ({"grid": [{"key": "seed", "name": "s", "values": [1, 2]}]}, "a key that `seed`"),
+        ({"set": ["seed=5"]}, "a key that `seed`"),
+    ],
+)
+def test_no_column_says_what_is_not_flown(write, keys, words):
+    with pytest.raises(ConfigError) as error:
+        load_campaign(write(**keys))
+    assert words in str(error.value)
+    one_by_one = {"draw": [MASS, {**MASS, "key": "vehicles.sat1.model.mass"}]}
+    assert load_campaign(write(**one_by_one)).count == 1
 
 
 def test_columns_that_a_run_has_can_be_bounded(write):
