@@ -257,12 +257,12 @@ def load_campaign(path: Path) -> Campaign:
 
 def check_order(path: Path, file: CampaignFile) -> None:
     """Refuse a sweep of which one column says what a later one overwrites."""
-    columns = [("set", [key for key, _ in map(assignment, file.set) if key == SEED])]
+    columns = [("set", {key for key, _ in map(assignment, file.set) if key == SEED})]
     for axis in file.grid:
         texts = [text for _, point in axis.points() for text in point]
-        columns.append((axis.label, [assignment(text)[0] for text in texts]))
-    columns += [(draw.label, [assignment(f"{draw.key}=0")[0]]) for draw in file.draw]
-    columns.append(("seed", [SEED]))
+        columns.append((axis.label, {assignment(text)[0] for text in texts}))
+    columns += [(draw.label, {assignment(f"{draw.key}=0")[0]}) for draw in file.draw]
+    columns.append(("seed", {SEED}))
     for (name, keys), (later, others) in combinations(columns, 2):
         for key in keys:
             if any(covers(other, key) for other in others):

@@ -89,6 +89,17 @@ def test_ten_thousand_runs_make_a_page_of_some_megabytes_with_every_failure(writ
     assert len(scatter) < MOST_POINTS + 100
 
 
+def test_the_front_is_of_all_runs_also_of_those_that_are_not_drawn(write, tmp_path):
+    campaign = load_campaign(write(samples=4000))
+    runs = some_runs(4000)
+    good = [(r.columns["gas_g"], r.columns["goal_rms_m"], r.k) for r in runs if r.k % 5]
+    unbeaten = {k for x, y, k in good if not any(a < x and b < y for a, b, _ in good)}
+    page = page_of(campaign, runs, tmp_path)
+    scatter = next(s for s in pictures(page) if "against gas" in (s.get("aria-label") or ""))
+    hints = [e.find("*").text for e in scatter if "front-mark" in e.get("class", "")]
+    assert {int(hint.split(":")[0].removeprefix("run ")) for hint in hints} == unbeaten
+
+
 def test_the_front_is_what_nobody_beats():
     rng = np.random.default_rng(2)
     points = [Point(*rng.uniform(0, 1, 2), bool(rng.integers(2)), "") for _ in range(300)]
