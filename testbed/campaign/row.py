@@ -21,7 +21,7 @@ Outcome = Literal["passed", "failed", "fault", "error", "refused", "lost"]
 
 OUTCOMES = {
     "passed": "flown to the end, all criteria met",
-    "failed": "flown to the end, a criterion missed",
+    "failed": "not flown to the end, or a criterion missed",
     "fault": "ended by a fault",
     "error": "ended by an exception",
     "refused": "its configuration is not possible",
@@ -74,6 +74,8 @@ def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
     """How a flight ended, and why it did not pass."""
     if metrics.fault:
         return "fault", metrics.fault
+    if not metrics.completed:  # an operator ended it, or kept it from starting
+        return "failed", "not flown to its end"
     failed = [name for name, met in metrics.criteria.items() if not met]
     return ("failed", ", ".join(failed)) if failed else ("passed", "")
 

@@ -5,6 +5,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from controllers.catalogue import Controller
 from controllers.own_law import OwnLawParams
@@ -165,6 +166,16 @@ def test_a_run_folder_scores_like_the_flight(tmp_path):
     track = track_of(folder, experiment)
     assert track.states.shape[1:] == (1, 6)
     assert track.t[-1] == pytest.approx(7.9)
+
+
+def test_a_flight_that_an_operator_ended_has_not_passed(tmp_path):
+    experiment = load(find("hold"), ["duration_s=1", "criteria={}"])
+    folder = new_folder(tmp_path / "run", "hold")
+    write_config(folder, dump(experiment), "test")
+    metrics = fly_and_judge(experiment, folder)
+    for completed, outcome in ((True, "passed"), (False, "failed")):
+        write_metrics(folder, replace(metrics, completed=completed))
+        assert read_run(folder, 0, {}, {}).outcome == outcome
 
 
 def test_a_folder_that_is_no_run_is_said(tmp_path):
