@@ -30,6 +30,13 @@ def pretend_with_log(base: str, batch: Sequence[Task]) -> list[Kept]:
     return [Kept(run.k, {"log.mcap": b"log"}, run.columns) for run in pretend(base, batch)]
 
 
+def otherwise_with_log(base: str, batch: Sequence[Task]) -> list[Kept]:
+    """Run 0 uses more gas, run 3 raises, run 6 is the same."""
+    runs = pretend_with_log(base, batch)
+    more = {0: {"gas_g": 1e3}, 3: {}, 6: runs[-1].columns}
+    return [Kept(run.k, run.files, more[run.k]) for run in runs]
+
+
 def no_warm_up(base: str, batch: Sequence[Task]) -> None:
     """Nothing is compiled."""
 

@@ -6,12 +6,12 @@ from threading import Event
 import pyarrow.parquet
 import pytest
 from msgspec.structs import replace
-from pretence import of_another_version
+from pretence import of_another_version, otherwise_with_log
 from scipy.stats import beta
 
 from testbed.campaign.code import code_digest
 from testbed.campaign.engine import EngineError, workers
-from testbed.campaign.flight import Watch, failure_folder, fly_campaign, replay_command
+from testbed.campaign.flight import UNLIKE, Watch, failure_folder, fly_campaign, replay_command
 from testbed.campaign.interval import success_rate
 from testbed.campaign.journal import JournalError
 from testbed.campaign.result import table_of, write_parquet
@@ -63,6 +63,15 @@ def test_every_run_once_whoever_flies_and_however_often_it_is_stopped(write, cre
 
     again = fly(campaign, tmp_path / "b", crew(2))  # nothing is left to fly
     assert (again.resumed, again.runs) == (40, straight.runs)
+
+
+def test_a_run_that_was_not_the_same_the_second_time_stays_one(write, crew, tmp_path):
+    campaign = load_campaign(write(samples=9, keep=3))
+    for _ in range(2):  # also when nothing is left to fly
+        ended = fly(campaign, tmp_path / "a", replace(crew(), fly_with_log=otherwise_with_log))
+        assert ended.unlike == [0, 3]
+    notes = [failure_folder(tmp_path / "a", k) / UNLIKE for k in (0, 3)]
+    assert [note.read_text() for note in notes] == ["gas_g\n", "how it ended\n"]
 
 
 def test_a_changed_file_does_not_go_on_in_an_old_folder(write, crew, tmp_path):
