@@ -154,6 +154,13 @@ def test_the_table_has_a_row_per_run_and_types_a_reader_expects(write, crew, tmp
     assert table.schema.metadata[b"campaign"] == b"try"
 
 
+def test_a_number_that_no_run_has_is_a_column_of_numbers(tmp_path):
+    write_parquet(tmp_path / "r.parquet", {"run": [0, 1], "settle_s": [None, None]}, {})
+    table = pyarrow.parquet.read_table(tmp_path / "r.parquet")
+    assert str(table.schema.field("settle_s").type) == "double"
+    assert table["settle_s"].to_pylist() == [None, None]
+
+
 def test_the_summary_counts(write, crew, tmp_path):
     campaign = load_campaign(write(grid=[GRID], samples=15, keep=0))
     ended = fly(campaign, tmp_path / "a", crew())
