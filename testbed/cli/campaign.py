@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -155,7 +156,7 @@ def print_summary(
     """Print what the campaign says."""
     out = Console(highlight=False)
     low, high = summary.confidence_interval
-    title = f"[bold]{summary.campaign}[/]: {summary.runs} runs of {summary.experiment}"
+    title = f"[bold]{summary.campaign}[/]: {summary.runs} runs of {escape(summary.experiment)}"
     rate = 100.0 * (summary.success_rate or 0.0)
     out.print(
         f"{title}, {summary.succeeded} passed: [bold]{rate:.1f} %[/] "
@@ -201,13 +202,14 @@ def _print_cases(out: Console, summary: Summary) -> None:
         return
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for name in summary.cases[0].name:
-        grid.add_column(name)
+        grid.add_column(escape(name))
     for heading in ("passed", "rate", "interval"):
         grid.add_column(heading, justify="right")
     for case in summary.cases[:40]:
         rate = case.rate
         grid.add_row(
-            *case.name.values(), f"{rate.succeeded}/{rate.runs}", f"{100 * (rate.rate or 0):.1f} %",
+            *map(escape, case.name.values()),
+            f"{rate.succeeded}/{rate.runs}", f"{100 * (rate.rate or 0):.1f} %",
             f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %",
         )  # fmt: skip
     out.print("")

@@ -10,6 +10,7 @@ import msgspec
 import tomli_w
 from msgspec import Struct
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
@@ -156,13 +157,16 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
     out = Console(highlight=False)
     kept = f"{result.within_bounds} of {result.trials} trials within the bounds"
     if result.best is None:
-        out.print(f"[bold red]no choice is safe[/]: {kept}; the first one: {result.start.reason}")
+        first = escape(result.start.reason)
+        out.print(f"[bold red]no choice is safe[/]: {kept}; the first one: {first}")
         return
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("", "as it was", "tuned", "between"):
         grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     for gain, old, new in zip(tuning.file.gain, result.start.gains, result.best.gains, strict=True):
-        grid.add_row(gain.key, f"{old:.4g}", f"{new:.4g}", f"{gain.low:g} and {gain.high:g}")
+        grid.add_row(
+            escape(gain.key), f"{old:.4g}", f"{new:.4g}", f"{gain.low:g} and {gain.high:g}"
+        )
     before, after = result.start, result.best
     costs = _cost(before.cost, before.broken), _cost(after.cost, after.broken)
     grid.add_row("cost, tuned on", *costs, "")

@@ -13,7 +13,14 @@ import pytest
 import tomli_w
 
 from testbed.campaign.engine import EngineError, workers
+from testbed.campaign.flight import Ended
+from testbed.campaign.row import Flown
+from testbed.campaign.summary import summarise
+from testbed.campaign.sweep import load_campaign
+from testbed.campaign.tuning import Trial
+from testbed.cli.campaign import print_summary
 from testbed.cli.trial import fly, fly_with_log
+from testbed.cli.tune import TuningResult, print_result
 from testbed.config import dump, find, load
 
 FILE = """
@@ -197,6 +204,17 @@ def test_what_a_law_prints_is_not_what_the_campaign_says(start, here):
     stdout, stderr = start("campaign", "loud.toml", "--json").communicate(timeout=600)
     assert json.loads(stdout)["succeeded"] == 1
     assert "0.6" in stderr
+
+
+def test_words_in_brackets_are_words(here, capsys):
+    (here / "try.toml").write_text(FILE.replace("cases.far", 'cases."[/far]"'))
+    campaign = load_campaign(here / "try.toml")
+    runs = [Flown(k, "passed", columns={"gas_g": 1.0}) for k in range(campaign.count)]
+    print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
+    assert "[/far]" in capsys.readouterr().out
+    start = Trial(0, [0.1], 1e6, 1, "error: [/boom]")
+    print_result(None, TuningResult("t", 1, 0, None, start, 0, None, 0, None, 0, {}), here)
+    assert "[/boom]" in capsys.readouterr().out
 
 
 # What is wrong is said
