@@ -26,7 +26,7 @@ from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.journal import Head, Journal, JournalError
 from testbed.campaign.row import Flown, Kept, Task, within
 from testbed.campaign.sweep import Campaign
-from testbed.ops.whole import write_whole
+from testbed.ops.whole import named, write_whole
 
 UNLIKE = "unlike.txt"  # in a run's folder: what was not the same the second time
 MOST_WARMED = 20  # combinations of a grid; others are compiled by their worker
@@ -207,7 +207,8 @@ def keep_failures(
         shutil.rmtree(part, ignore_errors=True)  # of an earlier call that was killed
         part.mkdir(parents=True)
         for name, data in kept.files.items():
-            (part / name).write_bytes(data)
+            with named(part / name):
+                (part / name).write_bytes(data)
         (part / "replay.txt").write_text(replay_command(campaign, folder, kept.k) + "\n")
         if otherwise := differences(runs[kept.k], kept):
             (part / UNLIKE).write_text(", ".join(otherwise) + "\n")
