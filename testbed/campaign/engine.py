@@ -16,7 +16,7 @@ import time
 from asyncio import CancelledError as FutureCancelled
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -78,19 +78,24 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
     }
     with dask.config.set(settings), _quiet():
         if scheduler is None:
-            with (
-                LocalCluster(
-                    n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
-                    memory_limit=0,
-                ) as cluster,
-                Client(cluster) as client,
-            ):  # fmt: skip
+            with ExitStack() as stack:
+                try:
+                    cluster = LocalCluster(
+                        n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
+                        dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                        memory_limit=0,
+                    )  # fmt: skip
+                    client = stack.enter_context(Client(stack.enter_context(cluster)))
+                except (OSError, RuntimeError) as error:
+                    raise EngineError(
+                        f"--jobs {jobs}\n  expected  to start as many processes, of some ten open "
+                        f"files each\n  found     {error}"
+                    ) from None
                 yield client
             return
         try:
             client = Client(scheduler, timeout="10s")
-        except (OSError, TimeoutError, ValueError) as error:
+        except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
             raise EngineError(
                 f"--scheduler {scheduler}\n  expected  a Dask scheduler, for instance "
                 "tcp://10.0.0.1:8786\n"

@@ -3,6 +3,7 @@
 import shlex
 from threading import Event
 
+import distributed
 import pyarrow.parquet
 import pytest
 from msgspec.structs import replace
@@ -137,6 +138,24 @@ def test_what_an_interrupt_breaks_in_dask_is_not_said(capfd):
 
 def test_a_cluster_that_is_not_there_is_said():
     with pytest.raises(EngineError, match="a Dask scheduler"), workers(1, "tcp://127.0.0.1:9"):
+        pass
+
+
+def test_an_address_that_dask_cannot_use_is_said(monkeypatch):
+    def no_tls(*_, **__):
+        raise TypeError("TLS expects a `ssl_context`")
+
+    monkeypatch.setattr(distributed, "Client", no_tls)
+    with pytest.raises(EngineError, match="found     TLS"), workers(1, "tls://127.0.0.1:9"):
+        pass
+
+
+def test_workers_that_cannot_start_are_said(monkeypatch):
+    def no_more_files(*_, **__):
+        raise RuntimeError("Cluster failed to start: Too many open files")
+
+    monkeypatch.setattr(distributed, "LocalCluster", no_more_files)
+    with pytest.raises(EngineError, match="found     Cluster failed"), workers(1, None):
         pass
 
 
