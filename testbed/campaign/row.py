@@ -21,8 +21,8 @@ Outcome = Literal["passed", "failed", "fault", "error", "refused", "lost"]
 
 OUTCOMES = {
     "passed": "flown to the end, all criteria met",
-    "failed": "not flown to the end, or a criterion missed",
-    "fault": "ended by a fault",
+    "failed": "flown to the end, a criterion missed",
+    "fault": "ended early, by a fault or an operator",
     "error": "ended by an exception",
     "refused": "its configuration is not possible",
     "lost": "its worker died or did not return, again and again",
@@ -70,12 +70,15 @@ class Kept(Struct, frozen=True):
     columns: dict[str, Number]
 
 
+FLOWN = ("passed", "failed")  # to the end
+
+
 def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
     """How a flight ended, and why it did not pass."""
     if metrics.fault:
         return "fault", metrics.fault
     if not metrics.completed:  # an operator ended it, or kept it from starting
-        return "failed", "not flown to its end"
+        return "fault", "not flown to its end"
     failed = [name for name, met in metrics.criteria.items() if not met]
     return ("failed", ", ".join(failed)) if failed else ("passed", "")
 

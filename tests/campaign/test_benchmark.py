@@ -82,6 +82,15 @@ def test_a_score_is_the_middle_and_the_worst():
     assert (one.robust_passed, one.robust_runs) == (1, 2)
 
 
+def test_a_run_that_ended_early_is_worse_than_any():
+    short = [run(k, "fault", gas_g=1.0, contacts=1, clearance_m=0.2) for k in range(2)]
+    long = [run(k, goal_rms_m=0.1 * k, gas_g=10.0 + k) for k in range(2, 5)]
+    one = score("step", "pd", [*short, *long])
+    assert (one.error_m, one.gas_g) == (0.4, 14.0)  # the third of five, two are worse than any
+    assert (one.worst_error_m, one.contacts, one.clearance_m) == (None, 2, 0.2)
+    assert score("step", "pd", [*short, *long[:2]]).error_m is None
+
+
 def test_a_law_that_raises_has_a_row_without_numbers():
     table = markdown([score("step", "pd", [Flown(0, "error", "boom")])])
     assert "| step | `pd` | 0/1 | - | - | - | - | - | 0 | - | - | - |" in table
@@ -173,7 +182,7 @@ def test_a_flight_that_an_operator_ended_has_not_passed(tmp_path):
     folder = new_folder(tmp_path / "run", "hold")
     write_config(folder, dump(experiment), "test")
     metrics = fly_and_judge(experiment, folder)
-    for completed, outcome in ((True, "passed"), (False, "failed")):
+    for completed, outcome in ((True, "passed"), (False, "fault")):
         write_metrics(folder, replace(metrics, completed=completed))
         assert read_run(folder, 0, {}, {}).outcome == outcome
 
