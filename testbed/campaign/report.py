@@ -125,8 +125,9 @@ def _distributions(summary: Summary, table: Table) -> str:
         known = [(v * quantity.scale, o == "passed") for v, o in pairs if v is not None]
         good = [value for value, passed in known if passed]
         bad = [value for value, passed in known if not passed]
+        few = "" if spread.runs == summary.runs else f"{spread.runs} of {summary.runs} runs: "
         words = (
-            f"median {chart.number(spread.median)}, 95 % within {chart.number(spread.p95)}, "
+            f"{few}median {chart.number(spread.median)}, 95 % within {chart.number(spread.p95)}, "
             f"worst {chart.number(spread.worst)} in run {spread.worst_run}"
         )
         picture = chart.histogram(good, bad, titled(quantity))

@@ -186,14 +186,15 @@ def print_summary(
 
 def _print_spreads(out: Console, summary: Summary) -> None:
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in ("", "best", "median", "95 %", "worst", "in run"):
+    for heading in ("", "runs", "best", "median", "95 %", "worst", "in run"):
         grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     for one in summary.spreads:
         unit = f" \\[{one.quantity.unit}]" if one.quantity.unit else ""
         numbers = (one.best, one.median, one.p95, one.worst)
         grid.add_row(
-            one.quantity.title + unit, *(f"{number:.4g}" for number in numbers), str(one.worst_run)
-        )
+            one.quantity.title + unit, str(one.runs), *(f"{number:.4g}" for number in numbers),
+            str(one.worst_run),
+        )  # fmt: skip
     out.print(grid)
 
 

@@ -79,6 +79,13 @@ def test_runs_without_numbers_make_a_page_too(write, tmp_path):
     assert "boom" in page_of(campaign, runs, tmp_path)
 
 
+def test_a_number_that_some_runs_do_not_have_says_of_how_many_it_is(write, tmp_path):
+    campaign = load_campaign(write(samples=10))
+    page = page_of(campaign, some_runs(10), tmp_path)  # two never settled
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page)
+    assert [words.split(":")[0] for words in captions if "of 10 runs" in words] == ["8 of 10 runs"]
+
+
 def test_ten_thousand_runs_make_a_page_of_some_megabytes_with_every_failure(write, tmp_path):
     campaign = load_campaign(write(draw=[MASS], samples=7000))
     page = page_of(campaign, some_runs(7000), tmp_path)
