@@ -98,7 +98,7 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
     mean: float | None = None
     sd: Positive | None = None
     log: bool = False  # even in the logarithm
-    whole: bool = False  # rounded to a whole number
+    whole: bool = False  # a whole number, each of an even draw as often
 
     def __post_init__(self) -> None:
         ends, bell = (self.low, self.high), (self.mean, self.sd)
@@ -109,6 +109,9 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError(f"expected low < high, found {self.low:g} and {self.high:g}")
             if self.log and self.low <= 0.0:
                 raise ValueError(f"expected low > 0 for log, found {self.low:g}")
+            if self.whole and not (self.low.is_integer() and self.high.is_integer()):
+                found = f"{self.low:g} and {self.high:g}"
+                raise ValueError(f"expected whole low and high for whole, found {found}")
         elif self.log:
             raise ValueError("expected low and high for log, found mean and sd")
 
@@ -121,14 +124,16 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
         """The value below which this `share` of all draws are."""
         if self.mean is not None and self.sd is not None:
             value = float(norm.ppf(share, self.mean, self.sd))
+            return round(value) if self.whole else value
+        assert self.low is not None
+        assert self.high is not None
+        room = 0.5 if self.whole else 0.0  # or the ends would be rounded to half as often
+        low, high = self.low - room, self.high + room
+        if self.log:
+            value = low * math.exp(share * math.log(high / low))
         else:
-            assert self.low is not None
-            assert self.high is not None
-            if self.log:
-                value = self.low * math.exp(share * math.log(self.high / self.low))
-            else:
-                value = self.low + share * (self.high - self.low)
-        return round(value) if self.whole else value
+            value = low + share * (high - low)
+        return int(min(self.high, max(self.low, round(value)))) if self.whole else value
 
 
 class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):

@@ -5,7 +5,7 @@ import pytest
 import tomli_w
 
 from testbed.campaign.inline import inline
-from testbed.campaign.sweep import load_campaign
+from testbed.campaign.sweep import Draw, load_campaign
 from testbed.config import ConfigError, load
 from testbed.config.tree import parse
 
@@ -75,6 +75,16 @@ def test_draws_keep_their_ends_and_their_shape(write):
     assert np.median(bandwidth) == pytest.approx(0.1, rel=0.15)
     assert latency.mean() == pytest.approx(0.05, abs=5e-4)
     assert latency.std() == pytest.approx(0.005, rel=0.1)
+
+
+def test_whole_numbers_are_drawn_evenly_to_the_ends():
+    draw = Draw(key="seed", low=1.0, high=3.0, whole=True)
+    found = [draw.at(share) for share in np.arange(0.5, 300) / 300]
+    assert np.bincount(found).tolist() == [0, 100, 100, 100]
+    assert (draw.at(0.0), draw.at(1.0)) == (1, 3)
+    assert Draw(key="seed", low=1.0, high=9.0, whole=True, log=True).at(0.0) == 1
+    with pytest.raises(ValueError, match="whole low and high"):
+        Draw(key="seed", low=0.5, high=3.0, whole=True)
 
 
 def test_a_run_is_what_its_command_line_flies(write, tmp_path):
