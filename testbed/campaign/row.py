@@ -163,7 +163,8 @@ def columns_of(
         values = [numbers[name] for numbers in each.values()]
         known = [value for value in values if value is not None]
         unsettled = name == "settle_s" and len(known) < len(values)  # somebody never did
-        columns[name] = TOGETHER[name](known) if known and not unsettled else None
+        lost = any(math.isnan(value) for value in known)  # `max` and `min` may pass it over
+        columns[name] = TOGETHER[name](known) if known and not unsettled and not lost else None
     if len(experiment.vehicles) > 1:
         for vehicle, numbers in each.items():
             columns |= {f"{vehicle}.{name}": value for name, value in numbers.items()}

@@ -1,5 +1,6 @@
 """The benchmark of record: every law flies, scores are what the runs were, folders count too."""
 
+import math
 from pathlib import Path
 from typing import get_args
 
@@ -25,7 +26,7 @@ from testbed.config import SHIPPED as CONFIGS
 from testbed.config import ConfigError, dump, find, load
 from testbed.core.path import Circle
 from testbed.ops.folder import new_folder, write_config, write_metrics
-from testbed.ops.metrics import Track
+from testbed.ops.metrics import Metrics, Track, VehicleMetrics
 from testbed.rig.twin import make_twin
 
 PATH = CONFIGS / "benchmark.toml"
@@ -89,6 +90,21 @@ def test_a_run_that_ended_early_is_worse_than_any():
     assert (one.error_m, one.gas_g) == (0.4, 14.0)  # the third of five, two are worse than any
     assert (one.worst_error_m, one.contacts, one.clearance_m) == (None, 2, 0.2)
     assert score("step", "pd", [*short, *long[:2]]).error_m is None
+
+
+@pytest.mark.parametrize("first", ["sat1", "sat2"])
+def test_what_is_no_number_of_one_vehicle_is_none_of_all(first):
+    experiment = load(CONFIGS / "scenarios" / "formation.toml")
+    beside = {
+        name: {"goal_rms_m": math.nan if name == first else 0.1} for name in experiment.vehicles
+    }
+    one = VehicleMetrics(*[None] * 10)
+    metrics = Metrics("try", "twin", 0, True, 1.0, 1.0, None, 0, None, None, {},
+                      dict.fromkeys(experiment.vehicles, one))  # fmt: skip
+    columns = columns_of(metrics, experiment, beside)
+    assert columns["goal_rms_m"] is None
+    assert columns[f"{first}.goal_rms_m"] is None
+    assert columns["sat3.goal_rms_m"] == 0.1
 
 
 def test_a_law_that_raises_has_a_row_without_numbers():
