@@ -203,6 +203,18 @@ def test_a_flight_that_an_operator_ended_has_not_passed(tmp_path):
         assert read_run(folder, 0, {}, {}).outcome == outcome
 
 
+def test_a_log_cut_off_anywhere_is_said(tmp_path):
+    experiment = load(find("hold"), ["duration_s=1", "criteria={}"])
+    folder = new_folder(tmp_path / "run", "hold")
+    write_config(folder, dump(experiment), "test")
+    write_metrics(folder, fly_and_judge(experiment, folder))
+    data = (folder / "log.mcap").read_bytes()
+    for length in range(0, len(data), len(data) // 40):
+        (folder / "log.mcap").write_bytes(data[:length])
+        with pytest.raises(ConfigError, match="the whole log of a run"):
+            read_run(folder, 0, {}, {})
+
+
 def test_a_folder_that_is_no_run_is_said(tmp_path):
     with pytest.raises(ConfigError, match=r"no config\.toml"):
         read_run(Path(tmp_path), 0, {}, {})
