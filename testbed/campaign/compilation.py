@@ -19,7 +19,7 @@ Warm = Callable[[str, Sequence[Task]], None]
 Read = Callable[[str, Sequence[str]], Experiment]
 
 
-def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm) -> None:
+def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm, limit_s: float) -> None:
     """Have on disk what these tasks need compiled; at once if it is there.
 
     Args:
@@ -27,6 +27,7 @@ def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm) -> N
         tasks: some of each law and mode.
         read: what a task flies.
         warm: flies a moment of each.
+        limit_s: what takes longer is left to the workers [s].
     """
     folder = vars(config)["CACHE_DIR"]
     marks: dict[Path, Task] = {}
@@ -40,9 +41,9 @@ def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm) -> N
     process = get_context("spawn").Process(target=_run, args=words, daemon=True)
     process.start()
     try:
-        process.join()
+        process.join(limit_s)
     finally:
-        process.kill()  # of use only when interrupted
+        process.kill()  # of use only when interrupted, or when a law never ends
     if folder and process.exitcode == 0:
         for mark in marks:
             mark.parent.mkdir(parents=True, exist_ok=True)

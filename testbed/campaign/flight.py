@@ -129,7 +129,7 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
         if tasks or missing_folders(campaign, runs, folder):
             if crew.scheduler is None:
                 some = tasks[: min(MOST_WARMED, campaign.combinations)]
-                compile_first(campaign.base, some, crew.read, crew.warm)
+                compile_first(campaign.base, some, crew.read, crew.warm, campaign.file.limit_s)
             with crew.workers(max(1, len(tasks))) as client:
                 began = time.perf_counter()
                 for flown in _fleet(client, campaign, crew).results(tasks):

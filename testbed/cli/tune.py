@@ -99,7 +99,7 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
         best = [trial.cost for trial in journal.found]
         first = tuning.tasks(0, tuning.now, [tuning.file.seed])
         if scheduler is None:
-            compile_first(tuning.base, first, read, warm)
+            compile_first(tuning.base, first, read, warm, tuning.file.limit_s)
         with workers(jobs, scheduler) as client:
 
             def fly(tasks: Sequence[Task]) -> Iterator[Flown]:

@@ -41,6 +41,11 @@ def no_warm_up(base: str, batch: Sequence[Task]) -> None:
     """Nothing is compiled."""
 
 
+def never_warm(base: str, batch: Sequence[Task]) -> None:
+    """A law that never ends."""
+    Event().wait()
+
+
 def hold(base: str, overrides: Sequence[str]) -> Experiment:
     """What is flown is never looked at."""
     return load(find("hold"))

@@ -7,10 +7,12 @@ import distributed
 import pyarrow.parquet
 import pytest
 from msgspec.structs import replace
-from pretence import of_another_version, otherwise_with_log
+from numba.core import config
+from pretence import hold, never_warm, of_another_version, otherwise_with_log
 from scipy.stats import beta
 
 from testbed.campaign.code import code_digest
+from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import EngineError, workers
 from testbed.campaign.flight import UNLIKE, Watch, failure_folder, fly_campaign, replay_command
 from testbed.campaign.interval import success_rate
@@ -94,6 +96,12 @@ def test_a_run_that_never_ends_is_given_up_and_the_others_fly(write, crew, tmp_p
     ended = fly(campaign, tmp_path / "a", crew(1))
     assert [run.k for run in ended.runs] == list(range(9))
     assert [run.k for run in ended.runs if run.outcome == "lost"] == [4]
+
+
+def test_what_never_gets_warm_is_left_to_the_workers(monkeypatch, tmp_path):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    compile_first("", [(0, ())], hold, never_warm, 1.0)
+    assert not list(tmp_path.rglob("*"))  # and it is not noted as compiled
 
 
 def test_a_cluster_flies_the_same_and_stays(write, crew, tmp_path):
