@@ -148,7 +148,7 @@ def score(scenario: str, law: str, runs: Sequence[Flown], off: Sequence[Flown] =
         return known(statistics.median(to_the_end(name) or [math.inf]))
 
     error = "shape_rms_m" if numbers("shape_rms_m") else "goal_rms_m"
-    goal, settled = numbers("goal_rms_m"), numbers("settle_s")
+    settles = bool(numbers("goal_rms_m")) and max(to_the_end("settle_s")) < math.inf
     return Score(
         scenario=scenario,
         law=law,
@@ -156,7 +156,7 @@ def score(scenario: str, law: str, runs: Sequence[Flown], off: Sequence[Flown] =
         passed=sum(run.outcome == "passed" for run in runs),
         error_m=middle(error),
         worst_error_m=known(max(to_the_end(error), default=math.inf)),
-        settle_s=statistics.median(settled) if goal and len(settled) == len(runs) else None,
+        settle_s=middle("settle_s") if settles else None,
         clearance_m=min(numbers("clearance_m"), default=None),
         vehicle_distance_m=min(numbers("min_vehicle_distance_m"), default=None),
         contacts=int(sum(numbers("contacts"))),

@@ -84,11 +84,14 @@ def test_a_score_is_the_middle_and_the_worst():
 
 
 def test_a_run_that_ended_early_is_worse_than_any():
-    short = [run(k, "fault", gas_g=1.0, contacts=1, clearance_m=0.2) for k in range(2)]
-    long = [run(k, goal_rms_m=0.1 * k, gas_g=10.0 + k) for k in range(2, 5)]
+    early = {"gas_g": 1.0, "contacts": 1, "clearance_m": 0.2, "settle_s": 0.5}
+    short = [run(k, "fault", **early) for k in range(2)]
+    long = [run(k, goal_rms_m=0.1 * k, gas_g=10.0 + k, settle_s=9.0) for k in range(2, 5)]
     one = score("step", "pd", [*short, *long])
     assert (one.error_m, one.gas_g) == (0.4, 14.0)  # the third of five, two are worse than any
     assert (one.worst_error_m, one.contacts, one.clearance_m) == (None, 2, 0.2)
+    assert one.settle_s is None
+    assert score("step", "pd", long).settle_s == 9.0
     assert score("step", "pd", [*short, *long[:2]]).error_m is None
 
 
