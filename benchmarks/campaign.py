@@ -27,7 +27,7 @@ def lost(task):
 
 
 def fleet(client, base):
-    return Fleet(client, partial(fly_batch, base), lost, lambda run: run.wall_s)
+    return Fleet(client, partial(fly_batch, base), lost, lambda run: run.wall_s, 3600.0)
 
 
 def plain(base, tasks):

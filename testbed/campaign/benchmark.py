@@ -5,6 +5,7 @@ scenario is a campaign over its laws, once with the vehicles as their file descr
 with `trouble`, which the laws are not told about.
 """
 
+import math
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Annotated
 import tomli_w
 from msgspec import Meta, Struct, field
 
-from testbed.campaign.row import Flown, Number, check_columns
+from testbed.campaign.row import FLOWN, Flown, Number, check_columns
 from testbed.campaign.sweep import (
     Axis,
     Campaign,
@@ -129,26 +130,33 @@ def scores(campaign: Campaign, scenario: str, runs: Sequence[Flown]) -> list[Sco
 
 
 def score(scenario: str, law: str, runs: Sequence[Flown], off: Sequence[Flown] = ()) -> Score:
-    """One law in one scenario."""
-    over = [run for run in runs if run.columns]  # a law that raised has no numbers
+    """One law in one scenario.
+
+    A run that ended early has not the small error or the little gas of its first seconds: it is
+    worse than any.
+    """
 
     def numbers(name: str) -> list[float]:
-        values: list[Number] = [run.columns.get(name) for run in over]
+        values: list[Number] = [run.columns.get(name) for run in runs]
         return [float(value) for value in values if value is not None]
 
-    def middle(name: str) -> float | None:
-        return statistics.median(numbers(name)) if numbers(name) else None
+    def to_the_end(name: str) -> list[float]:
+        values = [run.columns.get(name) if run.outcome in FLOWN else None for run in runs]
+        return [math.inf if value is None else float(value) for value in values]
 
-    shape, goal, settled = numbers("shape_rms_m"), numbers("goal_rms_m"), numbers("settle_s")
-    errors = shape or goal
+    def middle(name: str) -> float | None:
+        return known(statistics.median(to_the_end(name) or [math.inf]))
+
+    error = "shape_rms_m" if numbers("shape_rms_m") else "goal_rms_m"
+    settles = bool(numbers("goal_rms_m")) and max(to_the_end("settle_s")) < math.inf
     return Score(
         scenario=scenario,
         law=law,
         runs=len(runs),
         passed=sum(run.outcome == "passed" for run in runs),
-        error_m=statistics.median(errors) if errors else None,
-        worst_error_m=max(errors, default=None),
-        settle_s=statistics.median(settled) if goal and len(settled) == len(runs) else None,
+        error_m=middle(error),
+        worst_error_m=known(max(to_the_end(error), default=math.inf)),
+        settle_s=middle("settle_s") if settles else None,
         clearance_m=min(numbers("clearance_m"), default=None),
         vehicle_distance_m=min(numbers("min_vehicle_distance_m"), default=None),
         contacts=int(sum(numbers("contacts"))),
@@ -157,6 +165,11 @@ def score(scenario: str, law: str, runs: Sequence[Flown], off: Sequence[Flown] =
         robust_runs=len(off),
         robust_passed=sum(run.outcome == "passed" for run in off),
     )
+
+
+def known(value: float) -> float | None:
+    """A number, if it is one."""
+    return value if math.isfinite(value) else None
 
 
 COLUMNS = (  # heading, key, scale, format
@@ -189,6 +202,8 @@ fly it on a table.
 * **obstacles**: smallest distance to an obstacle less its danger radius; negative is inside.
   **vehicles**: smallest distance between two, centre to centre.
 * **contacts**: of all runs together. **gas**, **valve pulses**: all vehicles of a run, median.
+* A run that a fault ended is worse than any in **error**, **gas** and **valve pulses**: a median
+  that it would be, and the worst error, are not given.
 * **robust**: passed with the same seeds when the vehicles are three times further from their files
   than the shipped tolerances, the table is tilted twice as much and the cameras are 50 ms late. The
   laws are not told.

@@ -3,6 +3,7 @@
 A compiler takes 300 MB that a worker would keep to its end, and each worker would compile the same.
 """
 
+import os
 import signal
 from collections.abc import Callable, Sequence
 from multiprocessing import get_context
@@ -18,7 +19,7 @@ Warm = Callable[[str, Sequence[Task]], None]
 Read = Callable[[str, Sequence[str]], Experiment]
 
 
-def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm) -> None:
+def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm, limit_s: float) -> None:
     """Have on disk what these tasks need compiled; at once if it is there.
 
     Args:
@@ -26,6 +27,7 @@ def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm) -> N
         tasks: some of each law and mode.
         read: what a task flies.
         warm: flies a moment of each.
+        limit_s: what takes longer is left to the workers [s].
     """
     folder = vars(config)["CACHE_DIR"]
     marks: dict[Path, Task] = {}
@@ -39,9 +41,9 @@ def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm) -> N
     process = get_context("spawn").Process(target=_run, args=words, daemon=True)
     process.start()
     try:
-        process.join()
+        process.join(limit_s)
     finally:
-        process.kill()  # of use only when interrupted
+        process.kill()  # of use only when interrupted, or when a law never ends
     if folder and process.exitcode == 0:
         for mark in marks:
             mark.parent.mkdir(parents=True, exist_ok=True)
@@ -59,4 +61,5 @@ def kind_of(experiment: Experiment) -> str:
 
 def _run(warm: Warm, base: str, tasks: Sequence[Task]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # go without a word
+    os.dup2(2, 1)  # what a law prints is not what the campaign says
     warm(base, tasks)

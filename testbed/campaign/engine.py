@@ -3,17 +3,21 @@
 Here there is only what is particular to a campaign: a worker has one thread, because a flight holds
 the interpreter; runs travel in batches of about a second, because a scheduler does some thousand
 tasks a second and no more; a few batches per worker are under way, so that ten thousand runs take
-no more memory than ten; a batch whose workers die is taken apart to find the run that kills them.
+no more memory than ten; a batch whose workers die is taken apart to find the run that kills them;
+a worker that a run keeps for longer than the limit is one that dies.
 """
 
+import faulthandler
 import logging
 import math
 import os
+import socket
 import time
 from asyncio import CancelledError as FutureCancelled
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from testbed.campaign.code import code_digest
@@ -74,19 +78,24 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
     }
     with dask.config.set(settings), _quiet():
         if scheduler is None:
-            with (
-                LocalCluster(
-                    n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
-                    memory_limit=0,
-                ) as cluster,
-                Client(cluster) as client,
-            ):  # fmt: skip
+            with ExitStack() as stack:
+                try:
+                    cluster = LocalCluster(
+                        n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
+                        dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                        memory_limit=0,
+                    )  # fmt: skip
+                    client = stack.enter_context(Client(stack.enter_context(cluster)))
+                except (OSError, RuntimeError) as error:
+                    raise EngineError(
+                        f"--jobs {jobs}\n  expected  to start as many processes, of some ten open "
+                        f"files each\n  found     {error}"
+                    ) from None
                 yield client
             return
         try:
             client = Client(scheduler, timeout="10s")
-        except (OSError, TimeoutError, ValueError) as error:
+        except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
             raise EngineError(
                 f"--scheduler {scheduler}\n  expected  a Dask scheduler, for instance "
                 "tcp://10.0.0.1:8786\n"
@@ -125,6 +134,27 @@ def _quiet() -> Iterator[None]:
             logging.getLogger(name).setLevel(level)
 
 
+class OtherCodeError(Exception):
+    """A worker, one that joined late, has other code."""
+
+
+def _fly_here(
+    fly: Callable[[list[Task]], list[Result]], digest: str, limit_s: float, batch: list[Task]
+) -> list[Result]:
+    """In the worker: a batch, if the code is the one that the campaign began with.
+
+    What hangs, in Python or in machine code, can only be ended with its process.
+    """
+    if code_digest() != digest:
+        raise OtherCodeError(f"{code_digest()} on {socket.gethostname()}, process {os.getpid()}")
+    with Path(os.devnull).open("w") as nowhere:
+        faulthandler.dump_traceback_later(limit_s, exit=True, file=nowhere)
+        try:
+            return fly(batch)
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+
+
 class Fleet(Generic[Task, Result]):
     """Flies tasks on all workers of a client.
 
@@ -133,6 +163,7 @@ class Fleet(Generic[Task, Result]):
         fly: takes a list of tasks to the list of their results; in the worker.
         lost: the result of a task that took its workers with it.
         took: how long a result's task took [s].
+        limit_s: a worker that has not done a batch after this is ended [s].
     """
 
     def __init__(
@@ -141,8 +172,10 @@ class Fleet(Generic[Task, Result]):
         fly: Callable[[list[Task]], list[Result]],
         lost: Callable[[Task], Result],
         took: Callable[[Result], float],
+        limit_s: float,
     ) -> None:
         self._client, self._fly, self._lost, self._took = client, fly, lost, took
+        self._limit_s = limit_s
         self._count, self._asked = 1, -math.inf
         self._pace = 0.0  # mean of what a task takes [s]
 
@@ -158,7 +191,8 @@ class Fleet(Generic[Task, Result]):
         done = as_completed()
 
         def submit(batch: list[Task]) -> None:
-            future = self._client.submit(self._fly, batch, pure=False)
+            words = self._fly, code_digest(), self._limit_s, batch
+            future = self._client.submit(_fly_here, *words, pure=False)
             under_way[future] = batch
             done.add(future)
 
@@ -189,6 +223,13 @@ class Fleet(Generic[Task, Result]):
                         submit([suspects.pop()])
                     continue
                 results = [self._lost(batch[0])]
+            except Exception as error:  # whatever a run does is in its result: it is the worker
+                raise EngineError(
+                    "a worker cannot fly\n"
+                    f"  expected  workers with the code of this machine, {code_digest()}\n"
+                    f"  found     {type(error).__name__}: {error}; without it, the same command "
+                    "goes on"
+                ) from None
             for result in results:
                 self._pace += 0.3 * (self._took(result) - self._pace)
                 yield result

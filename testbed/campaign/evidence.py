@@ -4,10 +4,12 @@ The place of a vehicle is what its estimator said at every tick, for on a table 
 On the twin that is the truth within the estimator's error.
 """
 
+import struct
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
 from testbed.campaign.row import Flown, columns_of, outcome_of, within
@@ -58,7 +60,12 @@ def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, floa
         raise ConfigError(
             str(folder / "metrics.json"), "", "metrics of a run", str(error)
         ) from None
-    extra = beside_metrics(experiment, track_of(folder, experiment))
+    try:
+        track = track_of(folder, experiment)
+    except (McapError, msgspec.DecodeError, struct.error) as error:
+        found = f"{type(error).__name__}: {error}".removesuffix(": ")
+        raise ConfigError(str(folder / "log.mcap"), "", "the whole log of a run", found) from None
+    extra = beside_metrics(experiment, track)
     outcome, reason = outcome_of(metrics)
     columns = columns_of(metrics, experiment, extra)
     return within(Flown(k, outcome, reason, columns, metrics.criteria), most, least)

@@ -10,6 +10,7 @@ report.html      the same to look at
 """
 
 import shlex
+import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,8 +26,9 @@ from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.journal import Head, Journal, JournalError
 from testbed.campaign.row import Flown, Kept, Task, within
 from testbed.campaign.sweep import Campaign
-from testbed.ops.whole import write_whole
+from testbed.ops.whole import named, write_whole
 
+UNLIKE = "unlike.txt"  # in a run's folder: what was not the same the second time
 MOST_WARMED = 20  # combinations of a grid; others are compiled by their worker
 
 
@@ -123,29 +125,36 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
             (k, campaign.overrides(k)) for k in range(campaign.count) if k not in runs
         ]  # fmt: skip
         watch.begun(campaign.count, journal.found)
-        unlike: list[int] = []
         wall = 0.0
         if tasks or missing_folders(campaign, runs, folder):
             if crew.scheduler is None:
                 some = tasks[: min(MOST_WARMED, campaign.combinations)]
-                compile_first(campaign.base, some, crew.read, crew.warm)
+                compile_first(campaign.base, some, crew.read, crew.warm, campaign.file.limit_s)
             with crew.workers(max(1, len(tasks))) as client:
                 began = time.perf_counter()
-                for flown in _fleet(client, campaign.base, crew).results(tasks):
+                for flown in _fleet(client, campaign, crew).results(tasks):
                     run = within(flown, campaign.file.most, campaign.file.least)
                     journal.append(run)
                     runs[run.k] = run
                     watch.flown(run)
                 wall = time.perf_counter() - began
-                unlike = keep_failures(client, campaign, runs, folder, crew, watch)
+                keep_failures(client, campaign, runs, folder, crew, watch)
+        unlike = [
+            k for k in kept_runs(campaign, runs) if (failure_folder(folder, k) / UNLIKE).exists()
+        ]
     return Ended([runs[k] for k in sorted(runs)], resumed, wall, unlike)
 
 
-def _fleet(client: Any, base: str, crew: Crew) -> Fleet[Task, Flown]:
-    def lost(task: Task) -> Flown:
-        return Flown(task[0], "lost", "two workers died while flying it")
+def _fleet(client: Any, campaign: Campaign, crew: Crew) -> Fleet[Task, Flown]:
+    fly = partial(crew.fly, campaign.base)
+    return Fleet(client, fly, gone, lambda run: run.wall_s, campaign.file.limit_s)
 
-    return Fleet(client, partial(crew.fly, base), lost, lambda run: run.wall_s)
+
+def gone(task: Task) -> Flown:
+    """A run that took its workers with it."""
+    return Flown(
+        task[0], "lost", "its workers died while flying it, or it took longer than limit_s"
+    )
 
 
 def failure_folder(folder: Path, k: int) -> Path:
@@ -153,11 +162,23 @@ def failure_folder(folder: Path, k: int) -> Path:
     return folder / "failures" / f"run_{k:06d}"
 
 
-def missing_folders(campaign: Campaign, runs: dict[int, Flown], folder: Path) -> list[int]:
-    """Runs whose folder is still to be made: the first ones that did not pass."""
+def kept_runs(campaign: Campaign, runs: dict[int, Flown]) -> list[int]:
+    """Runs that have a folder in the end: the first ones that did not pass."""
     failed = [k for k in sorted(runs) if runs[k].outcome not in ("passed", "lost")]
-    kept = failed[: campaign.file.keep]
-    return [k for k in kept if not failure_folder(folder, k).exists()]
+    return failed[: campaign.file.keep]
+
+
+def missing_folders(campaign: Campaign, runs: dict[int, Flown], folder: Path) -> list[int]:
+    """Those of them whose folder is still to be made."""
+    return [k for k in kept_runs(campaign, runs) if not failure_folder(folder, k).exists()]
+
+
+def differences(first: Flown, again: Kept) -> list[str]:
+    """What a run did otherwise the second time."""
+    if bool(first.columns) != bool(again.columns):  # one of them was ended by an exception
+        return ["how it ended"]
+    known = {name: value for name, value in again.columns.items() if value is not None}
+    return [name for name, value in known.items() if first.columns.get(name) != value]
 
 
 def keep_failures(
@@ -167,31 +188,31 @@ def keep_failures(
     folder: Path,
     crew: Crew,
     watch: Watch,
-) -> list[int]:
-    """Fly failures once more, with a log; the runs that were not the same then."""
+) -> None:
+    """Fly failures once more, with a log."""
     missing = missing_folders(campaign, runs, folder)
     if not missing:
-        return []
+        return
     watch.keeping(len(missing))
     fleet: Fleet[Task, Kept] = Fleet(
         client,
         partial(crew.fly_with_log, campaign.base),
         lambda task: Kept(task[0], {"error.txt": b"its workers died\n"}, {}),
         lambda kept: 1.0,
+        campaign.file.limit_s,
     )
-    unlike = []
     for kept in fleet.results([(k, campaign.overrides(k)) for k in missing]):
         place = failure_folder(folder, kept.k)
         part = place.with_suffix(".part")
-        part.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(part, ignore_errors=True)  # of an earlier call that was killed
+        part.mkdir(parents=True)
         for name, data in kept.files.items():
-            (part / name).write_bytes(data)
+            with named(part / name):
+                (part / name).write_bytes(data)
         (part / "replay.txt").write_text(replay_command(campaign, folder, kept.k) + "\n")
+        if otherwise := differences(runs[kept.k], kept):
+            (part / UNLIKE).write_text(", ".join(otherwise) + "\n")
         part.replace(place)
-        first = runs[kept.k].columns
-        if any(first.get(n) != v for n, v in kept.columns.items() if v is not None):
-            unlike.append(kept.k)
-    return sorted(unlike)
 
 
 def replay_command(campaign: Campaign, folder: Path, k: int) -> str:

@@ -151,8 +151,9 @@ def _distributions(summary: Summary, table: Table) -> str:
         known = [(v * quantity.scale, o == "passed") for v, o in pairs if v is not None]
         good = [value for value, passed in known if passed]
         bad = [value for value, passed in known if not passed]
+        few = "" if one.runs == summary.runs else f"{one.runs} of {summary.runs} runs: "
         words = (
-            f"median {chart.number(one.median)}, 95 % within {chart.number(one.p95)}, "
+            f"{few}median {chart.number(one.median)}, 95 % within {chart.number(one.p95)}, "
             f"worst {chart.number(one.worst)} in run {one.worst_run}"
         )
         picture = chart.histogram(good, bad, titled(quantity))
@@ -166,8 +167,8 @@ def _distributions(summary: Summary, table: Table) -> str:
 
 
 def points_of(table: Table, x: str, y: str, scales: tuple[float, float]) -> list[Point]:
-    """One point per run that has both numbers, thinned when there are very many."""
-    rows = [
+    """One point per run that has both numbers."""
+    return [
         Point(
             float(a) * scales[0], float(b) * scales[1], outcome == "passed",
             f"run {run}: {chart.number(a * scales[0])}, {chart.number(b * scales[1])}, {outcome}",
@@ -177,10 +178,14 @@ def points_of(table: Table, x: str, y: str, scales: tuple[float, float]) -> list
         )
         if a is not None and b is not None
     ]  # fmt: skip
-    if len(rows) <= MOST_POINTS:
-        return rows
-    bad = [point for point in rows if not point.passed][:MOST_POINTS]
-    good = [point for point in rows if point.passed]
+
+
+def thinned(points: list[Point]) -> list[Point]:
+    """As many points as a picture shows; those that did not pass first."""
+    if len(points) <= MOST_POINTS:
+        return points
+    bad = [point for point in points if not point.passed][:MOST_POINTS]
+    good = [point for point in points if point.passed]
     stride = -(-len(good) // max(1, MOST_POINTS - len(bad)))
     return good[::stride] + bad
 
@@ -201,7 +206,8 @@ def _influences(campaign: Campaign, table: Table, error: Quantity) -> str:
     for name in numeric_parameters(campaign, table):
         points = points_of(table, name, error.column, (1.0, error.scale))
         if points:
-            figures.append(f"<figure>{chart.scatter(points, name, titled(error))}</figure>")
+            picture = chart.scatter(thinned(points), name, titled(error))
+            figures.append(f"<figure>{picture}</figure>")
     if not figures:
         return ""
     return (
@@ -231,8 +237,9 @@ def _front(table: Table, error: Quantity) -> str:
     points = points_of(table, "gas_g", error.column, (1.0, error.scale)) if "gas_g" in table else []
     if len(points) < 2:
         return ""
-    front = best_front(points)
-    picture = chart.scatter(points, "gas [g]", titled(error), front)
+    front = best_front(points)  # of all, also of those that the picture leaves out
+    shown = list(dict.fromkeys([*thinned(points), *front]))
+    picture = chart.scatter(shown, "gas [g]", titled(error), front)
     words = (
         "The line is the Pareto front of the runs that passed: no run has less error for less gas."
         if front

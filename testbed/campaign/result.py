@@ -43,6 +43,7 @@ def write_parquet(path: Path, table: Table, facts: dict[str, str]) -> None:
     numbers = {
         name: pyarrow.array(column, pyarrow.float64())
         if any(isinstance(value, float) for value in column)
+        or all(value is None for value in column)  # a column of no type fits no other campaign's
         else pyarrow.array(column)
         for name, column in table.items()
     }

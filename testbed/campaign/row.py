@@ -22,10 +22,10 @@ Outcome = Literal["passed", "failed", "fault", "error", "refused", "lost"]
 OUTCOMES = {
     "passed": "flown to the end, all criteria met",
     "failed": "flown to the end, a criterion missed",
-    "fault": "ended by a fault",
+    "fault": "ended early, by a fault or an operator",
     "error": "ended by an exception",
     "refused": "its configuration is not possible",
-    "lost": "its worker died, again and again",
+    "lost": "its worker died or did not return, again and again",
 }
 
 TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
@@ -46,6 +46,8 @@ TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
 }
 SINGLE = ("duration_s", "contacts", "min_vehicle_distance_m")  # of a run as a whole
 BESIDE = ("goal_rms_m", "shape_rms_m", "clearance_m")  # not among a vehicle's metrics
+OF_A_VEHICLE = (*VehicleMetrics.__struct_fields__, *BESIDE)
+COLUMNS = ("run", "outcome", "reason", *SINGLE, *OF_A_VEHICLE)  # of the results, beside the file's
 
 
 class Flown(Struct, frozen=True):
@@ -68,10 +70,15 @@ class Kept(Struct, frozen=True):
     columns: dict[str, Number]
 
 
+FLOWN = ("passed", "failed")  # to the end
+
+
 def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
     """How a flight ended, and why it did not pass."""
     if metrics.fault:
         return "fault", metrics.fault
+    if not metrics.completed:  # an operator ended it, or kept it from starting
+        return "fault", "not flown to its end"
     flown = metrics.vehicles.values()
     failed = [
         f"{name} not reached" if any(getattr(one, name, 0.0) is None for one in flown) else name
@@ -103,9 +110,9 @@ def check_columns(where: str, key: str, bounds: Mapping[str, float]) -> None:
     """Refuse a bound that is none, or on a number that no run has.
 
     Raises:
-        ConfigError: there is no such column.
+        ConfigError: there is no such column, or the bound is no number, which all would keep.
     """
-    known = [*SINGLE, *VehicleMetrics.__struct_fields__, *BESIDE]
+    known = [*SINGLE, *OF_A_VEHICLE]
     for name, bound in bounds.items():
         if not math.isfinite(bound):
             raise ConfigError(where, f"{key}.{name}", "a finite number", f"{bound:g}")
@@ -161,20 +168,21 @@ def columns_of(
         "contacts": metrics.contacts,
         "min_vehicle_distance_m": metrics.min_vehicle_distance_m,
     }
-    names = [*VehicleMetrics.__struct_fields__, *BESIDE]
     each: dict[str, dict[str, Number]] = {}
     for vehicle, one in metrics.vehicles.items():
         beside = extra.get(vehicle, {})
         each[vehicle] = {
-            name: beside.get(name) if name in BESIDE else getattr(one, name) for name in names
+            name: beside.get(name) if name in BESIDE else getattr(one, name)
+            for name in OF_A_VEHICLE
         }
         if experiment.vehicles[vehicle].path is not None:
             each[vehicle] |= dict.fromkeys(TO_THE_START)
-    for name in names:
+    for name in OF_A_VEHICLE:
         values = [numbers[name] for numbers in each.values()]
         known = [value for value in values if value is not None]
         unsettled = name == "settle_s" and len(known) < len(values)  # somebody never did
-        columns[name] = TOGETHER[name](known) if known and not unsettled else None
+        lost = any(math.isnan(value) for value in known)  # `max` and `min` may pass it over
+        columns[name] = TOGETHER[name](known) if known and not unsettled and not lost else None
     if len(experiment.vehicles) > 1:
         for vehicle, numbers in each.items():
             columns |= {f"{vehicle}.{name}": value for name, value in numbers.items()}

@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from testbed.campaign.inline import inline
-from testbed.campaign.row import check_columns, check_vehicles
+from testbed.campaign.row import COLUMNS, check_columns, check_vehicles
 from testbed.config import ConfigError, Experiment, dump, find, load, read_toml
 from testbed.config.experiment import Seed
 from testbed.config.key import ANY, Key, assignment, spell
@@ -52,8 +52,10 @@ from testbed.core.vehicle import Positive
 
 MOST_RUNS = 1_000_000
 MOST_CHECKED = 200  # combinations, before the first run
+SEED: Key = ("seed",)
 
 Count = Annotated[int, Meta(ge=1, le=MOST_RUNS)]
+Limit = Annotated[float, Meta(gt=0.0, le=604_800.0)]
 Overrides = tuple[str, ...]
 Parameters = dict[str, float | int | bool | str]
 
@@ -98,7 +100,7 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
     mean: float | None = None
     sd: Positive | None = None
     log: bool = False  # even in the logarithm
-    whole: bool = False  # rounded to a whole number
+    whole: bool = False  # a whole number, each of an even draw as often
 
     def __post_init__(self) -> None:
         ends, bell = (self.low, self.high), (self.mean, self.sd)
@@ -124,18 +126,16 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
         """The value below which this `share` of all draws are."""
         if self.mean is not None and self.sd is not None:
             value = float(norm.ppf(share, self.mean, self.sd))
+            return round(value) if self.whole else value
+        assert self.low is not None
+        assert self.high is not None
+        room = 0.5 if self.whole else 0.0  # or the ends would be rounded to half as often
+        low, high = self.low - room, self.high + room
+        if self.log:
+            value = low * math.exp(share * math.log(high / low))
         else:
-            assert self.low is not None
-            assert self.high is not None
-            rim = 0.5 * self.whole  # the ends are as likely as what is between them
-            low, high = self.low - rim, self.high + rim
-            if self.log:
-                value = low * math.exp(share * math.log(high / low))
-            else:
-                value = low + share * (high - low)
-            if self.whole:
-                return min(max(round(value), int(self.low)), int(self.high))
-        return round(value) if self.whole else value
+            value = low + share * (high - low)
+        return int(min(self.high, max(self.low, round(value)))) if self.whole else value
 
 
 class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -155,6 +155,7 @@ class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
     keep: Annotated[int, Meta(ge=0, le=1000)] = 20  # failures whose log is kept
     confidence: Annotated[float, Meta(gt=0.5, lt=1.0)] = 0.95  # of the interval
     success: Probability | None = None  # what the interval's lower end must reach
+    limit_s: Limit = 3600.0  # of computing a run; one that takes longer is lost [s]
 
 
 class Campaign:
@@ -241,6 +242,9 @@ def load_campaign(path: Path) -> Campaign:
     for name in names:
         if names.count(name) > 1 or name == "seed":
             raise ConfigError(str(path), "", "each column once, none called seed", show(name))
+        if name in COLUMNS or name.startswith("met."):
+            expected = "a `name` that no result has"
+            raise ConfigError(str(path), "", expected, f"{show(name)}, a column of the results")
     for axis in file.grid:
         shown = [show(value) for value in axis.values]
         if twice := [value for value in shown if shown.count(value) > 1]:
@@ -253,9 +257,17 @@ def load_campaign(path: Path) -> Campaign:
     if size > MOST_RUNS:
         raise ConfigError(str(path), "", f"at most {MOST_RUNS} runs", str(size))
     base = base_experiment(path, file.experiment, file.set)
+    if any(assignment(text)[0] == SEED for text in file.set):
+        raise seed_error(path, "set")
     campaign = Campaign(file, tomli_w.dumps(dump(base)))
     check_corners(path, campaign)
     return campaign
+
+
+def seed_error(path: Path, where: str) -> ConfigError:
+    """Somebody sets the seed of every run."""
+    expected = "`seed` and `samples` of the campaign: sample j flies with seed + j"
+    return ConfigError(str(path), where, expected, "the key `seed`")
 
 
 def check_replaced(path: Path, file: CampaignFile) -> None:
@@ -265,9 +277,8 @@ def check_replaced(path: Path, file: CampaignFile) -> None:
     ] + [(draw.label, f"{draw.key}=0") for draw in file.draw]
     keys = dict.fromkeys((label, assignment(text)[0]) for label, text in settings)
     for place, (label, key) in enumerate(keys):
-        if key == ("seed",):
-            expected = "`seed` and `samples` of the campaign: sample j flies with seed + j"
-            raise ConfigError(str(path), label, expected, "the key `seed`")
+        if key == SEED:
+            raise seed_error(path, label)
         for other, later in list(keys)[place + 1 :]:
             if other != label and covers(later, key):
                 expected = f"`{spell(key)}` as it was set, in every run"

@@ -37,6 +37,7 @@ from testbed.campaign.extra import needs_extra
 from testbed.campaign.row import Flown, Task, broken_bound, check_columns, check_vehicles, column
 from testbed.campaign.sweep import (
     Count,
+    Limit,
     base_experiment,
     check_name,
     experiment_path,
@@ -87,6 +88,7 @@ class TuningFile(Struct, frozen=True, forbid_unknown_fields=True):
     sampler: Literal["tpe", "cmaes"] = "tpe"
     together: Annotated[int, Meta(ge=1, le=1000)] = 4
     proof: Annotated[int, Meta(ge=0, le=10_000)] = 10  # seeds of the comparison at the end
+    limit_s: Limit = 3600.0  # of computing a run; one that takes longer is lost [s]
 
 
 class Trial(Struct, frozen=True):

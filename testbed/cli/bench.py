@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import msgspec
@@ -51,7 +52,7 @@ def run_benchmark(
         if runs is not None:
             table = score_folders(file, runs)
         else:
-            with interrupt.caught(), interrupt.at_once():
+            with interrupt.caught(), interrupt.at_once(), redirect_stdout(sys.stderr):
                 table = fly_benchmark(path, file, folder, jobs, scheduler)
         if table is None:
             errors.print(

@@ -2,10 +2,12 @@
 
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import msgspec
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -51,10 +53,11 @@ def run_campaign(
     interrupt, ended, watch = Interrupt(), None, Bar()
     try:
         path = find_campaign(name)
-        campaign = load_campaign(path)
+        with redirect_stdout(sys.stderr):  # what a law prints is not what the campaign says
+            campaign = load_campaign(path)
         folder = out or Path("runs") / f"campaign_{campaign.file.name}"
         crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler)
-        with interrupt.caught(), interrupt.at_once(), watch:
+        with interrupt.caught(), interrupt.at_once(), watch, redirect_stdout(sys.stderr):
             ended = fly_campaign(campaign, path.read_bytes(), folder, crew, watch)
         if ended is None:
             say_interrupted(campaign, folder)
@@ -153,7 +156,7 @@ def print_summary(
     """Print what the campaign says."""
     out = Console(highlight=False)
     low, high = summary.confidence_interval
-    title = f"[bold]{summary.campaign}[/]: {summary.runs} runs of {summary.experiment}"
+    title = f"[bold]{summary.campaign}[/]: {summary.runs} runs of {escape(summary.experiment)}"
     rate = 100.0 * (summary.success_rate or 0.0)
     out.print(
         f"{title}, {summary.succeeded} passed: [bold]{rate:.1f} %[/] "
@@ -183,14 +186,15 @@ def print_summary(
 
 def _print_spreads(out: Console, summary: Summary) -> None:
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in ("", "best", "median", "95 %", "worst", "in run"):
+    for heading in ("", "runs", "best", "median", "95 %", "worst", "in run"):
         grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     for one in summary.spreads:
         unit = f" \\[{one.quantity.unit}]" if one.quantity.unit else ""
         numbers = (one.best, one.median, one.p95, one.worst)
         grid.add_row(
-            one.quantity.title + unit, *(f"{number:.4g}" for number in numbers), str(one.worst_run)
-        )
+            one.quantity.title + unit, str(one.runs), *(f"{number:.4g}" for number in numbers),
+            str(one.worst_run),
+        )  # fmt: skip
     out.print(grid)
 
 
@@ -199,13 +203,14 @@ def _print_cases(out: Console, summary: Summary) -> None:
         return
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for name in summary.cases[0].name:
-        grid.add_column(name)
+        grid.add_column(escape(name))
     for heading in ("passed", "rate", "interval"):
         grid.add_column(heading, justify="right")
     for case in summary.cases[:40]:
         rate = case.rate
         grid.add_row(
-            *case.name.values(), f"{rate.succeeded}/{rate.runs}", f"{100 * (rate.rate or 0):.1f} %",
+            *map(escape, case.name.values()),
+            f"{rate.succeeded}/{rate.runs}", f"{100 * (rate.rate or 0):.1f} %",
             f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %",
         )  # fmt: skip
     out.print("")

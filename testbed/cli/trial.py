@@ -23,6 +23,8 @@ from testbed.rig.twin import make_twin
 def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     """Fly run k: the base experiment with these on top. Whatever happens is in the result."""
     began = time.perf_counter()
+    columns: dict[str, Number] = {}
+    criteria: dict[str, bool] = {}
     try:
         experiment = read(base, overrides)
         judge, rig = Judge(experiment.vehicles), make_twin(experiment)
@@ -31,14 +33,18 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
         completed = ending.fault is None
         metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)
         columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
+        (outcome, reason), criteria = outcome_of(metrics), metrics.criteria
     except ConfigError as error:
-        return Flown(k, "refused", f"{error.key}: expected {error.expected}, found {error.found}")
-    except Exception:  # whatever a law does, the campaign goes on and shows it
-        return Flown(k, "error", traceback.format_exc(limit=-4))
-    outcome, reason = outcome_of(metrics)
+        outcome = "refused"
+        reason = f"{error.key}: expected {error.expected}, found {error.found}"
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # whatever a law does, even to exit: the campaign goes on and shows it
+        outcome, reason = "error", traceback.format_exc(limit=-4)
+    reason = reason.encode(errors="backslashreplace").decode()  # half a character is no UTF-8
     wall = time.perf_counter() - began
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Flown(k, outcome, reason, columns, metrics.criteria, wall, memory_mb)
+    return Flown(k, outcome, reason, columns, criteria, wall, memory_mb)
 
 
 def fly_batch(base: str, batch: Sequence[Task]) -> list[Flown]:
@@ -49,7 +55,7 @@ def fly_batch(base: str, batch: Sequence[Task]) -> list[Flown]:
 def warm(base: str, batch: Sequence[Task]) -> None:
     """Fly a moment of some runs, so that all they need is compiled and on disk."""
     for _, overrides in batch:
-        with suppress(Exception):  # what is wrong is said when it is flown
+        with suppress(Exception, SystemExit):  # what is wrong is said when it is flown
             warm_up(read(base, overrides), lambda: False)
     settle()
 
@@ -70,8 +76,11 @@ def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
                 metrics = fly_and_judge(experiment, folder)
             write_metrics(folder, metrics)
             columns = columns_of(metrics, experiment, {})
-        except Exception:  # the same that ended the first flight
-            (folder / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # the same that ended the first flight
+            text = traceback.format_exc().encode(errors="backslashreplace")
+            (folder / "error.txt").write_bytes(text)
         files = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
     return Kept(k, files, columns)
 

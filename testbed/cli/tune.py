@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
 
@@ -9,13 +10,14 @@ import msgspec
 import tomli_w
 from msgspec import Struct
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
 from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
-from testbed.campaign.flight import make_folder
+from testbed.campaign.flight import gone, make_folder
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import Flown, Task
 from testbed.campaign.tuning import (
@@ -57,10 +59,11 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
     """Tune and return the exit code."""
     interrupt, result = Interrupt(), None
     try:
-        tuning = load_tuning(find_campaign(name))
+        with redirect_stdout(sys.stderr):  # what a law prints is not what the tuning says
+            tuning = load_tuning(find_campaign(name))
         folder = out or Path("runs") / f"tuning_{tuning.file.name}"
         make_folder(folder)
-        with interrupt.caught(), interrupt.at_once():
+        with interrupt.caught(), interrupt.at_once(), redirect_stdout(sys.stderr):
             result = fly_tuning(tuning, folder, jobs, scheduler)
         if result is None:
             errors.print(
@@ -96,11 +99,11 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
         best = [trial.cost for trial in journal.found]
         first = tuning.tasks(0, tuning.now, [tuning.file.seed])
         if scheduler is None:
-            compile_first(tuning.base, first, read, warm)
+            compile_first(tuning.base, first, read, warm, tuning.file.limit_s)
         with workers(jobs, scheduler) as client:
 
             def fly(tasks: Sequence[Task]) -> Iterator[Flown]:
-                return _fleet(client, tuning.base).results(tasks)
+                return _fleet(client, tuning).results(tasks)
 
             def done(trial: Trial) -> None:
                 journal.append(trial)
@@ -112,11 +115,9 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
             return compare(tuning, trials, fly)
 
 
-def _fleet(client: object, base: str) -> Fleet[Task, Flown]:
-    def lost(task: Task) -> Flown:
-        return Flown(task[0], "lost", "two workers died while flying it")
-
-    return Fleet(client, partial(fly_batch, base), lost, lambda run: run.wall_s)
+def _fleet(client: object, tuning: Tuning) -> Fleet[Task, Flown]:
+    fly = partial(fly_batch, tuning.base)
+    return Fleet(client, fly, gone, lambda run: run.wall_s, tuning.file.limit_s)
 
 
 def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResult:
@@ -156,13 +157,16 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
     out = Console(highlight=False)
     kept = f"{result.within_bounds} of {result.trials} trials within the bounds"
     if result.best is None:
-        out.print(f"[bold red]no choice is safe[/]: {kept}; the first one: {result.start.reason}")
+        first = escape(result.start.reason)
+        out.print(f"[bold red]no choice is safe[/]: {kept}; the first one: {first}")
         return
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("", "as it was", "tuned", "between"):
         grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     for gain, old, new in zip(tuning.file.gain, result.start.gains, result.best.gains, strict=True):
-        grid.add_row(gain.key, f"{old:.4g}", f"{new:.4g}", f"{gain.low:g} and {gain.high:g}")
+        grid.add_row(
+            escape(gain.key), f"{old:.4g}", f"{new:.4g}", f"{gain.low:g} and {gain.high:g}"
+        )
     before, after = result.start, result.best
     costs = _cost(before.cost, before.broken), _cost(after.cost, after.broken)
     grid.add_row("cost, tuned on", *costs, "")

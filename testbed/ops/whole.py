@@ -10,10 +10,22 @@ def whole(path: Path) -> Iterator[Path]:
     """Where to write a file that takes its place in one step, when all is written."""
     part = path.with_name(path.name + ".part")
     try:
-        yield part
+        with named(path):
+            yield part
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def named(path: Path) -> Iterator[None]:
+    """What goes wrong with a file meanwhile says with which; a full disk does not say it."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno is not None:
+            error.filename = str(path)
+        raise
 
 
 def write_whole(path: Path, data: bytes) -> None:

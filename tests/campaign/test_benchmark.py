@@ -1,10 +1,12 @@
 """The benchmark of record: every law flies, scores are what the runs were, folders count too."""
 
+import math
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from controllers.catalogue import Controller
 from controllers.own_law import OwnLawParams
@@ -24,7 +26,7 @@ from testbed.config import SHIPPED as CONFIGS
 from testbed.config import ConfigError, dump, find, load
 from testbed.core.path import Circle
 from testbed.ops.folder import new_folder, write_config, write_metrics
-from testbed.ops.metrics import Track
+from testbed.ops.metrics import Metrics, Track, VehicleMetrics
 from testbed.rig.twin import make_twin
 
 PATH = CONFIGS / "benchmark.toml"
@@ -79,6 +81,33 @@ def test_a_score_is_the_middle_and_the_worst():
     assert (one.error_m, one.worst_error_m, one.gas_g) == (0.2, 0.3, 7.0)
     assert (one.clearance_m, one.settle_s) == (-0.1, None)
     assert (one.robust_passed, one.robust_runs) == (1, 2)
+
+
+def test_a_run_that_ended_early_is_worse_than_any():
+    early = {"gas_g": 1.0, "contacts": 1, "clearance_m": 0.2, "settle_s": 0.5}
+    short = [run(k, "fault", **early) for k in range(2)]
+    long = [run(k, goal_rms_m=0.1 * k, gas_g=10.0 + k, settle_s=9.0) for k in range(2, 5)]
+    one = score("step", "pd", [*short, *long])
+    assert (one.error_m, one.gas_g) == (0.4, 14.0)  # the third of five, two are worse than any
+    assert (one.worst_error_m, one.contacts, one.clearance_m) == (None, 2, 0.2)
+    assert one.settle_s is None
+    assert score("step", "pd", long).settle_s == 9.0
+    assert score("step", "pd", [*short, *long[:2]]).error_m is None
+
+
+@pytest.mark.parametrize("first", ["sat1", "sat2"])
+def test_what_is_no_number_of_one_vehicle_is_none_of_all(first):
+    experiment = load(CONFIGS / "scenarios" / "formation.toml")
+    beside = {
+        name: {"goal_rms_m": math.nan if name == first else 0.1} for name in experiment.vehicles
+    }
+    one = VehicleMetrics(*[None] * 10)
+    metrics = Metrics("try", "twin", 0, True, 1.0, 1.0, None, 0, None, None, {},
+                      dict.fromkeys(experiment.vehicles, one))  # fmt: skip
+    columns = columns_of(metrics, experiment, beside)
+    assert columns["goal_rms_m"] is None
+    assert columns[f"{first}.goal_rms_m"] is None
+    assert columns["sat3.goal_rms_m"] == 0.1
 
 
 def test_a_law_that_raises_has_a_row_without_numbers():
@@ -165,6 +194,28 @@ def test_a_run_folder_scores_like_the_flight(tmp_path):
     track = track_of(folder, experiment)
     assert track.states.shape[1:] == (1, 6)
     assert track.t[-1] == pytest.approx(7.9)
+
+
+def test_a_flight_that_an_operator_ended_has_not_passed(tmp_path):
+    experiment = load(find("hold"), ["duration_s=1", "criteria={}"])
+    folder = new_folder(tmp_path / "run", "hold")
+    write_config(folder, dump(experiment), "test")
+    metrics = fly_and_judge(experiment, folder)
+    for completed, outcome in ((True, "passed"), (False, "fault")):
+        write_metrics(folder, replace(metrics, completed=completed))
+        assert read_run(folder, 0, {}, {}).outcome == outcome
+
+
+def test_a_log_cut_off_anywhere_is_said(tmp_path):
+    experiment = load(find("hold"), ["duration_s=1", "criteria={}"])
+    folder = new_folder(tmp_path / "run", "hold")
+    write_config(folder, dump(experiment), "test")
+    write_metrics(folder, fly_and_judge(experiment, folder))
+    data = (folder / "log.mcap").read_bytes()
+    for length in range(0, len(data), len(data) // 40):
+        (folder / "log.mcap").write_bytes(data[:length])
+        with pytest.raises(ConfigError, match="the whole log of a run"):
+            read_run(folder, 0, {}, {})
 
 
 def test_a_folder_that_is_no_run_is_said(tmp_path):

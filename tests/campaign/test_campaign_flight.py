@@ -3,13 +3,18 @@
 import shlex
 from threading import Event
 
+import distributed
 import pyarrow.parquet
 import pytest
 from msgspec.structs import replace
+from numba.core import config
+from pretence import hold, never_warm, of_another_version, otherwise_with_log
 from scipy.stats import beta
 
+from testbed.campaign.code import code_digest
+from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import EngineError, workers
-from testbed.campaign.flight import Watch, failure_folder, fly_campaign, replay_command
+from testbed.campaign.flight import UNLIKE, Watch, failure_folder, fly_campaign, replay_command
 from testbed.campaign.interval import success_rate
 from testbed.campaign.journal import JournalError
 from testbed.campaign.result import table_of, write_parquet
@@ -63,6 +68,15 @@ def test_every_run_once_whoever_flies_and_however_often_it_is_stopped(write, cre
     assert (again.resumed, again.runs) == (40, straight.runs)
 
 
+def test_a_run_that_was_not_the_same_the_second_time_stays_one(write, crew, tmp_path):
+    campaign = load_campaign(write(samples=9, keep=3))
+    for _ in range(2):  # also when nothing is left to fly
+        ended = fly(campaign, tmp_path / "a", replace(crew(), fly_with_log=otherwise_with_log))
+        assert ended.unlike == [0, 3]
+    notes = [failure_folder(tmp_path / "a", k) / UNLIKE for k in (0, 3)]
+    assert [note.read_text() for note in notes] == ["gas_g\n", "how it ended\n"]
+
+
 def test_a_changed_file_does_not_go_on_in_an_old_folder(write, crew, tmp_path):
     fly(load_campaign(write(samples=2)), tmp_path / "a", crew())
     with pytest.raises(JournalError, match="campaign or experiment has changed"):
@@ -74,6 +88,20 @@ def test_a_run_that_kills_its_workers_is_found_and_the_others_fly(write, crew, t
     ended = fly(campaign, tmp_path / "a", crew(1))
     assert [run.k for run in ended.runs] == list(range(9))
     assert [run.k for run in ended.runs if run.outcome == "lost"] == [4]
+
+
+def test_a_run_that_never_ends_is_given_up_and_the_others_fly(write, crew, tmp_path):
+    keys = {"set": ["description='endless.4.'"], "limit_s": 1.0}
+    campaign = load_campaign(write(samples=9, keep=0, **keys))
+    ended = fly(campaign, tmp_path / "a", crew(1))
+    assert [run.k for run in ended.runs] == list(range(9))
+    assert [run.k for run in ended.runs if run.outcome == "lost"] == [4]
+
+
+def test_what_never_gets_warm_is_left_to_the_workers(monkeypatch, tmp_path):
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    compile_first("", [(0, ())], hold, never_warm, 1.0)
+    assert not list(tmp_path.rglob("*"))  # and it is not noted as compiled
 
 
 def test_a_cluster_flies_the_same_and_stays(write, crew, tmp_path):
@@ -99,6 +127,14 @@ def test_a_cluster_with_other_code_is_refused(monkeypatch):
             engine._same_code(lab, "tcp://lab:8786")
 
 
+def test_a_worker_with_other_code_that_joins_late_is_refused(write, crew, tmp_path):
+    campaign = load_campaign(write(samples=9, keep=0))
+    with pytest.raises(EngineError, match=f"code of this machine, {code_digest()}\n.*other on"):
+        fly(campaign, tmp_path / "a", replace(crew(1), fly=of_another_version))
+    resumed = fly(campaign, tmp_path / "a", crew(1))
+    assert [run.k for run in resumed.runs] == list(range(9))
+
+
 def test_what_an_interrupt_breaks_in_dask_is_not_said(capfd):
     with workers(1, None) as lab:
         over = Event()
@@ -110,6 +146,24 @@ def test_what_an_interrupt_breaks_in_dask_is_not_said(capfd):
 
 def test_a_cluster_that_is_not_there_is_said():
     with pytest.raises(EngineError, match="a Dask scheduler"), workers(1, "tcp://127.0.0.1:9"):
+        pass
+
+
+def test_an_address_that_dask_cannot_use_is_said(monkeypatch):
+    def no_tls(*_, **__):
+        raise TypeError("TLS expects a `ssl_context`")
+
+    monkeypatch.setattr(distributed, "Client", no_tls)
+    with pytest.raises(EngineError, match="found     TLS"), workers(1, "tls://127.0.0.1:9"):
+        pass
+
+
+def test_workers_that_cannot_start_are_said(monkeypatch):
+    def no_more_files(*_, **__):
+        raise RuntimeError("Cluster failed to start: Too many open files")
+
+    monkeypatch.setattr(distributed, "LocalCluster", no_more_files)
+    with pytest.raises(EngineError, match="found     Cluster failed"), workers(1, None):
         pass
 
 
@@ -125,6 +179,13 @@ def test_the_table_has_a_row_per_run_and_types_a_reader_expects(write, crew, tmp
     assert str(table.schema.field("goal_rms_m").type) == "double"
     assert str(table.schema.field("contacts").type) == "int64"
     assert table.schema.metadata[b"campaign"] == b"try"
+
+
+def test_a_number_that_no_run_has_is_a_column_of_numbers(tmp_path):
+    write_parquet(tmp_path / "r.parquet", {"run": [0, 1], "settle_s": [None, None]}, {})
+    table = pyarrow.parquet.read_table(tmp_path / "r.parquet")
+    assert str(table.schema.field("settle_s").type) == "double"
+    assert table["settle_s"].to_pylist() == [None, None]
 
 
 def test_the_summary_counts(write, crew, tmp_path):

@@ -111,6 +111,13 @@ def test_runs_without_numbers_make_a_page_too(write, tmp_path):
     assert "boom" in page_of(campaign, runs, tmp_path)
 
 
+def test_a_number_that_some_runs_do_not_have_says_of_how_many_it_is(write, tmp_path):
+    campaign = load_campaign(write(samples=10))
+    page = page_of(campaign, some_runs(10), tmp_path)  # two never settled
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page)
+    assert [words.split(":")[0] for words in captions if "of 10 runs" in words] == ["8 of 10 runs"]
+
+
 def test_ten_thousand_runs_make_a_page_of_some_megabytes_with_every_failure(write, tmp_path):
     campaign = load_campaign(write(draw=[MASS], samples=7000))
     page = page_of(campaign, some_runs(7000), tmp_path)
@@ -119,6 +126,17 @@ def test_ten_thousand_runs_make_a_page_of_some_megabytes_with_every_failure(writ
     marks = [e for e in scatter if "bad-mark" in e.get("class", "")]
     assert len(marks) == 1400
     assert len(scatter) < MOST_POINTS + 100
+
+
+def test_the_front_is_of_all_runs_also_of_those_that_are_not_drawn(write, tmp_path):
+    campaign = load_campaign(write(samples=4000))
+    runs = some_runs(4000)
+    good = [(r.columns["gas_g"], r.columns["goal_rms_m"], r.k) for r in runs if r.k % 5]
+    unbeaten = {k for x, y, k in good if not any(a < x and b < y for a, b, _ in good)}
+    page = page_of(campaign, runs, tmp_path)
+    scatter = next(s for s in pictures(page) if "against gas" in (s.get("aria-label") or ""))
+    hints = [e.find("*").text for e in scatter if "front-mark" in e.get("class", "")]
+    assert {int(hint.split(":")[0].removeprefix("run ")) for hint in hints} == unbeaten
 
 
 def test_the_front_is_what_nobody_beats():

@@ -5,7 +5,7 @@ import pytest
 import tomli_w
 
 from testbed.campaign.inline import inline
-from testbed.campaign.sweep import load_campaign
+from testbed.campaign.sweep import Draw, load_campaign
 from testbed.config import ConfigError, load
 from testbed.config.tree import parse
 
@@ -17,6 +17,7 @@ LAWS = {
     "cases": {"slow": ["controller.bandwidth=0.1"], "smc": ["controller={type='smc'}"]},
 }
 WIDE = {"key": "controller.bandwidth", "low": 0.1, "high": 0.2}
+STARTS = {"name": "start", "cases": {"near": [], "far": ["vehicles.sat1.start=[0.5,0.0,0.0]"]}}
 MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
 LATENCY = {"key": "table.mocap.latency_s", "mean": 0.05, "sd": 0.005}
 
@@ -106,6 +107,16 @@ def test_one_axis_may_refine_what_another_one_set(write):
     assert load_campaign(write(grid=[law, BANDWIDTH], draw=[MASS, one])).combinations == 6
 
 
+def test_whole_numbers_are_drawn_evenly_to_the_ends():
+    draw = Draw(key="seed", low=1.0, high=3.0, whole=True)
+    found = [draw.at(share) for share in np.arange(0.5, 300) / 300]
+    assert np.bincount(found).tolist() == [0, 100, 100, 100]
+    assert (draw.at(0.0), draw.at(1.0)) == (1, 3)
+    assert Draw(key="seed", low=1.0, high=9.0, whole=True, log=True).at(0.0) == 1
+    with pytest.raises(ValueError, match="whole ends"):
+        Draw(key="seed", low=0.5, high=3.0, whole=True)
+
+
 def test_a_run_is_what_its_command_line_flies(write, tmp_path):
     campaign = load_campaign(write(grid=[LAWS], draw=[MASS], set=["duration_s=5"], seed=3))
     base = tmp_path / "base.toml"
@@ -135,7 +146,10 @@ def test_a_value_on_one_line_reads_back(value):
         ({"draw": [{"key": "duration_s", "low": 2.0, "high": 1.0}]}, "low < high"),
         ({"draw": [{"key": "duration_s", "low": 0.0, "high": 1.0, "log": True}]}, "low > 0"),
         ({"draw": [{"key": "duration_s", "low": 1.0}]}, "low and high, or mean and sd"),
-        ({"draw": [{"key": "duration_s", "low": -1.0, "high": 9.0}]}, "found     -1.0"),
+        (
+            {"draw": [{"key": "duration_s", "name": "long", "low": -1.0, "high": 9.0}]},
+            "found     -1.0",
+        ),
         ({"draw": [{"key": "duration_s", "low": 2.5, "high": 9.0, "whole": True}]}, "whole ends"),
         ({"draw": [{"key": "duration_s", "mean": 9.0, "sd": 1.0, "log": True}]}, "low and high"),
         ({"grid": [{"key": "duration_s", "values": []}]}, "found     none for duration_s"),
@@ -174,6 +188,8 @@ def test_the_experiment_may_stand_beside_the_campaign(write, tmp_path):
         ({"grid": [{"key": "controller.bandwidth", "values": [0.1, 0.1]}]}, "each value once"),
         ({"most": {"goal_rms": 1.0}}, "did you mean `goal_rms_m`"),
         ({"least": {"sat1.contacts": 1.0}}, "key       least.sat1.contacts"),
+        ({"most": {"gas_g": float("nan")}}, "key       most.gas_g"),
+        ({"draw": [{**LATENCY, "log": True}]}, "expected  low and high for log"),
     ],
 )
 def test_what_is_wrong_in_the_file_is_looked_for_in_the_file(write, keys, words):
@@ -182,6 +198,24 @@ def test_what_is_wrong_in_the_file_is_looked_for_in_the_file(write, keys, words)
     assert words in str(error.value)
     assert "campaign.toml" in str(error.value)
     assert "command line" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"grid": [{**BANDWIDTH, "name": "outcome"}]}, '"outcome", a column'),
+        ({"grid": [{"key": "duration_s", "values": [3.0]}]}, '"duration_s", a column'),
+        ({"draw": [{**MASS, "name": "met.gas"}]}, '"met.gas", a column'),
+        ({"grid": [{"key": "seed", "name": "s", "values": [1, 2]}]}, "the key `seed`"),
+        ({"set": ["seed=5"]}, "the key `seed`"),
+    ],
+)
+def test_no_column_says_what_is_not_flown(write, keys, words):
+    with pytest.raises(ConfigError) as error:
+        load_campaign(write(**keys))
+    assert words in str(error.value)
+    one_by_one = {"draw": [MASS, {**MASS, "key": "vehicles.sat1.model.mass"}]}
+    assert load_campaign(write(**one_by_one)).count == 1
 
 
 def test_columns_that_a_run_has_can_be_bounded(write):

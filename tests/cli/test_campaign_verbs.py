@@ -7,15 +7,22 @@ import subprocess
 from contextlib import suppress
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import tomli_w
 
 from testbed.campaign.benchmark import score
 from testbed.campaign.engine import EngineError, workers
+from testbed.campaign.flight import Ended
 from testbed.campaign.row import Flown
+from testbed.campaign.summary import summarise
+from testbed.campaign.sweep import load_campaign
+from testbed.campaign.tuning import Trial
 from testbed.cli.bench import print_scores
-from testbed.cli.trial import fly_with_log
+from testbed.cli.campaign import print_summary
+from testbed.cli.trial import fly, fly_with_log
+from testbed.cli.tune import TuningResult, print_result
 from testbed.config import dump, find, load
 
 FILE = """
@@ -162,6 +169,64 @@ def test_a_detuned_law_is_tuned(start, here):
     assert result["best_proof"] < 0.5 * result["start_proof"]
     process = start("check", "t/tuned.toml")
     assert process.communicate(timeout=60)[0].startswith("ok: ")
+
+
+# What a law does is in the result
+
+LAW = """
+import sys
+
+class Mine:
+    def __init__(self, what: str):
+        self.what = what
+
+    def force(self, own, neighbours, world, t):
+        if t >= 0.5:
+            exec(self.what)
+        return 0.1 * (world.goal.p - own.p) - own.v
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "outcome", "words"),
+    [
+        ("raise ValueError('boom')", "fault", "boom"),
+        ("sys.exit('enough')", "error", "SystemExit: enough"),
+        ("raise ValueError(chr(0xDC80))", "fault", r"\udc80"),
+    ],
+)
+def test_whatever_a_law_does_is_a_result_that_can_be_kept(here, what, outcome, words):
+    (here / "law.py").write_text(LAW)
+    law = f"controller={{type='python',law='law.py:Mine',parameters={{what={json.dumps(what)}}}}}"
+    base = tomli_w.dumps(dump(load(find("hold"), ["duration_s=1", law])))
+    run = fly(base, 0, ())
+    assert (run.outcome, run.wall_s > 0.0) == (outcome, True)
+    assert words in run.reason
+    assert json.loads(msgspec.json.encode(run))["reason"] == run.reason
+    (kept,) = fly_with_log(base, [(0, ())])
+    assert "config.toml" in kept.files
+
+
+@pytest.mark.slow
+def test_what_a_law_prints_is_not_what_the_campaign_says(start, here):
+    (here / "law.py").write_text(LAW)
+    law = "controller={type='python',law='law.py:Mine',parameters={what='print(t)'}}"
+    file = {"name": "loud", "experiment": "hold", "set": ["duration_s=1", "criteria={}", law]}
+    (here / "loud.toml").write_text(tomli_w.dumps(file))
+    stdout, stderr = start("campaign", "loud.toml", "--json").communicate(timeout=600)
+    assert json.loads(stdout)["succeeded"] == 1
+    assert "0.6" in stderr
+
+
+def test_words_in_brackets_are_words(here, capsys):
+    (here / "try.toml").write_text(FILE.replace("cases.far", 'cases."[/far]"'))
+    campaign = load_campaign(here / "try.toml")
+    runs = [Flown(k, "passed", columns={"gas_g": 1.0}) for k in range(campaign.count)]
+    print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
+    assert "[/far]" in capsys.readouterr().out
+    start = Trial(0, [0.1], 1e6, 1, "error: [/boom]")
+    print_result(None, TuningResult("t", 1, 0, None, start, 0, None, 0, None, 0, {}), here)
+    assert "[/boom]" in capsys.readouterr().out
 
 
 # What is wrong is said
