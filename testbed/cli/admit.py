@@ -5,6 +5,7 @@ A refused experiment can be forced, by somebody who types its name: not by a hab
 
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 
 import msgspec
 from msgspec.structs import replace
@@ -72,11 +73,13 @@ def run_admission(
 ) -> int:
     """Judge, print, return the exit code."""
     try:
-        experiment = load(find(name), overrides)
+        with redirect_stdout(sys.stderr):  # what a law prints is not the result
+            experiment = load(find(name), overrides)
     except ConfigError as error:
         return refuse(error)
     times = "once" if flights == 1 else f"{flights} times"
-    with errors.status(f"flying {times} in the twin (compiles on the first run)"):
+    words = f"flying {times} in the twin (compiles on the first run)"
+    with redirect_stdout(sys.stderr), errors.status(words):
         admission = admit(experiment, flights)
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(admission)).decode() + "\n")

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import msgspec
@@ -26,7 +27,8 @@ def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
     """Replay, say what came of it, and return the exit code."""
     try:
         log = log_of(run)
-        verdict = replay_experiment(load(config_of(run), overrides), log)
+        with redirect_stdout(sys.stderr):  # what a law prints is not the result
+            verdict = replay_experiment(load(config_of(run), overrides), log)
     except (ConfigError, LogError) as error:
         return refuse(error)
     if as_json:

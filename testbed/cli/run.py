@@ -4,7 +4,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -68,7 +68,8 @@ def run_experiment(
     if view is not None and speed is None:
         speed = 1.0  # to be looked at
     try:
-        experiment = load(find(name), overrides)
+        with redirect_stdout(sys.stderr):  # what a law prints is not the result
+            experiment = load(find(name), overrides)
         check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
         operator.must_be_there(rig)
         with interrupt.caught():
@@ -79,7 +80,8 @@ def run_experiment(
 
                 board = beside_run(folder, view)
             make = maker(rig, experiment, folder, operator)
-            metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator)
+            with redirect_stdout(sys.stderr):
+                metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator)
             write_metrics(folder, metrics)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
@@ -113,7 +115,8 @@ def run_experiment(
 def report(folder: Path) -> None:
     """Make the page; the verdict on the flight stands without it."""
     try:
-        make_report(folder)
+        with redirect_stdout(sys.stderr):  # it reads the law's file
+            make_report(folder)
     except (ReportError, LogError) as error:
         errors.print(
             f"warning: no report: {error}\n  later     testbed report {folder}",

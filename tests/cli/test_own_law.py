@@ -246,3 +246,16 @@ def test_a_law_that_fails_is_replayed_to_the_last_bit_and_named_in_the_report(te
     page = Path("out/report.html").read_text()
     assert "Law <b>sick.py:Sick</b>" in page
     assert "sick.py: a force that is no number" in page
+
+
+# Heard
+
+
+def test_what_it_prints_is_not_the_result(testbed, here):
+    loud = SPRING.format(factor=1.0).replace("        a = ", "        print('here')\n        a = ")
+    (here / "law_of_mine.py").write_text("print('read')\n" + loud)
+    for verb in (("run", "hold", *SHORT, LAW, "--out", "loud"), ("replay", "loud")):
+        result = testbed(*verb, "--json")
+        assert result.exit_code == 0, result.output
+        json.loads(result.stdout)
+        assert "here" in result.stderr
