@@ -399,3 +399,9 @@ def test_the_page_has_the_limits_of_the_files_and_says_how_sure_it_is():
     assert "airbearing-testbed 1.2.3 (code c0de)" in flat
     assert "`configs/benchmark.toml`" in flat
     assert "## Not flown" not in text
+
+
+def test_point_to_point_laws_fly_all_point_to_point_scenarios():
+    laws = {"pd", "lqr", "mpc", "smc", "sotsmc", "pd_wrench", "sotsmc_wrench"}
+    for name, scenario in FILE.scenarios.items():
+        assert set(scenario.laws) in (laws, set(scenario.laws) - laws), name
