@@ -9,6 +9,7 @@ from testbed.campaign.benchmark import BenchmarkFile, Record, Scenario, Score
 from testbed.campaign.interval import success_rate
 from testbed.campaign.sweep import base_experiment
 from testbed.config import SHIPPED, Experiment, dump
+from testbed.config.key import assignment
 
 WIDTH = 100  # characters of a line
 
@@ -86,9 +87,12 @@ def page(record: Record, path: Path, file: BenchmarkFile, options: str) -> str:
 
 def head(record: Record, path: Path, options: str) -> str:
     """Who flew what with which program."""
-    rigs = " and ".join(sorted({f"the {rig}" for row in record.scores for rig in [row.rig]}))
+    rigs = " and ".join(
+        sorted({f"the {rig}" for row in record.scores for rig in row.rig.split(" + ")})
+    )
     runs = sum(row.runs + row.robust_runs for row in record.scores)
-    most = max(row.runs for row in record.scores)
+    counts = {row.runs for row in record.scores}
+    seeds = f"{'at most ' * (len(counts) > 1)}{plural(max(counts), 'seed')}"
     code = f" (code {record.code})" if record.code else ""
     try:
         name = f"configs/{path.resolve().relative_to(SHIPPED.resolve()).as_posix()}"
@@ -96,8 +100,8 @@ def head(record: Record, path: Path, options: str) -> str:
         name = path.name
     return (
         "Standard scenarios under all laws, scored the same for everybody. This page was written "
-        f"by `testbed bench{options}`: {plural(runs, 'run')} on {rigs}, at most "
-        f"{plural(most, 'seed')} per cell, flown by airbearing-testbed {record.version}{code}. "
+        f"by `testbed bench{options}`: {plural(runs, 'run')} on {rigs}, {seeds} "
+        f"per cell, flown by airbearing-testbed {record.version}{code}. "
         f"`{name}` has the scenarios and the laws' gains, which nobody tuned for it; "
         "[campaigns.md](campaigns.md) says how to fly it on a table. A date is not on it, for the "
         "same program writes the same page on any day."
@@ -109,8 +113,9 @@ def scenarios(path: Path, file: BenchmarkFile) -> Iterator[str]:
     for name, scenario in file.scenarios.items():
         flown = base_experiment(path, scenario.experiment, scenario.set)
         what = scenario.description or flown.description
-        if scenario.set:
-            what += f", with {', '.join(f'`{text}`' for text in scenario.set)}"
+        told = [text for text in scenario.set if assignment(text)[0][0] != "criteria"]
+        if told:  # criteria are among the limits
+            what += f", with {', '.join(f'`{text}`' for text in told)}"
         many = plural(len(flown.vehicles), "vehicle")
         limits = ", ".join(bounds(scenario, flown)) or "the end of the run"
         yield f"**{name}**: {what}; {many}, {flown.duration_s:g} s. Passed: {limits}."

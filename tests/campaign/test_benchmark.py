@@ -398,6 +398,8 @@ def test_the_page_has_the_limits_of_the_files_and_says_how_sure_it_is():
     assert "anywhere from 51 to 100 %" in flat  # Wilson's interval of 4 of 4
     assert "airbearing-testbed 1.2.3 (code c0de)" in flat
     assert "`configs/benchmark.toml`" in flat
+    assert "4 seeds per cell" in flat
+    assert "`criteria." not in flat  # they are said as limits
     assert "## Not flown" not in text
 
 
