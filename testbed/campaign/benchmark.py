@@ -91,7 +91,7 @@ class Record(Struct, frozen=True):
     scores: list[Score]
     code: str | None = None  # digest of it; not known of run folders
     passed_over: list[PassedOver] = []
-    not_flown: list[str] = []  # scenario/law, and which seeds
+    not_flown: list[str] = []  # "scenario: laws", or "scenario: law, seeds"
     own: list[str] = []  # what of the runs is a lab's own
 
 

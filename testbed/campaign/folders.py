@@ -30,7 +30,7 @@ from testbed.ops.metrics import Metrics
 NOT_COMPARED: tuple[Key, ...] = (("name",), ("description",), ("seed",))
 OF_A_LAB: tuple[Key, ...] = (("table",), ("vehicles", ANY, "model"), ("board",))
 NAMED: tuple[Key, ...] = (("faults",), ("arming",), ("flight", "estimator"))
-PLAYED = ("twin", "bench")  # rigs that play what a scenario sets of the table and the vehicles
+LINK: Key = ("table", "link")  # on the bench messages go over a real network
 HEAD = re.compile(r"# Resolved by airbearing-testbed ([^\s;]+);")
 ABSENT = object()
 
@@ -53,16 +53,27 @@ def score_folders(path: Path, whole: BenchmarkFile, file: BenchmarkFile, runs: P
             found = f"no scenario of the benchmark{did_you_mean(folder.name, whole.scenarios)}"
             pile.pass_over(folder, found)
     table = []
+    not_flown: list[str] = []
     for name, scenario in file.scenarios.items():
         for folder in below(runs / name):
             if folder.name not in scenario.laws:
                 hint = did_you_mean(folder.name, scenario.laws)
                 pile.pass_over(folder, f"no law of this scenario{hint}")
+        nobody: list[str] = []
         for law in scenario.laws:
-            flown, rigs = pile.cell(name, law)
-            if flown:
-                one = score(name, law, flown)
-                table.append(msgspec.structs.replace(one, rig=" + ".join(sorted(rigs))))
+            flown, rigs, left = pile.cell(name, law)
+            if not flown:
+                nobody.append(law)
+                continue
+            if left:
+                seeds = f"seed{'s' * (len(left) > 1)} {', '.join(map(str, left))}"
+                not_flown.append(f"{name}: {law}, {seeds}")
+            one = score(name, law, flown)
+            table.append(msgspec.structs.replace(one, rig=" + ".join(sorted(rigs))))
+        if nobody == scenario.laws:
+            not_flown.append(f"{name}: all")
+        elif nobody:
+            not_flown.append(f"{name}: {', '.join(nobody)}")
     if not table:
         expected = "run folders in SCENARIO/LAW/: `testbed bench --commands` says how to make them"
         first = [f"{one.folder}: {one.reason}" for one in pile.passed_over[:5]]
@@ -72,7 +83,7 @@ def score_folders(path: Path, whole: BenchmarkFile, file: BenchmarkFile, runs: P
         version=", ".join(sorted(pile.versions)) or "unknown",
         scores=table,
         passed_over=pile.passed_over,
-        not_flown=pile.not_flown,
+        not_flown=not_flown,
         own=sorted(pile.own),
     )
 
@@ -83,7 +94,6 @@ class Pile:
     def __init__(self, path: Path, file: BenchmarkFile, runs: Path) -> None:
         self._path, self._file, self._runs = path, file, runs
         self.passed_over: list[PassedOver] = []
-        self.not_flown: list[str] = []
         self.own: set[str] = set()
         self.versions: set[str] = set()
 
@@ -92,8 +102,8 @@ class Pile:
         place = folder.relative_to(self._runs).as_posix()
         self.passed_over.append(PassedOver(printable(place), printable(reason)))
 
-    def cell(self, name: str, law: str) -> tuple[list[Flown], set[str]]:
-        """The runs of a law in a scenario, and the rigs that flew them."""
+    def cell(self, name: str, law: str) -> tuple[list[Flown], set[str], list[int]]:
+        """The runs of a law in a scenario, the rigs that flew them, and the seeds nobody flew."""
         scenario, place = self._file.scenarios[name], self._runs / name / law
         texts = [*scenario.set, *self._file.laws[law]]
         wanted = load(experiment_path(self._path, scenario.experiment), texts)
@@ -128,10 +138,7 @@ class Pile:
             with (folder / "config.toml").open(encoding="utf-8") as text:
                 head = HEAD.match(text.readline())
             self.versions |= {head[1]} if head else set()
-        if left:
-            seeds = f" seed {', '.join(map(str, left))}" if flown else ""
-            self.not_flown.append(f"{name}/{law}{seeds}")
-        return flown, rigs
+        return flown, rigs, left
 
 
 def compare(
@@ -140,9 +147,9 @@ def compare(
     """Why a run is not the benchmark's, empty if it is; and what it has of its own."""
     own: set[str] = set()
     for key, here, there in differences(dump(wanted), dump(found)):
-        by_twin = rig in PLAYED and any(covers(one, key) or covers(key, one) for one in played)
+        by_twin = plays(rig, key) and any(covers(one, key) or covers(key, one) for one in played)
         lab = next((one for one in OF_A_LAB if covers(one, key)), None)
-        if any(covers(one, key) for one in NOT_COMPARED):
+        if any(covers(one, key) for one in NOT_COMPARED) or same_law(key, here, there):
             continue
         if lab is not None and not by_twin:
             own.add(".".join(map(str, lab)))
@@ -151,6 +158,17 @@ def compare(
         else:
             return f"{spell(key)} is {shown(there)}, the benchmark's is {shown(here)}", own
     return "", own
+
+
+def plays(rig: str, key: Key) -> bool:
+    """Whether a rig does itself what the experiment says of the table and the vehicles."""
+    return rig == "twin" or (rig == "bench" and not covers(LINK, key))
+
+
+def same_law(key: Key, here: Any, there: Any) -> bool:
+    """Whether it is only the path of an own law's file that differs: its digest is compared."""
+    laws = [str(text).rpartition(":")[2] for text in (here, there)]
+    return key == ("controller", "law") and laws[0] == laws[1]
 
 
 def differences(here: Any, there: Any, key: Key = ()) -> Iterator[tuple[Key, Any, Any]]:

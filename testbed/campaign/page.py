@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from testbed.campaign.benchmark import BenchmarkFile, Record, Scenario, Score
+from testbed.campaign.folders import plays
 from testbed.campaign.interval import success_rate
 from testbed.campaign.sweep import base_experiment
 from testbed.config import SHIPPED, Experiment, dump
 from testbed.config.key import assignment
 
 WIDTH = 100  # characters of a line
+WEAK = 0.9  # an interval that goes further down says little
 
 COLUMNS = (  # heading, key, scale, format
     ("error [mm]", "error_m", 1e3, "{:.3g}"),
@@ -145,8 +147,9 @@ def evidence(table: Sequence[Score]) -> str:
     """What the number of runs can say and what not."""
     runs = max(row.runs for row in table)
     all_of, none_of = (success_rate(passed, runs, 0.95) for passed in (runs, 0))
+    weak = "is weak evidence: " if all_of.low < WEAK else "is no proof: "
     return (
-        f"{runs} of {runs} is weak evidence: a law whose true rate is anywhere from "
+        f"{runs} of {runs} {weak}a law whose true rate is anywhere from "
         f"{100 * all_of.low:.0f} to {100 * all_of.high:.0f} % may well show it (Wilson's interval "
         f"of 95 %; of 0 of {runs}: {100 * none_of.low:.0f} to {100 * none_of.high:.0f} %). The "
         "table says which law can fly what, and how well; it does not say how often a law fails, "
@@ -158,11 +161,7 @@ def evidence(table: Sequence[Score]) -> str:
 def lab(record: Record, file: BenchmarkFile) -> str:
     """What is a lab's own, and what was not scored; nothing of the twin's benchmark."""
     text = ""
-    disturbed = [
-        row.scenario
-        for row in record.scores
-        if row.rig != "twin" and file.scenarios[row.scenario].hardware
-    ]
+    disturbed = [row.scenario for row in record.scores if unseen(row, file.scenarios[row.scenario])]
     if disturbed:
         names = ", ".join(f"`{name}`" for name in dict.fromkeys(disturbed))
         text += wrapped(
@@ -173,12 +172,19 @@ def lab(record: Record, file: BenchmarkFile) -> str:
     passed_over = [f"`{one.folder}`: {one.reason}" for one in record.passed_over]
     for heading, lines in (
         ("Not as the benchmark has it, yet scored", [f"`{one}`" for one in record.own]),
-        ("Not flown", [f"`{one}`" for one in record.not_flown]),
+        ("Not flown", record.not_flown),
         ("Passed over, not scored", passed_over),
     ):
         if lines:
             text += f"\n## {heading}\n\n{bullets(lines)}\n"
     return text
+
+
+def unseen(row: Score, scenario: Scenario) -> bool:
+    """Whether a row's disturbance was not played by its rig but made by somebody."""
+    keys = [assignment(text)[0] for text in scenario.set]
+    rigs = row.rig.split(" + ")
+    return bool(scenario.hardware) and any(not plays(rig, key) for rig in rigs for key in keys)
 
 
 def plural(count: int, noun: str) -> str:

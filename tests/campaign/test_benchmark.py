@@ -21,7 +21,7 @@ from testbed.campaign.benchmark import (
     scores,
 )
 from testbed.campaign.evidence import read_run, track_of
-from testbed.campaign.folders import score_folders
+from testbed.campaign.folders import differences, same_law, score_folders
 from testbed.campaign.page import markdown, page
 from testbed.campaign.row import Flown, columns_of
 from testbed.campaign.score import beside_metrics, goal_at, wanted_distances
@@ -304,7 +304,7 @@ def test_a_run_of_another_law_scenario_or_seed_is_not_scored_whatever_its_folder
         "still/pd/other seed": "seed 2 is none of the benchmark's",
         "still/pd/twice": "seed 0 is scored from another folder",
     }
-    assert record.not_flown == ["still/pd seed 1", "still/lqr", "dark/pd"]
+    assert record.not_flown == ["still: pd, seed 1", "still: lqr", "dark: all"]
 
 
 def test_folders_that_the_benchmark_does_not_have_are_named(put, tmp_path):
@@ -356,7 +356,17 @@ def test_on_a_table_it_is_the_labs_and_the_page_says_so(put, tmp_path):
     assert "disturbances of `dark` are brought about by the lab's own means" in text
     assert "1 run on the table" in text
     assert text.index("| rig |") < text.index("| table |")
-    assert "* `still/pd`" in text  # not flown
+    assert "* still: all" in text  # not flown
+
+
+@pytest.mark.parametrize(("key", "said"), [("mocap.dropout_rate=0.3", 0), ("link.loss=0.3", 1)])
+def test_the_bench_plays_the_cameras_but_not_the_network(put, tmp_path, key, said):
+    file = small(scenarios={"dark": Scenario(
+        "hold", ["pd"], ["duration_s=1", "criteria={}", f"table.{key}"], hardware="somehow",
+    )})  # fmt: skip
+    put("dark/pd/0", f"table.{key}", rig="bench")
+    text = page(scored(tmp_path, file), PATH, file, "")
+    assert text.count("brought about by the lab's own means") == said
 
 
 def test_rigs_of_one_cell_are_all_named(put, tmp_path):
@@ -377,6 +387,16 @@ def test_folders_of_which_none_is_the_benchmarks_are_refused_with_the_reason(put
     put("still/pd/0", law="controller={type='lqr'}")
     with pytest.raises(ConfigError, match=r"controller\.type"):
         scored(tmp_path)
+
+
+def test_an_own_law_is_told_by_its_content_not_by_where_its_file_is():
+    here = {"controller": {"type": "python", "law": "/home/a/law.py:Mine", "sha256": "1"}}
+    for law, digest, same in [
+        ("law.py:Mine", "1", True), ("law.py:Other", "1", False), ("law.py:Mine", "2", False),
+    ]:  # fmt: skip
+        there = {"controller": {"type": "python", "law": law, "sha256": digest}}
+        left = [one for one in differences(here, there) if not same_law(*one)]
+        assert (left == []) == same
 
 
 # The page
