@@ -390,7 +390,7 @@ def test_folders_of_which_none_is_the_benchmarks_are_refused_with_the_reason(put
 
 
 def test_an_own_law_is_told_by_its_content_not_by_where_its_file_is():
-    here = {"controller": {"type": "python", "law": "/home/a/law.py:Mine", "sha256": "1"}}
+    here = {"controller": {"type": "python", "law": "mine/law.py:Mine", "sha256": "1"}}
     for law, digest, same in [
         ("law.py:Mine", "1", True), ("law.py:Other", "1", False), ("law.py:Mine", "2", False),
     ]:  # fmt: skip
