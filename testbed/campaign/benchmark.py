@@ -37,6 +37,8 @@ class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
     experiment: str
     laws: Annotated[list[str], Meta(min_length=1)]
     set: list[str] = []
+    description: str = ""  # the experiment's if not given
+    hardware: str = ""  # how a lab brings about what `set` sets on the twin
     most: dict[str, float] = {}
     least: dict[str, float] = {}
 
@@ -50,6 +52,8 @@ class BenchmarkFile(Struct, frozen=True, forbid_unknown_fields=True):
     samples: Annotated[int, Meta(ge=1, le=10_000)] = 4
     seed: Seed = 0
     trouble: list[str] = field(default_factory=list)
+    trouble_hardware: str = ""  # how a lab brings it about, or that it cannot
+    notes: list[str] = []  # what a reader of the scores should know
 
 
 class Score(Struct, frozen=True):
@@ -69,6 +73,26 @@ class Score(Struct, frozen=True):
     valve_pulses: float | None
     robust_runs: int
     robust_passed: int
+    rig: str = "twin"
+
+
+class PassedOver(Struct, frozen=True):
+    """A folder that was not scored."""
+
+    folder: str
+    reason: str
+
+
+class Record(Struct, frozen=True):
+    """A benchmark that was flown: what `--json` prints."""
+
+    benchmark: str
+    version: str  # of the program that flew
+    scores: list[Score]
+    code: str | None = None  # digest of it; not known of run folders
+    passed_over: list[PassedOver] = []
+    not_flown: list[str] = []  # "scenario: laws", or "scenario: law, seeds"
+    own: list[str] = []  # what of the runs is a lab's own
 
 
 def load_benchmark(path: Path) -> BenchmarkFile:
@@ -170,70 +194,3 @@ def score(scenario: str, law: str, runs: Sequence[Flown], off: Sequence[Flown] =
 def known(value: float) -> float | None:
     """A number, if it is one."""
     return value if math.isfinite(value) else None
-
-
-COLUMNS = (  # heading, key, scale, format
-    ("error [mm]", "error_m", 1e3, "{:.3g}"),
-    ("worst [mm]", "worst_error_m", 1e3, "{:.3g}"),
-    ("settled [s]", "settle_s", 1.0, "{:.0f}"),
-    ("obstacles [m]", "clearance_m", 1.0, "{:+.3f}"),
-    ("vehicles [m]", "vehicle_distance_m", 1.0, "{:.2f}"),
-    ("contacts", "contacts", 1.0, "{:.0f}"),
-    ("gas [g]", "gas_g", 1.0, "{:.1f}"),
-    ("valve pulses", "valve_pulses", 1.0, "{:.0f}"),
-)
-
-
-PAGE = """# The benchmark of record
-
-Standard scenarios under all laws on the standard vehicle, scored the same for everybody. This page
-was written by `testbed bench{options}` on the {rig}: {runs}. `configs/benchmark.toml` has the
-scenarios and the laws' gains, which nobody tuned for it; [campaigns.md](campaigns.md) says how to
-fly it on a table.
-
-{table}
-* **passed**: runs that reached their end without a fault, met the scenario's criteria and kept the
-  benchmark's bounds.
-* **error**: RMS of the distance to the goal, where it is by then, in the last 30 s; in the second
-  half of the run where the goal moves. Of a formation, RMS of the distances between partners less
-  the wanted ones. The worst vehicle of a run; median over the runs, and the worst of them. `ring`
-  has neither.
-* **settled**: after that the error stays within 50 mm; median; none if a run did not settle.
-* **obstacles**: smallest distance to an obstacle less its danger radius; negative is inside.
-  **vehicles**: smallest distance between two, centre to centre.
-* **contacts**: of all runs together. **gas**, **valve pulses**: all vehicles of a run, median.
-* A run that a fault ended is worse than any in **error**, **gas** and **valve pulses**: a median
-  that it would be, and the worst error, are not given.
-* **robust**: passed with the same seeds when the vehicles are three times further from their files
-  than the shipped tolerances, the table is tilted twice as much and the cameras are 50 ms late. The
-  laws are not told.
-
-`pd`, `smc` and `sotsmc` fly a reference model that the vehicle tracks; `_wrench` closes the loop
-through the law itself. `pd` does not know of obstacles: it is there to be seen colliding in
-`crossing`, which is flown without the safety filter.
-"""
-
-
-def page(table: Sequence[Score], options: str, rig: str) -> str:
-    """The table with what its columns mean, as a page of the documentation."""
-    flown = f"{sum(row.runs + row.robust_runs for row in table)} runs"
-    most = max(row.runs for row in table)
-    seeds = f"{most} seed{'s' * (most > 1)} per cell"
-    return PAGE.format(options=options, rig=rig, runs=f"{flown}, {seeds}", table=markdown(table))
-
-
-def markdown(table: Sequence[Score]) -> str:
-    """The table as it is published."""
-    headings = ["scenario", "law", "passed", *(h for h, *_ in COLUMNS), "robust"]
-    lines = ["| " + " | ".join(headings) + " |", "|---|---|" + "---:|" * (len(headings) - 2)]
-    before = ""
-    for row in table:
-        cells = [row.scenario if row.scenario != before else "", f"`{row.law}`"]
-        cells.append(f"{row.passed}/{row.runs}")
-        for _, key, scale, form in COLUMNS:
-            value = getattr(row, key)
-            cells.append("-" if value is None else form.format(scale * value))
-        cells.append(f"{row.robust_passed}/{row.robust_runs}" if row.robust_runs else "-")
-        lines.append("| " + " | ".join(cells) + " |")
-        before = row.scenario
-    return "\n".join(lines) + "\n"

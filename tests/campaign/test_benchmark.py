@@ -12,13 +12,17 @@ from controllers.catalogue import Controller
 from controllers.own_law import OwnLawParams
 from testbed.campaign.benchmark import (
     SHIPPED,
+    BenchmarkFile,
+    Record,
+    Scenario,
     load_benchmark,
-    markdown,
     scenario_campaign,
     score,
     scores,
 )
 from testbed.campaign.evidence import read_run, track_of
+from testbed.campaign.folders import differences, same_law, score_folders
+from testbed.campaign.page import markdown, page
 from testbed.campaign.row import Flown, columns_of
 from testbed.campaign.score import beside_metrics, goal_at, wanted_distances
 from testbed.cli.run import fly_and_judge
@@ -221,3 +225,205 @@ def test_a_log_cut_off_anywhere_is_said(tmp_path):
 def test_a_folder_that_is_no_run_is_said(tmp_path):
     with pytest.raises(ConfigError, match=r"no config\.toml"):
         read_run(Path(tmp_path), 0, {}, {})
+
+
+# Which folders are the benchmark's
+
+
+def small(**changes):
+    """A benchmark of two laws and two scenarios of a second, two seeds each."""
+    short = ["duration_s=1", "criteria={}"]
+    dropouts = [*short, "table.mocap.dropout_rate=0.3"]
+    return BenchmarkFile(**{
+        "name": "small",
+        "laws": {
+            "pd": ["controller={type='pd', bandwidth=0.3}"],
+            "lqr": ["controller={type='lqr'}"],
+        },
+        "scenarios": {
+            "still": Scenario("hold", ["pd", "lqr"], short),
+            "dark": Scenario("hold", ["pd"], dropouts, hardware="a card before the lens"),
+        },
+        "samples": 2,
+    } | changes)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """A run of a second that all folders below are copies of."""
+    folder = tmp_path_factory.mktemp("flight") / "run"
+    experiment = load(find("hold"), ["duration_s=1", "criteria={}"])
+    metrics = fly_and_judge(experiment, new_folder(folder, "hold"))
+    return (folder / "log.mcap").read_bytes(), metrics
+
+
+@pytest.fixture
+def put(flight, tmp_path):
+    log, metrics = flight
+
+    def put(place, *texts, rig="table", law="controller={type='pd', bandwidth=0.3}", **changes):
+        """A run folder whose config.toml is `hold` with `texts`."""
+        experiment = load(find("hold"), ["duration_s=1", "criteria={}", law, *texts])
+        folder = new_folder(tmp_path / place, "hold")
+        write_config(folder, dump(experiment), "9.8.7")
+        (folder / "log.mcap").write_bytes(log)
+        write_metrics(folder, replace(metrics, rig=rig, seed=experiment.seed, **changes))
+
+    return put
+
+
+def scored(folder, file=None, whole=None):
+    file = file or small()
+    return score_folders(PATH, whole or file, file, folder)
+
+
+def reasons(record):
+    return {one.folder: one.reason for one in record.passed_over}
+
+
+def test_a_run_of_another_law_scenario_or_seed_is_not_scored_whatever_its_folder_is_called(
+    put, tmp_path
+):
+    put("still/pd/0")
+    put("still/pd/other law", law="controller={type='lqr'}")
+    put("still/pd/other gain", "seed=1", law="controller={type='pd', bandwidth=0.31}")
+    put("still/pd/other start", "vehicles.sat1.start=[0.3, 0.0, 0.0]", "seed=1")
+    put("still/pd/other filter", "flight.barrier.on=false", "seed=1")
+    put("still/pd/other seed", "seed=2")
+    put("still/pd/twice")
+    record = scored(tmp_path)
+    assert [(row.law, row.runs, row.rig) for row in record.scores] == [("pd", 1, "table")]
+    said = reasons(record)
+    assert "controller.type" in said.pop("still/pd/other law")
+    assert said == {
+        "still/pd/other gain": "controller.bandwidth is 0.31, the benchmark's is 0.3",
+        "still/pd/other start": (
+            "vehicles.sat1.start is [0.3, 0.0, 0.0], the benchmark's is [0.0, -0.1, 0.0]"
+        ),
+        "still/pd/other filter": "flight.barrier.on is false, the benchmark's is true",
+        "still/pd/other seed": "seed 2 is none of the benchmark's",
+        "still/pd/twice": "seed 0 is scored from another folder",
+    }
+    assert record.not_flown == ["still: pd, seed 1", "still: lqr", "dark: all"]
+
+
+def test_folders_that_the_benchmark_does_not_have_are_named(put, tmp_path):
+    put("still/pd/0")
+    put("still/pdd/0")
+    put("stil/pd/0")
+    (tmp_path / "still" / "pd" / "empty").mkdir()
+    said = reasons(scored(tmp_path))
+    assert said["still/pdd"] == "no law of this scenario (did you mean `pd`?)"
+    assert said["stil"] == "no scenario of the benchmark (did you mean `still`?)"
+    assert "no config.toml" in said["still/pd/empty"]
+
+
+def test_a_scenario_that_was_not_asked_for_is_not_passed_over(put, tmp_path):
+    put("still/pd/0")
+    put("dark/pd/0")
+    whole = small()
+    part = replace(whole, scenarios={"still": whole.scenarios["still"]})
+    assert scored(tmp_path, part, whole).passed_over == []
+
+
+def test_a_lab_has_its_own_table_and_vehicles_and_what_else_is_its_own_is_named(put, tmp_path):
+    put("still/pd/0", "table.tilt.uniform=[0.0, 0.0]", "vehicles.sat1.model.mass=14.0",
+        "name=mine", "faults.pose_lost.above=0.4")  # fmt: skip
+    record = scored(tmp_path)
+    assert record.passed_over == []
+    assert record.own == [
+        "faults.pose_lost.above = 0.4 (benchmark: 0.5)", "table", "vehicles.*.model",
+    ]  # fmt: skip
+    assert record.version == "9.8.7"
+
+
+@pytest.mark.parametrize("rig", ["twin", "bench"])
+def test_what_a_scenario_sets_has_to_be_there_where_the_rig_plays_it(put, tmp_path, rig):
+    put("dark/pd/0", rig=rig)
+    put("dark/pd/1", "table.mocap.dropout_rate=0.3", "seed=1", rig=rig)
+    record = scored(tmp_path)
+    assert reasons(record) == {
+        "dark/pd/0": "table.mocap.dropout_rate is 0.02, the benchmark's is 0.3"
+    }
+    assert [(row.runs, row.rig) for row in record.scores] == [(1, rig)]
+
+
+def test_on_a_table_it_is_the_labs_and_the_page_says_so(put, tmp_path):
+    put("dark/pd/0")
+    record = scored(tmp_path)
+    assert record.passed_over == []
+    text = page(record, PATH, small(), " --from FOLDER")
+    assert "disturbances of `dark` are brought about by the lab's own means" in text
+    assert "1 run on the table" in text
+    assert text.index("| rig |") < text.index("| table |")
+    assert "* still: all" in text  # not flown
+
+
+@pytest.mark.parametrize(("key", "said"), [("mocap.dropout_rate=0.3", 0), ("link.loss=0.3", 1)])
+def test_the_bench_plays_the_cameras_but_not_the_network(put, tmp_path, key, said):
+    file = small(scenarios={"dark": Scenario(
+        "hold", ["pd"], ["duration_s=1", "criteria={}", f"table.{key}"], hardware="somehow",
+    )})  # fmt: skip
+    put("dark/pd/0", f"table.{key}", rig="bench")
+    text = page(scored(tmp_path, file), PATH, file, "")
+    assert text.count("brought about by the lab's own means") == said
+
+
+def test_rigs_of_one_cell_are_all_named(put, tmp_path):
+    put("still/pd/0")
+    put("still/pd/1", "seed=1", rig="bench")
+    assert scored(tmp_path).scores[0].rig == "bench + table"
+
+
+def test_a_run_that_never_armed_is_no_run_and_one_that_a_fault_ended_is(put, tmp_path):
+    put("still/pd/0", completed=False, red=["sat1: supply at 80 % of its set value"])
+    put("still/pd/1", "seed=1", completed=False, fault="pose lost")
+    record = scored(tmp_path)
+    assert reasons(record) == {"still/pd/0": "never armed: sat1: supply at 80 % of its set value"}
+    assert [(row.passed, row.runs) for row in record.scores] == [(0, 1)]
+
+
+def test_folders_of_which_none_is_the_benchmarks_are_refused_with_the_reason(put, tmp_path):
+    put("still/pd/0", law="controller={type='lqr'}")
+    with pytest.raises(ConfigError, match=r"controller\.type"):
+        scored(tmp_path)
+
+
+def test_an_own_law_is_told_by_its_content_not_by_where_its_file_is():
+    here = {"controller": {"type": "python", "law": "mine/law.py:Mine", "sha256": "1"}}
+    for law, digest, same in [
+        ("law.py:Mine", "1", True), ("law.py:Other", "1", False), ("law.py:Mine", "2", False),
+    ]:  # fmt: skip
+        there = {"controller": {"type": "python", "law": law, "sha256": digest}}
+        left = [one for one in differences(here, there) if not same_law(*one)]
+        assert (left == []) == same
+
+
+# The page
+
+
+def test_the_page_has_the_limits_of_the_files_and_says_how_sure_it_is():
+    runs = [run(k, goal_rms_m=0.001) for k in range(4)]
+    table = [score(name, "pd", runs, runs) for name in FILE.scenarios]
+    text = page(Record("standard", "1.2.3", table, "c0de"), PATH, FILE, "")
+    flat = " ".join(text.split())
+    for name in FILE.scenarios:
+        assert f"* **{name}**: " in text
+    step = load(CONFIGS / "scenarios" / "step.toml")
+    assert f"{step.description}; 1 vehicle, 120 s. Passed: `max_contacts` 0" in flat
+    assert f"`hold_rms_m` at most {step.criteria.hold_rms_m}" in flat
+    assert "`goal_rms_m` at most 0.02" in flat
+    assert "`clear_of_obstacles`" in flat.split("**crossing**: ")[1].split("**formation**: ")[0]
+    assert "`table.mocap.latency_s=0.05`" in flat
+    assert "anywhere from 51 to 100 %" in flat  # Wilson's interval of 4 of 4
+    assert "airbearing-testbed 1.2.3 (code c0de)" in flat
+    assert "`configs/benchmark.toml`" in flat
+    assert "4 seeds per cell" in flat
+    assert "`criteria." not in flat  # they are said as limits
+    assert "## Not flown" not in text
+
+
+def test_point_to_point_laws_fly_all_point_to_point_scenarios():
+    laws = {"pd", "lqr", "mpc", "smc", "sotsmc", "pd_wrench", "sotsmc_wrench"}
+    for name, scenario in FILE.scenarios.items():
+        assert set(scenario.laws) in (laws, set(scenario.laws) - laws), name

@@ -251,7 +251,53 @@ def test_a_missing_package_is_named_and_how_to_get_it(testbed, monkeypatch, here
 def test_bench_says_the_commands_for_a_table(testbed):
     result = testbed("bench", "--commands", "--only", "hold")
     assert result.exit_code == 0
-    assert result.stdout.count("--out runs/benchmark_standard/hold/pd/") == 4
+    assert result.stdout.count("--out runs/benchmark_standard_table/hold/pd/") == 4
+
+
+def test_the_commands_name_a_shipped_experiment_and_what_a_table_can_do(testbed, here):
+    (here / "b.toml").write_text(
+        'name = "b"\ntrouble = ["seed=1"]\ntrouble_hardware = "only the twin"\n[laws]\npd = []\n'
+        '[scenarios.s]\nexperiment = "hold"\nhardware = "a card before the lens"\nlaws = ["pd"]\n'
+    )
+    lines = testbed("bench", "b.toml", "--commands").stdout.splitlines()
+    commands = [line for line in lines if line and not line.startswith("#")]
+    assert commands[0] == "testbed run hold --seed 0 --out runs/benchmark_b_table/s/pd/0"
+    assert len(commands) == 4
+    said = " ".join(line.removeprefix("#").strip() for line in lines if line.startswith("#"))
+    for words in (
+        "only the twin",
+        "On a table: a card before the lens",
+        "--reset",
+        "=lab/sat1.toml",
+    ):
+        assert words in said
+
+
+def test_bench_scores_folders_into_a_page_and_never_over_the_twins(testbed, here):
+    (here / "b.toml").write_text(
+        'name = "b"\nsamples = 1\n[laws]\npd = []\n[scenarios.s]\nexperiment = "hold"\n'
+        'set = ["duration_s=1", "criteria={}"]\nlaws = ["pd"]\n'
+    )
+    words = shlex.split(testbed("bench", "b.toml", "--commands").stdout, comments=True)[1:]
+    assert testbed(*words).exit_code == 0
+    Path("runs/benchmark_b_table/s/pdd").mkdir()
+    result = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table", "--json")
+    assert result.exit_code == 0
+    record = json.loads(result.stdout)
+    assert [(one["rig"], one["passed"]) for one in record["scores"]] == [("twin", 1)]
+    assert record["passed_over"][0]["folder"] == "s/pdd"
+    assert "did you mean `pd`" in result.stderr
+    text = Path("runs/benchmark_b_table/benchmark.md").read_text()
+    assert "s/pdd" in text
+    again = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table")
+    assert again.exit_code == 0
+    assert Path("runs/benchmark_b_table/benchmark.md").read_text() == text
+
+    Path("twin/s").mkdir(parents=True)
+    Path("twin/s/journal.jsonl").write_text("")
+    result = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table", "--out", "twin")
+    assert result.exit_code == 2
+    assert "the twin's benchmark is in this one" in result.stderr
 
 
 def test_no_number_of_the_benchmark_is_cut_in_a_narrow_window(capsys, monkeypatch):

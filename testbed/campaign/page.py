@@ -1,0 +1,224 @@
+"""The benchmark as a page of the documentation: all that is on it comes from files and runs."""
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from testbed.campaign.benchmark import BenchmarkFile, Record, Scenario, Score
+from testbed.campaign.folders import plays
+from testbed.campaign.interval import success_rate
+from testbed.campaign.sweep import base_experiment
+from testbed.config import SHIPPED, Experiment, dump
+from testbed.config.key import assignment
+
+WIDTH = 100  # characters of a line
+WEAK = 0.9  # an interval that goes further down says little
+
+COLUMNS = (  # heading, key, scale, format
+    ("error [mm]", "error_m", 1e3, "{:.3g}"),
+    ("worst [mm]", "worst_error_m", 1e3, "{:.3g}"),
+    ("settled [s]", "settle_s", 1.0, "{:.0f}"),
+    ("obstacles [m]", "clearance_m", 1.0, "{:+.3f}"),
+    ("vehicles [m]", "vehicle_distance_m", 1.0, "{:.2f}"),
+    ("contacts", "contacts", 1.0, "{:.0f}"),
+    ("gas [g]", "gas_g", 1.0, "{:.1f}"),
+    ("valve pulses", "valve_pulses", 1.0, "{:.0f}"),
+)
+
+
+PAGE = """# The benchmark of record
+
+{head}
+
+{table}
+{columns}
+
+## What is flown, and when it has passed
+
+{scenarios}
+
+## How sure this is
+
+{evidence}
+{notes}{lab}"""
+
+MEANING = (
+    "**passed**: runs that reached their end without a fault, met the scenario's criteria and kept "
+    "the benchmark's bounds, as given below.",
+    "**error**: RMS of the distance to the goal, where it is by then, in the last 30 s; in the "
+    "second half of the run where the goal moves. Of a formation, RMS of the distances between "
+    "partners less the wanted ones; none where there is neither. The worst vehicle of a run; "
+    "median over the runs, and the worst of them.",
+    "**settled**: after that the error stays within 50 mm; median; none if a run did not settle.",
+    "**obstacles**: smallest distance to an obstacle less its danger radius; negative is inside. "
+    "**vehicles**: smallest distance between two, centre to centre.",
+    "**contacts**: of all runs together. **gas**, **valve pulses**: all vehicles of a run, median.",
+    "A run that a fault ended is worse than any in **error**, **gas** and **valve pulses**: a "
+    "median that it would be, and the worst error, are not given.",
+)
+
+
+def page(record: Record, path: Path, file: BenchmarkFile, options: str) -> str:
+    """The scores with what they mean.
+
+    There is no date on it: the same program gives the same page, on whatever day.
+
+    Args:
+        record: what was flown.
+        path: of the benchmark's file.
+        file: what it says, as far as it was flown.
+        options: of `testbed bench`.
+    """
+    meaning = list(MEANING)
+    if file.trouble and any(row.robust_runs for row in record.scores):
+        meaning.append(
+            "**robust**: passed with the same seeds when, and the laws are not told, "
+            f"{'; '.join(f'`{text}`' for text in file.trouble)}."
+        )
+    return PAGE.format(
+        head=wrapped(head(record, path, options)),
+        table=markdown(record.scores),
+        columns=bullets(meaning),
+        scenarios=bullets(scenarios(path, file)),
+        evidence=wrapped(evidence(record.scores)),
+        notes=f"\n{bullets(file.notes)}\n" if file.notes else "",
+        lab=lab(record, file),
+    )
+
+
+def head(record: Record, path: Path, options: str) -> str:
+    """Who flew what with which program."""
+    rigs = " and ".join(
+        sorted({f"the {rig}" for row in record.scores for rig in row.rig.split(" + ")})
+    )
+    runs = sum(row.runs + row.robust_runs for row in record.scores)
+    counts = {row.runs for row in record.scores}
+    seeds = f"{'at most ' * (len(counts) > 1)}{plural(max(counts), 'seed')}"
+    code = f" (code {record.code})" if record.code else ""
+    try:
+        name = f"configs/{path.resolve().relative_to(SHIPPED.resolve()).as_posix()}"
+    except ValueError:
+        name = path.name
+    return (
+        "Standard scenarios under all laws, scored the same for everybody. This page was written "
+        f"by `testbed bench{options}`: {plural(runs, 'run')} on {rigs}, {seeds} "
+        f"per cell, flown by airbearing-testbed {record.version}{code}. "
+        f"`{name}` has the scenarios and the laws' gains, which nobody tuned for it; "
+        "[campaigns.md](campaigns.md) says how to fly it on a table. A date is not on it, for the "
+        "same program writes the same page on any day."
+    )
+
+
+def scenarios(path: Path, file: BenchmarkFile) -> Iterator[str]:
+    """One sentence for each scenario: what is flown, and the limits."""
+    for name, scenario in file.scenarios.items():
+        flown = base_experiment(path, scenario.experiment, scenario.set)
+        what = scenario.description or flown.description
+        told = [text for text in scenario.set if assignment(text)[0][0] != "criteria"]
+        if told:  # criteria are among the limits
+            what += f", with {', '.join(f'`{text}`' for text in told)}"
+        many = plural(len(flown.vehicles), "vehicle")
+        limits = ", ".join(bounds(scenario, flown)) or "the end of the run"
+        yield f"**{name}**: {what}; {many}, {flown.duration_s:g} s. Passed: {limits}."
+
+
+def bounds(scenario: Scenario, flown: Experiment) -> Iterator[str]:
+    """The limits of the experiment's criteria and of the benchmark."""
+    yield from limits_of("", dump(flown)["criteria"], obstacles=bool(flown.obstacles))
+    for sign, those in (("at most", scenario.most), ("at least", scenario.least)):
+        yield from (f"`{name}` {sign} {limit:g}" for name, limit in those.items())
+
+
+def limits_of(above: str, criteria: dict[str, Any], *, obstacles: bool) -> Iterator[str]:
+    """The criteria of an experiment, one by one."""
+    for name, limit in criteria.items():
+        if isinstance(limit, dict):
+            yield from limits_of(f"{above}{name}.", limit, obstacles=obstacles)
+        elif isinstance(limit, bool):
+            if limit and obstacles:
+                yield f"`{above}{name}`"
+        else:
+            verb = "" if name.startswith("max_") else "at most "
+            yield f"`{above}{name}` {verb}{limit:g}"
+
+
+def evidence(table: Sequence[Score]) -> str:
+    """What the number of runs can say and what not."""
+    runs = max(row.runs for row in table)
+    all_of, none_of = (success_rate(passed, runs, 0.95) for passed in (runs, 0))
+    weak = "is weak evidence: " if all_of.low < WEAK else "is no proof: "
+    return (
+        f"{runs} of {runs} {weak}a law whose true rate is anywhere from "
+        f"{100 * all_of.low:.0f} to {100 * all_of.high:.0f} % may well show it (Wilson's interval "
+        f"of 95 %; of 0 of {runs}: {100 * none_of.low:.0f} to {100 * none_of.high:.0f} %). The "
+        "table says which law can fly what, and how well; it does not say how often a law fails, "
+        "and one run more or less does not tell two laws apart. For a rate, more seeds: `testbed "
+        "bench --samples 100`."
+    )
+
+
+def lab(record: Record, file: BenchmarkFile) -> str:
+    """What is a lab's own, and what was not scored; nothing of the twin's benchmark."""
+    text = ""
+    disturbed = [row.scenario for row in record.scores if unseen(row, file.scenarios[row.scenario])]
+    if disturbed:
+        names = ", ".join(f"`{name}`" for name in dict.fromkeys(disturbed))
+        text += wrapped(
+            f"The disturbances of {names} are brought about by the lab's own means: the run "
+            "folders do not show whether they were."
+        )
+        text = f"\n{text}\n"
+    passed_over = [f"`{one.folder}`: {one.reason}" for one in record.passed_over]
+    for heading, lines in (
+        ("Not as the benchmark has it, yet scored", [f"`{one}`" for one in record.own]),
+        ("Not flown", record.not_flown),
+        ("Passed over, not scored", passed_over),
+    ):
+        if lines:
+            text += f"\n## {heading}\n\n{bullets(lines)}\n"
+    return text
+
+
+def unseen(row: Score, scenario: Scenario) -> bool:
+    """Whether a row's disturbance was not played by its rig but made by somebody."""
+    keys = [assignment(text)[0] for text in scenario.set]
+    rigs = row.rig.split(" + ")
+    return bool(scenario.hardware) and any(not plays(rig, key) for rig in rigs for key in keys)
+
+
+def plural(count: int, noun: str) -> str:
+    """So many of them."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def wrapped(text: str, indent: str = "") -> str:
+    """A paragraph."""
+    return textwrap.fill(
+        text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def bullets(lines: Sequence[str] | Iterator[str]) -> str:
+    """A list."""
+    return "\n".join(wrapped(f"* {line}", "  ") for line in lines)
+
+
+def markdown(table: Sequence[Score]) -> str:
+    """The table as it is published."""
+    rigs = any(row.rig != "twin" for row in table)
+    headings = ["scenario", "law", "passed", *(h for h, *_ in COLUMNS), "robust"]
+    headings += ["rig"] * rigs
+    lines = ["| " + " | ".join(headings) + " |", "|---|---|" + "---:|" * (len(headings) - 2)]
+    before = ""
+    for row in table:
+        cells = [row.scenario if row.scenario != before else "", f"`{row.law}`"]
+        cells.append(f"{row.passed}/{row.runs}")
+        for _, key, scale, form in COLUMNS:
+            value = getattr(row, key)
+            cells.append("-" if value is None else form.format(scale * value))
+        cells.append(f"{row.robust_passed}/{row.robust_runs}" if row.robust_runs else "-")
+        cells += [row.rig] * rigs
+        lines.append("| " + " | ".join(cells) + " |")
+        before = row.scenario
+    return "\n".join(lines) + "\n"
