@@ -27,7 +27,6 @@ flown all combinations equally often.
 
 import math
 import re
-import tempfile
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
@@ -42,7 +41,7 @@ from scipy.stats import norm, qmc
 
 from testbed.campaign.inline import inline
 from testbed.campaign.row import COLUMNS, check_columns, check_vehicles
-from testbed.config import ConfigError, Experiment, dump, find, load, read_toml
+from testbed.config import ConfigError, Experiment, dump, find, load, loads, read_toml
 from testbed.config.experiment import Seed
 from testbed.config.key import ANY, Key, assignment, spell
 from testbed.config.misfit import first_misfit
@@ -296,15 +295,12 @@ def covers(key: Key, other: Key) -> bool:
 def check_corners(path: Path, campaign: Campaign) -> None:
     """Refuse a campaign of which a combination, an end of a draw or a bound is not possible."""
     names: dict[str, None] = {}  # of vehicles
-    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as base:
-        base.write(campaign.base)
-        base.flush()
-        for texts in corners(campaign):
-            try:
-                names |= dict.fromkeys(load(Path(base.name), texts).vehicles)
-            except ConfigError as error:
-                where = f"{path}, the run with {' '.join(texts)}"
-                raise ConfigError(where, error.key, error.expected, error.found) from None
+    for texts in corners(campaign):
+        try:
+            names |= dict.fromkeys(loads(campaign.base, texts).vehicles)
+        except ConfigError as error:
+            where = f"{path}, the run with {' '.join(texts)}"
+            raise ConfigError(where, error.key, error.expected, error.found) from None
     for key, bounds in (("most", campaign.file.most), ("least", campaign.file.least)):
         check_vehicles(str(path), key, bounds, names)
 

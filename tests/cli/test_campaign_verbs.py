@@ -207,6 +207,13 @@ def test_whatever_a_law_does_is_a_result_that_can_be_kept(here, what, outcome, w
     assert "config.toml" in kept.files
 
 
+def test_a_full_disk_of_a_worker_is_not_the_result_of_a_run(here, monkeypatch):
+    base = tomli_w.dumps(dump(load(find("hold"), ["duration_s=1", "criteria={}"])))
+    monkeypatch.setattr("tempfile.tempdir", str(here / "nowhere"))
+    run = fly(base, 0, ("seed=3",))
+    assert (run.outcome, run.reason) == ("passed", "")
+
+
 @pytest.mark.slow
 def test_what_a_law_prints_is_not_what_the_campaign_says(start, here):
     (here / "law.py").write_text(LAW)
