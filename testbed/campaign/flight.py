@@ -102,7 +102,14 @@ def open_journal(campaign: Campaign, folder: Path) -> Journal[Flown]:
     return Journal(folder / "journal.jsonl", head_of(campaign), Flown)
 
 
-def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watch: Watch) -> Ended:
+def fly_campaign(
+    campaign: Campaign,
+    text: bytes,
+    folder: Path,
+    crew: Crew,
+    watch: Watch,
+    finish: Callable[[Ended], None] = lambda ended: None,
+) -> Ended:
     """Fly what the journal does not have yet, and keep what failed.
 
     Args:
@@ -111,6 +118,7 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
         folder: of the campaign; it may hold the beginning of the same one.
         crew: who flies.
         watch: who is told.
+        finish: writes the results, while nobody else may write there.
 
     Raises:
         JournalError: the folder holds something else, or somebody else writes there.
@@ -142,7 +150,9 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
         unlike = [
             k for k in kept_runs(campaign, runs) if (failure_folder(folder, k) / UNLIKE).exists()
         ]
-    return Ended([runs[k] for k in sorted(runs)], resumed, wall, unlike)
+        ended = Ended([runs[k] for k in sorted(runs)], resumed, wall, unlike)
+        finish(ended)
+    return ended
 
 
 def _fleet(client: Any, campaign: Campaign, crew: Crew) -> Fleet[Task, Flown]:

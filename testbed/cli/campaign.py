@@ -51,6 +51,7 @@ def run_campaign(
 ) -> int:
     """Fly and return the exit code."""
     interrupt, ended, watch = Interrupt(), None, Bar()
+    summaries: list[Summary] = []
     try:
         path = find_campaign(name)
         with redirect_stdout(sys.stderr):  # what a law prints is not what the campaign says
@@ -58,15 +59,18 @@ def run_campaign(
         folder = out or Path("runs") / f"campaign_{campaign.file.name}"
         crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler)
         with interrupt.caught(), interrupt.at_once(), watch, redirect_stdout(sys.stderr):
-            ended = fly_campaign(campaign, path.read_bytes(), folder, crew, watch)
+            ended = fly_campaign(
+                campaign, path.read_bytes(), folder, crew, watch,
+                lambda ended: summaries.append(write_results(campaign, ended, folder)),
+            )  # fmt: skip
         if ended is None:
             say_interrupted(campaign, folder)
             return INTERRUPTED
-        summary = write_results(campaign, ended, folder)
     except TROUBLE as error:
         return refuse(error)
+    (summary,) = summaries
     if as_json:
-        sys.stdout.write((folder / "summary.json").read_text(encoding="utf-8"))
+        sys.stdout.write(json_of(summary).decode())
     else:
         print_summary(summary, campaign, ended.runs, folder)
     wanted = campaign.file.success
@@ -93,16 +97,20 @@ def say_interrupted(campaign: Campaign, folder: Path) -> None:
 
 
 def write_results(campaign: Campaign, ended: Ended, folder: Path) -> Summary:
-    """Write Parquet, summary and report."""
+    """Write Parquet, summary and report; by who holds the journal, so one at a time."""
     summary = summarise(campaign, experiment_name(campaign), ended)
     table = table_of(campaign, ended.runs)
     facts = {"campaign": campaign.file.name, "description": campaign.file.description}
     write_parquet(folder / "results.parquet", table, facts)
-    text = msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
-    write_whole(folder / "summary.json", text)
+    write_whole(folder / "summary.json", json_of(summary))
     page = html_report(campaign, summary, ended.runs, table, folder)
     write_whole(folder / "report.html", page.encode())
     return summary
+
+
+def json_of(summary: Summary) -> bytes:
+    """Content of summary.json, and what `--json` prints."""
+    return msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
 
 
 def experiment_name(campaign: Campaign) -> str:

@@ -77,6 +77,19 @@ def test_a_run_that_was_not_the_same_the_second_time_stays_one(write, crew, tmp_
     assert [note.read_text() for note in notes] == ["gas_g\n", "how it ended\n"]
 
 
+def test_results_are_written_while_nobody_else_may(write, crew, tmp_path):
+    campaign = load_campaign(write(samples=2))
+    ends = []
+
+    def finish(ended):
+        with pytest.raises(JournalError, match="another process"):
+            fly(campaign, tmp_path / "a", crew())
+        ends.append(ended)
+
+    ended = fly_campaign(campaign, b"text", tmp_path / "a", crew(), Watch(), finish)
+    assert ends == [ended]
+
+
 def test_a_changed_file_does_not_go_on_in_an_old_folder(write, crew, tmp_path):
     fly(load_campaign(write(samples=2)), tmp_path / "a", crew())
     with pytest.raises(JournalError, match="campaign or experiment has changed"):

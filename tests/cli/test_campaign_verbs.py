@@ -14,7 +14,9 @@ import tomli_w
 
 from testbed.campaign.benchmark import score
 from testbed.campaign.engine import EngineError, workers
-from testbed.campaign.flight import Ended
+from testbed.campaign.flight import Ended, open_journal
+from testbed.campaign.journal import JournalError
+from testbed.campaign.result import write_parquet
 from testbed.campaign.row import Flown
 from testbed.campaign.summary import summarise
 from testbed.campaign.sweep import load_campaign
@@ -118,6 +120,25 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     stdout, stderr = process.communicate(timeout=120)
     assert process.returncode == 2
     assert "has changed since these 30 runs were flown" in stderr
+
+
+@pytest.mark.slow
+def test_two_calls_that_end_together_do_not_write_at_once(testbed, here, monkeypatch):
+    (here / "try.toml").write_text(FILE.replace("samples = 15", "samples = 1"))
+    second = []
+
+    def write_slowly(path, *words):
+        with pytest.raises(JournalError) as error, open_journal(campaign, path.parent):
+            pass
+        second.append(str(error.value))
+        write_parquet(path, *words)
+
+    campaign = load_campaign(here / "try.toml")
+    monkeypatch.setattr("testbed.cli.campaign.write_parquet", write_slowly)
+    result = testbed("campaign", "try.toml", "--out", "a", "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["runs"] == 2
+    assert ["another process" in words for words in second] == [True]
 
 
 @pytest.mark.slow
