@@ -36,6 +36,7 @@ import msgspec
 import numpy as np
 import tomli_w
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
@@ -46,12 +47,14 @@ from testbed.config.experiment import Seed
 from testbed.config.key import ANY, Key, assignment, spell
 from testbed.config.misfit import first_misfit
 from testbed.config.mistake import show
+from testbed.config.tree import leaves
 from testbed.core.table import Probability
 from testbed.core.vehicle import Positive
 
 MOST_RUNS = 1_000_000
 MOST_CHECKED = 200  # combinations, before the first run
 SEED: Key = ("seed",)
+MAY_CHANGE = ("description", "keep", "confidence", "success", "limit_s")  # of a file half flown
 
 Count = Annotated[int, Meta(ge=1, le=MOST_RUNS)]
 Limit = Annotated[float, Meta(gt=0.0, le=604_800.0)]
@@ -198,8 +201,29 @@ class Campaign:
         return [(draw, draw.at(float(u))) for draw, u in zip(self.file.draw, row, strict=True)]
 
     def payload(self) -> bytes:
-        """Everything that decides what is flown."""
-        return msgspec.json.encode((self.file, self.base))
+        """Everything that decides what a run of this number flies, and whether it passes."""
+        return msgspec.json.encode((deciding(self.file), self.base))
+
+
+def deciding(file: CampaignFile) -> CampaignFile:
+    """The file without what may change while it is flown: no run would have been another.
+
+    More samples are more runs behind those there are, unless the draws are made as a whole.
+    """
+    plain = CampaignFile(name=file.name, experiment=file.experiment)
+    whole = file.design == "latin_hypercube" and bool(file.draw)
+    free = MAY_CHANGE if whole else (*MAY_CHANGE, "samples")
+    return replace(file, **{key: getattr(plain, key) for key in free})
+
+
+def difference(old: Any, new: Any) -> str:
+    """The first key that two trees do not share, in words; empty if there is none."""
+    before, now = ({spell(k): v for k, v in leaves(tree)} for tree in (old, new))
+    for key in (*before, *now):
+        if (a := before.get(key)) != (b := now.get(key)):
+            words = [show(value) if value is not None else "nothing" for value in (a, b)]
+            return f"`{key}` was {words[0]} and is {words[1]}"
+    return ""
 
 
 def shares(file: CampaignFile) -> NDArray[np.float64]:

@@ -25,6 +25,7 @@ from testbed.campaign.flight import (
     Crew,
     Ended,
     Watch,
+    flown_before,
     fly_campaign,
     open_journal,
     replay_command,
@@ -88,7 +89,7 @@ def find_campaign(name: str) -> Path:
 def say_interrupted(campaign: Campaign, folder: Path) -> None:
     """Tell the operator how far it got."""
     with open_journal(campaign, folder) as journal:
-        count = len(journal.found)
+        count = len(flown_before(campaign, journal.found))
     errors.print(
         f"interrupted: {count} of {campaign.count} runs are kept in {folder}; "
         "the same command goes on from there",

@@ -115,11 +115,12 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     for name in ("results.parquet", "base.toml"):
         assert (here / "a" / name).read_bytes() == (here / "b" / name).read_bytes()
 
-    (here / "try.toml").write_text(FILE.replace("samples = 15", "samples = 16"))
+    (here / "try.toml").write_text(FILE.replace("samples = 15", "samples = 15\nseed = 1"))
     process = start("campaign", "try.toml", "--out", "a")
     stdout, stderr = process.communicate(timeout=120)
     assert process.returncode == 2
     assert "has changed since these 30 runs were flown" in stderr
+    assert "found     `seed` was 0 and is 1" in stderr
 
 
 @pytest.mark.slow
