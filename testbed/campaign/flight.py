@@ -24,7 +24,7 @@ from msgspec import Struct
 
 from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import Read, Warm, compile_first
-from testbed.campaign.engine import Fleet, workers
+from testbed.campaign.engine import Fleet, count_workers, workers
 from testbed.campaign.journal import Head, Journal, JournalError
 from testbed.campaign.row import Flown, Kept, Task, within
 from testbed.campaign.sweep import Campaign, CampaignFile, deciding, difference, read_file
@@ -61,6 +61,9 @@ class Watch:
 
     def begun(self, total: int, runs: Sequence[Flown]) -> None:
         """So many runs there are, and these were flown before."""
+
+    def flying(self, count_workers: Callable[[], int]) -> None:
+        """All is compiled; this asks how many workers there are, in any thread."""
 
     def flown(self, run: Flown) -> None:
         """One more is over."""
@@ -170,6 +173,7 @@ def fly_campaign(
                 some = tasks[: min(MOST_WARMED, campaign.combinations)]
                 compile_first(campaign.base, some, crew.read, crew.warm, campaign.file.limit_s)
             with crew.workers(max(1, len(tasks))) as client:
+                watch.flying(partial(count_workers, client))
                 began = time.perf_counter()
                 for flown in _fleet(client, campaign, crew).results(tasks):
                     run = within(flown, campaign.file.most, campaign.file.least)

@@ -8,15 +8,6 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table as Grid
 
 from testbed.campaign.engine import EngineError
@@ -24,7 +15,6 @@ from testbed.campaign.extra import MissingExtraError
 from testbed.campaign.flight import (
     Crew,
     Ended,
-    Watch,
     flown_before,
     fly_campaign,
     open_journal,
@@ -37,6 +27,7 @@ from testbed.campaign.row import Flown
 from testbed.campaign.summary import Summary, summarise, worst_runs
 from testbed.campaign.sweep import Campaign, load_campaign
 from testbed.cli.main import FAILED, INTERRUPTED, OK
+from testbed.cli.progress import Bar
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, fly_with_log, read, warm
@@ -117,46 +108,6 @@ def json_of(summary: Summary) -> bytes:
 def experiment_name(campaign: Campaign) -> str:
     """Name of the base experiment."""
     return Path(campaign.file.experiment).stem
-
-
-class Bar(Watch):
-    """Progress bar of a campaign; a context manager."""
-
-    def __init__(self, name: str = "") -> None:
-        self._name = name
-        self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-            TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-            console=errors, transient=True, disable=not errors.is_terminal,
-        )  # fmt: skip
-        self._passed = self._over = 0
-
-    def __enter__(self) -> "Bar":
-        self._progress.start()
-        self._bar = self._progress.add_task(
-            f"{self._name} getting ready (compiles on the first run)", total=None
-        )
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def begun(self, total: int, runs: Sequence[Flown]) -> None:
-        """See `Watch`."""
-        self._over = len(runs)
-        self._passed = sum(run.outcome == "passed" for run in runs)
-        self._progress.update(self._bar, total=total, completed=self._over)
-
-    def flown(self, run: Flown) -> None:
-        """See `Watch`."""
-        self._over += 1
-        self._passed += run.outcome == "passed"
-        share = f"{self._name} passed {100.0 * self._passed / self._over:.1f} %"
-        self._progress.update(self._bar, completed=self._over, description=share)
-
-    def keeping(self, count: int) -> None:
-        """See `Watch`."""
-        self._progress.update(self._bar, description=f"{self._name} logs of {count} failures")
 
 
 def print_summary(

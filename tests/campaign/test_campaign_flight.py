@@ -195,6 +195,21 @@ def test_a_cluster_flies_the_same_and_stays(write, crew, tmp_path):
     assert ended.runs == straight.runs
 
 
+def test_who_watches_can_ask_for_workers_while_there_are_none(write, crew, tmp_path):
+    class Counts(Watch):
+        def flying(self, count_workers):
+            counts.append(count_workers())
+            lab.retire_workers(list(lab.nthreads()), close_workers=False)
+            counts.append(count_workers())
+            raise KeyboardInterrupt
+
+    counts = []
+    campaign = load_campaign(write(samples=1))
+    with workers(1, None) as lab, pytest.raises(KeyboardInterrupt):
+        fly(campaign, tmp_path / "a", replace(crew(1), client=lab), Counts())
+    assert counts == [1, 0]
+
+
 def test_a_cluster_with_other_code_is_refused(monkeypatch):
     from testbed.campaign import engine
 
