@@ -298,7 +298,7 @@ def check_replaced(path: Path, file: CampaignFile) -> None:
     settings = [
         (axis.label, text) for axis in file.grid for _, texts in axis.points() for text in texts
     ] + [(draw.label, f"{draw.key}=0") for draw in file.draw]
-    keys = dict.fromkeys((label, assignment(text)[0]) for label, text in settings)
+    keys = dict.fromkeys((label, key_of(path, label, text)) for label, text in settings)
     for place, (label, key) in enumerate(keys):
         if key == SEED:
             raise seed_error(path, label)
@@ -308,6 +308,14 @@ def check_replaced(path: Path, file: CampaignFile) -> None:
                 cure = "keep one" if later == key else "put it into cases, behind what replaces it"
                 found = f"`{spell(later)}` of {other}, which replaces it; {cure}"
                 raise ConfigError(str(path), label, expected, found)
+
+
+def key_of(path: Path, label: str, text: str) -> Key:
+    """What an axis or a draw sets."""
+    try:
+        return assignment(text)[0]
+    except ValueError:
+        raise ConfigError(str(path), label, "key=value", show(text)) from None
 
 
 def covers(key: Key, other: Key) -> bool:
