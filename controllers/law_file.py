@@ -81,9 +81,14 @@ def _published(name: str) -> Callable[..., Any]:
 
 
 def _executed(path: Path, content: bytes, name: str) -> ModuleType:
-    """The module of a file, executed once per content."""
-    if name in sys.modules:
-        return sys.modules[name]
+    """The module of a file, executed anew each time: what one law leaves in it no other finds.
+
+    With machine code in it, it is executed once per content. Numba knows types by their class, so
+    anew would be compiled anew; and compiled code takes what is in a module for constant.
+    """
+    before = sys.modules.get(name)
+    if before is not None and _is_compiled(before):
+        return before
     module = ModuleType(name)
     module.__file__ = str(path)
     sys.modules[name] = module  # where annotations are looked up
@@ -95,6 +100,18 @@ def _executed(path: Path, content: bytes, name: str) -> ModuleType:
             "law", "a Python file that can be executed", blame(error, path)
         ) from error
     return module
+
+
+def _is_compiled(module: ModuleType) -> bool:
+    """Whether numba compiles something of a module itself, not only what it imports."""
+    own = [v for v in vars(module).values() if getattr(v, "__module__", "") == module.__name__]
+    inside = [
+        getattr(v, "__func__", v)
+        for one in own
+        if isinstance(one, type)
+        for v in vars(one).values()
+    ]
+    return any(type(value).__module__.startswith("numba.") for value in (*own, *inside))
 
 
 def blame(error: BaseException, path: Path | None) -> str:

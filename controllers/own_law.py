@@ -18,8 +18,10 @@ in plain Python takes steps of `guidance.step_s`, or of its own `step_s` [s] if 
 Instead of a file, `law` may name an entry point of an installed package, in the group
 `airbearing_testbed.laws`.
 
-The file is executed once per content, so an edit is always noticed. `sha256` is the content that is
-meant; another is refused.
+The file is read and executed anew for each law that is made, so an edit is always noticed, and what
+a law keeps in its module is its own: neither another vehicle nor another run of the same process
+finds it. A file with functions compiled by numba is executed once per content. `sha256` is the
+content that is meant; another is refused.
 """
 
 import inspect

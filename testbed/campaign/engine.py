@@ -134,6 +134,11 @@ def _quiet() -> Iterator[None]:
             logging.getLogger(name).setLevel(level)
 
 
+def count_workers(client: Any) -> int:
+    """How many a client has now; none is no error to Dask, which waits for the next."""
+    return len(client.nthreads())
+
+
 class OtherCodeError(Exception):
     """A worker, one that joined late, has other code."""
 
@@ -241,7 +246,7 @@ class Fleet(Generic[Task, Result]):
     def _workers(self) -> int:
         """How many there are; asked now and then, for it is a round trip."""
         if time.monotonic() - self._asked > ASK_S:
-            self._count = max(1, len(self._client.nthreads()))
+            self._count = max(1, count_workers(self._client))
             self._asked = time.monotonic()
         return self._count
 

@@ -12,20 +12,23 @@ report.html      the same to look at
 import shlex
 import shutil
 import time
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from msgspec import Struct
 
 from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import Read, Warm, compile_first
-from testbed.campaign.engine import Fleet, workers
+from testbed.campaign.engine import Fleet, count_workers, workers
 from testbed.campaign.journal import Head, Journal, JournalError
 from testbed.campaign.row import Flown, Kept, Task, within
-from testbed.campaign.sweep import Campaign
+from testbed.campaign.sweep import Campaign, CampaignFile, deciding, difference, read_file
+from testbed.config import ConfigError, read_toml
 from testbed.ops.whole import named, write_whole
 
 UNLIKE = "unlike.txt"  # in a run's folder: what was not the same the second time
@@ -58,6 +61,9 @@ class Watch:
 
     def begun(self, total: int, runs: Sequence[Flown]) -> None:
         """So many runs there are, and these were flown before."""
+
+    def flying(self, count_workers: Callable[[], int]) -> None:
+        """All is compiled; this asks how many workers there are, in any thread."""
 
     def flown(self, run: Flown) -> None:
         """One more is over."""
@@ -99,10 +105,45 @@ def make_folder(folder: Path) -> None:
 def open_journal(campaign: Campaign, folder: Path) -> Journal[Flown]:
     """The campaign's journal in its folder."""
     make_folder(folder)
-    return Journal(folder / "journal.jsonl", head_of(campaign), Flown)
+    words = partial(what_changed, campaign, folder)
+    return Journal(folder / "journal.jsonl", head_of(campaign), Flown, words)
 
 
-def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watch: Watch) -> Ended:
+def what_changed(campaign: Campaign, folder: Path) -> str:
+    """What a folder's campaign had otherwise, as far as its files say."""
+    with suppress(ConfigError):
+        old = deciding(read_file(folder / "campaign.toml", CampaignFile))
+        pairs = (
+            (msgspec.to_builtins(old), msgspec.to_builtins(deciding(campaign.file)), ""),
+            (read_toml(folder / "base.toml"), tomllib.loads(campaign.base), " of the experiment"),
+        )
+        for before, now, where in pairs:
+            if words := difference(before, now):
+                return words.replace("` was", f"`{where} was", 1)
+    return "another"
+
+
+def flown_before(campaign: Campaign, found: Sequence[Flown]) -> dict[int, Flown]:
+    """The runs of a journal that count, by number; of one that is there twice, the later.
+
+    Not those behind the last sample, if the file has fewer now; nor what was lost to another limit.
+    """
+    limit_s = campaign.file.limit_s
+    return {
+        run.k: run
+        for run in found
+        if run.k < campaign.count and (run.outcome != "lost" or run == gone(limit_s, (run.k, ())))
+    }
+
+
+def fly_campaign(
+    campaign: Campaign,
+    text: bytes,
+    folder: Path,
+    crew: Crew,
+    watch: Watch,
+    finish: Callable[[Ended], None] = lambda ended: None,
+) -> Ended:
     """Fly what the journal does not have yet, and keep what failed.
 
     Args:
@@ -111,6 +152,7 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
         folder: of the campaign; it may hold the beginning of the same one.
         crew: who flies.
         watch: who is told.
+        finish: writes the results, while nobody else may write there.
 
     Raises:
         JournalError: the folder holds something else, or somebody else writes there.
@@ -119,18 +161,19 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
     with open_journal(campaign, folder) as journal:
         write_whole(folder / "campaign.toml", text)
         write_whole(folder / "base.toml", campaign.base.encode())
-        runs = {run.k: run for run in journal.found}
+        runs = flown_before(campaign, journal.found)
         resumed = len(runs)
         tasks = [
             (k, campaign.overrides(k)) for k in range(campaign.count) if k not in runs
         ]  # fmt: skip
-        watch.begun(campaign.count, journal.found)
+        watch.begun(campaign.count, list(runs.values()))
         wall = 0.0
         if tasks or missing_folders(campaign, runs, folder):
             if crew.scheduler is None:
                 some = tasks[: min(MOST_WARMED, campaign.combinations)]
                 compile_first(campaign.base, some, crew.read, crew.warm, campaign.file.limit_s)
             with crew.workers(max(1, len(tasks))) as client:
+                watch.flying(partial(count_workers, client))
                 began = time.perf_counter()
                 for flown in _fleet(client, campaign, crew).results(tasks):
                     run = within(flown, campaign.file.most, campaign.file.least)
@@ -142,19 +185,21 @@ def fly_campaign(campaign: Campaign, text: bytes, folder: Path, crew: Crew, watc
         unlike = [
             k for k in kept_runs(campaign, runs) if (failure_folder(folder, k) / UNLIKE).exists()
         ]
-    return Ended([runs[k] for k in sorted(runs)], resumed, wall, unlike)
+        ended = Ended([runs[k] for k in sorted(runs)], resumed, wall, unlike)
+        finish(ended)
+    return ended
 
 
 def _fleet(client: Any, campaign: Campaign, crew: Crew) -> Fleet[Task, Flown]:
     fly = partial(crew.fly, campaign.base)
-    return Fleet(client, fly, gone, lambda run: run.wall_s, campaign.file.limit_s)
+    limit_s = campaign.file.limit_s
+    return Fleet(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
 
 
-def gone(task: Task) -> Flown:
+def gone(limit_s: float, task: Task) -> Flown:
     """A run that took its workers with it."""
-    return Flown(
-        task[0], "lost", "its workers died while flying it, or it took longer than limit_s"
-    )
+    words = f"its workers died while flying it, or it took longer than {limit_s:g} s (limit_s)"
+    return Flown(task[0], "lost", words)
 
 
 def failure_folder(folder: Path, k: int) -> Path:

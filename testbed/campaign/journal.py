@@ -1,4 +1,4 @@
-"""Append-only record of a campaign: what is in it survives a kill, and nothing is in it twice.
+"""Append-only record of a campaign: what is in it survives a kill.
 
 One line is one JSON message with a checksum in front. It is written by one call, so a kill leaves
 whole lines and at most one torn at the end, which is cut off when the journal is opened again. One
@@ -10,7 +10,7 @@ import fcntl
 import os
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -37,8 +37,15 @@ class Head(Struct, frozen=True):
 class Journal(Generic[Message]):
     """The journal at `path`; a context manager that holds it alone."""
 
-    def __init__(self, path: Path, head: Head, kind: type[Message]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        head: Head,
+        kind: type[Message],
+        difference: Callable[[], str] = lambda: "another",
+    ) -> None:
         self._path, self._head, self._kind = path, head, kind
+        self._difference = difference  # what another campaign has otherwise, in words
         self._synced = 0.0
 
     def __enter__(self) -> "Journal[Message]":
@@ -74,15 +81,15 @@ class Journal(Generic[Message]):
         head: Head = self._read(lines[0], 1, Head)
         if head.version != self._head.version:
             raise JournalError(f"{self._path}: written by another version of this program")
-        for what, is_so in (
-            ("campaign or experiment has", head.campaign == self._head.campaign),
-            ("code of laws, flight or twin has", head.code == self._head.code),
+        for what, is_so, found in (
+            ("campaign or experiment has", head.campaign == self._head.campaign, self._difference),
+            ("code of laws, flight or twin has", head.code == self._head.code, lambda: "another"),
         ):
             if not is_so:
                 raise JournalError(
                     f"{self._path}: the {what} changed since these {len(lines) - 1} runs were "
                     f"flown\n  expected  the same as then, or another folder (--out)\n"
-                    f"  found     another: runs of both would be mixed"
+                    f"  found     {found()}: runs of both would be mixed"
                 )
         for number, line in enumerate(lines[1:], 2):
             yield self._read(line, number, self._kind)

@@ -27,7 +27,6 @@ flown all combinations equally often.
 
 import math
 import re
-import tempfile
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
@@ -37,22 +36,25 @@ import msgspec
 import numpy as np
 import tomli_w
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc
 
 from testbed.campaign.inline import inline
 from testbed.campaign.row import COLUMNS, check_columns, check_vehicles
-from testbed.config import ConfigError, Experiment, dump, find, load, read_toml
+from testbed.config import ConfigError, Experiment, dump, find, load, loads, read_toml
 from testbed.config.experiment import Seed
 from testbed.config.key import ANY, Key, assignment, spell
 from testbed.config.misfit import first_misfit
 from testbed.config.mistake import show
+from testbed.config.tree import leaves
 from testbed.core.table import Probability
 from testbed.core.vehicle import Positive
 
 MOST_RUNS = 1_000_000
 MOST_CHECKED = 200  # combinations, before the first run
 SEED: Key = ("seed",)
+MAY_CHANGE = ("description", "keep", "confidence", "success", "limit_s")  # of a file half flown
 
 Count = Annotated[int, Meta(ge=1, le=MOST_RUNS)]
 Limit = Annotated[float, Meta(gt=0.0, le=604_800.0)]
@@ -199,8 +201,29 @@ class Campaign:
         return [(draw, draw.at(float(u))) for draw, u in zip(self.file.draw, row, strict=True)]
 
     def payload(self) -> bytes:
-        """Everything that decides what is flown."""
-        return msgspec.json.encode((self.file, self.base))
+        """Everything that decides what a run of this number flies, and whether it passes."""
+        return msgspec.json.encode((deciding(self.file), self.base))
+
+
+def deciding(file: CampaignFile) -> CampaignFile:
+    """The file without what may change while it is flown: no run would have been another.
+
+    More samples are more runs behind those there are, unless the draws are made as a whole.
+    """
+    plain = CampaignFile(name=file.name, experiment=file.experiment)
+    whole = file.design == "latin_hypercube" and bool(file.draw)
+    free = MAY_CHANGE if whole else (*MAY_CHANGE, "samples")
+    return replace(file, **{key: getattr(plain, key) for key in free})
+
+
+def difference(old: Any, new: Any) -> str:
+    """The first key that two trees do not share, in words; empty if there is none."""
+    before, now = ({spell(k): v for k, v in leaves(tree)} for tree in (old, new))
+    for key in (*before, *now):
+        if (a := before.get(key)) != (b := now.get(key)):
+            words = [show(value) if value is not None else "nothing" for value in (a, b)]
+            return f"`{key}` was {words[0]} and is {words[1]}"
+    return ""
 
 
 def shares(file: CampaignFile) -> NDArray[np.float64]:
@@ -275,7 +298,7 @@ def check_replaced(path: Path, file: CampaignFile) -> None:
     settings = [
         (axis.label, text) for axis in file.grid for _, texts in axis.points() for text in texts
     ] + [(draw.label, f"{draw.key}=0") for draw in file.draw]
-    keys = dict.fromkeys((label, assignment(text)[0]) for label, text in settings)
+    keys = dict.fromkeys((label, key_of(path, label, text)) for label, text in settings)
     for place, (label, key) in enumerate(keys):
         if key == SEED:
             raise seed_error(path, label)
@@ -287,6 +310,14 @@ def check_replaced(path: Path, file: CampaignFile) -> None:
                 raise ConfigError(str(path), label, expected, found)
 
 
+def key_of(path: Path, label: str, text: str) -> Key:
+    """What an axis or a draw sets."""
+    try:
+        return assignment(text)[0]
+    except ValueError:
+        raise ConfigError(str(path), label, "key=value", show(text)) from None
+
+
 def covers(key: Key, other: Key) -> bool:
     """Whether setting `key` leaves nothing of `other`."""
     pairs = zip(key, other, strict=False)
@@ -296,15 +327,12 @@ def covers(key: Key, other: Key) -> bool:
 def check_corners(path: Path, campaign: Campaign) -> None:
     """Refuse a campaign of which a combination, an end of a draw or a bound is not possible."""
     names: dict[str, None] = {}  # of vehicles
-    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as base:
-        base.write(campaign.base)
-        base.flush()
-        for texts in corners(campaign):
-            try:
-                names |= dict.fromkeys(load(Path(base.name), texts).vehicles)
-            except ConfigError as error:
-                where = f"{path}, the run with {' '.join(texts)}"
-                raise ConfigError(where, error.key, error.expected, error.found) from None
+    for texts in corners(campaign):
+        try:
+            names |= dict.fromkeys(loads(campaign.base, texts).vehicles)
+        except ConfigError as error:
+            where = f"{path}, the run with {' '.join(texts)}"
+            raise ConfigError(where, error.key, error.expected, error.found) from None
     for key, bounds in (("most", campaign.file.most), ("least", campaign.file.least)):
         check_vehicles(str(path), key, bounds, names)
 

@@ -8,15 +8,6 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table as Grid
 
 from testbed.campaign.engine import EngineError
@@ -24,7 +15,7 @@ from testbed.campaign.extra import MissingExtraError
 from testbed.campaign.flight import (
     Crew,
     Ended,
-    Watch,
+    flown_before,
     fly_campaign,
     open_journal,
     replay_command,
@@ -36,6 +27,7 @@ from testbed.campaign.row import Flown
 from testbed.campaign.summary import Summary, summarise, worst_runs
 from testbed.campaign.sweep import Campaign, load_campaign
 from testbed.cli.main import FAILED, INTERRUPTED, OK
+from testbed.cli.progress import Bar
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, fly_with_log, read, warm
@@ -51,6 +43,7 @@ def run_campaign(
 ) -> int:
     """Fly and return the exit code."""
     interrupt, ended, watch = Interrupt(), None, Bar()
+    summaries: list[Summary] = []
     try:
         path = find_campaign(name)
         with redirect_stdout(sys.stderr):  # what a law prints is not what the campaign says
@@ -58,15 +51,18 @@ def run_campaign(
         folder = out or Path("runs") / f"campaign_{campaign.file.name}"
         crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler)
         with interrupt.caught(), interrupt.at_once(), watch, redirect_stdout(sys.stderr):
-            ended = fly_campaign(campaign, path.read_bytes(), folder, crew, watch)
+            ended = fly_campaign(
+                campaign, path.read_bytes(), folder, crew, watch,
+                lambda ended: summaries.append(write_results(campaign, ended, folder)),
+            )  # fmt: skip
         if ended is None:
             say_interrupted(campaign, folder)
             return INTERRUPTED
-        summary = write_results(campaign, ended, folder)
     except TROUBLE as error:
         return refuse(error)
+    (summary,) = summaries
     if as_json:
-        sys.stdout.write((folder / "summary.json").read_text(encoding="utf-8"))
+        sys.stdout.write(json_of(summary).decode())
     else:
         print_summary(summary, campaign, ended.runs, folder)
     wanted = campaign.file.success
@@ -84,7 +80,7 @@ def find_campaign(name: str) -> Path:
 def say_interrupted(campaign: Campaign, folder: Path) -> None:
     """Tell the operator how far it got."""
     with open_journal(campaign, folder) as journal:
-        count = len(journal.found)
+        count = len(flown_before(campaign, journal.found))
     errors.print(
         f"interrupted: {count} of {campaign.count} runs are kept in {folder}; "
         "the same command goes on from there",
@@ -93,61 +89,25 @@ def say_interrupted(campaign: Campaign, folder: Path) -> None:
 
 
 def write_results(campaign: Campaign, ended: Ended, folder: Path) -> Summary:
-    """Write Parquet, summary and report."""
+    """Write Parquet, summary and report; by who holds the journal, so one at a time."""
     summary = summarise(campaign, experiment_name(campaign), ended)
     table = table_of(campaign, ended.runs)
     facts = {"campaign": campaign.file.name, "description": campaign.file.description}
     write_parquet(folder / "results.parquet", table, facts)
-    text = msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
-    write_whole(folder / "summary.json", text)
+    write_whole(folder / "summary.json", json_of(summary))
     page = html_report(campaign, summary, ended.runs, table, folder)
     write_whole(folder / "report.html", page.encode())
     return summary
 
 
+def json_of(summary: Summary) -> bytes:
+    """Content of summary.json, and what `--json` prints."""
+    return msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n"
+
+
 def experiment_name(campaign: Campaign) -> str:
     """Name of the base experiment."""
     return Path(campaign.file.experiment).stem
-
-
-class Bar(Watch):
-    """Progress bar of a campaign; a context manager."""
-
-    def __init__(self, name: str = "") -> None:
-        self._name = name
-        self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-            TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-            console=errors, transient=True, disable=not errors.is_terminal,
-        )  # fmt: skip
-        self._passed = self._over = 0
-
-    def __enter__(self) -> "Bar":
-        self._progress.start()
-        self._bar = self._progress.add_task(
-            f"{self._name} getting ready (compiles on the first run)", total=None
-        )
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def begun(self, total: int, runs: Sequence[Flown]) -> None:
-        """See `Watch`."""
-        self._over = len(runs)
-        self._passed = sum(run.outcome == "passed" for run in runs)
-        self._progress.update(self._bar, total=total, completed=self._over)
-
-    def flown(self, run: Flown) -> None:
-        """See `Watch`."""
-        self._over += 1
-        self._passed += run.outcome == "passed"
-        share = f"{self._name} passed {100.0 * self._passed / self._over:.1f} %"
-        self._progress.update(self._bar, completed=self._over, description=share)
-
-    def keeping(self, count: int) -> None:
-        """See `Watch`."""
-        self._progress.update(self._bar, description=f"{self._name} logs of {count} failures")
 
 
 def print_summary(

@@ -13,7 +13,7 @@ from pathlib import Path
 from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_of
 from testbed.campaign.score import beside_metrics
 from testbed.cli.run import fly_and_judge, measure, warm_up
-from testbed.config import ConfigError, Experiment, dump, load
+from testbed.config import ConfigError, Experiment, dump, loads
 from testbed.ops.folder import write_config, write_metrics
 from testbed.ops.steady import settle, steady
 from testbed.rig.onlookers import Judge
@@ -86,8 +86,5 @@ def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
 
 
 def read(base: str, overrides: Sequence[str]) -> Experiment:
-    """The base experiment with these on top; `load` reads files."""
-    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8") as file:
-        file.write(base)
-        file.flush()
-        return load(Path(file.name), overrides)
+    """The base experiment with these on top."""
+    return loads(base, overrides)

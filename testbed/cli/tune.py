@@ -117,7 +117,8 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
 
 def _fleet(client: object, tuning: Tuning) -> Fleet[Task, Flown]:
     fly = partial(fly_batch, tuning.base)
-    return Fleet(client, fly, gone, lambda run: run.wall_s, tuning.file.limit_s)
+    limit_s = tuning.file.limit_s
+    return Fleet(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
 
 
 def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResult:

@@ -8,7 +8,7 @@ Whatever is wrong is one `ConfigError` that says where, what was expected and wh
 """
 
 from testbed.config.experiment import Deploy, Experiment, VehicleSetup
-from testbed.config.file import SHIPPED, dump, find, load
+from testbed.config.file import SHIPPED, dump, find, load, loads
 from testbed.config.mistake import ConfigError
 from testbed.config.tree import read_toml
 
@@ -21,5 +21,6 @@ __all__ = [
     "dump",
     "find",
     "load",
+    "loads",
     "read_toml",
 ]

@@ -21,7 +21,7 @@ from testbed.config.rehearsal import bad_injections
 from testbed.config.shipped import SHIPPED
 from testbed.config.source import Source
 from testbed.config.timing import bad_timing
-from testbed.config.tree import trouble_at
+from testbed.config.tree import read_text, read_toml, trouble_at
 
 OTHER_KINDS = {  # by their first key that no experiment has
     "mass": "a vehicle, which `vehicles.NAME.model` of an experiment names",
@@ -60,7 +60,16 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
     Raises:
         ConfigError: something is wrong.
     """
-    source = Source(path)
+    return _checked(Source(read_toml(path), str(path), path.parent), overrides)
+
+
+def loads(text: str, overrides: Sequence[str] = ()) -> Experiment:
+    """The same for the text of a resolved experiment, which needs no file and no folder."""
+    where = "the resolved experiment"
+    return _checked(Source(read_text(text.encode(), where), where, Path()), overrides)
+
+
+def _checked(source: Source, overrides: Sequence[str]) -> Experiment:
     for text in overrides:
         source.override(text)
     for mistake in bad_numbers(source.tree):

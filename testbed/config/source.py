@@ -22,14 +22,14 @@ class Origin(NamedTuple):
 
 
 class Source:
-    """A file, what it includes, and overrides put on top."""
+    """A tree from `where`, what it includes, relative to `folder`, and overrides put on top."""
 
-    def __init__(self, path: Path) -> None:
-        self.tree = read_toml(path)
-        self._origins: dict[Key, Origin] = {(): Origin(str(path))}
+    def __init__(self, tree: dict[str, Any], where: str, folder: Path) -> None:
+        self.tree = tree
+        self._origins: dict[Key, Origin] = {(): Origin(where)}
         if isinstance(self.tree, dict) and "faults" not in self.tree:
             self.tree["faults"] = str(FAULTS)
-        self._include(path.parent)
+        self._include(folder)
 
     def error(self, mistake: Mistake) -> ConfigError:
         """The mistake, and the file or override to mend."""

@@ -25,10 +25,15 @@ def read_toml(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:  # ValueError: a path that no file can have
         reason = error.strerror if isinstance(error, OSError) else None
         raise ConfigError(str(path), "", "a readable file", reason or str(error)) from None
+    return read_text(data, str(path))
+
+
+def read_text(data: bytes, where: str) -> dict[str, Any]:
+    """TOML text as a tree of tables; `where` it is from."""
     try:
         return deepcopy(_parsed(data))
     except ValueError as error:
-        raise ConfigError(str(path), "", "a TOML file", str(error)) from None
+        raise ConfigError(where, "", "a TOML file", str(error)) from None
 
 
 def parse(data: bytes) -> dict[str, Any]:

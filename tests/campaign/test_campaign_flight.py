@@ -6,6 +6,7 @@ from threading import Event
 import distributed
 import pyarrow.parquet
 import pytest
+import tomli_w
 from msgspec.structs import replace
 from numba.core import config
 from pretence import hold, never_warm, of_another_version, otherwise_with_log
@@ -20,6 +21,7 @@ from testbed.campaign.journal import JournalError
 from testbed.campaign.result import table_of, write_parquet
 from testbed.campaign.summary import summarise, worst_runs
 from testbed.campaign.sweep import load_campaign
+from testbed.config import dump, find, load
 
 MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
 GRID = {"key": "controller.bandwidth", "values": [0.1, 0.2]}
@@ -77,10 +79,89 @@ def test_a_run_that_was_not_the_same_the_second_time_stays_one(write, crew, tmp_
     assert [note.read_text() for note in notes] == ["gas_g\n", "how it ended\n"]
 
 
-def test_a_changed_file_does_not_go_on_in_an_old_folder(write, crew, tmp_path):
-    fly(load_campaign(write(samples=2)), tmp_path / "a", crew())
-    with pytest.raises(JournalError, match="campaign or experiment has changed"):
-        fly(load_campaign(write(samples=3)), tmp_path / "a", crew())
+def test_results_are_written_while_nobody_else_may(write, crew, tmp_path):
+    campaign = load_campaign(write(samples=2))
+    ends = []
+
+    def finish(ended):
+        with pytest.raises(JournalError, match="another process"):
+            fly(campaign, tmp_path / "a", crew())
+        ends.append(ended)
+
+    ended = fly_campaign(campaign, b"text", tmp_path / "a", crew(), Watch(), finish)
+    assert ends == [ended]
+
+
+@pytest.mark.parametrize("draw", [[], [MASS]])
+def test_a_campaign_is_extended_to_what_the_larger_one_gives(write, crew, tmp_path, draw):
+    keys = {"grid": [GRID], "draw": draw}
+    few = load_campaign(write(samples=2, keep=1, **keys))
+    more = {
+        "samples": 5, "keep": 3, "success": 0.9, "confidence": 0.9, "description": "more",
+        "limit_s": 7.0,
+    }  # fmt: skip
+    many = load_campaign(write(**more, **keys))
+    fly(few, tmp_path / "a", crew())
+    extended, straight = (fly(many, tmp_path / name, crew()) for name in "ab")
+    assert (extended.resumed, straight.resumed) == (4, 0)
+    for name, ended in (("a", extended), ("b", straight)):
+        write_parquet(tmp_path / f"{name}.parquet", table_of(many, ended.runs), {})
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+    folders = [sorted(p.name for p in (tmp_path / n / "failures").iterdir()) for n in "ab"]
+    assert folders[0] == folders[1] == ["run_000000", "run_000003", "run_000006"]
+
+    fewer = fly(few, tmp_path / "a", crew())  # and back: those behind the last sample do not count
+    assert (fewer.resumed, fewer.runs) == (4, straight.runs[:4])
+    assert fly(many, tmp_path / "a", crew()).resumed == 10
+
+
+def test_a_run_that_was_lost_is_flown_again_when_it_may_take_longer(write, crew, tmp_path):
+    keys = {"samples": 3, "keep": 0, "set": ["description='endless.1.'"]}
+    short = load_campaign(write(limit_s=1.0, **keys))
+    longer = load_campaign(write(limit_s=1.5, **keys))
+    lost = fly(short, tmp_path / "a", crew()).runs[1]
+    assert (lost.outcome, "than 1 s" in lost.reason) == ("lost", True)
+    again = fly(longer, tmp_path / "a", crew())
+    assert (again.resumed, "than 1.5 s" in again.runs[1].reason) == (2, True)
+    assert fly(longer, tmp_path / "a", crew()).resumed == 3
+
+
+HYPERCUBE = {"design": "latin_hypercube", "draw": [MASS], "samples": 2}
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "words"),
+    [
+        ({"seed": 1}, {"seed": 2}, "`seed` was 1 and is 2"),
+        (HYPERCUBE, {**HYPERCUBE, "samples": 3}, "`samples` was 2 and is 3"),
+        ({}, {"most": {"gas_g": 1.0}}, "`most.gas_g` was nothing and is 1.0"),
+        (
+            {"grid": [GRID]}, {"grid": [{**GRID, "values": [0.1, 0.2, 0.3]}]},
+            r"`grid\[0\].values\[2\]` was nothing and is 0.3",
+        ),
+        ({"set": ["duration_s=9"]}, {}, r'`set\[0\]` was "duration_s=9" and is nothing'),
+    ],
+)  # fmt: skip
+def test_what_would_be_another_run_is_refused_by_its_key(write, crew, tmp_path, before, now, words):
+    path = write(**before)
+    fly_campaign(load_campaign(path), path.read_bytes(), tmp_path / "a", crew(), Watch())
+    for _ in range(2):  # what is refused changes nothing
+        with pytest.raises(
+            JournalError, match=f"campaign or experiment has changed.*\n.*\n.*{words}"
+        ):
+            fly(load_campaign(write(**now)), tmp_path / "a", crew())
+
+
+def test_an_experiment_that_was_edited_is_refused_by_its_key(write, crew, tmp_path):
+    def campaign(duration):
+        text = tomli_w.dumps(dump(load(find("hold"), [f"duration_s={duration}"])))
+        (tmp_path / "mine.toml").write_text(text)
+        return load_campaign(path)
+
+    path = write(experiment="mine.toml")
+    fly_campaign(campaign(8), path.read_bytes(), tmp_path / "a", crew(), Watch())
+    with pytest.raises(JournalError, match=r"`duration_s` of the experiment was 8\.0 and is 9\.0"):
+        fly(campaign(9), tmp_path / "a", crew())
 
 
 def test_a_run_that_kills_its_workers_is_found_and_the_others_fly(write, crew, tmp_path):
@@ -112,6 +193,21 @@ def test_a_cluster_flies_the_same_and_stays(write, crew, tmp_path):
         ended = fly(campaign, tmp_path / "b", there)
         assert len(lab.nthreads()) == 2
     assert ended.runs == straight.runs
+
+
+def test_who_watches_can_ask_for_workers_while_there_are_none(write, crew, tmp_path):
+    class Counts(Watch):
+        def flying(self, count_workers):
+            counts.append(count_workers())
+            lab.retire_workers(list(lab.nthreads()), close_workers=False)
+            counts.append(count_workers())
+            raise KeyboardInterrupt
+
+    counts = []
+    campaign = load_campaign(write(samples=1))
+    with workers(1, None) as lab, pytest.raises(KeyboardInterrupt):
+        fly(campaign, tmp_path / "a", replace(crew(1), client=lab), Counts())
+    assert counts == [1, 0]
 
 
 def test_a_cluster_with_other_code_is_refused(monkeypatch):

@@ -221,3 +221,15 @@ def test_no_column_says_what_is_not_flown(write, keys, words):
 def test_columns_that_a_run_has_can_be_bounded(write):
     bounds = {"goal_rms_m": 1.0, "contacts": 0.0, "sat1.settle_s": 9.0, "clearance_m": 1.0}
     assert load_campaign(write(most=bounds)).file.most == bounds
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"grid": [{"name": "law", "cases": {"far": ["no assignment"]}}]},
+        {"draw": [{"key": "a b", "low": 0.0, "high": 1.0}]},
+    ],
+)
+def test_a_setting_that_sets_nothing_is_refused(write, keys):
+    with pytest.raises(ConfigError, match="key=value"):
+        load_campaign(write(**keys))

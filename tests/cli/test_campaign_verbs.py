@@ -14,7 +14,9 @@ import tomli_w
 
 from testbed.campaign.benchmark import score
 from testbed.campaign.engine import EngineError, workers
-from testbed.campaign.flight import Ended
+from testbed.campaign.flight import Ended, open_journal
+from testbed.campaign.journal import JournalError
+from testbed.campaign.result import write_parquet
 from testbed.campaign.row import Flown
 from testbed.campaign.summary import summarise
 from testbed.campaign.sweep import load_campaign
@@ -113,11 +115,31 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     for name in ("results.parquet", "base.toml"):
         assert (here / "a" / name).read_bytes() == (here / "b" / name).read_bytes()
 
-    (here / "try.toml").write_text(FILE.replace("samples = 15", "samples = 16"))
+    (here / "try.toml").write_text(FILE.replace("samples = 15", "samples = 15\nseed = 1"))
     process = start("campaign", "try.toml", "--out", "a")
     stdout, stderr = process.communicate(timeout=120)
     assert process.returncode == 2
     assert "has changed since these 30 runs were flown" in stderr
+    assert "found     `seed` was 0 and is 1" in stderr
+
+
+@pytest.mark.slow
+def test_two_calls_that_end_together_do_not_write_at_once(testbed, here, monkeypatch):
+    (here / "try.toml").write_text(FILE.replace("samples = 15", "samples = 1"))
+    second = []
+
+    def write_slowly(path, *words):
+        with pytest.raises(JournalError) as error, open_journal(campaign, path.parent):
+            pass
+        second.append(str(error.value))
+        write_parquet(path, *words)
+
+    campaign = load_campaign(here / "try.toml")
+    monkeypatch.setattr("testbed.cli.campaign.write_parquet", write_slowly)
+    result = testbed("campaign", "try.toml", "--out", "a", "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["runs"] == 2
+    assert ["another process" in words for words in second] == [True]
 
 
 @pytest.mark.slow
@@ -205,6 +227,13 @@ def test_whatever_a_law_does_is_a_result_that_can_be_kept(here, what, outcome, w
     assert json.loads(msgspec.json.encode(run))["reason"] == run.reason
     (kept,) = fly_with_log(base, [(0, ())])
     assert "config.toml" in kept.files
+
+
+def test_a_full_disk_of_a_worker_is_not_the_result_of_a_run(here, monkeypatch):
+    base = tomli_w.dumps(dump(load(find("hold"), ["duration_s=1", "criteria={}"])))
+    monkeypatch.setattr("tempfile.tempdir", str(here / "nowhere"))
+    run = fly(base, 0, ("seed=3",))
+    assert (run.outcome, run.reason) == ("passed", "")
 
 
 @pytest.mark.slow

@@ -5,6 +5,11 @@ import re
 from pathlib import Path
 
 import pytest
+import tomli_w
+
+from controllers.law_file import maker
+from testbed.cli.trial import fly
+from testbed.config import dump, find, load
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -81,6 +86,64 @@ def test_an_edited_copy_is_not_the_run_that_was(testbed, mine):
     assert key == "controller.sha256"
     assert "without the key, any" in expected
     assert found.endswith("law_of_mine.py was edited")
+
+
+REMEMBERS = """
+import numpy as np
+
+rng = np.random.default_rng(1)
+asked = 0
+
+
+class Remembers:
+    step_s = 0.02
+    met = []
+
+    def force(self, own, neighbours, world, t):
+        global asked
+        asked += 1
+        self.met.append(t)
+        return 1e-3 * rng.standard_normal(2) + 1e-5 * asked + 1e-5 * len(self.met)
+"""
+
+
+def test_what_a_law_keeps_in_its_module_is_of_one_run_and_one_vehicle(here):
+    (here / "law.py").write_text(REMEMBERS)
+    law = "controller={type='python',law='law.py:Remembers'}"
+    base = tomli_w.dumps(dump(load(find("hold"), ["duration_s=1", "criteria={}", law])))
+    first = fly(base, 0, ())
+    fly(base, 1, ("duration_s=2", "seed=7"))
+    again = fly(base, 0, ())
+    assert first.outcome == again.outcome == "passed"
+    assert first.columns == again.columns
+    one, two = maker("law.py:Remembers"), maker("law.py:Remembers")  # of two vehicles
+    assert one.force.__globals__["rng"] is not two.force.__globals__["rng"]
+
+
+COMPILED = """
+import numba
+from testbed.core.law import bounded
+
+
+class Mine:
+    def force(self, own, neighbours, world, t):
+        return bounded(-own.v, 1.0)
+"""
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "@numba.njit\ndef twice(x):\n    return 2 * x",
+        "class Sums:\n    @staticmethod\n    @numba.njit\n    def twice(x):\n        return 2 * x",
+    ],
+)
+def test_a_file_with_machine_code_is_not_compiled_anew_for_each_run(here, more):
+    file = here / "law.py"
+    file.write_text(COMPILED)  # it only uses what is compiled already
+    assert maker("law.py:Mine") is not maker("law.py:Mine")
+    file.write_text(f"{COMPILED}\n\n{more}\n")
+    assert maker("law.py:Mine") is maker("law.py:Mine")
 
 
 def test_a_parameter_on_the_command_line(testbed, mine):

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from testbed.config import SHIPPED, ConfigError, Experiment, dump, find, load, read_toml
+from testbed.config import SHIPPED, ConfigError, Experiment, dump, find, load, loads, read_toml
 from testbed.flight.modulation import PwmParams
 
 NAMES = sorted(path.stem for path in (SHIPPED / "experiments").glob("*.toml"))
@@ -177,6 +177,15 @@ def test_a_resolved_experiment_refers_to_no_other_file():
     assert isinstance(tree["table"], dict)
     assert isinstance(tree["vehicles"]["sat1"]["model"], dict)
     assert tree["seed"] == 0
+
+
+def test_text_is_read_as_a_file_would_be(tmp_path):
+    text = tomli_w.dumps(dump(load(find("zhang2023_table"))))
+    (tmp_path / "base.toml").write_text(text, encoding="utf-8")
+    overrides = ("duration_s=3", "vehicles.*.model.mass=12.5")
+    assert loads(text, overrides) == load(tmp_path / "base.toml", overrides)
+    with pytest.raises(ConfigError, match="the resolved experiment"):
+        loads(f"{text}\n[")
 
 
 def test_read_toml():

@@ -1,0 +1,115 @@
+"""How far a campaign is: a bar at a terminal, a line a minute in a log.
+
+A batch system's log and CI have no terminal. A line goes to standard error, also with `--json`, of
+which standard output is the result.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from datetime import timedelta
+from threading import Event, Thread
+
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from testbed.campaign.flight import Watch
+from testbed.campaign.row import Flown
+from testbed.cli.refusal import errors
+
+LINE_S = 60.0  # between two lines of a log [s]
+LOOK_S = 5.0  # between two looks for workers, at a terminal [s]
+NOBODY = "no workers: waiting for some"
+
+
+class Bar(Watch):
+    """Progress of a campaign; a context manager."""
+
+    def __init__(self, name: str = "", line_s: float = LINE_S) -> None:
+        self._name = name
+        self._progress = Progress(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+            TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+            console=errors, transient=True, disable=not errors.is_terminal,
+        )  # fmt: skip
+        self._words = "getting ready (compiles on the first run)"
+        self._total = self._passed = self._over = self._here = 0
+        self._began = 0.0  # when the first run of this call was over [s]
+        self._count_workers: Callable[[], int] | None = None
+        self._every_s = LOOK_S if errors.is_terminal else line_s
+        self._end = Event()
+        self._teller = Thread(target=self._tell, daemon=True)
+
+    def __enter__(self) -> "Bar":
+        self._progress.start()
+        self._bar = self._progress.add_task(f"{self._name} {self._words}", total=None)
+        self._teller.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end.set()
+        self._teller.join(1.0)  # a cluster that is gone may keep it
+        self._progress.stop()
+
+    def begun(self, total: int, runs: Sequence[Flown]) -> None:
+        """See `Watch`."""
+        self._total, self._over = total, len(runs)
+        self._passed = sum(run.outcome == "passed" for run in runs)
+        self._progress.update(self._bar, total=total, completed=self._over)
+
+    def flying(self, count_workers: Callable[[], int]) -> None:
+        """See `Watch`."""
+        self._count_workers = count_workers
+        self._say("flying")
+
+    def flown(self, run: Flown) -> None:
+        """See `Watch`."""
+        self._over += 1
+        self._here += 1
+        if self._here == 1:
+            self._began = time.monotonic()
+        self._passed += run.outcome == "passed"
+        self._progress.update(self._bar, completed=self._over)
+        self._say(f"passed {100.0 * self._passed / self._over:.1f} %")
+
+    def keeping(self, count: int) -> None:
+        """See `Watch`."""
+        self._say(f"logs of {count} failures")
+
+    def _say(self, words: str) -> None:
+        self._words = words
+        self._progress.update(self._bar, description=f"{self._name} {words}")
+
+    def _tell(self) -> None:
+        """What takes long is said by a thread of its own: the others wait for the workers."""
+        while not self._end.wait(self._every_s):
+            nobody = self._is_nobody_there()
+            if self._end.is_set():
+                return
+            if not errors.is_terminal:
+                words = self.line(time.monotonic(), nobody)
+                errors.print(words, markup=False, soft_wrap=True)
+            elif nobody:
+                self._progress.update(self._bar, description=f"{self._name} {NOBODY}")
+
+    def _is_nobody_there(self) -> bool:
+        try:
+            return self._count_workers is not None and self._count_workers() == 0
+        except Exception:  # a cluster that is gone is said by who flies
+            return False
+
+    def line(self, now: float, nobody: bool) -> str:
+        """The state in one line, at a time [s], and whether there are no workers."""
+        parts = [f"{self._name} {self._over} of {self._total} runs".strip()] if self._total else []
+        parts.append(NOBODY if nobody else self._words)
+        if self._here > 1 and now > self._began:
+            rate = (self._here - 1) / (now - self._began)
+            left = timedelta(seconds=round((self._total - self._over) / rate))
+            parts += [f"{rate:.3g} a second", f"{left} left"]
+        return ", ".join(parts)
