@@ -231,7 +231,7 @@ def strips(rows: Sequence[Strip], title: str) -> str:
             at = x.at(row.median)
             parts.append(f'<path class="median" d="M{at:.1f} {y.start + 3:g}V{y.end:g}"/>')
         parts.append(case_mark(k, x.start + 5, y.end - 10, 4.0))
-        room = x.end - x.start - 14 - LETTER * len(row.words)
+        room = x.end - x.start - 26 - LETTER * len(row.words)
         parts.append(text(x.start + 14, y.end - 6, cut(row.name, int(room / LETTER)), "row"))
         parts.append(text(x.end, y.end - 6, row.words, "tick", END))
     return page(parts, f"distribution of {title} by case", bottom + BOTTOM)
@@ -378,18 +378,18 @@ def whiskers(rows: Sequence[Whisker]) -> str:
         at = x.at(value)
         parts.append(f'<path class="grid" d="M{at:.1f} 8V{height - 26:.1f}"/>')
         parts.append(text(at, height - 12, f"{value} %", "tick", 'text-anchor="middle"'))
+    others = "whisker", "good"
+    if any(row.case is not None for row in rows):
+        others = "whisker rest", "case solid rest"
     for k, row in enumerate(rows):
         y = 22.0 + 22.0 * k
-        colour = "" if row.case is None else f" c{row.case}"
-        at = x.at(100 * row.rate)
+        kind = others[0] if row.case is None else f"whisker c{row.case}"
+        ends, at = (x.at(100 * row.low), x.at(100 * row.high)), x.at(100 * row.rate)
         parts.append(text(left - 10, y + 3.5, cut(row.name, 31), "row", END))
+        parts.append(f'<path class="{kind}" d="M{ends[0]:.1f} {y:.1f}H{ends[1]:.1f}"/>')
         parts.append(
-            f'<path class="whisker{colour}" d="M{x.at(100 * row.low):.1f} {y:.1f}'
-            f'H{x.at(100 * row.high):.1f}"/>'
-        )
-        parts.append(
-            f'<circle class="good" cx="{at:.1f}" cy="{y:.1f}" r="4.5"/>' if row.case is None
-            else case_mark(row.case, at, y, 4.5)
+            f'<circle class="{others[1]}" cx="{at:.1f}" cy="{y:.1f}" r="4.5"/>'
+            if row.case is None else case_mark(row.case, at, y, 4.5)
         )  # fmt: skip
         parts.append(text(x.end + 10, y + 3.5, row.words, "row"))
     return page(parts, "success rate with interval", height)

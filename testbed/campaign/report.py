@@ -97,17 +97,16 @@ def _median(quantity: Quantity, of_all: float, apart: Groups) -> tuple[str, str]
     if not found:
         return f"median {quantity.title}", f"{chart.number(of_all)} {quantity.unit}"
     (low, least), (high, most) = min(found), max(found)
-    words = f"median {quantity.title}, from {least} to {most}"
+    words = f"median {quantity.title}, from {least} to {most}{'.' * bool(apart.rest)}{apart.rest}"
     return words, f"{chart.number(low)} to {chart.number(high)} {quantity.unit}"
 
 
 def _key(apart: Groups) -> str:
     disc = '<circle class="good" cx="6" cy="6" r="4"/>'
     cross = '<path class="bad-mark" d="M2.5 2.5l7 7m0 -7l-7 7"/>'
-    keys = [(disc, "passed"), (cross, "did not pass")]
-    if apart.shown:
-        keys = [(chart.case_mark(k, 6, 6, 4), group.name) for k, group in enumerate(apart.shown)]
-        keys.append(('<circle class="case open" cx="6" cy="6" r="4"/>', chart.HOLLOW))
+    ring = '<circle class="case open" cx="6" cy="6" r="4"/>'
+    keys = [(chart.case_mark(k, 6, 6, 4), group.name) for k, group in enumerate(apart.shown)]
+    keys += [(ring, chart.HOLLOW)] if keys else [(disc, "passed"), (cross, "did not pass")]
     spans = [
         f'<span class="key"><svg viewBox="0 0 12 12">{mark}</svg>{escape(words)}</span>'
         for mark, words in keys
@@ -201,8 +200,11 @@ def _strip(quantity: Quantity, group: Group) -> Strip:
     one = spread(quantity, group.runs)
     if one is None:
         return Strip(group.name, [], [], None, "no run has it")
-    few = "" if one.runs == len(group.runs) else f"{one.runs} of {len(group.runs)} runs: "
-    words = f"{few}median {chart.number(one.median)}, 95 % within {chart.number(one.p95)}"
+    few = one.runs < len(group.runs)
+    rest = (
+        f"{one.runs} of {len(group.runs)} runs" if few else f"95 % within {chart.number(one.p95)}"
+    )
+    words = f"median {chart.number(one.median)}, {rest}"
     pairs = [(run.columns.get(quantity.column), run.outcome == "passed") for run in group.runs]
     good = [value * quantity.scale for value, passed in pairs if value is not None and passed]
     bad = [value * quantity.scale for value, passed in pairs if value is not None and not passed]
@@ -213,7 +215,7 @@ def points_of(
     table: Table, x: str, y: str, scales: tuple[float, float], apart: Groups
 ) -> list[Point]:
     """One point per run that has both numbers and is drawn."""
-    if y not in table:  # no run got so far as to have numbers
+    if x not in table or y not in table:  # no run got so far as to have numbers
         return []
     case = {run.k: place for place, group in enumerate(apart.shown) for run in group.runs}
     return [
@@ -327,8 +329,6 @@ def heat_maps(
 
 
 def _front(table: Table, error: Quantity, apart: Groups) -> str:
-    if "gas_g" not in table:
-        return ""
     points = points_of(table, "gas_g", error.column, (1.0, error.scale), apart)
     if len(points) < 2:
         return ""
@@ -343,8 +343,8 @@ def _front(table: Table, error: Quantity, apart: Groups) -> str:
     words = "No run passed: there is no Pareto front."
     if fronts and names:
         none = [name for name, front in zip(names, every, strict=True) if not front]
-        words = "A line is the Pareto front of a case, of the runs that passed: "
-        words += "none of the same colour has less error for less gas."
+        words = "A line is the Pareto front of the runs of one colour that passed: none of them "
+        words += "has less error for less gas."
         words += f" None passed of: {escape(', '.join(none))}." if none else ""
     elif fronts:
         words = "The line is the Pareto front of the runs that passed: no run has less error for "

@@ -11,6 +11,7 @@ STYLE = """
   --h0: #58a6ff; --h1: #ff9f4a; --h2: #3ccfae; --h3: #e58ad4; --h4: #d8c64a; --h5: #9fa4ff; } }
 .c0 { --hue: var(--h0); } .c1 { --hue: var(--h1); } .c2 { --hue: var(--h2); }
 .c3 { --hue: var(--h3); } .c4 { --hue: var(--h4); } .c5 { --hue: var(--h5); }
+.rest { --hue: var(--soft); }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink);
   font: 15px/1.5 ui-sans-serif, system-ui, "Segoe UI", Roboto, "Helvetica Neue", sans-serif; }
@@ -57,7 +58,7 @@ figcaption { color: var(--soft); font-size: 12.5px; padding: 0 6px 4px; }
 .key { display: inline-flex; gap: 6px; align-items: center; margin-right: 14px; font-size: 13px;
   color: var(--soft); } .key svg { width: 12px; height: 12px; display: inline-block; }
 .swatch { width: 12px; height: 12px; display: inline-block; margin-right: 7px;
-  vertical-align: -1px; } td.name { white-space: nowrap; }
+  vertical-align: -1px; } td.name { min-width: 150px; }
 .charts + .charts { margin-top: 14px; }
 h3 { font-size: 13.5px; font-weight: 600; margin: 18px 0 8px; }
 .card { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-size: 13.5px; }

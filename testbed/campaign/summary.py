@@ -106,8 +106,8 @@ class Groups(Struct, frozen=True):
         if self.pooled:
             words = (
                 f"{combinations} cases are more than one tells apart: below, each "
-                f"{' and '.join(self.axes)} has a colour and a mark of its own, with every "
-                f"{' and '.join(self.pooled)} in it."
+                f"{' and '.join(self.axes)} has a colour and a mark of its own, whatever its "
+                f"{' and '.join(self.pooled)} is."
             )
         return words + self.rest
 
