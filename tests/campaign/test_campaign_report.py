@@ -137,10 +137,17 @@ def test_a_case_of_which_no_run_passed_is_named_at_the_fronts(write, tmp_path):
 
 def test_a_map_is_of_one_law_and_all_are_of_one_scale(write, tmp_path):
     campaign = load_campaign(write(grid=[LAWS, RATES], draw=[MASS], samples=20))
-    runs = some_runs(180)
+    runs = [replace(r, outcome="failed") if r.k % 9 >= 6 else r for r in some_runs(180)]
     page = page_of(campaign, runs, tmp_path)
     maps = drawn(page, "vehicles.*.model.mass by table.mocap.rate_hz")
     assert len(maps) == 6
+    for case, svg in enumerate(maps[:3]):
+        hints = [e.find("*").text for e in svg if e.get("class") == "heat"]
+        fields = [re.search(r": ([\d.]+) \((\d+) runs\)", hint).groups() for hint in hints]
+        met = sum(r.outcome == "passed" for r in runs if r.k % 9 // 3 == case)
+        assert sum(float(share) * int(count) for share, count in fields) == pytest.approx(
+            100 * met, rel=1e-3
+        )
     medians = {}
     for case, svg in enumerate(maps[3:]):
         for e in (e for e in svg if e.get("class") == "heat"):
