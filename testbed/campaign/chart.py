@@ -1,7 +1,8 @@
 """Charts as SVG text, drawn with the colours of the page they stand on.
 
 One size of type, thin axes, a grid one can look through. A point that passed is a disc, one that
-did not is a cross, so colour is never all there is.
+did not is a cross; with several cases each has a colour and a mark, hollow where it did not pass.
+So colour is never all there is.
 """
 
 import math
@@ -12,6 +13,22 @@ from typing import NamedTuple
 WIDTH, HEIGHT = 420.0, 260.0
 LOG_FROM = 6.0  # largest over least number
 LEFT, RIGHT, TOP, BOTTOM = 66.0, 12.0, 14.0, 42.0
+LETTER, LINE, STRIP = 6.2, 18.0, 50.0  # width of one, height of a line of a legend, of a strip
+BINS = 24
+END = 'text-anchor="end"'
+GOOD_BAD = ("good", "bad")
+HOLLOW = "hollow: did not pass"
+
+# Corners of the cases' marks about their centre, in radii of the disc, which is the first.
+MARKS: tuple[tuple[tuple[float, float], ...], ...] = (
+    (),
+    ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
+    ((0.0, -1.25), (1.2, 0.9), (-1.2, 0.9)),
+    ((0.0, -1.4), (1.1, 0.0), (0.0, 1.4), (-1.1, 0.0)),
+    ((0.0, 1.25), (1.2, -0.9), (-1.2, -0.9)),
+    ((-0.4, -1.3), (0.4, -1.3), (0.4, -0.4), (1.3, -0.4), (1.3, 0.4), (0.4, 0.4),
+     (0.4, 1.3), (-0.4, 1.3), (-0.4, 0.4), (-1.3, 0.4), (-1.3, -0.4), (-0.4, -0.4)),
+)  # fmt: skip
 
 
 class Point(NamedTuple):
@@ -21,6 +38,7 @@ class Point(NamedTuple):
     y: float
     passed: bool
     hint: str
+    case: int = 0  # which colour and mark it has, where there are several
 
 
 class Axis(NamedTuple):
@@ -45,6 +63,12 @@ class Axis(NamedTuple):
         if self.log:
             share = math.log(value / self.low) / math.log(self.high / self.low)
         return self.start + (self.end - self.start) * share
+
+    def value(self, share: float) -> float:
+        """The number so far along it."""
+        if self.log:
+            return self.low * (self.high / self.low) ** share
+        return self.low + share * (self.high - self.low)
 
     def ticks(self) -> list[float]:
         """Round numbers along it."""
@@ -137,39 +161,116 @@ def frame(x: Axis, y: Axis, x_ticks: bool = True, y_ticks: bool = True) -> list[
     return parts
 
 
-def histogram(passed: Sequence[float], others: Sequence[float], title: str, bins: int = 24) -> str:
+def histogram(passed: Sequence[float], others: Sequence[float], title: str) -> str:
     """How often a number lies where; those that did not pass on top."""
-    values = [*passed, *others]
-    log = wants_log(values)
-    low, high = log_span(values, 0.0) if log else span(values, 0.0)
-    x = wide(low, high, title, log)
-    width = (x.end - x.start) / bins
-
-    def count(of: Sequence[float]) -> list[int]:
-        found = [0] * bins
-        for value in of:
-            found[min(bins - 1, max(0, int((x.at(value) - x.start) / width)))] += 1
-        return found
-
-    def edge(k: int) -> float:
-        share = k / bins
-        return low * (high / low) ** share if log else low + share * (high - low)
-
-    good, bad = count(passed), count(others)
+    x = along([*passed, *others], title)
+    good, bad = counts(x, passed), counts(x, others)
     highest = max(g + b for g, b in zip(good, bad, strict=True))
     y = tall(0.0, 1.08 * highest, "runs")._replace(whole=True)
-    parts = frame(x, y)
+    return page([*frame(x, y), *bars(x, y, good, bad)], f"distribution of {title}")
+
+
+def along(values: Sequence[float], title: str) -> Axis:
+    """The axis of a histogram of some numbers, without room at its ends."""
+    log = wants_log(values)
+    return wide(*(log_span(values, 0.0) if log else span(values, 0.0)), title, log)
+
+
+def counts(x: Axis, values: Sequence[float]) -> list[int]:
+    """How many of the numbers are in each bin."""
+    found = [0] * BINS
+    for value in values:
+        share = (x.at(value) - x.start) / (x.end - x.start)
+        found[min(BINS - 1, max(0, int(share * BINS)))] += 1
+    return found
+
+
+def bars(
+    x: Axis, y: Axis, good: Sequence[int], bad: Sequence[int], kinds: Sequence[str] = GOOD_BAD
+) -> list[str]:
+    """Those that passed, and on top those that did not."""
+    parts, width = [], (x.end - x.start) / BINS
     for k, (g, b) in enumerate(zip(good, bad, strict=True)):
         left = x.start + k * width + 0.75
-        hint = f"{number(edge(k))} to {number(edge(k + 1))}: {g} passed, {b} not"
-        for kind, bottom, top in (("good", 0, g), ("bad", g, g + b)):
+        ends = number(x.value(k / BINS)), number(x.value((k + 1) / BINS))
+        hint = f"{ends[0]} to {ends[1]}: {g} passed, {b} not"
+        for kind, bottom, top in zip(kinds, (0, g), (g, g + b), strict=True):
             if top > bottom:
                 parts.append(
                     f'<rect class="{kind}" x="{left:.1f}" y="{y.at(top):.1f}" '
                     f'width="{width - 1.5:.1f}" height="{y.at(bottom) - y.at(top):.1f}">'
                     f"<title>{escape(hint)}</title></rect>"
                 )
-    return page(parts, f"distribution of {title}")
+    return parts
+
+
+class Strip(NamedTuple):
+    """One case's row in a picture of distributions."""
+
+    name: str
+    passed: Sequence[float]
+    others: Sequence[float]
+    median: float | None  # none where no run has the number
+    words: str
+
+
+def strips(rows: Sequence[Strip], title: str) -> str:
+    """Histograms one below the other, on one axis and of one scale."""
+    x = along([value for row in rows for value in (*row.passed, *row.others)], title)
+    found = [(counts(x, row.passed), counts(x, row.others)) for row in rows]
+    highest = max(g + b for good, bad in found for g, b in zip(good, bad, strict=True))
+    bottom = STRIP * len(rows) + 6.0
+    parts = frame(x, Axis(0.0, 1.0, bottom, 4.0, "runs"), y_ticks=False)
+    for k, (row, (good, bad)) in enumerate(zip(rows, found, strict=True)):
+        y = Axis(0.0, highest, STRIP * (k + 1) + 2.0, STRIP * k + 23.0, "")
+        parts.append(f'<path class="axis" d="M{x.start:g} {y.start:g}H{x.end:g}"/>')
+        for value in (0, highest):
+            parts.append(text(x.start - 7, y.at(value) + 3.5, str(value), "tick", END))
+        parts += bars(x, y, good, bad, (f"case solid c{k}", f"case open c{k}"))
+        if row.median is not None:
+            at = x.at(row.median)
+            parts.append(f'<path class="median" d="M{at:.1f} {y.start + 3:g}V{y.end:g}"/>')
+        parts.append(case_mark(k, x.start + 5, y.end - 10, 4.0))
+        room = x.end - x.start - 26 - LETTER * len(row.words)
+        parts.append(text(x.start + 14, y.end - 6, cut(row.name, int(room / LETTER)), "row"))
+        parts.append(text(x.end, y.end - 6, row.words, "tick", END))
+    return page(parts, f"distribution of {title} by case", bottom + BOTTOM)
+
+
+def cut(words: str, most: int) -> str:
+    """No longer than there is room for."""
+    return words if len(words) <= most else words[: max(1, most - 1)] + "\N{HORIZONTAL ELLIPSIS}"
+
+
+def case_mark(
+    case: int, x: float, y: float, radius: float, kind: str = "solid", hint: str = ""
+) -> str:
+    """A case's mark in its colour."""
+    corners = MARKS[case]
+    if corners:
+        path = "M" + "L".join(f"{x + radius * a:.1f} {y + radius * b:.1f}" for a, b in corners)
+    else:
+        arc = f"a{radius:g} {radius:g} 0 1 0 "
+        path = f"M{x - radius:.1f} {y:.1f}{arc}{2 * radius:g} 0{arc}{-2 * radius:g} 0"
+    title = f"<title>{escape(hint)}</title>" if hint else ""
+    return f'<path class="case c{case} {kind}" d="{path}z">{title}</path>'
+
+
+def legend(names: Sequence[str], top: float, hollow: bool) -> tuple[list[str], float]:
+    """The cases' marks with their names, in as many lines as they need, and where those end."""
+    parts, at, y = [], LEFT, top
+    for k, name in enumerate([*names, HOLLOW] if hollow else names):
+        words = cut(name, int((WIDTH - LEFT - RIGHT - 14) / LETTER))
+        length = 14 + LETTER * len(words)
+        if at + length > WIDTH - RIGHT and at > LEFT:
+            at, y = LEFT, y + LINE
+        if k < len(names):
+            parts.append(case_mark(k, at + 5, y - 4, 4.0))
+        else:
+            parts.append(f'<circle class="case open" cx="{at + 5:.1f}" cy="{y - 4:g}" r="3.6"/>')
+        parts.append(text(at + 14, y, words, "row"))
+        at += length + 16
+    return parts, y + 10
 
 
 def mark(x: float, y: float, point: Point, kind: str = "") -> str:
@@ -182,24 +283,40 @@ def mark(x: float, y: float, point: Point, kind: str = "") -> str:
 
 
 def scatter(
-    points: Sequence[Point], x_title: str, y_title: str, front: Sequence[Point] = ()
+    points: Sequence[Point],
+    x_title: str,
+    y_title: str,
+    fronts: Sequence[Sequence[Point]] = (),
+    names: Sequence[str] = (),
 ) -> str:
-    """Runs by two numbers; a front is drawn as a line from point to point."""
+    """Runs by two numbers, of several cases if they have names; a front is a line through some."""
     x_log, y_log = wants_log([p.x for p in points]), wants_log([p.y for p in points])
     x = wide(*(log_span if x_log else span)([p.x for p in points]), x_title, x_log)
     y = tall(*(log_span if y_log else span)([p.y for p in points]), y_title, y_log)
-    parts = frame(x, y)
-    parts += [mark(x.at(p.x), y.at(p.y), p) for p in points]
-    if front:
+    parts, height = frame(x, y), HEIGHT
+    if names:
+        for p in points:
+            kind = "" if p.passed else "open"
+            parts.append(case_mark(p.case, x.at(p.x), y.at(p.y), 3.0, kind, p.hint))
+        more, height = legend(names, HEIGHT + 10.0, any(not p.passed for p in points))
+        parts += more
+    else:
+        parts += [mark(x.at(p.x), y.at(p.y), p) for p in points]
+    for front in fronts:
         path = f"M{x.at(front[0].x):.1f} {y.at(front[0].y):.1f}"
         path += "".join(f"H{x.at(p.x):.1f}V{y.at(p.y):.1f}" for p in front[1:])
-        parts.append(f'<path class="front" d="{path}"/>')
+        colour = f" c{front[0].case}" if names else ""
+        parts.append(f'<path class="front{colour}" d="{path}"/>')
         for p in front:
-            parts.append(
-                f'<circle class="front-mark" cx="{x.at(p.x):.1f}" cy="{y.at(p.y):.1f}" r="4.5">'
-                f"<title>{escape(p.hint)}</title></circle>"
-            )
-    return page(parts, f"{y_title} against {x_title}")
+            at = x.at(p.x), y.at(p.y)
+            if names:
+                parts.append(case_mark(p.case, *at, 4.5, "front-mark", p.hint))
+            else:
+                parts.append(
+                    f'<circle class="front-mark" cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="4.5">'
+                    f"<title>{escape(p.hint)}</title></circle>"
+                )
+    return page(parts, f"{y_title} against {x_title}", height)
 
 
 class Cell(NamedTuple):
@@ -246,6 +363,7 @@ class Whisker(NamedTuple):
     rate: float
     high: float
     words: str
+    case: int | None = None  # whose colour and mark it has
 
 
 def whiskers(rows: Sequence[Whisker]) -> str:
@@ -260,14 +378,18 @@ def whiskers(rows: Sequence[Whisker]) -> str:
         at = x.at(value)
         parts.append(f'<path class="grid" d="M{at:.1f} 8V{height - 26:.1f}"/>')
         parts.append(text(at, height - 12, f"{value} %", "tick", 'text-anchor="middle"'))
+    others = "whisker", "good"
+    if any(row.case is not None for row in rows):
+        others = "whisker rest", "case solid rest"
     for k, row in enumerate(rows):
         y = 22.0 + 22.0 * k
-        name = row.name if len(row.name) < 32 else row.name[:30] + "\N{HORIZONTAL ELLIPSIS}"
-        parts.append(text(left - 10, y + 3.5, name, "row", 'text-anchor="end"'))
+        kind = others[0] if row.case is None else f"whisker c{row.case}"
+        ends, at = (x.at(100 * row.low), x.at(100 * row.high)), x.at(100 * row.rate)
+        parts.append(text(left - 10, y + 3.5, cut(row.name, 31), "row", END))
+        parts.append(f'<path class="{kind}" d="M{ends[0]:.1f} {y:.1f}H{ends[1]:.1f}"/>')
         parts.append(
-            f'<path class="whisker" d="M{x.at(100 * row.low):.1f} {y:.1f}'
-            f'H{x.at(100 * row.high):.1f}"/>'
-            f'<circle class="good" cx="{x.at(100 * row.rate):.1f}" cy="{y:.1f}" r="4.5"/>'
-        )
+            f'<circle class="{others[1]}" cx="{at:.1f}" cy="{y:.1f}" r="4.5"/>'
+            if row.case is None else case_mark(row.case, at, y, 4.5)
+        )  # fmt: skip
         parts.append(text(x.end + 10, y + 3.5, row.words, "row"))
     return page(parts, "success rate with interval", height)

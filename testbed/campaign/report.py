@@ -5,18 +5,32 @@ from html import escape
 from pathlib import Path
 
 from testbed.campaign import chart
-from testbed.campaign.chart import Point, Whisker
+from testbed.campaign.chart import Cell, Point, Strip, Whisker
 from testbed.campaign.flight import failure_folder, replay_command
-from testbed.campaign.grouping import best_front, heat_map
+from testbed.campaign.grouping import best_front, fields
 from testbed.campaign.result import Table
 from testbed.campaign.row import OUTCOMES, Flown
 from testbed.campaign.style import SCRIPT, STYLE
-from testbed.campaign.summary import Quantity, Summary, spread, worst_runs
+from testbed.campaign.summary import (
+    Group,
+    Groups,
+    Quantity,
+    Summary,
+    by_axes,
+    groups,
+    groups_by,
+    in_field,
+    main_error,
+    named_axes,
+    numeric_parameters,
+    spread,
+    worst_runs,
+)
 from testbed.campaign.sweep import Campaign
 
 MOST_POINTS = 1500  # in one scatter; more are no clearer and make a page of megabytes
 MOST_CASES = 40
-ERRORS = ("shape_rms_m", "goal_rms_m", "track_rms_m", "final_error_m")
+MOST_MAPS = 18  # of one kind; six pairs of parameters at most
 
 
 def html_report(
@@ -24,14 +38,15 @@ def html_report(
 ) -> str:
     """The page."""
     error = main_error(summary, table)
+    apart = groups(campaign, runs)
     sections = [
-        _head(campaign, summary),
-        _cases(summary),
-        _medians(campaign, summary, runs),
-        _distributions(summary, table),
-        _influences(campaign, table, error),
-        _maps(campaign, table, error),
-        _front(table, error),
+        _head(campaign, summary, apart),
+        _cases(summary, apart),
+        _medians(campaign, summary, runs, apart),
+        _distributions(summary, table, apart),
+        _influences(campaign, table, error, apart),
+        _maps(campaign, runs, table, error, apart),
+        _front(table, error, apart),
         _reasons(summary),
         _worst(campaign, runs, error, folder),
         _again(campaign, folder),
@@ -45,22 +60,7 @@ def html_report(
     )
 
 
-def main_error(summary: Summary, table: Table) -> Quantity:
-    """The error that the campaign is about: of the formation, if there is one, or to the goal."""
-    known = {one.quantity.column: one.quantity for one in summary.spreads}
-    names = [name for name in ERRORS if name in known]
-    law_has_formation = any(value is not None for value in table.get("shape_rms_m", ()))
-    if law_has_formation:
-        return known["shape_rms_m"]
-    return known[names[0]] if names else Quantity("duration_s", "flown", "s")
-
-
-def titled(quantity: Quantity) -> str:
-    """With its unit."""
-    return f"{quantity.title} [{quantity.unit}]" if quantity.unit else quantity.title
-
-
-def _head(campaign: Campaign, summary: Summary) -> str:
+def _head(campaign: Campaign, summary: Summary, apart: Groups) -> str:
     low, high = (100.0 * end for end in summary.confidence_interval)
     rate = 100.0 * (summary.success_rate or 0.0)
     wanted = campaign.file.success
@@ -79,7 +79,7 @@ def _head(campaign: Campaign, summary: Summary) -> str:
             counts.append((words, str(summary.outcomes[outcome])))
     for one in summary.spreads[:1]:
         unit = f" {one.quantity.unit}"
-        counts.append((f"median {one.quantity.title}", f"{chart.number(one.median)}{unit}"))
+        counts.append(_median(one.quantity, one.median, apart))
         counts.append((f"worst, in run {one.worst_run}", f"{chart.number(one.worst)}{unit}"))
     tiles += [f'<div class="tile"><b>{b}</b><span>{escape(a)}</span></div>' for a, b in counts]
     said = escape(campaign.file.description)
@@ -87,25 +87,48 @@ def _head(campaign: Campaign, summary: Summary) -> str:
         f"<h1>{escape(summary.campaign)}</h1>"
         f'<p class="soft">{said}{". " if said else ""}{summary.runs} of {summary.planned} runs of '
         f"{escape(summary.experiment)} on the twin; results of the twin, not of a table.</p>"
-        f'<div class="tiles">{"".join(tiles)}</div>{_key()}'
+        f'<div class="tiles">{"".join(tiles)}</div>{_key(apart)}'
     )
 
 
-def _key() -> str:
-    disc = '<svg viewBox="0 0 12 12"><circle class="good" cx="6" cy="6" r="4"/></svg>'
-    cross = '<svg viewBox="0 0 12 12"><path class="bad-mark" d="M2.5 2.5l7 7m0 -7l-7 7"/></svg>'
-    return (
-        f'<p><span class="key">{disc}passed</span><span class="key">{cross}did not pass</span></p>'
-    )
+def _median(quantity: Quantity, of_all: float, apart: Groups) -> tuple[str, str]:
+    """Words and number of a tile: of several cases the least and the largest."""
+    found = [(one.median, g.name) for g in apart.shown if (one := spread(quantity, g.runs))]
+    if not found:
+        return f"median {quantity.title}", f"{chart.number(of_all)} {quantity.unit}"
+    (low, least), (high, most) = min(found), max(found)
+    words = f"median {quantity.title}, from {least} to {most}{'.' * bool(apart.rest)}{apart.rest}"
+    return words, f"{chart.number(low)} to {chart.number(high)} {quantity.unit}"
 
 
-def _cases(summary: Summary) -> str:
+def _key(apart: Groups) -> str:
+    disc = '<circle class="good" cx="6" cy="6" r="4"/>'
+    cross = '<path class="bad-mark" d="M2.5 2.5l7 7m0 -7l-7 7"/>'
+    ring = '<circle class="case open" cx="6" cy="6" r="4"/>'
+    keys = [(chart.case_mark(k, 6, 6, 4), group.name) for k, group in enumerate(apart.shown)]
+    keys += [(ring, chart.HOLLOW)] if keys else [(disc, "passed"), (cross, "did not pass")]
+    spans = [
+        f'<span class="key"><svg viewBox="0 0 12 12">{mark}</svg>{escape(words)}</span>'
+        for mark, words in keys
+    ]
+    return f"<p>{''.join(spans)}</p>"
+
+
+def swatch(apart: Groups, name: str) -> str:
+    """The mark of a group; nothing for one that has none."""
+    if (place := apart.place(name)) is None:
+        return ""
+    return f'<svg class="swatch" viewBox="0 0 12 12">{chart.case_mark(place, 6, 6, 4)}</svg>'
+
+
+def _cases(summary: Summary, apart: Groups) -> str:
     if not summary.cases:
         return ""
     rows = [
         Whisker(
             ", ".join(case.name.values()), case.rate.low, case.rate.rate or 0.0, case.rate.high,
             f"{case.rate.succeeded} of {case.rate.runs}",
+            apart.place(apart.name_of(case.name)),
         )
         for case in summary.cases[:MOST_CASES]
     ]  # fmt: skip
@@ -118,35 +141,41 @@ def _cases(summary: Summary) -> str:
     )
 
 
-def _medians(campaign: Campaign, summary: Summary, runs: Sequence[Flown]) -> str:
+def _medians(campaign: Campaign, summary: Summary, runs: Sequence[Flown], apart: Groups) -> str:
     """Of each combination of the grid, what its runs had in the middle."""
     if not summary.cases:
         return ""
-    by_point: dict[int, list[Flown]] = {}
-    for run in sorted(runs, key=lambda run: run.k % campaign.combinations):
-        by_point.setdefault(run.k % campaign.combinations, []).append(run)
+    axes = [axis.label for axis in campaign.file.grid]
     quantities = [one.quantity for one in summary.spreads]
     rows = []
-    for point, flown in list(by_point.items())[:MOST_CASES]:
-        parameters = campaign.parameters(point)
-        name = ", ".join(str(parameters[axis.label]) for axis in campaign.file.grid)
+    for point, flown in list(by_axes(campaign, runs, axes).items())[:MOST_CASES]:
+        name = dict(zip(axes, point, strict=True))
+        mark = swatch(apart, apart.name_of(name))
         found = [spread(quantity, flown) for quantity in quantities]
         cells = "".join(
             f'<td class="n">{chart.number(one.median) if one else "-"}</td>' for one in found
         )
-        rows.append(f"<tr><td>{escape(name)}</td>{cells}</tr>")
-    heads = "".join(f'<th class="n">{escape(titled(quantity))}</th>' for quantity in quantities)
+        rows.append(f'<tr><td class="name">{mark}{escape(", ".join(point))}</td>{cells}</tr>')
+    heads = "".join(f'<th class="n">{escape(quantity.titled)}</th>' for quantity in quantities)
     return (
         '<h2>Numbers by case</h2><p class="soft">Median of the runs that have the number, whether '
-        'they passed or not. The figures below are of all cases together.</p><div class="card">'
+        f'they passed or not. {escape(apart.told(campaign.combinations))}</p><div class="card">'
         f"<table><tr><th>case</th>{heads}</tr>{''.join(rows)}</table></div>"
     )
 
 
-def _distributions(summary: Summary, table: Table) -> str:
+def _distributions(summary: Summary, table: Table, apart: Groups) -> str:
     figures = []
     for one in summary.spreads:
         quantity = one.quantity
+        if apart.shown:
+            rows = [_strip(quantity, group) for group in apart.shown]
+            if any(row.median is not None for row in rows):
+                words = f"The line is the median. Worst of all, in run {one.worst_run}: "
+                words += f"{chart.number(one.worst)} {quantity.unit}".strip()
+                picture = chart.strips(rows, quantity.titled)
+                figures.append(f"<figure>{picture}<figcaption>{words}</figcaption></figure>")
+            continue
         pairs = zip(table[quantity.column], table["outcome"], strict=True)
         known = [(v * quantity.scale, o == "passed") for v, o in pairs if v is not None]
         good = [value for value, passed in known if passed]
@@ -156,97 +185,172 @@ def _distributions(summary: Summary, table: Table) -> str:
             f"{few}median {chart.number(one.median)}, 95 % within {chart.number(one.p95)}, "
             f"worst {chart.number(one.worst)} in run {one.worst_run}"
         )
-        picture = chart.histogram(good, bad, titled(quantity))
+        picture = chart.histogram(good, bad, quantity.titled)
         figures.append(f"<figure>{picture}<figcaption>{words}</figcaption></figure>")
     if not figures:
         return ""
     return (
         '<h2>Distributions</h2><p class="soft">Of a run with several vehicles, the worst of them; '
-        f'of what is used up, their sum.</p><div class="charts">{"".join(figures)}</div>'
-    )
-
-
-def points_of(table: Table, x: str, y: str, scales: tuple[float, float]) -> list[Point]:
-    """One point per run that has both numbers."""
-    return [
-        Point(
-            float(a) * scales[0], float(b) * scales[1], outcome == "passed",
-            f"run {run}: {chart.number(a * scales[0])}, {chart.number(b * scales[1])}, {outcome}",
-        )
-        for run, a, b, outcome in zip(
-            table["run"], table[x], table[y], table["outcome"], strict=True
-        )
-        if a is not None and b is not None
-    ]  # fmt: skip
-
-
-def thinned(points: list[Point]) -> list[Point]:
-    """As many points as a picture shows; those that did not pass first."""
-    if len(points) <= MOST_POINTS:
-        return points
-    bad = [point for point in points if not point.passed][:MOST_POINTS]
-    good = [point for point in points if point.passed]
-    stride = -(-len(good) // max(1, MOST_POINTS - len(bad)))
-    return good[::stride] + bad
-
-
-def numeric_parameters(campaign: Campaign, table: Table) -> list[str]:
-    """Columns that were set or drawn, are numbers and differ."""
-    names = [axis.label for axis in campaign.file.grid] + [d.label for d in campaign.file.draw]
-    return [
-        name
-        for name in names
-        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in table.get(name, ()))
-        and len(set(table.get(name, ()))) > 1
-    ]
-
-
-def _influences(campaign: Campaign, table: Table, error: Quantity) -> str:
-    figures = []
-    for name in numeric_parameters(campaign, table):
-        points = points_of(table, name, error.column, (1.0, error.scale))
-        if points:
-            picture = chart.scatter(thinned(points), name, titled(error))
-            figures.append(f"<figure>{picture}</figure>")
-    if not figures:
-        return ""
-    return (
-        '<h2>What it depends on</h2><p class="soft">Every parameter that was set or drawn.</p>'
+        f"of what is used up, their sum.{apart.rest}</p>"
         f'<div class="charts">{"".join(figures)}</div>'
     )
 
 
-def _maps(campaign: Campaign, table: Table, error: Quantity) -> str:
-    names = numeric_parameters(campaign, table)
-    pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]][:6]
-    figures = []
-    for a, b in pairs:
-        for what in (None, error):
-            picture = heat_map(table, a, b, what)
-            if picture:
-                words = "share that passed [%]" if what is None else f"median {titled(what)}"
-                figures.append(
-                    f"<figure>{picture}<figcaption>{escape(words)}</figcaption></figure>"
-                )
+def _strip(quantity: Quantity, group: Group) -> Strip:
+    one = spread(quantity, group.runs)
+    if one is None:
+        return Strip(group.name, [], [], None, "no run has it")
+    few = one.runs < len(group.runs)
+    rest = (
+        f"{one.runs} of {len(group.runs)} runs" if few else f"95 % within {chart.number(one.p95)}"
+    )
+    words = f"median {chart.number(one.median)}, {rest}"
+    pairs = [(run.columns.get(quantity.column), run.outcome == "passed") for run in group.runs]
+    good = [value * quantity.scale for value, passed in pairs if value is not None and passed]
+    bad = [value * quantity.scale for value, passed in pairs if value is not None and not passed]
+    return Strip(group.name, good, bad, one.median, words)
+
+
+def points_of(
+    table: Table, x: str, y: str, scales: tuple[float, float], apart: Groups
+) -> list[Point]:
+    """One point per run that has both numbers and is drawn."""
+    if x not in table or y not in table:  # no run got so far as to have numbers
+        return []
+    case = {run.k: place for place, group in enumerate(apart.shown) for run in group.runs}
+    return [
+        Point(
+            float(a) * scales[0], float(b) * scales[1], outcome == "passed",
+            f"run {run}: {chart.number(a * scales[0])}, {chart.number(b * scales[1])}, {outcome}",
+            case.get(run, 0),
+        )
+        for run, a, b, outcome in zip(
+            table["run"], table[x], table[y], table["outcome"], strict=True
+        )
+        if a is not None and b is not None and (run in case or not case)
+    ]  # fmt: skip
+
+
+def thinned(points: list[Point]) -> list[Point]:
+    """As many points as a picture shows, as many of each case; those that did not pass first."""
+    if len(points) <= MOST_POINTS:
+        return points
+    cases = {point.case for point in points}
+    most, kept = MOST_POINTS // len(cases), []
+    for case in cases:
+        bad = [point for point in points if point.case == case and not point.passed][:most]
+        good = [point for point in points if point.case == case and point.passed]
+        stride = max(1, -(-len(good) // max(1, most - len(bad))))
+        kept += good[::stride] + bad
+    if len(cases) == 1:
+        return kept
+    drawn = set(kept)
+    return [point for point in points if point in drawn]  # no case lies on top of another
+
+
+def _influences(campaign: Campaign, table: Table, error: Quantity, apart: Groups) -> str:
+    figures, names = [], [group.name for group in apart.shown]
+    for name in numeric_parameters(campaign, table):
+        points = points_of(table, name, error.column, (1.0, error.scale), apart)
+        if points:
+            picture = chart.scatter(thinned(points), name, error.titled, names=names)
+            figures.append(f"<figure>{picture}</figure>")
     if not figures:
         return ""
-    return f'<h2>Two at a time</h2><div class="charts">{"".join(figures)}</div>'
+    return (
+        '<h2>What it depends on</h2><p class="soft">Every parameter that was set or drawn.'
+        f'{apart.rest}</p><div class="charts">{"".join(figures)}</div>'
+    )
 
 
-def _front(table: Table, error: Quantity) -> str:
-    points = points_of(table, "gas_g", error.column, (1.0, error.scale)) if "gas_g" in table else []
+def _maps(
+    campaign: Campaign, runs: Sequence[Flown], table: Table, error: Quantity, told: Groups
+) -> str:
+    """Over two numbers; one panel for each case of what is no number."""
+    names = numeric_parameters(campaign, table)
+    apart = groups_by(campaign, runs, named_axes(campaign))
+    panels = apart.shown or [Group("", list(runs))]
+    every = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+    pairs = every[: min(6, MOST_MAPS // len(panels))]
+    rows = []
+    for a, b in pairs:
+        for what in (None, error):
+            words = "share that passed [%]" if what is None else f"median {what.titled}"
+            figures = [
+                f"<figure>{picture}<figcaption>{swatch(told, panel.name)}"
+                f"{escape(': '.join(filter(None, (panel.name, words))))}</figcaption></figure>"
+                for panel, picture in zip(panels, heat_maps(table, a, b, what, panels), strict=True)
+                if picture
+            ]
+            rows += ["".join(figures)] if figures else []
+    if not rows:
+        return ""
+    if not apart.shown:
+        return f'<h2>Two at a time</h2><div class="charts">{"".join(rows)}</div>'
+    cut = f" The first {len(pairs)} of {len(every)} pairs." if len(pairs) < len(every) else ""
+    words = f"For each {' and '.join(apart.axes)}; the shades of a row are of one scale."
+    return f'<h2>Two at a time</h2><p class="soft">{escape(words)}{cut}{apart.rest}</p>' + "".join(
+        f'<div class="charts">{row}</div>' for row in rows
+    )
+
+
+def heat_maps(
+    table: Table, a: str, b: str, what: Quantity | None, panels: Sequence[Group]
+) -> list[str]:
+    """Share that passed, or a number's median, over two parameters; empty if nothing is known.
+
+    All panels have the same fields and the same scale.
+    """
+    columns, column_names = fields(table[a])
+    rows, row_names = fields(table[b])
+    spots = dict(zip(table["run"], zip(columns, rows, strict=True), strict=True))
+    found: list[dict[tuple[int, int], tuple[float, int]]] = []
+    for panel in panels:
+        flown: dict[tuple[int, int], list[Flown]] = {}
+        for run in sorted(panel.runs, key=lambda run: run.k):
+            flown.setdefault(spots[run.k], []).append(run)
+        found.append({spot: one for spot, met in flown.items() if (one := in_field(met, what))})
+    values = [value for fields_of in found for value, _ in fields_of.values()]
+    low, high = (min(values, default=0.0), max(values, default=0.0)) if what else (0.0, 100.0)
+    return [
+        chart.heat(
+            [
+                Cell(
+                    column, row, (value - low) / (high - low) if high > low else 0.5,
+                    f"{value:.3g}",
+                    f"{a} {column_names[column]}, {b} {row_names[row]}: {value:.4g} ({count} runs)",
+                )
+                for (column, row), (value, count) in fields_of.items()
+            ],
+            column_names, row_names, a, b,
+        ) if fields_of else ""
+        for fields_of in found
+    ]  # fmt: skip
+
+
+def _front(table: Table, error: Quantity, apart: Groups) -> str:
+    points = points_of(table, "gas_g", error.column, (1.0, error.scale), apart)
     if len(points) < 2:
         return ""
-    front = best_front(points)  # of all, also of those that the picture leaves out
-    shown = list(dict.fromkeys([*thinned(points), *front]))
-    picture = chart.scatter(shown, "gas [g]", titled(error), front)
-    words = (
-        "The line is the Pareto front of the runs that passed: no run has less error for less gas."
-        if front
-        else "No run passed: there is no Pareto front."
-    )
+    names = [group.name for group in apart.shown]
+    every = [
+        best_front([point for point in points if point.case == case])  # also of those left out
+        for case in range(max(1, len(names)))
+    ]
+    fronts = [front for front in every if front]
+    shown = list(dict.fromkeys([*thinned(points), *(p for front in fronts for p in front)]))
+    picture = chart.scatter(shown, "gas [g]", error.titled, fronts, names)
+    words = "No run passed: there is no Pareto front."
+    if fronts and names:
+        none = [name for name, front in zip(names, every, strict=True) if not front]
+        words = "A line is the Pareto front of the runs of one colour that passed: none of them "
+        words += "has less error for less gas."
+        words += f" None passed of: {escape(', '.join(none))}." if none else ""
+    elif fronts:
+        words = "The line is the Pareto front of the runs that passed: no run has less error for "
+        words += "less gas."
     return (
-        f'<h2>Error against gas</h2><p class="soft">{words}</p>'
+        f'<h2>Error against gas</h2><p class="soft">{words}{apart.rest}</p>'
         f'<div class="charts"><figure>{picture}</figure></div>'
     )
 
@@ -281,7 +385,7 @@ def _worst(campaign: Campaign, runs: Sequence[Flown], error: Quantity, folder: P
     return (
         '<h2>Look at these first</h2><p class="soft">The worst runs, and the command that flies '
         'each again, bit for bit.</p><div class="card"><table><tr><th class="n">run</th>'
-        f'<th>ended</th><th class="n">{escape(titled(error))}</th><th>why</th><th>replay</th></tr>'
+        f'<th>ended</th><th class="n">{escape(error.titled)}</th><th>why</th><th>replay</th></tr>'
         f"{''.join(rows)}</table></div>"
     )
 

@@ -3,10 +3,15 @@
 STYLE = """
 :root { color-scheme: light dark;
   --paper: #fbfaf7; --card: #ffffff; --ink: #1d2530; --soft: #5b6775; --line: #e3e1da;
-  --good: #1f7a8c; --bad: #d1495b; --front: #b07d12; --shade: 0 1px 2px #1d253014; }
+  --good: #1f7a8c; --bad: #d1495b; --front: #b07d12; --shade: 0 1px 2px #1d253014;
+  --h0: #0069b4; --h1: #d95f02; --h2: #00876c; --h3: #b0479a; --h4: #7a6a00; --h5: #4b4fa8; }
 @media screen and (prefers-color-scheme: dark) { :root {
   --paper: #12161c; --card: #1a2028; --ink: #e8e6e1; --soft: #98a3b0; --line: #2b333e;
-  --good: #4db6c6; --bad: #ff7a86; --front: #f0b840; --shade: none; } }
+  --good: #4db6c6; --bad: #ff7a86; --front: #f0b840; --shade: none;
+  --h0: #58a6ff; --h1: #ff9f4a; --h2: #3ccfae; --h3: #e58ad4; --h4: #d8c64a; --h5: #9fa4ff; } }
+.c0 { --hue: var(--h0); } .c1 { --hue: var(--h1); } .c2 { --hue: var(--h2); }
+.c3 { --hue: var(--h3); } .c4 { --hue: var(--h4); } .c5 { --hue: var(--h5); }
+.rest { --hue: var(--soft); }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink);
   font: 15px/1.5 ui-sans-serif, system-ui, "Segoe UI", Roboto, "Helvetica Neue", sans-serif; }
@@ -39,14 +44,23 @@ figcaption { color: var(--soft); font-size: 12.5px; padding: 0 6px 4px; }
 .axis { stroke: var(--soft); stroke-width: 1; fill: none; }
 .good { fill: var(--good); } circle.good { fill-opacity: .62; } .bad { fill: var(--bad); }
 .bad-mark { stroke: var(--bad); stroke-width: 1.7; stroke-linecap: round; fill: none; }
-.front { fill: none; stroke: var(--front); stroke-width: 1.8; stroke-linejoin: round; }
+.front { fill: none; stroke: var(--hue, var(--front)); stroke-width: 1.8; stroke-linejoin: round; }
 .front-mark { fill: var(--card); stroke: var(--front); stroke-width: 2; }
-.whisker { stroke: var(--good); stroke-width: 2.5; stroke-linecap: round; opacity: .45; }
+.case { fill: var(--hue, var(--soft)); fill-opacity: .72; stroke: var(--hue, var(--soft)); }
+.case.open { fill: var(--card); fill-opacity: .35; stroke-width: 1.5; }
+.case.front-mark { fill: var(--hue); fill-opacity: 1; stroke: var(--ink); stroke-width: 1.3; }
+.case.solid { fill-opacity: 1; } .median { stroke: var(--ink); stroke-width: 1.8; fill: none; }
+.whisker { stroke: var(--hue, var(--good)); stroke-width: 2.5; stroke-linecap: round;
+  opacity: .45; }
 .heat { fill: color-mix(in oklab, var(--good) calc(8% + 92% * var(--share)), var(--card)); }
 .on-heat { font-size: 10.5px; fill: var(--ink); font-variant-numeric: tabular-nums; }
 .on-heat.dark { fill: var(--card); }
 .key { display: inline-flex; gap: 6px; align-items: center; margin-right: 14px; font-size: 13px;
   color: var(--soft); } .key svg { width: 12px; height: 12px; display: inline-block; }
+.swatch { width: 12px; height: 12px; display: inline-block; margin-right: 7px;
+  vertical-align: -1px; } td.name { min-width: 150px; }
+.charts + .charts { margin-top: 14px; }
+h3 { font-size: 13.5px; font-weight: 600; margin: 18px 0 8px; }
 .card { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-size: 13.5px; }
 th, td { text-align: left; padding: 7px 14px; border-bottom: 1px solid var(--line);
   vertical-align: top; } tr:last-child td { border-bottom: 0; }

@@ -1,15 +1,18 @@
 """What a campaign says: how often it succeeds, where its numbers lie, which runs are worst."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec import Struct
 
 from testbed.campaign.flight import Ended
 from testbed.campaign.interval import Rate, success_rate
+from testbed.campaign.result import Table
 from testbed.campaign.row import Flown
 from testbed.campaign.sweep import Campaign
+
+MOST_GROUPS = 6  # as many colours and marks as one tells apart
 
 
 class Quantity(Struct, frozen=True):
@@ -20,6 +23,11 @@ class Quantity(Struct, frozen=True):
     unit: str
     scale: float = 1.0  # from the column to the unit
     largest_is_worst: bool = True
+
+    @property
+    def titled(self) -> str:
+        """With its unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
 
 
 QUANTITIES = (
@@ -34,6 +42,9 @@ QUANTITIES = (
     Quantity("gas_g", "gas", "g"),
     Quantity("valve_pulses", "valve pulses", ""),
 )
+
+
+ERRORS = ("shape_rms_m", "goal_rms_m", "track_rms_m", "final_error_m")
 
 
 class Spread(Struct, frozen=True):
@@ -53,6 +64,52 @@ class Case(Struct, frozen=True):
 
     name: dict[str, str]
     rate: Rate
+
+
+class Group(Struct, frozen=True):
+    """Runs of one colour and one mark."""
+
+    name: str
+    runs: list[Flown]
+
+
+class Groups(Struct, frozen=True):
+    """What the pictures tell apart; nothing is shown where all runs are of one kind."""
+
+    axes: list[str]  # of the grid
+    shown: list[Group]
+    left_out: int = 0  # groups beyond those
+    pooled: list[str] = []  # axes of the grid that a group has several values of
+
+    def name_of(self, case: Mapping[str, str]) -> str:
+        """Which group a combination of the grid belongs to."""
+        return ", ".join(case[axis] for axis in self.axes)
+
+    def place(self, name: str) -> int | None:
+        """Which colour and mark a group has; none if it is not shown."""
+        return next((k for k, group in enumerate(self.shown) if group.name == name), None)
+
+    @property
+    def rest(self) -> str:
+        """How many are drawn, where not all are."""
+        count = len(self.shown)
+        words = (
+            f" The first {count} of {count + self.left_out} are drawn, {self.left_out} left out."
+        )
+        return words if self.left_out else ""
+
+    def told(self, combinations: int) -> str:
+        """What the pictures show together, and what not at all."""
+        if not self.shown:
+            return "The figures below are of all cases together."
+        words = "Below, each case has a colour and a mark of its own."
+        if self.pooled:
+            words = (
+                f"{combinations} cases are more than one tells apart: below, each "
+                f"{' and '.join(self.axes)} has a colour and a mark of its own, whatever its "
+                f"{' and '.join(self.pooled)} is."
+            )
+        return words + self.rest
 
 
 class Summary(Struct, frozen=True):
@@ -115,20 +172,71 @@ def short_reason(run: Flown) -> str:
 def cases(campaign: Campaign, runs: Sequence[Flown]) -> list[Case]:
     """Success of each combination of the grid; none where there is but one."""
     axes = [axis.label for axis in campaign.file.grid]
-    found: dict[tuple[str, ...], list[bool]] = {}
-    for run in sorted(runs, key=lambda run: run.k % campaign.combinations):
-        parameters = campaign.parameters(run.k)
-        point = tuple(str(parameters[name]) for name in axes)
-        found.setdefault(point, []).append(run.outcome == "passed")
+    found = by_axes(campaign, runs, axes)
     if len(found) < 2:
         return []
     return [
         Case(
             dict(zip(axes, point, strict=True)),
-            success_rate(sum(met), len(met), campaign.file.confidence),
+            success_rate(
+                sum(run.outcome == "passed" for run in met), len(met), campaign.file.confidence
+            ),
         )
         for point, met in found.items()
     ]
+
+
+def by_axes(
+    campaign: Campaign, runs: Sequence[Flown], axes: Sequence[str]
+) -> dict[tuple[str, ...], list[Flown]]:
+    """The runs by what some axes of the grid were, in the order of the grid."""
+    points: dict[int, tuple[str, ...]] = {}
+    found: dict[tuple[str, ...], list[Flown]] = {}
+    for run in sorted(runs, key=lambda run: run.k % campaign.combinations):
+        place = run.k % campaign.combinations
+        if place not in points:
+            parameters = campaign.parameters(place)
+            points[place] = tuple(str(parameters[name]) for name in axes)
+        found.setdefault(points[place], []).append(run)
+    return found
+
+
+def named_axes(campaign: Campaign) -> list[str]:
+    """Axes of the grid that no axis of a picture can have, because they are no numbers."""
+    return [
+        axis.label
+        for axis in campaign.file.grid
+        if any(isinstance(v, bool) or not isinstance(v, int | float) for v, _ in axis.points())
+    ]
+
+
+def numeric_parameters(campaign: Campaign, table: Table) -> list[str]:
+    """Columns that were set or drawn, are numbers and differ."""
+    names = [axis.label for axis in campaign.file.grid] + [d.label for d in campaign.file.draw]
+    return [
+        name
+        for name in names
+        if all(isinstance(v, int | float) and not isinstance(v, bool) for v in table.get(name, ()))
+        and len(set(table.get(name, ()))) > 1
+    ]
+
+
+def groups(campaign: Campaign, runs: Sequence[Flown]) -> Groups:
+    """The cases, or if those are too many to tell apart, by the axes that are no numbers."""
+    axes = [axis.label for axis in campaign.file.grid]
+    if len(by_axes(campaign, runs, axes)) > MOST_GROUPS:
+        axes = named_axes(campaign)
+    return groups_by(campaign, runs, axes)
+
+
+def groups_by(campaign: Campaign, runs: Sequence[Flown], axes: list[str]) -> Groups:
+    """The runs by some axes of the grid."""
+    found = by_axes(campaign, runs, axes)
+    if len(found) < 2:
+        return Groups(axes, [])
+    every = [Group(", ".join(point), flown) for point, flown in found.items()]
+    pooled = [axis.label for axis in campaign.file.grid if axis.label not in axes]
+    return Groups(axes, every[:MOST_GROUPS], len(every[MOST_GROUPS:]), pooled)
 
 
 def spread(quantity: Quantity, runs: Sequence[Flown]) -> Spread | None:
@@ -144,6 +252,24 @@ def spread(quantity: Quantity, runs: Sequence[Flown]) -> Spread | None:
         quantity, len(known), float(values[0]), float(np.median(values)), float(values[last]),
         float(values[-1]), known[-1][1],
     )  # fmt: skip
+
+
+def in_field(runs: Sequence[Flown], what: Quantity | None) -> tuple[float, int] | None:
+    """The number of a field of a map, and of how many runs it is."""
+    if what is None:
+        return 100.0 * sum(run.outcome == "passed" for run in runs) / len(runs), len(runs)
+    one = spread(what, runs)
+    return (one.median, one.runs) if one else None
+
+
+def main_error(summary: Summary, table: Table) -> Quantity:
+    """The error that the campaign is about: of the formation, if there is one, or to the goal."""
+    known = {one.quantity.column: one.quantity for one in summary.spreads}
+    names = [name for name in ERRORS if name in known]
+    law_has_formation = any(value is not None for value in table.get("shape_rms_m", ()))
+    if law_has_formation:
+        return known["shape_rms_m"]
+    return known[names[0]] if names else Quantity("duration_s", "flown", "s")
 
 
 def worst_runs(runs: Sequence[Flown], quantity: Quantity, count: int = 10) -> list[Flown]:

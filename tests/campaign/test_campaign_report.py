@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from testbed.campaign import chart
 from testbed.campaign.chart import Point, Whisker
@@ -18,6 +19,12 @@ from testbed.campaign.sweep import load_campaign
 
 MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
 GRID = {"key": "controller.bandwidth", "values": [0.1, 0.2, 0.3]}
+
+LAWS = {
+    "name": "law",
+    "cases": {"soft": [], "stiff": ["controller.bandwidth=0.4"], "a<b": ["controller.damping=1.2"]},
+}
+RATES = {"key": "table.mocap.rate_hz", "values": [50.0, 100.0, 200.0]}
 
 
 def page_of(campaign, runs, folder):
@@ -57,8 +64,136 @@ def test_each_case_has_its_own_medians(write, tmp_path):
     page = page_of(campaign, runs, tmp_path)
     for place, bandwidth in enumerate(GRID["values"]):
         gas = np.median([run.columns["gas_g"] for run in runs[place::3]])
-        row = re.search(rf"<tr><td>{bandwidth}</td>.*?</tr>", page)[0]
+        row = re.search(rf"</svg>{bandwidth}</td>.*?</tr>", page)[0]
         assert f'<td class="n">{gas:.4g}</td>' in row
+
+
+def drawn(page, label):
+    """The pictures that say so."""
+    return [svg for svg in pictures(page) if label in (svg.get("aria-label") or "")]
+
+
+def marks_of(svg, case):
+    """A case's runs in a scatter, by what is written on them."""
+    found = [e for e in svg if {"case", f"c{case}"} <= set(e.get("class", "").split())]
+    return {e.find("{*}title").text: e for e in found if e.find("{*}title") is not None}
+
+
+def test_each_case_has_a_colour_and_a_mark_in_every_picture(write, tmp_path):
+    campaign = load_campaign(write(grid=[LAWS], draw=[MASS], samples=20))
+    runs = some_runs(60)
+    page = page_of(campaign, runs, tmp_path)
+    for scatter in (*drawn(page, "against vehicles"), *drawn(page, "against gas")):
+        names = [e.text for e in scatter if e.get("class") == "row"]
+        assert names == ["soft", "stiff", "a<b", chart.HOLLOW]
+        for case in range(3):
+            found = marks_of(scatter, case)
+            assert {int(hint.split(":")[0][4:]) for hint in found} == set(range(case, 60, 3))
+            for hint, e in found.items():
+                assert ("open" in e.get("class")) == hint.endswith("failed")
+    shapes = {
+        re.sub(r"[\d.]+", "", next(iter(marks_of(scatter, case).values())).get("d"))
+        for case in range(3)
+    }
+    assert len(shapes) == 3
+    assert all(f".c{case} {{" in page for case in range(6))
+
+
+def test_a_distribution_has_a_row_for_each_case_with_the_numbers_of_the_summary(write, tmp_path):
+    campaign = load_campaign(write(grid=[LAWS], samples=20))
+    runs = some_runs(60)
+    svg = drawn(page_of(campaign, runs, tmp_path), "distribution of gas")[0]
+    words = [e.text for e in svg if e.text and e.text.startswith("median")]
+    for case in range(3):
+        values = sorted(run.columns["gas_g"] for run in runs[case::3])
+        assert words[case] == f"median {np.median(values):.4g}, 95 % within {values[18]:.4g}"
+        kinds = [f"case solid c{case}", f"case open c{case}"]
+        hints = [e.find("*").text for e in svg if e.get("class") in kinds and e.tag == "rect"]
+        counts = {hint: re.search(r": (\d+) passed, (\d+) not", hint).groups() for hint in hints}
+        assert sum(int(g) + int(b) for g, b in counts.values()) == 20
+
+
+def test_a_front_is_of_one_case(write, tmp_path):
+    campaign = load_campaign(write(grid=[LAWS], samples=1000))
+    runs = some_runs(3000)
+    scatter = drawn(page_of(campaign, runs, tmp_path), "against gas")[0]
+    for case in range(3):
+        good = [
+            (r.columns["gas_g"], r.columns["goal_rms_m"], r.k) for r in runs[case::3] if r.k % 5
+        ]
+        unbeaten = {k for x, y, k in good if not any(a < x and b < y for a, b, _ in good)}
+        front = [
+            e.find("*").text for e in scatter
+            if {"front-mark", f"c{case}"} <= set(e.get("class", "").split())
+        ]  # fmt: skip
+        assert {int(hint.split(":")[0][4:]) for hint in front} == unbeaten
+
+
+def test_a_case_of_which_no_run_passed_is_named_at_the_fronts(write, tmp_path):
+    campaign = load_campaign(write(grid=[LAWS], samples=20))
+    runs = [replace(run, outcome="failed") if run.k % 3 == 2 else run for run in some_runs(60)]
+    assert "None passed of: a&lt;b." in page_of(campaign, runs, tmp_path)
+
+
+def test_a_map_is_of_one_law_and_all_are_of_one_scale(write, tmp_path):
+    campaign = load_campaign(write(grid=[LAWS, RATES], draw=[MASS], samples=20))
+    runs = [replace(r, outcome="failed") if r.k % 9 >= 6 else r for r in some_runs(180)]
+    page = page_of(campaign, runs, tmp_path)
+    maps = drawn(page, "vehicles.*.model.mass by table.mocap.rate_hz")
+    assert len(maps) == 6
+    for case, svg in enumerate(maps[:3]):
+        hints = [e.find("*").text for e in svg if e.get("class") == "heat"]
+        fields = [re.search(r": ([\d.]+) \((\d+) runs\)", hint).groups() for hint in hints]
+        met = sum(r.outcome == "passed" for r in runs if r.k % 9 // 3 == case)
+        assert sum(float(share) * int(count) for share, count in fields) == pytest.approx(
+            100 * met, rel=1e-3
+        )
+    medians = {}
+    for case, svg in enumerate(maps[3:]):
+        for e in (e for e in svg if e.get("class") == "heat"):
+            count = int(re.search(r"\((\d+) runs\)", e.find("*").text)[1])
+            value = float(re.search(r": ([\d.]+) \(", e.find("*").text)[1])
+            medians[case, e.find("*").text] = value, float(e.get("style").split(":")[1]), count
+    assert sum(count for *_, count in medians.values()) == 180
+    low, high = min(v for v, *_ in medians.values()), max(v for v, *_ in medians.values())
+    for value, share, _ in medians.values():
+        assert share == pytest.approx((value - low) / (high - low), abs=2e-3)
+
+
+def test_more_cases_than_one_tells_apart_are_put_together_by_what_is_no_number(write, tmp_path):
+    campaign = load_campaign(write(grid=[LAWS, RATES], samples=5))
+    page = page_of(campaign, some_runs(45), tmp_path)
+    assert "each law has a colour and a mark of its own, whatever its table.mocap.rate_hz" in page
+    found = marks_of(drawn(page, "against gas")[0], 1)
+    assert {int(hint.split(":")[0][4:]) % 9 for hint in found} == {3, 4, 5}
+
+
+def test_cases_beyond_the_colours_are_left_out_and_counted(write, tmp_path):
+    eight = {"name": "law", "cases": {f"law{k}": [f"controller.damping={k + 1}"] for k in range(8)}}
+    campaign = load_campaign(write(grid=[eight], draw=[MASS], samples=5))
+    page = page_of(campaign, some_runs(40), tmp_path)
+    assert page.count("The first 6 of 8 are drawn, 2 left out.") == 5
+    rates = drawn(page, "success rate")[0]
+    assert sum("rest" in e.get("class", "").split() for e in rates) == 4  # two bars, two discs
+    for scatter in drawn(page, "against"):
+        assert {int(h.split(":")[0][4:]) % 8 for k in range(8) for h in marks_of(scatter, k)} == {
+            *range(6)
+        }
+
+
+def test_numbers_alone_that_are_many_are_drawn_together(write, tmp_path):
+    many = {"key": "controller.bandwidth", "values": [0.1 + 0.01 * k for k in range(7)]}
+    page = page_of(load_campaign(write(grid=[many], samples=5)), some_runs(35), tmp_path)
+    assert "The figures below are of all cases together." in page
+    assert not re.search(r'class="case ', page)
+
+
+def test_a_crowd_is_thinned_alike_in_each_case(write, tmp_path):
+    campaign = load_campaign(write(grid=[LAWS], draw=[MASS], samples=3000))
+    scatter = drawn(page_of(campaign, some_runs(9000), tmp_path), "against vehicles")[0]
+    counts = [len(marks_of(scatter, case)) for case in range(3)]
+    assert min(counts) > 0.8 * MOST_POINTS / 3
+    assert max(counts) <= MOST_POINTS / 3 + 1
 
 
 def test_without_a_run_that_passed_there_is_no_front(write, tmp_path):
@@ -108,6 +243,15 @@ def test_few_runs_make_a_page_too(write, tmp_path, count):
 def test_runs_without_numbers_make_a_page_too(write, tmp_path):
     campaign = load_campaign(write(samples=2))
     runs = [Flown(0, "error", "boom"), Flown(1, "lost", "two workers died")]
+    assert "boom" in page_of(campaign, runs, tmp_path)
+
+
+@pytest.mark.parametrize("columns", [{}, {"goal_rms_m": 1e-3, "gas_g": 1.0}])
+def test_many_runs_of_which_none_passed_make_a_page_too(write, tmp_path, columns):
+    campaign = load_campaign(write(grid=[LAWS], draw=[MASS], samples=1000))
+    runs = [Flown(k, "error", "boom", columns) for k in range(3000)]
+    assert "boom" in page_of(campaign, runs, tmp_path)
+    campaign = load_campaign(write(draw=[MASS], samples=3000))
     assert "boom" in page_of(campaign, runs, tmp_path)
 
 
