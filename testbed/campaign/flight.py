@@ -142,7 +142,7 @@ def fly_campaign(
     folder: Path,
     crew: Crew,
     watch: Watch,
-    finish: Callable[[Ended], None] = lambda ended: None,
+    finish: Callable[[Ended], object] = lambda ended: None,
 ) -> Ended:
     """Fly what the journal does not have yet, and keep what failed.
 

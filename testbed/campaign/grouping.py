@@ -5,9 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.campaign import chart
-from testbed.campaign.chart import Cell, Point
-from testbed.campaign.result import Table
-from testbed.campaign.summary import Quantity
+from testbed.campaign.chart import Point
 
 FEW = 12  # values of a parameter that get a field each
 BINS = 6
@@ -33,31 +31,3 @@ def fields(values: Sequence[float]) -> tuple[list[int], list[str]]:
     edges = even(distinct[0], distinct[-1], BINS + 1)
     where = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
     return where.tolist(), [f"{v:.3g}" for v in 0.5 * (edges[1:] + edges[:-1])]
-
-
-def heat_map(table: Table, a: str, b: str, what: Quantity | None) -> str:
-    """Share that passed, or a number's median, over two parameters; empty if nothing is known."""
-    columns, column_names = fields(table[a])
-    rows, row_names = fields(table[b])
-    met = [outcome == "passed" for outcome in table["outcome"]]
-    numbers = [100.0 * m for m in met] if what is None else table[what.column]
-    scale = 1.0 if what is None else what.scale
-    groups: dict[tuple[int, int], list[float]] = {}
-    for column, row, value in zip(columns, rows, numbers, strict=True):
-        if value is not None:
-            groups.setdefault((column, row), []).append(scale * float(value))
-    if not groups:
-        return ""
-    pick = np.mean if what is None else np.median
-    found = {spot: float(pick(values)) for spot, values in groups.items()}
-    low, high = (0.0, 100.0) if what is None else (min(found.values()), max(found.values()))
-    cells = [
-        Cell(
-            column, row, (value - low) / (high - low) if high > low else 0.5,
-            f"{value:.3g}",
-            f"{a} {column_names[column]}, {b} {row_names[row]}: {value:.4g} "
-            f"({len(groups[column, row])} runs)",
-        )
-        for (column, row), value in found.items()
-    ]  # fmt: skip
-    return chart.heat(cells, column_names, row_names, a, b)

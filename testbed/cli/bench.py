@@ -4,6 +4,7 @@ import shlex
 import sys
 import textwrap
 from contextlib import redirect_stdout, suppress
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -114,10 +115,11 @@ def fly_benchmark(
     with workers(jobs, scheduler) as client:
         crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler, client)
         for name, campaign in campaigns.items():
+            finish = partial(write_results, campaign, folder=folder / name)
             with Bar(name) as watch:
-                text = path.read_bytes()
-                ended = fly_campaign(campaign, text, folder / name, crew, watch)
-            write_results(campaign, ended, folder / name)
+                ended = fly_campaign(
+                    campaign, path.read_bytes(), folder / name, crew, watch, finish
+                )
             table += scores(campaign, name, ended.runs)
     return table
 
