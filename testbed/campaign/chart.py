@@ -5,13 +5,13 @@ did not is a cross; with several cases each has a colour and a mark, hollow wher
 So colour is never all there is.
 """
 
-import math
 from collections.abc import Sequence
 from html import escape
 from typing import NamedTuple
 
+from testbed.campaign.axis import Axis, log_span, number, span, wants_log
+
 WIDTH, HEIGHT = 420.0, 260.0
-LOG_FROM = 6.0  # largest over least number
 LEFT, RIGHT, TOP, BOTTOM = 66.0, 12.0, 14.0, 42.0
 LETTER, LINE, STRIP = 6.2, 18.0, 50.0  # width of one, height of a line of a legend, of a strip
 BINS = 24
@@ -41,82 +41,6 @@ class Point(NamedTuple):
     case: int = 0  # which colour and mark it has, where there are several
 
 
-class Axis(NamedTuple):
-    """From numbers to the page."""
-
-    low: float
-    high: float
-    start: float  # on the page
-    end: float
-    title: str
-    log: bool = False
-    whole: bool = False  # it counts things: nothing between two numbers
-
-    @property
-    def words(self) -> str:
-        """What stands beside it."""
-        return f"{self.title}, log scale" if self.log else self.title
-
-    def at(self, value: float) -> float:
-        """Where a number is on the page."""
-        share = (value - self.low) / (self.high - self.low)
-        if self.log:
-            share = math.log(value / self.low) / math.log(self.high / self.low)
-        return self.start + (self.end - self.start) * share
-
-    def value(self, share: float) -> float:
-        """The number so far along it."""
-        if self.log:
-            return self.low * (self.high / self.low) ** share
-        return self.low + share * (self.high - self.low)
-
-    def ticks(self) -> list[float]:
-        """Round numbers along it."""
-        if self.log:
-            return log_ticks(self.low, self.high)
-        return [t for t in ticks(self.low, self.high) if not self.whole or t == round(t)]
-
-
-def wants_log(values: Sequence[float]) -> bool:
-    """Whether the numbers span so much that the small ones would be lost."""
-    return min(values) > 0.0 and max(values) > LOG_FROM * min(values)
-
-
-def log_span(values: Sequence[float], room: float = 0.04) -> tuple[float, float]:
-    """Like `span`, for a logarithmic axis."""
-    more = (max(values) / min(values)) ** room
-    return min(values) / more, max(values) * more
-
-
-def log_ticks(low: float, high: float) -> list[float]:
-    """1, 2, 5 of each power of ten, or the powers alone where those are many."""
-    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    steps = (1.0, 2.0, 5.0) if math.log10(high / low) < 3.0 else (1.0,)
-    return [m * 10.0**n for n in powers for m in steps if low <= m * 10.0**n <= high]
-
-
-def span(values: Sequence[float], room: float = 0.04) -> tuple[float, float]:
-    """From the least to the largest with some room, never of no width."""
-    low, high = min(values), max(values)
-    if not high - low > 1e-12 * max(1.0, abs(high)):
-        return low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
-    return low - room * (high - low), high + room * (high - low)
-
-
-def ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """Round numbers between two ends."""
-    raw = (high - low) / count
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(power * m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if power * m >= raw)
-    first = math.ceil(low / step - 1e-9)
-    return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
-
-
-def number(value: float) -> str:
-    """A number as a label has it."""
-    return f"{0.0 if abs(value) < 1e-12 else value:.4g}".replace("-", "\N{MINUS SIGN}")
-
-
 def wide(low: float, high: float, title: str, log: bool = False) -> Axis:
     """The axis along the bottom."""
     return Axis(low, high, LEFT, WIDTH - RIGHT, title, log)
@@ -143,14 +67,14 @@ def text(x: float, y: float, words: str, kind: str = "label", extra: str = "") -
 def frame(x: Axis, y: Axis, x_ticks: bool = True, y_ticks: bool = True) -> list[str]:
     """Grid, numbers and titles."""
     parts = []
-    for value in y.ticks() if y_ticks else ():
+    for value, words in y.labels() if y_ticks else ():
         at = y.at(value)
         parts.append(f'<path class="grid" d="M{x.start:g} {at:.1f}H{x.end:g}"/>')
-        parts.append(text(x.start - 7, at + 3.5, number(value), "tick", 'text-anchor="end"'))
-    for value in x.ticks() if x_ticks else ():
+        parts.append(text(x.start - 7, at + 3.5, words, "tick", END))
+    for value, words in x.labels() if x_ticks else ():
         at = x.at(value)
         parts.append(f'<path class="grid" d="M{at:.1f} {y.start:g}V{y.end:g}"/>')
-        parts.append(text(at, y.start + 15, number(value), "tick", 'text-anchor="middle"'))
+        parts.append(text(at, y.start + 15, words, "tick", 'text-anchor="middle"'))
     parts.append(f'<path class="axis" d="M{x.start:g} {y.start:g}H{x.end:g}"/>')
     middle = 0.5 * (x.start + x.end)
     parts.append(text(middle, y.start + 33, x.words, "label", 'text-anchor="middle"'))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from testbed.campaign import chart
+from testbed.campaign.axis import number, wants_log
 from testbed.campaign.chart import Point
 
 FEW = 12  # values of a parameter that get a field each
@@ -25,9 +25,9 @@ def fields(values: Sequence[float]) -> tuple[list[int], list[str]]:
     distinct = sorted(set(values))
     if len(distinct) <= FEW:
         return [distinct.index(value) for value in values], [
-            chart.number(float(f"{v:.3g}")) for v in distinct
+            number(float(f"{v:.3g}")) for v in distinct
         ]
-    even = np.geomspace if chart.wants_log(distinct) else np.linspace
+    even = np.geomspace if wants_log(distinct) else np.linspace
     edges = even(distinct[0], distinct[-1], BINS + 1)
     where = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
     return where.tolist(), [f"{v:.3g}" for v in 0.5 * (edges[1:] + edges[:-1])]

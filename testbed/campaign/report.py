@@ -5,6 +5,7 @@ from html import escape
 from pathlib import Path
 
 from testbed.campaign import chart
+from testbed.campaign.axis import number
 from testbed.campaign.chart import Cell, Point, Strip, Whisker
 from testbed.campaign.flight import failure_folder, replay_command
 from testbed.campaign.grouping import best_front, fields
@@ -80,7 +81,7 @@ def _head(campaign: Campaign, summary: Summary, apart: Groups) -> str:
     for one in summary.spreads[:1]:
         unit = f" {one.quantity.unit}"
         counts.append(_median(one.quantity, one.median, apart))
-        counts.append((f"worst, in run {one.worst_run}", f"{chart.number(one.worst)}{unit}"))
+        counts.append((f"worst, in run {one.worst_run}", f"{number(one.worst)}{unit}"))
     tiles += [f'<div class="tile"><b>{b}</b><span>{escape(a)}</span></div>' for a, b in counts]
     said = escape(campaign.file.description)
     return (
@@ -95,10 +96,10 @@ def _median(quantity: Quantity, of_all: float, apart: Groups) -> tuple[str, str]
     """Words and number of a tile: of several cases the least and the largest."""
     found = [(one.median, g.name) for g in apart.shown if (one := spread(quantity, g.runs))]
     if not found:
-        return f"median {quantity.title}", f"{chart.number(of_all)} {quantity.unit}"
+        return f"median {quantity.title}", f"{number(of_all)} {quantity.unit}"
     (low, least), (high, most) = min(found), max(found)
     words = f"median {quantity.title}, from {least} to {most}{'.' * bool(apart.rest)}{apart.rest}"
-    return words, f"{chart.number(low)} to {chart.number(high)} {quantity.unit}"
+    return words, f"{number(low)} to {number(high)} {quantity.unit}"
 
 
 def _key(apart: Groups) -> str:
@@ -152,9 +153,7 @@ def _medians(campaign: Campaign, summary: Summary, runs: Sequence[Flown], apart:
         name = dict(zip(axes, point, strict=True))
         mark = swatch(apart, apart.name_of(name))
         found = [spread(quantity, flown) for quantity in quantities]
-        cells = "".join(
-            f'<td class="n">{chart.number(one.median) if one else "-"}</td>' for one in found
-        )
+        cells = "".join(f'<td class="n">{number(one.median) if one else "-"}</td>' for one in found)
         rows.append(f'<tr><td class="name">{mark}{escape(", ".join(point))}</td>{cells}</tr>')
     heads = "".join(f'<th class="n">{escape(quantity.titled)}</th>' for quantity in quantities)
     return (
@@ -172,7 +171,7 @@ def _distributions(summary: Summary, table: Table, apart: Groups) -> str:
             rows = [_strip(quantity, group) for group in apart.shown]
             if any(row.median is not None for row in rows):
                 words = f"The line is the median. Worst of all, in run {one.worst_run}: "
-                words += f"{chart.number(one.worst)} {quantity.unit}".strip()
+                words += f"{number(one.worst)} {quantity.unit}".strip()
                 picture = chart.strips(rows, quantity.titled)
                 figures.append(f"<figure>{picture}<figcaption>{words}</figcaption></figure>")
             continue
@@ -182,8 +181,8 @@ def _distributions(summary: Summary, table: Table, apart: Groups) -> str:
         bad = [value for value, passed in known if not passed]
         few = "" if one.runs == summary.runs else f"{one.runs} of {summary.runs} runs: "
         words = (
-            f"{few}median {chart.number(one.median)}, 95 % within {chart.number(one.p95)}, "
-            f"worst {chart.number(one.worst)} in run {one.worst_run}"
+            f"{few}median {number(one.median)}, 95 % within {number(one.p95)}, "
+            f"worst {number(one.worst)} in run {one.worst_run}"
         )
         picture = chart.histogram(good, bad, quantity.titled)
         figures.append(f"<figure>{picture}<figcaption>{words}</figcaption></figure>")
@@ -201,10 +200,8 @@ def _strip(quantity: Quantity, group: Group) -> Strip:
     if one is None:
         return Strip(group.name, [], [], None, "no run has it")
     few = one.runs < len(group.runs)
-    rest = (
-        f"{one.runs} of {len(group.runs)} runs" if few else f"95 % within {chart.number(one.p95)}"
-    )
-    words = f"median {chart.number(one.median)}, {rest}"
+    rest = f"{one.runs} of {len(group.runs)} runs" if few else f"95 % within {number(one.p95)}"
+    words = f"median {number(one.median)}, {rest}"
     pairs = [(run.columns.get(quantity.column), run.outcome == "passed") for run in group.runs]
     good = [value * quantity.scale for value, passed in pairs if value is not None and passed]
     bad = [value * quantity.scale for value, passed in pairs if value is not None and not passed]
@@ -221,7 +218,7 @@ def points_of(
     return [
         Point(
             float(a) * scales[0], float(b) * scales[1], outcome == "passed",
-            f"run {run}: {chart.number(a * scales[0])}, {chart.number(b * scales[1])}, {outcome}",
+            f"run {run}: {number(a * scales[0])}, {number(b * scales[1])}, {outcome}",
             case.get(run, 0),
         )
         for run, a, b, outcome in zip(
@@ -372,7 +369,7 @@ def _worst(campaign: Campaign, runs: Sequence[Flown], error: Quantity, folder: P
     rows = []
     for run in worst_runs(runs, error):
         value = run.columns.get(error.column)
-        words = "" if value is None else chart.number(float(value) * error.scale)
+        words = "" if value is None else number(float(value) * error.scale)
         reason = escape(run.reason.strip().splitlines()[-1][:160]) if run.reason else ""
         kept = failure_folder(folder, run.k)
         place = f"<br>folder: <code>{escape(str(kept))}</code>" if kept.exists() else ""

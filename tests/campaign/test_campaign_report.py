@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.campaign import chart
+from testbed.campaign.axis import Axis, log_ticks, ticks
 from testbed.campaign.chart import Point, Whisker
 from testbed.campaign.flight import Ended, replay_command
 from testbed.campaign.grouping import best_front, fields
@@ -298,14 +299,14 @@ def test_the_front_is_what_nobody_beats():
     ("low", "high"), [(0.0, 1.0), (-3e-7, 2e-7), (1e6, 1e6 + 3), (0.5, 0.5 + 1e-3)]
 )
 def test_ticks_are_few_round_and_inside(low, high):
-    found = chart.ticks(low, high)
+    found = ticks(low, high)
     assert 3 <= len(found) <= 8
     assert all(low - 1e-9 * abs(high) <= t <= high + 1e-9 * abs(high) for t in found)
 
 
 def test_log_ticks_are_inside():
-    assert chart.log_ticks(0.09, 3.0) == pytest.approx([0.1, 0.2, 0.5, 1.0, 2.0])
-    assert chart.log_ticks(1e-6, 1e3) == pytest.approx([10.0**n for n in range(-6, 4)])
+    assert log_ticks(0.09, 3.0) == pytest.approx([0.1, 0.2, 0.5, 1.0, 2.0])
+    assert log_ticks(1e-6, 1e3) == pytest.approx([10.0**n for n in range(-6, 4)])
 
 
 def test_a_histogram_counts_every_run_once():
@@ -337,3 +338,10 @@ def test_a_map_has_room_for_the_names_of_its_rows():
     row = next(e for e in drawn.iter("text") if e.text == "0.00001234")
     title = next(e for e in drawn.iter("text") if e.text == "a key [s]")
     assert float(row.get("x")) - 6.0 * len(row.text) > float(title.get("x")) + 4.0
+
+
+def test_numbers_along_a_narrow_axis_are_told_apart():
+    words = [one for _, one in Axis(1.19990, 1.20001, 0.0, 1.0, "").labels()]
+    assert len(words) > 2
+    assert len(set(words)) == len(words)
+    assert dict(Axis(0.0, 1.0, 0.0, 1.0, "").labels())[0.2] == "0.2"
