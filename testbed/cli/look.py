@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table as Grid
 
 from controllers import catalogue
-from testbed.cli.main import OK
+from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
 from testbed.config.guarantee import warnings_of

@@ -11,12 +11,10 @@ from pathlib import Path
 
 import click
 
+from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
 from testbed.cli.many import bench, campaign, tune
-
-OK, FAILED, BAD_INPUT, FAULT, NOT_STARTED, OUR_FAULT, INTERRUPTED = 0, 1, 2, 3, 4, 70, 130
-
 
 EPILOG = """\b
 Exit codes:

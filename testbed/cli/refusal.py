@@ -6,7 +6,7 @@ import traceback
 
 from rich.console import Console
 
-from testbed.cli.main import BAD_INPUT, OUR_FAULT
+from testbed.cli.exit_code import BAD_INPUT, OUR_FAULT
 
 LABEL = 12  # characters of "  expected  "
 

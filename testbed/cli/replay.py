@@ -8,19 +8,14 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from testbed.cli.main import FAILED, OK
+from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import refuse
 from testbed.config import ConfigError, Experiment, load
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import HostNode
-from testbed.ops.logbook import Logbook, LogError, log_of
-from testbed.ops.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
+from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
+from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
 from testbed.rig.chain import make_agent, make_guidance
-
-
-def config_of(run: Path) -> Path:
-    """The experiment that a run folder, or the log in it, belongs to."""
-    return (run if run.is_dir() else run.parent) / "config.toml"
 
 
 def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
@@ -42,7 +37,7 @@ def replay_experiment(experiment: Experiment, log: Path) -> Replay:
     """The log through the agents and laws that the experiment makes today."""
     hosts = experiment.vehicles if experiment.deploy.law == "host" else {}
     return replay(
-        Logbook(log).read(),
+        LogReader(log).read(),
         {name: make_agent(experiment, name).step for name in experiment.vehicles},
         {name: LoggedHost(_law_of(experiment, name)) for name in hosts},
     )

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as Grid
 from rich.text import Text
 
-from testbed.cli.main import FAILED, INTERRUPTED, OK
+from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError
 from testbed.reproduction.audit import Made, RunError, made, rows_of, tasks_of

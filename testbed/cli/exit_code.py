@@ -1,0 +1,9 @@
+"""Exit codes of `testbed`."""
+
+OK = 0  # flown, all criteria met
+FAILED = 1  # flown, a criterion failed
+BAD_INPUT = 2
+FAULT = 3  # aborted by a fault
+NOT_STARTED = 4  # an arming check is red, or the operator did not agree
+OUR_FAULT = 70  # this software has failed, as in sysexits.h
+INTERRUPTED = 130
