@@ -69,7 +69,7 @@ def lab_keys(
       testbed lab-keys keys --watcher screen    later: one more
       testbed lab-keys keys                     who is there, and until when
     """  # noqa: D301
-    from testbed.cli.main import BAD_INPUT, OK
+    from testbed.cli.exit_code import BAD_INPUT, OK
     from testbed.net.credentials import BadgeError
 
     wanted = [("vehicle", name) for name in vehicle]
