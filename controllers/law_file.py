@@ -4,13 +4,15 @@ import hashlib
 import re
 import sys
 from collections.abc import Callable
-from importlib.metadata import entry_points
 from pathlib import Path
 from traceback import extract_tb
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
+from weakref import WeakKeyDictionary
 
-GROUP = "airbearing_testbed.laws"  # of entry points
+from testbed.core import plugin
+
+_IMPORTED: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # digests, when first asked for
 
 
 class UnusableLawError(ValueError):
@@ -25,6 +27,37 @@ def file_of(law: str) -> Path | None:
     """The file that "path.py:Name" names; None for an entry point."""
     path, colon, name = law.rpartition(":")
     return Path(path) if colon and name.isidentifier() else None
+
+
+def source_of(law: str) -> Path | None:
+    """The file that a law is written in, also where `law` is an entry point; None: there is none.
+
+    Raises:
+        UnusableLawError: see `maker`.
+    """
+    if (path := file_of(law)) is not None:
+        return path
+    file = getattr(_module(law, _published(law)), "__file__", None)
+    return None if file is None else Path(file)
+
+
+def content_of(law: str) -> str | None:
+    """SHA-256 of the file that a law is written in; None: there is none.
+
+    A module is imported once in a process. What counts is its file as it was when it was asked for
+    first, because a later edit does not fly.
+
+    Raises:
+        UnusableLawError: see `maker`.
+    """
+    if (path := file_of(law)) is not None:
+        return digest(path)
+    module = _module(law, _published(law))
+    if module not in _IMPORTED:
+        if (source := source_of(law)) is None:
+            return None
+        _IMPORTED[module] = digest(source)
+    return _IMPORTED[module]
 
 
 def digest(path: Path) -> str:
@@ -49,12 +82,14 @@ def maker(law: str, sha256: str | None = None) -> Callable[..., Any]:
     """
     path = file_of(law)
     if path is None:
+        if sha256 not in (None, found := content_of(law)):
+            where = source_of(law)
+            raise _edited(sha256, f"{found}: {where.name if where else law} of its package")
         return _published(law)
     content = _content(path)
     found = hashlib.sha256(content).hexdigest()
     if sha256 not in (None, found):
-        expected = f"{sha256}, the content that is meant; without the key, any"
-        raise UnusableLawError("sha256", expected, f"{found}: {path.name} was edited")
+        raise _edited(sha256, f"{found}: {path.name}")
     names = vars(_executed(path, content, f"own_law_{found}"))
     name = law.rpartition(":")[2]
     made = names.get(name)
@@ -67,17 +102,26 @@ def maker(law: str, sha256: str | None = None) -> Callable[..., Any]:
     return made
 
 
+def _edited(sha256: str | None, found: str) -> UnusableLawError:
+    expected = f"{sha256}, the content that is meant; without the key, any"
+    return UnusableLawError("sha256", expected, f"{found} was edited")
+
+
 def _published(name: str) -> Callable[..., Any]:
-    published = {point.name: point for point in entry_points(group=GROUP)}
-    if name not in published:
-        known = ", ".join(sorted(published)) or f"there is none in the group {GROUP}"
-        expected = f'"my_law.py:Name" or an entry point of an installed package ({known})'
-        raise UnusableLawError("law", expected, f'"{name}"')
     try:
-        return published[name].load()
-    except Exception as error:  # it is somebody's code
-        expected = "an entry point that can be imported"
-        raise UnusableLawError("law", expected, f"{type(error).__name__}: {error}") from error
+        return plugin.load(plugin.LAWS, name)
+    except plugin.PluginError as error:
+        expected = error.expected
+        if f'"{name}"' in error.found:
+            expected = f'"my_law.py:Name", or {expected}'
+        raise UnusableLawError("law", expected, error.found) from error
+
+
+def _module(name: str, made: Callable[..., Any]) -> ModuleType:
+    """Where the law of an entry point is written: not always in the module that offers it."""
+    if isinstance(made, type | FunctionType) and made.__module__ in sys.modules:
+        return sys.modules[made.__module__]
+    return sys.modules[plugin.find(plugin.LAWS, name).module]
 
 
 def _executed(path: Path, content: bytes, name: str) -> ModuleType:

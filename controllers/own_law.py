@@ -16,7 +16,7 @@ and, where it needs them, `initial`, `jump`, `tell` and `words` as in `testbed.c
 in plain Python takes steps of `guidance.step_s`, or of its own `step_s` [s] if that is longer.
 
 Instead of a file, `law` may name an entry point of an installed package, in the group
-`airbearing_testbed.laws`.
+`testbed.laws`.
 
 The file is read and executed anew for each law that is made, so an edit is always noticed, and what
 a law keeps in its module is its own: neither another vehicle nor another run of the same process
@@ -24,21 +24,19 @@ finds it. A file with functions compiled by numba is executed once per content. 
 content that is meant; another is refused.
 """
 
-import inspect
-import typing
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 from msgspec import Struct, field
 
-from controllers.law_file import UnusableLawError, blame, file_of, maker
+from controllers.law_file import UnusableLawError, blame, maker, source_of
 from controllers.plain_law import PlainLaw, Watched
 from controllers.scale import Scale
+from testbed.core import plugin
 from testbed.core.law import Body, Discs, Goal, Law, Neighbours, World
-
-TOLD = ("names", "d")  # parameters that do not come from the experiment
 
 
 class OwnLawParams(Struct, frozen=True, forbid_unknown_fields=True, tag="python"):
@@ -52,20 +50,10 @@ class OwnLawParams(Struct, frozen=True, forbid_unknown_fields=True, tag="python"
 
 def parameter_type(made: Callable[..., Any]) -> type[Struct]:
     """The parameters of a law as a struct that refuses unknown keys."""
-    if inspect.isclass(made) and issubclass(made, Struct):
-        return msgspec.defstruct(made.__name__, [], bases=(made,), forbid_unknown_fields=True)
-    function = getattr(made, "__init__", made) if inspect.isclass(made) else made
-    hints = typing.get_type_hints(function, include_extras=True)
-    fields: list[tuple[str, Any, Any]] = []
-    for name, one in inspect.signature(made).parameters.items():
-        if one.kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD, one.POSITIONAL_ONLY):
-            expected = "a law whose parameters all have names"
-            raise UnusableLawError("law", expected, f"`{one}` among those of {made.__name__}")
-        if name not in TOLD:
-            default = msgspec.NODEFAULT if one.default is one.empty else one.default
-            fields.append((name, hints.get(name, Any), default))
-    name = made.__name__
-    return msgspec.defstruct(name, fields, forbid_unknown_fields=True, kw_only=True)
+    try:
+        return plugin.option_type(made, plugin.TOLD[plugin.LAWS])
+    except plugin.PluginError as error:
+        raise UnusableLawError("law", f"a law with {error.expected}", error.found) from error
 
 
 def own_law(params: OwnLawParams, names: Sequence[str], d: int) -> Law:
@@ -74,25 +62,29 @@ def own_law(params: OwnLawParams, names: Sequence[str], d: int) -> Law:
     Raises:
         UnusableLawError: see `maker`; or the parameters do not fit, or what is made is no law.
     """
-    made, path = maker(params.law, params.sha256), file_of(params.law)
+    made = maker(params.law, params.sha256)
+    return law_of(made, params.parameters, names, d, source_of(params.law))
+
+
+def law_of(
+    made: Callable[..., Any], parameters: dict[str, Any], names: Sequence[str], d: int,
+    path: Path | None = None,
+) -> Law:  # fmt: skip
+    """The law that a class or function makes; `path` is of its file, for what is said of it.
+
+    Raises:
+        UnusableLawError: the parameters do not fit, or what is made is no law.
+    """
     try:
-        values = msgspec.convert(params.parameters, parameter_type(made))
+        values = msgspec.convert(parameters, parameter_type(made))
     except msgspec.ValidationError as error:
         raise UnusableLawError("parameters", f"those of {made.__name__}", str(error)) from None
     try:
-        law = _made(made, values, {"names": tuple(names), "d": d})
+        law = plugin.call(made, values, {"names": tuple(names), "d": d})
     except Exception as error:  # it is somebody's code
         raise UnusableLawError("parameters", "some that it accepts", blame(error, path)) from error
     whole = callable(getattr(law, "fly_ahead", None))
     return Watched(law if whole else PlainLaw(law, path), path)
-
-
-def _made(made: Callable[..., Any], values: Struct, told: dict[str, Any]) -> Any:
-    if isinstance(made, type) and isinstance(values, made):
-        return values
-    asked = inspect.signature(made).parameters
-    given = {name: getattr(values, name) for name in values.__struct_fields__}
-    return made(**given, **{name: told[name] for name in TOLD if name in asked})
 
 
 def try_out(law: Law, satellites: int, d: int = 2) -> None:

@@ -20,7 +20,6 @@ from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
 from testbed.mocap.exposure import Axes, Exposure, MocapSource
-from testbed.mocap.natnet_client import NatNetClient
 from testbed.mocap.source import datagrams, make_source
 from testbed.net.access import open_lab
 from testbed.net.keys import Keys
@@ -138,7 +137,7 @@ def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> i
                 sleep_until_ns(monotonic_ns() + LOOK_NS)
     if not room.seen:
         sender, address = where(experiment)
-        found = source.complaint if isinstance(source, NatNetClient) else ""
+        found = getattr(source, "complaint", "")  # not every system can tell
         found = found or "none: is it streaming, to this address, and through the firewall?"
         return refuse(
             f"{sender}\n  expected  poses that arrive at {address}\n  found     {found}", FAILED

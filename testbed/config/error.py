@@ -1,10 +1,9 @@
 """What is wrong in an input, in words an operator can act on."""
 
-import difflib
-from collections.abc import Iterable
 from typing import NamedTuple
 
 from testbed.config.key import Key, printable, quoted, spell
+from testbed.core.spelling import did_you_mean as did_you_mean
 
 LONGEST = 72  # characters of a value that are shown
 
@@ -59,9 +58,3 @@ def _toml(value: object) -> str:
         case dict():
             return f"{{{', '.join(spell((name,)) + ' = ...' for name in list(value)[:LONGEST])}}}"
     return str(value)
-
-
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A hint at the nearest known name, or nothing."""
-    close = difflib.get_close_matches(name[:LONGEST], list(known), n=1)
-    return f" (did you mean `{close[0]}`?)" if close else ""

@@ -17,6 +17,7 @@ from testbed.config.layout import bad_layout
 from testbed.config.network import bad_network
 from testbed.config.number import bad_numbers
 from testbed.config.own_law import bad_own_law, with_content
+from testbed.config.plugin import bad_plugins
 from testbed.config.shipped import SHIPPED
 from testbed.config.source import Source
 from testbed.config.timing import bad_timing
@@ -93,6 +94,7 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     yield from bad_board(experiment)
     yield from bad_injections(experiment)
     yield from bad_network(experiment)
+    yield from bad_plugins(experiment)
     try:
         make_law(experiment.controller, list(experiment.vehicles))
     except ValueError as error:

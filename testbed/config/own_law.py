@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from controllers.law_file import UnusableLawError, digest, file_of, maker
+from controllers.law_file import UnusableLawError, content_of, file_of, maker
 from controllers.own_law import OwnLawParams, own_law, parameter_type, try_out
 from controllers.plain_law import LawError
 from testbed.config.error import Mistake, refused
@@ -51,7 +51,5 @@ def with_content(experiment: Experiment) -> Experiment:
     params = experiment.controller
     if not isinstance(params, OwnLawParams) or params.sha256 is not None:
         return experiment
-    path = file_of(params.law)
-    if path is None:
-        return experiment
-    return replace(experiment, controller=replace(params, sha256=digest(path)))
+    sha256 = content_of(params.law)
+    return replace(experiment, controller=replace(params, sha256=sha256))

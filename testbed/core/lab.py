@@ -3,7 +3,7 @@
 Nothing here listens beyond this machine unless the file names an address that does.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
@@ -13,10 +13,15 @@ Port = Annotated[int, Meta(ge=1, le=65535)]
 Word = Annotated[str, Meta(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
 
 
+MOCAP_SYSTEMS = ("natnet", "zenoh", "vicon", "qualisys", "vrpn")
+THRUSTER_SYSTEMS = ("serial",)
+
+
 class MocapWire(Struct, frozen=True, forbid_unknown_fields=True):
     """Where poses come from and how to read them."""
 
-    system: Literal["natnet", "zenoh", "vicon", "qualisys", "vrpn"] = "natnet"
+    system: str = "natnet"  # one of MOCAP_SYSTEMS, or a plug-in
+    options: dict[str, Any] = field(default_factory=dict)  # of the plug-in
     server: str = "127.0.0.1"
     interface: str = "127.0.0.1"  # own address towards it; 0.0.0.0: whichever leads there
     command_port: Port = 1510
@@ -45,6 +50,13 @@ class SerialLines(Struct, frozen=True, forbid_unknown_fields=True):
     baud: Annotated[int, Meta(ge=9600)] = 460_800
 
 
+class ThrusterWire(Struct, frozen=True, forbid_unknown_fields=True):
+    """What opens the valves."""
+
+    system: str = "serial"  # one of THRUSTER_SYSTEMS, or a plug-in; serial: the board's firmware
+    options: dict[str, Any] = field(default_factory=dict)  # of the plug-in, on every vehicle
+
+
 class Weather(Struct, frozen=True, forbid_unknown_fields=True):
     """Harm done on purpose to what comes in from the network, to see what it costs."""
 
@@ -59,5 +71,6 @@ class Lab(Struct, frozen=True, forbid_unknown_fields=True):
     mocap: MocapWire = field(default_factory=MocapWire)
     network: Network = field(default_factory=Network)
     serial: SerialLines = field(default_factory=SerialLines)
+    thrusters: ThrusterWire = field(default_factory=ThrusterWire)
     weather: Weather = field(default_factory=Weather)
     late_s: Positive = 0.2  # a command older than this on arrival is dropped

@@ -18,6 +18,15 @@ class Clock(Protocol):
         ...
 
 
+class Timer(Clock, Protocol):
+    """A clock that a plug-in's thread lives by; of the machine, or of a test."""
+
+    @property
+    def now(self) -> float:
+        """Time [s]; it never goes back."""
+        ...
+
+
 class PoseSource(Protocol):
     """The cameras, as one vehicle hears them."""
 
@@ -39,6 +48,31 @@ class Thrusters(Protocol):
 
     def health(self) -> Health:
         """Newest report of the board."""
+        ...
+
+
+class ThrusterBoard(Thrusters, Protocol):
+    """Thrusters of a plug-in. No method waits; each may be called from any thread.
+
+    Times are of the `Timer` that the plug-in was given. A plan starts at its `issued_at`, which may
+    be a little ahead; until then the one before it is played. Offsets count from there. Of a plan
+    that comes late the rest is played. At `valid_until` every valve is shut.
+    """
+
+    def bearing(self, *, on: bool) -> None:
+        """Air of the bearings on or off."""
+        ...
+
+    def disarm(self) -> None:
+        """Shut every valve now, and forget all plans; the bearings keep their air."""
+        ...
+
+    def edges(self) -> list[tuple[float, int]]:
+        """What the valves did since the last call: when [s], and a bit for each that is open."""
+        ...
+
+    def close(self) -> None:
+        """Shut everything and give the hardware back; may be said again."""
         ...
 
 

@@ -2,9 +2,10 @@
 
 import zenoh
 
-from testbed.core.lab import MocapWire
+from testbed.core.lab import MOCAP_SYSTEMS, MocapWire
 from testbed.mocap.exposure import MocapSource
 from testbed.mocap.natnet_client import NatNetClient
+from testbed.mocap.plugged import PluggedSource
 from testbed.net.keys import Keys
 
 
@@ -18,9 +19,15 @@ def make_source(wire: MocapWire, session: zenoh.Session, keys: Keys) -> MocapSou
 
 
 def datagrams(wire: MocapWire) -> MocapSource:
-    """Connect to a system that needs no session of Zenoh's."""
+    """Connect to a system that needs no session of Zenoh's.
+
+    Raises:
+        OSError: it cannot be reached, or its plug-in cannot be used.
+    """
     if wire.system == "natnet":
         return NatNetClient(wire)
-    from testbed.mocap.foreign import ForeignSource
+    if wire.system in MOCAP_SYSTEMS:
+        from testbed.mocap.foreign import ForeignSource
 
-    return ForeignSource(wire)
+        return ForeignSource(wire)
+    return PluggedSource(wire)

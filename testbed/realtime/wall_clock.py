@@ -47,3 +47,16 @@ class WallClock:
     def wait_until(self, t: float) -> None:
         """See `Clock`."""
         self.lateness.append(1e-9 * sleep_until_ns(self.epoch_ns + round(t * 1e9)))
+
+
+class MonotonicClock:
+    """The `Timer` of a plug-in: this machine's monotonic clock, in seconds."""
+
+    @property
+    def now(self) -> float:
+        """See `Timer`."""
+        return 1e-9 * time.monotonic_ns()
+
+    def wait_until(self, t: float) -> None:
+        """See `Clock`."""
+        sleep_until_ns(round(1e9 * t))

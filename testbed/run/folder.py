@@ -4,7 +4,8 @@ config.toml   the resolved experiment: `testbed run config.toml` repeats the run
 log.mcap      every tick's inputs and outputs
 metrics.json  what it was worth; "completed": false if it did not reach its end
 *.py          a copy of the law, where it is a file outside the package; config.toml then means it.
-              It keeps its name, which is in what a law that fails says and so in the log.
+              It keeps its name, which is in what a law that fails says and so in the log. Of a law
+              that an installed package offers it is a copy to read: config.toml means the package.
 """
 
 import os
@@ -16,7 +17,7 @@ from typing import Any
 import msgspec
 import tomli_w
 
-from controllers.law_file import digest, file_of
+from controllers.law_file import digest, file_of, source_of
 from testbed.files import write_atomic
 from testbed.metrics.run_metrics import Metrics
 
@@ -75,7 +76,7 @@ def write_config(folder: Path, tree: dict[str, Any], version: str) -> None:
 
 def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
     """[controller], with a copy of a law's file in the folder in its place."""
-    path = file_of(controller["law"]) if controller.get("type") == "python" else None
+    path = source_of(controller["law"]) if controller.get("type") == "python" else None
     if path is None:
         return controller
     copy = folder / path.name
@@ -85,6 +86,8 @@ def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
         raise FolderError(f"{path}: {error.strerror}") from None
     if digest(copy) != controller.get("sha256"):
         raise FolderError(f"{path}\n  expected  the law as it was read\n  found     an edited one")
+    if file_of(controller["law"]) is None:
+        return controller
     return {**controller, "law": f"{path.name}:{controller['law'].rpartition(':')[2]}"}
 
 

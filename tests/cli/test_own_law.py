@@ -162,8 +162,7 @@ def test_a_package_may_publish_laws(testbed, here, monkeypatch):
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: orbital-labs\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text(
-        "[airbearing_testbed.laws]\nlabs-spring = orbital_labs:Spring\n"
-        "labs-broken = orbital_labs:Nothing\n"
+        "[testbed.laws]\nlabs-spring = orbital_labs:Spring\nlabs-broken = orbital_labs:Nothing\n"
     )
     monkeypatch.syspath_prepend(here)
     named = 'controller={type="python", law="labs-%s"}'
@@ -204,7 +203,7 @@ BAD = {  # name: (content of my_law.py, [controller] law, parameters, key, expec
     ),
     "parameters without names": (
         "class Law:\n    def __init__(self, *gains):\n        pass\n", NAMED, "{}", "law",
-        "parameters all have names", "`*gains` among those of Law",
+        "parameters that all have names", "`*gains` among those of Law",
     ),
     "missing parameter": (
         PARAMETERS + "        pass\n", NAMED, "{}", "parameters.gain", "a number",

@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import tomli_w
@@ -19,6 +18,7 @@ import zenoh
 from msgspec.structs import replace
 
 from testbed.config import ConfigError, Experiment, dump
+from testbed.core.lab import ThrusterWire
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Answer, Request, Supervisor
 from testbed.net.access import open_lab
@@ -68,9 +68,9 @@ def anybody(_: Sequence[str]) -> bool:
 def loopback(experiment: Experiment, folder: Path) -> Experiment:
     """The experiment with every address on this machine, and free."""
     table = experiment.table
-    system: Literal["zenoh", "natnet"] = "zenoh" if table.lab.mocap.system == "zenoh" else "natnet"
+    system = "zenoh" if table.lab.mocap.system == "zenoh" else "natnet"
     wire = replace(
-        table.lab.mocap, system=system, server="127.0.0.1", interface="127.0.0.1",
+        table.lab.mocap, system=system, options={}, server="127.0.0.1", interface="127.0.0.1",
         command_port=free_port(socket.SOCK_DGRAM), data_port=free_port(socket.SOCK_DGRAM),
     )  # fmt: skip
     how = "tls" if table.lab.network.keys else "tcp"
@@ -78,7 +78,7 @@ def loopback(experiment: Experiment, folder: Path) -> Experiment:
     network = replace(table.lab.network, endpoint=endpoint)
     ports = {name: str(folder / f"serial-{name}") for name in experiment.vehicles}
     serial = replace(table.lab.serial, ports=ports)
-    lab = replace(table.lab, mocap=wire, network=network, serial=serial)
+    lab = replace(table.lab, mocap=wire, network=network, serial=serial, thrusters=ThrusterWire())
     return replace(experiment, table=replace(table, lab=lab))
 
 

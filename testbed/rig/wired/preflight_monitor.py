@@ -11,7 +11,6 @@ from threading import Lock
 
 from msgspec.structs import replace
 
-from firmware_interface.serial_thrusters import SerialThrusters
 from testbed.config import Experiment
 from testbed.core.types import Inputs, State, Vitals
 from testbed.flight.arming import Readiness
@@ -23,6 +22,7 @@ from testbed.net.commands import Ready, Refused, config_id
 from testbed.net.session import Subscriber
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
 from testbed.rig.chain import make_agent
+from testbed.rig.wired.thrusters import WiredThrusters
 
 ALONE_S = 1.0  # without a word of somebody else
 
@@ -31,7 +31,7 @@ class PreflightMonitor:
     """Looks whenever it is told that time has passed; `ready` may be asked from any thread."""
 
     def __init__(
-        self, experiment: Experiment, name: str, source: MocapSource, thrusters: SerialThrusters,
+        self, experiment: Experiment, name: str, source: MocapSource, thrusters: WiredThrusters,
         reader: Reader, strangers: Sequence[Subscriber],
     ) -> None:  # fmt: skip
         """Look; `strangers` are heard where nobody speaks before the order to start."""

@@ -20,8 +20,6 @@ import msgspec
 import numpy as np
 import zenoh
 
-from firmware_interface.limits import limits_of
-from firmware_interface.serial_thrusters import SerialThrusters
 from testbed.config import Experiment
 from testbed.core.types import HostTick, Tick, Vitals
 from testbed.files import write_atomic
@@ -54,6 +52,7 @@ from testbed.rig.wired.command_guard import CommandGuard
 from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.process_faults import Rehearsal
+from testbed.rig.wired.thrusters import WiredThrusters, make_thrusters
 
 PRIORITY = 20
 LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
@@ -78,7 +77,7 @@ class Flight:
     def __init__(
         self,
         party: Party,
-        thrusters: SerialThrusters,
+        thrusters: WiredThrusters,
         poses: MocapPoses,
         tower: CommandServer,
         config: str,
@@ -227,8 +226,9 @@ def fly_vehicle(
         if name not in experiment.vehicles:
             raise VehicleError(f"the host flies {', '.join(experiment.vehicles)}, not {name}")
         setup, wires = experiment.vehicles[name], experiment.table.lab
+        serial = wires.thrusters.system == "serial"
         port = port or wires.serial.ports.get(name)
-        if port is None:
+        if serial and port is None:
             raise VehicleError(
                 f"no serial port for {name}: expected --serial, or an entry of"
                 " [lab.serial.ports] in the table file"
@@ -239,17 +239,11 @@ def fly_vehicle(
         spoilt = partial(rehearsal.spoilt, name) if experiment.inject else None
         agent = make_agent(experiment, name, spoilt)
         warm_up(experiment)
-        if child:
+        if child and serial and port is not None:
             await_port(port, gone)
         source = make_source(wires.mocap, session, keys)
         stack.callback(source.close)
-        thrusters = stack.enter_context(
-            SerialThrusters(
-                port, limits_of(setup.model), setup.model.command_delay_s,
-                monotonic_ns() & 0xFFFFFFFF, wires.serial.baud,
-                setup.model.air.set_pressure,
-            )
-        )  # fmt: skip
+        thrusters = stack.enter_context(make_thrusters(wires, name, setup.model, port))
         clock_of_host = read_clock(session, keys)
         reader = Reader(session, keys, clock_of_host)
         # nobody has anything to say there before the order to start
@@ -260,7 +254,7 @@ def fly_vehicle(
         await_alone(session, keys, name)
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
-        say(f"ready, board at {port}; waiting for the host's order to start")
+        say(f"ready, {thrusters.board}; waiting for the host's order to start")
         start = await_start(tower, lookout.look, gone)
         if start is None:
             say(f"not flown: {tower.stop_reason or 'its parent is gone'}")
@@ -299,6 +293,7 @@ def fly_vehicle(
         fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
         if poses.trouble is not None and fault is not None:
             fault += f"; its body is {poses.trouble}"
+            fault += f": {why}" if (why := getattr(source, "complaint", "")) else ""
         counts = count(link, thrusters, poses, clock_of_host, port_gate.refused)
         out = Outbox(start.session)
         ended = Ended(ending.t, fault, counts, flight.rows, flight.responses)
@@ -381,7 +376,7 @@ def await_end(gone: Callable[[], bool], tower: CommandServer) -> None:
 
 
 def count(
-    link: ZenohVehicleLink, thrusters: SerialThrusters, poses: MocapPoses, clock: Offset,
+    link: ZenohVehicleLink, thrusters: WiredThrusters, poses: MocapPoses, clock: Offset,
     unsent: int,
 ) -> Counts:  # fmt: skip
     """What became of messages and frames."""

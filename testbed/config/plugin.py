@@ -1,0 +1,39 @@
+"""What can be wrong with a lab's plug-ins: a name that nothing has, options that do not fit."""
+
+from collections.abc import Collection, Iterator
+
+import msgspec
+
+from testbed.config.error import Mistake, show
+from testbed.config.experiment import Experiment
+from testbed.config.validation import first_misfit
+from testbed.core import plugin
+from testbed.core.lab import MOCAP_SYSTEMS, THRUSTER_SYSTEMS, MocapWire, ThrusterWire
+
+
+def bad_plugins(experiment: Experiment) -> Iterator[Mistake]:
+    """All that is wrong with what `[lab.mocap]` and `[lab.thrusters]` name."""
+    lab = experiment.table.lab
+    yield from _plugin("mocap", lab.mocap, plugin.MOCAP, MOCAP_SYSTEMS)
+    yield from _plugin("thrusters", lab.thrusters, plugin.THRUSTERS, THRUSTER_SYSTEMS)
+
+
+def _plugin(
+    name: str, wire: MocapWire | ThrusterWire, group: str, built_in: Collection[str]
+) -> Iterator[Mistake]:
+    key = ("table", "lab", name)
+    if wire.system in built_in:
+        if wire.options:
+            expected = f"no options: {wire.system} is built in"
+            yield Mistake((*key, "options"), expected, show(wire.options))
+        return
+    try:
+        options = plugin.option_type(plugin.load(group, wire.system, built_in), plugin.TOLD[group])
+    except plugin.PluginError as error:
+        yield Mistake((*key, "system"), error.expected, error.found)
+        return
+    try:
+        msgspec.convert(wire.options, options)
+    except msgspec.ValidationError:
+        at, expected, found = first_misfit(wire.options, options)
+        yield Mistake((*key, "options", *at), expected, found)
