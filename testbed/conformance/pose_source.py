@@ -4,6 +4,7 @@ import math
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import NamedTuple
 
 from testbed.conformance.check import at_once, factory_of, must, run_all
@@ -222,7 +223,7 @@ def _until(bench: CamerasBench, k: int, body: str = "sat1") -> list[Exposure]:
 
 
 def _in_order(found: list[Exposure]) -> None:
-    for one, after in zip(found, found[1:], strict=False):
+    for one, after in pairwise(found):
         must(one.number < after.number, "number", f"more than {one.number}", after.number)
         later = one.exposed_ns <= after.exposed_ns and one.arrived_ns <= after.arrived_ns
         must(later, "exposed_ns and arrived_ns", "none before the exposure ahead of it", after)

@@ -7,13 +7,12 @@ What another address than the server's sends is not looked at: the usual group i
 
 import ipaddress
 import socket
-import struct
 from contextlib import suppress
 
 from testbed.core.lab import MocapWire
+from testbed.mocap.datagram import receive, stamped
 from testbed.mocap.exposure import Exposure, Sighting
 from testbed.mocap.natnet import (
-    LARGEST,
     MocapFrame,
     NatNetError,
     Packet,
@@ -26,10 +25,8 @@ from testbed.mocap.natnet import (
     unpack,
 )
 from testbed.realtime.clock_sync import Offset
-from testbed.realtime.wall_clock import monotonic_ns, monotonic_of_wall
+from testbed.realtime.wall_clock import monotonic_ns
 
-SO_TIMESTAMPNS = 35  # Linux, asm-generic/socket.h; Python does not name it
-TIMESPEC = struct.Struct("qq")
 ASK_NS = 1_000_000_000  # between two questions to the server
 FIRST_ASK_NS = 100_000_000  # until it has answered
 MOST = (
@@ -57,7 +54,7 @@ class NatNetClient:
         self._interface = wire.interface
         self._only = None if host == ANYBODY else host
         try:
-            self._sockets = [_stamped(wire.interface, 0)]
+            self._sockets = [stamped(wire.interface, 0)]
         except OSError as error:
             raise OSError(
                 f"[lab.mocap] interface = {wire.interface!r}: {error.strerror}; expected an address"
@@ -110,7 +107,7 @@ class NatNetClient:
         exposures: list[Exposure] = []
         for one in self._sockets:
             for _ in range(MOST):
-                if (got := _receive(one)) is None:
+                if (got := receive(one)) is None:
                     break
                 data, arrived_ns, sender = got
                 if self._only is not None and sender != self._only:
@@ -208,7 +205,7 @@ def _address_of(server: str) -> str:
 def _joined(group: str, port: int, interface: str) -> socket.socket:
     """The socket that hears what is multicast to a group."""
     try:
-        data = _stamped(group, port, shared=True)
+        data = stamped(group, port, shared=True)
         try:
             membership = socket.inet_aton(group) + socket.inet_aton(interface)
             data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
@@ -222,30 +219,3 @@ def _joined(group: str, port: int, interface: str) -> socket.socket:
             " address of this machine towards it"
         ) from None
     return data
-
-
-def _stamped(host: str, port: int, *, shared: bool = False) -> socket.socket:
-    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    if shared:
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    one.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-    one.setblocking(False)
-    try:
-        one.bind((host, port))
-    except OSError:
-        one.close()
-        raise
-    return one
-
-
-def _receive(one: socket.socket) -> tuple[bytes, int, str] | None:
-    """A datagram, when it came in, and from where."""
-    try:
-        data, ancillary, _, (host, _) = one.recvmsg(LARGEST, 64)
-    except (BlockingIOError, ConnectionRefusedError):
-        return None
-    for level, kind, value in ancillary:
-        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS:
-            seconds, rest = TIMESPEC.unpack_from(value)
-            return data, monotonic_of_wall(seconds * 1_000_000_000 + rest), host
-    return data, monotonic_ns(), host

@@ -85,7 +85,7 @@ class Port:
 @pytest.fixture
 def port(monkeypatch):
     port = Port()
-    monkeypatch.setattr(natnet_client, "_receive", port.receive)
+    monkeypatch.setattr(natnet_client, "receive", port.receive)
     return port
 
 
@@ -138,7 +138,7 @@ def test_datagrams(port, client):
 
 
 def test_a_flood_does_not_keep_the_vehicle_from_flying(client, monkeypatch):
-    monkeypatch.setattr(natnet_client, "_receive", lambda one: (b"x", monotonic_ns(), "127.0.0.1"))
+    monkeypatch.setattr(natnet_client, "receive", lambda one: (b"x", monotonic_ns(), "127.0.0.1"))
     assert client.poll() == []
     assert client.bad == MOST
 
@@ -192,7 +192,7 @@ def test_bodies_that_change_places_are_asked_for_again(port, client):
 def test_what_another_machine_sends_is_not_looked_at(client, monkeypatch):
     now = monotonic_ns()
     said = [(data, now, "10.0.0.9") for data in (*greeting(), frame(1, now))]
-    monkeypatch.setattr(natnet_client, "_receive", lambda one: said.pop(0) if said else None)
+    monkeypatch.setattr(natnet_client, "receive", lambda one: said.pop(0) if said else None)
     assert client.poll() == []
     assert client.info is None
     assert client.complaint == "datagrams that were not the server's: 3 from 10.0.0.9"
