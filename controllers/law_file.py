@@ -110,11 +110,11 @@ def _edited(sha256: str | None, found: str) -> UnusableLawError:
 def _published(name: str) -> Callable[..., Any]:
     try:
         return plugin.load(plugin.LAWS, name)
-    except plugin.PluginError as error:
-        expected = error.expected
-        if f'"{name}"' in error.found:
-            expected = f'"my_law.py:Name", or {expected}'
+    except plugin.UnknownPluginError as error:
+        expected = f'"my_law.py:Name", or {error.expected}'
         raise UnusableLawError("law", expected, error.found) from error
+    except plugin.PluginError as error:
+        raise UnusableLawError("law", error.expected, error.found) from error
 
 
 def _module(name: str, made: Callable[..., Any]) -> ModuleType:

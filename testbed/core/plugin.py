@@ -44,6 +44,10 @@ class PluginError(ValueError):
         self.expected, self.found = expected, found
 
 
+class UnknownPluginError(PluginError):
+    """No package that is installed here has the name."""
+
+
 def find(group: str, name: str, built_in: Iterable[str] = ()) -> "EntryPoint":
     """The entry point of a name.
 
@@ -53,14 +57,14 @@ def find(group: str, name: str, built_in: Iterable[str] = ()) -> "EntryPoint":
         built_in: names that could have been meant as well, for the message.
 
     Raises:
-        PluginError: no package publishes the name, or two do.
+        PluginError: two packages publish the name, or none: `UnknownPluginError`.
     """
     published = _published(group, tuple(sys.path))
     same = {point.value: point for point in published if point.name == name}
     if not same:
         known = [*built_in, *sorted({point.name for point in published})]
         wanted = f"one of: {', '.join(known)}; or " if known else ""
-        raise PluginError(
+        raise UnknownPluginError(
             f"{wanted}an entry point in the group {group} of a package that is installed here",
             f'"{name}"{did_you_mean(name, known)}',
         )
