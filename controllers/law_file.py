@@ -10,10 +10,12 @@ from traceback import extract_tb
 from types import ModuleType
 from typing import Any
 
+from testbed.core.error import TestbedError
+
 GROUP = "airbearing_testbed.laws"  # of entry points
 
 
-class UnusableLawError(ValueError):
+class UnusableLawError(TestbedError, ValueError):
     """A law cannot be made; `key` is what to mend in [controller]."""
 
     def __init__(self, key: str, expected: str, found: str) -> None:
