@@ -50,9 +50,7 @@ def measure(
         )
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
     contacts = rig.contacts
-    together = formation_metrics(
-        experiment.controller, formation_context(experiment), track, obstacles
-    )
+    together = formation_metrics(experiment.controller, formation_context(experiment), track)
     wanted = experiment.criteria.formation
     return Metrics(
         experiment=experiment.name,
