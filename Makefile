@@ -14,7 +14,7 @@ DEV := $(VENV)/.installed-dev
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test lint check format constraints clean venv firmware mutants fuzz gate
+.PHONY: help demo test retest lint check format constraints clean venv firmware mutants fuzz gate
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -25,6 +25,9 @@ demo: $(DASHBOARD)  ## Fly zhang2023's experiment on the twin of the table
 # One process more than cores: a third of the time tests wait for something that flies in real time.
 test: $(DEV)  ## Run the tests (JOBS=4: processes at most)
 	@$(BIN)/python -m pytest -n $$(($$(nproc) + 1)) --maxprocesses $(JOBS)
+
+retest: $(DEV)  ## Run what failed in the last `make test` once more, one test at a time
+	@$(BIN)/python -m pytest --last-failed --last-failed-no-failures none
 
 lint: $(DEV)  ## Check format, style, types and the direction of imports
 	@$(BIN)/ruff format --check

@@ -19,7 +19,7 @@ import tomli_w
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.row import Flown
-from testbed.cli.trial import fly_batch, read, warm
+from testbed.campaign.trial import fly_batch, read, warm
 from testbed.config import dump, find, load
 
 

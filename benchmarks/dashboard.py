@@ -24,12 +24,12 @@ from threading import Event, Thread
 import numpy as np
 
 from testbed.cli.dash import Dashboard, address_for
-from testbed.cli.run import fly_and_judge
 from testbed.config import Experiment, dump, find, load
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader
 from testbed.rig.wired.wired_flight import PRIORITY
+from testbed.run.fly import fly_and_judge
 from testbed.run.folder import write_config
 
 SETTLE_S = 1.0

@@ -14,12 +14,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from testbed.cli.run import fly_and_judge
 from testbed.config import Experiment, find, load
 from testbed.core.types import HostTick, Tick
 from testbed.realtime.scheduling import steady
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
+from testbed.run.fly import fly_and_judge
 
 
 class Memory(NullObserver):

@@ -10,8 +10,8 @@ import statistics
 import tempfile
 from pathlib import Path
 
-from testbed.cli.run import fly_and_judge
 from testbed.config import find, load
+from testbed.run.fly import fly_and_judge
 
 VARIANTS = (
     ("reference mode", "zhang2023_table", ()),

@@ -40,7 +40,7 @@ name a shape; `controllers.bifurcating_design` then fills in the numbers that ar
 """
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
@@ -49,6 +49,7 @@ from msgspec import field as struct_field
 from numpy.typing import NDArray
 
 from controllers.bifurcating_design import Field, Fleet, Shape, design
+from controllers.graph import FormationKind
 from controllers.scale import Scale
 from testbed.core.compiled import compiled
 from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate, no_state
@@ -98,6 +99,7 @@ class Wall(Struct, frozen=True, forbid_unknown_fields=True):
 class BifurcatingParams(Struct, frozen=True, forbid_unknown_fields=True, tag="bifurcating"):
     """Which formations, and when."""
 
+    forms: ClassVar[FormationKind] = "curves"
     phases: tuple[Phase, ...]
     fleet: Fleet | None = None  # whom the shapes are designed for
     centre: tuple[float, ...] | None = None  # of the formation [m]; null: the vehicle's own goal

@@ -17,12 +17,12 @@ Nothing anchors the formation: under a common disturbance it drifts.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
 
-from controllers.graph import FormationParams
+from controllers.graph import FormationKind, FormationParams
 from controllers.proxy import (
     Coupling,
     ProxyParams,
@@ -42,6 +42,7 @@ class BoundedFormationParams(
 ):
     """Section 4, in the paper's units."""
 
+    forms: ClassVar[FormationKind] = "graph"
     formation: FormationParams
     proxy: ProxyParams
     beta: Positive  # [N s/m]

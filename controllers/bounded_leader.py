@@ -25,12 +25,12 @@ the paper's gains.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
 
-from controllers.graph import FormationParams
+from controllers.graph import FormationKind, FormationParams
 from controllers.proxy import (
     Coupling,
     ProxyParams,
@@ -51,6 +51,7 @@ from testbed.core.vehicle import NonNegative, Positive
 class BoundedLeaderParams(Struct, frozen=True, forbid_unknown_fields=True, tag="bounded_leader"):
     """Section 4.1, in the paper's units."""
 
+    forms: ClassVar[FormationKind] = "led graph"
     formation: FormationParams
     proxy: ProxyParams
     alpha: Positive  # [N s/m]

@@ -23,12 +23,12 @@ formation creep on, and leaves a velocity error of about its width.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
 
-from controllers.graph import FormationParams
+from controllers.graph import FormationKind, FormationParams
 from controllers.proxy import (
     Coupling,
     ProxyParams,
@@ -51,6 +51,7 @@ class BoundedLeaderVaryingParams(
 ):
     """Section 4.2, in the paper's units."""
 
+    forms: ClassVar[FormationKind] = "led graph"
     formation: FormationParams
     proxy: ProxyParams
     alpha: Positive  # [N]

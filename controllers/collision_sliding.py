@@ -23,7 +23,7 @@ whatever its distance: Hu et al. let everybody know everybody.
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -35,7 +35,7 @@ from controllers.formation_potential import (
     formation_potential,
     obstacle_gradient,
 )
-from controllers.graph import FormationParams, distance
+from controllers.graph import FormationKind, FormationParams, distance
 from controllers.log_potential import log_potential
 from controllers.proxy import soft_sign
 from controllers.scale import Scale
@@ -49,6 +49,7 @@ class CollisionSlidingParams(
 ):
     """Section 4, first case, in the paper's units."""
 
+    forms: ClassVar[FormationKind] = "graph"
     formation: FormationParams
     potential: FormationPotentialParams = field(
         default_factory=lambda: FormationPotentialParams(k_f=40.0, k_o=40.0, pair_count=1)

@@ -29,7 +29,7 @@ force is cut at own.max_force: the proof does not cover a flight of this law.
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -43,7 +43,7 @@ from controllers.formation_potential import (
     obstacle_gradient,
     with_edges,
 )
-from controllers.graph import FormationParams
+from controllers.graph import FormationKind, FormationParams
 from controllers.proxy import soft_sign
 from controllers.scale import Scale
 from testbed.core.compiled import compiled
@@ -58,6 +58,7 @@ class ConnectivityDynamicParams(
 ):
     """Section 4, second case, in the paper's units; K_s is not printed and so has no default."""
 
+    forms: ClassVar[FormationKind] = "graph"
     formation: FormationParams
     k_s: Positive  # [N s/m]
     potential: FormationPotentialParams = field(

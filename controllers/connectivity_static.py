@@ -19,7 +19,7 @@ the estimated disturbance or zero, and the mass adapts to little or nothing.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -32,7 +32,7 @@ from controllers.formation_potential import (
     gradient,
     with_edges,
 )
-from controllers.graph import FormationParams
+from controllers.graph import FormationKind, FormationParams
 from controllers.scale import Scale
 from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
@@ -43,6 +43,7 @@ class ConnectivityStaticParams(
 ):
     """Section 4, first case, in the paper's units."""
 
+    forms: ClassVar[FormationKind] = "graph"
     formation: FormationParams
     potential: FormationPotentialParams = field(default_factory=FormationPotentialParams)
     k_c: NonNegative = 0.1  # [N s/m]

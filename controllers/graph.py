@@ -26,7 +26,7 @@ edge is dropped for being short.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -38,6 +38,16 @@ from testbed.core.vehicle import NonNegative, Positive
 Array = NDArray[np.float64]
 
 LEADER = "leader"  # how the leader is called in `distances` and `edges`
+
+
+# What a law's parameters declare as `forms`: desired lengths of the edges of a graph, of a graph
+# with a leader as one more node, or curves to be on. No vehicle of such a law has its own goal.
+FormationKind = Literal["graph", "led graph", "curves"]
+
+
+def formation_kind(params: object) -> FormationKind | None:
+    """What the law of these parameters forms; None if each vehicle has its own goal."""
+    return getattr(params, "forms", None)
 
 
 class FormationParams(Struct, frozen=True, forbid_unknown_fields=True):

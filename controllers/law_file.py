@@ -11,11 +11,12 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from testbed.core import plugin
+from testbed.core.error import TestbedError
 
 _IMPORTED: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # digests, when first asked for
 
 
-class UnusableLawError(ValueError):
+class UnusableLawError(TestbedError, ValueError):
     """A law cannot be made; `key` is what to mend in [controller]."""
 
     def __init__(self, key: str, expected: str, found: str) -> None:

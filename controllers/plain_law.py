@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.law_file import UnusableLawError, blame
+from testbed.core.error import TestbedError
 from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, fly_ahead
 
 Array = NDArray[np.float64]
@@ -23,7 +24,7 @@ VERBS = {
 }
 
 
-class LawError(Exception):
+class LawError(TestbedError):
     """A law failed in flight; says where in its file."""
 
 

@@ -21,6 +21,7 @@ import msgspec
 
 from firmware_interface.limits import LimitsError, board_header, config_hash, limits_of
 from firmware_interface.messages import Config
+from testbed.core.error import TestbedError
 from testbed.core.vehicle import Vehicle
 
 FIRMWARE = Path(__file__).with_name("firmware")
@@ -37,7 +38,7 @@ CHIP_FLAGS = (
 CACHE = Path.home() / ".cache" / "airbearing-testbed"
 
 
-class CompilerError(Exception):
+class CompilerError(TestbedError):
     """The firmware cannot be built on this machine."""
 
 

@@ -9,6 +9,7 @@ import zlib
 from typing import NamedTuple
 
 from firmware_interface.messages import PAYLOAD_MAX, TYPES, VERSION, Message
+from testbed.core.error import TestbedError
 
 HEADER = struct.Struct("<BBHI")
 CRC = struct.Struct("<I")
@@ -35,7 +36,7 @@ class Frame(NamedTuple):
         return TYPES[self.type].unpack(self.payload)
 
 
-class BadFrameError(Exception):
+class BadFrameError(TestbedError):
     """Bytes between two delimiters that are no frame; the reason is a counter's name."""
 
     def __init__(self, reason: str) -> None:

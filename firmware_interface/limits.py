@@ -5,6 +5,7 @@ import zlib
 from msgspec import Struct
 
 from firmware_interface.messages import VALVES, BearingPolicy, Config
+from testbed.core.error import TestbedError
 from testbed.core.jets import opposing_pairs
 from testbed.core.vehicle import Positive, Valve, Vehicle
 
@@ -27,7 +28,7 @@ class Protection(Struct, frozen=True, forbid_unknown_fields=True):
     drop_bearing_on_trip: bool = False
 
 
-class LimitsError(ValueError):
+class LimitsError(TestbedError, ValueError):
     """This vehicle does not fit the board."""
 
 

@@ -32,6 +32,7 @@ from firmware_interface.messages import Config, State, Status
 from firmware_interface.qemu import qemu_command, terminal_of
 from firmware_interface.reports import Reports
 from firmware_interface.serial_board import monotonic_us
+from testbed.core.error import TestbedError
 
 CHUNK = 4096
 REMEMBERED = 64  # frames that tell the clock; a board's clock may drift
@@ -39,7 +40,7 @@ GRACE_S = 2.0
 LOOK_S = 0.1  # between two looks whether it is over
 
 
-class TapError(Exception):
+class TapError(TestbedError):
     """The firmware did not start."""
 
 

@@ -6,11 +6,13 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct
 
+from testbed.core.error import TestbedError
+
 SOURCE = Path(__file__).with_name("messages.toml")
 WIDTH = {"u8": 1, "u16": 2, "u32": 4}
 
 
-class SchemaError(Exception):
+class SchemaError(TestbedError):
     """messages.toml contradicts itself."""
 
 

@@ -20,6 +20,7 @@ from firmware_interface.board import Edge
 from firmware_interface.frame import CODED_MAX, BadFrameError, decode
 from firmware_interface.messages import Cmd, ResetCause
 from firmware_interface.reports import Reports
+from testbed.core.error import TestbedError
 
 BAUD = 460_800  # 8N1: a plan of 94 bytes takes 2.0 ms
 RETRY_S = 0.2  # between attempts to open a lost port
@@ -27,7 +28,7 @@ SILENCE_S = 5.0  # a board sends STATUS at 20 Hz: it is gone
 WAITING_MAX = 64  # frames not yet written; more are not worth sending
 
 
-class BoardError(Exception):
+class BoardError(TestbedError):
     """The board cannot be reached, or cannot do that."""
 
 

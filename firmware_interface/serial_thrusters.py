@@ -17,6 +17,7 @@ from firmware_interface.frame import WRAP
 from firmware_interface.messages import Config, Result, State
 from firmware_interface.serial_board import BAUD, SerialBoard, monotonic_us
 from firmware_interface.session import Session, SessionError
+from testbed.core.error import TestbedError
 from testbed.core.types import Health, ValveCommand
 
 KEEP_US = 4_000  # between two looks at what time alone asks for
@@ -25,7 +26,7 @@ UNKNOWN_V = 12.0  # what a board without a voltmeter, which reports 0, is believ
 REPEAT_US = 30_000  # an order that is not obeyed by then is given again
 
 
-class ThrustersError(Exception):
+class ThrustersError(TestbedError):
     """The valves cannot be used."""
 
 

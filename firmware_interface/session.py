@@ -41,6 +41,7 @@ from firmware_interface.messages import (
     State,
     Status,
 )
+from testbed.core.error import TestbedError
 from testbed.core.types import ValveCommand
 
 REFRESH_US = 20_000  # 50 Hz: six frames in a row may be lost before the watchdog bites
@@ -50,7 +51,7 @@ EDGES_KEPT = 4096  # if nobody takes them, the oldest go
 EXCHANGES = 16  # clock exchanges remembered; the one with the shortest delay counts
 
 
-class SessionError(Exception):
+class SessionError(TestbedError):
     """This board must not be armed by this program."""
 
 

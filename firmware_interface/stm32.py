@@ -21,6 +21,7 @@ import unicorn
 from unicorn import arm_const as arm
 
 from firmware_interface.messages import ResetCause
+from testbed.core.error import TestbedError
 
 FLASH, FLASH_SIZE = 0x0800_0000, 0x10_0000
 RAM, RAM_SIZE = 0x2000_0000, 0x2_0000
@@ -74,7 +75,7 @@ class Store(NamedTuple):
     value: int
 
 
-class MachineError(Exception):
+class MachineError(TestbedError):
     """The image does something that this machine does not model, or never sleeps again."""
 
 

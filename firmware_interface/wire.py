@@ -17,6 +17,7 @@ from firmware_interface.board import Board, Edge
 from firmware_interface.messages import Config, State
 from firmware_interface.reports import Reports
 from firmware_interface.session import Session
+from testbed.core.error import TestbedError
 from testbed.core.types import ValveCommand
 
 BAUD = 460_800  # of the firmware's board file
@@ -25,7 +26,7 @@ HEAD_START_US = 200_000
 PATIENCE_US = 100_000  # for answers on a line that loses nothing
 
 
-class WireError(Exception):
+class WireError(TestbedError):
     """The board does not do what the run relies on."""
 
 

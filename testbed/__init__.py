@@ -1,1 +1,64 @@
-"""Air-bearing testbed: core vocabulary, flight chain, operations and the operator's command."""
+"""Hardware-in-the-loop testbed for satellite simulators on a planar air-bearing table.
+
+    import testbed
+
+    run = testbed.fly(testbed.load("hold", seed=3))
+    run.passed, run["sat1"].pose
+
+`load` an experiment, `fly` it, `open_run` a folder, `replay` a run, `sweep` a parameter, or drive
+the `Twin` tick by tick. Everything is imported when it is first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from testbed.campaign.parameter_sweep import sweep
+    from testbed.core.error import TestbedError
+    from testbed.core.law import Law
+    from testbed.run.api import InterruptedFlight, fly, replay
+    from testbed.run.experiment import Experiment, load
+    from testbed.run.flown import Run, open_run
+    from testbed.run.stepper import Twin
+    from testbed.run.table import Table
+
+_HOMES = {
+    "Experiment": "testbed.run.experiment",
+    "InterruptedFlight": "testbed.run.api",
+    "Law": "testbed.core.law",
+    "Run": "testbed.run.flown",
+    "Table": "testbed.run.table",
+    "TestbedError": "testbed.core.error",
+    "Twin": "testbed.run.stepper",
+    "fly": "testbed.run.api",
+    "load": "testbed.run.experiment",
+    "open_run": "testbed.run.flown",
+    "replay": "testbed.run.api",
+    "sweep": "testbed.campaign.parameter_sweep",
+}
+__all__ = [
+    "Experiment",
+    "InterruptedFlight",
+    "Law",
+    "Run",
+    "Table",
+    "TestbedError",
+    "Twin",
+    "fly",
+    "load",
+    "open_run",
+    "replay",
+    "sweep",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'testbed' has no attribute {name!r}")
+    found = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

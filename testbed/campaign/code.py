@@ -6,14 +6,13 @@ from importlib.metadata import version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-FLIES = (
-    "testbed/core", "testbed/flight", "testbed/config", "testbed/rig", "controllers", "sim_twin",
-    "firmware_interface",
+FOLDERS = (  # what flies, and what judges it
+    "testbed/core", "testbed/flight", "testbed/config", "testbed/faults", "testbed/metrics",
+    "testbed/rig", "controllers", "sim_twin", "firmware_interface",
 )  # fmt: skip
 FILES = (  # which runs there are, and what a flight's numbers are
     "testbed/campaign/sweep.py", "testbed/campaign/row.py", "testbed/campaign/score.py",
-    "testbed/cli/trial.py", "testbed/cli/run.py", "testbed/metrics/run_metrics.py",
-    "testbed/metrics/formation.py",
+    "testbed/campaign/trial.py", "testbed/run/fly.py", "testbed/run/judge.py",
 )  # fmt: skip
 LIBRARIES = ("numba", "numpy", "scipy")
 
@@ -25,7 +24,7 @@ def code_digest() -> str:
     for name in LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
     kinds = ("*.py", "*.[ch]")  # a board's firmware is in C
-    paths = [p for folder in FLIES for kind in kinds for p in sorted((ROOT / folder).rglob(kind))]
+    paths = [p for folder in FOLDERS for kind in kinds for p in sorted((ROOT / folder).rglob(kind))]
     for path in (*paths, *(ROOT / name for name in FILES)):
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -22,6 +22,7 @@ from typing import Any, Generic, TypeVar
 
 from testbed.campaign.code import code_digest
 from testbed.campaign.extra import needs_extra
+from testbed.core.error import TestbedError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -42,7 +43,7 @@ WORKER_ENVIRONMENT = {  # one thread each: runs are what is parallel
 }
 
 
-class EngineError(Exception):
+class EngineError(TestbedError):
     """There is nobody to fly the runs, and why."""
 
 
@@ -139,7 +140,7 @@ def count_workers(client: Any) -> int:
     return len(client.nthreads())
 
 
-class OtherCodeError(Exception):
+class OtherCodeError(TestbedError):
     """A worker, one that joined late, has other code."""
 
 

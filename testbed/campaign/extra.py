@@ -3,8 +3,10 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from testbed.core.error import TestbedError
 
-class MissingExtraError(Exception):
+
+class MissingExtraError(TestbedError):
     """A verb needs packages that are not installed."""
 
 

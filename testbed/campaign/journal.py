@@ -17,12 +17,14 @@ from typing import Any, Generic, TypeVar
 import msgspec
 from msgspec import Struct
 
+from testbed.core.error import TestbedError
+
 Message = TypeVar("Message", bound=Struct)
 
 SYNC_S = 1.0  # what a power cut may cost [s]
 
 
-class JournalError(Exception):
+class JournalError(TestbedError):
     """The journal cannot be used, and why."""
 
 

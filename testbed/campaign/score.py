@@ -13,25 +13,9 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.bifurcating import BifurcatingParams
-from controllers.bounded_formation import BoundedFormationParams
-from controllers.bounded_leader import BoundedLeaderParams
-from controllers.bounded_leader_varying import BoundedLeaderVaryingParams
-from controllers.collision_sliding import CollisionSlidingParams
-from controllers.connectivity_dynamic import ConnectivityDynamicParams
-from controllers.connectivity_static import ConnectivityStaticParams
+from controllers.graph import formation_kind
 from testbed.config import Experiment, VehicleSetup
 from testbed.metrics.run_metrics import HOLD_S, Track, obstacle_distances
-
-FORMS = (  # laws that form something and do not care for the goal's position
-    BifurcatingParams,
-    BoundedFormationParams,
-    BoundedLeaderParams,
-    BoundedLeaderVaryingParams,
-    CollisionSlidingParams,
-    ConnectivityDynamicParams,
-    ConnectivityStaticParams,
-)
 
 Array = NDArray[np.float64]
 
@@ -45,7 +29,7 @@ def beside_metrics(
     late = track.t >= 0.5 * experiment.duration_s
     end = track.t > track.t[-1] - HOLD_S
     wanted = wanted_distances(experiment)
-    to_goal = not isinstance(experiment.controller, FORMS)
+    to_goal = formation_kind(experiment.controller) is None
     numbers: dict[str, dict[str, float | int | None]] = {}
     for k, (name, setup) in enumerate(experiment.vehicles.items()):
         gaps = [

@@ -26,13 +26,13 @@ from testbed.campaign.flight import Crew, fly_campaign
 from testbed.campaign.folders import score_folders
 from testbed.campaign.page import COLUMNS, page
 from testbed.campaign.sweep import experiment_path
+from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.campaign import TROUBLE, Bar, find_campaign, write_results
 from testbed.cli.exit_code import INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.run import Interrupt
-from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import SHIPPED, ConfigError, find
 from testbed.files import write_atomic
+from testbed.run.interrupt import Interrupt
 
 WIDEST = 500  # characters of a line
 BEFORE = (  # the commands

@@ -26,14 +26,14 @@ from testbed.campaign.result import table_of, write_parquet
 from testbed.campaign.row import Flown
 from testbed.campaign.summary import Summary, summarise, worst_runs
 from testbed.campaign.sweep import Campaign, load_campaign
+from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.progress import Bar
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.run import Interrupt
-from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import ConfigError
 from testbed.config.tree import trouble_at
 from testbed.files import write_atomic
+from testbed.run.interrupt import Interrupt
 
 TROUBLE = (ConfigError, JournalError, EngineError, MissingExtraError, OSError)
 

@@ -17,6 +17,7 @@ from rich.progress import track
 
 from testbed.cli.drill import shipped, somewhere
 from testbed.config import dump
+from testbed.core.error import TestbedError
 from testbed.core.fault_injection import Injection
 from testbed.faults.drill import ADRIFT, DEAD_WITHIN, NAMES, Drilled, deadline, draw
 from testbed.flight.faults import SEVERITY
@@ -107,7 +108,7 @@ def case(number: int, seed: int) -> Drilled:
     return judge(what, experiment.name, experiment.seed, list(experiment.vehicles), flown)
 
 
-class DrillError(Exception):
+class DrillError(TestbedError):
     """A flight of the drill did not begin."""
 
 

@@ -5,8 +5,7 @@ The flight only leaves its newest tick here; a thread of the terminal's draws a 
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
-from types import TracebackType
+from contextlib import contextmanager, nullcontext
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -18,17 +17,19 @@ from rich.table import Table as Grid
 from testbed.config import Experiment
 from testbed.core.types import Tick
 from testbed.report.goal_error import Wanted
+from testbed.run.fly import FlightScreen
 
 REFRESH_HZ = 8
 
 
-class LiveTable:
+class LiveTable(FlightScreen):
     """Everybody's state in one table, and how far the flight is."""
 
     def __init__(self, experiment: Experiment, console: Console) -> None:
         self._experiment, self._wanted = experiment, Wanted(experiment)
         self._ticks: dict[str, Tick] = {}
         self._t = 0.0
+        self._console = console
         self.phase = "DISARMED"  # of the supervisor
         self._progress = Progress(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
@@ -41,19 +42,15 @@ class LiveTable:
             get_renderable=self.picture,
         ) if console.is_terminal else None  # fmt: skip
 
-    def __enter__(self) -> "LiveTable":
-        if self._live is not None:
-            self._live.__enter__()
-        return self
+    @contextmanager
+    def showing(self) -> Iterator[None]:
+        """See `FlightScreen`."""
+        with nullcontext() if self._live is None else self._live:
+            yield
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._live is not None:
-            self._live.__exit__(kind, error, trace)
+    def say(self, line: str) -> None:
+        """See `FlightScreen`."""
+        self._console.print(line, style="yellow", markup=False, soft_wrap=True)
 
     @contextmanager
     def aside(self) -> Iterator[None]:

@@ -1,7 +1,7 @@
 """`testbed replay`: does today's code do what the log says was done?"""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 
@@ -10,12 +10,10 @@ from rich.console import Console
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import refuse
-from testbed.config import ConfigError, Experiment, load
-from testbed.flight.agent import lead_time
-from testbed.flight.loop import HostNode
-from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
-from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
-from testbed.rig.chain import make_agent, make_guidance
+from testbed.config import ConfigError, load
+from testbed.logs.log_reader import LogError, config_of, log_of
+from testbed.logs.replay import Replay
+from testbed.run.replay import replay_experiment
 
 
 def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
@@ -31,25 +29,6 @@ def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
     else:
         _print(verdict)
     return OK if verdict.first_difference is None else FAILED
-
-
-def replay_experiment(experiment: Experiment, log: Path) -> Replay:
-    """The log through the agents and laws that the experiment makes today."""
-    hosts = experiment.vehicles if experiment.deploy.law == "host" else {}
-    return replay(
-        LogReader(log).read(),
-        {name: make_agent(experiment, name).step for name in experiment.vehicles},
-        {name: LoggedHost(_law_of(experiment, name)) for name in hosts},
-    )
-
-
-def _law_of(experiment: Experiment, name: str) -> Callable[[LoggedLink], AtHost]:
-    def plug(link: LoggedLink) -> AtHost:
-        lead = lead_time(experiment.vehicles[name].model)
-        guidance = make_guidance(experiment, name)
-        return HostNode(name, guidance, link, experiment.flight.jet_period_s, lead).tick
-
-    return plug
 
 
 def _print(verdict: Replay) -> None:

@@ -84,8 +84,6 @@ def print_formation(out: Console, f: FormationMetrics, experiment: Experiment) -
     if f.error_m is not None and f.settled_s is None:
         pieces.append("never settled")
     out.print(f"formation: {', '.join(pieces) or 'no error known'}")
-    for concern in f.concerns:
-        out.print(f"concern {concern.name}: {concern.text}", style="yellow", markup=False)
 
 
 def _cell(value: float | None, scale: float, form: str) -> str:

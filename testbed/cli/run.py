@@ -1,53 +1,27 @@
 """`testbed run`: fly an experiment, watch it, keep it, judge it."""
 
-import signal
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
-from types import FrameType
-
-import numpy as np
-from msgspec import Struct
-from msgspec.structs import replace
 
 from testbed.cli.exit_code import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.cli.live import LiveTable
 from testbed.cli.operator import Operator
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
-from testbed.config.guarantee import warnings_of
-from testbed.core.types import HostTick, Tick
 from testbed.dashboard.viewer import ViewerError
-from testbed.flight.loop import Ending
-from testbed.logs.feed import Loop
 from testbed.logs.log_reader import LogError
-from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
-from testbed.metrics.characterisation import characterise
-from testbed.metrics.formation import formation_metrics
-from testbed.metrics.run_metrics import (
-    Metrics,
-    ReferenceLog,
-    judge,
-    judge_formation,
-    obstacle_distances,
-    smallest_separation,
-    vehicle_metrics,
-)
-from testbed.realtime.pacer import Pace
-from testbed.realtime.scheduling import steady
 from testbed.report.page import ReportError
 from testbed.rig.boards import check_boards
-from testbed.rig.chain import formation_context
 from testbed.rig.interface import Rig
-from testbed.rig.twin import TwinRig, make_twin, warm_up
+from testbed.rig.twin import make_twin
+from testbed.run.fly import fly_and_judge
 from testbed.run.folder import FolderError, new_folder, take_back, write_config, write_metrics
-
-FORMATION_S = 1.0  # between two entries of the five elements in the log [s]
+from testbed.run.interrupt import Interrupt
+from testbed.run.report import make_report
 
 
 def run_experiment(
@@ -80,8 +54,9 @@ def run_experiment(
 
                 board = beside_run(folder, view)
             make = maker(rig, experiment, folder, operator)
+            operator.live = LiveTable(experiment, errors)
             with redirect_stdout(sys.stderr):
-                metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator)
+                metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator.live)
             write_metrics(folder, metrics)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
@@ -124,113 +99,6 @@ def report(folder: Path) -> None:
         )  # fmt: skip
 
 
-class Interrupt:
-    """Ctrl-C and SIGTERM: noted, and the flight ends after its tick; files are always finished."""
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._raises = False
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
-        if self._raises:
-            raise KeyboardInterrupt
-
-    @contextmanager
-    def caught(self) -> Iterator[None]:
-        """Note signals meanwhile."""
-        before = {n: signal.signal(n, self._handle) for n in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    @contextmanager
-    def at_once(self) -> Iterator[None]:
-        """Something long that leaves no files, such as compiling: drop it when interrupted."""
-        self._raises = not self.asked
-        try:
-            yield
-        except KeyboardInterrupt:
-            self.asked = True
-        finally:
-            self._raises = False
-
-
-class Watcher:
-    """Observer of a flight: log and live table, and what the metrics need."""
-
-    def __init__(
-        self,
-        rig: Rig,
-        aims: Mapping[str, ReferenceLog],
-        recorder: Recorder,
-        live: LiveTable,
-        pace: Pace | None = None,
-    ) -> None:
-        self._rig, self._aims = rig, aims
-        self._recorder, self._live, self._pace = recorder, live, pace
-        self._seen = -1.0  # up to here the valves are in the log
-        self._told = 0  # changes of phase that are in the log
-        self.trouble: str | None = None  # the log cannot be written: the flight has to end
-        self._next = 0.0  # when the five elements are due [s]
-
-    def vehicle(self, name: str, tick: Tick) -> None:
-        """See `Observer`."""
-        self._record(f"/{name}/tick", tick.inputs.t, tick)
-        self._aims[name].note(tick.outputs)
-        self._live.vehicle(name, tick)
-
-    def host(self, name: str, tick: HostTick) -> None:
-        """See `Observer`."""
-        self._record(f"/{name}/host", tick.inputs.t, tick)
-
-    def reports(self) -> None:
-        """Log what boards, wires and the supervisor have said since they were asked last."""
-        for name, valves in self._rig.valves(since=self._seen):
-            self._record(f"/{name}/valves", max(0.0, valves.t), valves)
-        self._seen = self._rig.now
-        for name, at, wires in self._rig.paces():
-            self._record(f"/{name}/pace", at, wires)
-        events = self._rig.supervisor.events
-        for event in events[self._told :]:
-            self._record("/supervisor", max(0.0, event.t), event)
-            self._live.phase = event.phase
-        self._told = len(events)
-
-    def _record(self, topic: str, t: float, message: Struct) -> None:
-        if self.trouble is None:
-            try:
-                self._recorder.write(topic, t, message)
-            except RecorderError as error:
-                self.trouble = str(error)
-
-    def _mark(self, t: float) -> None:
-        if self.trouble is None:
-            try:
-                for line in self._recorder.mark(t):
-                    errors.print(line, style="yellow", markup=False, soft_wrap=True)
-            except RecorderError as error:
-                self.trouble = str(error)
-
-    def done(self, t: float) -> None:
-        """See `Observer`."""
-        motions = {name: Motion(*state) for name, state in self._rig.truth()}
-        self._record("/truth", t, Truth(t, motions))
-        if len(motions) > 1 and t >= self._next:  # the five elements, live
-            self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
-            states = np.array([(m.x, m.y, m.vx, m.vy) for m in motions.values()])
-            self._record("/formation", t, characterise(states[:, :2], states[:, 2:]))
-        self.reports()
-        if (loop := self._rig.loop) is not None:
-            self._record("/loop", t, Loop(t, *loop))
-        if self._pace is not None:
-            self._record("/loop", t, Loop(t, self._pace.late_s, self._pace.busy_s))
-        self._mark(t)
-        self._live.done(t)
-
-
 def maker(
     rig: str, experiment: Experiment, folder: Path, operator: Operator
 ) -> Callable[[Experiment], Rig]:
@@ -245,90 +113,3 @@ def maker(
         agree=operator.agree if rig == "table" else anybody,
         say=lambda text: errors.print(text, markup=False, soft_wrap=True),
     )  # fmt: skip
-
-
-def fly_and_judge(
-    experiment: Experiment,
-    folder: Path,
-    interrupt: Interrupt | None = None,
-    make: Callable[[Experiment], Rig] | None = None,
-    speed: float | None = None,
-    operator: Operator | None = None,
-) -> Metrics:
-    """Fly, with the log in `folder`, and judge. `make` builds the rig; by default the twin."""
-    interrupt = interrupt or Interrupt()
-    rig, ending, wall = (make or make_twin)(experiment), Ending(0.0, None), 0.0
-    live = LiveTable(experiment, errors)
-    if operator is not None:
-        operator.live = live
-    pace = None
-    if speed is not None and isinstance(rig, TwinRig):
-        pace = Pace(rig.twin, speed)
-        rig = replace(rig, pace=pace)
-    aims = {name: ReferenceLog() for name in experiment.vehicles}
-    try:
-        with Recorder(folder / "log.mcap") as recorder, live:
-            with interrupt.at_once():
-                warm_up(experiment, lambda: interrupt.asked)
-            if not interrupt.asked:
-                watcher = Watcher(rig, aims, recorder, live, pace)
-                live.flies()
-                with steady():
-                    began = time.perf_counter()
-                    ending = rig.fly(
-                        watcher,
-                        stopped=lambda: interrupt.asked or watcher.trouble is not None,
-                    )
-                    wall = time.perf_counter() - began
-                watcher.reports()
-                if watcher.trouble is not None:
-                    raise RecorderError(watcher.trouble)
-    except RecorderError as error:
-        ending = Ending(rig.now, f"log: {error}")
-    completed = ending.fault is None and ending.t >= experiment.end_s
-    return measure(rig, aims, ending, wall, completed=completed)
-
-
-def measure(
-    rig: Rig, aims: Mapping[str, ReferenceLog], ending: Ending, wall: float, *, completed: bool
-) -> Metrics:
-    """Judge a flight."""
-    experiment, track = rig.experiment, rig.track()
-    obstacles = experiment.obstacles
-    vehicles, clear = {}, True
-    for k, (name, setup) in enumerate(experiment.vehicles.items()):
-        distances = obstacle_distances(track, k, obstacles)
-        vehicles[name] = vehicle_metrics(
-            track,
-            k,
-            setup.goal,
-            aims[name].aim(),
-            rig.spent(name),
-            distances,
-        )
-        clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
-    contacts = rig.contacts
-    together = formation_metrics(
-        experiment.controller, formation_context(experiment), track, obstacles
-    )
-    wanted = experiment.criteria.formation
-    return Metrics(
-        experiment=experiment.name,
-        rig=rig.name,
-        seed=experiment.seed,
-        completed=completed,
-        duration_s=ending.t,
-        wall_s=wall,
-        real_time_factor=ending.t / wall if wall > 0.0 else None,
-        contacts=contacts,
-        min_vehicle_distance_m=smallest_separation(track),
-        fault=ending.fault,
-        criteria=judge(experiment.criteria, vehicles, contacts, clear)
-        | (judge_formation(wanted, together) if wanted else {}),
-        vehicles=vehicles,
-        **rig.wires(),
-        formation=together,
-        warnings=[*warnings_of(experiment), *rig.concerns()],
-        phase=rig.supervisor.phase,
-        red=rig.red,
-    )

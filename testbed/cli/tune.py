@@ -20,6 +20,7 @@ from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.flight import gone, make_folder
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import Flown, Task
+from testbed.campaign.trial import fly_batch, read, warm
 from testbed.campaign.tuning import (
     PROOF_SEEDS,
     OptunaOptimiser,
@@ -33,10 +34,9 @@ from testbed.campaign.tuning import (
 from testbed.cli.campaign import TROUBLE, find_campaign
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.run import Interrupt
-from testbed.cli.trial import fly_batch, read, warm
 from testbed.config import dump, load
 from testbed.files import write_atomic
+from testbed.run.interrupt import Interrupt
 
 
 class TuningResult(Struct, frozen=True):

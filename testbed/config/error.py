@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from testbed.config.key import Key, printable, quoted, spell
+from testbed.core.error import TestbedError
 from testbed.core.spelling import did_you_mean as did_you_mean
 
 LONGEST = 72  # characters of a value that are shown
@@ -16,13 +17,13 @@ class Mistake(NamedTuple):
     found: str
 
 
-class ConfigError(Exception):
+class ConfigError(TestbedError):
     """Something in the input is wrong; says where, what was expected and what was found."""
 
     def __init__(self, where: str, key: str, expected: str, found: str) -> None:
-        self.where, self.key, self.expected, self.found = where, key, expected, found
         lines = [cut(printable(where), 300)] + [f"  key       {key}"] * bool(key)
-        super().__init__("\n".join([*lines, f"  expected  {expected}", f"  found     {found}"]))
+        super().__init__("\n".join(lines), where=where, expected=expected, found=found)
+        self.key = key
 
 
 def refused(key: Key, error: Exception) -> Mistake:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 from msgspec import Struct
 
+from testbed.core.error import TestbedError
 from testbed.core.spelling import did_you_mean
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ TOLD = {  # parameters that the testbed fills in: they are no options
 Plugin = Callable[..., Any]
 
 
-class PluginError(ValueError):
+class PluginError(TestbedError, ValueError):
     """A plug-in cannot be used: what was expected, what was found."""
 
     def __init__(self, expected: str, found: str) -> None:

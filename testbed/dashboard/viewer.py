@@ -15,6 +15,8 @@ from typing import Literal
 
 from msgspec import Struct
 
+from testbed.core.error import TestbedError
+
 LOOPBACK = "127.0.0.1"
 MEMORY = "1GB"
 SERVER_MEMORY = "300MB"
@@ -23,7 +25,7 @@ BEHIND = 10  # niceness
 Kind = Literal["window", "web", "headless"]
 
 
-class ViewerError(Exception):
+class ViewerError(TestbedError):
     """There is no viewer to be had."""
 
 

@@ -7,13 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 
+from testbed.core.error import TestbedError
 from testbed.core.law import Ahead, Array, Body, Law, Neighbours, World
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Wrench
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 
 
-class SabotageError(Exception):
+class SabotageError(TestbedError):
     """What a law raises when it is told to."""
 
 

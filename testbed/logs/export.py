@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.error import TestbedError
 from testbed.files import whole
 from testbed.logs.defaults import KINDS, complete
 from testbed.logs.log_reader import LogError, Row
@@ -28,7 +29,7 @@ NO_NUMBERS = {"nan", "inf", "-inf"}  # spelled out in the log, because JSON has 
 Table = dict[str, NDArray[Any]]
 
 
-class ExportError(Exception):
+class ExportError(TestbedError):
     """It cannot be written."""
 
 

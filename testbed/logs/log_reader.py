@@ -19,12 +19,14 @@ from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 from msgspec import Struct
 
+from testbed.core.error import TestbedError
+
 S = TypeVar("S", bound=Struct)
 
 HEAD = 9  # [bytes] opcode and length of a record
 
 
-class LogError(Exception):
+class LogError(TestbedError):
     """It is not there, or it is not a log."""
 
 

@@ -20,6 +20,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import DataEnd, Footer
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
+from testbed.core.error import TestbedError
 from testbed.logs.recorder import READY, Entry, Frame, Mark, Topic
 
 CHUNK = 256 * 1024  # [bytes] a chunk is closed at this size, however little time it spans
@@ -27,7 +28,7 @@ GULP = 64 * 1024  # [bytes] read from the pipe at once, at most
 WAITING = 1024  # gulps that may wait for the disk
 
 
-class DiskFullError(Exception):
+class DiskFullError(TestbedError):
     """There is just enough room left to end the log properly."""
 
 

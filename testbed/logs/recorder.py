@@ -27,6 +27,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from testbed.core.error import TestbedError
 from testbed.logs.message import to_json
 
 BUFFER = 256 * 1024  # [bytes] between the flight and the scribe; a third of a second of messages
@@ -37,7 +38,7 @@ END_BELOW = 20_000_000  # [bytes] free on the disk: end the log properly while t
 READY = b"ready\n"  # the scribe's first words
 
 
-class RecorderError(Exception):
+class RecorderError(TestbedError):
     """The log cannot be written, for instance because the disk is full."""
 
 

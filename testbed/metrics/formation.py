@@ -7,32 +7,18 @@ is depends on what the law calls one:
                         the leader counts
     a curve             largest distance of a vehicle from the phase's curve; judged in the last
                         END_S of each phase, and the slowest phase counts
-
-Laws whose proof asks something of the start say here what this one does not have (`concerns`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from controllers import certificate as proof
-from controllers.bifurcating import BifurcatingParams
 from controllers.bifurcating_design import distance_to
-from controllers.bounded_formation import BoundedFormationParams
-from controllers.bounded_leader import BoundedLeaderParams
-from controllers.bounded_leader_varying import BoundedLeaderVaryingParams
 from controllers.catalogue import Controller
-from controllers.collision_sliding import CollisionSlidingParams
-from controllers.connectivity_dynamic import ConnectivityDynamicParams
-from controllers.connectivity_static import ConnectivityStaticParams
-from controllers.graph import formation
-from controllers.proxy import coupling
-from controllers.scale import Scale
-from testbed.core.law import Discs
-from testbed.core.table import Obstacle
+from controllers.graph import formation, formation_kind
 from testbed.metrics.characterisation import Characterisation, characterise, extremes
 from testbed.metrics.run_metrics import Track
 
@@ -42,17 +28,6 @@ EDGE_M = 0.08  # an edge is settled when it stays within this of its length [m]
 CURVE_M = 0.10  # a vehicle is on a curve when it stays within this of it [m]
 END_S = 5.0  # the end of a phase, or of a run, that counts [s]
 STRIDE = 10  # of the track are enough for what changes slowly
-
-Led = BoundedLeaderParams | BoundedLeaderVaryingParams
-Bounded = BoundedFormationParams | Led
-Edged = Bounded | ConnectivityStaticParams | ConnectivityDynamicParams | CollisionSlidingParams
-
-
-class Concern(Struct, frozen=True):
-    """Something that a law's proof asks for and this start does not have."""
-
-    name: str
-    text: str
 
 
 class FormationMetrics(Struct, frozen=True):
@@ -65,7 +40,6 @@ class FormationMetrics(Struct, frozen=True):
     settled_s: float | None = None  # after which it is small for good; of the slowest phase
     longest_edge_m: float | None = None  # of the start's edges, over the run
     lost_edges: int | None = None  # that were once longer than the range
-    concerns: tuple[Concern, ...] = ()
 
 
 class FormationContext(Struct, frozen=True):
@@ -73,14 +47,12 @@ class FormationContext(Struct, frozen=True):
 
     names: Sequence[str]
     radius: Array  # (n,) [m]
-    mass: Array  # (n,) [kg]
-    max_force: float  # of the weakest [N]
-    leader: Callable[[float], tuple[Array, Array]]  # where the goal is and how fast, at a time
+    leader: Callable[[float], Array]  # where the goal is at a time, shape (2,) [m]
 
 
 def has_formation(controller: object) -> bool:
     """Whether the law is for a formation, and no vehicle has a goal of its own."""
-    return isinstance(controller, BifurcatingParams | Edged)
+    return formation_kind(controller) is not None
 
 
 def settled(t: Array, off: NDArray[Any]) -> float | None:
@@ -100,12 +72,12 @@ class Shape(Struct, frozen=True):
     lost_edges: int | None = None
 
 
-def edges(controller: Edged, crew: FormationContext, t: Array, p: Array) -> Shape:
+def edges(controller: Any, context: FormationContext, t: Array, p: Array) -> Shape:
     """A graph's edges; `p` of shape (m, n, 2)."""
-    led = isinstance(controller, Led)
-    shape = formation(controller.formation, list(crew.names), led)
+    led = formation_kind(controller) == "led graph"
+    shape = formation(controller.formation, list(context.names), led)
     if led:
-        p = np.concatenate([p, np.array([crew.leader(s)[0] for s in t.tolist()])[:, None]], axis=1)
+        p = np.concatenate([p, np.array([context.leader(s) for s in t.tolist()])[:, None]], axis=1)
     off, longest, lost = np.zeros(len(t)), 0.0, 0
     metres = 1.0 / controller.scale.length  # of the law's unit
     for i, j in np.argwhere(np.triu(shape.first) > 0.0):
@@ -117,7 +89,7 @@ def edges(controller: Edged, crew: FormationContext, t: Array, p: Array) -> Shap
     return Shape(error, settled(t, off > EDGE_M), longest, lost)
 
 
-def curves(controller: BifurcatingParams, t: Array, p: Array) -> Shape | None:
+def curves(controller: Any, t: Array, p: Array) -> Shape | None:
     """The curves of phases that name one; `p` of shape (m, n, 2)."""
     centre = np.zeros(2) if controller.centre is None else np.array(controller.centre)
     ends = [*(phase.at for phase in controller.phases[1:]), np.inf]
@@ -138,50 +110,23 @@ def curves(controller: BifurcatingParams, t: Array, p: Array) -> Shape | None:
     return Shape(max(errors), max(known) if len(known) == len(times) else None)
 
 
-def concerns(
-    controller: Bounded, crew: FormationContext, p: Array, obstacles: Mapping[str, Obstacle]
-) -> list[Concern]:
-    """What the certificate has against the start `p`, (n, 2); all at rest."""
-    if controller.scale != Scale():
-        return []  # it speaks of the paper's units
-    c = coupling(
-        controller.proxy, controller.formation, list(crew.names), led=isinstance(controller, Led)
-    )
-    at, speed = crew.leader(0.0) if isinstance(controller, Led) else (np.zeros(2), np.zeros(2))
-    centres = np.array([rock.position for rock in obstacles.values()]).reshape(-1, 2)
-    radii = np.array([rock.radius for rock in obstacles.values()])
-    discs = Discs(centres, 0.0 * centres, radii)
-    fleet = proof.starting(crew.mass, p, np.zeros_like(p), at, speed)
-    found = proof.certificate(c, fleet, crew.max_force, discs)
-    if isinstance(controller, BoundedLeaderVaryingParams):
-        dt = 0.1
-        speeds = np.array([crew.leader(s)[1] for s in np.arange(0.0, 600.0, dt)])
-        accel = float(np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() / dt)
-        found += proof.sgn_certificate(
-            c, controller.alpha, controller.beta, controller.layer, crew.mass, accel
-        )
-    return [Concern(one.name, one.text) for one in found]
-
-
 def formation_metrics(
-    controller: Controller, crew: FormationContext, track: Track, obstacles: Mapping[str, Obstacle]
+    controller: Controller, context: FormationContext, track: Track
 ) -> FormationMetrics | None:
     """Judge a flight of two or more vehicles; null for fewer, or without a track."""
-    if len(crew.names) < 2 or len(track.t) == 0:
+    if len(context.names) < 2 or len(track.t) == 0:
         return None
     looked = np.append(np.arange(0, len(track.t) - 1, STRIDE), len(track.t) - 1)
     t, states = track.t[looked], track.states[looked]
     p = states[:, :, :2]
-    end = characterise(p[-1], states[-1, :, 3:5], crew.radius)
-    closest, widest = extremes(np.concatenate([p[::STRIDE], p[-1:]]), crew.radius)
+    end = characterise(p[-1], states[-1, :, 3:5], context.radius)
+    closest, widest = extremes(np.concatenate([p[::STRIDE], p[-1:]]), context.radius)
     shape: Shape | None = None
-    said: list[Concern] = []
-    if isinstance(controller, BifurcatingParams):
+    kind = formation_kind(controller)
+    if kind == "curves":
         shape = curves(controller, t, p)
-    elif isinstance(controller, Edged):
-        shape = edges(controller, crew, t, p)
-    if isinstance(controller, Bounded):
-        said = concerns(controller, crew, p[0], obstacles)
+    elif kind is not None:
+        shape = edges(controller, context, t, p)
     return FormationMetrics(
         end,
         closest,
@@ -190,5 +135,4 @@ def formation_metrics(
         shape.settled_s if shape else None,
         shape.longest_edge_m if shape else None,
         shape.lost_edges if shape else None,
-        tuple(said),
     )

@@ -17,6 +17,8 @@ from typing import Any
 
 from msgspec import Struct
 
+from testbed.core.error import TestbedError
+
 HEAD = struct.Struct("<HH")
 BODY = struct.Struct("<i3f4ffh")
 STAMPS = struct.Struct("<QQQ")
@@ -46,7 +48,7 @@ class Packet(IntEnum):
     UNRECOGNIZED = 100
 
 
-class NatNetError(ValueError):
+class NatNetError(TestbedError, ValueError):
     """These bytes are not what they should be."""
 
 

@@ -16,6 +16,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from testbed.core.error import TestbedError
+
 BADGE, AUTHORITY, CERTIFICATE, KEY = (
     "badge.json", "authority.pem", "certificate.pem", "private.key",
 )  # fmt: skip
@@ -27,7 +29,7 @@ OPEN_MODE = 0o077  # bits of a private key's mode that should not be there
 SOON = datetime.timedelta(days=30)  # keys that expire in less are spoken of
 
 
-class BadgeError(Exception):
+class BadgeError(TestbedError):
     """This is no key folder, or not one to be used."""
 
 

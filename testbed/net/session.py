@@ -16,6 +16,7 @@ from typing import Any
 
 import zenoh
 
+from testbed.core.error import TestbedError
 from testbed.net.credentials import BadgeError, read_badge, tls, trouble
 from testbed.realtime.wall_clock import monotonic_ns
 
@@ -25,7 +26,7 @@ BURST = 16  # messages that may be said at once; Zenoh's own 2 lose every third 
 PENDING = 64  # messages of a key between two looks; more are not worth having
 
 
-class NetworkError(Exception):
+class NetworkError(TestbedError):
     """There is no network."""
 
 

@@ -16,6 +16,8 @@ import tempfile
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from testbed.core.error import TestbedError
+
 GRACE_S = 12.0  # for a vehicle that brakes
 GUARDIAN = """
 import os, select, shutil, signal, sys
@@ -44,7 +46,7 @@ shutil.rmtree(folder, ignore_errors=True)
 """
 
 
-class ChildError(Exception):
+class ChildError(TestbedError):
     """A process of the run has ended on its own."""
 
 

@@ -6,15 +6,15 @@ end is `testbed.metrics.formation`'s; here is the way there, for figures and for
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controllers.bifurcating import BifurcatingParams
 from controllers.bifurcating_design import distance_to
-from controllers.graph import LEADER, formation
-from testbed.metrics.formation import CURVE_M, EDGE_M, Edged, Led, has_formation
+from controllers.graph import LEADER, formation, formation_kind
+from testbed.metrics.formation import CURVE_M, EDGE_M
 from testbed.metrics.run_metrics import SETTLED_M
 from testbed.report.scenario import Scenario, Setup
 
@@ -41,10 +41,11 @@ class Wanted:
     """What a scenario asks for."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario, self._law = scenario, scenario.controller
-        self.forms = has_formation(self._law)  # a formation, and nobody has a goal of his own
-        self.led = isinstance(self._law, Led)
-        self.edges: list[Edge] = self._edges() if isinstance(self._law, Edged) else []
+        self._scenario, self._law = scenario, cast(Any, scenario.controller)
+        kind = formation_kind(self._law)
+        self.forms = kind is not None  # no vehicle has a goal of its own
+        self.led = kind == "led graph"
+        self.edges: list[Edge] = self._edges() if kind in ("graph", "led graph") else []
         self.settled_m = SETTLED_M
         self.title = "Distance to the goal"
         if self.edges:
@@ -53,7 +54,6 @@ class Wanted:
             self.title, self.settled_m = "Distance to the formation's curve", CURVE_M
 
     def _edges(self) -> list[Edge]:
-        assert isinstance(self._law, Edged)
         names = list(self._scenario.vehicles)
         shape = formation(self._law.formation, names, self.led)
         everybody = [*names, LEADER]
@@ -76,7 +76,7 @@ class Wanted:
                 for a, b, length in self.edges
                 if a in everybody and b in everybody
             }
-        if isinstance(self._law, BifurcatingParams):
+        if formation_kind(self._law) == "curves":
             return {name: self._to_curve(self._law, t, place) for name, place in places.items()}
         vehicles = self._scenario.vehicles
         return {

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from testbed.core.error import TestbedError
 from testbed.logs.history import History
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import TO_THE_START, Metrics
@@ -46,7 +47,7 @@ CRITERIA = {  # unit, scale from the file's
 }  # fmt: skip
 
 
-class ReportError(Exception):
+class ReportError(TestbedError):
     """It cannot be made."""
 
 

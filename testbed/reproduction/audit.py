@@ -11,6 +11,7 @@ from multiprocessing.pool import AsyncResult, Pool
 from msgspec import Struct
 
 from testbed.config import ConfigError
+from testbed.core.error import TestbedError
 from testbed.reproduction.claim import Paper, Row, Values, judge, needed
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.run import Run, execute
@@ -37,7 +38,7 @@ class Task(Struct, frozen=True):
     quick: bool
 
 
-class RunError(Exception):
+class RunError(TestbedError):
     """A run could not be made; says which, and why."""
 
 

@@ -12,6 +12,7 @@ from typing import Annotated, Literal, cast
 
 from msgspec import Meta, Struct
 
+from testbed.core.error import TestbedError
 from testbed.core.vehicle import NonNegative
 from testbed.reproduction.run import Run
 
@@ -131,7 +132,7 @@ class Row(Struct, frozen=True):
         return self.outcome == self.expected
 
 
-class MeasureError(Exception):
+class MeasureError(TestbedError):
     """A claim asks for something that its run does not measure."""
 
 

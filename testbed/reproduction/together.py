@@ -26,14 +26,13 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from controllers import certificate as proof
-from controllers.bounded_formation import BoundedFormationParams
-from controllers.bounded_leader import BoundedLeaderParams
 from controllers.bounded_leader_varying import BoundedLeaderVaryingParams
 from controllers.bounded_potential import inside
 from controllers.catalogue import Controller
 from controllers.connectivity_static import ConnectivityStaticParams
 from controllers.formation_potential import FormationPotential
 from controllers.graph import Formation, pinned, smallest_eigenvalue
+from controllers.guarantee import Bounded
 from controllers.log_potential import log_potential, repulsion
 from controllers.proxy import Coupling
 from sim_twin.orbit.relative import field, frame_at
@@ -53,8 +52,6 @@ KINDS = (
     "edge-outside-potential", "start-energy", "barrier-height", "limit-beyond-thrust",
     "alpha-too-small", "beta-too-small", "boundary-layer", "lock-in",
 )  # fmt: skip
-
-Bounded = BoundedFormationParams | BoundedLeaderParams | BoundedLeaderVaryingParams
 
 
 class Together(Struct, frozen=True, forbid_unknown_fields=True, tag="together"):

@@ -122,17 +122,12 @@ def formation_context(experiment: Experiment) -> FormationContext:
     setups = list(experiment.vehicles.values())
     led = next((setup for setup in setups if setup.path), setups[0])
 
-    def leader(t: float) -> tuple[np.ndarray, np.ndarray]:
+    def leader(t: float) -> np.ndarray:
         start = np.array(led.goal[:2])
-        if led.path is None:
-            return start, np.zeros(2)
-        moved = led.path.at(t)
-        return start + moved.p, np.array(moved.v)
+        return start if led.path is None else start + led.path.at(t).p
 
     return FormationContext(
         list(experiment.vehicles),
         np.array([setup.model.radius for setup in setups]),
-        np.array([setup.model.mass for setup in setups]),
-        experiment.guidance.force_share * min(weakest_force(setup.model) for setup in setups),
         leader,
     )

@@ -18,11 +18,12 @@ import msgspec
 import tomli_w
 
 from controllers.law_file import digest, file_of, source_of
+from testbed.core.error import TestbedError
 from testbed.files import write_atomic
 from testbed.metrics.run_metrics import Metrics
 
 
-class FolderError(Exception):
+class FolderError(TestbedError):
     """The run cannot be written there."""
 
 
@@ -40,7 +41,7 @@ def new_folder(out: Path | None, name: str) -> Path:
         if out is not None:
             if out.exists() and (not out.is_dir() or any(out.iterdir())):
                 found = "older files in it" if out.is_dir() else "a file"
-                raise FolderError(f"{out}\n  expected  a new or empty folder\n  found     {found}")
+                raise FolderError(where=str(out), expected="a new or empty folder", found=found)
             out.mkdir(parents=True, exist_ok=True)
             if not os.access(out, os.W_OK | os.X_OK):
                 raise FolderError(f"{out}: Permission denied")
@@ -55,9 +56,9 @@ def new_folder(out: Path | None, name: str) -> Path:
             return path
     except OSError as error:
         raise FolderError(
-            f"{error.filename}\n  expected  a place that can be written; --out names another\n"
-            f"  found     {error.strerror}"
-        ) from None
+            where=str(error.filename), expected="a place that can be written; --out names another",
+            found=str(error.strerror),
+        ) from None  # fmt: skip
     raise FolderError(f"runs/{stamp}_{name}: a thousand runs in one second")
 
 
@@ -85,7 +86,7 @@ def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
     except OSError as error:
         raise FolderError(f"{path}: {error.strerror}") from None
     if digest(copy) != controller.get("sha256"):
-        raise FolderError(f"{path}\n  expected  the law as it was read\n  found     an edited one")
+        raise FolderError(where=str(path), expected="the law as it was read", found="an edited one")
     if file_of(controller["law"]) is None:
         return controller
     return {**controller, "law": f"{path.name}:{controller['law'].rpartition(':')[2]}"}

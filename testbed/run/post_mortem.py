@@ -64,9 +64,7 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
             name: _vehicle(track, k, experiment, name, aims[name].aim())
             for k, name in enumerate(experiment.vehicles)
         },
-        formation=formation_metrics(
-            experiment.controller, formation_context(experiment), track, experiment.obstacles
-        ),
+        formation=formation_metrics(experiment.controller, formation_context(experiment), track),
     )
 
 

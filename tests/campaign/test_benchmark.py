@@ -25,12 +25,12 @@ from testbed.campaign.folders import differences, same_law, score_folders
 from testbed.campaign.page import markdown, page
 from testbed.campaign.row import Flown, columns_of
 from testbed.campaign.score import beside_metrics, goal_at, wanted_distances
-from testbed.cli.run import fly_and_judge
 from testbed.config import SHIPPED as CONFIGS
 from testbed.config import ConfigError, dump, find, load
 from testbed.core.path import Circle
 from testbed.metrics.run_metrics import Metrics, Track, VehicleMetrics
 from testbed.rig.twin import make_twin
+from testbed.run.fly import fly_and_judge
 from testbed.run.folder import new_folder, write_config, write_metrics
 
 PATH = CONFIGS / "benchmark.toml"

@@ -11,21 +11,24 @@ from testbed.campaign import code
 from testbed.campaign.row import columns_of
 from testbed.campaign.score import beside_metrics
 from testbed.campaign.sweep import shares
-from testbed.cli.run import measure
-from testbed.cli.trial import fly
+from testbed.campaign.trial import fly
+from testbed.faults import law_faults
 from testbed.metrics.formation import formation_metrics
+from testbed.metrics.run_metrics import vehicle_metrics
 from testbed.rig.twin import make_twin
+from testbed.run.fly import fly_and_judge
+from testbed.run.judge import measure
 
 DECIDE = (
     make_law, make_twin, InprocBoard, shares, columns_of, beside_metrics, fly, measure,
-    formation_metrics,
+    formation_metrics, law_faults, vehicle_metrics, fly_and_judge,
 )  # fmt: skip
 
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
     """A copy of the sources, to edit."""
-    for name in (*code.FLIES, *code.FILES):
+    for name in (*code.FOLDERS, *code.FILES):
         copy = shutil.copytree if (code.ROOT / name).is_dir() else shutil.copyfile
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         copy(code.ROOT / name, tmp_path / name)

@@ -20,10 +20,10 @@ from testbed.campaign.result import write_parquet
 from testbed.campaign.row import Flown
 from testbed.campaign.summary import summarise
 from testbed.campaign.sweep import load_campaign
+from testbed.campaign.trial import fly, fly_with_log
 from testbed.campaign.tuning import Trial
 from testbed.cli.benchmark import print_scores
 from testbed.cli.campaign import print_summary
-from testbed.cli.trial import fly, fly_with_log
 from testbed.cli.tune import TuningResult, print_result
 from testbed.config import dump, find, load
 

@@ -8,7 +8,7 @@ import pytest
 import tomli_w
 
 from controllers.law_file import maker
-from testbed.cli.trial import fly
+from testbed.campaign.trial import fly
 from testbed.config import dump, find, load
 
 pytestmark = pytest.mark.usefixtures("here")

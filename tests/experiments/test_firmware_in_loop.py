@@ -8,11 +8,11 @@ from mcap.reader import make_reader
 from firmware_interface.compiler import CompilerError
 from firmware_interface.messages import Config
 from testbed.cli.main import main
-from testbed.cli.run import fly_and_judge
 from testbed.config import ConfigError, find, load
 from testbed.rig import boards
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
+from testbed.run.fly import fly_and_judge
 
 SATELLITES = ("sat1", "sat2", "sat3")
 

@@ -18,6 +18,7 @@ import zenoh
 from msgspec.structs import replace
 
 from testbed.config import ConfigError, Experiment, dump
+from testbed.core.error import TestbedError
 from testbed.core.lab import ThrusterWire
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Answer, Request, Supervisor
@@ -48,11 +49,11 @@ LOOK_NS = 20_000_000
 SPARE = 6_000  # [bytes] for what goes with a message
 
 
-class HostError(Exception):
+class HostError(TestbedError):
     """The flight cannot begin."""
 
 
-class NotArmedError(Exception):
+class NotArmedError(TestbedError):
     """The flight must not begin: red arming checks, or an operator who does not want to."""
 
     def __init__(self, reasons: Sequence[str]) -> None:

@@ -95,7 +95,7 @@ class PluggedThrusters:
         self._health = self._ask(self._driver.health, None)
         if self._health is None:
             self._ask(self._driver.close, None)
-            raise ThrustersError(self.trouble)
+            raise ThrustersError(self.trouble or f"{self.board} has no health to tell")
         return self
 
     def __exit__(self, *_: object) -> None:

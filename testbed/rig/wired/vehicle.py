@@ -21,6 +21,7 @@ import numpy as np
 import zenoh
 
 from testbed.config import Experiment
+from testbed.core.error import TestbedError
 from testbed.core.types import HostTick, Tick, Vitals
 from testbed.files import write_atomic
 from testbed.flight.loop import VehicleNode, fly
@@ -63,7 +64,7 @@ KEPT_S = 10.0
 PERMITTED_S = 3.0  # a flight that the host has not permitted by then will not be
 
 
-class VehicleError(Exception):
+class VehicleError(TestbedError):
     """This vehicle cannot fly."""
 
 

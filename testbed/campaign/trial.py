@@ -12,12 +12,13 @@ from pathlib import Path
 
 from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_of
 from testbed.campaign.score import beside_metrics
-from testbed.cli.run import fly_and_judge, measure, warm_up
 from testbed.config import ConfigError, Experiment, dump, loads
 from testbed.realtime.scheduling import settle, steady
 from testbed.rig.observers import MetricsObserver
-from testbed.rig.twin import make_twin
+from testbed.rig.twin import make_twin, warm_up
+from testbed.run.fly import fly_and_judge
 from testbed.run.folder import write_config, write_metrics
+from testbed.run.judge import measure
 
 
 def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:

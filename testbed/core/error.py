@@ -1,0 +1,24 @@
+"""The one family of errors that this software raises on purpose."""
+
+
+class TestbedError(Exception):
+    """Something the caller can act on: where, what was expected, what was found, what to do.
+
+    Args:
+        text: a plain sentence, where the four parts below do not apply.
+        where: the file, key, device or vehicle concerned.
+        expected: what would have been right.
+        found: what was there instead.
+        hint: what to do about it.
+    """
+
+    __test__ = False  # pytest must not collect it because of its name
+
+    def __init__(
+        self, text: str = "", *, where: str = "", expected: str = "", found: str = "",
+        hint: str = "",
+    ) -> None:  # fmt: skip
+        self.where, self.expected, self.found, self.hint = where, expected, found, hint
+        parts = (("expected", expected), ("found", found), ("hint", hint))
+        lines = [f"  {name:<8}  {part}" for name, part in parts if part]
+        super().__init__("\n".join([text or where, *lines]))

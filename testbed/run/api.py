@@ -1,0 +1,112 @@
+"""`import testbed`: fly an experiment from Python."""
+
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack, nullcontext
+from importlib.metadata import version
+from pathlib import Path
+from threading import current_thread, main_thread
+from typing import Literal
+
+from testbed.config import Experiment, dump, load
+from testbed.core.error import TestbedError
+from testbed.logs.log_reader import config_of, log_of
+from testbed.logs.replay import Replay
+from testbed.rig.boards import check_boards
+from testbed.rig.interface import Rig
+from testbed.rig.twin import make_twin
+from testbed.run.flown import Run, read_run
+from testbed.run.fly import fly_and_judge
+from testbed.run.folder import new_folder, take_back, write_config, write_metrics
+from testbed.run.interrupt import Interrupt
+from testbed.run.progress import Progress
+from testbed.run.replay import replay_experiment
+
+
+class InterruptedFlight(KeyboardInterrupt):
+    """Ctrl-C ended a flight; `run` holds what was flown."""
+
+    def __init__(self, run: Run) -> None:
+        super().__init__(f"interrupted after {run.metrics.duration_s:g} s of flight")
+        self.run = run
+
+
+def fly(
+    experiment: Experiment,
+    rig: Literal["twin", "bench"] = "twin",
+    log: str | Path | None = None,
+    progress: bool = False,
+) -> Run:
+    """Fly an experiment and judge it.
+
+    Args:
+        experiment: what to fly, from `testbed.load`.
+        rig: "twin", the simulated table; or "bench", real wires and firmware on this machine. The
+            table itself is flown with `testbed run --rig table`, beside an operator.
+        log: a new or empty folder for the run (config.toml, log.mcap, metrics.json); None: the run
+            is in memory only.
+        progress: show how far the flight is, on stderr.
+
+    Returns:
+        The run: `run.passed`, `run.metrics`, `run["sat1"].pose`.
+
+    Raises:
+        TestbedError: the experiment cannot fly on this rig, or the folder cannot be written. A
+            fault in flight is no exception: see `run.fault`.
+        InterruptedFlight: Ctrl-C; a KeyboardInterrupt. The flight was ended and its files were
+            finished first.
+    """
+    make = _maker(rig)
+    check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
+    interrupt = Interrupt()
+    with ExitStack() as stack:
+        if log is None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="testbed-")))
+        else:
+            folder = new_folder(Path(log), experiment.name)
+        stack.enter_context(
+            interrupt.caught() if current_thread() is main_thread() else nullcontext()
+        )
+        try:
+            write_config(folder, dump(experiment), version("airbearing-testbed"))
+            screen = Progress(experiment.duration_s) if progress else None
+            metrics = fly_and_judge(experiment, folder, interrupt, make(folder), screen=screen)
+        except TestbedError:
+            take_back(folder)
+            raise
+        write_metrics(folder, metrics)
+        run = read_run(folder, None if log is None else folder, experiment)
+    if interrupt.asked:
+        raise InterruptedFlight(run)
+    return run
+
+
+def _maker(rig: str) -> Callable[[Path], Callable[[Experiment], Rig]]:
+    if rig == "twin":
+        return lambda folder: make_twin
+    if rig == "bench":
+        from testbed.rig.wired.host import WireRig
+
+        return lambda folder: lambda experiment: WireRig(experiment, bench=True, log=folder)
+    raise TestbedError(where="rig", expected='"twin" or "bench"', found=repr(rig))
+
+
+def replay(run: Run, *overrides: str) -> Replay:
+    """Feed a run's logged inputs to today's code and compare its outputs to the last bit.
+
+    Args:
+        run: of `open_run`, or of `fly` with a log.
+        overrides: "key=value" of the experiment, to replay with other values.
+
+    Returns:
+        How many ticks were compared, and the first difference, if there is one.
+
+    Raises:
+        TestbedError: the run was not logged.
+    """
+    if run.folder is None:
+        raise TestbedError(
+            where="replay", expected="a run with a log", found="a run in memory",
+            hint='fly it with log="folder"',
+        )  # fmt: skip
+    return replay_experiment(load(config_of(run.folder), overrides), log_of(run.folder))

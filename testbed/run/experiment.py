@@ -1,0 +1,68 @@
+"""An experiment as Python code holds it: loaded, and changed by key."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from testbed import config
+
+
+class Experiment(config.Experiment, frozen=True, forbid_unknown_fields=True):
+    """An experiment with everything in place; it never changes, `with_` makes another one."""
+
+    def with_(self, changes: Mapping[str, Any] | None = None, **more: Any) -> "Experiment":
+        """The same experiment with other values.
+
+        Args:
+            changes: values by dotted key, as on the command line: `{"controller.k": 0.3}`; `*` in
+                a key means every entry.
+            more: the same as keyword arguments: `**{"controller.k": 0.3}`, `seed=7`.
+
+        Raises:
+            TestbedError: a key does not exist, or a value is not possible.
+        """
+        overrides = [f"{key}={toml(value)}" for key, value in {**(changes or {}), **more}.items()]
+        return of(config.loads(tomli_w.dumps(config.dump(self)), overrides))
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{self}</pre>"
+
+    def __str__(self) -> str:
+        vehicles = ", ".join(self.vehicles)
+        return f"{self.name}, seed {self.seed}, {self.duration_s:g} s: {vehicles}"
+
+
+def of(experiment: config.Experiment) -> Experiment:
+    """An experiment that was read from a file."""
+    return Experiment(**{f: getattr(experiment, f) for f in experiment.__struct_fields__})
+
+
+def load(name_or_path: str | Path, *overrides: str, seed: int | None = None) -> Experiment:
+    """Load an experiment.
+
+    Args:
+        name_or_path: the name of a shipped experiment (see `testbed list`), or the path of a file
+            or of a run folder's config.toml.
+        overrides: "key=value" as on the command line, applied in order; the value is TOML.
+        seed: of all random numbers in the twin.
+
+    Raises:
+        TestbedError: the file cannot be read, or something in it is wrong.
+    """
+    texts = [*overrides, *([] if seed is None else [f"seed={toml(seed)}"])]
+    return of(config.load(config.find(str(name_or_path)), texts))
+
+
+def toml(value: Any) -> str:
+    """A Python value as TOML writes it; numpy's numbers and arrays too."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Path):
+        value = str(value)
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{toml(str(k))} = {toml(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    return tomli_w.dumps({"value": value}).removeprefix("value = ").rstrip("\n")

@@ -1,0 +1,225 @@
+"""A run that was flown: its numbers, its columns, its figures."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.config import Experiment, load
+from testbed.core.error import TestbedError
+from testbed.logs.feed import LogFeed
+from testbed.logs.history import History, VehicleHistory, gather
+from testbed.logs.log_reader import LogReader, config_of, log_of
+from testbed.metrics.run_metrics import Metrics
+from testbed.report.chart import alone
+from testbed.report.figures import figures
+from testbed.run.post_mortem import judged
+from testbed.run.table import Table
+
+Array = NDArray[np.float64]
+UNITS = ("m", "m", "rad")
+RATES = ("m/s", "m/s", "rad/s")
+WRENCH = ("N", "N", "N m")
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """One vehicle's flight, one row per tick; NaN where there was nothing."""
+
+    t: Array  # (n,) time of the tick [s]
+    state_t: Array  # (n,) time that pose, twist and reference are for [s]
+    pose: Array  # (n, 3) estimated x, y, theta [m, m, rad]
+    twist: Array  # (n, 3) estimated vx, vy, omega [m/s, m/s, rad/s]
+    reference: Array  # (n, 3) where the vehicle was asked to be [m, m, rad]
+    wrench: Array  # (n, 3) asked of the jets, mean over the period, body frame [N, N, N m]
+    on_us: Array  # (n, jets) open time of each valve in the period; column 0 is jet 1 [us]
+    true_pose: Array  # (n, 3) true pose at `t`; NaN where the rig does not know it [m, m, rad]
+
+    def __repr__(self) -> str:
+        return f"Vehicle of {len(self.t)} ticks, {self.on_us.shape[1]} jets"
+
+
+class Run(Mapping[str, Vehicle]):
+    """A run: `run["sat1"].pose`, `run.metrics`, `run.plot()`.
+
+    Attributes:
+        experiment: what was flown.
+        metrics: the numbers of metrics.json.
+        folder: where the run is kept; None for a run without a log.
+    """
+
+    def __init__(
+        self, experiment: Experiment, metrics: Metrics, history: History,
+        folder: Path | None = None,
+    ) -> None:  # fmt: skip
+        self.experiment, self.metrics, self.folder = experiment, metrics, folder
+        self._history = history
+
+    @property
+    def criteria(self) -> dict[str, bool]:
+        """Each criterion of the experiment, met or not."""
+        return dict(self.metrics.criteria)
+
+    @property
+    def passed(self) -> bool:
+        """The flight reached its end without a fault and met all criteria."""
+        m = self.metrics
+        return m.completed and m.fault is None and not m.red and all(m.criteria.values())
+
+    @property
+    def fault(self) -> str | None:
+        """What ended the flight early; None if nothing did."""
+        return self.metrics.fault
+
+    def __getitem__(self, name: str) -> Vehicle:
+        """One vehicle's columns.
+
+        Raises:
+            KeyError: the run has no vehicle of this name; a `TestbedError` too.
+        """
+        if name not in self._history.vehicles:
+            raise UnknownVehicleError(
+                where="run", expected=f"one of {', '.join(self)}", found=repr(name)
+            )
+        return self._vehicles[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._history.vehicles)
+
+    def __len__(self) -> int:
+        return len(self._history.vehicles)
+
+    @cached_property
+    def _vehicles(self) -> dict[str, Vehicle]:
+        return {n: _columns(v, self._history.true_t) for n, v in self._history.vehicles.items()}
+
+    def table(self, name: str) -> Table:
+        """One vehicle's columns as a table with units, one number per cell."""
+        vehicle = self[name]
+        parts = (
+            ("", vehicle.pose, ("x", "y", "theta"), UNITS),
+            ("", vehicle.twist, ("vx", "vy", "omega"), RATES),
+            ("reference_", vehicle.reference, ("x", "y", "theta"), UNITS),
+            ("", vehicle.wrench, ("fx", "fy", "tau"), WRENCH),
+            ("true_", vehicle.true_pose, ("x", "y", "theta"), UNITS),
+        )
+        columns, units = {"t": vehicle.t, "state_t": vehicle.state_t}, {"t": "s", "state_t": "s"}
+        for prefix, values, names, kinds in parts:
+            for k, (one, unit) in enumerate(zip(names, kinds, strict=True)):
+                columns[prefix + one], units[prefix + one] = values[:, k], unit
+        for k in range(vehicle.on_us.shape[1]):
+            columns[f"jet{k + 1}_on"], units[f"jet{k + 1}_on"] = vehicle.on_us[:, k], "us"
+        return Table(columns, units)
+
+    def to_pandas(self) -> Any:
+        """All vehicles in one pandas DataFrame, the vehicle's name in the first column."""
+        import pandas as pd
+
+        frames = []
+        for name in self:
+            frame = self.table(name).to_pandas()
+            frame.insert(0, "vehicle", name)
+            frames.append(frame)
+        whole = pd.concat(frames, ignore_index=True)
+        whole.attrs["units"] = self.table(next(iter(self))).units
+        return whole
+
+    def plot(self, *keys: str) -> "Figures":
+        """The report's figures; a notebook shows them inline.
+
+        Args:
+            keys: which ones ("trajectory", "error", "valves", ...); all without.
+
+        Raises:
+            TestbedError: this run has no figure of that name.
+        """
+        charts = {chart.key: chart for chart in figures(self.experiment, self._history)}
+        for key in keys:
+            if key not in charts:
+                raise TestbedError(
+                    where="plot", expected=f"one of {', '.join(charts)}", found=repr(key)
+                )
+        return Figures({key: alone(charts[key]) for key in keys or charts})
+
+    def __repr__(self) -> str:
+        m = self.metrics
+        verdict = "passed" if self.passed else m.fault or (
+            "not completed" if not m.completed
+            else "failed " + ", ".join(k for k, met in m.criteria.items() if not met)
+        )  # fmt: skip
+        return f"Run of {m.experiment} on the {m.rig}, seed {m.seed}, {m.duration_s:g} s: {verdict}"
+
+
+class UnknownVehicleError(TestbedError, KeyError):
+    """A run has no vehicle of this name."""
+
+    __str__ = Exception.__str__  # KeyError would show the text in quotes
+
+
+class Figures(Mapping[str, str]):
+    """Figures as SVG, by name."""
+
+    def __init__(self, drawings: Mapping[str, str]) -> None:
+        self._drawings = dict(drawings)
+
+    def __getitem__(self, key: str) -> str:
+        """The SVG of one figure."""
+        return self._drawings[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._drawings)
+
+    def __len__(self) -> int:
+        return len(self._drawings)
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write each figure as KEY.svg into a folder, which is made if needed."""
+        out = Path(folder)
+        out.mkdir(parents=True, exist_ok=True)
+        paths = [out / f"{key}.svg" for key in self]
+        for path, drawing in zip(paths, self.values(), strict=True):
+            path.write_text(drawing, encoding="utf-8")
+        return paths
+
+    def __repr__(self) -> str:
+        return f"Figures: {', '.join(self)}"
+
+    def _repr_html_(self) -> str:
+        return "".join(f'<div style="max-width:640px">{drawing}</div>' for drawing in self.values())
+
+
+def _columns(vehicle: VehicleHistory, true_t: Array) -> Vehicle:
+    true = np.full((len(vehicle.t), 3), np.nan)
+    if len(true_t) == len(vehicle.true) and len(true_t):
+        at = np.clip(np.searchsorted(true_t, vehicle.t - 1e-9), 0, len(true_t) - 1)
+        same = np.abs(true_t[at] - vehicle.t) < 1e-6
+        true[same] = vehicle.true[at[same], :3]
+    return Vehicle(
+        vehicle.t, vehicle.at, vehicle.pose, vehicle.twist, vehicle.reference, vehicle.wanted,
+        np.rint(1e6 * vehicle.on), true,
+    )  # fmt: skip
+
+
+def open_run(folder: str | Path) -> Run:
+    """Open a run that was flown before.
+
+    Args:
+        folder: of the run, as `testbed run` or `testbed.fly(..., log=folder)` left it.
+
+    Raises:
+        TestbedError: it is not a run's folder, or its log cannot be read.
+    """
+    path = Path(folder)
+    home = path if path.is_dir() else path.parent
+    return read_run(path, home, load(config_of(path)))
+
+
+def read_run(files: Path, folder: Path | None, experiment: Experiment) -> Run:
+    """Read the files of a run, which is said to be kept in `folder`."""
+    log = log_of(files)
+    history = gather(LogFeed(LogReader(log)).news())
+    return Run(experiment, judged(log.parent, log, experiment, history), history, folder)

@@ -1,0 +1,163 @@
+"""One run: fly the experiment on its rig, write the log, judge the flight."""
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from testbed.config import Experiment
+from testbed.core.types import HostTick, Tick
+from testbed.flight.loop import Ending
+from testbed.logs.feed import Loop
+from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
+from testbed.metrics.characterisation import characterise
+from testbed.metrics.run_metrics import Metrics, ReferenceLog
+from testbed.realtime.pacer import Pace
+from testbed.realtime.scheduling import steady
+from testbed.rig.interface import Rig
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import TwinRig, make_twin, warm_up
+from testbed.run.interrupt import Interrupt
+from testbed.run.judge import measure
+
+FORMATION_S = 1.0  # between two entries of the five elements in the log [s]
+
+
+class FlightScreen(NullObserver):
+    """What a run shows while it lasts; this one shows nothing."""
+
+    phase = ""  # of the supervisor
+
+    def showing(self) -> AbstractContextManager[object]:
+        """The screen is there meanwhile."""
+        return nullcontext()
+
+    def flies(self) -> None:
+        """Everything is compiled, and the flight begins."""
+
+    def say(self, line: str) -> None:
+        """A line for the operator."""
+
+
+class FlightLog:
+    """Observer of a flight: writes the log, and keeps what the metrics need."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        references: Mapping[str, ReferenceLog],
+        recorder: Recorder,
+        screen: FlightScreen,
+        pace: Pace | None = None,
+    ) -> None:
+        self._rig, self._references = rig, references
+        self._recorder, self._screen, self._pace = recorder, screen, pace
+        self._seen = -1.0  # up to here the valves are in the log
+        self._logged = 0  # changes of phase that are in the log
+        self.trouble: str | None = None  # the log cannot be written: the flight has to end
+        self._next = 0.0  # when the five elements are due [s]
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+        self._record(f"/{name}/tick", tick.inputs.t, tick)
+        self._references[name].note(tick.outputs)
+        self._screen.vehicle(name, tick)
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+        self._record(f"/{name}/host", tick.inputs.t, tick)
+
+    def reports(self) -> None:
+        """Log what boards, wires and the supervisor have reported since the last call."""
+        for name, valves in self._rig.valves(since=self._seen):
+            self._record(f"/{name}/valves", max(0.0, valves.t), valves)
+        self._seen = self._rig.now
+        for name, at, wires in self._rig.paces():
+            self._record(f"/{name}/pace", at, wires)
+        events = self._rig.supervisor.events
+        for event in events[self._logged :]:
+            self._record("/supervisor", max(0.0, event.t), event)
+            self._screen.phase = event.phase
+        self._logged = len(events)
+
+    def _record(self, topic: str, t: float, message: Struct) -> None:
+        if self.trouble is None:
+            try:
+                self._recorder.write(topic, t, message)
+            except RecorderError as error:
+                self.trouble = str(error)
+
+    def _mark(self, t: float) -> None:
+        if self.trouble is None:
+            try:
+                for line in self._recorder.mark(t):
+                    self._screen.say(line)
+            except RecorderError as error:
+                self.trouble = str(error)
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
+        motions = {name: Motion(*state) for name, state in self._rig.truth()}
+        self._record("/truth", t, Truth(t, motions))
+        if len(motions) > 1 and t >= self._next:  # the five elements, live
+            self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
+            states = np.array([(m.x, m.y, m.vx, m.vy) for m in motions.values()])
+            self._record("/formation", t, characterise(states[:, :2], states[:, 2:]))
+        self.reports()
+        if (loop := self._rig.loop) is not None:
+            self._record("/loop", t, Loop(t, *loop))
+        if self._pace is not None:
+            self._record("/loop", t, Loop(t, self._pace.late_s, self._pace.busy_s))
+        self._mark(t)
+        self._screen.done(t)
+
+
+def fly_and_judge(
+    experiment: Experiment,
+    folder: Path,
+    interrupt: Interrupt | None = None,
+    make: Callable[[Experiment], Rig] = make_twin,
+    speed: float | None = None,
+    screen: FlightScreen | None = None,
+) -> Metrics:
+    """Fly, with the log in `folder`, and judge.
+
+    Args:
+        experiment: what is flown.
+        folder: of the run; `log.mcap` is written into it.
+        interrupt: ends the flight when it is asked.
+        make: builds the rig; by default the twin.
+        speed: of the twin, times real time; None: as fast as it goes.
+        screen: what is shown meanwhile.
+    """
+    interrupt, screen = interrupt or Interrupt(), screen or FlightScreen()
+    rig, ending, wall = make(experiment), Ending(0.0, None), 0.0
+    pace = None
+    if speed is not None and isinstance(rig, TwinRig):
+        pace = Pace(rig.twin, speed)
+        rig = replace(rig, pace=pace)
+    references = {name: ReferenceLog() for name in experiment.vehicles}
+    try:
+        with Recorder(folder / "log.mcap") as recorder, screen.showing():
+            with interrupt.at_once():
+                warm_up(experiment, lambda: interrupt.asked)
+            if not interrupt.asked:
+                log = FlightLog(rig, references, recorder, screen, pace)
+                screen.flies()
+                with steady():
+                    began = time.perf_counter()
+                    ending = rig.fly(
+                        log, stopped=lambda: interrupt.asked or log.trouble is not None
+                    )
+                    wall = time.perf_counter() - began
+                log.reports()
+                if log.trouble is not None:
+                    raise RecorderError(log.trouble)
+    except RecorderError as error:
+        ending = Ending(rig.now, f"log: {error}")
+    completed = ending.fault is None and ending.t >= experiment.end_s
+    return measure(rig, references, ending, wall, completed=completed)

@@ -1,0 +1,74 @@
+"""A flight judged: the numbers of metrics.json and which criteria were met."""
+
+from collections.abc import Mapping
+
+from testbed.config.guarantee import warnings_of
+from testbed.flight.loop import Ending
+from testbed.metrics.formation import formation_metrics
+from testbed.metrics.run_metrics import (
+    Metrics,
+    ReferenceLog,
+    judge,
+    judge_formation,
+    obstacle_distances,
+    smallest_separation,
+    vehicle_metrics,
+)
+from testbed.rig.chain import formation_context
+from testbed.rig.interface import Rig
+
+
+def measure(
+    rig: Rig,
+    references: Mapping[str, ReferenceLog],
+    ending: Ending,
+    wall: float,
+    *,
+    completed: bool,
+) -> Metrics:
+    """Judge a flight.
+
+    Args:
+        rig: what was flown; its truth is what is judged.
+        references: what each vehicle was asked to do.
+        ending: how the flight ended.
+        wall: how long it took by the wall clock [s].
+        completed: the flight reached its end.
+    """
+    experiment, track = rig.experiment, rig.track()
+    obstacles = experiment.obstacles
+    vehicles, clear = {}, True
+    for k, (name, setup) in enumerate(experiment.vehicles.items()):
+        distances = obstacle_distances(track, k, obstacles)
+        vehicles[name] = vehicle_metrics(
+            track,
+            k,
+            setup.goal,
+            references[name].aim(),
+            rig.spent(name),
+            distances,
+        )
+        clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
+    contacts = rig.contacts
+    together = formation_metrics(experiment.controller, formation_context(experiment), track)
+    wanted = experiment.criteria.formation
+    return Metrics(
+        experiment=experiment.name,
+        rig=rig.name,
+        seed=experiment.seed,
+        completed=completed,
+        duration_s=ending.t,
+        wall_s=wall,
+        real_time_factor=ending.t / wall if wall > 0.0 else None,
+        contacts=contacts,
+        min_vehicle_distance_m=smallest_separation(track),
+        fault=ending.fault,
+        criteria=judge(experiment.criteria, vehicles, contacts, clear)
+        | (judge_formation(wanted, together) if wanted else {}),
+        vehicles=vehicles,
+        **rig.wires(),
+        formation=together,
+        warnings=[*warnings_of(experiment), *rig.concerns()],
+        phase=rig.supervisor.phase,
+        red=rig.red,
+    )

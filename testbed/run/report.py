@@ -1,0 +1,35 @@
+"""The report page of a run, made from its folder."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from testbed.config import load
+from testbed.logs.feed import LogFeed
+from testbed.logs.history import gather
+from testbed.logs.log_reader import LogReader, log_of
+from testbed.report.page import ReportError, write_report
+from testbed.run.post_mortem import judged
+
+ZOOM = 4  # of a picture made of pixels: 2400 wide, 8 inches at 300 dpi
+
+
+def make_report(folder: Path) -> list[Path]:
+    """The files of the page; all that it says is in the folder."""
+    config, log = folder / "config.toml", log_of(folder)
+    scenario = load(config)
+    history = gather(LogFeed(LogReader(log)).news())
+    text = config.read_text(encoding="utf-8")
+    return write_report(folder, scenario, history, judged(folder, log, scenario, history), text)
+
+
+def make_pictures(drawings: Iterable[Path]) -> None:
+    """A PNG beside each SVG."""
+    try:
+        import resvg_py
+    except ImportError:
+        raise ReportError("PNG needs resvg-py: pip install 'airbearing-testbed[figures]'") from None
+    for drawing in drawings:
+        png = resvg_py.svg_to_bytes(
+            svg_string=drawing.read_text(encoding="utf-8"), zoom=ZOOM, font_family="DejaVu Sans"
+        )
+        drawing.with_suffix(".png").write_bytes(bytes(png))

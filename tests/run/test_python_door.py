@@ -1,0 +1,226 @@
+"""`import testbed`: what a script or a notebook is promised."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import testbed
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def hold():
+    return testbed.load("hold", "duration_s=6", "criteria={}", seed=3)
+
+
+@pytest.fixture(scope="module")
+def run(hold):
+    return testbed.fly(hold)
+
+
+def test_the_import_is_light():
+    code = (
+        "import sys, testbed; heavy = {'numba', 'scipy', 'zenoh', 'rerun', 'click', 'numpy'};"
+        "print(sorted(heavy & set(sys.modules)), testbed.__all__ == dir(testbed))"
+    )
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
+    assert done.stdout == "[] True\n", done.stderr
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'flyy'"):
+        testbed.flyy  # noqa: B018
+
+
+def test_a_run_has_columns_of_one_length(run):
+    sat1 = run["sat1"]
+    n = len(sat1.t)
+    assert n == 60
+    assert sat1.pose.shape == sat1.twist.shape == sat1.reference.shape == (n, 3)
+    assert sat1.wrench.shape == sat1.true_pose.shape == (n, 3)
+    assert sat1.on_us.shape == (n, 8)
+    np.testing.assert_allclose(sat1.t, 0.1 * np.arange(n), atol=1e-9)
+
+
+def test_truth_is_at_the_tick_and_the_estimate_at_its_own_time(run):
+    sat1 = run["sat1"]
+    assert sat1.true_pose[0, :2] == pytest.approx([0.0, -0.1], abs=1e-9)
+    known = ~np.isnan(sat1.state_t)
+    assert (sat1.state_t[known] > sat1.t[known]).all()
+    estimate = np.interp(sat1.t[20:-1], sat1.state_t[known], sat1.pose[known, 1])
+    assert np.abs(estimate - sat1.true_pose[20:-1, 1]).max() < 2e-3
+
+
+def test_a_run_is_a_mapping_of_vehicles(run):
+    assert list(run) == ["sat1"]
+    with pytest.raises(testbed.TestbedError, match="one of sat1") as caught:
+        run["sat2"]
+    assert isinstance(caught.value, KeyError)
+    assert caught.value.found == "'sat2'"
+    assert "sat2" not in run
+    assert run.get("sat2") is None
+
+
+def test_the_same_seed_is_the_same_flight_and_another_is_not(hold, run):
+    again, other = testbed.fly(hold), testbed.fly(hold.with_(seed=4))
+    np.testing.assert_array_equal(again["sat1"].true_pose, run["sat1"].true_pose)
+    assert not np.array_equal(other["sat1"].true_pose, run["sat1"].true_pose)
+
+
+def test_a_change_makes_another_experiment(hold):
+    faster = hold.with_({"controller.bandwidth": np.float64(0.3)}, seed=9)
+    assert (faster.controller.bandwidth, faster.seed) == (0.3, 9)
+    assert (hold.controller.bandwidth, hold.seed) == (0.2, 3)
+    many = hold.with_({"vehicles.*.model.mass": 15, "criteria": {"settle_s": 4.0}})
+    assert (many.vehicles["sat1"].model.mass, many.criteria.settle_s) == (15.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [({"controller.bandwith": 0.3}, "bandwidth"), ({"seed": -1}, "-1"), ({"duration_s": "x"}, "x")],
+)
+def test_a_wrong_change_says_where_and_what(hold, change, found):
+    with pytest.raises(testbed.TestbedError) as caught:
+        hold.with_(change)
+    error = caught.value
+    assert error.where
+    assert error.expected
+    assert found in str(error)
+
+
+def test_an_unknown_experiment_is_a_testbed_error():
+    with pytest.raises(testbed.TestbedError, match="did you mean `hold`"):
+        testbed.load("holt")
+
+
+def test_an_unknown_rig_and_a_run_without_a_log_are_refused(hold, run):
+    with pytest.raises(testbed.TestbedError, match="twin"):
+        testbed.fly(hold, rig="tabel")
+    with pytest.raises(testbed.TestbedError, match="fly it with log"):
+        testbed.replay(run)
+
+
+def test_a_log_is_kept_read_and_replayed(hold, run, tmp_path):
+    logged = testbed.fly(hold, log=tmp_path / "run")
+    assert {p.name for p in (tmp_path / "run").iterdir()} >= {"log.mcap", "metrics.json"}
+    read = testbed.open_run(tmp_path / "run")
+    for one in (logged, read):
+        np.testing.assert_array_equal(one["sat1"].true_pose, run["sat1"].true_pose)
+    assert testbed.replay(read).first_difference is None
+    assert testbed.replay(read, "flight.tracker.bandwidth=1.0").first_difference is not None
+    with pytest.raises(testbed.TestbedError, match="new or empty folder"):
+        testbed.fly(hold, log=tmp_path / "run")
+    with pytest.raises(testbed.TestbedError):
+        testbed.open_run(tmp_path)
+
+
+def test_tables_carry_units(run):
+    table = run.table("sat1")
+    assert (table.units["omega"], table.units["jet1_on"]) == ("rad/s", "us")
+    assert len({len(column) for column in table.values()}) == 1
+    assert table.units.keys() == set(table)
+    frame = run.to_pandas()
+    assert list(frame.columns[:2]) == ["vehicle", "t"]
+    assert frame.attrs["units"]["true_x"] == "m"
+    assert table.to_arrow().schema.field("fx").metadata == {b"unit": b"N"}
+    assert "[rad/s]" in table._repr_html_()
+
+
+def test_figures_are_those_of_the_report(run, tmp_path):
+    drawn = run.plot("trajectory", "valves")
+    assert [p.name for p in drawn.save(tmp_path)] == ["trajectory.svg", "valves.svg"]
+    assert drawn._repr_html_().count("<svg") == 2
+    with pytest.raises(testbed.TestbedError, match="trajectory"):
+        run.plot("trajektory")
+
+
+def test_a_sweep_is_a_table_and_two_processes_fly_the_same(hold):
+    short = hold.with_(duration_s=2)
+    over = {"controller.bandwidth": [0.1, 0.3]}
+    alone = testbed.sweep(short, over, seeds=range(2))
+    beside = testbed.sweep(short, over, seeds=range(2), jobs=2)
+    assert alone.rows == 4
+    assert alone["controller.bandwidth"].tolist() == [0.1, 0.1, 0.3, 0.3]
+    assert alone["seed"].tolist() == [0, 1, 0, 1]
+    for name in alone:
+        np.testing.assert_array_equal(alone[name], beside[name])
+    assert alone.units["impulse_ns"] == "N s"
+
+
+def test_a_sweep_refuses_a_wrong_key_before_it_flies(hold):
+    with pytest.raises(testbed.TestbedError, match="bandwidth"):
+        testbed.sweep(hold, {"controller.bandwith": [0.1]})
+
+
+def test_a_sweep_says_which_run_killed_its_process(hold, tmp_path):
+    law = tmp_path / "dies.py"
+    law.write_text(
+        "import os\nclass Dies:\n    step_s = 0.05\n"
+        "    def force(self, own, neighbours, world, t):\n"
+        "        os._exit(0) if t > 1.0 else None\n        return 0.0 * own.p\n"
+    )
+    dies = hold.with_(controller={"type": "python", "law": f"{law}:Dies"})
+    with pytest.raises(testbed.TestbedError, match="died while flying it"):
+        testbed.sweep(dies, seeds=range(2), jobs=2)
+
+
+def test_nothing_is_printed_and_progress_goes_to_stderr(hold, capfd):
+    testbed.fly(hold.with_(duration_s=1))
+    assert capfd.readouterr() == ("", "")
+    testbed.fly(hold.with_(duration_s=1), progress=True)
+    out, said = capfd.readouterr()
+    assert out == ""
+    assert "of 1 s" in said
+
+
+def test_ctrl_c_ends_a_flight_with_its_files(tmp_path):
+    code = (
+        "import os, signal, testbed\n"
+        "class Out:\n"
+        "    def __init__(self): self.n = 0\n"
+        "from testbed.run import fly as flying\n"
+        "done = flying.FlightLog.done\n"
+        "def at_two(self, t):\n"
+        "    done(self, t)\n"
+        "    if abs(t - 2.0) < 1e-6: os.kill(os.getpid(), signal.SIGINT)\n"
+        "flying.FlightLog.done = at_two\n"
+        "before = signal.getsignal(signal.SIGINT)\n"
+        "try: testbed.fly(testbed.load('hold'), log='run')\n"
+        "except KeyboardInterrupt as ended: print(ended.run.passed, ended.run['sat1'].t[20])\n"
+        "print(signal.getsignal(signal.SIGINT) is before)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(ROOT)}, restore_signals=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert done.stdout == "False 2.0\nTrue\n", done.stderr
+    assert not testbed.open_run(tmp_path / "run").passed
+
+
+def test_the_twin_is_driven_tick_by_tick(hold):
+    twin = testbed.Twin(hold)
+    for _ in range(30):
+        ticks = twin.step({"sat1": (0.2, 0.0)})
+    x, _, _, vx, *_ = twin.true_state("sat1")
+    assert twin.t == pytest.approx(3.0)
+    push = 0.2 / hold.vehicles["sat1"].model.mass  # the slope takes or gives 2 mm/s^2
+    assert vx == pytest.approx(2.9 * push, abs=2.9 * 0.004)
+    assert ticks["sat1"].outputs.state.pose.x == pytest.approx(x, abs=0.01)
+    with pytest.raises(testbed.TestbedError, match="one of sat1"):
+        twin.step({"sat2": (0.0, 0.0)})
+
+
+def test_two_twins_of_one_seed_fly_the_same(hold):
+    one, two = testbed.Twin(hold), testbed.Twin(hold)
+    for twin in (one, two):
+        for _ in range(10):
+            twin.step({"sat1": (0.1, 0.1)})
+    assert one.true_state("sat1") == two.true_state("sat1")
