@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
+from testbed.mocap.datagram import LARGEST
 from testbed.mocap.natnet import (
-    LARGEST,
     Described,
     MocapFrame,
     NatNetError,

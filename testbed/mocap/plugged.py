@@ -32,7 +32,7 @@ class PluggedSource:
             self._source: MocapSource = plugin.call(made, options, {"wire": wire})
         except (plugin.PluginError, msgspec.ValidationError) as error:
             raise OSError(f"{where}: {error}") from error
-        except Exception as error:  # a package of somebody else's may raise anything
+        except Exception as error:  # a plug-in may raise anything
             raise OSError(f"{where} cannot be used: {type(error).__name__}: {error}") from error
 
     def poll(self) -> list[Exposure]:

@@ -85,7 +85,7 @@ class PluggedThrusters:
             self._driver: ThrusterBoard = plugin.call(made, values, told)
         except (plugin.PluginError, msgspec.ValidationError) as error:
             raise ThrustersError(f"{self.board}: {error}") from error
-        except Exception as error:  # a package of somebody else's may raise anything
+        except Exception as error:  # a plug-in may raise anything
             why = f"{type(error).__name__}: {error}"
             raise ThrustersError(f"{self.board} cannot be used: {why}") from error
 
@@ -107,7 +107,7 @@ class PluggedThrusters:
         with self._lock:
             try:
                 return verb(*words, **more)
-            except Exception as error:  # a package of somebody else's may raise anything
+            except Exception as error:  # a plug-in may raise anything
                 why = f"{type(error).__name__}: {error}"
                 self.trouble = self.trouble or f"{self.board} failed: {why}"
                 return otherwise
