@@ -44,8 +44,8 @@ fuzz: $(DEV)  ## Feed rubbish to all that reads from outside (ROUNDS=10, two min
 	@ABT_SOAK=10 $(BIN)/python -m pytest tests/firmware/test_soak.py
 	@for round in $$(seq $(or $(ROUNDS),10)); do ABT_FUZZ=100000 ABT_ROUND=$$round \
 		$(BIN)/python -m pytest --hypothesis-seed=$$round tests/config/test_fuzz.py \
-		tests/config/test_fuzz_files.py tests/network/test_fuzz_network.py \
-		tests/mocap/test_fuzz_mocap.py tests/network/test_envelope.py tests/mocap/test_natnet.py \
+		tests/config/test_fuzz_files.py tests/net/test_fuzz_network.py \
+		tests/mocap/test_fuzz_mocap.py tests/net/test_envelope.py tests/mocap/test_natnet.py \
 		tests/firmware/test_hostile_board.py tests/firmware/test_assurance.py -k 'not line_of' \
 		|| exit 1; done
 

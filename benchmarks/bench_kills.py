@@ -26,8 +26,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from testbed.bench.server import TableReport
-from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
+from testbed.rig.wired.server import TableReport
 
 CASES = (
     "agent-kill", "agent-stop", "serial-cut", "host-kill", "host-stop", "zenoh-cut",
@@ -45,10 +45,10 @@ PATIENCE_S = 300.0
 HOST = """
 import json, signal, socket, sys, threading
 from pathlib import Path
-from testbed.bench.flight import PERMIT_S
-from testbed.bench.host import WireRig
+from testbed.rig.wired.wired_flight import PERMIT_S
+from testbed.rig.wired.host import WireRig
 from testbed.config import find, load
-from testbed.rig.onlookers import Nobody
+from testbed.rig.observers import Nobody
 from testbed.rig.twin import warm_up
 
 class Told(Nobody):

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 
 WAYS = ("normal end", "Ctrl-C", "SIGKILL")
 PATIENCE_NS = 300 * 10**9

@@ -10,11 +10,11 @@ import argparse
 import subprocess
 import sys
 
-from testbed.bench.host import WireRig
 from testbed.config import find, load
-from testbed.ops.steady import steady
-from testbed.rig.onlookers import Nobody
+from testbed.realtime.scheduling import steady
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import warm_up
+from testbed.rig.wired.host import WireRig
 
 
 def main():
@@ -35,7 +35,7 @@ def main():
     rig.on_start = started
     try:
         with steady():
-            ending = rig.fly(Nobody())
+            ending = rig.fly(NullObserver())
     finally:
         for hog in hogs:
             hog.kill()

@@ -23,14 +23,14 @@ from threading import Event, Thread
 
 import numpy as np
 
-from testbed.bench.flight import PRIORITY
 from testbed.cli.dash import Dashboard, address_for
 from testbed.cli.run import fly_and_judge
 from testbed.config import Experiment, dump, find, load
-from testbed.ops.feed import LogFeed
-from testbed.ops.folder import write_config
-from testbed.ops.history import gather
-from testbed.ops.logbook import Logbook
+from testbed.logs.feed import LogFeed
+from testbed.logs.history import gather
+from testbed.logs.log_reader import LogReader
+from testbed.rig.wired.wired_flight import PRIORITY
+from testbed.run.folder import write_config
 
 SETTLE_S = 1.0
 CASES = ("absent", "attached", "stopped", "killed", "again")
@@ -93,7 +93,7 @@ def lateness(folder: Path, case: str, seconds: float, speed: float, priority: in
     experiment, since, began = make_run(folder, speed * seconds), [], time.monotonic()
     with looked_at(folder, case, since), ahead(priority):
         fly_and_judge(experiment, folder, speed=speed)
-    loop = gather(LogFeed(Logbook(folder / "log.mcap")).news()).loop
+    loop = gather(LogFeed(LogReader(folder / "log.mcap")).news()).loop
     counts = loop[loop[:, 0] > speed * (since[0] - began + SETTLE_S), 1]
     if len(counts) < 100:
         raise RuntimeError(f"{case}: {len(counts)} ticks are too few; expected a larger --seconds")

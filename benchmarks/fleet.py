@@ -16,8 +16,8 @@ from pathlib import Path
 import tomli_w
 
 from testbed.config import dump, find, load
-from testbed.ops.steady import steady
-from testbed.rig.onlookers import Nobody
+from testbed.realtime.scheduling import steady
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 SPACING, STEP, RANGE, RIM = 2.0, 0.5, 2.5, 1.5  # [m]
@@ -49,7 +49,7 @@ def cost(experiment):
     rig = make_twin(experiment)
     with steady():  # as all flights are flown
         began = time.process_time()
-        ending = rig.fly(Nobody())
+        ending = rig.fly(NullObserver())
         spent = time.process_time() - began
     assert ending.fault is None, ending.fault
     assert not rig.contacts

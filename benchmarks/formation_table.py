@@ -18,8 +18,8 @@ import numpy as np
 
 from controllers.graph import formation
 from testbed.config import find, load
-from testbed.ops.metrics import obstacle_distances
-from testbed.rig.onlookers import Nobody
+from testbed.metrics.run_metrics import obstacle_distances
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 TOLERANCES = (0.05, 0.08)  # [m]
@@ -64,7 +64,7 @@ def fly(name, seed, overrides=(), drift=0.0):
     shape = formation(controller.formation, names, led)
     rig = make_twin(experiment)
     rig.twin.plant.x[:, 3] = drift
-    ending = rig.fly(Nobody())
+    ending = rig.fly(NullObserver())
     track, n = rig.track(), len(names)
     p = track.states[:, :, :2]
     gaps = {

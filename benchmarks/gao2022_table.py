@@ -18,8 +18,8 @@ import numpy as np
 
 from controllers.bifurcating_design import distance_to
 from testbed.config import find, load
-from testbed.ops.metrics import Track, smallest_separation
-from testbed.rig.onlookers import Nobody
+from testbed.metrics.run_metrics import Track, smallest_separation
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 FORMED = 0.10  # [m]
@@ -79,7 +79,7 @@ def main() -> None:
         experiment = load(find(options.experiment), overrides)
         rig = make_twin(experiment)
         began = perf_counter()
-        ending = rig.fly(Nobody())
+        ending = rig.fly(NullObserver())
         wall = perf_counter() - began
         track, touches = rig.track(), len(rig.twin.plant.touches)
         contacts += touches

@@ -23,7 +23,7 @@ from testbed.config import SHIPPED, find, load, read_toml
 from testbed.core.table import Table
 from testbed.core.types import Pose, ValveCommand
 from testbed.core.vehicle import Vehicle
-from testbed.rig.onlookers import Nobody
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 PERIOD = 0.1  # [s]
@@ -133,7 +133,7 @@ def main(seconds: float) -> None:
 
     def loop_round() -> Callable[[], object]:
         rig = make_twin(experiment)
-        return lambda: rig.fly(Nobody())
+        return lambda: rig.fly(NullObserver())
 
     rounds = (plant_round, mujoco_round, loop_round)
     for one in rounds:

@@ -14,8 +14,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from testbed.cli.drill import fly_case, shipped
-from testbed.core.injection import Injection
-from testbed.ops.drill import Drilled
+from testbed.core.fault_injection import Injection
+from testbed.faults.drill import Drilled
 
 TABLE = (
     "zhang2023_table", "zhang2023_table_wrench", "zhang2023_table_smc", "gao2022_table",

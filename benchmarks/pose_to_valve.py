@@ -27,15 +27,15 @@ from firmware_interface.frame import Decoder
 from firmware_interface.limits import limits_of
 from firmware_interface.line_tap import LineTap
 from firmware_interface.messages import Cmd
-from testbed.bench.host import free_port
 from testbed.config import find, load
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
-from testbed.ops.mocap.exposure import Axes
-from testbed.ops.mocap.natnet import Described, MocapFrame, RigidBody, encode_frame
-from testbed.ops.mocap.natnet_server import Address, NatNetServer
-from testbed.ops.steady import preferred, steady
-from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+from testbed.mocap.exposure import Axes
+from testbed.mocap.natnet import Described, MocapFrame, RigidBody, encode_frame
+from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.realtime.scheduling import preferred, steady
+from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
+from testbed.rig.wired.host import free_port
 
 WORDS = [
     "flight.jet_period_s=0.01", "vehicles.*.model.command_delay_s=0.0", "duration_s=10",
@@ -44,7 +44,7 @@ WORDS = [
 SETTLE = 5  # frames at the beginning of a turn
 BARE = """
 import os, socket, sys
-from testbed.ops.steady import preferred
+from testbed.realtime.scheduling import preferred
 one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 one.bind(("127.0.0.1", int(sys.argv[1])))
 line = os.open(sys.argv[2], os.O_RDWR | os.O_NOCTTY)
@@ -61,11 +61,11 @@ from firmware_interface.serial_thrusters import SerialThrusters
 from testbed.config import find, load
 from testbed.core.lab import MocapWire
 from testbed.core.types import Accel, Inputs, Pose, Reference, Trajectory, Twist
-from testbed.ops.mocap.natnet_client import NatNetClient
-from testbed.ops.mocap.poses import MocapPoses
-from testbed.ops.mocap.watch import BodyWatch
-from testbed.ops.steady import preferred, steady
-from testbed.ops.ticking import WallClock, monotonic_ns
+from testbed.mocap.natnet_client import NatNetClient
+from testbed.mocap.poses import MocapPoses
+from testbed.mocap.body_monitor import BodyWatch
+from testbed.realtime.scheduling import preferred, steady
+from testbed.realtime.wall_clock import WallClock, monotonic_ns
 from testbed.rig.chain import make_agent
 from testbed.rig.twin import warm_up
 name, port, command, words = sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.argv[4:]

@@ -19,8 +19,8 @@ import tty
 
 import numpy as np
 
-from testbed.ops.steady import preferred
-from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+from testbed.realtime.scheduling import preferred
+from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 
 MESSAGE = bytes(90)
 

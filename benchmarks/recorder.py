@@ -21,8 +21,8 @@ import msgspec
 import numpy as np
 
 from testbed.core.types import HostTick, Tick
-from testbed.ops.logbook import Logbook
-from testbed.ops.recorder import Motion, Recorder, Truth
+from testbed.logs.log_reader import LogReader
+from testbed.logs.recorder import Motion, Recorder, Truth
 
 VEHICLES, RATE_HZ = 6, 100.0
 
@@ -91,7 +91,7 @@ def lost_by_kill(path: Path, instant: float) -> float:
     os.kill(scribe, signal.SIGKILL)
     rest, _ = flight.communicate()
     handed_over = int(rest.split()[-1]) / RATE_HZ if rest.split() else 0.0
-    stamps = [row.stamp * 1e-9 for row in Logbook(path).read()]
+    stamps = [row.stamp * 1e-9 for row in LogReader(path).read()]
     return max(0.0, handed_over - stamps[-1]) if stamps else handed_over
 
 
@@ -108,7 +108,7 @@ def main() -> None:
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         scribe = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         stamps: dict[str, list[int]] = {}
-        for row in Logbook(path).read():
+        for row in LogReader(path).read():
             stamps.setdefault(row.topic, []).append(row.stamp)
         gaps = sum(int(np.sum(np.diff(s) != round(1e9 / RATE_HZ))) for s in stamps.values())
         count = sum(len(s) for s in stamps.values())

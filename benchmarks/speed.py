@@ -17,12 +17,12 @@ from pathlib import Path
 from testbed.cli.run import fly_and_judge
 from testbed.config import Experiment, find, load
 from testbed.core.types import HostTick, Tick
-from testbed.ops.steady import steady
-from testbed.rig.onlookers import Nobody
+from testbed.realtime.scheduling import steady
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 
-class Memory(Nobody):
+class Memory(NullObserver):
     """Keeps what it is told."""
 
     def __init__(self) -> None:

@@ -1,6 +1,6 @@
 """A modelled driver board: plans in, opening and closing commands to the solenoids out.
 
-Or a real one outside of the twin, whose edges are the commands (`DrivenBoard`).
+Or a real one outside of the twin, whose edges are the commands (`FirmwareBoard`).
 
 Command times are whole nanoseconds, so that what the board does can be said exactly. Rules, the
 same as the firmware's:
@@ -148,7 +148,7 @@ class Driver(Protocol):
         ...
 
 
-class DrivenBoard:
+class FirmwareBoard:
     """One vehicle's solenoids behind somebody else's board."""
 
     def __init__(

@@ -16,8 +16,8 @@ from sim_twin.board import (
     LONG_AGO,
     SLOTS,
     Board,
-    DrivenBoard,
     Driver,
+    FirmwareBoard,
     Pulses,
     nanoseconds,
     no_pulses,
@@ -26,7 +26,7 @@ from sim_twin.body import new_stages, step
 from sim_twin.contact import Solids, closing, keys, resolve
 from sim_twin.flow import pieces
 from sim_twin.ground import lay
-from sim_twin.metal import forge
+from sim_twin.plant_parameters import sample_plant
 from sim_twin.randomness import stream
 from testbed.core.compiled import borrowed, compiled, inlined, keep, settled
 from testbed.core.table import Obstacle, Table
@@ -173,7 +173,7 @@ class Plant:
         self.names = list(vehicles)
         solid = {name: o for name, o in obstacles.items() if o.solid > 0.0}
         self._others = [*self.names, "right edge", "left edge", "upper edge", "lower edge", *solid]
-        self.metal = forge(vehicles, seed)
+        self.metal = sample_plant(vehicles, seed)
         self._ground = lay(table)
         self._solids = Solids(
             np.array([o.position for o in solid.values()], dtype=float).reshape(-1, 2),
@@ -186,10 +186,10 @@ class Plant:
         self.used = np.zeros(count)  # gas [kg]
         self.impulse = np.zeros(count)  # of all jets together [N s]
         self._pulses = no_pulses(count, self.metal.thrust.shape[1])
-        self.boards: dict[str, Board | DrivenBoard] = {}
+        self.boards: dict[str, Board | FirmwareBoard] = {}
         for k, (name, vehicle) in enumerate(vehicles.items()):
             own = vehicle, self._pulses_of(k), stream(seed, name, "pulses")
-            self.boards[name] = DrivenBoard(*own, drivers[name]) if drivers else Board(*own)
+            self.boards[name] = FirmwareBoard(*own, drivers[name]) if drivers else Board(*own)
         self._stuck: dict[tuple[int, int], tuple[bool, int, int]] = {}
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []

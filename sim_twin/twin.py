@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from sim_twin.board import Driver
 from sim_twin.camera import Camera
 from sim_twin.channel import Air, Channel
+from sim_twin.fault_injection import Sabotage
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
-from sim_twin.sabotage import Sabotage
-from testbed.core.injection import Injection
+from testbed.core.fault_injection import Injection
 from testbed.core.table import Obstacle, Table
 from testbed.core.types import (
     ALL_WELL,
     Health,
+    LawMessage,
     Pose,
     PoseSample,
     Setpoint,
     State,
-    Told,
     ValveCommand,
     Vitals,
 )
@@ -75,11 +75,13 @@ class Twin:
         self.setpoints = {n: channel("host", n) for n in self.names}
         self.to_host: Air[State] = Air(channel)
         self.states: Air[State] = Air(channel)
-        self.words: Air[Told] = Air(lambda a, b: channel(a, f"the law of {b}"))
+        self.words: Air[LawMessage] = Air(lambda a, b: channel(a, f"the law of {b}"))
         self._reach = link.range_m
         self._near_at = -math.inf
         self._near = {n: [other for other in self.names if other != n] for n in self.names}
-        self.blackboard: dict[str, tuple[float, Told, Told | None]] = {}  # of laws on the host
+        self.blackboard: dict[
+            str, tuple[float, LawMessage, LawMessage | None]
+        ] = {}  # of laws on the host
 
     def wait_until(self, t: float) -> None:
         """Let the world move on to `t`."""
@@ -193,12 +195,12 @@ class TwinVehicleLink:
             if other in twin.listeners:
                 twin.states.between(self._name, other).send(now, state, twin.trouble(other))
 
-    def told(self) -> dict[str, Told]:
+    def told(self) -> dict[str, LawMessage]:
         """See `VehicleLink`."""
         twin, own = self._twin, self._name
         return twin.words.heard(own, twin.near(own), twin.now)
 
-    def tell(self, told: Told) -> None:
+    def tell(self, told: LawMessage) -> None:
         """See `VehicleLink`."""
         twin = self._twin
         for other in twin.near(self._name):
@@ -227,7 +229,7 @@ class TwinHostLink:
         twin = self._twin
         twin.setpoints[self._name].send(twin.now, setpoint, twin.trouble(self._name))
 
-    def told(self) -> dict[str, Told]:
+    def told(self) -> dict[str, LawMessage]:
         """See `HostLink`. The laws share a computer, and hear what was said before this tick."""
         words = {}
         for name, (said_at, newest, before) in self._twin.blackboard.items():
@@ -236,7 +238,7 @@ class TwinHostLink:
                 words[name] = told
         return words
 
-    def tell(self, told: Told) -> None:
+    def tell(self, told: LawMessage) -> None:
         """See `HostLink`."""
         board, now = self._twin.blackboard, self._twin.now
         _, newest, _ = board.get(self._name, (now, None, None))

@@ -19,9 +19,9 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from testbed.cli.dash import Dashboard, address_for
-from testbed.ops.feed import LogFeed
-from testbed.ops.history import gather
-from testbed.ops.logbook import Logbook
+from testbed.logs.feed import LogFeed
+from testbed.logs.history import gather
+from testbed.logs.log_reader import LogReader
 
 HERE = Path(__file__).parent
 MIDDLE_S = 37.0  # two vehicles pass the obstacles
@@ -46,7 +46,7 @@ def keep(png: bytes, name: str, width: int) -> None:
 
 def dashboard(run: Path) -> bytes:
     """The viewer without a screen, when it has everything."""
-    end = gather(LogFeed(Logbook(run / "log.mcap")).news()).end
+    end = gather(LogFeed(LogReader(run / "log.mcap")).news()).end
     board = Dashboard(run, "headless", address_for())
     try:
         board.open(Event().wait)

@@ -25,8 +25,8 @@ from testbed.campaign.sweep import (
     read_file,
 )
 from testbed.config import ConfigError, dump
+from testbed.config.error import did_you_mean
 from testbed.config.experiment import Seed
-from testbed.config.mistake import did_you_mean
 
 SHIPPED, OFF = "as its file", "off"
 

@@ -12,8 +12,8 @@ FLIES = (
 )  # fmt: skip
 FILES = (  # which runs there are, and what a flight's numbers are
     "testbed/campaign/sweep.py", "testbed/campaign/row.py", "testbed/campaign/score.py",
-    "testbed/cli/trial.py", "testbed/cli/run.py", "testbed/ops/metrics.py",
-    "testbed/ops/formation.py",
+    "testbed/cli/trial.py", "testbed/cli/run.py", "testbed/metrics/run_metrics.py",
+    "testbed/metrics/formation.py",
 )  # fmt: skip
 LIBRARIES = ("numba", "numpy", "scipy")
 

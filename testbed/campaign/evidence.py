@@ -16,7 +16,7 @@ from testbed.campaign.row import Flown, columns_of, outcome_of, within
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, load
 from testbed.core.types import Tick
-from testbed.ops.metrics import Metrics, Track
+from testbed.metrics.run_metrics import Metrics, Track
 
 NEEDED = ("config.toml", "log.mcap", "metrics.json")
 

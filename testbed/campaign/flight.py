@@ -29,7 +29,7 @@ from testbed.campaign.journal import Head, Journal, JournalError
 from testbed.campaign.row import Flown, Kept, Task, within
 from testbed.campaign.sweep import Campaign, CampaignFile, deciding, difference, read_file
 from testbed.config import ConfigError, read_toml
-from testbed.ops.whole import named, write_whole
+from testbed.files import named, write_atomic
 
 UNLIKE = "unlike.txt"  # in a run's folder: what was not the same the second time
 MOST_WARMED = 20  # combinations of a grid; others are compiled by their worker
@@ -159,8 +159,8 @@ def fly_campaign(
         EngineError: nobody is there to fly.
     """
     with open_journal(campaign, folder) as journal:
-        write_whole(folder / "campaign.toml", text)
-        write_whole(folder / "base.toml", campaign.base.encode())
+        write_atomic(folder / "campaign.toml", text)
+        write_atomic(folder / "base.toml", campaign.base.encode())
         runs = flown_before(campaign, journal.found)
         resumed = len(runs)
         tasks = [

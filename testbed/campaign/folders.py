@@ -23,9 +23,9 @@ from testbed.campaign.evidence import read_run
 from testbed.campaign.row import Flown
 from testbed.campaign.sweep import covers, experiment_path
 from testbed.config import ConfigError, Experiment, dump, load
+from testbed.config.error import did_you_mean, show
 from testbed.config.key import ANY, Key, assignment, printable, spell
-from testbed.config.mistake import did_you_mean, show
-from testbed.ops.metrics import Metrics
+from testbed.metrics.run_metrics import Metrics
 
 NOT_COMPARED: tuple[Key, ...] = (("name",), ("description",), ("seed",))
 OF_A_LAB: tuple[Key, ...] = (("table",), ("vehicles", ANY, "model"), ("board",))

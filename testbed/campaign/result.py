@@ -7,7 +7,7 @@ from typing import Any
 from testbed.campaign.extra import needs_extra
 from testbed.campaign.row import Flown
 from testbed.campaign.sweep import Campaign
-from testbed.ops.whole import whole
+from testbed.files import whole
 
 Table = dict[str, list[Any]]
 

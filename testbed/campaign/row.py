@@ -12,8 +12,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.config import ConfigError, Experiment
-from testbed.config.mistake import did_you_mean
-from testbed.ops.metrics import TO_THE_START, Metrics, VehicleMetrics
+from testbed.config.error import did_you_mean
+from testbed.metrics.run_metrics import TO_THE_START, Metrics, VehicleMetrics
 
 Task = tuple[int, tuple[str, ...]]  # run, "key=value" on top of the base experiment
 Number = float | int | None

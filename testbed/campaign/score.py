@@ -21,7 +21,7 @@ from controllers.collision_sliding import CollisionSlidingParams
 from controllers.connectivity_dynamic import ConnectivityDynamicParams
 from controllers.connectivity_static import ConnectivityStaticParams
 from testbed.config import Experiment, VehicleSetup
-from testbed.ops.metrics import HOLD_S, Track, obstacle_distances
+from testbed.metrics.run_metrics import HOLD_S, Track, obstacle_distances
 
 FORMS = (  # laws that form something and do not care for the goal's position
     BifurcatingParams,

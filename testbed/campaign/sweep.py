@@ -43,11 +43,11 @@ from scipy.stats import norm, qmc
 from testbed.campaign.inline import inline
 from testbed.campaign.row import COLUMNS, check_columns, check_vehicles
 from testbed.config import ConfigError, Experiment, dump, find, load, loads, read_toml
+from testbed.config.error import show
 from testbed.config.experiment import Seed
 from testbed.config.key import ANY, Key, assignment, spell
-from testbed.config.misfit import first_misfit
-from testbed.config.mistake import show
 from testbed.config.tree import leaves
+from testbed.config.validation import first_misfit
 from testbed.core.table import Probability
 from testbed.core.vehicle import Positive
 

@@ -44,9 +44,9 @@ from testbed.campaign.sweep import (
     read_file,
 )
 from testbed.config import ConfigError, dump, load
+from testbed.config.error import show
 from testbed.config.experiment import Seed
 from testbed.config.key import assignment
-from testbed.config.mistake import show
 from testbed.core.vehicle import Positive
 
 BROKEN = 1e6  # what breaking the safety bounds costs, for each of the runs that do

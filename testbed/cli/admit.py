@@ -15,7 +15,7 @@ from rich.table import Table as Grid
 from testbed.cli.main import FAILED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, Experiment, find, load
-from testbed.ops.admission import (
+from testbed.metrics.admission import (
     Admission,
     AdmissionParams,
     Flown,
@@ -23,16 +23,16 @@ from testbed.ops.admission import (
     nearest_edge,
     nearest_rims,
 )
-from testbed.ops.metrics import obstacle_distances
+from testbed.metrics.run_metrics import obstacle_distances
 from testbed.rig.chain import fence_of
-from testbed.rig.onlookers import Nobody
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 
 def fly_once(experiment: Experiment, seed: int) -> Flown:
     """One flight in the twin, without injected faults."""
     rig = make_twin(replace(experiment, seed=seed, inject=[]))
-    ending = rig.fly(Nobody())
+    ending = rig.fly(NullObserver())
     track, models = rig.track(), {n: s.model for n, s in experiment.vehicles.items()}
     radii = [model.radius for model in models.values()]
     solid = {n: rock for n, rock in experiment.obstacles.items() if rock.solid > 0.0}

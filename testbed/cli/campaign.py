@@ -33,7 +33,7 @@ from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, fly_with_log, read, warm
 from testbed.config import ConfigError
 from testbed.config.tree import trouble_at
-from testbed.ops.whole import write_whole
+from testbed.files import write_atomic
 
 TROUBLE = (ConfigError, JournalError, EngineError, MissingExtraError, OSError)
 
@@ -94,9 +94,9 @@ def write_results(campaign: Campaign, ended: Ended, folder: Path) -> Summary:
     table = table_of(campaign, ended.runs)
     facts = {"campaign": campaign.file.name, "description": campaign.file.description}
     write_parquet(folder / "results.parquet", table, facts)
-    write_whole(folder / "summary.json", json_of(summary))
+    write_atomic(folder / "summary.json", json_of(summary))
     page = html_report(campaign, summary, ended.runs, table, folder)
-    write_whole(folder / "report.html", page.encode())
+    write_atomic(folder / "report.html", page.encode())
     return summary
 
 

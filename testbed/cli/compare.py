@@ -11,17 +11,17 @@ from rich.console import Console
 from rich.table import Table as Grid
 
 from testbed.cli.main import OK
-from testbed.cli.postmortem import judged
 from testbed.cli.refusal import refuse
 from testbed.cli.replay import config_of
 from testbed.config import ConfigError, Experiment, load
-from testbed.ops.chart import HUES, Chart, Disc, Item, Limit, Line
-from testbed.ops.feed import LogFeed
-from testbed.ops.formation import has_formation
-from testbed.ops.history import History, gather
-from testbed.ops.logbook import Logbook, LogError, log_of
-from testbed.ops.metrics import Metrics
-from testbed.ops.report import (
+from testbed.logs.feed import LogFeed
+from testbed.logs.history import History, gather
+from testbed.logs.log_reader import LogError, LogReader, log_of
+from testbed.metrics.formation import has_formation
+from testbed.metrics.run_metrics import Metrics
+from testbed.report.chart import HUES, Chart, Disc, Item, Limit, Line
+from testbed.report.goal_error import Wanted
+from testbed.report.page import (
     OF_A_GOAL,
     ROWS,
     UNCOUNTED,
@@ -31,7 +31,7 @@ from testbed.ops.report import (
     page,
     together_of,
 )
-from testbed.ops.wanted import Wanted
+from testbed.run.post_mortem import judged
 
 TOGETHER = {  # key of a row, of the formation's metrics
     "formation_error_m": "error_m", "formation_settled_s": "settled_s",
@@ -83,7 +83,7 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
 def read_run(folder: Path, label: str) -> Run:
     """A run, whole."""
     log, experiment = log_of(folder), load(config_of(folder))
-    history = gather(LogFeed(Logbook(log)).news())
+    history = gather(LogFeed(LogReader(log)).news())
     return Run(label, experiment, history, judged(log.parent, log, experiment, history))
 
 

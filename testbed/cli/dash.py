@@ -15,8 +15,7 @@ from rich.console import Console
 
 from testbed.cli.main import OK
 from testbed.cli.refusal import errors, refuse
-from testbed.ops.logbook import LogError, log_of
-from testbed.ops.viewer import (
+from testbed.dashboard.viewer import (
     LOOPBACK,
     Address,
     Kind,
@@ -27,6 +26,7 @@ from testbed.ops.viewer import (
     start,
     step_back,
 )
+from testbed.logs.log_reader import LogError, log_of
 
 PERIOD_S = 0.2
 PATIENCE = 150  # periods until a viewer must listen
@@ -60,7 +60,7 @@ class Dashboard:
 
     def _tell(self) -> None:
         self.teller = subprocess.Popen(
-            [sys.executable, "-m", "testbed.cli.teller", str(self._run), self.address.data],
+            [sys.executable, "-m", "testbed.dashboard.feeder", str(self._run), self.address.data],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             env={"RUST_LOG": "off"} | os.environ,  # rerun would write into the operator's table
         )  # fmt: skip
@@ -149,7 +149,7 @@ def leave(board: "subprocess.Popen[bytes]") -> None:
 
 def play_run(run: Path) -> None:
     """A recorded run in a window, with time control; returns when it is closed."""
-    from testbed.cli.picture import write_recording
+    from testbed.dashboard.recording import write_recording
 
     with TemporaryDirectory() as folder:
         try:

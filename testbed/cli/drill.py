@@ -18,11 +18,9 @@ from sim_twin.board import last_closing
 from testbed.cli.main import FAILED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, Experiment, find, load
-from testbed.core.injection import Injection
+from testbed.core.fault_injection import Injection
 from testbed.core.types import HostTick, Tick
-from testbed.flight.faults import SEVERITY
-from testbed.flight.loop import complaint
-from testbed.ops.drill import (
+from testbed.faults.drill import (
     ADRIFT,
     ASKED,
     DEAD_WITHIN,
@@ -34,6 +32,8 @@ from testbed.ops.drill import (
     draw,
     summarise,
 )
+from testbed.flight.faults import SEVERITY
+from testbed.flight.loop import complaint
 from testbed.rig.chain import fence_of
 from testbed.rig.twin import TwinRig, make_twin
 

@@ -15,15 +15,15 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.progress import track
 
-from testbed.bench.server import TableReport
 from testbed.cli.drill import shipped, somewhere
 from testbed.config import dump
-from testbed.core.injection import Injection
+from testbed.core.fault_injection import Injection
+from testbed.faults.drill import ADRIFT, DEAD_WITHIN, NAMES, Drilled, deadline, draw
 from testbed.flight.faults import SEVERITY
-from testbed.ops.drill import ADRIFT, DEAD_WITHIN, NAMES, Drilled, deadline, draw
-from testbed.ops.network.orders import Ended
-from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+from testbed.net.commands import Ended
+from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.twin import warm_up
+from testbed.rig.wired.server import TableReport
 
 EXPERIMENT = "zhang2023_table"
 COUNT = 72
@@ -113,7 +113,7 @@ class DrillError(Exception):
 
 def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
     """One flight, whatever becomes of its host."""
-    words = [sys.executable, "-m", "testbed.bench.rehearse", str(file), str(folder)]
+    words = [sys.executable, "-m", "testbed.rig.wired.rehearse", str(file), str(folder)]
     host = subprocess.Popen(words, start_new_session=True, stderr=subprocess.PIPE)
     start, report = folder / "start.json", folder / "report.json"
     end = monotonic_ns() + round(1e9 * (duration_s + GRACE_S))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from testbed.ops.network.badge import Badge
+    from testbed.net.credentials import Credentials
 
 PORT = 7450
 WORD = r"[A-Za-z0-9_-]{1,32}"
@@ -70,7 +70,7 @@ def lab_keys(
       testbed lab-keys keys                     who is there, and until when
     """  # noqa: D301
     from testbed.cli.main import BAD_INPUT, OK
-    from testbed.ops.network.badge import BadgeError
+    from testbed.net.credentials import BadgeError
 
     wanted = [("vehicle", name) for name in vehicle]
     wanted += [("operator", name) for name in operator] + [("watcher", name) for name in watcher]
@@ -95,8 +95,14 @@ def _make(
     folder: Path, host: Sequence[str], wanted: list[tuple[str, str]],
     where: tuple[str | None, int | None], days: int, *, force: bool, renew: bool,
 ) -> None:  # fmt: skip
-    from testbed.ops.authority import Wanted, addresses_of, host_badge, listed, make_keys
-    from testbed.ops.network.badge import BadgeError
+    from testbed.net.certificate_authority import (
+        Wanted,
+        addresses_of,
+        host_badge,
+        listed,
+        make_keys,
+    )
+    from testbed.net.credentials import BadgeError
 
     there, before = host_badge(folder), listed(folder)
     lab, port = where
@@ -141,7 +147,7 @@ def _endpoint(host: str, port: int) -> str:
     return f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}"
 
 
-def _show(folder: Path, badges: "Sequence[Badge]") -> None:
+def _show(folder: Path, badges: "Sequence[Credentials]") -> None:
     for badge in badges:
         sys.stdout.write(
             f"{folder / badge.common_name}  until {badge.expires[:10]}\n"

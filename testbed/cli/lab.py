@@ -97,6 +97,6 @@ def poses(
 @click.pass_context
 def stop(context: click.Context, connect: str | None, lab: str, keys: Path | None) -> None:
     """Stop whatever flies: shut every valve, now."""
-    from testbed.ops.stop import stop_everything
+    from testbed.net.stop import stop_everything
 
     context.exit(stop_everything(connect, lab, keys))

@@ -17,7 +17,7 @@ from rich.table import Table as Grid
 
 from testbed.config import Experiment
 from testbed.core.types import Tick
-from testbed.ops.wanted import Wanted
+from testbed.report.goal_error import Wanted
 
 REFRESH_HZ = 8
 
@@ -108,7 +108,7 @@ class LiveTable:
         setup, out = self._experiment.vehicles[name], tick.outputs
         left = tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
         gas = f"{100.0 * left:.0f}" if left > 0.0 else "-"  # no gauge
-        said = escape(out.fault or out.closed_because or "")
+        said = escape(out.fault or out.inhibit_reason or "")
         state = f"[red]{said}[/]" if out.fault else f"[yellow]{said}[/]" if said else "flies"
         if (now := out.state) is None:
             return name, state, "-", "-", "-", gas, "-"

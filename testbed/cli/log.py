@@ -9,15 +9,15 @@ from rich.table import Table as Grid
 
 from testbed.cli.main import OK
 from testbed.cli.refusal import refuse
-from testbed.ops.export import WRITERS, ExportError, tables
-from testbed.ops.logbook import Logbook, LogError, log_of
-from testbed.ops.topics import Contents, survey
+from testbed.logs.export import WRITERS, ExportError, tables
+from testbed.logs.log_reader import LogError, LogReader, log_of
+from testbed.logs.topics import Contents, survey
 
 
 def show_log(run: Path, as_json: bool) -> int:
     """Print what is in a log."""
     try:
-        book = Logbook(log_of(run))
+        book = LogReader(log_of(run))
         topics = survey(book.read(), book.kinds)
     except LogError as error:
         return refuse(error)
@@ -50,11 +50,11 @@ def export_run(run: Path, kind: str, out: Path | None) -> int:
         folder = out or log_of(run).parent / "export"
         folder.mkdir(parents=True, exist_ok=True)
         if kind == "rrd":
-            from testbed.cli.picture import write_recording
+            from testbed.dashboard.recording import write_recording
 
             paths = [write_recording(run, folder / "run.rrd")]
         else:
-            book = Logbook(log_of(run))
+            book = LogReader(log_of(run))
             paths = WRITERS[kind](tables(book.read(), book.kinds), folder)
     except (LogError, ExportError, ValueError, OSError) as error:
         return refuse(error)

@@ -88,6 +88,6 @@ def bench(
 
     Standard scenarios under all laws; FILE, if given, is another benchmark than the shipped one.
     """
-    from testbed.cli.bench import run_benchmark
+    from testbed.cli.benchmark import run_benchmark
 
     context.exit(run_benchmark(file, out, jobs, scheduler, as_json, samples, only, runs, commands))

@@ -9,7 +9,7 @@ import click
 from testbed.cli.live import LiveTable
 from testbed.cli.refusal import errors
 from testbed.config import ConfigError, Experiment
-from testbed.ops.latch import Latch
+from testbed.rig.fault_latch import FaultLatch
 
 
 class Operator:
@@ -42,7 +42,9 @@ class Operator:
                 "command line", "--arm", "somebody at a terminal who is asked, or --arm", "neither"
             )
 
-    def latched(self, rig: str, experiment: Experiment, folder: str) -> tuple[Latch, str | None]:
+    def latched(
+        self, rig: str, experiment: Experiment, folder: str
+    ) -> tuple[FaultLatch, str | None]:
         """The lab's latch, and the fault in it that the operator wants to be reset.
 
         On the bench it is said and reset: the vehicles are put back to their starts, and nobody is
@@ -51,7 +53,7 @@ class Operator:
         Raises:
             ConfigError: nobody has looked at it.
         """
-        latch = Latch(rig, experiment.table.lab.network.lab, folder)
+        latch = FaultLatch(rig, experiment.table.lab.network.lab, folder)
         fault = latch.fault
         if fault is None or self._reset:
             return latch, fault

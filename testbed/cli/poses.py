@@ -19,13 +19,13 @@ from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
-from testbed.ops.mocap.exposure import Axes, Exposure, MocapSource
-from testbed.ops.mocap.natnet_client import NatNetClient
-from testbed.ops.mocap.source import datagrams, make_source
-from testbed.ops.network.access import open_lab
-from testbed.ops.network.keys import Keys
-from testbed.ops.network.session import NetworkError, NobodyError, dial
-from testbed.ops.ticking import monotonic_ns, sleep_until_ns
+from testbed.mocap.exposure import Axes, Exposure, MocapSource
+from testbed.mocap.natnet_client import NatNetClient
+from testbed.mocap.source import datagrams, make_source
+from testbed.net.access import open_lab
+from testbed.net.keys import Keys
+from testbed.net.session import NetworkError, NobodyError, dial
+from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 
 LOOK_NS = 100_000_000  # between two looks at the sockets, and two pictures
 SECOND_NS = 1_000_000_000

@@ -13,8 +13,8 @@ from testbed.cli.refusal import refuse
 from testbed.config import ConfigError, Experiment, load
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import HostNode
-from testbed.ops.logbook import Logbook, LogError, log_of
-from testbed.ops.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
+from testbed.logs.log_reader import LogError, LogReader, log_of
+from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
 from testbed.rig.chain import make_agent, make_guidance
 
 
@@ -42,7 +42,7 @@ def replay_experiment(experiment: Experiment, log: Path) -> Replay:
     """The log through the agents and laws that the experiment makes today."""
     hosts = experiment.vehicles if experiment.deploy.law == "host" else {}
     return replay(
-        Logbook(log).read(),
+        LogReader(log).read(),
         {name: make_agent(experiment, name).step for name in experiment.vehicles},
         {name: LoggedHost(_law_of(experiment, name)) for name in hosts},
     )

@@ -6,13 +6,13 @@ from pathlib import Path
 from rich.console import Console
 
 from testbed.cli.main import OK
-from testbed.cli.postmortem import judged
 from testbed.cli.refusal import refuse
 from testbed.config import ConfigError, load
-from testbed.ops.feed import LogFeed
-from testbed.ops.history import gather
-from testbed.ops.logbook import Logbook, LogError, log_of
-from testbed.ops.report import ReportError, write_report
+from testbed.logs.feed import LogFeed
+from testbed.logs.history import gather
+from testbed.logs.log_reader import LogError, LogReader, log_of
+from testbed.report.page import ReportError, write_report
+from testbed.run.post_mortem import judged
 
 ZOOM = 4  # of a picture made of pixels: 2400 wide, 8 inches at 300 dpi
 
@@ -33,7 +33,7 @@ def make_report(folder: Path) -> list[Path]:
     """The files of the page; all that it says is in the folder."""
     config, log = folder / "config.toml", log_of(folder)
     scenario = load(config)
-    history = gather(LogFeed(Logbook(log)).news())
+    history = gather(LogFeed(LogReader(log)).news())
     text = config.read_text(encoding="utf-8")
     return write_report(folder, scenario, history, judged(folder, log, scenario, history), text)
 

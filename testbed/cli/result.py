@@ -7,9 +7,9 @@ from rich.markup import escape
 from rich.table import Table as Grid
 
 from testbed.config import Experiment
-from testbed.ops.formation import FormationMetrics, has_formation
-from testbed.ops.metrics import FormationCriteria, Metrics
-from testbed.ops.report import known
+from testbed.metrics.formation import FormationMetrics, has_formation
+from testbed.metrics.run_metrics import FormationCriteria, Metrics
+from testbed.report.page import known
 
 OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 

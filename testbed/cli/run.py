@@ -22,30 +22,30 @@ from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.config.guarantee import warnings_of
 from testbed.core.types import HostTick, Tick
+from testbed.dashboard.viewer import ViewerError
 from testbed.flight.loop import Ending
-from testbed.ops.characterisation import characterise
-from testbed.ops.feed import Loop
-from testbed.ops.folder import FolderError, new_folder, take_back, write_config, write_metrics
-from testbed.ops.formation import formation_metrics
-from testbed.ops.logbook import LogError
-from testbed.ops.metrics import (
-    Aims,
+from testbed.logs.feed import Loop
+from testbed.logs.log_reader import LogError
+from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
+from testbed.metrics.characterisation import characterise
+from testbed.metrics.formation import formation_metrics
+from testbed.metrics.run_metrics import (
     Metrics,
+    ReferenceLog,
     judge,
     judge_formation,
     obstacle_distances,
     smallest_separation,
     vehicle_metrics,
 )
-from testbed.ops.pace import Pace
-from testbed.ops.recorder import Motion, Recorder, RecorderError, Truth
-from testbed.ops.report import ReportError
-from testbed.ops.steady import steady
-from testbed.ops.viewer import ViewerError
+from testbed.realtime.pacer import Pace
+from testbed.realtime.scheduling import steady
+from testbed.report.page import ReportError
 from testbed.rig.boards import check_boards
-from testbed.rig.chain import crew_of
+from testbed.rig.chain import formation_context
 from testbed.rig.interface import Rig
 from testbed.rig.twin import TwinRig, make_twin, warm_up
+from testbed.run.folder import FolderError, new_folder, take_back, write_config, write_metrics
 
 FORMATION_S = 1.0  # between two entries of the five elements in the log [s]
 
@@ -164,7 +164,7 @@ class Watcher:
     def __init__(
         self,
         rig: Rig,
-        aims: Mapping[str, Aims],
+        aims: Mapping[str, ReferenceLog],
         recorder: Recorder,
         live: LiveTable,
         pace: Pace | None = None,
@@ -237,7 +237,7 @@ def maker(
     """What builds this rig."""
     if rig == "twin":
         return make_twin
-    from testbed.bench.host import WireRig, anybody
+    from testbed.rig.wired.host import WireRig, anybody
 
     latch, latched = operator.latched(rig, experiment, str(folder))
     return lambda experiment: WireRig(
@@ -265,7 +265,7 @@ def fly_and_judge(
     if speed is not None and isinstance(rig, TwinRig):
         pace = Pace(rig.twin, speed)
         rig = replace(rig, pace=pace)
-    aims = {name: Aims() for name in experiment.vehicles}
+    aims = {name: ReferenceLog() for name in experiment.vehicles}
     try:
         with Recorder(folder / "log.mcap") as recorder, live:
             with interrupt.at_once():
@@ -290,7 +290,7 @@ def fly_and_judge(
 
 
 def measure(
-    rig: Rig, aims: Mapping[str, Aims], ending: Ending, wall: float, *, completed: bool
+    rig: Rig, aims: Mapping[str, ReferenceLog], ending: Ending, wall: float, *, completed: bool
 ) -> Metrics:
     """Judge a flight."""
     experiment, track = rig.experiment, rig.track()
@@ -308,7 +308,9 @@ def measure(
         )
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
     contacts = rig.contacts
-    together = formation_metrics(experiment.controller, crew_of(experiment), track, obstacles)
+    together = formation_metrics(
+        experiment.controller, formation_context(experiment), track, obstacles
+    )
     wanted = experiment.criteria.formation
     return Metrics(
         experiment=experiment.name,

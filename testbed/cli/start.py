@@ -8,8 +8,8 @@ PRIORITY = 90  # above hosts, vehicles and the twin
 def entry() -> None:
     """`testbed`; a bare `testbed stop` before all else, also before what flies on this machine."""
     if sys.argv[1:] == ["stop"]:
-        from testbed.ops.steady import preferred
-        from testbed.ops.stop import stop_everything
+        from testbed.net.stop import stop_everything
+        from testbed.realtime.scheduling import preferred
 
         with preferred(PRIORITY):
             code = stop_everything(None, "lab")

@@ -14,10 +14,10 @@ from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_
 from testbed.campaign.score import beside_metrics
 from testbed.cli.run import fly_and_judge, measure, warm_up
 from testbed.config import ConfigError, Experiment, dump, loads
-from testbed.ops.folder import write_config, write_metrics
-from testbed.ops.steady import settle, steady
-from testbed.rig.onlookers import Judge
+from testbed.realtime.scheduling import settle, steady
+from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin
+from testbed.run.folder import write_config, write_metrics
 
 
 def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
@@ -27,7 +27,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     criteria: dict[str, bool] = {}
     try:
         experiment = read(base, overrides)
-        judge, rig = Judge(experiment.vehicles), make_twin(experiment)
+        judge, rig = MetricsObserver(experiment.vehicles), make_twin(experiment)
         with steady():
             ending = rig.fly(judge)
         completed = ending.fault is None

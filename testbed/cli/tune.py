@@ -36,7 +36,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.run import Interrupt
 from testbed.cli.trial import fly_batch, read, warm
 from testbed.config import dump, load
-from testbed.ops.whole import write_whole
+from testbed.files import write_atomic
 
 
 class TuningResult(Struct, frozen=True):
@@ -72,7 +72,7 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
             )  # fmt: skip
             return INTERRUPTED
         text = msgspec.json.format(msgspec.json.encode(result), indent=2) + b"\n"
-        write_whole(folder / "tuning.json", text)
+        write_atomic(folder / "tuning.json", text)
         if result.best is not None:
             write_experiment(tuning, result.best, folder)
     except TROUBLE as error:
@@ -93,7 +93,7 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
     progress = Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal)
     optimiser = OptunaOptimiser(tuning)
     with Journal(folder / "journal.jsonl", head, Trial) as journal, progress:
-        write_whole(folder / "base.toml", tuning.base.encode())
+        write_atomic(folder / "base.toml", tuning.base.encode())
         bar = progress.add_task("getting ready", total=tuning.file.trials)
         progress.update(bar, completed=len(journal.found))
         best = [trial.cost for trial in journal.found]
@@ -150,7 +150,7 @@ def write_experiment(tuning: Tuning, best: Trial, folder: Path) -> None:
     """The experiment with the best gains, everything in place."""
     experiment = load(folder / "base.toml", tuning.overrides(best.gains))
     head = f"# Tuned by `testbed tune`: trial {best.number}, cost {best.cost:g}.\n\n"
-    write_whole(folder / "tuned.toml", (head + tomli_w.dumps(dump(experiment))).encode())
+    write_atomic(folder / "tuned.toml", (head + tomli_w.dumps(dump(experiment))).encode())
 
 
 def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:

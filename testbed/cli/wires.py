@@ -12,18 +12,18 @@ from firmware_interface.limits import LimitsError
 from firmware_interface.line_tap import TapError
 from firmware_interface.serial_board import BoardError
 from firmware_interface.serial_thrusters import ThrustersError
-from testbed.bench.server import TableServer, port_of
-from testbed.bench.vehicle import VehicleError, fly_vehicle
 from testbed.cli.main import FAULT, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, find, load
 from testbed.core.lab import Network
-from testbed.ops.children import end_on_terminate, orphaned
-from testbed.ops.network.badge import BadgeError, read_badge, trouble
-from testbed.ops.network.session import NetworkError
-from testbed.ops.steady import prefer_process, preferred, steady
-from testbed.ops.whole import write_whole
+from testbed.files import write_atomic
+from testbed.net.credentials import BadgeError, read_badge, trouble
+from testbed.net.session import NetworkError
+from testbed.realtime.processes import end_on_terminate, orphaned
+from testbed.realtime.scheduling import prefer_process, preferred, steady
 from testbed.rig.twin import warm_up
+from testbed.rig.wired.server import TableServer, port_of
+from testbed.rig.wired.vehicle import VehicleError, fly_vehicle
 
 PRIORITY = 30  # the table does not wait for anybody
 
@@ -53,7 +53,7 @@ def serve_twin(
             with steady(), preferred(PRIORITY), contextlib.suppress(KeyboardInterrupt):
                 server.run(lambda: child and orphaned())
             if report is not None:
-                write_whole(report, msgspec.json.encode(server.report()))
+                write_atomic(report, msgspec.json.encode(server.report()))
     except (OSError, TapError, BoardError, CompilerError, LimitsError) as error:
         return refuse(error, FAULT)
     except KeyboardInterrupt:

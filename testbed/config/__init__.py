@@ -7,9 +7,9 @@ in place and is a file of the same form. `key=value` overrides are TOML too.
 Whatever is wrong is one `ConfigError` that says where, what was expected and what was found.
 """
 
+from testbed.config.error import ConfigError
 from testbed.config.experiment import Deploy, Experiment, VehicleSetup
 from testbed.config.file import SHIPPED, dump, find, load, loads
-from testbed.config.mistake import ConfigError
 from testbed.config.tree import read_toml
 
 __all__ = [

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 from firmware_interface.limits import LimitsError, limits_of
+from testbed.config.error import Mistake
 from testbed.config.experiment import Experiment
-from testbed.config.mistake import Mistake
 
 
 def bad_board(experiment: Experiment) -> Iterator[Mistake]:

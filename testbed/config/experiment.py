@@ -6,7 +6,7 @@ from msgspec import Meta, Struct, field
 
 from controllers.catalogue import Controller
 from testbed.config.shipped import shipped_faults
-from testbed.core.injection import Injection
+from testbed.core.fault_injection import Injection
 from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Positive, Vehicle
@@ -14,7 +14,7 @@ from testbed.flight.agent import FlightParams
 from testbed.flight.arming import ArmingParams
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import GuidanceParams
-from testbed.ops.metrics import Criteria
+from testbed.metrics.run_metrics import Criteria
 
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]  # what TOML promises to keep exactly
 

@@ -9,19 +9,19 @@ import msgspec
 
 from controllers.catalogue import make_law
 from testbed.config.board import bad_board
+from testbed.config.error import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.experiment import Experiment
+from testbed.config.fault_schedule import bad_injections
 from testbed.config.hardware import bad_hardware
 from testbed.config.layout import bad_layout
-from testbed.config.misfit import first_misfit
-from testbed.config.mistake import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.network import bad_network
 from testbed.config.number import bad_numbers
 from testbed.config.own_law import bad_own_law, with_content
-from testbed.config.rehearsal import bad_injections
 from testbed.config.shipped import SHIPPED
 from testbed.config.source import Source
 from testbed.config.timing import bad_timing
 from testbed.config.tree import read_text, read_toml, trouble_at
+from testbed.config.validation import first_misfit
 
 OTHER_KINDS = {  # by their first key that no experiment has
     "mass": "a vehicle, which `vehicles.NAME.model` of an experiment names",

@@ -6,8 +6,8 @@ from itertools import chain
 
 import numpy as np
 
+from testbed.config.error import Mistake, show
 from testbed.config.experiment import Experiment
-from testbed.config.mistake import Mistake, show
 from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Jet, Point, Vehicle
 

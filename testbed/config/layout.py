@@ -5,8 +5,8 @@ import re
 from collections.abc import Iterator
 from itertools import chain, combinations
 
+from testbed.config.error import Mistake, show
 from testbed.config.experiment import Experiment, VehicleSetup
-from testbed.config.mistake import Mistake, show
 from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Point

@@ -10,9 +10,9 @@ from ipaddress import IPv4Address
 from itertools import combinations
 from pathlib import Path
 
+from testbed.config.error import Mistake, show
 from testbed.config.experiment import Experiment
-from testbed.config.mistake import Mistake, show
-from testbed.ops.network.badge import trouble
+from testbed.net.credentials import trouble
 
 NAME = r"(?=.*[A-Za-z])[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"  # of a machine
 

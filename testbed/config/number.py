@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from testbed.config.mistake import Mistake, show
+from testbed.config.error import Mistake, show
 from testbed.config.tree import leaves
 
 LARGEST = 1e9  # in SI units: ten thousand bar, thirty years

@@ -10,9 +10,9 @@ from msgspec.structs import replace
 from controllers.law_file import UnusableLawError, digest, file_of, maker
 from controllers.own_law import OwnLawParams, own_law, parameter_type, try_out
 from controllers.plain_law import LawError
+from testbed.config.error import Mistake, refused
 from testbed.config.experiment import Experiment
-from testbed.config.misfit import first_misfit
-from testbed.config.mistake import Mistake, refused
+from testbed.config.validation import first_misfit
 
 
 def place_law(tree: Any, folder: Path) -> None:

@@ -5,8 +5,8 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from testbed.config.error import ConfigError, Mistake, show
 from testbed.config.key import Key, assignment, spell
-from testbed.config.mistake import ConfigError, Mistake, show
 from testbed.config.own_law import place_law
 from testbed.config.shipped import FAULTS
 from testbed.config.tree import parse, read_toml, trouble_at

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
+from testbed.config.error import Mistake
 from testbed.config.experiment import Experiment
-from testbed.config.mistake import Mistake
 from testbed.core.vehicle import Vehicle
 
 SHORTEST_PERIOD = 0.001  # [s] boards count microseconds, hosts wake up to a fraction of this

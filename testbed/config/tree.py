@@ -8,8 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from testbed.config.error import ConfigError
 from testbed.config.key import DEEPEST, Key
-from testbed.config.mistake import ConfigError
 
 LARGEST = 1_000_000  # [bytes] of a file; the shipped ones have 3000
 

@@ -7,7 +7,7 @@ which rig it is on.
 from collections.abc import Sequence
 from typing import Protocol
 
-from testbed.core.types import Health, PoseSample, Setpoint, State, Told, ValveCommand
+from testbed.core.types import Health, LawMessage, PoseSample, Setpoint, State, ValveCommand
 
 
 class Clock(Protocol):
@@ -57,11 +57,11 @@ class VehicleLink(Protocol):
         """Tell host and neighbours."""
         ...
 
-    def told(self) -> dict[str, Told]:
+    def told(self) -> dict[str, LawMessage]:
         """Newest words heard of the law of each other vehicle."""
         ...
 
-    def tell(self, told: Told) -> None:
+    def tell(self, told: LawMessage) -> None:
         """Say something to the laws of the others."""
         ...
 
@@ -81,10 +81,10 @@ class HostLink(Protocol):
         """Tell the vehicle."""
         ...
 
-    def told(self) -> dict[str, Told]:
+    def told(self) -> dict[str, LawMessage]:
         """Newest words heard of the law of each other vehicle."""
         ...
 
-    def tell(self, told: Told) -> None:
+    def tell(self, told: LawMessage) -> None:
         """Say something to the laws of the others."""
         ...

@@ -112,7 +112,7 @@ class ValveCommand(Struct, frozen=True, gc=False):
     offset_us: tuple[int, ...]  # from the plan's start to the opening command [us]
 
 
-class Told(Struct, frozen=True, gc=False):
+class LawMessage(Struct, frozen=True, gc=False):
     """What a vehicle's law says to the laws of the others."""
 
     t: float  # what it is for [s]
@@ -166,7 +166,7 @@ class Inputs(Struct, frozen=True, gc=False, omit_defaults=True):
     setpoint: Setpoint | None  # the newest one heard, however old
     neighbours: dict[str, State]  # the newest one heard of each, however old
     health: Health
-    told: dict[str, Told] = {}  # by the laws of the others, the newest of each
+    told: dict[str, LawMessage] = {}  # by the laws of the others, the newest of each
     vitals: Vitals = ALL_WELL
 
 
@@ -179,9 +179,9 @@ class Outputs(Struct, frozen=True, gc=False, omit_defaults=True):
     wanted: Wrench  # what tracker or law asks for, mean over the period
     planned: Wrench  # what the pulses of `command` give, by the vehicle's jet table
     command: ValveCommand
-    closed_because: str | None = None  # the gate's reason, None while it is open
+    inhibit_reason: str | None = None  # the gate's reason, None while it is open
     fault: str | None = None  # a reason that ends the run, latched
-    told: Told | None = None  # by its law, if that runs on board and talks
+    told: LawMessage | None = None  # by its law, if that runs on board and talks
     faults: tuple[str, ...] = ()  # ids of all rows of the fault table that hold now
     response: str = ""  # the most severe response in force; empty: none
     filtered: Intervention | None = None  # None: the demand was left as it was
@@ -200,7 +200,7 @@ class HostInputs(Struct, frozen=True, gc=False, omit_defaults=True):
     t: float  # [s]
     own: State | None
     neighbours: dict[str, State]
-    told: dict[str, Told] = {}  # by the laws of the others
+    told: dict[str, LawMessage] = {}  # by the laws of the others
 
 
 class HostOutputs(Struct, frozen=True, gc=False, omit_defaults=True):
@@ -208,7 +208,7 @@ class HostOutputs(Struct, frozen=True, gc=False, omit_defaults=True):
 
     t: float  # [s]
     setpoint: Setpoint | None
-    told: Told | None = None  # by the law, if it talks
+    told: LawMessage | None = None  # by the law, if it talks
     raised: str = ""  # what the law died of
     filtered: Intervention | None = None  # of the reference model's force
 

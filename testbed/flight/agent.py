@@ -15,11 +15,11 @@ from testbed.core.compiled import compiled, settled
 from testbed.core.types import (
     Demand,
     Inputs,
+    LawMessage,
     Outputs,
     Reference,
     Setpoint,
     State,
-    Told,
     ValveCommand,
     Wrench,
 )
@@ -113,7 +113,7 @@ class Agent:
             acted = self._safety.act(
                 inputs, effect_at, state, setpoint, wanted, share, self._raised
             )
-            wanted, braking, done = acted.wanted, acted.braking, acted.closed_because
+            wanted, braking, done = acted.wanted, acted.braking, acted.inhibit_reason
         refused = self._gate.refuse(
             effect_at, inputs.armed, state, setpoint, wanted, inputs.health,
             session_ok=inputs.vitals.session_ok, braking=braking,
@@ -133,7 +133,7 @@ class Agent:
 
     def _guided(
         self, t: float, state: State | None, inputs: Inputs
-    ) -> tuple[Setpoint | None, Told | None]:
+    ) -> tuple[Setpoint | None, LawMessage | None]:
         """What the law on board wants; its model starts when the vehicle is armed, not before."""
         if self._guidance is None or state is None or not inputs.armed or self._raised:
             return None, None

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 
 from testbed.core.types import Inputs, PoseSample, Setpoint, State, Trajectory, Wrench
 from testbed.core.vehicle import Vehicle
-from testbed.flight.evidence import Evidence
 from testbed.flight.gate import is_number
+from testbed.flight.jet_faults import JetFaultDetector
 
 SAME_PLACE = 0.15  # [m] a pose so near to where another vehicle should be is that one's
 TRUSTED_AGE = 0.1  # [s]
@@ -78,7 +78,7 @@ class Detectors:
         self._set_pressure, self._full = vehicle.air.set_pressure, vehicle.air.tank_pressure
         self._tank: tuple[float, float] | None = None  # time [s] and pressure [Pa] at the last tick
         self._repeats = Repeats() if noisy else None
-        self.evidence = Evidence(vehicle, period)
+        self.evidence = JetFaultDetector(vehicle, period)
         self._before: State | None = None
         self.said: dict[str, str] = {}  # words to the numbers, where there are any
 

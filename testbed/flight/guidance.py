@@ -30,11 +30,11 @@ from testbed.core.types import (
     Accel,
     Demand,
     Intervention,
+    LawMessage,
     Pose,
     Reference,
     Setpoint,
     State,
-    Told,
     Trajectory,
     Twist,
 )
@@ -84,7 +84,7 @@ class _Heard(NamedTuple):
     """What was heard of the others."""
 
     states: Mapping[str, State]
-    told: Mapping[str, Told]
+    told: Mapping[str, LawMessage]
 
 
 class Guidance:
@@ -128,7 +128,7 @@ class Guidance:
         self._they_move = bool(self._obstacles.v.any())
         self._company: tuple[tuple[str, ...], Neighbours] | None = None  # who was heard last
         self._law_state: Array | None = None
-        self.told: Told | None = None  # what the law says to the others, if it talks
+        self.told: LawMessage | None = None  # what the law says to the others, if it talks
         self._turn: Turn | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
         self._ahead: deque[Reference] = deque()  # references not due yet
@@ -145,7 +145,7 @@ class Guidance:
         t: float,
         own: State,
         neighbours: Mapping[str, State],
-        told: Mapping[str, Told] | None = None,
+        told: Mapping[str, LawMessage] | None = None,
     ) -> Setpoint:
         """Setpoint for the jet period that starts at `t`.
 
@@ -205,7 +205,7 @@ class Guidance:
         )
         self._law_state = ahead.law_state
         if self._law.words:
-            self.told = Told(t + self._period, tuple(ahead.told.tolist()))
+            self.told = LawMessage(t + self._period, tuple(ahead.told.tolist()))
         return ahead
 
     def _world_at(self, t: float) -> World:

@@ -189,7 +189,7 @@ def fly(
         for node in vehicles:
             tick = node.tick(t, armed, fleet)
             observer.vehicle(node.name, tick)
-            shut = shut and tick.outputs.closed_because is not None
+            shut = shut and tick.outputs.inhibit_reason is not None
             if tick.outputs.fault and fault is None:
                 fault, failed_at = f"{node.name}: {tick.outputs.fault}", t
         for host in hosts:

@@ -13,8 +13,8 @@ from testbed.core.types import Inputs, Intervention, Setpoint, State, ValveComma
 from testbed.core.vehicle import Vehicle
 from testbed.flight.barrier import Barrier
 from testbed.flight.detectors import Detectors
+from testbed.flight.fault_monitor import FaultMonitor
 from testbed.flight.tracker import halt
-from testbed.flight.watch import Watch
 
 AT_REST = 0.003  # [m/s] slower is stopped: the estimate is not better
 NO_SPIN = 0.02  # [rad/s]
@@ -30,7 +30,7 @@ class Acted(NamedTuple):
     fault: str | None = None  # latched
     filtered: Intervention | None = None
     braking: bool = False
-    closed_because: str | None = None
+    inhibit_reason: str | None = None
 
 
 CALM = Acted(Wrench(0.0, 0.0, 0.0))
@@ -43,7 +43,7 @@ class Safety:
         self,
         vehicle: Vehicle,
         period: float,
-        watch: Watch,
+        watch: FaultMonitor,
         detectors: Detectors,
         barrier: Barrier | None,
         decel: float,
@@ -87,7 +87,7 @@ class Safety:
             if not self._is_over(inputs.t, state):
                 return Acted(stop, response, holding, fault, None, braking=True)
         self._stopped = self._stopped or fault
-        return Acted(wanted, response, holding, fault, closed_because=fault or response)
+        return Acted(wanted, response, holding, fault, inhibit_reason=fault or response)
 
     def remember(self, command: ValveCommand, share: float) -> None:
         """Note the plan that was really sent."""

@@ -30,7 +30,7 @@ from sim_twin.orbit.gravity import EARTH
 from sim_twin.orbit.kepler import Orbit
 from sim_twin.orbit.swarm import Flight, fly
 from testbed.core.vehicle import Positive
-from testbed.ops.characterisation import characterise
+from testbed.metrics.characterisation import characterise
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.kernel.cluster import (
     ATTRACT,

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.ops.characterisation import characterise, ring_uniformity
+from testbed.metrics.characterisation import characterise, ring_uniformity
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.targets import Measures
 

@@ -11,9 +11,9 @@ from typing import Any
 import msgspec
 
 from testbed.config import SHIPPED, ConfigError, read_toml
+from testbed.config.error import did_you_mean
 from testbed.config.key import spell
-from testbed.config.misfit import first_misfit
-from testbed.config.mistake import did_you_mean
+from testbed.config.validation import first_misfit
 from testbed.reproduction.claim import Paper
 
 PAPERS = SHIPPED / "papers"

@@ -1,13 +1,13 @@
 """A paper's experiment on the table, on the twin: the whole chain, seed after seed.
 
-Measures are the worst vehicle's, one value per seed: those of `testbed.ops.metrics.VehicleMetrics`,
+Measures are the worst vehicle's, one value per seed: those of `testbed.metrics.run_metrics.VehicleMetrics`,
 and `contacts`, `fault` (1 if there was one), `vehicles_m` (nearest two).
 """
 
 from msgspec import Struct
 
 from testbed.config import find, load
-from testbed.ops.metrics import (
+from testbed.metrics.run_metrics import (
     VehicleMetrics,
     obstacle_distances,
     smallest_separation,
@@ -15,7 +15,7 @@ from testbed.ops.metrics import (
 )
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.targets import Measures
-from testbed.rig.onlookers import Judge
+from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin
 
 SMALLEST = ("min_obstacle_distance_m",)  # the worst is the smallest
@@ -36,7 +36,7 @@ def fly_seed(run: Table, seed: int) -> tuple[dict[str, float | None], list[Figur
     """One flight: its measures, and where the vehicles went."""
     alone = "flight.barrier.on=false"  # it is the law that is on trial, not the safety filter
     experiment = load(find(run.experiment), [*run.overrides, alone, f"seed={seed}"])
-    rig, judge = make_twin(experiment), Judge(experiment.vehicles)
+    rig, judge = make_twin(experiment), MetricsObserver(experiment.vehicles)
     ending = rig.fly(judge)
     track = rig.track()
     judged = [

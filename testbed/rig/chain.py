@@ -8,18 +8,18 @@ import numpy as np
 from controllers.catalogue import make_law
 from testbed.config import Experiment
 from testbed.core.types import Pose
+from testbed.faults.law_faults import SpoiltLaw
 from testbed.flight.agent import Agent
 from testbed.flight.allocation import weakest_force
 from testbed.flight.arming import Expected
 from testbed.flight.barrier import Barrier, reaches
 from testbed.flight.detectors import Detectors
 from testbed.flight.estimator import Estimator
+from testbed.flight.fault_monitor import FaultMonitor
 from testbed.flight.gate import Fence, Gate
 from testbed.flight.guidance import Guidance
 from testbed.flight.safety import Safety
-from testbed.flight.watch import Watch
-from testbed.ops.formation import Crew
-from testbed.ops.rehearsal import SpoiltLaw
+from testbed.metrics.formation import FormationContext
 
 
 def make_guidance(
@@ -93,7 +93,7 @@ def make_safety(experiment: Experiment, name: str) -> Safety:
     return Safety(
         vehicle,
         period,
-        Watch(experiment.faults),
+        FaultMonitor(experiment.faults),
         Detectors(vehicle, period, noisy=experiment.table.mocap.noise > 0.0),
         make_barrier(experiment, name),
         SPARE_FORCE * weakest_force(vehicle) / vehicle.mass,
@@ -117,7 +117,7 @@ def make_agent(experiment: Experiment, name: str, spoilt: Callable[[], str] | No
     )
 
 
-def crew_of(experiment: Experiment) -> Crew:
+def formation_context(experiment: Experiment) -> FormationContext:
     """Who flies; the leader is the goal of the first vehicle that has a path, or the first's."""
     setups = list(experiment.vehicles.values())
     led = next((setup for setup in setups if setup.path), setups[0])
@@ -129,7 +129,7 @@ def crew_of(experiment: Experiment) -> Crew:
         moved = led.path.at(t)
         return start + moved.p, np.array(moved.v)
 
-    return Crew(
+    return FormationContext(
         list(experiment.vehicles),
         np.array([setup.model.radius for setup in setups]),
         np.array([setup.model.mass for setup in setups]),

@@ -7,7 +7,7 @@ from testbed.config import Experiment
 from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Supervisor
-from testbed.ops.metrics import Spent, Track
+from testbed.metrics.run_metrics import Consumption, Track
 from testbed.rig.boards import Valves
 
 
@@ -69,7 +69,7 @@ class Rig(Protocol):
         """What each vehicle said of its wires since the last call, and when, where it has any."""
         ...
 
-    def spent(self, name: str) -> Spent:
+    def spent(self, name: str) -> Consumption:
         """What a vehicle has used so far."""
         ...
 

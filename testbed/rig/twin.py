@@ -9,23 +9,23 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from sim_twin.board import DrivenBoard
+from sim_twin.board import FirmwareBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.config import ConfigError, Experiment
-from testbed.core.injection import ON_WIRES
+from testbed.core.fault_injection import ON_WIRES
 from testbed.core.law import Concern
 from testbed.core.ports import Clock
 from testbed.core.types import Pose
+from testbed.faults.law_faults import CrashableNode
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
 from testbed.flight.supervisor import Supervisor
-from testbed.ops.characterisation import characterise
-from testbed.ops.metrics import Spent, Track
-from testbed.ops.rehearsal import MortalNode
+from testbed.metrics.characterisation import characterise
+from testbed.metrics.run_metrics import Consumption, Track
 from testbed.rig.boards import Valves, WiredBoard, make_drivers
 from testbed.rig.chain import make_agent, make_guidance
 from testbed.rig.interface import not_armed
-from testbed.rig.onlookers import Nobody
+from testbed.rig.observers import NullObserver
 from testbed.rig.readiness import twin_checks
 
 
@@ -34,7 +34,7 @@ class TwinRig(Struct, frozen=True):
 
     experiment: Experiment
     twin: Twin
-    vehicles: list[VehicleNode | MortalNode]
+    vehicles: list[VehicleNode | CrashableNode]
     hosts: list[HostNode]
     boards: dict[str, WiredBoard]  # with firmware; empty with the twin's own
     pace: Clock | None = None  # slows the twin down, for whoever looks
@@ -64,7 +64,7 @@ class TwinRig(Struct, frozen=True):
     def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
         """What each vehicle's board drove after `since` [s]; nothing with the twin's own."""
         for name, board in self.twin.plant.boards.items():
-            if isinstance(board, DrivenBoard):
+            if isinstance(board, FirmwareBoard):
                 new = bisect_right(board.edges, round(since * 1e6), key=lambda edge: edge[0])
                 for at_us, mask in board.edges[new:]:
                     yield name, Valves(at_us * 1e-6, mask)
@@ -103,11 +103,13 @@ class TwinRig(Struct, frozen=True):
         """Each vehicle and its true x, y, theta, vx, vy, omega now."""
         return zip(self.twin.names, self.twin.plant.x.tolist(), strict=True)
 
-    def spent(self, name: str) -> Spent:
+    def spent(self, name: str) -> Consumption:
         """What a vehicle has used so far."""
         plant = self.twin.plant
         k = plant.names.index(name)
-        return Spent(float(plant.impulse[k]), float(plant.used[k]), plant.boards[name].openings)
+        return Consumption(
+            float(plant.impulse[k]), float(plant.used[k]), plant.boards[name].openings
+        )
 
     @property
     def name(self) -> str:
@@ -151,7 +153,7 @@ def make_twin(experiment: Experiment) -> TwinRig:
     period = experiment.flight.jet_period_s
     sabotage = twin.sabotage
     spoilt = {n: None if sabotage is None else partial(sabotage.spoilt, n) for n in setups}
-    vehicles: list[VehicleNode | MortalNode] = []
+    vehicles: list[VehicleNode | CrashableNode] = []
     for name, setup in setups.items():
         node = VehicleNode(
             name,
@@ -165,7 +167,7 @@ def make_twin(experiment: Experiment) -> TwinRig:
             vehicles.append(node)
         else:
             jets = len(setup.model.jets)
-            vehicles.append(MortalNode(node, jets, partial(sabotage.dead, name)))
+            vehicles.append(CrashableNode(node, jets, partial(sabotage.dead, name)))
     hosts = [
         HostNode(
             name,
@@ -184,5 +186,5 @@ def warm_up(experiment: Experiment, stopped: Callable[[], bool] = lambda: False)
     """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
     period = experiment.flight.jet_period_s
     short = replace(experiment, duration_s=4 * period, board="model", inject=[])
-    make_twin(short).fly_unasked(Nobody(), stopped)  # a red check is not about compiling
+    make_twin(short).fly_unasked(NullObserver(), stopped)  # a red check is not about compiling
     characterise(np.eye(2))

@@ -29,9 +29,9 @@ from testbed.cli.run import fly_and_judge
 from testbed.config import SHIPPED as CONFIGS
 from testbed.config import ConfigError, dump, find, load
 from testbed.core.path import Circle
-from testbed.ops.folder import new_folder, write_config, write_metrics
-from testbed.ops.metrics import Metrics, Track, VehicleMetrics
+from testbed.metrics.run_metrics import Metrics, Track, VehicleMetrics
 from testbed.rig.twin import make_twin
+from testbed.run.folder import new_folder, write_config, write_metrics
 
 PATH = CONFIGS / "benchmark.toml"
 FILE = load_benchmark(PATH)
@@ -173,7 +173,7 @@ def test_the_clearance_is_to_the_danger_radius():
 # From run folders
 
 
-class Nobody:
+class NullObserver:
     """Observer of a flight."""
 
     def vehicle(self, name, tick): ...
@@ -190,7 +190,7 @@ def test_a_run_folder_scores_like_the_flight(tmp_path):
     metrics = fly_and_judge(experiment, folder)
     write_metrics(folder, metrics)
     rig = make_twin(experiment)
-    rig.fly(Nobody())
+    rig.fly(NullObserver())
     truth = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
     read = read_run(folder, 0, {}, {})
     assert read.columns["goal_rms_m"] == pytest.approx(truth["goal_rms_m"], abs=0.0005)

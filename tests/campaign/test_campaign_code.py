@@ -13,7 +13,7 @@ from testbed.campaign.score import beside_metrics
 from testbed.campaign.sweep import shares
 from testbed.cli.run import measure
 from testbed.cli.trial import fly
-from testbed.ops.formation import formation_metrics
+from testbed.metrics.formation import formation_metrics
 from testbed.rig.twin import make_twin
 
 DECIDE = (

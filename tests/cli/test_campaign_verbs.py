@@ -21,7 +21,7 @@ from testbed.campaign.row import Flown
 from testbed.campaign.summary import summarise
 from testbed.campaign.sweep import load_campaign
 from testbed.campaign.tuning import Trial
-from testbed.cli.bench import print_scores
+from testbed.cli.benchmark import print_scores
 from testbed.cli.campaign import print_summary
 from testbed.cli.trial import fly, fly_with_log
 from testbed.cli.tune import TuningResult, print_result

@@ -10,9 +10,15 @@ from msgspec.structs import replace
 from testbed.cli.admit import forced, print_admission
 from testbed.cli.drill import case, fly_case
 from testbed.config import ConfigError, find, load
-from testbed.ops.admission import AdmissionParams, Flown, judge_flights, nearest_edge, nearest_rims
-from testbed.ops.drill import NAMES, WHEN, Drilled, draw, summarise
-from testbed.ops.metrics import Track
+from testbed.faults.drill import NAMES, WHEN, Drilled, draw, summarise
+from testbed.metrics.admission import (
+    AdmissionParams,
+    Flown,
+    judge_flights,
+    nearest_edge,
+    nearest_rims,
+)
+from testbed.metrics.run_metrics import Track
 
 GOOD = Flown(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
 

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from testbed.cli.live import LiveTable
 from testbed.config import find, load
-from testbed.ops.wanted import Wanted
+from testbed.report.goal_error import Wanted
 from testbed.rig.twin import make_twin
 
 

@@ -10,10 +10,10 @@ from ports import free_port
 from testbed.cli import poses
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
-from testbed.ops.mocap.exposure import Axes, Exposure, Sighting
-from testbed.ops.mocap.topic import encode_poses
-from testbed.ops.network.session import Mouth, NobodyError, dial, listen
-from testbed.ops.ticking import monotonic_ns
+from testbed.mocap.exposure import Axes, Exposure, Sighting
+from testbed.mocap.topic import encode_poses
+from testbed.net.session import NobodyError, Publisher, dial, listen
+from testbed.realtime.wall_clock import monotonic_ns
 
 LOST = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
 
@@ -101,7 +101,10 @@ def where():
 
 def speak(session, over):
     """Say where sat1 is, as cameras do that speak Zenoh."""
-    mouth, x = Mouth(session, "lab/table/pose"), Axes(MocapWire()).to_cameras(Pose(0.5, 0.0, 0.0))
+    mouth, x = (
+        Publisher(session, "lab/table/pose"),
+        Axes(MocapWire()).to_cameras(Pose(0.5, 0.0, 0.0)),
+    )
     while not over.wait(0.02):
         now = monotonic_ns()
         mouth.say(encode_poses(1, now, now, {"sat1": (*x.position, *x.rotation)}))

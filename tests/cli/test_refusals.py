@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from testbed.cli import refusal
 from testbed.cli.main import entry, main
 from testbed.cli.result import _verdict
-from testbed.ops.report import read_metrics
+from testbed.report.page import read_metrics
 
 VERBS = sorted(main.commands)
 
@@ -135,7 +135,7 @@ def test_a_fault_of_this_software_is_no_verdict_on_a_flight(monkeypatch, capsys)
 
 def test_a_verdict_stands_without_its_report(testbed, here, monkeypatch):
     from testbed.cli import run
-    from testbed.ops.report import ReportError
+    from testbed.report.page import ReportError
 
     def full(folder):
         raise ReportError("out/figures: No space left on device")

@@ -26,7 +26,7 @@ class Push:
         return self.force, np.zeros(len(law_state))
 
 
-class Watch:
+class FaultMonitor:
     """No force; writes down what it is shown."""
 
     def __init__(self):
@@ -93,7 +93,7 @@ def test_constant_force_is_exact(steps, d):
 def test_the_world_moves_on_between_sub_steps():
     own, others, world = scene(1)
     world = world._replace(goal=world.goal._replace(jerk=np.zeros(2)))
-    watch = Watch()
+    watch = FaultMonitor()
 
     fly_ahead.py_func(watch, np.zeros(0), own, others, world, 2.0, 0.8, 8)
 
@@ -116,7 +116,7 @@ def test_order_of_a_goal_with_jerk():
     end = goal.p + goal.v + goal.a / 2.0 + goal.jerk / 6.0
     errors = []
     for steps in (50, 100, 200):
-        watch = Watch()
+        watch = FaultMonitor()
         # one step more than needed: the last look is at the end of the second
         fly_ahead.py_func(watch, np.zeros(0), own, others, world, 0.0, 1.0 + 1.0 / steps, steps + 1)
         errors.append(np.abs(watch.seen[-1][1][2].goal.p - end).max())

@@ -23,8 +23,8 @@ Image = pytest.importorskip("PIL.Image")
 
 from testbed.cli import teller  # noqa: E402
 from testbed.cli.dash import Dashboard, address_for  # noqa: E402
-from testbed.ops.setting import HUES  # noqa: E402
-from testbed.ops.viewer import (  # noqa: E402
+from testbed.dashboard.static_scene import HUES  # noqa: E402
+from testbed.dashboard.viewer import (  # noqa: E402
     Address,
     ViewerError,
     command,
@@ -223,7 +223,7 @@ def test_addresses():
 
 def test_a_recording_has_everything(run, tmp_path):
     chunk = pytest.importorskip("rerun.chunk")
-    from testbed.cli.picture import write_recording
+    from testbed.dashboard.recording import write_recording
 
     path = write_recording(run, tmp_path / "run.rrd")
     found = {str(c.entity_path) for c in chunk.RrdReader(str(path)).stream().to_chunks()}
@@ -241,7 +241,7 @@ def test_a_recording_has_everything(run, tmp_path):
 
 def test_a_formation_is_shown_with_its_leader_and_without_goals(tmp_path):
     chunk = pytest.importorskip("rerun.chunk")
-    from testbed.cli.picture import write_recording
+    from testbed.dashboard.recording import write_recording
 
     flown = tmp_path / "flown"
     words = ["run", "xue2024_table_constant", "duration_s=2", "--out", str(flown)]
@@ -258,7 +258,7 @@ def test_a_formation_is_shown_with_its_leader_and_without_goals(tmp_path):
 
 
 def test_those_in_the_same_state_share_the_banner():
-    from testbed.ops.scene import grouped
+    from testbed.dashboard.scene import grouped
 
     states = {"sat1": "flies", "sat2": "waits: not armed", "sat3": "flies"}
     assert grouped(states) == ["**sat1, sat3** flies", "**sat2** waits: not armed"]
@@ -266,7 +266,7 @@ def test_those_in_the_same_state_share_the_banner():
 
 def test_only_an_edge_of_the_formation_has_to_stay_in_range():
     from testbed.config import find, load
-    from testbed.ops.scene_aims import AimScene
+    from testbed.dashboard.scene_goals import AimScene
 
     rr = pytest.importorskip("rerun")
     aims = AimScene(load(find("xue2024_table_constant")), rr.RecordingStream("test"))

@@ -11,7 +11,7 @@ from testbed.cli.main import main
 from testbed.cli.run import fly_and_judge
 from testbed.config import ConfigError, find, load
 from testbed.rig import boards
-from testbed.rig.onlookers import Nobody
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 SATELLITES = ("sat1", "sat2", "sat3")
@@ -55,7 +55,7 @@ def fly(board, duration_s=10.0, **changes):
     overrides = [f"board={board}", f"duration_s={duration_s}"]
     overrides += [f"{key}={value}" for key, value in changes.items()]
     rig = make_twin(load(find("zhang2023_table"), overrides))
-    return rig, rig.fly(Nobody())
+    return rig, rig.fly(NullObserver())
 
 
 @pytest.mark.slow
@@ -91,7 +91,7 @@ def test_it_flies_as_with_the_modelled_board():
 def test_a_cut_line_trips_the_watchdog_and_ends_the_flight():
     rig = make_twin(load(find("zhang2023_table"), ["board=inproc"]))
     rig.boards["sat2"]._there.send = lambda t_us, data: None
-    ending = rig.fly(Nobody())
+    ending = rig.fly(NullObserver())
     assert ending.fault == "sat2: board in SAFE, faults WATCHDOG"
     assert 0.15 <= ending.t <= 0.4
 

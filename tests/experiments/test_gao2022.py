@@ -6,7 +6,7 @@ import pytest
 from controllers.bifurcating_design import distance_to
 from testbed.config import find, load
 from testbed.core.types import HostTick, Tick
-from testbed.ops.metrics import smallest_separation
+from testbed.metrics.run_metrics import smallest_separation
 from testbed.rig.twin import make_twin
 
 # The others' reference models are not heard, only where they are: the law on the host, flown on a
@@ -14,7 +14,7 @@ from testbed.rig.twin import make_twin
 HOST = ("guidance.mode=reference", "guidance.force_share=0.8", "deploy.law=host")
 
 
-class Nobody:
+class NullObserver:
     """Observer of a flight."""
 
     def vehicle(self, name: str, tick: Tick) -> None: ...
@@ -34,7 +34,7 @@ class Nobody:
 def test_five_formations(seed: int, overrides: tuple[str, ...]) -> None:
     experiment = load(find("gao2022_table"), [*overrides, f"seed={seed}"])
     rig = make_twin(experiment)
-    ending = rig.fly(Nobody())
+    ending = rig.fly(NullObserver())
     assert ending.fault is None
     assert not rig.twin.plant.touches
     track, phases = rig.track(), experiment.controller.phases

@@ -8,7 +8,7 @@ import pytest
 
 from testbed.config import find, load
 from testbed.core.compiled import compiled, settled
-from testbed.rig.onlookers import Nobody
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 OURS = ("testbed.", "controllers.", "sim_twin.")
@@ -77,5 +77,5 @@ def test_a_flight_never_hands_over_other_types(name, inject, monkeypatch):
         if getattr(module, "settled", None) is settled:
             monkeypatch.setattr(module, "settled", watched)
     flight = ["duration_s=2.0", "table.mocap.rate_hz=25.0", f"inject=[{inject}]"]
-    make_twin(load(find(name), flight)).fly(Nobody())
+    make_twin(load(find(name), flight)).fly(NullObserver())
     assert changed == []

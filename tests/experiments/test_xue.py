@@ -6,13 +6,13 @@ import pytest
 from controllers.graph import formation
 from testbed.config import find, load
 from testbed.core.types import HostTick, Tick
-from testbed.ops.metrics import obstacle_distances
+from testbed.metrics.run_metrics import obstacle_distances
 from testbed.rig.twin import make_twin
 
 SAFE = 0.4  # two radii [m]
 
 
-class Nobody:
+class NullObserver:
     """Observer of a flight."""
 
     def vehicle(self, name: str, tick: Tick) -> None: ...
@@ -27,7 +27,7 @@ def flown(name, *overrides, drift=0.0):
     experiment = load(find(name), overrides)
     rig = make_twin(experiment)
     rig.twin.plant.x[:, 3] = drift  # velocity along x at the start [m/s]
-    ending = rig.fly(Nobody())
+    ending = rig.fly(NullObserver())
     assert ending.fault is None
     assert not rig.twin.plant.touches
     led = "leader" in type(experiment.controller).__struct_config__.tag

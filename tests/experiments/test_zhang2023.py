@@ -7,7 +7,7 @@ import pytest
 
 from testbed.cli.run import fly_and_judge
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load
-from testbed.ops.metrics import Metrics
+from testbed.metrics.run_metrics import Metrics
 
 SEEDS = range(6)  # benchmarks/zhang2023_table.py flies twenty in each mode
 SHORT_PERIOD = ("flight.jet_period_s=0.05", 'flight.modulator={ type = "sigma_delta" }')

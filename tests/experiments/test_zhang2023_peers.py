@@ -5,11 +5,11 @@ import pytest
 
 from testbed.config import find, load
 from testbed.core.types import HostTick, Tick
-from testbed.ops.metrics import obstacle_distances, settle_time, smallest_separation
+from testbed.metrics.run_metrics import obstacle_distances, settle_time, smallest_separation
 from testbed.rig.twin import make_twin
 
 
-class Nobody:
+class NullObserver:
     """Observer of a flight."""
 
     def vehicle(self, name: str, tick: Tick) -> None: ...
@@ -23,7 +23,7 @@ def flown(name, *overrides):
     """Track, nearest to an obstacle [m], slowest to settle [s], touches."""
     experiment = load(find(name), overrides)
     rig = make_twin(experiment)
-    assert rig.fly(Nobody()).fault is None
+    assert rig.fly(NullObserver()).fault is None
     track, setups = rig.track(), list(experiment.vehicles.values())
     nearest = min(
         min(obstacle_distances(track, k, experiment.obstacles).values()) for k in range(len(setups))

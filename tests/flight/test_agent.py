@@ -132,12 +132,12 @@ def test_no_valve_opens_before_all_is_there(change, reason, make_agent, make_inp
     for k in range(20):
         outputs = agent.step(replace(make_inputs(k * PERIOD, (0.5, 0.0, 0.0)), **change))
         assert shut(outputs)
-        assert outputs.closed_because == reason
+        assert outputs.inhibit_reason == reason
         assert outputs.fault is None
         assert outputs.planned == Wrench(0.0, 0.0, 0.0)
     outputs = agent.step(make_inputs(20 * PERIOD, (0.5, 0.0, 0.0)))
     assert not shut(outputs)
-    assert outputs.closed_because is None
+    assert outputs.inhibit_reason is None
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -145,8 +145,8 @@ def test_valves_open_only_while_the_gate_is_open(seed, make_agent, make_inputs):
     inputs = list(random_inputs(make_inputs, seed, 60))
     for given, outputs in zip(inputs, fly(make_agent(), inputs), strict=True):
         waits = not given.armed or given.setpoint is None or outputs.state is None
-        assert (outputs.closed_because is not None) >= waits
-        assert outputs.closed_because is None or shut(outputs)
+        assert (outputs.inhibit_reason is not None) >= waits
+        assert outputs.inhibit_reason is None or shut(outputs)
 
 
 def test_a_pulse_that_goes_on_is_shut_when_the_gate_shuts(make_agent, make_inputs):
@@ -170,7 +170,7 @@ def test_a_fault_shuts_the_valves_for_good(make_agent, make_inputs):
     for k in range(10, 15):
         outputs = agent.step(make_inputs(k * PERIOD, (0.5, 0.0, 0.0)))
         assert shut(outputs)
-        assert outputs.closed_because == outputs.fault
+        assert outputs.inhibit_reason == outputs.fault
 
 
 def test_a_pose_stamped_in_the_future_does_not_blind_the_vehicle(make_agent, make_inputs):
@@ -344,7 +344,7 @@ def test_a_pressure_that_is_not_a_number_does_not_ground_the_vehicle_in_silence(
 ):
     demand = Demand(0.0, 0.4, 0.0, 0.0, 0.0, 0.0, FOR_EVER)
     outputs = make_agent().step(make_inputs(0.0, setpoint=demand, pressure=math.nan))
-    assert not shut(outputs) or outputs.closed_because is not None
+    assert not shut(outputs) or outputs.inhibit_reason is not None
 
 
 def test_planned_is_the_wrench_of_the_plan(make_agent, make_inputs, vehicle):

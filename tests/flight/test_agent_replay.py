@@ -29,7 +29,7 @@ from testbed.core.types import (
     Wrench,
 )
 from testbed.flight.agent import lead_time
-from testbed.ops.message import from_json, to_json
+from testbed.logs.message import from_json, to_json
 from testbed.rig.chain import make_agent, make_guidance
 from testbed.rig.twin import make_twin
 

@@ -5,7 +5,7 @@ import pytest
 
 from testbed.core.jets import effect_matrix
 from testbed.core.types import Accel, Pose, State, Twist
-from testbed.flight.evidence import LAG, Evidence
+from testbed.flight.jet_faults import LAG, JetFaultDetector
 
 PERIOD = 0.1  # [s]
 BOUND = 4.0  # of the fault table
@@ -24,7 +24,7 @@ class Body:
         self.gains = gains
         self._rng, self._t, self._theta = np.random.default_rng(seed), 0.0, 0.4
         self._true, self._seen = np.zeros(3), np.zeros(3)
-        self.evidence = Evidence(vehicle, PERIOD)
+        self.evidence = JetFaultDetector(vehicle, PERIOD)
 
     def tick(self, duty):
         c, s = np.cos(self._theta), np.sin(self._theta)

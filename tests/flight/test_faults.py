@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.config import SHIPPED, read_toml
+from testbed.flight.fault_monitor import FaultMonitor, row_of
 from testbed.flight.faults import DETECTORS, SEVERITY, Fault, FaultTable, most_severe
-from testbed.flight.watch import Watch, row_of
 
 TABLE = msgspec.convert(read_toml(SHIPPED / "faults.toml"), FaultTable)
 WELL = {  # what every detector says when all is well
@@ -61,13 +61,13 @@ def ticks_of(row):
 
 def test_every_detector_has_a_row_and_every_row_is_well_when_all_is():
     assert {row.detector for row in TABLE.values()} == set(DETECTORS) == NEEDED
-    verdict = Watch(TABLE).look(0.0, True, numbers(), {})
+    verdict = FaultMonitor(TABLE).look(0.0, True, numbers(), {})
     assert verdict == ("", (), None)
 
 
 @pytest.mark.parametrize("name", TABLE)
 def test_a_row_holds_after_its_misses_and_its_time_and_not_before(name):
-    row, watch = TABLE[name], Watch({name: TABLE[name]})
+    row, watch = TABLE[name], FaultMonitor({name: TABLE[name]})
     assert run(watch, row, bad(row), ticks_of(row) - 1) in (None, ("", (), None))
     verdict = run(watch, row, bad(row), 1, t=(ticks_of(row) - 1) * PERIOD)
     assert verdict.response == row.response
@@ -78,20 +78,20 @@ def test_a_row_holds_after_its_misses_and_its_time_and_not_before(name):
 @pytest.mark.parametrize("name", TABLE)
 def test_a_row_does_not_hold_at_its_bound(name):
     row = TABLE[name]
-    watch = Watch({name: row})
+    watch = FaultMonitor({name: row})
     assert run(watch, row, good(row), 50) == ("", (), None)
 
 
 @pytest.mark.parametrize("name", TABLE)
 def test_a_number_that_is_none_is_beyond_every_bound(name):
     row = TABLE[name]
-    verdict = run(Watch({name: row}), row, math.nan, ticks_of(row))
+    verdict = run(FaultMonitor({name: row}), row, math.nan, ticks_of(row))
     assert verdict.response == row.response
 
 
 @pytest.mark.parametrize("name", TABLE)
 def test_one_good_tick_begins_the_count_again(name):
-    row, watch = TABLE[name], Watch({name: TABLE[name]})
+    row, watch = TABLE[name], FaultMonitor({name: TABLE[name]})
     before = ticks_of(row) - 1
     run(watch, row, bad(row), before)
     run(watch, row, good(row), 1, t=before * PERIOD)
@@ -101,7 +101,7 @@ def test_one_good_tick_begins_the_count_again(name):
 
 @pytest.mark.parametrize("name", TABLE)
 def test_a_latched_row_stays_until_a_reset_and_others_go(name):
-    row, watch = TABLE[name], Watch({name: TABLE[name]})
+    row, watch = TABLE[name], FaultMonitor({name: TABLE[name]})
     first = run(watch, row, bad(row), ticks_of(row))
     after = run(watch, row, good(row), 3, t=10.0)
     assert after.holding == ()
@@ -114,7 +114,7 @@ def test_a_latched_row_stays_until_a_reset_and_others_go(name):
 
 @pytest.mark.parametrize("name", TABLE)
 def test_a_disarmed_vehicle_has_faults_but_none_is_latched(name):
-    row, watch = TABLE[name], Watch({name: TABLE[name]})
+    row, watch = TABLE[name], FaultMonitor({name: TABLE[name]})
     verdict = run(watch, row, bad(row), ticks_of(row), armed=False)
     assert verdict.holding == (name,)
     assert verdict.fault is None
@@ -124,7 +124,7 @@ def test_a_disarmed_vehicle_has_faults_but_none_is_latched(name):
 @pytest.mark.parametrize("name", [name for name, row in TABLE.items() if row.latched])
 def test_the_operator_reads_what_and_how_much(name):
     row = TABLE[name]
-    said = run(Watch({name: row}), row, bad(row), ticks_of(row)).fault
+    said = run(FaultMonitor({name: row}), row, bad(row), ticks_of(row)).fault
     assert said.startswith(f"{name}: ")
     assert "{" not in said
     assert row_of(TABLE, said) == row
@@ -132,7 +132,7 @@ def test_the_operator_reads_what_and_how_much(name):
 
 def test_the_most_severe_wins():
     assert sorted(SEVERITY, key=SEVERITY.get) == ["", "warn", "hold", "brake", "coast", "land"]
-    watch = Watch(TABLE)
+    watch = FaultMonitor(TABLE)
     warn, brake = TABLE["link_late"], TABLE["battery_low"]
     both = numbers(setpoint_age=bad(warn), battery=bad(brake))
     assert watch.look(0.0, True, both, {}).response == "brake"
@@ -176,7 +176,7 @@ def test_a_row_that_says_nothing_is_refused(change, words):
 @pytest.mark.parametrize("text", ["{value:.3}", "{value:+.1e}{{}}", "{value!s} of {said:>6}", ""])
 @pytest.mark.parametrize("value", [13, 13.7, math.nan, math.inf])
 def test_words_that_are_taken_can_be_said_of_every_number(text, value):
-    watch = Watch({"row": Fault("poses_rejected", "brake", text, latched=True, above=12)})
+    watch = FaultMonitor({"row": Fault("poses_rejected", "brake", text, latched=True, above=12)})
     said = {"poses_rejected": "long " * 1000}
     verdict = watch.look(0.0, True, numbers(poses_rejected=value), said)
     assert verdict.fault.startswith("row: ")

@@ -10,10 +10,10 @@ from testbed.core.types import (
     HostOutputs,
     HostTick,
     Inputs,
+    LawMessage,
     Outputs,
     PoseSample,
     Tick,
-    Told,
     ValveCommand,
     Vitals,
     Wrench,
@@ -261,7 +261,7 @@ def test_a_vehicle_that_does_not_know_where_it_is_says_nothing():
 
 
 def test_a_host_answers_for_the_jet_period_after_the_coming_one(make_state):
-    words, told = {"b": Told(0.7, (1.0,))}, Told(0.8, (2.0, 3.0))
+    words, told = {"b": LawMessage(0.7, (1.0,))}, LawMessage(0.8, (2.0, 3.0))
     ports = Ports({"b": make_state()}, own=make_state((1.0, 0.0, 0.0)), told=words)
     guidance = Guidance(told)
     tick = HostNode("a", guidance, ports, PERIOD, lead=0.008).tick(0.5)

@@ -20,9 +20,9 @@ from testbed.core.types import (
     Wrench,
 )
 from testbed.flight.detectors import Detectors, Repeats, jump, whose
+from testbed.flight.fault_monitor import FaultMonitor
 from testbed.flight.safety import AT_REST, LONGEST_BRAKE, Safety
 from testbed.flight.tracker import halt
-from testbed.flight.watch import Watch
 from testbed.rig.chain import fence_of, make_agent
 
 PERIOD = 0.1  # [s]
@@ -93,7 +93,7 @@ def test_whose_pose_it_is(make_state):
 @pytest.fixture
 def safety(vehicle):
     detectors = Detectors(vehicle, PERIOD, noisy=True)
-    return Safety(vehicle, PERIOD, Watch(shipped_faults()), detectors, None, 0.08)
+    return Safety(vehicle, PERIOD, FaultMonitor(shipped_faults()), detectors, None, 0.08)
 
 
 def act(safety, state, t=0.0, vitals=None, wanted=Wrench(0.3, 0.0, 0.0), **changes):  # noqa: B008
@@ -106,14 +106,14 @@ def test_a_healthy_demand_goes_through_as_it_is(safety, make_state):
     wanted = Wrench(0.3, 0.0, 0.0)
     acted = act(safety, make_state(), wanted=wanted)
     assert acted.wanted is wanted
-    assert (acted.response, acted.fault, acted.closed_because) == ("", None, None)
+    assert (acted.response, acted.fault, acted.inhibit_reason) == ("", None, None)
 
 
 def test_a_warning_changes_nothing(safety, make_state):
     state = replace(make_state(), pose_age=0.06)
     acted = act(safety, state)
     assert acted.holding == ("pose_stale",)
-    assert (acted.response, acted.wanted, acted.closed_because) == (
+    assert (acted.response, acted.wanted, acted.inhibit_reason) == (
         "warn", Wrench(0.3, 0.0, 0.0), None,
     )  # fmt: skip
 
@@ -127,11 +127,11 @@ def test_a_braking_vehicle_stops_and_then_shuts_its_valves_for_good(safety, make
     still = make_state((0.0, 0.0, 0.0), (0.9 * AT_REST, 0.0, 0.0))
     stopped = act(safety, still, 1.0)
     assert not stopped.braking
-    assert stopped.closed_because == stopped.fault
+    assert stopped.inhibit_reason == stopped.fault
     assert stopped.fault.startswith("operator_gone")
     # the operator is back, the vehicle drifts: it does not begin again
     again = act(safety, moving, 2.0)
-    assert again.closed_because is not None
+    assert again.inhibit_reason is not None
     assert not again.braking
 
 
@@ -144,7 +144,7 @@ def test_a_stop_that_does_not_end_is_given_up(safety, make_state):
 
 def edited(vehicle, name, **changes):
     table = shipped_faults()
-    watch = Watch(table | {name: replace(table[name], **changes)})
+    watch = FaultMonitor(table | {name: replace(table[name], **changes)})
     return Safety(vehicle, PERIOD, watch, Detectors(vehicle, PERIOD, noisy=True), None, 0.08)
 
 
@@ -152,7 +152,7 @@ def test_the_second_stop_of_a_row_that_is_not_latched_is_a_stop_again(vehicle, m
     safety = edited(vehicle, "operator_gone", latched=False)
     moving, gone = make_state((0.0, 0.0, 0.0), (0.05, 0.0, 0.0)), Vitals(operator_age=1.5)
     assert act(safety, moving, 0.0, gone).braking
-    assert act(safety, moving, 1.0).closed_because is None
+    assert act(safety, moving, 1.0).inhibit_reason is None
     assert act(safety, moving, LONGEST_BRAKE + 1.0, gone).braking
 
 
@@ -160,7 +160,7 @@ def test_whoever_holds_comes_to_rest_also_where_setpoints_still_come(vehicle, ma
     safety = edited(vehicle, "operator_gone", latched=False, response="hold")
     moving, gone = make_state((0.0, 0.0, 0.0), (0.05, 0.0, 0.0)), Vitals(operator_age=1.5)
     held = act(safety, moving, 0.0, gone)
-    assert (held.response, held.closed_because, held.braking) == ("hold", None, False)
+    assert (held.response, held.inhibit_reason, held.braking) == ("hold", None, False)
     assert held.wanted == halt(moving, vehicle, 0.08, PERIOD)
     assert act(safety, moving, 0.1).wanted == Wrench(0.3, 0.0, 0.0)  # and goes on afterwards
 
@@ -168,21 +168,21 @@ def test_whoever_holds_comes_to_rest_also_where_setpoints_still_come(vehicle, ma
 def test_what_cannot_brake_coasts(safety):
     acted = act(safety, None, vitals=Vitals(operator_age=1.5))
     assert not acted.braking
-    assert acted.closed_because is not None
+    assert acted.inhibit_reason is not None
 
 
 def test_coasting_shuts_the_valves_at_once(safety, make_state):
     silent = Health(0.0, 0.5e6, 2e7, silent_s=1.0)
     acted = act(safety, make_state((0, 0, 0), (0.05, 0, 0)), health=silent)
     assert (acted.response, acted.braking) == ("coast", False)
-    assert acted.closed_because.startswith("board_silent")
+    assert acted.inhibit_reason.startswith("board_silent")
 
 
 def test_a_reset_begins_anew(safety, make_state):
     act(safety, make_state(), vitals=Vitals(same_config=False))
     assert safety.latched == ("config_differs",)
     safety.reset()
-    assert act(safety, make_state(), 1.0).closed_because is None
+    assert act(safety, make_state(), 1.0).inhibit_reason is None
 
 
 def test_a_stuck_valve_is_not_inferred_from_poses_that_cannot_be_trusted(safety, make_state):
@@ -238,10 +238,10 @@ def test_no_valve_opens_in_a_forbidden_state(sequence):
         inputs = inputs_of(t, tick)
         outputs = agent.step(inputs)
         if not any(outputs.command.on_us):
-            latched = latched or outputs.closed_because == outputs.fault is not None
+            latched = latched or outputs.inhibit_reason == outputs.fault is not None
             continue
         state = outputs.state
-        assert outputs.closed_because is None
+        assert outputs.inhibit_reason is None
         assert not latched, "a fault that shut the valves was forgotten"
         assert inputs.armed
         assert state is not None

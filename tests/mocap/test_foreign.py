@@ -6,8 +6,8 @@ import threading
 import pytest
 
 from testbed.core.lab import MocapWire
-from testbed.ops.mocap import foreign
-from testbed.ops.mocap.foreign import ForeignSource
+from testbed.mocap import foreign
+from testbed.mocap.foreign import ForeignSource
 
 GOOD = """
 import os, struct, sys, time

@@ -14,9 +14,10 @@ import pytest
 
 from growth import growth
 from testbed.core.lab import MocapWire
-from testbed.ops.mocap import natnet_client
-from testbed.ops.mocap.exposure import Exposure, Sighting
-from testbed.ops.mocap.natnet import (
+from testbed.mocap import natnet_client
+from testbed.mocap.body_monitor import BodyWatch
+from testbed.mocap.exposure import Exposure, Sighting
+from testbed.mocap.natnet import (
     Described,
     MocapFrame,
     Packet,
@@ -28,11 +29,10 @@ from testbed.ops.mocap.natnet import (
     encode_server_info,
     packet,
 )
-from testbed.ops.mocap.natnet_client import MOST, NatNetClient
-from testbed.ops.mocap.natnet_server import Address, NatNetServer
-from testbed.ops.mocap.poses import MocapPoses
-from testbed.ops.mocap.watch import BodyWatch
-from testbed.ops.ticking import WallClock, monotonic_ns
+from testbed.mocap.natnet_client import MOST, NatNetClient
+from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.mocap.poses import MocapPoses
+from testbed.realtime.wall_clock import WallClock, monotonic_ns
 
 COUNT = int(os.environ.get("ABT_FUZZ", "9000")) // 3
 ROUND = int(os.environ.get("ABT_ROUND", "0"))
@@ -231,7 +231,7 @@ def test_an_address_that_is_none_is_named(wrong, words):
     assert words in str(error.value)
 
 
-class Told:
+class LawMessage:
     """A source that says what it is told to."""
 
     def __init__(self):
@@ -251,7 +251,7 @@ def sighting(x):
 
 @pytest.mark.parametrize("first", [math.nan, math.inf, 1e5])
 def test_a_first_pose_that_is_none_does_not_hide_the_true_ones(first):
-    source, epoch = Told(), 10**12
+    source, epoch = LawMessage(), 10**12
     poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1", BodyWatch())
     for k, x in enumerate((first, 1.0, 1.00001)):
         at = epoch + k * 10**7
@@ -262,7 +262,7 @@ def test_a_first_pose_that_is_none_does_not_hide_the_true_ones(first):
 
 @pytest.mark.parametrize("exposed_s", [3600.0, -3600.0, 1e9])
 def test_an_exposure_of_another_time_does_not_stop_the_watch(exposed_s):
-    source, epoch = Told(), 10**12
+    source, epoch = LawMessage(), 10**12
     poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1", BodyWatch())
     for k in range(50):
         at = epoch + k * 10**7

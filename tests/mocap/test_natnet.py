@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from testbed.ops.mocap.natnet import (
+from testbed.mocap.natnet import (
     Described,
     MocapFrame,
     NatNetError,

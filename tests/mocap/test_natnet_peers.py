@@ -14,11 +14,11 @@ from patience import wait_for
 from ports import free_port
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
-from testbed.ops.mocap.exposure import Axes, Sighting
-from testbed.ops.mocap.natnet import Described, MocapFrame, RigidBody
-from testbed.ops.mocap.natnet_client import NatNetClient
-from testbed.ops.mocap.natnet_server import Address, NatNetServer
-from testbed.ops.ticking import monotonic_ns
+from testbed.mocap.exposure import Axes, Sighting
+from testbed.mocap.natnet import Described, MocapFrame, RigidBody
+from testbed.mocap.natnet_client import NatNetClient
+from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.realtime.wall_clock import monotonic_ns
 
 WAYS = [((3, 1), None), ((4, 1), None), ((3, 1), "239.255.42.99"), ((4, 1), "239.255.42.99")]
 NAMES = ["sat1", "sat2"]

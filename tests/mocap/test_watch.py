@@ -7,11 +7,11 @@ import pytest
 
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
-from testbed.ops.mocap.exposure import Axes, Exposure
-from testbed.ops.mocap.poses import MocapPoses
-from testbed.ops.mocap.watch import BodyWatch, Trouble
-from testbed.ops.offset import Offset
-from testbed.ops.ticking import WallClock
+from testbed.mocap.body_monitor import BodyWatch, Trouble
+from testbed.mocap.exposure import Axes, Exposure
+from testbed.mocap.poses import MocapPoses
+from testbed.realtime.clock_sync import Offset
+from testbed.realtime.wall_clock import WallClock
 
 HZ = 100.0
 

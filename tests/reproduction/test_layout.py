@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from testbed.ops.characterisation import characterise
+from testbed.metrics.characterisation import characterise
 from testbed.reproduction.layout import cuts, densest, double_circle, ellipse, lattice, surface
 
 

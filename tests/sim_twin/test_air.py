@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim_twin.air import body_now, supply_share
-from sim_twin.metal import forge
+from sim_twin.plant_parameters import sample_plant
 
 OFF_CENTRE = {"com": (0.01, -0.02), "air": {"gas": 0.5, "tank_position": (-0.06, 0.09)}}
 
@@ -12,7 +12,7 @@ OFF_CENTRE = {"com": (0.01, -0.02), "air": {"gas": 0.5, "tank_position": (-0.06,
 @pytest.mark.parametrize("used", [0.0, 0.1, 0.3, 0.5])
 def test_what_is_left_and_what_has_left_make_the_full_vehicle(make_vehicle, used):
     vehicle = make_vehicle(**OFF_CENTRE)
-    mass, inertia, *com = body_now(forge({"a": vehicle}, 0), 0, used)
+    mass, inertia, *com = body_now(sample_plant({"a": vehicle}, 0), 0, used)
     com, tank, full = np.array(com), np.array(vehicle.air.tank_position), np.array(vehicle.com)
     assert mass + used == pytest.approx(vehicle.mass)
     assert (mass * com + used * tank) / vehicle.mass == pytest.approx(full)
@@ -29,7 +29,7 @@ def test_the_regulator_holds_until_the_tank_is_nearly_empty(make_vehicle, tank_p
     air = vehicle.air
     assert (air.set_pressure, air.dropout) == (0.5e6, 0.1e6)
     used = air.gas * (1.0 - tank_pressure / air.tank_pressure)
-    assert supply_share(forge({"a": vehicle}, 0), 0, used) == pytest.approx(share, abs=1e-9)
+    assert supply_share(sample_plant({"a": vehicle}, 0), 0, used) == pytest.approx(share, abs=1e-9)
     assert air.supply_pressure(air.gas - used) == pytest.approx(share * 0.5e6, abs=1e-3)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_twin.metal import forge
+from sim_twin.plant_parameters import sample_plant
 from sim_twin.randomness import Draws, stream
 from testbed.core.jets import effect_matrix
 
@@ -25,7 +25,7 @@ def test_streams_are_not_correlated():
 
 def test_a_vehicle_without_tolerances_is_forged_as_drawn(make_vehicle):
     vehicle = make_vehicle(com=(0.01, 0.02))
-    metal = forge({"a": vehicle}, 1)
+    metal = sample_plant({"a": vehicle}, 1)
     assert metal.effect[0] == pytest.approx(effect_matrix(vehicle.jets), abs=1e-15)
     assert metal.thrust[0] == pytest.approx(0.6)
     assert (metal.mass[0], metal.inertia[0]) == (vehicle.mass, vehicle.inertia)
@@ -34,7 +34,7 @@ def test_a_vehicle_without_tolerances_is_forged_as_drawn(make_vehicle):
 
 def test_what_is_forged_spreads_by_the_tolerances(shipped_vehicle):
     fleet = {str(k): shipped_vehicle for k in range(1000)}
-    spread, metal = shipped_vehicle.tolerance, forge(fleet, 1)
+    spread, metal = shipped_vehicle.tolerance, sample_plant(fleet, 1)
     assert metal.mass.mean() == pytest.approx(shipped_vehicle.mass, rel=0.002)
     assert metal.mass.std() == pytest.approx(shipped_vehicle.mass * spread.mass, rel=0.1)
     assert metal.inertia.std() == pytest.approx(shipped_vehicle.inertia * spread.inertia, rel=0.1)
@@ -47,8 +47,8 @@ def test_what_is_forged_spreads_by_the_tolerances(shipped_vehicle):
 
 
 def test_one_vehicle_more_changes_no_other(shipped_vehicle):
-    few = forge({"a": shipped_vehicle, "b": shipped_vehicle}, 1)
-    many = forge({"c": shipped_vehicle, "a": shipped_vehicle, "b": shipped_vehicle}, 1)
+    few = sample_plant({"a": shipped_vehicle, "b": shipped_vehicle}, 1)
+    many = sample_plant({"c": shipped_vehicle, "a": shipped_vehicle, "b": shipped_vehicle}, 1)
     for before, after in zip(few, many, strict=True):
         assert (before == after[1:]).all()
 

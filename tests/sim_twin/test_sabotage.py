@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sim_twin.board import last_closing
-from sim_twin.sabotage import Sabotage
-from testbed.core.injection import Injection
+from sim_twin.fault_injection import Sabotage
+from testbed.core.fault_injection import Injection
 from testbed.core.table import Obstacle
 from testbed.core.types import ALL_WELL, PoseSample
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
-from testbed.core.types import Accel, Pose, State, Told, Twist
+from testbed.core.types import Accel, LawMessage, Pose, State, Twist
 
 # not on the seam between the slabs, y = 0, where the tilt has a kink
 STARTS = {"a": Pose(-1.0, 0.3, 0.1), "b": Pose(1.0, 0.5, 2.0), "c": Pose(0.0, -2.0, -1.0)}
@@ -192,16 +192,16 @@ def test_laws_on_the_host_hear_what_was_said_before_this_tick(make_twin):
     a, b = TwinHostLink(twin, "a"), TwinHostLink(twin, "b")
     for k in range(3):
         twin.wait_until(0.1 * k)
-        a.tell(Told(0.1 * k, (float(k),)))
+        a.tell(LawMessage(0.1 * k, (float(k),)))
         # whoever speaks first in a tick: both hear the tick before
-        expected = {} if k == 0 else {"a": Told(0.1 * (k - 1), (k - 1.0,))}
+        expected = {} if k == 0 else {"a": LawMessage(0.1 * (k - 1), (k - 1.0,))}
         assert b.told() == expected
         assert a.told() == {}
 
 
 def test_laws_on_board_hear_each_other_over_the_air(make_twin):
     twin = make_twin(listeners=["b"])
-    TwinVehicleLink(twin, "a").tell(Told(0.1, (1.0, 2.0)))
+    TwinVehicleLink(twin, "a").tell(LawMessage(0.1, (1.0, 2.0)))
     twin.wait_until(1.0)
-    assert TwinVehicleLink(twin, "b").told() == {"a": Told(0.1, (1.0, 2.0))}
+    assert TwinVehicleLink(twin, "b").told() == {"a": LawMessage(0.1, (1.0, 2.0))}
     assert TwinVehicleLink(twin, "a").told() == {}

@@ -1,0 +1,212 @@
+"""Injected faults at work in the twin: what cameras, air, board and process suffer.
+
+`Sabotage` says what is broken now; the twin's parts ask it. Camera faults begin with the first
+frame exposed after their time, those of board and valves at their very instant, those of a process
+with its next tick.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_twin.board import Board
+from sim_twin.plant import Plant
+from sim_twin.randomness import stream
+from testbed.core.fault_injection import Injection
+from testbed.core.table import Obstacle
+from testbed.core.types import ALL_WELL, PoseSample, Vitals
+
+Array = NDArray[np.float64]
+
+DEAD_BATTERY = 7.0  # [V] what a board in a brown-out reports when it can
+NEVER = math.inf
+
+
+class Active:
+    """An injection and when it began."""
+
+    def __init__(self, what: Injection) -> None:
+        self.what = what
+        self.since = NEVER if what.at_s is None else what.at_s
+
+    def holds(self, t: float) -> bool:
+        """Whether it is in force at `t` [s]."""
+        return self.since <= t < self.since + self.what.for_s
+
+
+class Sabotage:
+    """All injections of a run."""
+
+    def __init__(
+        self,
+        injections: Sequence[Injection],
+        plant: Plant,
+        obstacles: Mapping[str, Obstacle],
+        half: tuple[float, float],
+        seed: int,
+        *,
+        boards: bool = True,
+    ) -> None:
+        """`boards` are modelled, and lose their power here; real ones lose it elsewhere."""
+        self._boards = boards
+        self._plant, self._half = plant, half
+        self._rocks = [(*rock.position, *rock.velocity) for rock in obstacles.values()]
+        self._active = [Active(one) for one in injections]
+        self._frozen: dict[str, PoseSample] = {}
+        self._rng = stream(seed, "sabotage")
+        self._now = 0.0
+
+    def began(self) -> list[float]:
+        """When each injection began, in order; infinite: not yet [s]."""
+        return [one.since for one in self._active]
+
+    def look(self, t: float) -> None:
+        """Time is `t` now: begin what waits for an event."""
+        self._now = t
+        for one in self._active:
+            if one.since == NEVER and self._happens(one.what, t):
+                one.since = t
+
+    def before(self, until: float) -> None:
+        """The plant is about to move on to `until`: break what breaks meanwhile."""
+        for one in self._active:
+            what = one.what
+            if not one.since < until:
+                continue
+            k = self._plant.names.index(what.vehicle)
+            over = one.since + what.for_s
+            match what.kind:
+                case "stick_open" | "stick_closed":
+                    self._plant.stick(k, what.jet - 1, what.kind == "stick_open", one.since, over)
+                case "brown_out" if self._boards:
+                    board = self._plant.boards[what.vehicle]
+                    assert isinstance(board, Board), "the configuration refuses it"
+                    board.lose_power(one.since, over)
+                case "leak":
+                    span = min(until, over) - max(one.since, self._plant.t)
+                    self._plant.leak(k, what.size * max(0.0, span))
+
+    def found(self, vehicle: str, *kinds: str) -> Injection | None:
+        """The first injection of these kinds that this vehicle suffers now."""
+        for one in self._active:
+            what = one.what
+            if what.kind in kinds and what.vehicle == vehicle and one.holds(self._now):
+                return what
+        return None
+
+    def sources(self, names: Sequence[str], times: Array) -> list[list[int]] | None:
+        """For each exposure, whose body each name shows; None: everybody its own."""
+        swaps = [one for one in self._active if one.what.kind == "swap_bodies"]
+        if not any(one.holds(t) for one in swaps for t in times.tolist()):
+            return None
+        rows = []
+        for t in times.tolist():
+            row = list(range(len(names)))
+            for one in swaps:
+                if one.holds(t):
+                    a, b = names.index(one.what.vehicle), names.index(one.what.other)
+                    row[a], row[b] = row[b], row[a]
+            rows.append(row)
+        return rows
+
+    def poses(self, name: str, samples: list[PoseSample]) -> list[PoseSample]:
+        """What is left of a vehicle's poses."""
+        seen = samples
+        for one in self._active:
+            what = one.what
+            if what.vehicle != name:
+                continue
+            match what.kind:
+                case "drop_mocap":
+                    seen = [s for s in seen if not one.holds(s.captured_at)]
+                case "freeze_mocap":
+                    seen = [self._freeze(name, s, holds=one.holds(s.captured_at)) for s in seen]
+                case "jump_mocap":
+                    seen = [
+                        _moved(s, what.size, 0.0) if one.holds(s.captured_at) else s for s in seen
+                    ]
+                case "noisy_mocap":
+                    seen = [
+                        _moved(s, *(what.size * self._rng.standard_normal(2)).tolist())
+                        if one.holds(s.captured_at) else s
+                        for s in seen
+                    ]  # fmt: skip
+                case "clock_step":
+                    if one.holds(self._now):
+                        seen = [
+                            PoseSample(s.captured_at - what.size, s.x, s.y, s.theta) for s in seen
+                        ]
+        return seen
+
+    def _freeze(self, name: str, sample: PoseSample, *, holds: bool) -> PoseSample:
+        if not holds or name not in self._frozen:
+            self._frozen[name] = sample
+        last = self._frozen[name]
+        return PoseSample(sample.captured_at, last.x, last.y, last.theta)
+
+    def air(self, receiver: str) -> tuple[float, float]:
+        """What messages to a vehicle suffer now: extra delay [s], probability of loss."""
+        late, lost = self.found(receiver, "delay_link"), self.found(receiver, "lose_link")
+        return late.size if late else 0.0, lost.size if lost else 0.0
+
+    def dead(self, name: str) -> bool:
+        """Whether the vehicle's process is gone."""
+        return self.found(name, "kill_process") is not None
+
+    def spoilt(self, name: str) -> str:
+        """What is wrong with the law: "nan", "raise" or nothing."""
+        what = self.found(name, "nan_law", "raise_law")
+        return what.kind.removesuffix("_law") if what else ""
+
+    def power(self, name: str) -> tuple[float, float]:
+        """Battery [V] and for how long the board has been silent [s]."""
+        for one in self._active:
+            if one.what.kind == "brown_out" and one.what.vehicle == name and one.holds(self._now):
+                return DEAD_BATTERY, self._now - one.since
+        return 12.0, 0.0
+
+    def vitals(self, name: str) -> Vitals:
+        """What the process round the vehicle's chain knows."""
+        clock, late = self.found(name, "clock_step"), self.found(name, "overrun")
+        absent = [
+            self._now - one.since for one in self._active
+            if one.what.kind == "operator_gone" and one.holds(self._now)
+        ]  # fmt: skip
+        full, differs = self.found(name, "disk_full"), self.found(name, "config_differs")
+        if not (clock or late or absent or full or differs):
+            return ALL_WELL
+        return Vitals(
+            operator_age=max(absent, default=0.0),
+            clock_offset=clock.size if clock else 0.0,
+            late_s=late.size if late else 0.0,
+            disk_free=0.0 if full else ALL_WELL.disk_free,
+            same_config=differs is None,
+        )
+
+    def _happens(self, what: Injection, t: float) -> bool:
+        x, y, _, vx, vy, _ = self._plant.x[self._plant.names.index(what.vehicle)].tolist()
+        limit = what.threshold or 0.0
+        match what.event:
+            case "near_obstacle":
+                gaps = [
+                    math.hypot(px + t * wx - x, py + t * wy - y) for px, py, wx, wy in self._rocks
+                ]
+                return min(gaps, default=NEVER) < limit
+            case "near_vehicle":
+                others = [
+                    math.hypot(row[0] - x, row[1] - y)
+                    for name, row in zip(self._plant.names, self._plant.x.tolist(), strict=True)
+                    if name != what.vehicle
+                ]
+                return min(others, default=NEVER) < limit
+            case "near_edge":
+                return min(self._half[0] - abs(x), self._half[1] - abs(y)) < limit
+            case "faster_than":
+                return math.hypot(vx, vy) > limit
+        return False
+
+
+def _moved(sample: PoseSample, dx: float, dy: float) -> PoseSample:
+    return PoseSample(sample.captured_at, sample.x + dx, sample.y + dy, sample.theta)

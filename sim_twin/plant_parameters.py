@@ -1,0 +1,85 @@
+"""The true vehicles: the vehicle file plus what its tolerances let happen, drawn from the seed."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_twin.randomness import stream
+from testbed.core.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+
+class Metal(NamedTuple):
+    """Fleet of v true vehicles with up to j jets, in numbers for compiled code.
+
+    Torques and positions are about the body's origin, in B; missing jets have no thrust.
+    """
+
+    mass: Array  # (v,) with a full tank [kg]
+    inertia: Array  # (v,) about the centre of mass, full tank [kg m^2]
+    com: Array  # (v, 2) full tank [m]
+    radius: Array  # (v,) [m]
+    drag: Array  # (v,) [N s/m]
+    spin_drag: Array  # (v,) [N m s/rad]
+    effect: Array  # (v, 3, j) wrench of a fully open jet at set pressure
+    thrust: Array  # (v, j) its magnitude [N]
+    gas: Array  # (v,) in the full tank [kg]
+    tank: Array  # (v, 2) [m]
+    exhaust_speed: Array  # (v,) [m/s]
+    droop: Array  # (v,)
+    bearing_flow: Array  # (v,) [kg/s]
+    tank_pressure: Array  # (v,) full [Pa]
+    set_pressure: Array  # (v,) [Pa]
+    dropout: Array  # (v,) [Pa]
+    timing: Array  # (v, 4) open delay, close delay, open ramp, close ramp [s]
+
+
+def sample_plant(vehicles: Mapping[str, Vehicle], seed: int) -> Metal:
+    """Draw the true vehicles."""
+    jets = max(len(v.jets) for v in vehicles.values())
+    drawn = [
+        _forge_one(vehicle, stream(seed, name, "metal"), jets) for name, vehicle in vehicles.items()
+    ]
+    return Metal(*(np.array(column) for column in zip(*drawn, strict=True)))
+
+
+def _forge_one(vehicle: Vehicle, rng: np.random.Generator, jets: int) -> Metal:
+    spread, air, valve = vehicle.tolerance, vehicle.air, vehicle.valve
+    effect, thrust = np.zeros((3, jets)), np.zeros(jets)
+    for j, jet in enumerate(vehicle.jets):
+        force = jet.thrust * max(0.0, 1.0 + spread.thrust * rng.standard_normal())
+        angle = np.radians(spread.direction_deg) * rng.standard_normal()
+        push = np.array([
+            np.cos(angle) * jet.push[0] - np.sin(angle) * jet.push[1],
+            np.sin(angle) * jet.push[0] + np.cos(angle) * jet.push[1],
+        ])  # fmt: skip
+        fx, fy = force * push
+        effect[:, j] = fx, fy, jet.position[0] * fy - jet.position[1] * fx
+        thrust[j] = force
+    mass, inertia = (1.0 + np.array([spread.mass, spread.inertia]) * rng.standard_normal(2)).clip(
+        0.5
+    )
+    return Metal(
+        mass=vehicle.mass * mass,
+        inertia=vehicle.inertia * inertia,
+        com=np.array(vehicle.com) + spread.com * rng.standard_normal(2),
+        radius=np.array(vehicle.radius),
+        drag=np.array(vehicle.drag),
+        spin_drag=np.array(vehicle.spin_drag),
+        effect=effect,
+        thrust=thrust,
+        gas=np.array(air.gas),
+        tank=np.array(air.tank_position, dtype=float),
+        exhaust_speed=np.array(air.exhaust_speed),
+        droop=np.array(air.droop),
+        bearing_flow=np.array(air.bearing_flow),
+        tank_pressure=np.array(air.tank_pressure),
+        set_pressure=np.array(air.set_pressure),
+        dropout=np.array(air.dropout),
+        timing=np.array(
+            [valve.open_delay_s, valve.close_delay_s, valve.open_ramp_s, valve.close_ramp_s]
+        ),
+    )

@@ -1,0 +1,208 @@
+"""`testbed bench`: fly the benchmark of record on the twin, or score what flew on a table."""
+
+import shlex
+import sys
+import textwrap
+from contextlib import redirect_stdout, suppress
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.table import Table as Grid
+
+from testbed.campaign.benchmark import (
+    BenchmarkFile,
+    Record,
+    Score,
+    load_benchmark,
+    scenario_campaign,
+    scores,
+)
+from testbed.campaign.code import code_digest
+from testbed.campaign.engine import workers
+from testbed.campaign.flight import Crew, fly_campaign
+from testbed.campaign.folders import score_folders
+from testbed.campaign.page import COLUMNS, page
+from testbed.campaign.sweep import experiment_path
+from testbed.cli.campaign import TROUBLE, Bar, find_campaign, write_results
+from testbed.cli.main import INTERRUPTED, OK
+from testbed.cli.refusal import errors, refuse
+from testbed.cli.run import Interrupt
+from testbed.cli.trial import fly_batch, fly_with_log, read, warm
+from testbed.config import SHIPPED, ConfigError, find
+from testbed.files import write_atomic
+
+WIDEST = 500  # characters of a line
+BEFORE = (  # the commands
+    "One command a run, for any rig: on a table with `--rig table` behind each. Type one, look, "
+    "type the next: a shell script of all would not carry the vehicles back to their starts.",
+    "Your own table and vehicle: in each command, in front of the first KEY=VALUE, "
+    "table=lab/table.toml 'vehicles.*.model=lab/sat1.toml' (or vehicles.sat1.model=... for each). "
+    "The law's gains stay.",
+    "To go on after a fault or a refill: type the commands whose folders are not there yet; one "
+    "whose folder is there is refused and overwrites nothing. A run that a fault ended counts: "
+    "keep it, look at the vehicles, and put `--reset` behind the next one. A run that never armed, "
+    "or that somebody ended for a reason that is not the law's: remove its folder, type its "
+    "command again, and say so where you publish.",
+    "Afterwards: testbed bench --from {runs}",
+)
+
+
+def run_benchmark(
+    name: str | None, out: Path | None, jobs: int, scheduler: str | None, as_json: bool,
+    samples: int | None, only: tuple[str, ...], runs: Path | None, commands: bool,
+) -> int:  # fmt: skip
+    """Fly or score, and return the exit code."""
+    interrupt, table = Interrupt(), None
+    try:
+        path = find_campaign(name or str(SHIPPED / "benchmark.toml"))
+        whole = load_benchmark(path)
+        file = chosen(whole, only)
+        if samples is not None:
+            file = msgspec.structs.replace(file, samples=samples)
+        options = "".join(f" --only {name}" for name in only)
+        options += f" --samples {samples}" if samples else ""
+        folder = out or Path("runs") / f"benchmark_{file.name}"
+        if commands:
+            print_commands(path, file, runs or out or Path("runs") / f"benchmark_{file.name}_table")
+            return OK
+        if runs is not None:
+            folder = out or runs
+            not_the_twins(folder, file)
+            record = score_folders(path, whole, file, runs)
+            options = f" --from FOLDER{options}"
+        else:
+            with interrupt.caught(), interrupt.at_once(), redirect_stdout(sys.stderr):
+                table = fly_benchmark(path, file, folder, jobs, scheduler)
+            if table is None:
+                errors.print(
+                    f"interrupted: what was flown is kept in {folder}; the same command goes on",
+                    style="yellow", markup=False, soft_wrap=True,
+                )  # fmt: skip
+                return INTERRUPTED
+            record = Record(file.name, version("airbearing-testbed"), table, code_digest())
+        text = msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomic(folder / "scores.json", text)
+        write_atomic(folder / "benchmark.md", page(record, path, file, options).encode())
+    except TROUBLE as error:
+        return refuse(error)
+    if as_json:
+        sys.stdout.write(text.decode())
+    else:
+        print_scores(record.scores)
+    print_concerns(record)
+    return OK
+
+
+def chosen(file: BenchmarkFile, only: tuple[str, ...]) -> BenchmarkFile:
+    """The benchmark with some of its scenarios."""
+    for name in only:
+        if name not in file.scenarios:
+            raise ConfigError("--only", "", f"one of: {', '.join(file.scenarios)}", name)
+    kept = {name: one for name, one in file.scenarios.items() if not only or name in only}
+    return msgspec.structs.replace(file, scenarios=kept)
+
+
+def fly_benchmark(
+    path: Path, file: BenchmarkFile, folder: Path, jobs: int, scheduler: str | None
+) -> list[Score]:
+    """Fly every scenario on the twin."""
+    campaigns = {name: scenario_campaign(path, file, name) for name in file.scenarios}
+    table: list[Score] = []
+    with workers(jobs, scheduler) as client:
+        crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler, client)
+        for name, campaign in campaigns.items():
+            finish = partial(write_results, campaign, folder=folder / name)
+            with Bar(name) as watch:
+                ended = fly_campaign(
+                    campaign, path.read_bytes(), folder / name, crew, watch, finish
+                )
+            table += scores(campaign, name, ended.runs)
+    return table
+
+
+def not_the_twins(folder: Path, file: BenchmarkFile) -> None:
+    """Refuse to write a lab's scores over the twin's."""
+    for name in file.scenarios:
+        if (folder / name / "journal.jsonl").exists():
+            expected = "--out with another folder: the twin's benchmark is in this one"
+            raise ConfigError(str(folder), "", expected, f"{name}/journal.jsonl")
+
+
+def print_commands(path: Path, file: BenchmarkFile, runs: Path) -> None:
+    """Print the commands that fly the benchmark run by run, for instance on a table."""
+    where = shlex.quote(str(runs))
+    lines = [line for text in BEFORE for line in comment(text.format(runs=where))]
+    if file.trouble:
+        how = file.trouble_hardware or "not said in the benchmark's file"
+        lines += comment(f"The robustness runs (`robust`) are not among these: {how}")
+    for name, scenario in file.scenarios.items():
+        lines += ["", f"# {name}"]
+        if scenario.hardware:
+            lines += comment(f"On a table: {scenario.hardware}")
+        experiment = shown_experiment(experiment_path(path, scenario.experiment))
+        for law in scenario.laws:
+            for k in range(file.samples):
+                words = ["testbed", "run", experiment, *scenario.set, *file.laws[law]]
+                place = runs / name / law / str(k)
+                words += ["--seed", str(file.seed + k), "--out", str(place)]
+                lines.append(shlex.join(words))
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+def shown_experiment(path: Path) -> str:
+    """An experiment as it is best typed: its name, or its path from here if it is below."""
+    whole, here, shelf = path.resolve(), Path.cwd(), SHIPPED.resolve()
+    names = [whole.stem]
+    if whole.is_relative_to(shelf):
+        names.append(whole.relative_to(shelf).with_suffix("").as_posix())
+    for name in names:
+        with suppress(ConfigError):  # no shipped one is called so
+            if find(name).resolve() == whole:
+                return name
+    return str(whole.relative_to(here) if whole.is_relative_to(here) else path)
+
+
+def comment(text: str) -> list[str]:
+    """Lines for a shell to pass over."""
+    return textwrap.wrap(
+        text, 98, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False,
+        break_long_words=False,
+    )  # fmt: skip
+
+
+def print_concerns(record: Record) -> None:
+    """Say what a reader of the scores has to know, on standard error."""
+    lines = [f"passed over: {one.folder}: {one.reason}" for one in record.passed_over]
+    lines += [f"not flown: {one}" for one in record.not_flown]
+    lines += [f"not as the benchmark has it: {one}" for one in record.own]
+    for line in lines:
+        errors.print(line, style="yellow", markup=False, soft_wrap=True)
+
+
+def print_scores(table: list[Score]) -> None:
+    """Print the table; no number is cut, in however narrow a window."""
+    grid = Grid(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    for heading in ("scenario", "law"):
+        grid.add_column(heading, no_wrap=True)
+    headings = [heading.replace(" ", "\n").replace("[", "\\[") for heading, *_ in COLUMNS]
+    rigs = any(row.rig != "twin" for row in table)
+    for heading in ("passed", *headings, "robust", *["rig"] * rigs):
+        grid.add_column(heading, justify="right")
+    before = ""
+    for row in table:
+        cells = [row.scenario if row.scenario != before else "", row.law]
+        cells.append(f"{row.passed}/{row.runs}")
+        for _, key, scale, form in COLUMNS:
+            value = getattr(row, key)
+            cells.append("-" if value is None else form.format(scale * value))
+        cells.append(f"{row.robust_passed}/{row.robust_runs}" if row.robust_runs else "-")
+        cells += [row.rig] * rigs
+        grid.add_row(*cells, style="red" if row.passed < row.runs else None)
+        before = row.scenario
+    out = Console(highlight=False)
+    out.width = max(out.width, out.measure(grid, options=out.options.update(width=WIDEST)).maximum)
+    out.print(grid)

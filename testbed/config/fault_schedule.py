@@ -1,0 +1,30 @@
+"""What cannot be about injected faults: of vehicles, valves and events that are not there."""
+
+from collections.abc import Iterator
+
+from testbed.config.error import Mistake, show
+from testbed.config.experiment import Experiment
+
+
+def bad_injections(experiment: Experiment) -> Iterator[Mistake]:
+    """All that is wrong with `[[inject]]`."""
+    names = ", ".join(experiment.vehicles)
+    for k, what in enumerate(experiment.inject):
+        key = ("inject", k)
+        if what.vehicle not in experiment.vehicles:
+            yield Mistake((*key, "vehicle"), f"one of: {names}", show(what.vehicle))
+            continue
+        if what.kind == "swap_bodies" and (
+            what.other == what.vehicle or what.other not in experiment.vehicles
+        ):
+            yield Mistake((*key, "other"), f"another one of: {names}", show(what.other))
+        if what.kind == "brown_out" and experiment.board in ("inproc", "unicorn", "qemu"):
+            found = f'board = "{experiment.board}"'
+            yield Mistake((*key, "kind"), 'board = "model" with it', found)
+        jets = len(experiment.vehicles[what.vehicle].model.jets)
+        if not 1 <= what.jet <= jets:
+            yield Mistake((*key, "jet"), f"a jet from 1 to {jets}", show(what.jet))
+        if what.event == "near_obstacle" and not experiment.obstacles:
+            yield Mistake((*key, "event"), "an event that can happen", "no obstacle is there")
+        if what.event == "near_vehicle" and len(experiment.vehicles) < 2:
+            yield Mistake((*key, "event"), "an event that can happen", "no other vehicle is there")

@@ -1,0 +1,164 @@
+"""Where a tree does not fit a struct, in the words of a TOML file.
+
+msgspec decides whether it fits; its message does not name the entry of a table, so the tree is
+walked once more beside the types to find the first misfit.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+from msgspec import Struct, inspect
+
+from testbed.config.error import Mistake, did_you_mean, refused, show
+from testbed.config.key import Key, spell
+from testbed.core.table import Table
+from testbed.core.vehicle import Vehicle
+
+MISSING = "nothing: the key is missing"
+INCLUDED = (Table, Vehicle)  # may be a file of their own
+
+
+def first_misfit(tree: Any, struct: type[Struct]) -> Mistake:
+    """The first misfit of a tree that msgspec could not convert to `struct`."""
+    kind = inspect.type_info(struct)
+    return _misfit((), tree, kind) or Mistake((), describe(kind), show(tree))
+
+
+def describe(kind: inspect.Type) -> str:
+    """What a value of this type is, for a person who edits TOML."""
+    match kind:
+        case inspect.FloatType():
+            return "a number" + _bounds(kind)
+        case inspect.IntType():
+            return "a whole number" + _bounds(kind)
+        case inspect.StrType():
+            return "a string"
+        case inspect.BoolType():
+            return "true or false"
+        case inspect.LiteralType(values=values):
+            return f"one of: {', '.join(map(str, values))}"
+        case inspect.TupleType(item_types=items):
+            return f"a list of {len(items)}, each {describe(items[0])}"
+        case inspect.ListType(item_type=item) | inspect.VarTupleType(item_type=item):
+            return f"a list, each entry {describe(item)}"
+        case inspect.StructType(cls=cls):
+            return "a table" + " or the path of a TOML file" * (cls in INCLUDED)
+        case inspect.DictType():
+            return "a table"
+        case inspect.AnyType():
+            return "a value"
+        case inspect.UnionType(types=types):
+            if tagged := _tagged(kind):
+                return f"a table whose `type` is one of: {', '.join(tagged)}"
+            return " or ".join(describe(t) for t in types if not isinstance(t, inspect.NoneType))
+    return str(kind)
+
+
+def _bounds(kind: inspect.FloatType | inspect.IntType) -> str:
+    number = "{:g}" if isinstance(kind, inspect.FloatType) else "{}"
+    signs = ((">", kind.gt), (">=", kind.ge), ("<", kind.lt), ("<=", kind.le))
+    bounds = [f"{sign} {number.format(bound)}" for sign, bound in signs if bound is not None]
+    return f" {' and '.join(bounds)}".rstrip()
+
+
+def _tagged(kind: inspect.UnionType) -> dict[str, inspect.StructType]:
+    """The structs of which a table's `type` picks one."""
+    structs = (t for t in kind.types if isinstance(t, inspect.StructType))
+    return {str(t.tag): t for t in structs if t.tag_field == "type"}
+
+
+def _misfit(key: Key, value: Any, kind: inspect.Type) -> Mistake | None:
+    """The first misfit of `value`, which stands at `key`."""
+    match kind, value:
+        case inspect.StructType(), dict():
+            return _struct_misfit(key, value, kind)
+        case inspect.UnionType(), _:
+            return _union_misfit(key, value, kind)
+        case inspect.DictType(value_type=entry), dict():
+            entries = [((*key, name), item, entry) for name, item in value.items()]
+        case ((inspect.ListType(item_type=entry) | inspect.VarTupleType(item_type=entry)), list()):
+            entries = [((*key, i), item, entry) for i, item in enumerate(value)]
+        case inspect.TupleType(item_types=types), list() if len(types) == len(value):
+            pairs = enumerate(zip(value, types, strict=True))
+            entries = [((*key, i), item, entry) for i, (item, entry) in pairs]
+        case _:
+            return None if _fits(value, kind) else Mistake(key, describe(kind), show(value))
+    return _first(entries)
+
+
+def _first(entries: Sequence[tuple[Key, Any, inspect.Type]]) -> Mistake | None:
+    return next((misfit for entry in entries if (misfit := _misfit(*entry))), None)
+
+
+def _fits(value: Any, kind: inspect.Type) -> bool:
+    """Whether a value without entries is of this type."""
+    match kind:
+        case inspect.FloatType() | inspect.IntType():
+            whole = isinstance(kind, inspect.IntType)
+            if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
+                return False
+            return (
+                (kind.gt is None or value > kind.gt)
+                and (kind.ge is None or value >= kind.ge)
+                and (kind.lt is None or value < kind.lt)
+                and (kind.le is None or value <= kind.le)
+            )
+        case inspect.StrType():
+            return isinstance(value, str)
+        case inspect.BoolType():
+            return isinstance(value, bool)
+        case inspect.LiteralType(values=values):
+            return value in values
+        case inspect.AnyType():
+            return True
+    return False
+
+
+def _struct_misfit(key: Key, table: dict[str, Any], kind: inspect.StructType) -> Mistake | None:
+    fields = {field.encode_name: field for field in kind.fields}
+    known = sorted([*fields, *filter(None, [kind.tag_field])])
+    for name in table:
+        if name not in known:
+            found = f"unknown key `{spell((name,))}`{did_you_mean(name, known)}"
+            return Mistake((*key, name), f"one of: {', '.join(known)}", found)
+    for name, field in fields.items():
+        if name in table:
+            if misfit := _misfit((*key, name), table[name], field.type):
+                return misfit
+        elif field.required:
+            return Mistake((*key, name), describe(field.type), MISSING)
+    return _refusal(key, table, kind.cls)
+
+
+def _refusal(key: Key, table: dict[str, Any], cls: type) -> Mistake | None:
+    """What the struct itself has against values that are right one by one."""
+    try:
+        msgspec.convert(table, cls)
+    except msgspec.ValidationError as error:
+        return refused(key, error)
+    return None
+
+
+def _union_misfit(key: Key, value: Any, kind: inspect.UnionType) -> Mistake | None:
+    tagged = _tagged(kind)
+    if tagged and isinstance(value, dict):
+        return _tagged_misfit(key, value, tagged)
+    misfits = [_misfit(key, value, t) for t in kind.types]
+    if None in misfits:
+        return None
+    inside = (misfit for misfit in misfits if misfit and misfit.key != key)
+    return next(inside, Mistake(key, describe(kind), show(value)))
+
+
+def _tagged_misfit(
+    key: Key, table: dict[str, Any], options: dict[str, inspect.StructType]
+) -> Mistake | None:
+    """The misfit of a table whose `type` picks the struct."""
+    found = MISSING
+    if "type" in table:
+        tag = table["type"]
+        if isinstance(tag, str) and tag in options:
+            return _struct_misfit(key, table, options[tag])
+        found = show(tag) + (did_you_mean(tag, options) if isinstance(tag, str) else "")
+    return Mistake((*key, "type"), f"one of: {', '.join(options)}", found)

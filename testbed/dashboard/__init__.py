@@ -1,0 +1,1 @@
+"""The live picture: rerun scene, viewer, feeder."""

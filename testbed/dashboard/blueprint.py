@@ -1,0 +1,111 @@
+"""How the dashboard is laid out: the table on the left, numbers on the right."""
+
+import math
+
+import rerun.blueprint as rrb
+from rerun.blueprint.archetypes import (
+    EyeControls3D,
+    LineGrid3D,
+)
+from rerun.blueprint.encodings import TimelineColumn
+
+from testbed.dashboard.static_scene import plain
+from testbed.report.goal_error import Wanted
+from testbed.report.scenario import Scenario
+
+FIELD = 57.0  # [deg] vertical, of rerun's eye
+WINDOW_S = 60.0  # of the plots
+VALVES_S = 10.0
+
+
+def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
+    """Views, and a time panel that follows a flight or waits to be played."""
+    half = max(scenario.table.size) / 2
+    height = 1.08 * half / math.tan(math.radians(FIELD / 2))
+    top = rrb.Spatial3DView(
+        origin="/world", name=f"Table from above, {scenario.table.size[0]:g} m x "
+        f"{scenario.table.size[1]:g} m, grid 1 m", background=[16, 20, 26],
+        eye_controls=EyeControls3D(
+            position=(0, 0, height), look_target=(0, 0, 0), eye_up=(0, 1, 0),
+            kind=rrb.Eye3DKind.Orbital),
+        line_grid=LineGrid3D(visible=True, spacing=1.0, color=[60, 68, 80]),
+    )  # fmt: skip
+    flight = rrb.Vertical(
+        _plot("error", f"{Wanted(scenario).title} [mm] over time [s]"),
+        _plot("clearance", "Clearance to the nearest danger zone [m] over time [s]")
+        if scenario.obstacles
+        else _plot("speed", "Speed [mm/s] over time [s]"),
+        _plot("force", "Force demanded and delivered, mean over 1 s [N] over time [s]"),
+        rrb.TimeSeriesView(
+            origin="/plot/valve",
+            name="Valves: a row per jet, height is its share of the jet period, over time [s]",
+            time_ranges=_window(WINDOW_S),
+            plot_legend=rrb.PlotLegend(visible=False),
+        ),
+        row_shares=[3, 3, 3, 4],
+        name="Flight",
+    )
+    air = rrb.Vertical(
+        _plot("gas", "Gas left [%] over time [s]"),
+        _plot("supply", "Supply pressure [kPa] over time [s]"),
+        _plot("speed", "Speed [mm/s] over time [s]"),
+        _plot("filter", "Force changed by the safety filter [N] over time [s]"),
+        name="Air and safety",
+    )
+    timing = rrb.Vertical(
+        _plot("pose_age", "Age of the newest pose [ms] over time [s]"),
+        _plot("link", "Link delay: age of what the host has heard [ms] over time [s]"),
+        _plot("loss", "Link loss: ticks without news [%] over time [s]"),
+        _plot("loop", "Loop lateness [ms] over time [s]"),
+        name="Timing",
+    )
+    valves = rrb.Vertical(
+        *[
+            rrb.StateTimelineView(
+                origin=f"/valve/{name}", name=f"Valves of {plain(name)} over time [s]",
+                time_ranges=_window(VALVES_S))
+            for name in scenario.vehicles
+        ],
+        name="Valves",
+    )  # fmt: skip
+    left = rrb.Vertical(
+        rrb.TextDocumentView(origin="/banner", name="State", titlebar=False),
+        top,
+        rrb.TextLogView(
+            origin="/event",
+            name="Events, time [s]",
+            columns=rrb.TextLogColumns(
+                timeline_columns=[TimelineColumn("t", visible=False)],
+                text_log_columns=["LogLevel", "Body"],
+            ),
+        ),
+        row_shares=[1.0, 9, 2.1],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(left, rrb.Tabs(flight, air, timing, valves), column_shares=[11, 9]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(
+            state="collapsed", timeline="t", play_state="following" if live else "playing"
+        ),
+        rrb.TopPanel(state="hidden"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _window(seconds: float) -> list[rrb.VisibleTimeRange]:
+    return [
+        rrb.VisibleTimeRange(
+            "t",
+            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds),
+            end=rrb.TimeRangeBoundary.cursor_relative(),
+        )
+    ]
+
+
+def _plot(what: str, name: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=f"/plot/{what}", name=name, time_ranges=_window(WINDOW_S),
+        plot_legend=rrb.PlotLegend(visible=True, corner="LeftTop"),
+    )  # fmt: skip

@@ -1,0 +1,87 @@
+"""What the dashboard shows of wires and boards: only a rig that has some says anything of them."""
+
+from collections.abc import Sequence
+
+import rerun as rr
+
+from testbed.dashboard.static_scene import plain
+from testbed.logs.feed import News, SeenPace, SeenPhase, SeenValves
+from testbed.logs.history import camera_events, lost_share
+from testbed.report.scenario import Scenario
+
+VALVE_STATES = rr.StateConfiguration(
+    values=["open", "shut"], labels=["", ""], colors=[0xFFD666FF, 0x1A2028FF]
+)
+
+
+class WireScene:
+    """What has been drawn so far of one run."""
+
+    def __init__(self, scenario: Scenario, recording: rr.RecordingStream) -> None:
+        self._scenario, self._rec = scenario, recording
+        self.phase = ""  # of the supervisor
+        self._cameras: dict[str, str] = {}
+        self._open: dict[tuple[str, int], bool] = {}
+
+    def draw(self, news: Sequence[News]) -> None:
+        """Take in what has come."""
+        paces: dict[str, list[tuple[float, SeenPace]]] = {}
+        edges: dict[str, list[SeenValves]] = {}
+        for one in news:
+            match one.message:
+                case SeenPace() as pace:
+                    paces.setdefault(one.who, []).append((one.t, pace))
+                case SeenValves() as valves:
+                    edges.setdefault(one.who, []).append(valves)
+                case SeenPhase(t=t, phase=phase, because=because):
+                    self.phase = phase
+                    self._say(t, f"{phase}: {because}", bad=phase == "FAULT")
+        for name, seen in paces.items():
+            self._wires(name, seen)
+        for name, driven in edges.items():
+            if name in self._scenario.vehicles:
+                self._driven(name, driven)
+
+    def _say(self, t: float, words: str, *, bad: bool) -> None:
+        self._rec.set_time("t", duration=t)
+        level = "WARN" if bad else "INFO"
+        self._rec.log("event", rr.TextLog(plain(f"{t:6.1f}   {words}"), level=level))
+
+    def _wires(self, name: str, seen: list[tuple[float, SeenPace]]) -> None:
+        """How a vehicle's wires are: lateness, delay and loss of its setpoints, its cameras."""
+        self._column(f"plot/loop/{name}", [(t, 1e3 * p.late_s) for t, p in seen])
+        delays = [(t, p) for t, p in seen if p.setpoint_delay_s is not None]
+        if delays:
+            ages = [(t, 1e3 * (p.setpoint_delay_s or 0.0)) for t, p in delays]
+            self._column(f"plot/link/to {name}", ages)
+            lost = [(t, 100.0 * lost_share(p)) for t, p in delays]
+            self._column(f"plot/loss/to {name}", lost)
+        for t, words in camera_events(seen, self._cameras.get(name, "")):
+            self._say(t, f"{name}   {words}", bad=True)
+        self._cameras[name] = seen[-1][1].cameras
+
+    def _driven(self, name: str, driven: list[SeenValves]) -> None:
+        """When each valve opened and shut, as the board says."""
+        for jet in range(len(self._scenario.vehicles[name].model.jets)):
+            path, times, states = f"valve/{name}/jet_{jet + 1}_board", [], []
+            for one in driven:
+                is_open = bool(one.mask >> jet & 1)
+                if is_open != self._open.get((name, jet)):
+                    if (name, jet) not in self._open:
+                        self._rec.log(path, VALVE_STATES, static=True)
+                    self._open[name, jet] = is_open
+                    times.append(one.t)
+                    states.append("open" if is_open else "shut")
+            if times:
+                self._rec.send_columns(
+                    path,
+                    [rr.TimeColumn("t", duration=times)],
+                    rr.StateChange.columns(state=states),
+                )
+
+    def _column(self, path: str, rows: list[tuple[float, float]]) -> None:
+        self._rec.send_columns(
+            path,
+            [rr.TimeColumn("t", duration=[t for t, _ in rows])],
+            rr.Scalars.columns(scalars=[value for _, value in rows]),
+        )

@@ -1,0 +1,278 @@
+"""The dashboard's stage: what stands still, and the shapes that everything is made of."""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from testbed.report.goal_error import Wanted
+from testbed.report.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+HUES = (
+    (88, 166, 255),
+    (255, 159, 74),
+    (60, 207, 174),
+    (229, 138, 212),
+    (216, 198, 74),
+    (159, 164, 255),
+)
+GREY, RED, WHITE, FLAME = (120, 130, 145), (255, 107, 107), (240, 244, 248), (255, 214, 102)
+AROUND = np.linspace(0.0, 2.0 * math.pi, 73)
+PLUME = 0.26  # [m] as drawn, of a jet that is open all the period
+TRAIL = 600  # points
+LAYER = {
+    "table": -0.02,
+    "danger": 0.0,
+    "trail": 0.004,
+    "link": 0.006,
+    "body": 0.01,
+    "jet": 0.03,
+    "top": 0.04,
+}  # [m] what is drawn over what
+
+
+PLOTS = (
+    "error",
+    "clearance",
+    "speed",
+    "force",
+    "gas",
+    "supply",
+    "pose_age",
+    "link",
+    "loss",
+    "filter",
+)
+
+
+def plain(text: str) -> str:
+    """Only what every viewer's font has: rerun 0.41 ends itself over a missing letter."""
+    return text.encode("ascii", "replace").decode()
+
+
+def hue(k: int) -> tuple[int, int, int]:
+    """Colour of the k-th vehicle."""
+    return HUES[k % len(HUES)]
+
+
+def circle(x: float, y: float, radius: float, z: float) -> Array:
+    """As a closed line."""
+    return np.stack(
+        [x + radius * np.cos(AROUND), y + radius * np.sin(AROUND), np.full(len(AROUND), z)], axis=1
+    )
+
+
+def disc(x: float, y: float, radius: float, z: float, colour: Sequence[int]) -> rr.Mesh3D:
+    """Filled."""
+    rim = circle(x, y, radius, z)[:-1]
+    n = len(rim)
+    fan = [(n, k, (k + 1) % n) for k in range(n)]
+    return rr.Mesh3D(
+        vertex_positions=np.vstack([rim, [[x, y, z]]]),
+        triangle_indices=fan,
+        albedo_factor=list(colour),
+    )
+
+
+def dashes(line: Array, length: float) -> list[Array]:
+    """A line as strokes of about `length` [m]."""
+    out = []
+    for a, b in pairwise(line):
+        n = max(1, round(float(np.linalg.norm(b - a)) / length))
+        if n == 1:
+            out.append(np.stack([a, b]))
+            continue
+        ends = [a + (b - a) * k / n for k in range(n + 1)]
+        out += [np.stack([ends[k], ends[k + 1]]) for k in range(0, n, 2)]
+    return out
+
+
+def setting(rec: rr.RecordingStream, scenario: Scenario) -> None:
+    """Table, fence, obstacles, goals, and each vehicle's shape."""
+    log = rec.log
+    half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
+    log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    z = LAYER["table"]
+    log(
+        "world/table",
+        rr.Mesh3D(
+            vertex_positions=[
+                [-half_x, -half_y, z],
+                [half_x, -half_y, z],
+                [half_x, half_y, z],
+                [-half_x, half_y, z],
+            ],
+            triangle_indices=[(0, 1, 2), (0, 2, 3)],
+            albedo_factor=[38, 46, 58, 255],
+        ),
+        static=True,
+    )
+    rim = [
+        [-half_x, -half_y, 0],
+        [half_x, -half_y, 0],
+        [half_x, half_y, 0],
+        [-half_x, half_y, 0],
+        [-half_x, -half_y, 0],
+    ]
+    log("world/table/rim", rr.LineStrips3D([rim], colors=[GREY], radii=0.012), static=True)
+    inset = max(s.model.radius for s in scenario.vehicles.values())
+    inset += scenario.flight.gate.fence_margin
+    fence = [
+        [math.copysign(abs(x) - inset, x), math.copysign(abs(y) - inset, y), 0.002]
+        for x, y, _ in rim
+    ]
+    log(
+        "world/fence",
+        rr.LineStrips3D(dashes(np.array(fence), 0.09), colors=[(200, 160, 80)], radii=0.006),
+        static=True,
+    )
+    for k, name in enumerate(scenario.vehicles):
+        vehicle(rec, scenario, k, name)
+    obstacles(rec, scenario, 0.0)
+    for k, name in enumerate(scenario.vehicles):
+        for jet in range(len(scenario.vehicles[name].model.jets)):
+            style = rr.SeriesLines(colors=[hue(k)], names=plain(f"{name} jet {jet + 1}"), widths=1)
+            log(f"plot/valve/{name}_{jet + 1}", style, static=True)
+        for what in PLOTS:
+            log(
+                f"plot/{what}/{name}",
+                rr.SeriesLines(colors=[hue(k)], names=plain(name), widths=2),
+                static=True,
+            )
+        log(
+            f"plot/force/{name}_delivered",
+            rr.SeriesLines(
+                colors=[tuple(c // 2 for c in hue(k))], names=plain(f"{name} delivered"), widths=1
+            ),
+            static=True,
+        )
+    for path, label in (("plot/clearance/limit", "danger radius"),):
+        log(path, rr.SeriesLines(colors=[RED], names=label, widths=2), static=True)
+
+
+def vehicle(rec: rr.RecordingStream, scenario: Scenario, k: int, name: str) -> None:
+    """One vehicle to scale: body, heading, nozzles, rim; and its goal."""
+    setup, log = scenario.vehicles[name], rec.log
+    model, colour = setup.model, hue(k)
+    body = np.array([[j.position[0], j.position[1], 0.0] for j in model.jets] or [[0.1, 0.1, 0.0]])
+    size = float(np.abs(body[:, :2]).max())
+    cut = 0.62 * size
+    corners = [
+        (size, cut),
+        (cut, size),
+        (-cut, size),
+        (-size, cut),
+        (-size, -cut),
+        (-cut, -size),
+        (cut, -size),
+        (size, -cut),
+    ]
+    points = np.array([[x, y, LAYER["body"]] for x, y in corners] + [[0, 0, LAYER["body"]]])
+    fan = [(8, i, (i + 1) % 8) for i in range(8)]
+    log(
+        f"world/vehicle/{name}/body",
+        rr.Mesh3D(vertex_positions=points, triangle_indices=fan, albedo_factor=[*colour, 255]),
+        static=True,
+    )
+    z = LAYER["top"]
+    nose, wing, notch = 0.9 * size, (-0.6 * size, 0.62 * size), -0.25 * size
+    arrow = [[nose, 0, z], [*wing, z], [notch, 0, z], [wing[0], -wing[1], z]]
+    log(
+        f"world/vehicle/{name}/heading",
+        rr.Mesh3D(
+            vertex_positions=arrow,
+            triangle_indices=[(0, 1, 2), (0, 2, 3)],
+            albedo_factor=[18, 22, 28, 255],
+        ),
+        static=True,
+    )
+    log(
+        f"world/vehicle/{name}/rim",
+        rr.LineStrips3D([circle(0, 0, model.radius, LAYER["body"])], colors=[colour], radii=0.006),
+        static=True,
+    )
+    log(
+        f"world/vehicle/{name}/nozzles",
+        rr.Points3D(
+            body + np.array([0.0, 0.0, LAYER["jet"]]), colors=[(210, 216, 224)], radii=0.014
+        ),
+        static=True,
+    )
+    if setup.path is None and not Wanted(scenario).forms:
+        goal(rec, name, setup.goal, model.radius, colour, static=True)
+
+
+def goal(
+    rec: rr.RecordingStream,
+    name: str,
+    pose: tuple[float, float, float],
+    radius: float,
+    colour: tuple[int, int, int],
+    *,
+    static: bool = False,
+) -> None:
+    """Where somebody is sent: a ring with a cross and an arrow."""
+    x, y, theta = pose
+    z = LAYER["trail"]
+    tip = [[x, y, z], [x + 1.5 * radius * math.cos(theta), y + 1.5 * radius * math.sin(theta), z]]
+    size = 0.4 * radius
+    cross = [
+        [[x - size, y - size, z], [x + size, y + size, z]],
+        [[x - size, y + size, z], [x + size, y - size, z]],
+    ]
+    rec.log(
+        f"world/goal/{plain(name)}",
+        rr.LineStrips3D(
+            [circle(x, y, radius, z), tip, *cross], colors=[[*colour, 150]], radii=0.007
+        ),
+        static=static,
+    )
+
+
+def obstacles(rec: rr.RecordingStream, scenario: Scenario, t: float) -> None:
+    """Obstacles at time `t`; those that stand still are drawn once, at 0."""
+    moving = any(rock.velocity != (0.0, 0.0) for rock in scenario.obstacles.values())
+    if t > 0.0 and not moving:
+        return
+    for name, rock in scenario.obstacles.items():
+        x, y = (p + t * v for p, v in zip(rock.position, rock.velocity, strict=True))
+        still = rock.velocity == (0.0, 0.0)
+        if t > 0.0 and still:
+            continue
+        if not still:
+            rec.set_time("t", duration=t)
+        z = LAYER["danger"]
+        rec.log(
+            f"world/obstacle/{name}/zone",
+            disc(x, y, rock.radius, z, (66, 36, 44, 255)),
+            static=still,
+        )
+        rec.log(
+            f"world/obstacle/{name}/radius",
+            rr.LineStrips3D(
+                dashes(circle(x, y, rock.radius, z + 0.002), 0.08), colors=[RED], radii=0.009
+            ),
+            static=still,
+        )
+        if rock.solid > 0.0:
+            rec.log(
+                f"world/obstacle/{name}/solid",
+                disc(x, y, rock.solid, z + 0.004, (128, 84, 88, 255)),
+                static=still,
+            )
+        rec.log(
+            f"world/obstacle/{name}/name",
+            rr.Points3D(
+                [[x, y, z + 0.02]],
+                radii=0.001,
+                labels=[plain(name)],
+                colors=[WHITE],
+                show_labels=True,
+            ),
+            static=still,
+        )

@@ -1,0 +1,1 @@
+"""Fault injection: what is injected, and what became of it."""

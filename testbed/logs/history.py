@@ -1,0 +1,221 @@
+"""A flight as arrays: what figures, exports and comparisons are made of."""
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from msgspec import Struct, field
+from numpy.typing import NDArray
+
+from testbed.core.types import Demand, Pose
+from testbed.logs.feed import (
+    Loop,
+    News,
+    SeenHost,
+    SeenPace,
+    SeenPhase,
+    SeenTick,
+    SeenValves,
+    pose_of,
+)
+from testbed.logs.recorder import Truth
+
+Array = NDArray[np.float64]
+NAN3 = (math.nan,) * 3
+
+
+class VehicleHistory(Struct, frozen=True):
+    """One vehicle, tick by tick; NaN where there was nothing."""
+
+    t: Array  # (n,) of the tick [s]
+    at: Array  # (n,) what the estimate and the reference are for: when the plan takes effect [s]
+    pose: Array  # (n, 3) estimate [m, m, rad]
+    twist: Array  # (n, 3) estimate [m/s, m/s, rad/s]
+    reference: Array  # (n, 3) [m, m, rad]
+    force_asked: Array  # (n, 2) in W by a law in wrench mode [N]
+    wanted: Array  # (n, 3) mean over the period, in B [N, N, N m]
+    planned: Array  # (n, 3) what the pulses give by the jet table [N, N, N m]
+    on: Array  # (n, jets) open time [s]
+    offset: Array  # (n, jets) from the plan's start to the opening [s]
+    supply: Array  # (n,) [Pa]
+    tank: Array  # (n,) [Pa]
+    pose_age: Array  # (n,) [s]
+    filtered: Array  # (n, 2) what the safety filter changed, in W [N]
+    events: list[tuple[float, str]]  # what gate, fault table, filter and cameras said, and when
+    edges: Array  # (e, 2) t [s] and mask of its valves, as its board reported; empty: nobody did
+    wires: Array  # (n, 4) t, lateness, delay of setpoints [s], share of them lost; empty: no wires
+    true: Array  # (m, 6) x, y, theta, vx, vy, omega; empty if nobody knew
+
+
+class History(Struct, frozen=True):
+    """A flight."""
+
+    vehicles: dict[str, VehicleHistory]
+    true_t: Array  # (m,) [s]
+    heard: dict[str, tuple[Array, Array]]  # of each vehicle at the host: t, age of the newest state
+    loop: Array  # (k, 3) t, late, busy [s]; empty if the clock was virtual
+    phases: list[tuple[float, str]] = []  # of the supervisor: when, and which because of what
+
+    @property
+    def end(self) -> float:
+        """Last tick [s]."""
+        return max((float(v.t[-1]) for v in self.vehicles.values() if len(v.t)), default=0.0)
+
+    def together(self) -> tuple[Array, dict[str, Array]]:
+        """One row of times, and where each vehicle was then, (n, 2) [m]."""
+        flown = {name: self.where(name) for name in self.vehicles}
+        flown = {name: (t, state) for name, (t, state) in flown.items() if len(t)}
+        if not flown:
+            return np.zeros(0), {}
+        t = max((t for t, _ in flown.values()), key=len)
+        return t, {
+            name: np.stack([np.interp(t, at, state[:, k]) for k in (0, 1)], axis=1)
+            for name, (at, state) in flown.items()
+        }
+
+    def where(self, name: str) -> tuple[Array, Array]:
+        """Times and states (m, 6) of a vehicle: the truth if anybody knew it, else the estimate."""
+        vehicle = self.vehicles[name]
+        if len(vehicle.true) == len(self.true_t) > 0:
+            return self.true_t, vehicle.true
+        known = ~np.isnan(vehicle.pose[:, 0])
+        return vehicle.at[known], np.hstack([vehicle.pose, vehicle.twist])[known]
+
+
+class _Vehicle(Struct):
+    ticks: list[SeenTick] = field(default_factory=list)
+    true: list[tuple[float, ...]] = field(default_factory=list)
+    edges: list[tuple[float, float]] = field(default_factory=list)
+    paces: list[tuple[float, SeenPace]] = field(default_factory=list)
+
+
+def gather(news: Iterable[News]) -> History:
+    """Put a flight together."""
+    vehicles: dict[str, _Vehicle] = {}
+    true_t: list[float] = []
+    heard: dict[str, list[tuple[float, float]]] = {}
+    loop: list[tuple[float, float, float]] = []
+    phases: list[tuple[float, str]] = []
+    for one in news:
+        match one.message:
+            case SeenTick() as tick:
+                vehicles.setdefault(one.who, _Vehicle()).ticks.append(tick)
+            case SeenHost(inputs=inputs):
+                if inputs.own is not None:
+                    age = inputs.t - inputs.own.t
+                    heard.setdefault(one.who, []).append((inputs.t, age))
+            case Truth(t=t, vehicles=motions):
+                true_t.append(t)
+                for name, m in motions.items():
+                    row = (m.x, m.y, m.theta, m.vx, m.vy, m.omega)
+                    vehicles.setdefault(name, _Vehicle()).true.append(row)
+            case Loop(t=t, late_s=late, busy_s=busy):
+                loop.append((t, late, busy))
+            case SeenPace() as pace:
+                vehicles.setdefault(one.who, _Vehicle()).paces.append((one.t, pace))
+            case SeenValves(t=t, mask=mask):
+                vehicles.setdefault(one.who, _Vehicle()).edges.append((t, float(mask)))
+            case SeenPhase(t=t, phase=phase, because=because):
+                phases.append((t, f"{phase}: {because}"))
+    return History(
+        {name: _arrays(v) for name, v in vehicles.items()},
+        np.array(true_t),
+        {name: (np.array(r)[:, 0], np.array(r)[:, 1]) for name, r in heard.items()},
+        np.array(loop).reshape(-1, 3),
+        phases,
+    )
+
+
+def _table(rows: Sequence[Sequence[float]], width: int) -> Array:
+    return np.array(rows, dtype=float).reshape(-1, width)
+
+
+def _pose(pose: Pose | None) -> tuple[float, ...]:
+    return NAN3 if pose is None else (pose.x, pose.y, pose.theta)
+
+
+def _arrays(vehicle: _Vehicle) -> VehicleHistory:
+    ticks, true = vehicle.ticks, vehicle.true
+    outs = [tick.outputs for tick in ticks]
+    jets = max((len(out.command.on_us) for out in outs), default=0)
+    states = [out.state for out in outs]
+    twists = [
+        NAN3 if s is None else (s.twist.vx, s.twist.vy, s.twist.omega) for s in states
+    ]  # fmt: skip
+    asked = [
+        (o.flown.fx_w, o.flown.fy_w) if isinstance(o.flown, Demand) else NAN3[:2] for o in outs
+    ]
+    changed = [(o.filtered.dfx_w, o.filtered.dfy_w) if o.filtered else (0.0, 0.0) for o in outs]
+    return VehicleHistory(
+        t=np.array([tick.inputs.t for tick in ticks]),
+        at=np.array([math.nan if s is None else s.t for s in states]),
+        pose=_table([_pose(None if s is None else s.pose) for s in states], 3),
+        twist=_table(twists, 3),
+        reference=_table([_pose(pose_of(out.flown)) for out in outs], 3),
+        force_asked=_table(asked, 2),
+        wanted=_table([(o.wanted.fx, o.wanted.fy, o.wanted.tau) for o in outs], 3),
+        planned=_table([(o.planned.fx, o.planned.fy, o.planned.tau) for o in outs], 3),
+        on=1e-6 * _table([o.command.on_us for o in outs], max(jets, 1)),
+        offset=1e-6 * _table([o.command.offset_us for o in outs], max(jets, 1)),
+        supply=np.array([tick.inputs.health.supply_pressure for tick in ticks]),
+        tank=np.array([tick.inputs.health.tank_pressure for tick in ticks]),
+        pose_age=np.array([math.nan if s is None else s.pose_age for s in states]),
+        filtered=_table(changed, 2),
+        events=sorted([*events(ticks), *camera_events(vehicle.paces)]),
+        edges=_table(vehicle.edges, 2),
+        wires=_table(
+            [(t, p.late_s, _or_nan(p.setpoint_delay_s), lost_share(p)) for t, p in vehicle.paces], 4
+        ),
+        true=_table(true, 6),
+    )
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def lost_share(pace: SeenPace) -> float:
+    """Of the setpoints so far, how many never came."""
+    return pace.setpoints_lost / max(1, pace.setpoints_heard + pace.setpoints_lost)
+
+
+def camera_events(
+    paces: Iterable[tuple[float, SeenPace]], said: str = ""
+) -> list[tuple[float, str]]:
+    """What changed in the trouble with the cameras, and when [s]; `said` was the last."""
+    found = []
+    for t, pace in paces:
+        if pace.cameras != said:
+            found.append((t, f"cameras: {pace.cameras or 'well again'}"))
+        said = pace.cameras
+    return found
+
+
+def events(ticks: Iterable[SeenTick]) -> list[tuple[float, str]]:
+    """What changed in the words of gate, fault table and filter, and when [s].
+
+    A response comes with the rows of the fault table that hold, and again when one more does.
+    """
+    said: list[tuple[float, str]] = []
+    shut, fault, response, kept = None, None, "", ""
+    held: frozenset[str] = frozenset()
+    for tick in ticks:
+        t, out = tick.inputs.t, tick.outputs
+        because = out.filtered.because if out.filtered else ""
+        if out.inhibit_reason != shut:
+            said.append(
+                (t, f"valves shut: {out.inhibit_reason}" if out.inhibit_reason else "flies")
+            )
+        fresh = [row for row in out.faults if row not in held]
+        if out.response and (fresh or out.response != response):
+            rows = ", ".join(fresh or out.faults)
+            said.append((t, f"{out.response}: {rows}" if rows else out.response))
+        elif response == "hold" and not out.response:
+            said.append((t, "goes on"))
+        if out.fault and out.fault != fault:
+            said.append((t, f"fault: {out.fault}"))
+        if because and because != kept:
+            said.append((t, f"filter: {because}"))
+        shut, fault, response, kept = out.inhibit_reason, out.fault, out.response, because
+        held = frozenset(out.faults)
+    return said

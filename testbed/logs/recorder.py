@@ -1,0 +1,194 @@
+"""Log of record: every tick's inputs and outputs in one MCAP file.
+
+    /<vehicle>/tick    one tick of the flight chain: inputs and outputs
+    /<vehicle>/host    one tick of its law, where that runs on the host
+    /<vehicle>/valves  what its board drove, where firmware is in the loop
+    /<vehicle>/pace    how its ticks keep their time and how its wires are, where it has any
+    /loop              how the host keeps its time, by a real clock
+    /supervisor        who may fire, from when on, and why
+    /truth             where the vehicles really were; only a twin knows
+
+JSON messages, each topic with the JSON Schema of its struct: any MCAP reader can open it without
+this code. Times are the run's, so the same seed gives the same bytes.
+
+The file is written by a process of its own (`scribe.py`) at the other end of a pipe: the flight
+does not wait for the disk, and when it is killed, the scribe still finishes the file. Every SPAN_NS
+of the run a chunk of the file is closed, so a scribe that is killed loses no more than that and
+what was under way.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from testbed.logs.message import to_json
+
+BUFFER = 256 * 1024  # [bytes] between the flight and the scribe; a third of a second of messages
+SPAN_NS = 50_000_000  # of the run between two chunks; the same run gives the same chunks
+WARN_BELOW = 500_000_000  # [bytes] free on the disk: say so
+END_BELOW = 20_000_000  # [bytes] free on the disk: end the log properly while there is room
+
+READY = b"ready\n"  # the scribe's first words
+
+
+class RecorderError(Exception):
+    """The log cannot be written, for instance because the disk is full."""
+
+
+class Motion(Struct, frozen=True, gc=False):
+    """Pose and twist of one vehicle in W."""
+
+    x: float  # [m]
+    y: float  # [m]
+    theta: float  # [rad]
+    vx: float  # [m/s]
+    vy: float  # [m/s]
+    omega: float  # [rad/s]
+
+
+class Truth(Struct, frozen=True, gc=False):
+    """Where the vehicles really are at a tick."""
+
+    t: float  # [s]
+    vehicles: dict[str, Motion]
+
+
+class Topic(Struct, frozen=True, tag=True, array_like=True):
+    """To the scribe: a new topic; topics are numbered in the order in which they are announced."""
+
+    name: str
+    schema_name: str
+    schema: bytes
+
+
+class Entry(Struct, frozen=True, tag=True, array_like=True, gc=False):
+    """To the scribe: one message of a topic."""
+
+    topic: int
+    stamp: int  # [ns]
+    data: bytes
+
+
+class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
+    """To the scribe: put everything so far where a reader finds it."""
+
+
+Frame = Topic | Entry | Mark
+
+
+class Recorder:
+    """Writes a log; a context manager that finishes the file however the flight ends.
+
+    Raises:
+        RecorderError: on leaving or writing, when the scribe could not do its work.
+    """
+
+    def __init__(
+        self, path: Path, warn_below: int = WARN_BELOW, end_below: int = END_BELOW
+    ) -> None:
+        self._command = [
+            *(sys.executable, "-m", "testbed.logs.mcap_writer"),
+            *(str(path), str(warn_below), str(end_below)),
+        ]
+        self._marked = -SPAN_NS  # time of the last mark [ns]
+        self._said = b""  # by the scribe and not yet handed on
+        self._reason = ""  # the newest line that it said
+        self._encode = msgspec.json.Encoder().encode
+        self._pack = msgspec.msgpack.Encoder().encode
+        self._topics: dict[str, int] = {}
+
+    def __enter__(self) -> "Recorder":
+        self._scribe = subprocess.Popen(
+            self._command,
+            bufsize=BUFFER,
+            pipesize=BUFFER,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for the flight; the scribe ends when the pipe does
+        )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        said = self._last_words()
+        if self._scribe.returncode != 0 and kind is None:
+            raise RecorderError(said)
+
+    def write(self, topic: str, t: float, message: Struct) -> None:
+        """Append one message of time `t` [s] to `topic`."""
+        if not self._topics:
+            self._meet()
+        number = self._topics.get(topic)
+        if number is None:
+            number = self._topics[topic] = len(self._topics)
+            kind = type(message)
+            self._send(Topic(topic, kind.__name__, self._encode(json_schema(kind))))
+        self._send(Entry(number, round(t * 1e9), to_json(message)))
+
+    def _meet(self) -> None:
+        """Wait until the scribe has made its file: from then on a kill costs next to nothing."""
+        assert self._scribe.stderr is not None
+        self._said = self._scribe.stderr.readline()
+        if self._said != READY:
+            raise RecorderError(self._last_words())
+        self._said = b""
+        os.set_blocking(self._scribe.stderr.fileno(), False)
+
+    def mark(self, t: float) -> list[str]:
+        """A tick is whole: hand it over; what the scribe has to say, for instance of the disk.
+
+        Raises:
+            RecorderError: the scribe has ended; nothing is recorded any more.
+        """
+        now = round(t * 1e9)
+        if now - self._marked >= SPAN_NS:
+            self._marked = now
+            self._send(Mark())
+        assert self._scribe.stdin is not None
+        assert self._scribe.stderr is not None
+        try:
+            self._scribe.stdin.flush()
+            heard = os.read(self._scribe.stderr.fileno(), 4096)
+        except BlockingIOError:
+            return []  # it has nothing to say
+        except BrokenPipeError:
+            heard = b""
+        if not heard:
+            raise RecorderError(self._last_words())
+        *lines, self._said = (self._said + heard).split(b"\n")
+        self._reason = lines[-1].decode() if lines else self._reason
+        return [line.decode() for line in lines if line.startswith(b"warning")]
+
+    def _send(self, frame: Frame) -> None:
+        assert self._scribe.stdin is not None
+        packed = self._pack(frame)
+        try:
+            self._scribe.stdin.write(len(packed).to_bytes(4, "little"))
+            self._scribe.stdin.write(packed)
+        except BrokenPipeError:
+            raise RecorderError(self._last_words()) from None
+
+    def _last_words(self) -> str:
+        """Wait for the scribe's end; the last line that it said."""
+        _, said = self._scribe.communicate()
+        lines = [self._reason, *(self._said + said).decode().strip().splitlines()]
+        return lines[-1] or f"the scribe ended with {self._scribe.returncode}"
+
+
+def json_schema(kind: type[Struct]) -> dict[str, Any]:
+    """JSON Schema whose top level is an object, as MCAP readers expect it."""
+    schema = msgspec.json.schema(kind)
+    definitions = schema.pop("$defs")
+    top = definitions.pop(kind.__name__)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **top, "$defs": definitions}

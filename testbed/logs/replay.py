@@ -1,0 +1,169 @@
+"""Yesterday's run through today's code: logged inputs in, outputs compared to the last bit.
+
+Agents and laws are pure steps, so the same code must give the same outputs. The first difference is
+said with its size; after it the two flights drift apart, and how far says little.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from testbed.core.types import (
+    HostInputs,
+    HostTick,
+    Inputs,
+    LawMessage,
+    Outputs,
+    Setpoint,
+    State,
+    Tick,
+)
+from testbed.logs.log_reader import LogError, Row, reads
+
+
+class Difference(Struct, frozen=True):
+    """Where two flights begin to differ."""
+
+    tick: int  # of the run, from 0
+    t: float  # [s]
+    topic: str
+    field: str  # path inside the message, or why there is none to compare
+    logged: Any
+    now: Any
+    size: float | None  # |now - logged|, for numbers
+
+
+class Replay(Struct, frozen=True):
+    """What came of it."""
+
+    ticks: int  # of all topics together
+    first_difference: Difference | None
+
+
+class LoggedLink:
+    """The host's end of a link that says again what was heard then."""
+
+    def __init__(self) -> None:
+        self.inputs: HostInputs | None = None
+
+    def own(self) -> State | None:
+        """See `HostLink`."""
+        assert self.inputs is not None
+        return self.inputs.own
+
+    def neighbours(self) -> dict[str, State]:
+        """See `HostLink`."""
+        assert self.inputs is not None
+        return dict(self.inputs.neighbours)
+
+    def told(self) -> dict[str, LawMessage]:
+        """See `HostLink`."""
+        assert self.inputs is not None
+        return dict(self.inputs.told)
+
+    def publish(self, setpoint: Setpoint) -> None:
+        """Nobody listens."""
+
+    def tell(self, told: LawMessage) -> None:
+        """Nobody listens."""
+
+
+Onboard = Callable[[Inputs], Outputs]  # one vehicle's agent
+AtHost = Callable[[float], HostTick]  # one vehicle's law, plugged into a link
+
+
+class LoggedHost:
+    """One law on the host, fed from the log."""
+
+    def __init__(self, plug: Callable[[LoggedLink], AtHost]) -> None:
+        self._link = LoggedLink()
+        self._tick = plug(self._link)
+
+    def __call__(self, inputs: HostInputs) -> HostTick:
+        """The tick as it is today."""
+        self._link.inputs = inputs
+        return self._tick(inputs.t)
+
+
+def replay(
+    rows: Iterable[Row], agents: Mapping[str, Onboard], hosts: Mapping[str, LoggedHost]
+) -> Replay:
+    """Feed a log in.
+
+    Args:
+        rows: of the log, in its order.
+        agents: per vehicle, its step.
+        hosts: per vehicle whose law runs on the host.
+
+    Raises:
+        LogError: the log holds ticks that nobody here can repeat.
+    """
+    tick_of, host_of, encode = reads(Tick), reads(HostTick), msgspec.json.Encoder().encode
+    count, first = 0, None
+    seen: dict[str, int] = {}
+    for topic, stamp, data in rows:
+        name, _, kind = topic.removeprefix("/").rpartition("/")
+        if kind not in ("tick", "host"):
+            continue
+        then: Any
+        now: Any
+        if kind == "tick":
+            then = _decoded(tick_of, topic, stamp, data)
+            step = _known(agents, name, topic)
+            now = Tick(then.inputs, step(then.inputs))
+        else:
+            then = _decoded(host_of, topic, stamp, data)
+            now = _known(hosts, name, topic)(then.inputs)
+        tick = seen[topic] = seen.get(topic, -1) + 1
+        count += 1
+        if encode(now) == data:
+            continue
+        found = difference(msgspec.to_builtins(then.outputs), msgspec.to_builtins(now.outputs))
+        if found is not None and (first is None or tick < first.tick):
+            first = Difference(tick, then.inputs.t, topic, *found)
+    if count == 0:
+        raise LogError("there are no ticks in the log")
+    return Replay(count, first)
+
+
+def _known(steps: Mapping[str, Any], name: str, topic: str) -> Any:
+    if name not in steps:
+        raise LogError(
+            f"{topic} is in the log, but the experiment has no such "
+            "vehicle or runs its law elsewhere (deploy.law)"
+        )
+    return steps[name]
+
+
+def _decoded(decoder: Any, topic: str, stamp: int, data: bytes) -> Any:
+    try:
+        return decoder.decode(data)
+    except msgspec.ValidationError as error:
+        raise LogError(
+            f"{topic} at {stamp * 1e-9:.3f} s\n  expected  a message of this version\n"
+            f"  found     {error}"
+        ) from None
+
+
+def difference(then: Any, now: Any, path: str = "") -> tuple[str, Any, Any, float | None] | None:
+    """The first place where two messages differ: path, both values, and the size for numbers."""
+    match then, now:
+        case dict(), dict():
+            keys = [*then, *(key for key in now if key not in then)]
+            for key in keys:
+                inner = f"{path}.{key}" if path else str(key)
+                if found := difference(then.get(key), now.get(key), inner):
+                    return found
+            return None
+        case (list() | tuple(), list() | tuple()):
+            for k in range(max(len(then), len(now))):
+                a, b = then[k] if k < len(then) else None, now[k] if k < len(now) else None
+                if found := difference(a, b, f"{path}[{k}]"):
+                    return found
+            return None
+    if repr(then) == repr(now):  # nan is nan here, and -0.0 is not 0.0
+        return None
+    both = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (then, now))
+    return path, then, now, abs(now - then) if both else None

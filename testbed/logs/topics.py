@@ -1,0 +1,59 @@
+"""What is in a log: topics, rates, gaps."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from msgspec import Struct
+
+from testbed.logs.log_reader import Row
+
+UNTIMED = {"Event", "Valves"}  # kinds that come when something happens: no rate, no gaps
+GAP = 1.5  # a pause longer than so many usual ones is a gap
+
+
+class Topic(Struct, frozen=True):
+    """One topic of a log."""
+
+    topic: str
+    kind: str  # name of its schema
+    messages: int
+    rate_hz: float | None  # null with fewer than two messages, and of what has none
+    first_s: float
+    last_s: float
+    gaps: int
+    longest_gap_s: float | None
+    megabytes: float  # before compression
+
+
+class Contents(Struct, frozen=True):
+    """A log."""
+
+    finished: bool  # false: its writer was killed, or is still at work
+    topics: list[Topic]
+
+
+def survey(rows: Iterable[Row], kinds: dict[str, str]) -> list[Topic]:
+    """Count; `kinds` is complete when the rows are through."""
+    stamps: dict[str, list[int]] = {}
+    sizes: dict[str, int] = {}
+    for topic, stamp, data in rows:
+        stamps.setdefault(topic, []).append(stamp)
+        sizes[topic] = sizes.get(topic, 0) + len(data)
+    return [_topic(name, kinds[name], stamps[name], sizes[name]) for name in sorted(stamps)]
+
+
+def _topic(name: str, kind: str, stamps: list[int], size: int) -> Topic:
+    steps = np.diff(np.array(stamps)) * 1e-9
+    usual = float(np.median(steps)) if len(steps) and kind not in UNTIMED else 0.0
+    long = steps[steps > GAP * usual] if usual > 0.0 else steps[:0]
+    return Topic(
+        name,
+        kind,
+        len(stamps),
+        1.0 / usual if usual > 0.0 else None,
+        stamps[0] * 1e-9,
+        stamps[-1] * 1e-9,
+        len(long),
+        float(long.max()) if len(long) else None,
+        size / 1e6,
+    )

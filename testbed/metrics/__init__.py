@@ -1,0 +1,1 @@
+"""Pure numbers of a flight: tracking, formation, admission."""

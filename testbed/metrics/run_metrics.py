@@ -1,0 +1,276 @@
+"""What a flight was worth: the numbers of metrics.json and the criteria of an experiment."""
+
+import math
+from array import array
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from testbed.core.law import Concern
+from testbed.core.se2 import wrap
+from testbed.core.table import Obstacle
+from testbed.core.types import Demand, Outputs
+from testbed.core.vehicle import NonNegative, Positive
+
+Array = NDArray[np.float64]
+
+SETTLED_M = 0.05  # "settled" means closer than this for good [m]
+HOLD_S = 30.0  # length of the end of a run that counts as holding [s]
+
+
+class FormationCriteria(Struct, frozen=True, forbid_unknown_fields=True):
+    """When a formation is good enough; the numbers are those of `testbed.metrics.formation`."""
+
+    error_m: Positive | None = None
+    settled_s: Positive | None = None
+    longest_edge_m: Positive | None = None
+
+
+class Criteria(Struct, frozen=True, forbid_unknown_fields=True):
+    """When an experiment counts as passed; a criterion that is not given is not judged."""
+
+    max_contacts: Annotated[int, Meta(ge=0)] | None = 0
+    clear_of_obstacles: bool = True  # every obstacle's danger radius is kept
+    final_error_m: Positive | None = None
+    settle_s: Positive | None = None
+    hold_rms_m: Positive | None = None
+    track_rms_m: Positive | None = None
+    heading_rms_deg: Positive | None = None
+    impulse_ns: NonNegative | None = None
+    formation: FormationCriteria | None = None
+
+
+class Commands(Struct, frozen=True):
+    """Setpoints from host to vehicles, and what became of them."""
+
+    sent: int
+    late: int  # too long on the way, duplicated or overtaken
+    expired: int  # worth nothing when they came
+    rejected: int  # of another session or version, garbled, or refused by a board
+
+
+# these are of the place at which a goal was at the start: where it moves, they say nothing
+TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")
+
+
+class VehicleMetrics(Struct, frozen=True):
+    """One vehicle's flight; null where a number does not apply."""
+
+    final_error_m: float | None
+    settle_s: float | None  # time after which the error stays within 0.05 m
+    track_rms_m: float | None  # true position against the reference; null in wrench mode
+    hold_rms_m: float | None  # true position against the goal in the last 30 s
+    heading_rms_deg: float | None  # true heading against the one asked for
+    min_obstacle_distance_m: float | None  # centre to centre, nearest obstacle
+    impulse_ns: float | None  # of all jets together
+    gas_g: float | None  # jets and bearings
+    valve_pulses: int | None  # openings, all valves
+    max_force_n: float | None  # largest mean force asked of the jets in one jet period
+    filtered_ns: float | None = None  # impulse that the safety filter changed [N s]
+
+
+class Metrics(Struct, frozen=True):
+    """Content of metrics.json."""
+
+    experiment: str
+    rig: str
+    seed: int
+    completed: bool
+    duration_s: float  # flown
+    wall_s: float
+    real_time_factor: float | None
+    contacts: int
+    min_vehicle_distance_m: float | None  # centre to centre
+    fault: str | None
+    criteria: dict[str, bool]
+    vehicles: dict[str, VehicleMetrics]
+    lateness_p99_ms: float | None = None  # of ticks, read after waking; null without a wall clock
+    pose_to_valve_p50_ms: float | None = None  # newest pose's arrival to the plan's first byte
+    pose_to_valve_p99_ms: float | None = None
+    commands: Commands | None = None
+    board: str | None = None
+    formation: Any = None  # `testbed.metrics.formation.FormationMetrics` of two or more vehicles
+    warnings: list[Concern] = []  # what a law's proof asks for and the run does not have
+    phase: str = ""  # of the supervisor, in the end: DISARMED, STOPPED or FAULT
+    red: list[str] = []  # arming checks that kept the run from starting
+
+
+class Track(Struct, frozen=True):
+    """Where the vehicles really were. In the twin this is the truth at every camera frame."""
+
+    t: Array  # (n,) [s]
+    states: Array  # (n, v, 6) x, y, theta, vx, vy, omega
+
+    def at(self, times: Array, vehicle: int) -> Array:
+        """Pose by cubic interpolation, shape (len(times), 3); times within the track."""
+        i = np.clip(np.searchsorted(self.t, times) - 1, 0, len(self.t) - 2)
+        h = (self.t[i + 1] - self.t[i])[:, None]
+        s = (times - self.t[i])[:, None] / h
+        a, b = self.states[i, vehicle], self.states[i + 1, vehicle]
+        return (
+            (1 + 2 * s) * (1 - s) ** 2 * a[:, :3]
+            + s * s * (3 - 2 * s) * b[:, :3]
+            + h * s * (1 - s) ** 2 * a[:, 3:]
+            - h * s * s * (1 - s) * b[:, 3:]
+        )
+
+
+class Consumption(Struct, frozen=True):
+    """What a vehicle used up."""
+
+    impulse: float  # [N s]
+    gas: float  # [kg]
+    openings: int | None  # None: nobody counts them
+
+
+class Aim(Struct, frozen=True):
+    """What a vehicle was asked to do, tick by tick."""
+
+    t: Array  # (n,) [s]
+    pose: Array  # (n, 3) reference; x, y are NaN where only a heading was asked for
+    force: Array  # (n,) size of the mean force asked of the jets [N]
+    filtered_ns: float = 0.0  # impulse by which the safety filter changed what was asked for [N s]
+
+
+class ReferenceLog:
+    """What a vehicle was asked to do, noted tick by tick: a flight need not keep its outputs."""
+
+    def __init__(self, outputs: Iterable[Outputs] = ()) -> None:
+        self._rows = array("d")  # t, x, y, theta, force; one tick after the other
+        self._forces = False  # whether a law asked for forces
+        self._filtered = 0.0  # [N s]
+        for out in outputs:
+            self.note(out)
+
+    def note(self, out: Outputs) -> None:
+        """One more tick; only those that had a setpoint and a state count."""
+        if out.filtered is not None and out.inhibit_reason is None:
+            period = out.command.valid_until - out.command.issued_at
+            self._filtered += period * math.hypot(out.filtered.dfx_w, out.filtered.dfy_w)
+        if out.flown is None or out.state is None:
+            return
+        force = math.hypot(out.wanted.fx, out.wanted.fy)
+        if isinstance(out.flown, Demand):
+            self._forces = True
+            self._rows.extend((out.state.t, math.nan, math.nan, out.flown.theta, force))
+        else:
+            pose = out.flown.pose
+            self._rows.extend((out.state.t, pose.x, pose.y, pose.theta, force))
+
+    def aim(self) -> Aim:
+        """All of it so far.
+
+        Where a law asked for forces, the references it braked to when those did not come are no
+        track.
+        """
+        table = np.array(self._rows).reshape(-1, 5)
+        if self._forces:
+            table[:, 1:3] = math.nan
+        return Aim(table[:, 0], table[:, 1:4], table[:, 4], self._filtered)
+
+
+def _rms(values: Array) -> float | None:
+    return float(np.sqrt(np.mean(values))) if len(values) else None
+
+
+def settle_time(t: Array, error: Array) -> float | None:
+    """First time after which `error` stays within SETTLED_M; None if it does not [s]."""
+    outside = np.nonzero(~(error <= SETTLED_M))[0]
+    if len(outside) == 0:
+        return float(t[0])
+    last = int(outside[-1])
+    return float(t[last + 1]) if last + 1 < len(t) else None
+
+
+def obstacle_distances(
+    track: Track, vehicle: int, obstacles: Mapping[str, Obstacle]
+) -> dict[str, float]:
+    """Smallest distance of a vehicle to each obstacle, centre to centre [m]."""
+    distances = {}
+    for name, obstacle in obstacles.items():
+        centre = np.array(obstacle.position) + np.outer(track.t, obstacle.velocity)
+        gaps = np.hypot(*(track.states[:, vehicle, :2] - centre).T)
+        distances[name] = float(np.min(gaps, initial=math.inf))
+    return distances
+
+
+def smallest_separation(track: Track) -> float | None:
+    """Smallest distance between any two vehicles, centre to centre [m]."""
+    count = track.states.shape[1]
+    if len(track.t) == 0:
+        return None
+    gaps = [
+        np.min(np.hypot(*(track.states[:, i, :2] - track.states[:, j, :2]).T))
+        for i in range(count)
+        for j in range(i)
+    ]
+    return float(min(gaps)) if gaps else None
+
+
+def vehicle_metrics(
+    track: Track,
+    vehicle: int,
+    goal: tuple[float, float, float],
+    aimed: Aim,
+    spent: Consumption,
+    distances: Mapping[str, float],
+) -> VehicleMetrics:
+    """Judge one vehicle's flight; `distances` are those of `obstacle_distances`."""
+    error = np.hypot(*(track.states[:, vehicle, :2] - np.array(goal[:2])).T)
+    end = track.t[-1] if len(track.t) else 0.0
+    inside = (aimed.t >= track.t[0]) & (aimed.t <= end) if len(track.t) > 1 else aimed.t < 0
+    asked = aimed.pose[inside]
+    flown = track.at(aimed.t[inside], vehicle) if inside.any() else np.zeros((0, 3))
+    off = np.sum((flown[:, :2] - asked[:, :2]) ** 2, axis=1)
+    turn = np.array([wrap(angle) for angle in (flown[:, 2] - asked[:, 2]).tolist()])
+    heading = _rms(turn**2)
+    hold = error[track.t > end - HOLD_S] if end >= HOLD_S else error[:0]
+    return VehicleMetrics(
+        final_error_m=float(error[-1]) if len(error) else None,
+        settle_s=settle_time(track.t, error) if len(error) else None,
+        track_rms_m=_rms(off[~np.isnan(off)]),
+        hold_rms_m=_rms(hold**2),
+        heading_rms_deg=None if heading is None else math.degrees(heading),
+        min_obstacle_distance_m=min(distances.values()) if distances and len(track.t) else None,
+        impulse_ns=spent.impulse,
+        gas_g=1e3 * spent.gas,
+        valve_pulses=spent.openings,
+        max_force_n=float(np.max(aimed.force)) if len(aimed.force) else None,
+        filtered_ns=aimed.filtered_ns,
+    )
+
+
+def judge_formation(criteria: FormationCriteria, formation: object) -> dict[str, bool]:
+    """Each limit that was given; a run without a formation meets none."""
+    verdict = {}
+    for key in FormationCriteria.__struct_fields__:
+        limit, value = getattr(criteria, key), getattr(formation, key, None)
+        if limit is not None:
+            verdict[f"formation.{key}"] = value is not None and value <= limit
+    return verdict
+
+
+def judge(
+    criteria: Criteria, vehicles: Mapping[str, VehicleMetrics], contacts: int, clear: bool
+) -> dict[str, bool]:
+    """Each criterion that was given, met or not; a number that does not apply does not meet it.
+
+    `track_rms_m` is not judged where nobody tracked a reference.
+    """
+    verdict: dict[str, bool] = {}
+    if criteria.max_contacts is not None:
+        verdict["max_contacts"] = contacts <= criteria.max_contacts
+    if criteria.clear_of_obstacles:
+        verdict["clear_of_obstacles"] = clear
+    for key in (
+        "final_error_m", "settle_s", "hold_rms_m", "track_rms_m", "heading_rms_deg", "impulse_ns",
+    ):  # fmt: skip
+        limit = getattr(criteria, key)
+        values = [getattr(m, key) for m in vehicles.values()]
+        if limit is None or (key == "track_rms_m" and all(v is None for v in values)):
+            continue
+        verdict[key] = all(value is not None and value <= limit for value in values)
+    return verdict

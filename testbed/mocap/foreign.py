@@ -1,0 +1,143 @@
+"""Vicon, Qualisys and VRPN through the `motioncapture` package, in a process of its own.
+
+The package says neither when an exposure was nor its number, its calls may wait for ever, and some
+of its versions crash on some streams. So it runs in a child that can be ended: poses come over a
+pipe, each stamped when it arrived, and a watchdog starts the child again when it dies or says
+nothing. How old a pose was when it arrived the package does not say: `delay_s` of the table file's
+[lab.mocap] is believed.
+"""
+
+import os
+import struct
+import subprocess
+import sys
+from contextlib import suppress
+from importlib.util import find_spec
+
+import msgspec
+
+from testbed.core.lab import MocapWire
+from testbed.mocap.exposure import Exposure, Sighting
+from testbed.realtime.wall_clock import monotonic_ns
+
+SILENCE_NS = 2_000_000_000  # of a child that has said something before
+START_NS = 10_000_000_000  # until it has
+AGAIN_NS = 500_000_000  # between two starts: one that dies at once would be all that there is
+GIVEN_UP = 0  # as the time until which a child may be silent
+LONGEST = 1 << 20  # [bytes] of a message; more is something else that was printed
+PACKAGE = "motioncapture"
+CHILD = """
+import os, struct, sys, threading, time
+def end_with_parent():
+    sys.stdin.buffer.read()
+    os._exit(0)
+threading.Thread(target=end_with_parent, daemon=True).start()
+out = os.dup(1)
+os.dup2(2, 1)  # what the package prints is no message
+import motioncapture, msgspec
+system = motioncapture.connect(sys.argv[1], msgspec.json.decode(sys.argv[2]))
+number = 0
+while True:
+    system.waitForNextFrame()
+    now = time.monotonic_ns()
+    bodies = {}
+    for name, body in system.rigidBodies.items():
+        p, q = body.position, body.rotation
+        bodies[name] = (float(p[0]), float(p[1]), float(p[2]), q.x, q.y, q.z, q.w)
+    number += 1
+    data = msgspec.msgpack.encode((number, now, bodies))
+    os.write(out, struct.pack("<I", len(data)) + data)
+"""
+HEAD = struct.Struct("<I")
+Bodies = dict[str, tuple[float, float, float, float, float, float, float]]
+
+
+class ForeignSource:
+    """A `MocapSource`.
+
+    Args:
+        wire: the table file's.
+        program: of the child; tests put in worse ones.
+
+    Raises:
+        OSError: the package is not there.
+    """
+
+    def __init__(self, wire: MocapWire, program: str = CHILD) -> None:
+        if program is CHILD and find_spec(PACKAGE) is None:
+            raise OSError(
+                f"[lab.mocap] system = {wire.system!r} needs the package {PACKAGE}, which is not"
+                " there: pip install 'airbearing-testbed[mocap]'"
+            )
+        self._wire, self._program = wire, program
+        self._decode = msgspec.msgpack.Decoder(tuple[int, int, Bodies]).decode
+        self._known: set[str] = set()
+        self.starts = self.bad = 0
+        self._start()
+
+    def _start(self) -> None:
+        w = self._wire
+        settings = {"hostname": w.server, "interface_ip": w.interface}
+        if w.system == "natnet":
+            settings["port_command"] = str(w.command_port)
+        system = {"natnet": "optitrack"}.get(w.system, w.system)
+        self._child = subprocess.Popen(
+            [sys.executable, "-c", self._program, system, msgspec.json.encode(settings).decode()],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+        )
+        assert self._child.stdout is not None
+        os.set_blocking(self._child.stdout.fileno(), False)
+        self._rest = b""
+        self._again = monotonic_ns() + AGAIN_NS
+        self._due = monotonic_ns() + START_NS
+        self.starts += 1
+
+    def poll(self) -> list[Exposure]:
+        """See `MocapSource`."""
+        assert self._child.stdout is not None
+        with suppress(BlockingIOError):
+            while data := os.read(self._child.stdout.fileno(), 65536):
+                self._rest += data
+        if self._due == GIVEN_UP:
+            self._rest = b""
+        exposures: list[Exposure] = []
+        while len(self._rest) >= HEAD.size:
+            size = HEAD.unpack_from(self._rest)[0]
+            body = self._rest[HEAD.size : HEAD.size + size]
+            if len(body) < size <= LONGEST:
+                break
+            self._rest = self._rest[HEAD.size + size :]
+            try:
+                exposures.append(self._expose(body))
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                self.bad += 1  # and nobody knows where the next message begins
+                self._rest, self._due = b"", GIVEN_UP
+        now = monotonic_ns()
+        if exposures and self._due != GIVEN_UP:
+            self._due = now + SILENCE_NS
+        elif (self._child.poll() is not None or now > self._due) and now > self._again:
+            self._end()
+            self._start()
+        return exposures
+
+    def _expose(self, body: bytes) -> Exposure:
+        number, arrived, bodies = self._decode(body)
+        self._known |= bodies.keys()
+        seen = {name: Sighting(b[:3], b[3:], tracked=True) for name, b in bodies.items()}
+        nowhere = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
+        lost = dict.fromkeys(self._known - bodies.keys(), nowhere)
+        exposed = arrived - round(1e9 * self._wire.delay_s)
+        return Exposure(number, exposed, arrived, seen | lost)
+
+    def _end(self) -> None:
+        self._child.kill()
+        self._child.wait()
+        for pipe in (self._child.stdin, self._child.stdout):
+            if pipe is not None:
+                pipe.close()
+
+    def close(self) -> None:
+        """See `MocapSource`."""
+        self._end()

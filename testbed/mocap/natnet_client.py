@@ -1,0 +1,251 @@
+"""A NatNet client that waits for nothing: poll it, and it says what has come in since.
+
+Arrival is stamped by the kernel, so it does not matter when one polls. The server's clock is read
+with echoes once a second; a server that does not answer them is believed by its quickest frame.
+What another address than the server's sends is not looked at: the usual group is everybody's.
+"""
+
+import ipaddress
+import socket
+import struct
+from contextlib import suppress
+
+from testbed.core.lab import MocapWire
+from testbed.mocap.exposure import Exposure, Sighting
+from testbed.mocap.natnet import (
+    LARGEST,
+    MocapFrame,
+    NatNetError,
+    Packet,
+    ServerInfo,
+    decode_echo,
+    decode_frame,
+    decode_models,
+    decode_server_info,
+    packet,
+    unpack,
+)
+from testbed.realtime.clock_sync import Offset
+from testbed.realtime.wall_clock import monotonic_ns, monotonic_of_wall
+
+SO_TIMESTAMPNS = 35  # Linux, asm-generic/socket.h; Python does not name it
+TIMESPEC = struct.Struct("qq")
+ASK_NS = 1_000_000_000  # between two questions to the server
+FIRST_ASK_NS = 100_000_000  # until it has answered
+MOST = (
+    512  # datagrams in one look: two seconds' worth; a flood must not keep the vehicle from flying
+)
+OLDEST = (3, 0)  # of NatNet that is understood
+ANYBODY = "0.0.0.0"  # a server that says so is on this machine, wherever
+MOST_SENDERS = 16  # that are told apart
+MOST_NAMELESS = 1000  # bodies
+
+
+_FRAME = int(Packet.FRAME)
+
+
+class NatNetClient:
+    """A `MocapSource`.
+
+    Raises:
+        OSError: the address is none of this machine's, or the port is taken.
+    """
+
+    def __init__(self, wire: MocapWire) -> None:
+        host = _address_of(wire.server)  # once: whoever asks for a name waits for the answer
+        self._server = (host, wire.command_port)
+        self._interface = wire.interface
+        self._only = None if host == ANYBODY else host
+        try:
+            self._sockets = [_stamped(wire.interface, 0)]
+        except OSError as error:
+            raise OSError(
+                f"[lab.mocap] interface = {wire.interface!r}: {error.strerror}; expected an address"
+                " of this machine towards the cameras (`ip -brief address` shows them)"
+            ) from None
+        if wire.group:
+            try:
+                self._sockets.append(_joined(wire.group, wire.data_port, wire.interface))
+            except OSError:
+                self.close()
+                raise
+        self._ask_due, self._asked = 0, 0
+        self.info: ServerInfo | None = None
+        self.names: dict[int, str] = {}
+        self._strange: set[int] = set()  # bodies of frames that no description had
+        self._nameless: set[int] = set()  # of these the newest description has none either
+        self.clock = Offset()
+        self.bad = 0  # datagrams that were none
+        self.too_old: tuple[int, int] | None = None  # a server's version
+        self.foreign: dict[str, int] = {}  # and that were not the server's, by their address
+        self.newest: MocapFrame | None = None
+
+    @property
+    def complaint(self) -> str:
+        """Why there may be no poses, as far as datagrams tell; empty: they do not."""
+        if self.too_old is not None:
+            version = ".".join(map(str, self.too_old))
+            return f"the server speaks NatNet {version}; 3.0 to 4.1 are understood"
+        if self.foreign:
+            others = ", ".join(f"{n} from {sender}" for sender, n in self.foreign.items())
+            return f"datagrams that were not the server's: {others}"
+        away = not ipaddress.ip_address(self._server[0]).is_loopback and self._only is not None
+        if self.info is None and away and ipaddress.ip_address(self._interface).is_loopback:
+            return f"none: {self._interface} does not lead to {self._server[0]}; 0.0.0.0 does"
+        if self.info is not None and not self.names:
+            return "the server answers, and describes no rigid body"
+        return ""
+
+    def fileno(self) -> int:
+        """Of the socket that frames come in on."""
+        return self._sockets[-1].fileno()
+
+    def close(self) -> None:
+        """See `MocapSource`."""
+        for one in self._sockets:
+            one.close()
+
+    def poll(self) -> list[Exposure]:
+        """See `MocapSource`."""
+        exposures: list[Exposure] = []
+        for one in self._sockets:
+            for _ in range(MOST):
+                if (got := _receive(one)) is None:
+                    break
+                data, arrived_ns, sender = got
+                if self._only is not None and sender != self._only:
+                    if sender in self.foreign or len(self.foreign) < MOST_SENDERS:
+                        self.foreign[sender] = self.foreign.get(sender, 0) + 1
+                    continue
+                try:
+                    exposure = self._take(data, arrived_ns)
+                except NatNetError:
+                    self.bad += 1
+                    continue
+                if exposure is not None:
+                    exposures.append(exposure)
+        self._ask()
+        return exposures
+
+    def _ask(self) -> None:
+        now = monotonic_ns()
+        if now < self._ask_due:
+            return
+        known = self.info is not None and self.names
+        self._ask_due, self._asked = now + (ASK_NS if known else FIRST_ASK_NS), now
+        questions = [packet(Packet.ECHO_REQUEST, now.to_bytes(8, "little"))]
+        if self.info is None:
+            questions = [packet(Packet.CONNECT)]
+        elif not self.names or self._strange:
+            questions.append(packet(Packet.REQUEST_MODEL_DEF))
+        if self.info is not None and self.info.group is None:
+            questions.append(packet(Packet.KEEP_ALIVE))
+        for question in questions:
+            with suppress(OSError):  # no network: the poses stay away, which is noticed elsewhere
+                self._sockets[0].sendto(question, self._server)
+
+    def _take(self, data: bytes, arrived_ns: int) -> Exposure | None:
+        kind, payload = unpack(data)
+        if kind == _FRAME:
+            if self.info is None or not self.names:
+                return None
+            return self._expose(decode_frame(payload, self.info.version), arrived_ns)
+        match kind:
+            case Packet.SERVER_INFO:
+                info = decode_server_info(payload)
+                self.too_old = info.version if info.version < OLDEST else None
+                if self.too_old is not None:
+                    raise NatNetError("a server of another time")
+                self.info, self._ask_due = info, 0
+            case Packet.MODEL_DEF if self.info:
+                models = decode_models(payload, self.info.version)
+                self.names = {model.id: model.name for model in models}
+                if len(self._nameless) > MOST_NAMELESS:
+                    self._nameless = set()
+                self._nameless = (self._nameless | self._strange) - self.names.keys()
+                self._strange = set()
+            case Packet.ECHO_RESPONSE if self.info:
+                asked, server = decode_echo(payload)
+                if asked != self._asked:
+                    raise NatNetError("an echo of nothing that was asked")
+                self.clock.exchanged(asked, self._ns(server), arrived_ns)
+        return None
+
+    def _ns(self, ticks: int) -> float:
+        assert self.info is not None
+        return ticks * (1e9 / self.info.clock_hz) if self.info.clock_hz != 10**9 else ticks
+
+    def _expose(self, frame: MocapFrame, arrived_ns: int) -> Exposure | None:
+        self.newest = frame
+        strange = {body.id for body in frame.bodies if body.id not in self.names}
+        if strange:
+            self._strange = strange  # asked for once a second: it may get a name yet
+            if not strange <= self._nameless:
+                self._ask_due, self.names = 0, {}  # the operator has changed the bodies: ask again
+                return None
+        self.clock.heard(self._ns(frame.sent), arrived_ns)
+        exposed = self.clock.to_own(self._ns(frame.exposed))
+        assert exposed is not None
+        bodies = {
+            self.names[b.id]: Sighting(b.position, b.rotation, b.tracked)
+            for b in frame.bodies
+            if b.id not in strange
+        }
+        return Exposure(frame.number, exposed, arrived_ns, bodies)
+
+
+def _address_of(server: str) -> str:
+    try:
+        return str(socket.getaddrinfo(server, None, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0])
+    except (OSError, UnicodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "no name of a machine"
+        raise OSError(
+            f"[lab.mocap] server = {server!r}: {why}; expected the name or the IPv4 address of the"
+            " machine that the cameras' program runs on"
+        ) from None
+
+
+def _joined(group: str, port: int, interface: str) -> socket.socket:
+    """The socket that hears what is multicast to a group."""
+    try:
+        data = _stamped(group, port, shared=True)
+        try:
+            membership = socket.inet_aton(group) + socket.inet_aton(interface)
+            data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+        except OSError:
+            data.close()
+            raise
+    except OSError as error:
+        raise OSError(
+            f"[lab.mocap] group = {group!r} at port {port}, by {interface}: {error}; expected the"
+            " address that the cameras' program multicasts to, such as 239.255.42.99, and the"
+            " address of this machine towards it"
+        ) from None
+    return data
+
+
+def _stamped(host: str, port: int, *, shared: bool = False) -> socket.socket:
+    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    if shared:
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    one.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+    one.setblocking(False)
+    try:
+        one.bind((host, port))
+    except OSError:
+        one.close()
+        raise
+    return one
+
+
+def _receive(one: socket.socket) -> tuple[bytes, int, str] | None:
+    """A datagram, when it came in, and from where."""
+    try:
+        data, ancillary, _, (host, _) = one.recvmsg(LARGEST, 64)
+    except (BlockingIOError, ConnectionRefusedError):
+        return None
+    for level, kind, value in ancillary:
+        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS:
+            seconds, rest = TIMESPEC.unpack_from(value)
+            return data, monotonic_of_wall(seconds * 1_000_000_000 + rest), host
+    return data, monotonic_ns(), host

@@ -1,0 +1,26 @@
+"""The motion-capture system that the table file names."""
+
+import zenoh
+
+from testbed.core.lab import MocapWire
+from testbed.mocap.exposure import MocapSource
+from testbed.mocap.natnet_client import NatNetClient
+from testbed.net.keys import Keys
+
+
+def make_source(wire: MocapWire, session: zenoh.Session, keys: Keys) -> MocapSource:
+    """Connect to it."""
+    if wire.system == "zenoh":
+        from testbed.mocap.topic import PoseTopic
+
+        return PoseTopic(session, keys.pose)
+    return datagrams(wire)
+
+
+def datagrams(wire: MocapWire) -> MocapSource:
+    """Connect to a system that needs no session of Zenoh's."""
+    if wire.system == "natnet":
+        return NatNetClient(wire)
+    from testbed.mocap.foreign import ForeignSource
+
+    return ForeignSource(wire)

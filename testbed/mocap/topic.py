@@ -1,0 +1,58 @@
+"""Poses from a Zenoh topic, for a lab whose cameras speak Zenoh already.
+
+The message is MessagePack: [number, exposed, sent, {name: [x, y, z, qx, qy, qz, qw]}]; times are
+in ns of the sender's monotonic clock, and a body that is not tracked is left out. Without questions
+and answers the sender's clock is known from the message that travelled fastest.
+"""
+
+import msgspec
+import zenoh
+
+from testbed.mocap.exposure import Exposure, Sighting
+from testbed.net.session import Subscriber
+from testbed.realtime.clock_sync import Offset
+
+MOST_BODIES = 256
+
+Bodies = dict[str, tuple[float, float, float, float, float, float, float]]
+
+
+def encode_poses(number: int, exposed_ns: int, sent_ns: int, bodies: Bodies) -> bytes:
+    """A message."""
+    return msgspec.msgpack.encode((number, exposed_ns, sent_ns, bodies))
+
+
+class PoseTopic:
+    """A `MocapSource`."""
+
+    def __init__(self, session: zenoh.Session, key: str) -> None:
+        self._ear, self.clock, self.bad = Subscriber(session, key), Offset(), 0
+        self._decode = msgspec.msgpack.Decoder(tuple[int, int, int, Bodies]).decode
+        self._known: set[str] = set()
+
+    def poll(self) -> list[Exposure]:
+        """See `MocapSource`."""
+        exposures = []
+        for arrived, data in self._ear.heard():
+            try:
+                number, exposed, sent, bodies = self._decode(data)
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                self.bad += 1
+                continue
+            if len(self._known | bodies.keys()) > MOST_BODIES:
+                self.bad += 1
+                continue
+            self.clock.heard(sent, arrived)
+            at = self.clock.to_own(exposed)
+            assert at is not None
+            self._known |= bodies.keys()
+            seen = {name: Sighting(b[:3], b[3:], tracked=True) for name, b in bodies.items()}
+            lost = {
+                name: Sighting((0.0,) * 3, (0.0, 0.0, 0.0, 1.0), tracked=False)
+                for name in self._known - bodies.keys()
+            }
+            exposures.append(Exposure(number, at, arrived, seen | lost))
+        return exposures
+
+    def close(self) -> None:
+        """See `MocapSource`."""

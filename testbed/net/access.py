@@ -1,0 +1,184 @@
+"""Who may do what on the network: the list in the host's key folder, and Zenoh's rules from it.
+
+    role       says                        hears                      asks, and is told
+    host       everything: it is the one that everybody else dials
+    vehicle    its own state, told, tick   its setpoint; permit,      the host's clock, experiment;
+               and event; is alive         stop, poses; states and    answers its own orders, and
+                                           words of the others        to stop
+    table      truth, poses
+    operator   stop                        all that is said           any vehicle's order; stop;
+                                                                      the host's experiment
+    watcher    nothing                     states, words, ticks,      the host's experiment
+                                           events, truth, poses
+
+Everything else is refused where it arrives, at the host, and silently: Zenoh does not answer the
+unwelcome. Rights hang on the certificate's common name, which is the role and the name.
+"""
+
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import zenoh
+from msgspec import Struct
+
+from testbed.core.lab import Network
+from testbed.net.credentials import ROLES, BadgeError, Credentials, common_name, known, read_badge
+from testbed.net.keys import Keys
+from testbed.net.session import NetworkError, listen
+
+ACCESS = "access.toml"
+
+SAY = (("ingress", ("put", "delete")), ("egress", ("declare_subscriber",)))
+HEAR = (
+    ("ingress", ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")),
+    ("egress", ("put", "delete", "liveliness_token")),
+)
+ASK = (("ingress", ("query",)), ("egress", ("reply", "declare_queryable")))
+ANSWER = (("ingress", ("declare_queryable", "reply")), ("egress", ("query",)))
+LIVE = (("ingress", ("liveliness_token",)),)
+
+Act = tuple[tuple[str, tuple[str, ...]], ...]
+
+
+class Admitted(Struct, frozen=True, forbid_unknown_fields=True):
+    """One line of the list."""
+
+    role: str
+    name: str
+    fingerprint: str
+    expires: str
+
+
+class Access(Struct, frozen=True, forbid_unknown_fields=True):
+    """The list."""
+
+    lab: str
+    endpoint: str
+    party: list[Admitted]
+
+    @property
+    def badges(self) -> list[Credentials]:
+        """Everybody on it."""
+        return [
+            Credentials(self.lab, self.endpoint, p.role, p.name, p.fingerprint, p.expires)
+            for p in self.party
+        ]
+
+
+def read_access(folder: Path) -> Access:
+    """The list in the host's key folder.
+
+    Raises:
+        BadgeError: it is not there, or cannot be read.
+    """
+    path = folder / ACCESS
+    expected = "expected the list that `testbed lab-keys` keeps in the host's key folder"
+    try:
+        access = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Access)
+    except OSError as error:
+        raise BadgeError(f"{path}: {error.strerror}; {expected}") from None
+    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or another tree
+        raise BadgeError(f"{path}: {error}; {expected}") from None
+    for one in access.party:
+        if one.role not in ROLES:
+            raise BadgeError(f"{path}: a role {one.role!r}; expected one of: {', '.join(ROLES)}")
+    return access
+
+
+def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple[Act, list[str]]]:
+    """What a party may do on which keys."""
+
+    def of(names: Iterable[str], *words: str) -> list[str]:
+        return [keys.of(name, word) for name in names for word in words]
+
+    everybody, own = list(vehicles), [badge.name]
+    seen = of(everybody, "state", "told", "tick", "event", "alive")
+    seen += [keys.truth, keys.pose, keys.permit, keys.host_alive]
+    match badge.role:
+        case "host":
+            return [(act, [keys.everything]) for act in (SAY, HEAR, ASK, ANSWER, LIVE)]
+        case "vehicle":
+            return [
+                (SAY, of(own, "state", "told", "tick", "event")),
+                (LIVE, of(own, "alive")),
+                (HEAR, of(own, "alive")),  # whether somebody else is there under its name
+                (HEAR, [*of(own, "setpoint"), keys.permit, keys.stop, keys.pose]),
+                (HEAR, of(everybody, "state", "told")),
+                (ASK, [keys.clock, keys.experiment]),
+                (ANSWER, [*of(own, "order"), keys.stop]),
+            ]
+        case "table":
+            return [(SAY, [keys.truth, keys.pose])]
+        case "operator":
+            return [
+                (SAY, [keys.stop]),
+                (ASK, [*of(everybody, "order"), keys.stop, keys.experiment]),
+                (HEAR, [*seen, *of(everybody, "setpoint"), keys.stop]),
+            ]
+        case _:  # a watcher
+            return [(HEAR, seen), (ASK, [keys.experiment])]
+
+
+def control(access: Access, keys: Keys) -> dict[str, Any]:
+    """Zenoh's access-control list; who is not on it may do nothing."""
+    vehicles = known(access.badges, "vehicle")
+    rules: list[dict[str, Any]] = []
+    subjects, policies = [], []
+    for badge in access.badges:
+        who = common_name(badge.role, badge.name)
+        own: list[str] = []
+        for act, where in deeds(badge, keys, vehicles):
+            for flow, messages in act:
+                if not where:
+                    continue
+                rule = f"{who} {len(own)}"
+                own.append(rule)
+                rules.append({
+                    "id": rule, "permission": "allow", "flows": [flow],
+                    "messages": list(messages), "key_exprs": where,
+                })  # fmt: skip
+        if own:
+            subjects.append({"id": who, "cert_common_names": [who]})
+            policies.append({"rules": own, "subjects": [who]})
+    return {
+        "enabled": True, "default_permission": "deny",
+        "rules": rules, "subjects": subjects, "policies": policies,
+    }  # fmt: skip
+
+
+def open_lab(network: Network, vehicles: Iterable[str]) -> tuple[zenoh.Session, list[str]]:
+    """The host's end of a lab's network, and words about keys that expire soon.
+
+    Args:
+        network: of the lab file.
+        vehicles: that are to fly.
+
+    Raises:
+        NetworkError: it cannot be opened, or a vehicle has no keys.
+    """
+    if not network.keys:
+        return listen(network.endpoint), []
+    folder = Path(network.keys)
+    try:
+        badge = read_badge(folder)
+        if badge.role != "host":
+            raise BadgeError(f"{folder} has the keys of {badge.common_name}, expected the host's")
+        access = read_access(folder)
+    except BadgeError as error:
+        raise NetworkError(str(error)) from None
+    if access.lab != network.lab:
+        raise NetworkError(
+            f"{folder} is of the lab {access.lab!r}, and [lab.network] of {network.lab!r}"
+        )
+    missing = [name for name in vehicles if name not in known(access.badges, "vehicle")]
+    if missing:
+        raise NetworkError(
+            f"no keys for {', '.join(missing)} in {folder / ACCESS}; expected every vehicle there:"
+            f" testbed lab-keys {folder.parent} --vehicle {missing[0]}"
+        )
+    ends = [badge.ending for badge in access.badges]
+    session = listen(network.endpoint, folder, control(access, Keys(network.lab)))
+    return session, [words for words in ends if words]

@@ -1,0 +1,170 @@
+"""`VehicleLink` and `HostLink` over Zenoh."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Generic, TypeVar
+
+import zenoh
+from msgspec import Struct
+
+from testbed.core.lab import Lab
+from testbed.core.types import LawMessage, Setpoint, State
+from testbed.net.envelope import Inbox, Outbox, open_setpoint, open_state, open_told
+from testbed.net.impairment import NetworkImpairment, calm
+from testbed.net.keys import Keys
+from testbed.net.session import Publisher, Subscriber
+from testbed.realtime.wall_clock import WallClock
+
+M = TypeVar("M")
+
+KEPT_S = 10.0  # a state older than this on arrival is nobody's any more
+
+
+class Party(Struct, frozen=True):
+    """Who speaks, to whom, in which run."""
+
+    session: zenoh.Session
+    lab: Lab
+    run: int  # number of the session
+    clock: WallClock
+    seed: int
+    name: str  # of the party: a vehicle, or "host"
+    worse: Callable[[], tuple[float, float]] = calm  # see `NetworkImpairment`
+
+    @property
+    def keys(self) -> Keys:
+        """Of the lab."""
+        return Keys(self.lab.network.lab)
+
+
+class Heard(Generic[M]):
+    """The newest message on a key."""
+
+    def __init__(self, party: Party, key: str, open_body: Callable[[Any], M]) -> None:
+        storm = NetworkImpairment(
+            party.lab.weather, party.seed, f"{key} to {party.name}", party.worse
+        )
+        self._ear = Subscriber(party.session, key, storm.arrival)
+        self._clock = party.clock
+        self.inbox: Inbox[M] = Inbox(open_body, party.run, party.lab.late_s)
+
+    def newest(self) -> M | None:
+        """However old."""
+        for at, data in self._ear.heard():
+            self.inbox.take(data, self._clock.of(at))
+        return self.inbox.newest
+
+
+def _newest(heard: Mapping[str, Heard[M]]) -> dict[str, M]:
+    found = {name: one.newest() for name, one in heard.items()}
+    return {name: message for name, message in found.items() if message is not None}
+
+
+class Said:
+    """Messages sent on a key."""
+
+    def __init__(self, party: Party, key: str) -> None:
+        self._mouth, self._clock = Publisher(party.session, key), party.clock
+        self.outbox = Outbox(party.run)
+
+    def say(self, message: object, valid_until: float | None = None) -> None:
+        """Send."""
+        now = self._clock.now
+        until = now + KEPT_S if valid_until is None else valid_until
+        self._mouth.say(self.outbox.seal(message, now, until))
+
+
+class ZenohVehicleLink:
+    """See `VehicleLink`. `others` are the vehicles whose states and words are of use."""
+
+    def __init__(self, party: Party, others: Iterable[str]) -> None:
+        keys, name = party.keys, party.name
+        self.heard = Heard(party, keys.of(name, "setpoint"), open_setpoint)
+        others = [other for other in others if other != name]
+        self._states = {n: Heard(party, keys.of(n, "state"), open_state) for n in others}
+        self._words = {n: Heard(party, keys.of(n, "told"), open_told) for n in others}
+        self._state, self._told = (Said(party, keys.of(name, what)) for what in ("state", "told"))
+
+    @property
+    def foreign(self) -> int:
+        """Messages of another session so far."""
+        heard: list[Heard[Any]] = [self.heard, *self._states.values(), *self._words.values()]
+        return sum(one.inbox.foreign for one in heard)
+
+    def setpoint(self) -> Setpoint | None:
+        """See `VehicleLink`."""
+        return self.heard.newest()
+
+    def neighbours(self) -> dict[str, State]:
+        """See `VehicleLink`."""
+        return _newest(self._states)
+
+    def publish(self, state: State) -> None:
+        """See `VehicleLink`."""
+        self._state.say(state)
+
+    def told(self) -> dict[str, LawMessage]:
+        """See `VehicleLink`."""
+        return _newest(self._words)
+
+    def tell(self, told: LawMessage) -> None:
+        """See `VehicleLink`."""
+        self._told.say(told)
+
+
+class Blackboard:
+    """What laws on the same computer tell each other: heard from the next tick on."""
+
+    def __init__(self) -> None:
+        self._said: dict[str, tuple[int, LawMessage, LawMessage | None]] = {}
+        self.tick = 0
+
+    def write(self, name: str, told: LawMessage) -> None:
+        """Say something."""
+        _, newest, _ = self._said.get(name, (0, None, None))
+        self._said[name] = (self.tick, told, newest)
+
+    def read(self, name: str) -> dict[str, LawMessage]:
+        """What the others said before this tick."""
+        heard = {}
+        for other, (tick, newest, before) in self._said.items():
+            told = newest if tick < self.tick else before
+            if other != name and told is not None:
+                heard[other] = told
+        return heard
+
+
+class ZenohHostLink:
+    """See `HostLink`. One `states` is shared by the links of all vehicles."""
+
+    def __init__(
+        self, party: Party, vehicle: str, states: Mapping[str, Heard[State]], board: Blackboard
+    ) -> None:
+        self._name, self._states, self._board = vehicle, states, board
+        self.said = Said(party, party.keys.of(vehicle, "setpoint"))
+
+    def own(self) -> State | None:
+        """See `HostLink`."""
+        return self._states[self._name].newest()
+
+    def neighbours(self) -> dict[str, State]:
+        """See `HostLink`."""
+        found = _newest(self._states)
+        found.pop(self._name, None)
+        return found
+
+    def publish(self, setpoint: Setpoint) -> None:
+        """See `HostLink`."""
+        self.said.say(setpoint, setpoint.valid_until)
+
+    def told(self) -> dict[str, LawMessage]:
+        """See `HostLink`."""
+        return self._board.read(self._name)
+
+    def tell(self, told: LawMessage) -> None:
+        """See `HostLink`."""
+        self._board.write(self._name, told)
+
+
+def host_states(party: Party, vehicles: Iterable[str]) -> dict[str, Heard[State]]:
+    """What the host hears of each vehicle."""
+    return {n: Heard(party, party.keys.of(n, "state"), open_state) for n in vehicles}

@@ -1,0 +1,235 @@
+"""Zenoh, opened the one way this project opens it.
+
+The host listens where the lab file says and passes on what vehicles say to each other; everybody
+else dials. Nobody scouts, and nobody listens anywhere else: Zenoh's own default is to listen on
+every interface. Messages are dropped when the network is full; nobody waits for it.
+
+Without keys nobody listens or dials beyond this machine. With them both ends show a certificate of
+the lab's authority, and the host lets everybody do what `access.py` says.
+"""
+
+import json
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from testbed.net.credentials import BadgeError, read_badge, tls, trouble
+from testbed.realtime.wall_clock import monotonic_ns
+
+LARGEST = 1 << 18  # [bytes] of a message; an experiment has 20 kB
+LEASE_MS = 400  # a peer that is silent for so long is gone
+BURST = 16  # messages that may be said at once; Zenoh's own 2 lose every third of a burst
+PENDING = 64  # messages of a key between two looks; more are not worth having
+
+
+class NetworkError(Exception):
+    """There is no network."""
+
+
+class NobodyError(NetworkError):
+    """Nobody listens there, or one side does not believe the other's keys."""
+
+
+def _config(
+    mode: str, listen: list[str], connect: list[str], wait_ms: int,
+    keys: Path | None = None, control: Mapping[str, Any] | None = None,
+) -> zenoh.Config:  # fmt: skip
+    return zenoh.Config.from_json5(
+        json.dumps({
+            "mode": mode,
+            "access_control": control or {"enabled": False},
+            "scouting": {
+                "multicast": {"enabled": False},
+                "gossip": {"enabled": False},
+                "delay": 0,
+            },
+            "listen": {"endpoints": listen},
+            "connect": {
+                "endpoints": connect,
+                "timeout_ms": wait_ms,
+                "exit_on_failure": True,
+                "retry": {
+                    "period_init_ms": 50, "period_max_ms": 200, "period_increase_factor": 1.5,
+                },
+            },
+            "transport": {
+                "link": {
+                    "tls": tls(keys) if keys is not None else {},
+                    "rx": {"max_message_size": LARGEST},
+                    "tx": {
+                        "lease": LEASE_MS,
+                        "keep_alive": 4,
+                        "queue": {
+                            "congestion_control": {"drop": {"wait_before_drop": 0}},
+                            "size": {"real_time": BURST},
+                        },
+                    },
+                },
+                "shared_memory": {"enabled": False},
+            },
+        })
+    )  # fmt: skip
+
+
+def _words(error: zenoh.ZError) -> str:
+    """Zenoh's words without the line of its source that they come from."""
+    return str(error).partition(" at /")[0].rstrip(" .!")
+
+
+def _checked(endpoint: str, keys: Path | None) -> None:
+    """Raise a NetworkError if nobody should be there with these keys."""
+    if (why := trouble(endpoint, keys)) is not None:
+        raise NetworkError(f"{endpoint} is not opened: {why}")
+    if keys is not None:
+        try:
+            read_badge(keys)
+        except BadgeError as error:
+            raise NetworkError(str(error)) from None
+
+
+def listen(
+    endpoint: str, keys: Path | None = None, control: Mapping[str, Any] | None = None
+) -> zenoh.Session:
+    """Open the host's end.
+
+    Args:
+        endpoint: in Zenoh's words.
+        keys: the host's folder; None: everybody on this machine is welcome, and nobody else.
+        control: who may do what, see `access.control`.
+
+    Raises:
+        NetworkError: the endpoint is taken or is none, or the keys are none.
+    """
+    _checked(endpoint, keys)
+    try:
+        return zenoh.open(_config("router", [endpoint], [], 0, keys, control))
+    except zenoh.ZError as error:
+        raise NetworkError(
+            f"cannot listen on {endpoint}: {_words(error)}; expected a free address of this"
+            " machine, see [lab.network] of the table file"
+        ) from None
+
+
+def dial(endpoint: str, wait_s: float = 1.0, keys: Path | None = None) -> zenoh.Session:
+    """Open a vehicle's or an onlooker's end.
+
+    Raises:
+        NobodyError: nobody listens there, or one side does not believe the other's keys.
+        NetworkError: nobody should dial there with these keys.
+    """
+    _checked(endpoint, keys)
+    try:
+        return zenoh.open(_config("client", [], [endpoint], round(1e3 * wait_s), keys))
+    except zenoh.ZError as error:
+        doubt = "" if keys is None else f", and are the keys in {keys} of its lab and not expired"
+        raise NobodyError(
+            f"nobody answers at {endpoint}: {_words(error)}; is `testbed run` waiting on the host,"
+            f" and is the address right{doubt}?"
+        ) from None
+
+
+class Subscriber:
+    """What has come in on a key, with the time of arrival; newest last."""
+
+    def __init__(
+        self, session: zenoh.Session, key: str, arrival: Callable[[int], int | None] | None = None
+    ) -> None:
+        self._waiting: deque[tuple[int, bytes]] = deque(maxlen=PENDING)
+        self._arrival = arrival
+        self._subscriber = session.declare_subscriber(
+            key,
+            zenoh.handlers.Callback(self._hear, indirect=False),  # short, and waits for nothing
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+
+    def _hear(self, sample: Any) -> None:
+        at: int | None = monotonic_ns()
+        if self._arrival is not None:
+            assert at is not None
+            at = self._arrival(at)
+        if at is not None:
+            self._waiting.append((at, sample.payload.to_bytes()))
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._subscriber.undeclare()
+
+    def heard(self) -> list[tuple[int, bytes]]:
+        """Messages since the last call, in order of arrival; their times are monotonic [ns]."""
+        now = monotonic_ns()
+        messages = [self._waiting.popleft() for _ in range(len(self._waiting))]
+        late = [message for message in messages if message[0] > now]
+        self._waiting.extendleft(reversed(late))
+        return sorted((m for m in messages if m[0] <= now), key=lambda m: m[0])
+
+
+def on_word(session: zenoh.Session, key: str, do: Callable[[], object]) -> Any:
+    """Call `do` at once, in Zenoh's own thread, whenever somebody says something on a key."""
+
+    def hear(sample: Any) -> None:
+        do()
+
+    return session.declare_subscriber(key, zenoh.handlers.Callback(hear, indirect=False))
+
+
+class Publisher:
+    """Says things on a key. Must be kept: Zenoh forgets a publisher that nobody holds."""
+
+    def __init__(self, session: zenoh.Session, key: str, *, bulk: bool = False) -> None:
+        self._publisher = session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.DATA if bulk else zenoh.Priority.REAL_TIME,
+            express=not bulk,
+        )
+
+    def say(self, data: bytes) -> None:
+        """Send; does not wait."""
+        self._publisher.put(data)
+
+
+def answer_to(
+    session: zenoh.Session, key: str, answer: Callable[[bytes], bytes]
+) -> zenoh.Queryable[None]:
+    """Answer questions on a key; the result must be kept. What is raised is told to the asker."""
+
+    def on(query: Any) -> None:
+        with query:
+            asked = query.payload.to_bytes() if query.payload is not None else b""
+            try:
+                query.reply(query.key_expr, answer(asked))
+            except Exception as error:  # whatever it is: silence would look like nobody there
+                query.reply_err(f"{type(error).__name__}: {error}".encode())
+
+    return session.declare_queryable(
+        key, zenoh.handlers.Callback(on, indirect=False), complete=True
+    )
+
+
+def ask_all(session: zenoh.Session, key: str, wait_s: float = 0.5) -> int:
+    """How many have answered a question that is for everybody."""
+    replies = session.get(
+        key,
+        timeout=wait_s,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+    )
+    return sum(reply.ok is not None for reply in replies)
+
+
+def ask(session: zenoh.Session, key: str, question: bytes = b"", wait_s: float = 1.0) -> bytes:
+    """The answer to a question.
+
+    Raises:
+        NetworkError: nobody answered in time, or somebody could not.
+    """
+    said = "nobody is there"
+    for reply in session.get(key, payload=question, timeout=wait_s):
+        if reply.ok is not None:
+            return bytes(reply.ok.payload.to_bytes())
+        assert reply.err is not None
+        said = reply.err.payload.to_bytes().decode(errors="replace")
+    raise NetworkError(f"no answer on {key}: {said}")

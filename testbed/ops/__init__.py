@@ -1,1 +1,0 @@
-"""Everything with a clock, a file or a screen."""

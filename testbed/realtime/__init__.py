@@ -1,0 +1,1 @@
+"""Clocks, pacing, scheduling and processes."""

@@ -1,0 +1,337 @@
+"""The figures of a run, and what they are called in the paper that it repeats."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.logs.history import History, VehicleHistory
+from testbed.metrics.run_metrics import HOLD_S
+from testbed.report.chart import WIDTH, Chart, Disc, Item, Limit, Line, Point, Raster
+from testbed.report.goal_error import Wanted, goal_at
+from testbed.report.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+MOST_PAIRS = 6  # that get a line each
+GHOSTS = 9  # instants at which the vehicles are drawn along their tracks
+PAPERS = {  # what a figure is the analogue of
+    "zhang2023": {
+        "trajectory": "Figure 15", "error_xy": "Figure 16", "error": "Figure 16",
+        "tracking": "Figure 18",
+    },
+}  # fmt: skip
+
+
+def figures(scenario: Scenario, history: History) -> list[Chart]:
+    """All that apply, in the order of a report."""
+    makers = (
+        _trajectory, _error, _error_xy, _tracking, _heading, _distances, _separations, _speed,
+        _force, _valves, _air, _timing, _filter,
+    )  # fmt: skip
+    made = [chart for maker in makers for chart in maker(scenario, history)]
+    return [chart for chart in made if any(_shows(item) for item in chart.items)]
+
+
+def _shows(item: Item) -> bool:
+    """Whether there is anything to see; a limit alone is not."""
+    match item:
+        case Line(_, y):
+            return bool(np.isfinite(y).any())
+        case Limit():
+            return False
+    return True
+
+
+def analogue(scenario: Scenario, key: str) -> str:
+    """The paper's figure that this one repeats, in words; empty if there is none."""
+    paper = scenario.name.partition("_")[0]
+    figure = PAPERS.get(paper, {}).get(key)
+    return f"the analogue of {figure} in {paper}" if figure else ""
+
+
+def _time(history: History) -> tuple[float, float]:
+    return 0.0, max(history.end, 1e-3)
+
+
+def _vehicles(history: History) -> Iterator[tuple[int, str, VehicleHistory]]:
+    for k, (name, vehicle) in enumerate(history.vehicles.items()):
+        yield k, name, vehicle
+
+
+def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
+    items: list[Item] = []
+    wanted = Wanted(scenario)
+    has_goals = not wanted.forms
+    for rock in scenario.obstacles.values():
+        (x, y), (vx, vy) = rock.position, rock.velocity
+        items.append(Disc(x, y, rock.radius, "danger"))
+        if rock.solid > 0.0:
+            items.append(Disc(x, y, rock.solid, "solid"))
+        if vx or vy:
+            end = np.array([x + history.end * vx]), np.array([y + history.end * vy])
+            items.append(Line(np.append([x], end[0]), np.append([y], end[1]), 3, "", "dashed"))
+    for k, name, vehicle in _vehicles(history):
+        setup = scenario.vehicles[name]
+        asked = vehicle.reference
+        items.append(Line(asked[:, 0], asked[:, 1], k, "", "thin dashed"))
+        t, state = history.where(name)
+        items.append(Line(state[:, 0], state[:, 1], k, name))
+        for i in np.linspace(0, len(t) - 1, GHOSTS).astype(int) if len(t) else ():
+            items.append(
+                Disc(float(state[i, 0]), float(state[i, 1]), setup.model.radius, "ghost", k)
+            )
+        (x, y, _), room = setup.start, setup.model.radius
+        items.append(Point(x, y, k, "ring", "" if has_goals else name, room))
+        if has_goals:
+            x, y = goal_at(setup, np.array([history.end]))[0].tolist()
+            items.append(Point(x, y, k, "cross", name, room))
+    if wanted.led:
+        led = wanted.leader_at(np.linspace(0.0, history.end, 200))
+        hue = len(history.vehicles)
+        items.append(Line(led[:, 0], led[:, 1], hue, "", "dashed"))
+        items.append(Point(float(led[-1, 0]), float(led[-1, 1]), hue, "cross", "leader"))
+    half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
+    note = "Rings are starts"
+    note += ", crosses goals" * has_goals + ", the cross is the leader" * wanted.led
+    note += f"; circles are the vehicles to scale at {GHOSTS} instants"
+    if not all(np.isnan(v.reference).all() for v in history.vehicles.values()):
+        note += "; thin dashed lines are the references"
+    if scenario.obstacles:
+        note += "; dashed red is a danger radius, for the vehicle's centre"
+    note += "."
+    yield Chart("trajectory", "Trajectories on the table", "x [m]", "y [m]", items,
+                (-half_x, half_x), (-half_y, half_y), equal=True, note=note)  # fmt: skip
+
+
+def _error(scenario: Scenario, history: History) -> Iterator[Chart]:
+    wanted, (t, places) = Wanted(scenario), history.together()
+    settled = 1e3 * wanted.settled_m
+    items: list[Item] = [Limit(settled, f"settled below {settled:.0f} mm")]
+    hold, shape = scenario.criteria.hold_rms_m, scenario.criteria.formation
+    if hold is not None and history.end > HOLD_S:
+        items.append(Limit(1e3 * hold, f"hold RMS limit {1e3 * hold:g} mm"))
+    if shape is not None and shape.error_m is not None:
+        limit = 1e3 * shape.error_m
+        items.append(Limit(limit, f"limit at the end {limit:g} mm"))
+    for k, (name, off) in enumerate(wanted.parts(t, places).items()):
+        items.append(Line(t, 1e3 * off, k, name))
+    yield Chart("error", wanted.title, "time [s]", "distance [mm], log scale",
+                items, _time(history), log=True)  # fmt: skip
+
+
+def _error_xy(scenario: Scenario, history: History) -> Iterator[Chart]:
+    items: list[Item] = []
+    if Wanted(scenario).forms:
+        return  # nobody has a goal of his own
+    for k, name, _ in _vehicles(history):
+        t, state = history.where(name)
+        off = state[:, :2] - goal_at(scenario.vehicles[name], t)
+        items += [Line(t, off[:, 0], k, f"{name} x"), Line(t, off[:, 1], k, "y", "dashed")]
+    yield Chart("error_xy", "Relative position error", "time [s]", "error [m]", items,
+                _time(history))  # fmt: skip
+
+
+def _interpolated(history: History, name: str) -> tuple[Array, Array, Array]:
+    """Times, true poses there, and the references for these times."""
+    vehicle = history.vehicles[name]
+    t, state = history.where(name)
+    known = ~np.isnan(vehicle.at) & ~np.isnan(vehicle.reference[:, 2])
+    if len(t) < 2 or not known.any():
+        return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+    at = vehicle.at[known]
+    i = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
+    h = (t[i + 1] - t[i])[:, None]
+    s = (at - t[i])[:, None] / h
+    a, b = state[i], state[i + 1]
+    pose = (
+        (1 + 2 * s) * (1 - s) ** 2 * a[:, :3] + s * s * (3 - 2 * s) * b[:, :3]
+        + h * s * (1 - s) ** 2 * a[:, 3:] - h * s * s * (1 - s) * b[:, 3:]
+    )  # fmt: skip
+    inside = at <= t[-1]
+    return at[inside], pose[inside], vehicle.reference[known][inside]
+
+
+def _tracking(scenario: Scenario, history: History) -> Iterator[Chart]:
+    items: list[Item] = []
+    limit = scenario.criteria.track_rms_m
+    for k, name, vehicle in _vehicles(history):
+        if not np.isnan(vehicle.force_asked).all():
+            continue  # nobody asked it to be anywhere
+        at, pose, asked = _interpolated(history, name)
+        items.append(Line(at, 1e3 * np.hypot(*(pose - asked)[:, :2].T), k, name))
+    if items and limit is not None:
+        items.append(Limit(1e3 * limit, f"RMS limit {1e3 * limit:g} mm"))
+    yield Chart("tracking", "Tracking error: where it was against where it was sent", "time [s]",
+                "error [mm]", items, _time(history))  # fmt: skip
+
+
+def _heading(scenario: Scenario, history: History) -> Iterator[Chart]:
+    items: list[Item] = []
+    for k, name, _ in _vehicles(history):
+        t, state = history.where(name)
+        off = np.angle(np.exp(1j * (state[:, 2] - scenario.vehicles[name].goal[2])))
+        items.append(Line(t, np.degrees(off), k, name))
+    yield Chart("heading", "Heading against the goal's", "time [s]", "angle [deg]", items,
+                _time(history), height=170)  # fmt: skip
+
+
+def _distances(scenario: Scenario, history: History) -> Iterator[Chart]:
+    items: list[Item] = []
+    radii = sorted({rock.radius for rock in scenario.obstacles.values()})
+    for k, name, _ in _vehicles(history):
+        t, state = history.where(name)
+        gaps = [
+            np.hypot(*(state[:, :2] - np.array(r.position) - np.outer(t, r.velocity)).T) - r.radius
+            for r in scenario.obstacles.values()
+        ]
+        if gaps:
+            items.append(Line(t, np.min(gaps, axis=0), k, name))
+    if items:
+        which = f"{radii[0]:g} m" if len(radii) == 1 else "each its own"
+        items.append(Limit(0.0, f"danger radius ({which})"))
+    yield Chart("obstacles", "Distance of a vehicle's centre to the nearest danger zone",
+                "time [s]", "distance [m]", items, _time(history))  # fmt: skip
+
+
+def _separations(scenario: Scenario, history: History) -> Iterator[Chart]:
+    names, items = list(history.vehicles), []
+    pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+    if len(pairs) > MOST_PAIRS:
+        yield _nearest(scenario, history)
+        return
+    for k, (a, b) in enumerate(pairs):
+        (t, first), (_, second) = history.where(a), history.where(b)
+        n = min(len(first), len(second))
+        gap = np.hypot(*(first[:n, :2] - second[:n, :2]).T)
+        items.append(Line(t[:n], gap, k, f"{a}, {b}"))
+    limits = [_touch(scenario)] if items else []
+    yield Chart("separation", "Distance between vehicles, centre to centre", "time [s]",
+                "distance [m]", [*items, *limits], _time(history), height=190)  # fmt: skip
+
+
+def _touch(scenario: Scenario) -> Limit:
+    radii = sorted(setup.model.radius for setup in scenario.vehicles.values())
+    touch = radii[-1] + radii[-2]
+    return Limit(touch, f"touch, {touch:g} m")
+
+
+def _nearest(scenario: Scenario, history: History) -> Chart:
+    """Of many vehicles, one line for each and not for each pair."""
+    t, places = history.together()
+    items: list[Item] = [
+        Line(t, np.min([np.hypot(*(place - other).T) for whose, other in places.items()
+                        if whose != name], axis=0), k, name)
+        for k, (name, place) in enumerate(places.items())
+        if len(places) > 1
+    ]  # fmt: skip
+    title = "Distance to the nearest other vehicle, centre to centre"
+    items.append(_touch(scenario))
+    return Chart("separation", title, "time [s]", "distance [m]", items, _time(history), height=190)
+
+
+def _speed(scenario: Scenario, history: History) -> Iterator[Chart]:
+    items: list[Item] = []
+    for k, name, _ in _vehicles(history):
+        t, state = history.where(name)
+        items.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, name))
+    yield Chart("speed", "Speed", "time [s]", "speed [mm/s]", items, _time(history),
+                height=170)  # fmt: skip
+
+
+def _smooth(values: Array, width: int) -> Array:
+    if len(values) < width:
+        return values
+    kernel = np.ones(width) / width
+    inner = np.convolve(values, kernel, mode="same")
+    count = np.convolve(np.ones(len(values)), kernel, mode="same")
+    return inner / count
+
+
+def _force(scenario: Scenario, history: History) -> Iterator[Chart]:
+    items: list[Item] = []
+    width = max(1, round(1.0 / scenario.flight.jet_period_s))
+    for k, name, v in _vehicles(history):
+        wanted = np.hypot(_smooth(v.wanted[:, 0], width), _smooth(v.wanted[:, 1], width))
+        given = np.hypot(_smooth(v.planned[:, 0], width), _smooth(v.planned[:, 1], width))
+        items.append(Line(v.t, given, k, "", "thin dashed"))
+        items.append(Line(v.t, wanted, k, f"{name} demanded"))
+    yield Chart("force", "Force demanded and delivered", "time [s]", "force [N]", items,
+                _time(history), note="Means over 1 s. Delivered, thin and dashed: by the jet "
+                "table, of the pulses.")  # fmt: skip
+
+
+def openings(edges: Array, jet: int) -> tuple[Array, Array]:
+    """When a jet was opened and for how long [s], of its board's edges (t, mask)."""
+    is_open = (edges[:, 1].astype(int) >> jet) & 1
+    before = np.concatenate([[0], is_open[:-1]])
+    starts = edges[(is_open == 1) & (before == 0), 0]
+    ends = edges[(is_open == 0) & (before == 1), 0]
+    return starts[: len(ends)], ends - starts[: len(ends)]
+
+
+def _valves(scenario: Scenario, history: History) -> Iterator[Chart]:
+    rows: list[Item] = []
+    for k, name, v in _vehicles(history):
+        delay = scenario.vehicles[name].model.command_delay_s
+        for jet in range(v.on.shape[1]):
+            row = -(k * (v.on.shape[1] + 1) + jet)
+            if len(v.edges):  # its board has said what it drove
+                starts, lengths = openings(v.edges, jet)
+                rows.append(Raster(row, starts, lengths, k, f"{name} {jet + 1}"))
+                continue
+            open_ = v.on[:, jet] > 0.0
+            start = v.t[open_] + delay + v.offset[open_, jet]
+            rows.append(Raster(row, start, v.on[open_, jet], k, f"{name} {jet + 1}"))
+    yield Chart("valves", "Valves: when each jet was open", "time [s]", "vehicle and jet", rows,
+                _time(history), height=11 * len(rows) + 12, width=2 * WIDTH)  # fmt: skip
+
+
+def _air(scenario: Scenario, history: History) -> Iterator[Chart]:
+    tank: list[Item] = []
+    supply: list[Item] = []
+    for k, name, v in _vehicles(history):
+        tank.append(Line(v.t, v.tank / 1e6, k, name))
+        supply.append(Line(v.t, v.supply / 1e3, k, name))
+    yield Chart("tank", "Gas left: tank pressure", "time [s]", "pressure [MPa]", tank,
+                _time(history), height=160)  # fmt: skip
+    yield Chart("supply", "Supply pressure behind the regulator", "time [s]", "pressure [kPa]",
+                supply, _time(history), height=140)  # fmt: skip
+
+
+def _timing(scenario: Scenario, history: History) -> Iterator[Chart]:
+    poses: list[Item] = [Line(v.t, 1e3 * v.pose_age, k, name) for k, name, v in _vehicles(history)]
+    limit = scenario.flight.gate.pose_timeout_s
+    worst = max((float(np.nanmax(v.pose_age, initial=0.0)) for v in history.vehicles.values()),
+                default=0.0)  # fmt: skip
+    if worst > 0.5 * limit:
+        poses.append(Limit(1e3 * limit, f"limit {1e3 * limit:g} ms"))
+    yield Chart("pose_age", "Age of the newest pose, when the plan takes effect", "time [s]",
+                "age [ms]", poses, _time(history), height=150)  # fmt: skip
+    heard: list[Item] = [
+        Line(t, 1e3 * age, k, name) for k, (name, (t, age)) in enumerate(history.heard.items())
+    ]
+    for k, name, v in _vehicles(history):
+        if len(v.wires):
+            heard.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 2], k, f"to {name}", "thin dashed"))
+    yield Chart("link", "Link: age of the newest state that the host has heard", "time [s]",
+                "age [ms]", heard, _time(history), height=150)  # fmt: skip
+    loop: list[Item] = []
+    if len(history.loop):
+        loop = [Line(history.loop[:, 0], 1e3 * history.loop[:, 1], 0, "late"),
+                Line(history.loop[:, 0], 1e3 * history.loop[:, 2], 1, "busy")]  # fmt: skip
+    for k, name, v in _vehicles(history):
+        if len(v.wires):
+            loop.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 1], k, name, "thin"))
+    yield Chart("loop", "The loop's lateness", "time [s]", "time [ms]", loop, _time(history),
+                height=150)  # fmt: skip
+
+
+def _filter(scenario: Scenario, history: History) -> Iterator[Chart]:
+    items: list[Item] = [
+        Line(v.t, np.hypot(*v.filtered.T), k, name)
+        for k, name, v in _vehicles(history)
+        if np.any(v.filtered)
+    ]
+    yield Chart("filter", "What the safety filter changed", "time [s]", "force [N]", items,
+                _time(history), height=150)  # fmt: skip

@@ -1,0 +1,111 @@
+"""How far everybody is from what is asked of him, moment by moment.
+
+Most laws send a vehicle to a goal, which may move along a path. A formation's law has none: there
+it is the lengths of the graph's edges, or the distance to a phase's curve. What came of it in the
+end is `testbed.metrics.formation`'s; here is the way there, for figures and for those who look on.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.bifurcating import BifurcatingParams
+from controllers.bifurcating_design import distance_to
+from controllers.graph import LEADER, formation
+from testbed.metrics.formation import CURVE_M, EDGE_M, Edged, Led, has_formation
+from testbed.metrics.run_metrics import SETTLED_M
+from testbed.report.scenario import Scenario, Setup
+
+Array = NDArray[np.float64]
+
+
+class Edge(NamedTuple):
+    """Two who keep a distance."""
+
+    a: str
+    b: str  # LEADER: the goal that moves
+    length: float  # [m]
+
+
+def goal_at(setup: Setup, t: Array) -> Array:
+    """Where a vehicle is sent, shape (len(t), 2) [m]."""
+    start = np.tile(np.array(setup.goal[:2]), (len(t), 1))
+    if setup.path is None or len(t) == 0:
+        return start
+    return start + np.array([setup.path.at(one).p for one in t.tolist()])
+
+
+class Wanted:
+    """What a scenario asks for."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario, self._law = scenario, scenario.controller
+        self.forms = has_formation(self._law)  # a formation, and nobody has a goal of his own
+        self.led = isinstance(self._law, Led)
+        self.edges: list[Edge] = self._edges() if isinstance(self._law, Edged) else []
+        self.settled_m = SETTLED_M
+        self.title = "Distance to the goal"
+        if self.edges:
+            self.title, self.settled_m = "Edges of the formation: off their wanted length", EDGE_M
+        elif self.forms:
+            self.title, self.settled_m = "Distance to the formation's curve", CURVE_M
+
+    def _edges(self) -> list[Edge]:
+        assert isinstance(self._law, Edged)
+        names = list(self._scenario.vehicles)
+        shape = formation(self._law.formation, names, self.led)
+        everybody = [*names, LEADER]
+        return [
+            Edge(everybody[i], everybody[j], float(shape.desired[i, j]) / self._law.scale.length)
+            for i, j in np.argwhere(np.triu(shape.first) > 0.0)
+        ]
+
+    def leader_at(self, t: Array) -> Array:
+        """The goal of the first vehicle that has a path, or the first's, shape (len(t), 2) [m]."""
+        setups = list(self._scenario.vehicles.values())
+        return goal_at(next((s for s in setups if s.path is not None), setups[0]), t)
+
+    def parts(self, t: Array, places: Mapping[str, Array]) -> dict[str, Array]:
+        """By vehicle, or by edge, how far it is off [m]; `places` are of shape (len(t), 2)."""
+        if self.edges:
+            everybody = {**places, LEADER: self.leader_at(t)} if self.led else places
+            return {
+                f"{a}, {b}": np.abs(np.hypot(*(everybody[a] - everybody[b]).T) - length)
+                for a, b, length in self.edges
+                if a in everybody and b in everybody
+            }
+        if isinstance(self._law, BifurcatingParams):
+            return {name: self._to_curve(self._law, t, place) for name, place in places.items()}
+        vehicles = self._scenario.vehicles
+        return {
+            name: np.hypot(*(place - goal_at(vehicles[name], t)).T)
+            for name, place in places.items()
+        }
+
+    def _to_curve(self, law: BifurcatingParams, t: Array, place: Array) -> Array:
+        """NaN in phases without a curve."""
+        off = np.full(len(t), np.nan)
+        centre = np.zeros(2) if law.centre is None else np.array(law.centre)
+        ends = [*(phase.at for phase in law.phases[1:]), np.inf]
+        for phase, end in zip(law.phases, ends, strict=True):
+            inside = (t >= phase.at) & (t < end)
+            if phase.shape is not None and inside.any():
+                off[inside] = distance_to(phase.shape, place[inside] - centre)
+        return off
+
+    def by_vehicle(self, t: Array, places: Mapping[str, Array]) -> dict[str, Array]:
+        """By vehicle; of its edges the one that is furthest off [m]."""
+        parts = self.parts(t, places)
+        if not self.edges:
+            return parts
+        mine = {
+            name: [
+                parts[f"{a}, {b}"]
+                for a, b, _ in self.edges
+                if name in (a, b) and f"{a}, {b}" in parts
+            ]
+            for name in places
+        }
+        return {name: np.max(offs, axis=0) for name, offs in mine.items() if offs}

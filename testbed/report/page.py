@@ -1,0 +1,359 @@
+"""report.html: a run as a page that needs nothing else, to read, to print and to show."""
+
+import math
+from collections.abc import Iterable
+from html import escape
+from pathlib import Path
+
+import msgspec
+
+from testbed.logs.history import History
+from testbed.metrics.formation import FormationMetrics, has_formation
+from testbed.metrics.run_metrics import TO_THE_START, Metrics
+from testbed.report.chart import STYLE, Chart, alone, draw
+from testbed.report.figures import analogue, figures
+from testbed.report.provenance import colophon
+from testbed.report.scenario import Scenario, law_of
+
+CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
+SHOWN_EVENTS = 40
+UNCOUNTED = -1  # contacts of a run that was killed before anybody counted them
+FIRST = ("trajectory", "error", "error_xy")  # figures before the numbers
+
+ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
+    ("final error [mm]", "final_error_m", 1e3, 2, "final_error_m"),
+    ("settled after [s]", "settle_s", 1.0, 1, "settle_s"),
+    ("tracking RMS [mm]", "track_rms_m", 1e3, 2, "track_rms_m"),
+    ("hold RMS [mm]", "hold_rms_m", 1e3, 2, "hold_rms_m"),
+    ("heading RMS [deg]", "heading_rms_deg", 1.0, 3, "heading_rms_deg"),
+    ("nearest obstacle [m]", "min_obstacle_distance_m", 1.0, 3, ""),
+    ("impulse [N s]", "impulse_ns", 1.0, 1, "impulse_ns"),
+    ("gas [g]", "gas_g", 1.0, 1, ""),
+    ("valve pulses", "valve_pulses", 1.0, 0, ""),
+    ("filtered by safety [N s]", "filtered_ns", 1.0, 2, ""),
+    ("largest force [N]", "max_force_n", 1.0, 2, ""),
+)
+OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
+CRITERIA = {  # unit, scale from the file's
+    "max_contacts": ("contacts", "", 1.0), "clear_of_obstacles": ("danger radii kept", "", 1.0),
+    "final_error_m": ("final error", "mm", 1e3), "settle_s": ("settled", "s", 1.0),
+    "hold_rms_m": ("hold RMS, last 30 s", "mm", 1e3),
+    "track_rms_m": ("tracking RMS", "mm", 1e3), "heading_rms_deg": ("heading RMS", "deg", 1.0),
+    "impulse_ns": ("impulse", "N s", 1.0),
+    "formation.error_m": ("formation, error at the end", "mm", 1e3),
+    "formation.settled_s": ("formation settled", "s", 1.0),
+    "formation.longest_edge_m": ("longest edge", "m", 1.0),
+}  # fmt: skip
+
+
+class ReportError(Exception):
+    """It cannot be made."""
+
+
+def write_report(
+    folder: Path, scenario: Scenario, history: History, metrics: Metrics, config: str
+) -> list[Path]:
+    """Write report.html and figures/*.svg into a run folder; the files, the report first."""
+    charts = figures(scenario, history)
+    try:
+        drawings = folder / "figures"
+        drawings.mkdir(exist_ok=True)
+        paths = [folder / "report.html"]
+        for chart in charts:
+            paths.append(drawings / f"{chart.key}.svg")
+            paths[-1].write_text(alone(chart), encoding="utf-8")
+        text = render(scenario, history, metrics, config, charts)
+        paths[0].write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ReportError(
+            f"{error.filename or paths[-1]}\n  expected  a place that can be written\n"
+            f"  found     {error.strerror}"
+        ) from None
+    return paths
+
+
+def render(
+    scenario: Scenario, history: History, metrics: Metrics, config: str, charts: Iterable[Chart]
+) -> str:
+    """The page."""
+    drawn = list(charts)
+    first = FIRST if any(c.key == "error_xy" for c in drawn) else (*FIRST, "separation")
+    sections = [
+        _header(scenario, metrics),
+        _tiles(scenario, metrics),
+        _flown(scenario),
+        _warnings(metrics),
+        "<h2>Where they went</h2>", _figures(scenario, [c for c in drawn if c.key in first]),
+        _criteria(scenario, metrics),
+        _results(scenario, metrics),
+        "<h2>Figures</h2>", _figures(scenario, [c for c in drawn if c.key not in first]),
+        _happened(history),
+        colophon(metrics, config),
+    ]  # fmt: skip
+    return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections))
+
+
+def page(title: str, body: str) -> str:
+    """A whole page around `body`."""
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{CSS}{STYLE}</style></head>\n"
+        f"<body><main>\n{body}\n</main></body></html>\n"
+    )
+
+
+def _verdict(metrics: Metrics) -> tuple[str, str]:
+    failed = [CRITERIA.get(k, (k,))[0] for k, met in metrics.criteria.items() if not met]
+    if metrics.contacts == UNCOUNTED:
+        return "stopped", f"not judged, {metrics.duration_s:.1f} s in the log"
+    if metrics.red:
+        return "stopped", "not started: a check is red"
+    if metrics.fault:
+        return "stopped", f"aborted by a fault after {metrics.duration_s:.1f} s"
+    if not metrics.completed:
+        return "stopped", f"interrupted after {metrics.duration_s:.1f} s"
+    if failed:
+        return "failed", f"failed: {'; '.join(failed)}"
+    return "passed", "passed"
+
+
+def _header(scenario: Scenario, metrics: Metrics) -> str:
+    look, words = _verdict(metrics)
+    where = f"on the {metrics.rig}, seed {metrics.seed}"
+    reasons = [*metrics.red, *([metrics.fault] if metrics.fault else [])]
+    fault = "".join(f'<p class="not">{escape(reason)}</p>' for reason in reasons)
+    note = ""
+    if metrics.rig == "twin" and look == "passed":
+        note = '<p class="soft">A result of the twin, not of a table.</p>'
+    return (
+        f"<header><div><h1>{escape(metrics.experiment)}</h1>"
+        f'<p class="soft">{escape(scenario.description)} &middot; {where}</p>{fault}{note}</div>'
+        f'<div class="verdict {look}">{escape(words)}</div></header>'
+    )
+
+
+def together_of(scenario: Scenario, metrics: Metrics) -> FormationMetrics | None:
+    """What the vehicles were worth together, where the law is for that."""
+    if metrics.formation is None or not has_formation(scenario.controller):
+        return None
+    return msgspec.convert(metrics.formation, FormationMetrics, from_attributes=True)
+
+
+def known(scenario: Scenario, metrics: Metrics, name: str, key: str) -> float | None:
+    """A vehicle's number; null where it is of the place at which a moving goal had started."""
+    if key in TO_THE_START and scenario.vehicles[name].path is not None:
+        return None
+    found: float | None = getattr(metrics.vehicles[name], key)
+    return found
+
+
+def _tiles(scenario: Scenario, metrics: Metrics) -> str:
+    def worst(key: str) -> float | None:
+        values = [known(scenario, metrics, name, key) for name in metrics.vehicles]
+        return max((v for v in values if v is not None), default=None)
+
+    nearest = [v.min_obstacle_distance_m for v in metrics.vehicles.values()]
+    near = [v for v in nearest if v is not None]
+    gas = [v.gas_g for v in metrics.vehicles.values() if v.gas_g is not None]
+    of_goals: tuple[tuple[str, str, str], ...] = (
+        ("settled, the last one", _number(worst("settle_s"), 1.0, 1), "s"),
+        ("hold RMS, worst", _number(worst("hold_rms_m"), 1e3, 2), "mm"),
+        ("tracking RMS, worst", _number(worst("track_rms_m"), 1e3, 2), "mm"),
+    )
+    if has_formation(scenario.controller):
+        f = together_of(scenario, metrics)
+        of_goals = (
+            ("formation settled", _number(f.settled_s if f else None, 1.0, 1), "s"),
+            ("formation, error at the end", _number(f.error_m if f else None, 1e3, 1), "mm"),
+            ("longest edge", _number(f.longest_edge_m if f else None, 1.0, 2), "m"),
+        )
+    tiles = (
+        ("flown", _number(metrics.duration_s, 1.0, 0 if metrics.duration_s >= 10.0 else 1), "s"),
+        *of_goals,
+        ("nearest obstacle, centres", _number(min(near) if near else None, 1.0, 2), "m"),
+        ("nearest two, centres", _number(metrics.min_vehicle_distance_m, 1.0, 2), "m"),
+        ("contacts", DASH if metrics.contacts == UNCOUNTED else str(metrics.contacts), ""),
+        ("gas, all together", _number(sum(gas) if gas else None, 1.0, 0), "g"),
+    )
+    return '<div class="tiles">' + "".join(
+        f'<div class="tile"><b>{value}{f" {unit}" if value != DASH else ""}</b>'
+        f"<span>{name}</span></div>"
+        for name, value, unit in tiles
+    ) + "</div>"  # fmt: skip
+
+
+DASH = "\N{EN DASH}"
+
+
+def _number(value: float | None, scale: float, digits: int) -> str:
+    if value is None or math.isnan(value):
+        return DASH
+    return _signed(f"{scale * value:.{digits}f}")
+
+
+def _signed(text: str) -> str:
+    """Numbers with a minus as long as a plus."""
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _pose(pose: tuple[float, float, float]) -> str:
+    x, y, theta = pose
+    return _signed(f"({x:.2f}, {y:.2f}) m, {math.degrees(theta):.0f}\N{DEGREE SIGN}")
+
+
+def _flown(scenario: Scenario) -> str:
+    size = scenario.table.size
+    rocks = [
+        f"{escape(name)} at {_signed(f'({o.position[0]:g}, {o.position[1]:g})')} m, "
+        f"danger radius {o.radius:g} m"
+        for name, o in scenario.obstacles.items()
+    ]
+    words = (
+        f"Law <b>{escape(law_of(scenario))}</b> in {scenario.guidance.mode} mode, jet period "
+        f"{1e3 * scenario.flight.jet_period_s:g} ms, on a table of {size[0]:g} m "
+        f"\N{MULTIPLICATION SIGN} {size[1]:g} m."
+        + (f" Obstacles: {'; '.join(rocks)}." if rocks else " No obstacles.")
+        + f" Planned: {scenario.duration_s:g} s."
+    )
+    has_goals = not has_formation(scenario.controller)
+    rows = "".join(
+        f'<tr><td><span class="dot" style="background:var(--h{k % 6})"></span>{escape(name)}</td>'
+        f"<td>{_pose(s.start)}</td>{f'<td>{_pose(s.goal)}</td>' * has_goals}"
+        f"<td>{s.model.mass:g}</td>"
+        f"<td>{s.model.radius:g}</td><td>{len(s.model.jets)} "
+        f"\N{MULTIPLICATION SIGN} {s.model.jets[0].thrust:g} N</td></tr>"
+        for k, (name, s) in enumerate(scenario.vehicles.items())
+    )
+    return (
+        f"<h2>What was flown</h2><p>{words}</p>"
+        '<div class="wide"><table><tr><th>vehicle</th><th>start</th>'
+        f"{'<th>goal</th>' * has_goals}<th>mass [kg]</th><th>radius [m]</th><th>jets</th></tr>"
+        f"{rows}</table></div>"
+    )
+
+
+def _warnings(metrics: Metrics) -> str:
+    """What a law's proof asks for and the run did not have."""
+    rows = "".join(
+        f"<li><b>{escape(one.name)}</b>: {escape(one.text)}</li>" for one in metrics.warnings
+    )
+    return f'<div class="warnings"><b>Warnings</b><ul>{rows}</ul></div>' if rows else ""
+
+
+def _criteria(scenario: Scenario, metrics: Metrics) -> str:
+    if not metrics.criteria:
+        return ""
+    criteria, together = scenario.criteria, together_of(scenario, metrics)
+    rows = []
+    for key, met in metrics.criteria.items():
+        (name, unit, scale), least = CRITERIA.get(key, (key, "", 1.0)), DASH
+        whose, _, part = key.rpartition(".")
+        limit = getattr(criteria.formation if whose else criteria, part, None)
+        values = [getattr(v, key, None) for v in metrics.vehicles.values()]
+        known = [v for v in values if isinstance(v, int | float)]
+        found = f"{scale * max(known):.3g} {unit}" if known and len(known) == len(values) else DASH
+        if key == "max_contacts":
+            found = str(metrics.contacts)
+        if key == "clear_of_obstacles":
+            near = [v.min_obstacle_distance_m for v in metrics.vehicles.values()]
+            seen = [v for v in near if v is not None]
+            found = f"{min(seen):.3f} m" if seen else "no obstacles"
+            radii = {rock.radius for rock in scenario.obstacles.values()}
+            if len(radii) == 1:
+                name, limit = "nearest obstacle, centres", None
+                least = f"\N{GREATER-THAN OR EQUAL TO} {max(radii):g} m"
+        if whose and (value := getattr(together, part, None)) is not None:
+            found = f"{scale * value:.3g} {unit}"
+        bound = "yes" if isinstance(limit, bool) else "\N{LESS-THAN OR EQUAL TO} "
+        if not isinstance(limit, bool):
+            bound = least if limit is None else f"{bound}{scale * limit:g} {unit}"
+        verdict = '<span class="met">met</span>' if met else '<span class="not">not met</span>'
+        rows.append(f"<tr><td>{name}</td><td>{bound}</td><td>{found}</td><td>{verdict}</td></tr>")
+    return (
+        '<h2>Criteria</h2><div class="wide"><table><tr><th>criterion</th><th>limit</th>'
+        f"<th>found, worst vehicle</th><th></th></tr>{''.join(rows)}</table></div>"
+    )
+
+
+def _results(scenario: Scenario, metrics: Metrics) -> str:
+    has_goals = not has_formation(scenario.controller)
+    names = "".join(
+        f'<th><span class="dot" style="background:var(--h{k % 6})"></span>{escape(name)}</th>'
+        for k, name in enumerate(metrics.vehicles)
+    )
+    rows = []
+    for heading, key, scale, digits, criterion in ROWS:
+        if key in OF_A_GOAL and not has_goals:
+            continue
+        look = ' class="missed"' if metrics.criteria.get(criterion) is False else ""
+        cells = "".join(
+            f"<td>{_number(known(scenario, metrics, name, key), scale, digits)}</td>"
+            for name in metrics.vehicles
+        )
+        rows.append(f"<tr{look}><td>{heading}</td>{cells}</tr>")
+    return (
+        '<h2>Results</h2><div class="wide"><table>'
+        f"<tr><th></th>{names}</tr>{''.join(rows)}</table></div>"
+    )
+
+
+def _figures(scenario: Scenario, charts: Iterable[Chart]) -> str:
+    return '<div class="figures">' + "".join(
+        figure(chart, analogue(scenario, chart.key)) for chart in charts
+    ) + "</div>"  # fmt: skip
+
+
+def figure(chart: Chart, paper: str = "") -> str:
+    """One figure of a page."""
+    looks = {"valves": ' class="full"', "trajectory": ' class="tall"'}
+    full = looks.get(chart.key, "")
+    also = f' <span class="soft">({escape(paper)})</span>' if paper else ""
+    note = f"<p>{escape(chart.note)}</p>" if chart.note else ""
+    return (
+        f'<figure id="{chart.key}"{full}><figcaption><b>{escape(chart.title)}</b>{also}'
+        f"</figcaption>{draw(chart)}{note}</figure>"
+    )
+
+
+def _happened(history: History) -> str:
+    whose: dict[tuple[float, str], list[str]] = {}
+    for name, vehicle in history.vehicles.items():
+        for t, words in vehicle.events:
+            whose.setdefault((t, words), []).append(name)
+    for t, words in history.phases:
+        whose.setdefault((t, words), []).append("supervisor")
+    said = [
+        f'<tr><td>{_number(t, 1.0, 1)}</td><td class="words">{escape(", ".join(names))}</td>'
+        f'<td class="words">{escape(words)}</td></tr>'
+        for (t, words), names in sorted(whose.items(), key=lambda one: one[0][0])
+    ]
+    if not said:
+        return "<h2>Faults and interventions</h2><p>None.</p>"
+    if (more := len(said) - SHOWN_EVENTS) > 0:  # how it began, and how it came to its end
+        half = SHOWN_EVENTS // 2
+        rest = f'<td></td><td></td><td class="words soft">{more} more, in the log</td>'
+        said = [*said[:half], f"<tr>{rest}</tr>", *said[-half:]]
+    rows = "".join(said)
+    return (
+        '<h2>Faults and interventions</h2><div class="wide"><table><tr><th>time [s]</th>'
+        '<th class="words">who</th><th class="words">what</th></tr>'
+        f"{rows}</table></div>"
+    )
+
+
+def read_metrics(folder: Path) -> Metrics:
+    """metrics.json of a run.
+
+    Raises:
+        ReportError: it is not there or not of this version.
+    """
+    path = folder / "metrics.json"
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Metrics)
+    except OSError as error:
+        raise ReportError(f"{path}: {error.strerror}") from None
+    except msgspec.DecodeError as error:
+        raise ReportError(
+            f"{path}\n  expected  the metrics of a run\n  found     {error}"
+        ) from None

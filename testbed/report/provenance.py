@@ -1,0 +1,59 @@
+"""The end of a report: how the run was made, when what came, and how to repeat it."""
+
+import platform
+from collections.abc import Mapping
+from html import escape
+from importlib.metadata import PackageNotFoundError, version
+
+from testbed.metrics.run_metrics import Metrics
+
+PACKAGES = ("airbearing-testbed", "numpy", "numba", "scipy", "msgspec", "mcap")
+
+
+def versions() -> Mapping[str, str]:
+    """What this process runs on."""
+    found = {"Python": platform.python_version(), "system": platform.platform(terse=True)}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _timing(metrics: Metrics) -> str:
+    """Of a flight by the wall clock: what came when."""
+    late, half, most = (
+        metrics.lateness_p99_ms, metrics.pose_to_valve_p50_ms, metrics.pose_to_valve_p99_ms
+    )  # fmt: skip
+    said = []
+    if late is not None:
+        said.append(f"99 % of the ticks began at most {late:.2f} ms late")
+    if half is not None and most is not None:
+        said.append(f"pose to valve took {half:.2f} ms in the median, {most:.2f} ms in 99 %")
+    if (c := metrics.commands) is not None:
+        said.append(
+            f"of {c.sent} setpoints {c.late} came late, {c.expired} expired, {c.rejected} rejected"
+        )
+    return f"<p>Timing: {'; '.join(said)}.</p>" if said else ""
+
+
+def colophon(metrics: Metrics, config: str) -> str:
+    """The last section: the commands, the versions, the configuration."""
+    used = ", ".join(f"{escape(k)} {escape(v)}" for k, v in versions().items())
+    pace = ""
+    if metrics.real_time_factor:
+        pace = (
+            f"<p>The flight took {metrics.wall_s:.1f} s of wall time, "
+            f"{metrics.real_time_factor:.1f} times real time.</p>"
+        )
+    pace += _timing(metrics)
+    return (
+        f"<h2>How to repeat it</h2>{pace}<p>In this folder:</p>"
+        "<pre>testbed run config.toml           # the same flight, to the last bit on the twin\n"
+        "testbed replay .                  # the log through today's code\n"
+        "testbed export . --to parquet     # the log as tables</pre>"
+        f'<p class="soft">Made with {used}. Figures as files of their own: figures/*.svg.</p>'
+        "<details><summary>The whole configuration (config.toml)</summary>"
+        f"<pre>{escape(config)}</pre></details>"
+    )

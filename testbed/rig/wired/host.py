@@ -1,0 +1,337 @@
+"""The host's process: laws that run here, the log, and the beginning and end of a flight.
+
+On the bench it also starts everything else: the twin's server and one process per vehicle. On the
+table those run where they belong, and it waits for them.
+"""
+
+import os
+import secrets
+import socket
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import tomli_w
+import zenoh
+from msgspec.structs import replace
+
+from testbed.config import ConfigError, Experiment, dump
+from testbed.flight.loop import Ending, Observer
+from testbed.flight.supervisor import Answer, Request, Supervisor
+from testbed.net.access import open_lab
+from testbed.net.commands import Accepted, Refused, Start, Stop
+from testbed.net.credentials import neighbour
+from testbed.net.keys import Keys
+from testbed.net.links import Party
+from testbed.net.session import LARGEST, NetworkError, Subscriber, answer_to
+from testbed.net.stop import noted
+from testbed.realtime.processes import ChildError, Children
+from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
+from testbed.rig.boards import LOCKSTEP
+from testbed.rig.fault_latch import FaultLatch
+from testbed.rig.interface import not_armed
+from testbed.rig.wired.preflight import Preflight, order
+from testbed.rig.wired.process_faults import OF_PROCESSES
+from testbed.rig.wired.run_results import RunResults
+from testbed.rig.wired.server import TableReport
+from testbed.rig.wired.vehicle import unheard
+from testbed.rig.wired.wired_flight import HostFlight
+
+READY_S = 180.0  # for vehicles to get ready; the first start compiles
+GREEN_S = 10.0  # for checks to become green: the cameras' rate is counted over a second
+AHEAD_NS = 1_500_000_000  # from the order to start until the run's time 0
+PERMIT_NS = 100_000_000  # between two permits before that
+LOOK_NS = 20_000_000
+SPARE = 6_000  # [bytes] for what goes with a message
+
+
+class HostError(Exception):
+    """The flight cannot begin."""
+
+
+class NotArmedError(Exception):
+    """The flight must not begin: red arming checks, or an operator who does not want to."""
+
+    def __init__(self, reasons: Sequence[str]) -> None:
+        super().__init__(not_armed(reasons))
+        self.reasons = reasons
+
+
+def anybody(_: Sequence[str]) -> bool:
+    """An operator who always says yes: on the bench nobody can be hurt."""
+    return True
+
+
+def loopback(experiment: Experiment, folder: Path) -> Experiment:
+    """The experiment with every address on this machine, and free."""
+    table = experiment.table
+    system: Literal["zenoh", "natnet"] = "zenoh" if table.lab.mocap.system == "zenoh" else "natnet"
+    wire = replace(
+        table.lab.mocap, system=system, server="127.0.0.1", interface="127.0.0.1",
+        command_port=free_port(socket.SOCK_DGRAM), data_port=free_port(socket.SOCK_DGRAM),
+    )  # fmt: skip
+    how = "tls" if table.lab.network.keys else "tcp"
+    endpoint = f"{how}/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
+    network = replace(table.lab.network, endpoint=endpoint)
+    ports = {name: str(folder / f"serial-{name}") for name in experiment.vehicles}
+    serial = replace(table.lab.serial, ports=ports)
+    lab = replace(table.lab, mocap=wire, network=network, serial=serial)
+    return replace(experiment, table=replace(table, lab=lab))
+
+
+def free_port(kind: int) -> int:
+    """A port of the loopback interface that nobody has now."""
+    with socket.socket(socket.AF_INET, kind) as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+class WireRig(RunResults):
+    """The experiment on real wires.
+
+    Args:
+        experiment: what is flown.
+        bench: start the twin and the vehicles here; else wait for those of the lab.
+        keep: where the twin leaves its report; None: with the rest, in a folder that is removed.
+        log: the folder of the run, whose disk must not be full.
+        agree: asks the operator whether these vehicles may be armed.
+        latch: keeps a fault for the next run.
+        latched: a fault of the run before, which has to be reset first.
+        say: tells the operator what is waited for on the table; by default nobody.
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        *,
+        bench: bool,
+        keep: Path | None = None,
+        log: Path | None = None,
+        agree: Callable[[Sequence[str]], bool] = anybody,
+        latch: FaultLatch | None = None,
+        latched: str | None = None,
+        say: Callable[[str], None] = unheard,
+    ) -> None:
+        super().__init__(experiment)
+        self._bench, self._keep = bench, keep
+        if bench and experiment.board in LOCKSTEP:
+            expected = "host or qemu on the bench, where time is real"
+            raise ConfigError("this rig", "board", expected, experiment.board)
+        if not bench and experiment.board != "model":
+            expected = "nothing on the table: its boards are the lab's"
+            raise ConfigError("this rig", "board", expected, experiment.board)
+        if experiment.inject and not bench:
+            expected = "nothing on the table: faults are rehearsed on the twin and on the bench"
+            raise ConfigError("this rig", "inject", expected, f"{len(experiment.inject)} of them")
+        for k, one in enumerate(experiment.inject):
+            if one.at_s is None and one.kind in OF_PROCESSES:
+                expected = f"`at_s`: on the bench {one.kind} is injected at a time"
+                raise ConfigError("this rig", f"inject[{k}]", expected, f'event = "{one.event}"')
+        size = len(msgspec.json.encode(experiment))
+        if size > LARGEST - SPARE:
+            expected = f"an experiment of at most {(LARGEST - SPARE) // 1000} kB as it is sent"
+            raise ConfigError("this rig", "", expected, f"{size // 1000} kB: a tilt map so fine?")
+        self._log, self._agree, self._latch, self._say = log, agree, latch, say
+        self.supervisor = Supervisor(latched)
+        self.red: list[str] = []
+        self._ran = False  # valves may have opened
+        self.way = str  # from where the host listens to where vehicles dial: a relay, in tests
+        self.name = "bench" if bench else "table"
+        self.children: dict[str, int] = {}  # processes of the bench, by name
+        self.on_start: Callable[[WireRig], None] | None = None  # told when the flight begins
+
+    # The flight
+
+    def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
+        """See `Rig`."""
+        try:
+            with ExitStack() as stack:
+                ending = self._fly(stack, observer, stopped)
+        except NotArmedError as error:
+            self.red.extend(error.reasons)
+            return Ending(0.0, str(error))
+        except (NetworkError, ChildError, HostError) as error:
+            self._close(Ending(self.now, str(error)))
+            return Ending(self.now, str(error))
+        self._flown_s = ending.t
+        return ending
+
+    def _close(self, ending: Ending) -> None:
+        """The flight is over, and the latch says how."""
+        flown = ending.t >= self.experiment.end_s
+        self.supervisor.close(ending.t, ending.fault, flown=flown)
+        if self._latch is None or not self._ran:
+            return
+        if self.supervisor.fault is not None:
+            self._latch.set(self.supervisor.fault)
+        else:
+            self._latch.clear()
+
+    def disk_free(self) -> float:
+        """Where the log goes [bytes]."""
+        if self._log is None:
+            return 1e12
+        room = os.statvfs(self._log)
+        return float(room.f_bavail * room.f_frsize)
+
+    def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], bool]) -> Ending:
+        children = None
+        if self._bench:
+            children = stack.enter_context(Children())
+            self.experiment = loopback(self.experiment, children.folder)
+        network = self.experiment.table.lab.network
+        opened, self._warned = open_lab(network, self.experiment.vehicles)
+        session = stack.enter_context(opened)
+        stack.enter_context(noted(network.endpoint, network.lab, network.keys))
+        keys = Keys(network.lab)
+        text = msgspec.json.encode(self.experiment)
+        answering = [
+            answer_to(session, keys.experiment, lambda _: text),
+            answer_to(session, keys.clock, lambda _: monotonic_ns().to_bytes(8, "little")),
+        ]
+        truth = Subscriber(session, keys.truth)
+        if children is not None:
+            self._start_children(children)
+        try:
+            flight = self._prepare(session, keys, children, stopped)
+            if flight is None:
+                return Ending(0.0, None)
+            flight.truth = truth
+            if self.on_start is not None:
+                self.on_start(self)
+            ending = flight.fly(observer, stopped)
+            if flight.stopped:
+                self.supervisor.request(ending.t, "stop")
+            self._close(ending)
+        finally:
+            del answering
+            if children is not None:
+                self._end_children(children)
+        return ending
+
+    def _start_children(self, children: Children) -> None:
+        config = children.folder / "experiment.toml"
+        config.write_text(tomli_w.dumps(dump(self.experiment)), encoding="utf-8")
+        report = self._keep or children.folder / "report.json"
+        network = self.experiment.table.lab.network
+        command = [sys.executable, "-m", "testbed.cli.main"]
+        children.start(
+            "twin",
+            [*command, "twin", str(config), "--report", str(report), "--child"],
+        )
+        for name in self.experiment.vehicles:
+            where = ["--connect", self.way(network.endpoint), "--lab", network.lab]
+            if network.keys:
+                where += ["--keys", str(neighbour(Path(network.keys), "vehicle", name))]
+            if self._keep is not None:
+                where += ["--report", str(self._keep.with_name(f"{name}.json"))]
+            children.start(name, [*command, "agent", name, *where, "--child"])
+        self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
+
+    def _end_children(self, children: Children) -> None:
+        children.end(list(self.experiment.vehicles))
+        children.end(["twin"])  # the boards last: they hold the valves
+        report = self._keep or children.folder / "report.json"
+        if report.exists():
+            self._report = msgspec.json.decode(report.read_bytes(), type=TableReport)
+
+    def _prepare(
+        self,
+        session: zenoh.Session,
+        keys: Keys,
+        children: Children | None,
+        stopped: Callable[[], bool],
+    ) -> "HostFlight | None":
+        """Wait for the vehicles, and order them to start; None: the operator has changed his mind.
+
+        Raises:
+            HostError: one of them cannot.
+        """
+        missing, told = set(self.experiment.vehicles), set[str]()
+        end = monotonic_ns() + round(1e9 * READY_S)
+        while missing:
+            if not self._bench and missing != told:
+                self._say(f"waiting for {', '.join(sorted(missing))}: `testbed agent` on each")
+                told = missing
+            if stopped():
+                return None
+            if children is not None:
+                children.check()
+            if monotonic_ns() > end:
+                raise HostError(
+                    f"not ready after {READY_S:g} s: {', '.join(sorted(missing))}; is `testbed"
+                    " agent` running there, and does it reach"
+                    f" {self.experiment.table.lab.network.endpoint}?"
+                )
+            sleep_until_ns(monotonic_ns() + LOOK_NS)
+            missing = {
+                name for name in missing
+                if not list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0))
+            }  # fmt: skip
+        preflight = Preflight(self.experiment, session, keys, self.disk_free)
+        names = list(self.experiment.vehicles)
+        if self.supervisor.fault is not None:
+            self._request("reset", preflight, monotonic_ns() + round(1e9 * GREEN_S), stopped)
+            if self._latch is not None:
+                self._latch.clear()
+        self._request("arm", preflight, monotonic_ns() + round(1e9 * GREEN_S), stopped)
+        if stopped():
+            return None
+        if not self._agree(names):
+            self.supervisor.request(0.0, "disarm")
+            raise NotArmedError(["operator: has not said yes"])
+        run, epoch = secrets.randbits(32), monotonic_ns() + AHEAD_NS
+        self._clock = WallClock(epoch)
+        party = Party(
+            session, self.experiment.table.lab, run, self._clock, self.experiment.seed, "host"
+        )
+        flight = HostFlight(self.experiment, self, party, self.disk_free)
+        try:
+            for name in names:
+                match order(session, keys, name, Start(run, epoch)):
+                    case Accepted(board):
+                        self._boards[name] = board
+                    case Refused(reason):
+                        raise HostError(f"{name} refuses to start: {reason}")
+            # they float now, and are looked at once more
+            self._request("run", preflight, epoch - PERMIT_NS, stopped)
+        except (HostError, NotArmedError, NetworkError):
+            self._call_off(session, keys)
+            raise
+        if not self.supervisor.may_fire:  # the operator has changed his mind
+            self._call_off(session, keys)
+            return None
+        self._ran = True
+        if self._latch is not None:
+            self._latch.set()
+        while monotonic_ns() < epoch - PERMIT_NS:
+            flight.permit()
+            sleep_until_ns(monotonic_ns() + PERMIT_NS)
+        return flight
+
+    def _call_off(self, session: zenoh.Session, keys: Keys) -> None:
+        """The flight does not begin, although vehicles may have been told that it does."""
+        self.supervisor.request(0.0, "disarm")
+        for name in self.experiment.vehicles:
+            with suppress(NetworkError):
+                order(session, keys, name, Stop("the flight does not begin"))
+
+    def _request(
+        self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], bool]
+    ) -> None:
+        """Ask the supervisor until it agrees.
+
+        Raises:
+            NotArmedError: it still does not at the time `end`; every red check is in it.
+        """
+        answer = Answer(False, self.supervisor.phase, ("there was no time to look",))
+        while monotonic_ns() < end and not stopped():
+            answer = self.supervisor.request(0.0, what, preflight.checks())
+            if answer.done:
+                return
+            sleep_until_ns(monotonic_ns() + 5 * LOOK_NS)
+        if not stopped():
+            raise NotArmedError(answer.reasons)

@@ -1,0 +1,131 @@
+"""The arming checks of all vehicles, as the host collects them over the network."""
+
+from collections.abc import Callable
+
+import msgspec
+import zenoh
+from msgspec.structs import replace
+
+from testbed.config import Experiment
+from testbed.core.types import LawMessage, Setpoint, State
+from testbed.flight.agent import lead_time
+from testbed.flight.arming import Check, arming_checks
+from testbed.flight.loop import HostNode
+from testbed.net.commands import Answer, Look, Order, Ready, Refused, config_id
+from testbed.net.keys import Keys
+from testbed.net.session import NetworkError, ask
+from testbed.realtime.wall_clock import monotonic_ns
+from testbed.rig.chain import expected_of, make_guidance
+
+
+def order(session: zenoh.Session, keys: Keys, name: str, what: Order) -> Answer:
+    """A vehicle's answer to an order.
+
+    Raises:
+        NetworkError: it does not answer, or not as one does.
+    """
+    data = ask(session, keys.of(name, "order"), msgspec.msgpack.encode(what))
+    try:
+        answer: Answer = msgspec.msgpack.decode(data, type=Answer)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        raise NetworkError(f"{name} answers an order with what is no answer") from None
+    return answer
+
+
+class Stage:
+    """A `HostLink` on which a law is asked once; what it says goes nowhere."""
+
+    def __init__(self, own: State, others: dict[str, State]) -> None:
+        self._own, self._others = own, others
+
+    def own(self) -> State:
+        """See `HostLink`."""
+        return self._own
+
+    def neighbours(self) -> dict[str, State]:
+        """See `HostLink`."""
+        return self._others
+
+    def publish(self, setpoint: Setpoint) -> None:
+        """See `HostLink`."""
+
+    def told(self) -> dict[str, LawMessage]:
+        """See `HostLink`."""
+        return {}
+
+    def tell(self, told: LawMessage) -> None:
+        """See `HostLink`."""
+
+
+def objection(experiment: Experiment, name: str, states: dict[str, State]) -> str:
+    """What the law of a vehicle dies of when it is asked where the vehicles stand; empty: nothing.
+
+    It is asked here also if it will run on board: it is the same one.
+    """
+    now = {other: replace(state, t=0.0) for other, state in states.items()}
+    stage = Stage(now.pop(name), now)
+    lead = lead_time(experiment.vehicles[name].model)
+    try:
+        guidance = make_guidance(experiment, name)
+    except Exception as error:  # whatever a law of one's own dies of
+        return f"{type(error).__name__}: {error}"
+    node = HostNode(name, guidance, stage, experiment.flight.jet_period_s, lead)
+    return node.tick(0.0).outputs.raised
+
+
+class Preflight:
+    """Asks every vehicle how it is, and every law once whether it can be asked at all.
+
+    Args:
+        experiment: that is to be flown.
+        session: the network.
+        keys: of the lab.
+        disk_free: where the log goes [bytes].
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        session: zenoh.Session,
+        keys: Keys,
+        disk_free: Callable[[], float],
+    ) -> None:
+        self._experiment, self._session, self._keys = experiment, session, keys
+        self._disk_free, self._config = disk_free, config_id(experiment)
+        self._sound: set[str] = set()  # vehicles whose law was asked and answered
+
+    def checks(self) -> list[Check]:
+        """All of them, red and green."""
+        heard: dict[str, tuple[Ready, float]] = {}
+        found: list[Check] = []
+        for name in self._experiment.vehicles:
+            asked = monotonic_ns()
+            try:
+                answer = order(self._session, self._keys, name, Look())
+            except NetworkError as error:
+                found.append(Check(f"{name} link", str(error), at_reset=True))
+                continue
+            match answer:
+                case Ready():
+                    heard[name] = answer, 1e-9 * (monotonic_ns() - asked)
+                case Refused(reason):
+                    found.append(Check(f"{name} board", reason, at_reset=True))
+        states = {n: one.readiness.state for n, (one, _) in heard.items()}
+        known = {n: s for n, s in states.items() if s is not None}
+        for name, (one, trip) in heard.items():
+            raised = ""
+            if name not in self._sound and len(known) == len(self._experiment.vehicles):
+                raised = objection(self._experiment, name, known)
+                if not raised:
+                    self._sound.add(name)
+            others = {n: s for n, s in states.items() if n != name and s is not None}
+            vitals = replace(
+                one.readiness.vitals,
+                disk_free=self._disk_free(),
+                same_config=one.config == self._config,
+                raised=raised,
+            )
+            ready = replace(one.readiness, vitals=vitals, round_trip=trip, neighbours=others)
+            expected = expected_of(self._experiment, name)
+            found += arming_checks(ready, expected, self._experiment.arming)
+        return found

@@ -1,0 +1,82 @@
+"""A vehicle before its flight: it looks at itself, so that the host can ask how it is.
+
+A second flight chain, of the same build and never armed, is fed with poses and the board's reports
+from the first moment on; the one that will fly starts fresh, so that its log can be replayed.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from threading import Lock
+
+from msgspec.structs import replace
+
+from firmware_interface.serial_thrusters import SerialThrusters
+from testbed.config import Experiment
+from testbed.core.types import Inputs, State, Vitals
+from testbed.flight.arming import Readiness
+from testbed.mocap.body_monitor import BodyWatch
+from testbed.mocap.exposure import MocapSource
+from testbed.mocap.poses import MocapPoses
+from testbed.net.clock import Reader
+from testbed.net.commands import Ready, Refused, config_id
+from testbed.net.session import Subscriber
+from testbed.realtime.wall_clock import WallClock, monotonic_ns
+from testbed.rig.chain import make_agent
+
+ALONE_S = 1.0  # without a word of somebody else
+
+
+class PreflightMonitor:
+    """Looks whenever it is told that time has passed; `ready` may be asked from any thread."""
+
+    def __init__(
+        self, experiment: Experiment, name: str, source: MocapSource, thrusters: SerialThrusters,
+        reader: Reader, strangers: Sequence[Subscriber],
+    ) -> None:  # fmt: skip
+        """Look; `strangers` are heard where nobody speaks before the order to start."""
+        self._clock = WallClock(monotonic_ns())
+        wire = experiment.table.lab.mocap
+        self._poses = MocapPoses(source, wire, self._clock, name, BodyWatch())
+        self._agent, self._thrusters = make_agent(experiment, name), thrusters
+        self._period = experiment.flight.jet_period_s
+        self._due = 0.0
+        self._seen: deque[float] = deque()  # of the poses of the last second [s]
+        self._state: State | None = None
+        self._looked_at = 0.0
+        self._config, self._lock = config_id(experiment), Lock()
+        self._reader, self._strangers = reader, strangers
+        self._strange_at = -math.inf  # when one was heard
+
+    def look(self) -> None:
+        """Time has passed."""
+        now = self._clock.now
+        if now < self._due:
+            return
+        self._due = now + self._period
+        self._reader.look()
+        if sum(len(ear.heard()) for ear in self._strangers):
+            self._strange_at = now
+        samples = tuple(self._poses.samples())
+        health = self._thrusters.health()
+        step = self._agent.step(Inputs(now, False, samples, None, {}, health))
+        with self._lock:
+            self._seen += [sample.captured_at for sample in samples]
+            while self._seen and self._seen[0] < now - 1.0:
+                self._seen.popleft()
+            self._state, self._looked_at = step.state, now
+
+    def ready(self) -> Ready | Refused:
+        """How it is."""
+        with self._lock:
+            state, rate, at = self._state, float(len(self._seen)), self._looked_at
+        trouble = self._thrusters.trouble
+        if trouble is not None:
+            return Refused(trouble)
+        if state is not None:  # a process that is busy with something else has an old pose
+            late = max(0.0, self._clock.now - at - self._period)
+            state = replace(state, pose_age=state.pose_age + late)
+        alone = self._clock.now - self._strange_at > ALONE_S
+        vitals = Vitals(session_ok=alone, clock_offset=self._reader.unsure())
+        health, shut = self._thrusters.health(), self._thrusters.shut
+        return Ready(Readiness(at, state, rate, health, vitals, 0.0, shut, {}), self._config)

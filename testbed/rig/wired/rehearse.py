@@ -1,0 +1,42 @@
+"""One rehearsed flight on the bench, in a process of its own: a host that may be killed.
+
+    python -m testbed.rig.wired.rehearse EXPERIMENT.toml FOLDER
+
+Leaves in FOLDER: start.json (the run's time 0 on the monotonic clock [ns]), the twin's report.json,
+each vehicle's last words, and ending.json when the host lives to see it.
+"""
+
+import signal
+import sys
+from pathlib import Path
+
+import msgspec
+
+from testbed.config import load
+from testbed.files import write_atomic
+from testbed.realtime.scheduling import steady
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import warm_up
+from testbed.rig.wired.host import WireRig
+
+
+def main() -> int:
+    """Fly."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    experiment, folder = load(Path(sys.argv[1]), []), Path(sys.argv[2])
+    warm_up(experiment)
+    rig = WireRig(experiment, bench=True, keep=folder / "report.json")
+
+    def started(rig: WireRig) -> None:
+        assert rig.epoch_ns is not None
+        write_atomic(folder / "start.json", msgspec.json.encode((rig.epoch_ns, rig.children)))
+
+    rig.on_start = started
+    with steady():
+        ending = rig.fly(NullObserver())
+    write_atomic(folder / "ending.json", msgspec.json.encode((ending, rig.supervisor.phase)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

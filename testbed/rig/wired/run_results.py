@@ -1,0 +1,175 @@
+"""What becomes known of a flight on wires: of vehicles while it lasts, of the twin afterwards."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from testbed.config import Experiment
+from testbed.core.law import Concern
+from testbed.metrics.run_metrics import Commands, Consumption, Track
+from testbed.net.commands import Ended, Flown, Pace
+from testbed.net.envelope import Verdict
+from testbed.realtime.wall_clock import WallClock
+from testbed.rig.boards import Valves
+from testbed.rig.wired.server import TableReport
+
+
+class RunResults:
+    """The half of a `Rig` that answers questions, and the `Book` that a flight is noted in."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.experiment = experiment
+        self._flown_s = math.inf
+        self._clock: WallClock | None = None
+        self._truth: dict[str, list[float]] = {}
+        self._report: TableReport | None = None
+        self._ended: dict[str, Ended] = {}
+        self._boards: dict[str, str] = {}
+        self._paces: list[Pace] = []
+        self._lateness: list[float] = []
+        self._sent = 0
+        self._warned: list[str] = []  # about keys
+        self._new_valves: list[tuple[str, Valves]] = []  # that nobody has taken yet
+        self._new_paces: list[tuple[str, float, Pace]] = []
+        self.loop: tuple[float, float] | None = None
+        self._states: dict[str, list[tuple[float, list[float]]]] = {}
+        self._fired_us: dict[str, int] = {}
+
+    @property
+    def epoch_ns(self) -> int | None:
+        """The run's time 0 on the monotonic clock; None before that is known."""
+        return None if self._clock is None else self._clock.epoch_ns
+
+    @property
+    def now(self) -> float:
+        """See `Rig`."""
+        return max(0.0, self._clock.now) if self._clock is not None else 0.0
+
+    @property
+    def contacts(self) -> int:
+        """See `Rig`."""
+        if self._report is None:
+            return 0
+        end = self._flown_s - self._released_late()
+        return sum(touch.t <= end for touch in self._report.touches)
+
+    def _released_late(self) -> float:
+        """The twin's time 0, by the run's clock [s]."""
+        if self._report is None or self._report.released_ns is None or self._clock is None:
+            return 0.0
+        return 1e-9 * (self._report.released_ns - self._clock.epoch_ns)
+
+    def note_truth(self, poses: dict[str, list[float]]) -> None:
+        """The newest truth."""
+        self._truth = poses
+
+    def note_tick(self, name: str, flown: Flown) -> None:
+        """A vehicle's tick."""
+        self._paces.append(flown.pace)
+        self._new_paces.append((name, flown.tick.inputs.t, flown.pace))
+        self._new_valves += [(name, Valves(t, mask)) for t, mask in flown.edges]
+        state = flown.tick.outputs.state
+        if state is not None:
+            row = [
+                state.pose.x, state.pose.y, state.pose.theta,
+                state.twist.vx, state.twist.vy, state.twist.omega,
+            ]  # fmt: skip
+            self._states.setdefault(name, []).append((state.t, row))
+        fired = sum(flown.tick.outputs.command.on_us)
+        self._fired_us[name] = self._fired_us.get(name, 0) + fired
+
+    def note_end(self, name: str, ended: Ended) -> None:
+        """A vehicle's last words."""
+        self._ended[name] = ended
+
+    def note_loop(self, late_s: float, busy_s: float) -> None:
+        """How the host's newest tick kept its time."""
+        self.loop = (late_s, busy_s)
+
+    def note_host(self, lateness: list[float], sent: int) -> None:
+        """How the host kept its time."""
+        self._lateness, self._sent = lateness, sent
+
+    def truth(self) -> Iterator[tuple[str, list[float]]]:
+        """See `Rig`."""
+        return iter(self._truth.items())
+
+    def track(self) -> Track:
+        """See `Rig`. Without a twin: what the vehicles believed."""
+        names = list(self.experiment.vehicles)
+        report = self._report
+        if report is not None and report.released_ns is not None and self._clock is not None:
+            t = np.array(report.t) + self._released_late()
+            flown = t <= self._flown_s  # afterwards they drift
+            states = np.array(report.states).reshape(-1, len(names), 6)
+            return Track(t[flown], states[flown])
+        rows = [self._states.get(name, []) for name in names]
+        count = min((len(row) for row in rows), default=0)
+        if count == 0:
+            return Track(np.zeros(0), np.zeros((0, len(names), 6)))
+        states = np.array([[state for _, state in row[:count]] for row in rows])
+        return Track(np.array([t for t, _ in rows[0][:count]]), states.transpose(1, 0, 2))
+
+    def spent(self, name: str) -> Consumption:
+        """See `Rig`. Without a twin: what was commanded, by the vehicle file's thrust."""
+        report = self._report
+        if report is not None:
+            return Consumption(report.impulse[name], report.gas[name], report.openings[name])
+        model = self.experiment.vehicles[name].model
+        thrust = float(np.mean([jet.thrust for jet in model.jets]))
+        impulse = 1e-6 * self._fired_us.get(name, 0) * thrust
+        return Consumption(impulse, impulse / model.air.exhaust_speed, None)
+
+    def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
+        """See `Rig`. As the boards reported them since the last call, however long that took."""
+        new, self._new_valves = self._new_valves, []
+        yield from new
+
+    def paces(self) -> Iterator[tuple[str, float, Pace]]:
+        """See `Rig`."""
+        new, self._new_paces = self._new_paces, []
+        yield from new
+
+    @property
+    def report(self) -> TableReport | None:
+        """The twin's own, on the bench."""
+        return self._report
+
+    @property
+    def ended(self) -> dict[str, Ended]:
+        """The vehicles' last words."""
+        return self._ended
+
+    def concerns(self) -> list[Concern]:
+        """See `Rig`. The laws' last words stay in their processes."""
+        return [Concern("keys_expire", words) for words in self._warned]
+
+    def wires(self) -> dict[str, Any]:
+        """See `Rig`."""
+        late = [1e3 * p.late_s for p in self._paces] + [1e3 * late for late in self._lateness]
+        delays = [1e3 * p.pose_to_valve_s for p in self._paces if p.pose_to_valve_s is not None]
+        counts = [ended.counts for ended in self._ended.values()]
+
+        def total(*verdicts: Verdict) -> int:
+            return sum(c.commands.get(v, 0) for c in counts for v in verdicts)
+
+        boards = self._report.boards if self._report is not None else self._boards.values()
+        return {
+            "lateness_p99_ms": _percentile(late, 99),
+            "pose_to_valve_p50_ms": _percentile(delays, 50),
+            "pose_to_valve_p99_ms": _percentile(delays, 99),
+            "commands": Commands(
+                sent=self._sent,
+                late=total(Verdict.LATE, Verdict.DUPLICATED, Verdict.REORDERED),
+                expired=total(Verdict.EXPIRED),
+                rejected=total(Verdict.FOREIGN, Verdict.SCHEMA, Verdict.GARBLED)
+                + sum(sum(c.refusals.values()) for c in counts),
+            ),
+            "board": "; ".join(sorted(set(boards))) or None,
+        }
+
+
+def _percentile(values: list[float], share: float) -> float | None:
+    return float(np.percentile(values, share)) if values else None

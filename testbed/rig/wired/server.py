@@ -1,0 +1,372 @@
+"""The twin on the wire, in real time: what a lab has, with only the granite missing.
+
+It serves a NatNet stream, a serial port per vehicle with the real firmware behind it, and the
+truth on the network. One loop, one thread: bytes are passed on as they come, and between them the
+plant is moved to the camera's next exposure when its frame is due. By then, one camera latency
+after the exposure, the firmware has reported what its valves did.
+
+A vehicle lies on the granite until its board has bearing air on; the plant starts when all have.
+"""
+
+import select
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from firmware_interface.limits import limits_of
+from firmware_interface.line_tap import LineTap
+from firmware_interface.messages import Status
+from sim_twin.camera import Camera
+from sim_twin.fault_injection import Sabotage
+from sim_twin.plant import Plant, Touch
+from sim_twin.randomness import stream
+from sim_twin.reported import ReportedValves
+from testbed.config import Experiment
+from testbed.core.types import Pose, PoseSample
+from testbed.mocap.exposure import Axes, Sighting
+from testbed.mocap.natnet import Described, MocapFrame, RigidBody
+from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.mocap.topic import encode_poses
+from testbed.net.credentials import neighbour
+from testbed.net.envelope import Sealed
+from testbed.net.keys import Keys
+from testbed.net.session import NetworkError, Publisher, Subscriber, dial
+from testbed.realtime.wall_clock import monotonic_ns
+from testbed.rig.wired.process_faults import OF_PROCESSES
+
+SENSE_NS = 100_000_000  # between two looks of the boards at their gauges
+TRUTH_FRAMES = 5  # every so many exposures the truth is told
+DIAL_NS = 1_000_000_000  # between two attempts to find the host
+QUIET_NS = 500_000_000  # a line on which nobody says anything for so long is nobody's
+LARGEST_S = 1e6  # that a permit's stamp can be
+SUPPLY_MV = 12_000
+ERROR_M = 0.0002  # of the markers' fit, as a healthy system reports it
+UNTRACKED = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
+
+
+class TableReport(Struct, frozen=True):
+    """What really happened, by the end."""
+
+    released_ns: int | None  # the plant's time 0 on the monotonic clock; None: it never started
+    t: list[float]  # of each exposure, plant's time [s]
+    states: list[list[list[float]]]  # (n, v, 6)
+    touches: list[Touch]
+    impulse: dict[str, float]  # [N s]
+    gas: dict[str, float]  # [kg]
+    openings: dict[str, int]
+    late_edges: dict[str, int]  # reported after the plant had gone past them
+    edges: dict[str, list[tuple[int, int]]]  # monotonic [us], mask: all of them
+    boards: list[str]
+    left_as: dict[str, tuple[str, list[str]]]  # each board's state and faults at the end
+    silence_ms: dict[str, float] = {}  # longest time of an armed board without a word
+
+
+class TableServer:
+    """The table with its cameras and boards; a context manager. `run` serves until told to end.
+
+    Args:
+        experiment: its `table.lab` says where to serve what.
+        folder: where the vehicles' serial ports appear that the lab file does not name.
+    """
+
+    def __init__(self, experiment: Experiment, folder: Path) -> None:
+        self.experiment, self._folder = experiment, folder
+        setups, table = experiment.vehicles, experiment.table
+        self.names = list(setups)
+        self.models = {name: setup.model for name, setup in setups.items()}
+        starts = {name: Pose(*setup.start) for name, setup in setups.items()}
+        seed = experiment.seed
+        self.plant = Plant(self.models, starts, table, experiment.obstacles, seed)
+        self._cameras = {n: Camera(table.mocap, stream(seed, n, "camera")) for n in self.names}
+        self._jitter = stream(seed, "frames")
+        self._valves = {
+            n: ReportedValves(m, self.plant.boards[n].pulses, stream(seed, n, "pulses"))
+            for n, m in self.models.items()
+        }
+        self._axes, self._keys = Axes(table.lab.mocap), Keys(table.lab.network.lab)
+        self._truth: Publisher | None = None
+        self._released_ns: int | None = None
+        self._t: list[float] = []
+        self._states: list[list[list[float]]] = []
+        self._edges: dict[str, list[tuple[int, int]]] = {name: [] for name in self.names}
+        self._pose_topic: Publisher | None = None
+        self._permits: Subscriber | None = None  # their stamps tell the run's time 0
+        self._sabotage: Sabotage | None = None
+        self._down: set[str] = set()  # boards without power
+        self._landed: set[str] = set()  # vehicles whose air is off, for good
+
+    def __enter__(self) -> "TableServer":
+        with ExitStack() as stack:
+            # first: of two twins with the same file the second ends here, and takes nothing away
+            wire = self.experiment.table.lab.mocap
+            major, minor = wire.version.split(".")
+            self._mocap = stack.enter_context(
+                NatNetServer(
+                    Address(wire.server, wire.command_port, wire.data_port, wire.group),
+                    (int(major), int(minor)),
+                    [Described(k + 1, wire.bodies.get(n, n)) for k, n in enumerate(self.names)],
+                )
+            )
+            self._taps = {}
+            for k, name in enumerate(self.names):
+                link = port_of(self.experiment, name, self._folder)
+                limits = limits_of(self.models[name])
+                chip = self.experiment.board == "qemu"
+                self._taps[name] = stack.enter_context(LineTap(limits, 1 + k, link, chip=chip))
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Of the firmware's processes."""
+        return {name: tap.pid for name, tap in self._taps.items()}
+
+    # Time
+
+    def run(self, ended: Callable[[], bool]) -> None:
+        """Serve until `ended()`, which is asked at every frame, and until nobody uses a line."""
+        mocap = self.experiment.table.mocap
+        period, latency = 1e9 / mocap.rate_hz, round(1e9 * mocap.latency_s)
+        began = monotonic_ns()
+        frame, sense_due, dial_due, asked_at = 0, began, began, 0
+        for tap in self._taps.values():
+            tap.listen()
+        fds = self._fds()
+        while True:
+            exposed = began + round(frame * period)
+            due = exposed + latency + self._late_by()
+            while (left := due - monotonic_ns()) > 0:
+                select.select(fds, [], [], 1e-9 * left)
+                self._serve()
+                self._follow()
+            self._expose(frame, exposed)
+            self._rehearse()
+            frame += 1
+            now = monotonic_ns()
+            if now >= sense_due:
+                sense_due = now + SENSE_NS
+                self._sense()
+            if self._truth is None and now >= dial_due:
+                dial_due = now + DIAL_NS
+                self._dial()
+            if asked_at == 0 and ended():
+                asked_at = now
+            if asked_at and now - self._spoken_ns() > QUIET_NS and now - asked_at > QUIET_NS:
+                return
+
+    def _late_by(self) -> int:
+        mocap = self.experiment.table.mocap
+        jitter = mocap.jitter_s * float(self._jitter.standard_normal())
+        return round(1e9 * max(jitter, -0.5 * mocap.latency_s))
+
+    def _fds(self) -> list[int]:
+        lines = [fd for tap in self._taps.values() for fd in tap.fds]
+        return [*lines, self._mocap.socket.fileno()]
+
+    def _spoken_ns(self) -> int:
+        return max(1000 * tap.spoken_us for tap in self._taps.values())
+
+    # The lines
+
+    def cut_next(self) -> None:
+        """Cut the serial line of the next vehicle: what a broken cable does, on purpose."""
+        for tap in self._taps.values():
+            if not tap.cut:
+                tap.cut = True
+                return
+
+    def _serve(self) -> None:
+        for tap in self._taps.values():
+            tap.serve()
+        self._mocap.serve()
+
+    def _follow(self) -> None:
+        """Give the plant what the boards report; start it when all float."""
+        for name, tap in self._taps.items():
+            for at_us, mask in tap.edges():
+                self._edges[name].append((at_us, mask))
+                if self._released_ns is not None:
+                    at = 1000 * at_us - self._released_ns
+                    self._valves[name].edge(at, mask, self.plant.t)
+        if self._released_ns is not None:
+            for k, (name, tap) in enumerate(self._taps.items()):
+                if not tap.bearing and name not in self._landed:
+                    self._landed.add(name)
+                    self.plant.land(k)
+        elif all(tap.bearing for tap in self._taps.values()):
+            self._released_ns = monotonic_ns()
+
+    def _sense(self) -> None:
+        for k, name in enumerate(self.names):
+            air = self.models[name].air
+            pressure = air.supply_pressure(air.gas - float(self.plant.used[k]))
+            supply_mv = SUPPLY_MV
+            if self._sabotage is not None:
+                if sag := self._sabotage.found(name, "sag"):
+                    pressure *= sag.size
+                if flat := self._sabotage.found(name, "flat_battery"):
+                    supply_mv = round(1e3 * flat.size)
+            self._taps[name].sense(supply_mv, round(pressure))
+
+    # The cameras
+
+    def _expose(self, number: int, exposed: int) -> None:
+        """The frame that was exposed a latency ago."""
+        self._follow()
+        t = None if self._released_ns is None else 1e-9 * (exposed - self._released_ns)
+        if t is not None and t > self.plant.t:
+            if self._sabotage is not None:
+                self._sabotage.before(t)
+            self.plant.advance(t)
+            if self._sabotage is not None:
+                self._sabotage.look(t)
+            self._t.append(t)
+            self._states.append(self.plant.x.tolist())
+        bodies, rows = [], None
+        if self._sabotage is not None and t is not None:
+            rows = self._sabotage.sources(self.names, np.array([t]))
+        for k, name in enumerate(self.names):
+            seen = self._look(name, k if rows is None else rows[0][k], 1e-9 * exposed)
+            bodies.append(
+                RigidBody(k + 1, seen.position, seen.rotation, ERROR_M, tracked=seen.tracked)
+            )
+        now = monotonic_ns()
+        if self.experiment.table.lab.mocap.system == "zenoh":
+            self._say_poses(number, exposed, bodies)
+        else:
+            self._mocap.send(MocapFrame(number, tuple(bodies), 1e-9 * exposed, exposed, now, now))
+        if number % TRUTH_FRAMES == 0:
+            self._tell(exposed)
+
+    def _say_poses(self, number: int, exposed: int, bodies: list[RigidBody]) -> None:
+        """The frame on the network, for a lab whose cameras speak Zenoh."""
+        if self._pose_topic is None:
+            return
+        wire = self.experiment.table.lab.mocap
+        seen = {
+            wire.bodies.get(name, name): (*body.position, *body.rotation)
+            for name, body in zip(self.names, bodies, strict=True)
+            if body.tracked
+        }
+        self._pose_topic.say(encode_poses(number, exposed, monotonic_ns(), seen))
+
+    def _look(self, name: str, k: int, at: float) -> Sighting:
+        camera = self._cameras[name]
+        camera.expose(np.array([at]), self.plant.x[k : k + 1])
+        samples: list[PoseSample] = camera.arrived(np.inf)
+        if self._sabotage is not None:
+            now = self.plant.t  # injections are of the plant's time here
+            fresh = [PoseSample(now, one.x, one.y, one.theta) for one in samples]
+            samples = self._sabotage.poses(name, fresh)
+        if not samples:
+            return UNTRACKED
+        return self._axes.to_cameras(Pose(samples[-1].x, samples[-1].y, samples[-1].theta))
+
+    # The network
+
+    def _dial(self) -> None:
+        with suppress(NetworkError):
+            network = self.experiment.table.lab.network
+            keys = neighbour(Path(network.keys), "table", "") if network.keys else None
+            self._session = dial(network.endpoint, 0.0, keys)
+            self._stack.callback(self._session.close)
+            self._truth = Publisher(self._session, self._keys.truth, bulk=True)
+            self._pose_topic = Publisher(self._session, self._keys.pose)
+            self._permits = Subscriber(self._session, self._keys.permit)
+
+    def _tell(self, exposed: int) -> None:
+        if self._truth is not None:
+            poses = dict(zip(self.names, self.plant.x.tolist(), strict=True))
+            self._truth.say(msgspec.msgpack.encode((exposed, poses)))
+
+    # Rehearsed faults
+
+    def _rehearse(self) -> None:
+        """Break what is to be broken; times of injections are the run's, here the plant's."""
+        if self._sabotage is None:
+            self._plan_sabotage()
+            return
+        sabotage = self._sabotage
+        for name, tap in self._taps.items():
+            if sabotage.found(name, "cut_serial"):
+                tap.cut = True
+            dead = sabotage.found(name, "brown_out") is not None
+            if dead != (name in self._down):
+                self._power(name, tap, off=dead)
+
+    def _plan_sabotage(self) -> None:
+        """As soon as the run's time 0 is known."""
+        if self._permits is None or self._released_ns is None or not self.experiment.inject:
+            return
+        for at, data in self._permits.heard():
+            try:
+                stamp = msgspec.msgpack.decode(data, type=Sealed).issued_at
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+                continue  # whoever said that, it was not the host
+            if not abs(stamp) < LARGEST_S:
+                continue
+            later = 1e-9 * (at - self._released_ns) - stamp
+            shifted = [
+                one if one.at_s is None else replace(one, at_s=max(0.0, one.at_s + later))
+                for one in self.experiment.inject
+                if one.kind not in OF_PROCESSES
+            ]
+            size, seed = self.experiment.table.size, self.experiment.seed
+            half = (size[0] / 2, size[1] / 2)
+            obstacles = self.experiment.obstacles
+            self._sabotage = Sabotage(shifted, self.plant, obstacles, half, seed, boards=False)
+            return
+
+    def _power(self, name: str, tap: LineTap, *, off: bool) -> None:
+        """A board loses its power, or gets it back."""
+        tap.power(on=not off)
+        if off:
+            self._down.add(name)
+            self._edges[name].append((monotonic_ns() // 1000, 0))
+            if self._released_ns is not None:
+                self._valves[name].close_all(monotonic_ns() - self._released_ns)
+        else:
+            self._down.discard(name)
+
+    # The end
+
+    def report(self) -> TableReport:
+        """What really happened so far."""
+        plant = self.plant
+
+        def by_name(values: object) -> dict[str, float]:
+            return dict(zip(self.names, np.asarray(values).tolist(), strict=True))
+
+        return TableReport(
+            released_ns=self._released_ns,
+            t=self._t,
+            states=self._states,
+            touches=plant.touches,
+            impulse=by_name(plant.impulse),
+            gas=by_name(plant.used),
+            openings={n: v.openings for n, v in self._valves.items()},
+            late_edges={n: v.late for n, v in self._valves.items()},
+            edges=self._edges,
+            boards=[tap.board_name for tap in self._taps.values()],
+            left_as={name: _left_as(tap.status) for name, tap in self._taps.items()},
+            silence_ms={name: 1e-3 * tap.silence_us for name, tap in self._taps.items()},
+        )
+
+
+def _left_as(status: Status | None) -> tuple[str, list[str]]:
+    if status is None:
+        return "silent", []
+    return status.state.name, [fault.name or "" for fault in status.faults]
+
+
+def port_of(experiment: Experiment, name: str, folder: Path) -> Path:
+    """Where a vehicle's serial port is, or appears."""
+    return Path(experiment.table.lab.serial.ports.get(name, str(folder / f"serial-{name}")))

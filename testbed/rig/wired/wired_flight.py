@@ -1,0 +1,291 @@
+"""The flight as the host sees it: its laws, the permit, and what the vehicles report."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Protocol
+
+import msgspec
+
+from testbed.config import Experiment
+from testbed.core.types import (
+    Accel,
+    Health,
+    HostTick,
+    Inputs,
+    Outputs,
+    Pose,
+    Reference,
+    Tick,
+    Trajectory,
+    Twist,
+    ValveCommand,
+    Wrench,
+)
+from testbed.flight.agent import lead_time
+from testbed.flight.loop import Ending, HostNode, Observer, fly
+from testbed.net.commands import Ended, Flown, Lease, Stop, config_id
+from testbed.net.envelope import Inbox, Outbox, Verdict
+from testbed.net.links import Blackboard, Party, ZenohHostLink, host_states
+from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
+from testbed.realtime.scheduling import preferred
+from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
+from testbed.rig.chain import make_guidance
+from testbed.rig.wired.preflight import order
+from testbed.rig.wired.process_faults import Rehearsal
+
+PRIORITY = 10  # below the vehicles: they hold the valves
+PERMIT_S = 1.0  # a permit is good for as long as the operator may be gone
+LOST_S = 1.0  # a vehicle that is not heard for so long is gone
+WAIT_S = 3.0  # for the vehicles' last words
+LOOK_NS = 20_000_000
+
+
+class Book(Protocol):
+    """Who notes what becomes known of a flight."""
+
+    def note_truth(self, poses: dict[str, list[float]]) -> None:
+        """The newest truth."""
+        ...
+
+    def note_tick(self, name: str, flown: Flown) -> None:
+        """A vehicle's tick."""
+        ...
+
+    def note_end(self, name: str, ended: Ended) -> None:
+        """A vehicle's last words."""
+        ...
+
+    def note_loop(self, late_s: float, busy_s: float) -> None:
+        """How the host's newest tick kept its time."""
+        ...
+
+    def note_host(self, lateness: list[float], sent: int) -> None:
+        """How the host kept its time."""
+        ...
+
+
+class RemoteNode:
+    """A vehicle in a process of its own, as the loop sees it: its newest tick."""
+
+    def __init__(self, name: str, jets: int, meet: Callable[[bool, str], None]) -> None:
+        self.name, self._meet, self._shut = name, meet, (0,) * jets
+        self.newest: Tick | None = None
+        self.heard_at = 0.0
+        self.ended: Ended | None = None
+        self.fault: str | None = None
+
+    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
+        """What it said last, or what is to be said of one that says nothing any more."""
+        self._meet(armed, fleet)
+        tick = self._newest(t)
+        self.fault = tick.outputs.fault
+        return tick
+
+    def _newest(self, t: float) -> Tick:
+        if self.ended is not None:
+            words = self.ended.fault and self.ended.fault.removeprefix(f"{self.name}: ")
+            return self._silent(t, "its flight is over", words)
+        if t - self.heard_at > LOST_S:
+            fault = f"vehicle_silent: not heard for {t - self.heard_at:.1f} s"
+            return self._silent(t, "it is silent", fault)
+        return self.newest or self._silent(t, "not heard yet", None)
+
+    def _silent(self, t: float, why: str, fault: str | None) -> Tick:
+        still, command = Wrench(0.0, 0.0, 0.0), ValveCommand(0, t, t, self._shut, self._shut)
+        inputs = Inputs(t, False, (), None, {}, Health(t, 0.0, 0.0))
+        return Tick(inputs, Outputs(t, None, None, still, still, command, why, fault))
+
+
+_open_truth = msgspec.msgpack.Decoder(tuple[int, dict[str, list[float]]]).decode
+
+
+def newest_truth(told: list[tuple[int, bytes]]) -> tuple[dict[str, list[float]] | None, int]:
+    """The newest of some messages of the truth that is one, and how many were none."""
+    bad = 0
+    for _, data in reversed(told):
+        try:
+            poses = _open_truth(data)[1]
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            bad += 1
+            continue
+        if all(len(row) == 6 and all(map(math.isfinite, row)) for row in poses.values()):
+            return poses, bad
+        bad += 1
+    return None, bad
+
+
+class HostFlight:
+    """One flight.
+
+    Args:
+        experiment: what is flown.
+        book: who notes what becomes known.
+        party: this end of the network.
+        disk_free: where the log goes [bytes].
+    """
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        book: Book,
+        party: Party,
+        disk_free: Callable[[], float] = lambda: 1e12,
+    ) -> None:
+        self._rehearsal = Rehearsal(experiment.inject, lambda: party.clock.now)
+        self._intruders: dict[str, Publisher] = {}
+        self._stranger = Outbox(party.run ^ 1)  # the session of a rehearsed intruder
+        self._experiment, self._book, self._party = experiment, book, party
+        self._disk_free, self._config = disk_free, config_id(experiment)
+        keys = party.keys
+        self._names = list(experiment.vehicles)
+        self.truth: Subscriber | None = None
+        self.bad_truth = 0  # messages of it that were none
+        self._ticks = {n: Subscriber(party.session, keys.of(n, "tick")) for n in self._names}
+        self._events = {n: Subscriber(party.session, keys.of(n, "event")) for n in self._names}
+        open_tick = msgspec.msgpack.Decoder(Flown).decode
+        open_event = msgspec.msgpack.Decoder(Ended).decode
+        self._flown = {n: Inbox(open_tick, party.run, LOST_S) for n in self._names}
+        self._ended = {n: Inbox(open_event, party.run, LOST_S) for n in self._names}
+        self._permit, self._seal = Publisher(party.session, keys.permit), Outbox(party.run)
+        self._board = Blackboard()
+        self._nodes = {
+            n: RemoteNode(n, len(experiment.vehicles[n].model.jets), self._meet)
+            for n in self._names
+        }
+        states = host_states(party, self._names)
+        self._links = {n: ZenohHostLink(party, n, states, self._board) for n in self._names}
+        self._observer: Observer | None = None
+        self._stopped, self._fleet, self._armed = False, "", True
+        self._stop_key = on_word(party.session, keys.stop, self._stop)
+
+    def _stop(self) -> None:
+        self._stopped = True
+
+    @property
+    def stopped(self) -> bool:
+        """Whether an operator said stop, at any terminal."""
+        return self._stopped
+
+    def permit(self) -> None:
+        """Let the vehicles go on; what they must know of the host comes along."""
+        now = self._party.clock.now
+        faults = (f"{n.name}: {n.fault}" for n in self._nodes.values() if n.fault)
+        fleet = self._fleet or next(faults, "")
+        rehearsed = self._rehearsal.found
+        if rehearsed("operator_gone"):
+            return
+        config = "another" if rehearsed("config_differs") else self._config
+        disk_free = 0.0 if rehearsed("disk_full") else self._disk_free()
+        permit = Lease(self._armed, fleet, config, disk_free)
+        self._permit.say(self._seal.seal(permit, now, now + PERMIT_S))
+
+    def fly(self, observer: Observer, stopped: Callable[[], bool]) -> Ending:
+        """Fly to the end, to a fault, or until `stopped()`."""
+        clock, experiment = self._party.clock, self._experiment
+        period = experiment.flight.jet_period_s
+        hosts = [
+            HostNode(
+                name, make_guidance(experiment, name, partial(self._rehearsal.spoilt, name)),
+                self._links[name], period, lead_time(experiment.vehicles[name].model),
+            )
+            for name in self._names
+            if experiment.deploy.law == "host"
+        ]  # fmt: skip
+        self._observer = observer
+        nodes = list(self._nodes.values())
+        with preferred(PRIORITY):
+            ending = fly(
+                clock, nodes, hosts, period, experiment.ticks, self,
+                stopped=lambda: stopped() or self._stopped,
+            )  # fmt: skip
+        if ending.t < experiment.end_s:
+            self._stop_all(ending.fault or "the host has ended the flight")
+        self._await_ends()
+        self._book.note_host(
+            clock.lateness, sum(link.said.outbox.sent for link in self._links.values())
+        )
+        fault = ending.fault or self._late_fault()
+        if fault is None and self._stopped:
+            fault = "stopped by the operator"
+        return Ending(ending.t, fault)
+
+    def _meet(self, armed: bool, fleet: str) -> None:
+        """Hear all vehicles; what the loop has to say to them goes into the next permit."""
+        self._armed, self._fleet = armed, fleet
+        self._listen()
+
+    def _late_fault(self) -> str | None:
+        """A fault that a vehicle told in its last words only."""
+        return next(
+            (n.ended.fault for n in self._nodes.values() if n.ended and n.ended.fault), None
+        )
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+        assert self._observer is not None
+        self._observer.host(name, tick)
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
+        self._rehearsal.at_host()
+        self.permit()
+        if intruder := self._rehearsal.found("foreign_session"):
+            self._intrude(intruder.vehicle)
+        self._board.tick += 1
+        clock = self._party.clock
+        late = clock.lateness[-1] if clock.lateness else 0.0
+        self._book.note_loop(late, max(0.0, clock.now - t - late))
+        assert self._observer is not None
+        self._observer.done(t)
+
+    def _intrude(self, name: str) -> None:
+        """Say what a forgotten host of another session would say."""
+        now = self._party.clock.now
+        there = Reference(now, Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), Accel(0.0, 0.0, 0.0))
+        setpoint = Trajectory((there,), now + 1.0)
+        key = self._party.keys.of(name, "setpoint")
+        if name not in self._intruders:  # kept: what is said by a mouth that is dropped is lost
+            self._intruders[name] = Publisher(self._party.session, key)
+        self._intruders[name].say(self._stranger.seal(setpoint, now, now + 1.0))
+
+    def _listen(self) -> None:
+        clock, book = self._party.clock, self._book
+        if self.truth is not None and (told := self.truth.heard()):
+            poses, bad = newest_truth(told)
+            self.bad_truth += bad
+            if poses is not None:
+                book.note_truth({n: poses[n] for n in self._names if n in poses})
+        for name, ear in self._ticks.items():
+            for at, data in ear.heard():
+                box = self._flown[name]
+                if box.take(data, clock.of(at)) is Verdict.TAKEN and box.newest is not None:
+                    node = self._nodes[name]
+                    node.heard_at, node.newest = clock.of(at), box.newest.tick
+                    book.note_tick(name, box.newest)
+                    assert self._observer is not None
+                    self._observer.vehicle(name, box.newest.tick)
+        for name, ear in self._events.items():
+            for at, data in ear.heard():
+                end = self._ended[name]
+                if end.take(data, clock.of(at)) is Verdict.TAKEN and end.newest is not None:
+                    book.note_end(name, end.newest)
+                    self._nodes[name].ended = end.newest
+
+    def _stop_all(self, reason: str) -> None:
+        for name in self._names:
+            if self._nodes[name].ended is not None:
+                continue
+            try:
+                order(self._party.session, self._party.keys, name, Stop(reason))
+            except NetworkError:
+                continue  # it is gone, and its board's watchdog has closed the valves
+
+    def _await_ends(self) -> None:
+        end = monotonic_ns() + round(1e9 * WAIT_S)
+        while monotonic_ns() < end and any(n.ended is None for n in self._nodes.values()):
+            sleep_until_ns(monotonic_ns() + LOOK_NS)
+            self._listen()

@@ -1,0 +1,102 @@
+"""A run's folder: never overwritten, readable however the run ended.
+
+config.toml   the resolved experiment: `testbed run config.toml` repeats the run
+log.mcap      every tick's inputs and outputs
+metrics.json  what it was worth; "completed": false if it did not reach its end
+*.py          a copy of the law, where it is a file outside the package; config.toml then means it.
+              It keeps its name, which is in what a law that fails says and so in the log.
+"""
+
+import os
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import tomli_w
+
+from controllers.law_file import digest, file_of
+from testbed.files import write_atomic
+from testbed.metrics.run_metrics import Metrics
+
+
+class FolderError(Exception):
+    """The run cannot be written there."""
+
+
+def new_folder(out: Path | None, name: str) -> Path:
+    """Make the folder of a new run.
+
+    Args:
+        out: where the operator wants it; it may exist if it is empty. None: below runs/.
+        name: of the experiment.
+
+    Raises:
+        FolderError: there is something already, or the place is not writable.
+    """
+    try:
+        if out is not None:
+            if out.exists() and (not out.is_dir() or any(out.iterdir())):
+                found = "older files in it" if out.is_dir() else "a file"
+                raise FolderError(f"{out}\n  expected  a new or empty folder\n  found     {found}")
+            out.mkdir(parents=True, exist_ok=True)
+            if not os.access(out, os.W_OK | os.X_OK):
+                raise FolderError(f"{out}: Permission denied")
+            return out
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        for k in range(1, 1000):
+            path = Path("runs") / (f"{stamp}_{name}" if k == 1 else f"{stamp}_{name}-{k}")
+            try:
+                path.mkdir(parents=True)
+            except FileExistsError:
+                continue
+            return path
+    except OSError as error:
+        raise FolderError(
+            f"{error.filename}\n  expected  a place that can be written; --out names another\n"
+            f"  found     {error.strerror}"
+        ) from None
+    raise FolderError(f"runs/{stamp}_{name}: a thousand runs in one second")
+
+
+def take_back(folder: Path) -> None:
+    """Remove the folder of a run that was refused before it had a log; what was flown stays."""
+    if not (folder / "log.mcap").exists():
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def write_config(folder: Path, tree: dict[str, Any], version: str) -> None:
+    """Write the resolved experiment, and the law with it if that is a file of somebody's."""
+    tree = {**tree, "controller": _keep_law(folder, tree.get("controller", {}))}
+    head = f"# Resolved by airbearing-testbed {version}; everything is in place.\n\n"
+    _replace(folder / "config.toml", head + tomli_w.dumps(tree))
+
+
+def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
+    """[controller], with a copy of a law's file in the folder in its place."""
+    path = file_of(controller["law"]) if controller.get("type") == "python" else None
+    if path is None:
+        return controller
+    copy = folder / path.name
+    try:
+        shutil.copyfile(path, copy)
+    except OSError as error:
+        raise FolderError(f"{path}: {error.strerror}") from None
+    if digest(copy) != controller.get("sha256"):
+        raise FolderError(f"{path}\n  expected  the law as it was read\n  found     an edited one")
+    return {**controller, "law": f"{path.name}:{controller['law'].rpartition(':')[2]}"}
+
+
+def write_metrics(folder: Path, metrics: Metrics) -> None:
+    """Write metrics.json."""
+    text = msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode()
+    _replace(folder / "metrics.json", text + "\n")
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write the whole file or nothing."""
+    try:
+        write_atomic(path, text.encode())
+    except OSError as error:
+        raise FolderError(f"{path}: {error.strerror}") from None

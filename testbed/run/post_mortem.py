@@ -1,0 +1,92 @@
+"""A run whose flight was killed before it was judged: what its log alone says of it.
+
+What only the rig knew (impulse, gas, openings, contacts) stays unknown, and no criterion is judged.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from msgspec.structs import replace
+
+from testbed.config import Experiment
+from testbed.core.types import Tick
+from testbed.logs.history import Array, History
+from testbed.logs.log_reader import LogReader, reads
+from testbed.metrics.formation import formation_metrics
+from testbed.metrics.run_metrics import (
+    Aim,
+    Consumption,
+    Metrics,
+    ReferenceLog,
+    Track,
+    VehicleMetrics,
+    obstacle_distances,
+    smallest_separation,
+    vehicle_metrics,
+)
+from testbed.report.page import UNCOUNTED, read_metrics
+from testbed.rig.chain import formation_context
+
+
+def judged(folder: Path, log: Path, experiment: Experiment, history: History) -> Metrics:
+    """metrics.json of a run, or what can be said without one."""
+    if (folder / "metrics.json").exists() or not history.vehicles:
+        return read_metrics(folder)
+    return of_the_log(log, experiment, history)
+
+
+def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
+    """What the log says."""
+    aims = {name: ReferenceLog() for name in experiment.vehicles}
+    book, decode = LogReader(log), reads(Tick).decode
+    for topic, _, data in book.read():
+        name, _, kind = topic.removeprefix("/").rpartition("/")
+        if kind == "tick" and name in aims:
+            aims[name].note(decode(data).outputs)
+    track = track_of(experiment, history)
+    wires = any(len(vehicle.wires) for vehicle in history.vehicles.values())
+    why = "the flight was killed before it was judged; gas and contacts are not in the log"
+    if not book.finished:
+        why = "the log has no end: its writer was killed, or it is still being flown"
+    return Metrics(
+        experiment=experiment.name,
+        rig="table" if not len(history.true_t) else "bench" if wires else "twin",
+        seed=experiment.seed,
+        completed=False,
+        duration_s=history.end,
+        wall_s=0.0,
+        real_time_factor=None,
+        contacts=UNCOUNTED,
+        min_vehicle_distance_m=smallest_separation(track),
+        fault=why,
+        criteria={},
+        vehicles={
+            name: _vehicle(track, k, experiment, name, aims[name].aim())
+            for k, name in enumerate(experiment.vehicles)
+        },
+        formation=formation_metrics(
+            experiment.controller, formation_context(experiment), track, experiment.obstacles
+        ),
+    )
+
+
+def _vehicle(track: Track, k: int, experiment: Experiment, name: str, aimed: Aim) -> VehicleMetrics:
+    goal, nobody_knows = experiment.vehicles[name].goal, Consumption(0.0, 0.0, None)
+    distances = obstacle_distances(track, k, experiment.obstacles)
+    found = vehicle_metrics(track, k, goal, aimed, nobody_knows, distances)
+    return replace(found, impulse_ns=None, gas_g=None)
+
+
+def track_of(experiment: Experiment, history: History) -> Track:
+    """Everybody's states at one row of times; NaN of a vehicle that nobody saw."""
+    t, _ = history.together()
+    states = np.full((len(t), len(experiment.vehicles), 6), np.nan)
+    for k, name in enumerate(experiment.vehicles):
+        if name not in history.vehicles:
+            continue
+        at, state = history.where(name)
+        if len(at):
+            state = np.column_stack([state[:, :2], np.unwrap(state[:, 2]), state[:, 3:]])
+            columns: list[Array] = [np.interp(t, at, state[:, i]) for i in range(6)]
+            states[:, k] = np.stack(columns, axis=1)
+    return Track(t, states)

@@ -1,0 +1,134 @@
+"""A log that any MCAP reader opens, written by a process of its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+
+from testbed.core.types import HostTick, Tick
+from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth, json_schema
+
+HERE = Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+
+
+def truth(t: float) -> Truth:
+    return Truth(t, {"sat1": HERE})
+
+
+def read(path: Path) -> list[tuple[str, int, int, dict]]:
+    with path.open("rb") as file:
+        return [
+            (channel.topic, message.log_time, message.sequence, json.loads(message.data))
+            for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(
+                log_time_order=False
+            )
+        ]
+
+
+def test_messages_come_back_in_order_with_their_times(tmp_path):
+    path = tmp_path / "log.mcap"
+    with Recorder(path) as recorder:
+        for k in range(1000):
+            recorder.write("/truth" if k % 2 else "/other", 0.1 * k, truth(0.1 * k))
+    rows = read(path)
+    assert [topic for topic, *_ in rows[:4]] == ["/other", "/truth", "/other", "/truth"]
+    assert [stamp for _, stamp, *_ in rows] == [k * 10**8 for k in range(1000)]
+    assert [sequence for *_, sequence, _ in rows] == list(range(1, 1001))
+    assert msgspec.convert(rows[7][3], Truth) == truth(0.1 * 7)
+
+
+def test_the_same_messages_give_the_same_bytes(tmp_path):
+    for name in "ab":
+        with Recorder(tmp_path / name) as recorder:
+            for k in range(100):
+                recorder.write("/truth", 0.1 * k, truth(0.1 * k))
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_an_empty_log_is_a_log(tmp_path):
+    with Recorder(tmp_path / "log.mcap"):
+        pass
+    assert read(tmp_path / "log.mcap") == []
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_a_log_is_whole_when_its_flight_ends_badly(tmp_path, error):
+    def fly() -> None:
+        with Recorder(tmp_path / "log.mcap") as recorder:
+            recorder.write("/truth", 0.0, truth(0.0))
+            raise error
+
+    with pytest.raises(error):
+        fly()
+    assert len(read(tmp_path / "log.mcap")) == 1
+
+
+def test_an_older_log_is_not_touched(tmp_path):
+    path = tmp_path / "log.mcap"
+    path.write_text("mine")
+
+    def fly() -> None:
+        with Recorder(path) as recorder:
+            recorder.write("/truth", 0.0, truth(0.0))
+
+    with pytest.raises(RecorderError, match="File exists"):
+        fly()
+    assert path.read_text() == "mine"
+
+
+def test_a_log_that_cannot_be_written_is_an_error(tmp_path):
+    def fly() -> None:
+        with Recorder(tmp_path / "nowhere" / "log.mcap") as recorder:
+            for k in range(100_000):  # the pipe breaks on the way
+                recorder.write("/truth", float(k), truth(float(k)))
+
+    with pytest.raises(RecorderError, match="No such file"):
+        fly()
+
+
+def test_a_flight_that_is_killed_leaves_a_whole_log(tmp_path):
+    path = tmp_path / "log.mcap"
+    script = (
+        "import sys; from pathlib import Path; from testbed.logs.recorder import *\n"
+        "with Recorder(Path(sys.argv[1])) as r:\n"
+        "    for k in range(20_000): r.write('/truth', k, Truth(k, {}))\n"
+        "    print(r._scribe.pid, flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    flight = subprocess.Popen(
+        [sys.executable, "-c", script, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    scribe = int(flight.stdout.readline())
+    handle = os.pidfd_open(scribe)  # readable when the process ends
+    flight.send_signal(signal.SIGKILL)
+    flight.communicate()
+    import select
+
+    assert select.select([handle], [], [], 30.0)[0]
+    os.close(handle)
+    assert len(read(path)) > 10_000
+
+
+@pytest.mark.parametrize("kind", [Tick, HostTick, Truth])
+def test_a_schema_is_an_object_that_describes_itself(kind):
+    schema = json_schema(kind)
+    assert schema["type"] == "object"
+    assert schema["title"] == kind.__name__
+    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    named = set(schema["$defs"])
+    assert kind.__name__ not in named
+    used = set(references(schema))
+    assert used == {f"#/$defs/{name}" for name in named}
+
+
+def references(node: object) -> list[str]:
+    if isinstance(node, dict):
+        own = [node["$ref"]] if "$ref" in node else []
+        return own + [r for child in node.values() for r in references(child)]
+    return [r for child in node for r in references(child)] if isinstance(node, list) else []

@@ -1,0 +1,251 @@
+"""What is left of a log after its writers were killed, or its disk was full."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from testbed.logs.log_reader import LogError, LogReader
+from testbed.logs.mcap_writer import Disk, DiskFullError, frames, write_log
+from testbed.logs.recorder import (
+    SPAN_NS,
+    Entry,
+    Mark,
+    Motion,
+    Recorder,
+    RecorderError,
+    Topic,
+    Truth,
+)
+
+HERE = Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+PERIOD = 0.01  # [s] of the run between two messages
+
+# A flight at 100 Hz of wall time that says each time what it has handed over [ns].
+FLIGHT = """
+import sys, threading, time
+from pathlib import Path
+from testbed.logs.recorder import Motion, Recorder, Truth
+
+begun, pause = time.monotonic(), threading.Event()
+with Recorder(Path(sys.argv[1])) as recorder:
+    print(recorder._scribe.pid, flush=True)
+    for k in range(6000):
+        t = k * 0.01
+        pause.wait(max(0.0, begun + t - time.monotonic()))
+        recorder.write("/truth", t, Truth(t, {"sat1": Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)}))
+        recorder.mark(t)
+        print(round(t * 1e9), flush=True)
+"""
+
+
+def stamps(path: Path) -> list[int]:
+    return [row.stamp for row in LogReader(path).read()]
+
+
+def killed(path: Path, after: int, *, scribe_too: bool) -> int:
+    """Kill a flight after so many messages; the stamp of the last one that it handed over [ns]."""
+    flight = subprocess.Popen(
+        [sys.executable, "-c", FLIGHT, str(path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    scribe = int(flight.stdout.readline())
+    handle = os.pidfd_open(scribe)  # readable when the process ends
+    for _ in range(after):
+        flight.stdout.readline()
+    flight.send_signal(signal.SIGKILL)
+    if scribe_too:
+        signal.pidfd_send_signal(handle, signal.SIGKILL)
+    rest, _ = flight.communicate()
+    import select
+
+    assert select.select([handle], [], [], 60.0)[0]
+    os.close(handle)
+    return int(rest.split()[-1]) if rest else (after - 1) * 10**7
+
+
+def test_a_flight_killed_at_twenty_instants_loses_nothing(tmp_path):
+    for k, after in enumerate(np.random.default_rng(20).integers(1, 60, 20).tolist()):
+        path = tmp_path / f"{k}.mcap"
+        handed_over = killed(path, after, scribe_too=False)
+        found = stamps(path)
+        assert found == [j * 10**7 for j in range(len(found))]
+        assert found[-1] >= handed_over
+
+
+def chunked(count: int) -> list:
+    """Frames of a 100 Hz flight with its marks."""
+    sent, marked = [Topic("/truth", "Truth", b"{}")], -SPAN_NS
+    for k in range(count):
+        now = k * 10**7
+        sent.append(Entry(0, now, b"{}"))
+        if now - marked >= SPAN_NS:
+            sent.append(Mark())
+            marked = now
+    return sent
+
+
+def test_a_log_is_readable_wherever_it_was_cut(tmp_path):
+    """Both writers killed at once leave the beginning of the file, up to any byte."""
+    whole = tmp_path / "whole.mcap"
+    write_log(whole, iter(chunked(100)), Disk(lambda: 10**12, 0, 0), print)
+    content = whole.read_bytes()
+    for end in np.random.default_rng(1).integers(8, len(content), 200).tolist():
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(content[:end])
+        found = stamps(cut)
+        assert found == [j * 10**7 for j in range(len(found))]
+
+
+def test_what_is_marked_is_in_the_file(tmp_path):
+    """So a scribe that is killed has lost less than two tenths of a second."""
+    path, lost = tmp_path / "log.mcap", []
+
+    def watched():
+        for frame in chunked(200):
+            if isinstance(frame, Entry):
+                found = stamps(path)
+                lost.append(frame.stamp - (found[-1] if found else 0))
+            yield frame
+
+    write_log(path, watched(), Disk(lambda: 10**12, 0, 0), print)
+    assert max(lost) <= SPAN_NS
+
+
+def test_both_killed_leave_a_readable_log(tmp_path):
+    path = tmp_path / "log.mcap"
+    killed(path, 50, scribe_too=True)
+    found = stamps(path)
+    assert found == [j * 10**7 for j in range(len(found))]
+
+
+def test_a_log_grows_under_its_reader(tmp_path):
+    path, seen = tmp_path / "log.mcap", []
+    sent = iter(chunked(100))
+
+    def half():
+        for _ in range(60):
+            yield next(sent)
+        book = LogReader(path)
+        seen.append([row.stamp for row in book.read()])
+        yield from sent
+        seen.append(book)
+
+    write_log(path, half(), Disk(lambda: 10**12, 0, 0), print)
+    first, book = seen
+    assert not book.finished
+    assert 0 < len(first) < 60
+    assert first + [row.stamp for row in book.read()] == [j * 10**7 for j in range(100)]
+    assert book.finished
+    assert book.kinds == {"/truth": "Truth"}
+
+
+def test_damage_is_said(tmp_path):
+    path = tmp_path / "log.mcap"
+    write_log(path, iter(chunked(100)), Disk(lambda: 10**12, 0, 0), print)
+    content = bytearray(path.read_bytes())
+    at = content.index(b"zstd") + 30
+    content[at] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(LogError, match="damaged at byte"):
+        stamps(path)
+
+
+# The disk
+
+
+def test_it_warns_once_and_ends_the_log_properly_before_the_disk_is_full(tmp_path):
+    room, said = iter(range(1000, 0, -100)), []
+    path = tmp_path / "log.mcap"
+    with pytest.raises(DiskFullError, match="No space left"):
+        write_log(path, iter(chunked(500)), Disk(lambda: next(room), 800, 400), said.append)
+    assert said[0] == "ready"
+    assert len(said) == 2
+    assert "left on the disk of the log" in said[1]
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary.statistics.message_count == len(stamps(path)) > 0
+
+
+def test_the_flight_hears_of_it(tmp_path):
+    """The limits are above what any disk has: the scribe warns, then ends."""
+
+    def fly() -> None:
+        with Recorder(tmp_path / "log.mcap", warn_below=10**18, end_below=10**18) as recorder:
+            for k in range(10**6):
+                recorder.write("/truth", PERIOD * k, Truth(PERIOD * k, {"sat1": HERE}))
+                recorder.mark(PERIOD * k)
+
+    with pytest.raises(RecorderError, match="No space left on device"):
+        fly()
+    assert stamps(tmp_path / "log.mcap")
+
+
+def test_a_warning_reaches_the_flight(tmp_path):
+    heard: list[str] = []
+    with Recorder(tmp_path / "log.mcap", warn_below=10**18, end_below=0) as recorder:
+        k = 0
+        while not heard:  # the scribe says it as soon as it sees the first mark
+            recorder.write("/truth", PERIOD * k, Truth(PERIOD * k, {"sat1": HERE}))
+            heard += recorder.mark(PERIOD * k)
+            k += 1
+    assert heard[0].startswith("warning: ")
+
+
+def test_a_write_that_fails_leaves_a_whole_file(tmp_path, monkeypatch):
+    path, calls = tmp_path / "log.mcap", []
+    write = os.write
+
+    def full_at_last(descriptor: int, data: bytes) -> int:
+        calls.append(len(data))
+        if len(calls) == 8:
+            write(descriptor, data[: len(data) // 2])
+            raise OSError(28, "No space left on device")
+        return write(descriptor, data)
+
+    monkeypatch.setattr(os, "write", full_at_last)
+    with pytest.raises(OSError, match="No space left"):
+        write_log(path, iter(chunked(200)), Disk(lambda: 10**12, 0, 0), print)
+    book = LogReader(path)
+    assert len(list(book.read())) > 0
+    assert book.finished
+    with path.open("rb") as file:
+        read = [m.log_time for *_, m in make_reader(file).iter_messages(log_time_order=False)]
+    assert read == stamps(path)
+
+
+def test_a_frame_that_is_cut_off_was_never_sent():
+    import msgspec
+
+    packed = [msgspec.msgpack.encode(f) for f in (Mark(), Entry(0, 5, b"abc"))]
+    stream = b"".join(len(p).to_bytes(4, "little") + p for p in packed)
+    for size in (1, 3, 7, 100):
+        pieces = [stream[k : k + size] for k in range(0, len(stream), size)]
+        assert list(frames(iter(pieces))) == [Mark(), Entry(0, 5, b"abc")]
+    assert list(frames(iter([stream[:-1]]))) == [Mark()]
+
+
+# Readers of others
+
+
+def test_rerun_s_converter_opens_it(tmp_path):
+    cli = pytest.importorskip("rerun_cli")
+    with Recorder(tmp_path / "log.mcap") as recorder:
+        for k in range(100):
+            recorder.write("/truth", PERIOD * k, Truth(PERIOD * k, {"sat1": HERE}))
+    rerun = Path(cli.__file__).parent / "rerun"
+    assert shutil.which(str(rerun))
+    out = tmp_path / "log.rrd"
+    result = subprocess.run(
+        [rerun, "mcap", "convert", tmp_path / "log.mcap", "-o", out],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    chunk = pytest.importorskip("rerun.chunk")
+    paths = {str(c.entity_path) for c in chunk.RrdReader(str(out)).stream().to_chunks()}
+    assert "/truth" in paths

@@ -1,0 +1,54 @@
+"""What the figures of a run show, against a flight made up for it."""
+
+import math
+
+import msgspec
+import numpy as np
+
+from testbed.config import find, load
+from testbed.logs.history import History, VehicleHistory
+from testbed.report.chart import Line
+from testbed.report.figures import figures
+
+T = np.linspace(0.0, 10.0, 101)
+
+
+def still(x: float, y: float) -> VehicleHistory:
+    """A vehicle that stays where it is."""
+    n = len(T)
+    nothing = {name: np.full((n, 3), math.nan) for name in ("reference", "wanted", "planned")}
+    return VehicleHistory(
+        t=T, at=T, pose=np.tile([x, y, 0.0], (n, 1)), twist=np.zeros((n, 3)),
+        force_asked=np.full((n, 2), math.nan), on=np.zeros((n, 8)), offset=np.zeros((n, 8)),
+        supply=np.full(n, 5e5), tank=np.full(n, 2e7), pose_age=np.full(n, 0.03),
+        filtered=np.zeros((n, 2)), events=[], edges=np.zeros((0, 2)), wires=np.zeros((0, 4)),
+        true=np.zeros((0, 6)), **nothing,
+    )  # fmt: skip
+
+
+def flown(count: int) -> dict[str, list[Line]]:
+    """Lines of each figure, with so many vehicles a metre apart in a row."""
+    base = load(find("hold"))
+    names = [f"sat{k}" for k in range(count)]
+    crew = msgspec.structs.replace(base, vehicles=dict.fromkeys(names, base.vehicles["sat1"]))
+    vehicles = {name: still(1.0 * k**2, 0.0) for k, name in enumerate(names)}
+    history = History(vehicles, np.zeros(0), {}, np.zeros((0, 3)))
+    return {
+        chart.key: [item for item in chart.items if isinstance(item, Line)]
+        for chart in figures(crew, history)
+    }
+
+
+def test_pairs_of_a_few_and_the_nearest_of_many():
+    few = flown(4)["separation"]
+    assert [line.name for line in few][:2] == ["sat0, sat1", "sat0, sat2"]
+    assert len(few) == 6
+    many = flown(6)["separation"]
+    assert [line.name for line in many] == [f"sat{k}" for k in range(6)]
+    assert [float(line.y[0]) for line in many] == [1.0, 1.0, 3.0, 5.0, 7.0, 9.0]
+
+
+def test_a_figure_of_nothing_is_left_out():
+    drawn = flown(1)
+    assert not {"separation", "tracking", "obstacles", "filter", "link", "loop"} & set(drawn)
+    assert {"trajectory", "error", "speed", "tank"} <= set(drawn)

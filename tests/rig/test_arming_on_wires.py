@@ -1,0 +1,152 @@
+"""A run on wires is armed by its supervisor, or it is said why not."""
+
+import json
+import threading
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from msgspec.structs import replace
+
+from testbed.cli.main import BAD_INPUT, FAULT, NOT_STARTED, main
+from testbed.config import ConfigError, find, load
+from testbed.logs.log_reader import LogReader
+from testbed.net.session import Publisher, dial
+from testbed.rig.fault_latch import KILLED, FaultLatch
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import warm_up
+from testbed.rig.wired.host import WireRig, loopback
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*words):
+    return CliRunner().invoke(main, ["run", "hold", *words])
+
+
+def phases(out):
+    book = LogReader(Path(out) / "log.mcap")
+    return [json.loads(data)["phase"] for topic, _, data in book.read() if topic == "/supervisor"]
+
+
+def metrics(out):
+    return json.loads((Path(out) / "metrics.json").read_text())
+
+
+def test_a_red_check_is_named_and_nothing_is_armed():
+    done = run("--rig", "bench", "arming.battery=13", "arming.clearance=1", "--out", "out")
+    assert done.exit_code == NOT_STARTED
+    assert "red: sat1 battery: 12.0 V" in done.output
+    assert "not started: hold on the bench\n" in done.output
+    assert "final error" not in done.output  # there is nothing to show
+    assert metrics("out")["red"] == ["sat1 battery: 12.0 V"]
+    assert metrics("out")["phase"] == "DISARMED"
+    assert FaultLatch("bench", "lab", "").fault is None  # no valve could open
+
+
+DIES = """
+class Law:
+    def force(self, own, neighbours, world, t):
+        if abs(own.p[1] + 0.1) < 0.05:  # where it begins, not where it is tried
+            raise ZeroDivisionError("as it was written")
+        return 0.0 * own.p
+"""
+
+
+def test_a_law_that_dies_and_a_clock_that_is_not_known_are_red():
+    Path("dies.py").write_text(DIES)
+    law = 'controller={type="python", law="dies.py:Law"}'
+    done = run("--rig", "bench", law, "criteria={}", "arming.clock_offset_s=1e-7", "--out", "out")
+    assert done.exit_code == NOT_STARTED, done.output
+    reasons = dict(reason.split(": ", 1) for reason in metrics("out")["red"])
+    assert reasons["sat1 law"].endswith("in force: ZeroDivisionError: as it was written")
+    assert reasons["sat1 clock"].endswith("s from the host's")
+    assert phases("out") == []
+
+
+def test_setpoints_of_somebody_else_before_the_start_are_red():
+    rig, over = WireRig(load(find("hold")), bench=True), threading.Event()
+
+    def intrude(endpoint):
+        with dial(endpoint) as session:
+            mouth = Publisher(session, "lab/sat1/setpoint")
+            while not over.wait(0.1):
+                mouth.say(b"anything at all")
+
+    def way(endpoint):
+        threading.Thread(target=intrude, args=(endpoint,)).start()
+        return endpoint
+
+    rig.way = way
+    warm_up(rig.experiment)
+    try:
+        ending = rig.fly(NullObserver())
+    finally:
+        over.set()
+    assert rig.red == ["sat1 session: of somebody else"]
+    assert ending.t == 0.0
+
+
+def test_what_cannot_be_flown_on_wires_is_refused_before_anything_starts():
+    slope = [[[0.0001234567, 0.0001]] * 120] * 120
+    table = replace(
+        load(find("hold")).table, tilt=replace(load(find("hold")).table.tilt, map=slope)
+    )
+    with pytest.raises(ConfigError, match="at most 256 kB"):
+        WireRig(replace(load(find("hold")), table=table), bench=True)
+    dies = 'inject=[{kind="kill_process", vehicle="sat1", event="near_edge", threshold=1}]'
+    with pytest.raises(ConfigError, match="is injected at a time"):
+        WireRig(load(find("hold"), [dies]), bench=True)
+    with pytest.raises(ConfigError, match="nothing on the table"):
+        WireRig(load(find("hold"), [dies]), bench=False)
+
+
+def test_on_the_table_it_says_whom_it_waits_for():
+    said = []
+    rig = WireRig(loopback(load(find("hold")), Path()), bench=False, say=said.append)
+    ending = rig.fly(None, stopped=lambda: bool(said))
+    assert said == ["waiting for sat1: `testbed agent` on each"]
+    assert (ending.t, ending.fault) == (0.0, None)
+
+
+def test_the_run_after_a_fault_says_so_and_resets_it():
+    first = run("--rig", "bench", "duration_s=3", "faults.battery_low.below=12.5", "--out", "one")
+    assert first.exit_code == FAULT
+    assert phases("one") == ["ARMED", "RUNNING", "FAULT"]
+    assert "battery_low" in FaultLatch("bench", "lab", "").fault
+
+    again = run("--rig", "bench", "duration_s=1", "--out", "two")
+    assert again.exit_code != FAULT
+    assert "battery_low" in again.output
+    assert "--reset" in again.output
+    assert phases("two") == ["DISARMED", "ARMED", "RUNNING", "STOPPED"]
+    assert FaultLatch("bench", "lab", "").fault is None
+
+
+def test_on_the_table_somebody_has_to_be_there():
+    done = run("--rig", "table", "--out", "out")
+    assert done.exit_code == BAD_INPUT
+    assert "--arm" in done.output
+    assert not Path("out").exists()
+
+
+def test_a_host_that_was_killed_is_a_fault_too():
+    FaultLatch("table", "lab", "runs/yesterday").set()
+    done = run("--rig", "table", "--arm", "--out", "out")
+    assert done.exit_code == BAD_INPUT
+    assert KILLED in " ".join(done.output.split())
+
+
+def test_on_the_twin_the_same_checks_are_asked():
+    done = run("arming.battery=13", "--out", "out")
+    assert done.exit_code == NOT_STARTED
+    assert "red: sat1 battery: 12.0 V" in done.output
+    assert phases("out") == []

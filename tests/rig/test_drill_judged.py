@@ -1,0 +1,79 @@
+"""How a rehearsed flight on the bench is judged: by boards and by vehicles' last words."""
+
+import pytest
+
+from sim_twin.plant import Touch
+from testbed.cli.drill_wires import Flown, judge, kinds
+from testbed.core.fault_injection import Injection
+from testbed.net.commands import Counts, Ended
+from testbed.rig.wired.server import TableReport
+
+COUNTS = Counts({}, {}, {}, 0, 0, None, None)
+EPOCH = 5_000_000_000  # [ns]
+
+
+def us(t):
+    """The boards' stamp at this time of the run."""
+    return round(1e-3 * EPOCH + 1e6 * t)
+
+
+def ended(t, fault, rows, responses):
+    return Ended(t, fault, COUNTS, rows, responses)
+
+
+def flown(edges, last_words, touches=(), fault=None):
+    report = TableReport(
+        released_ns=EPOCH - 10**9, t=[0.0, 3.0, 6.0],
+        states=[[[0.0] * 6], [[0.1] + [0.0] * 5], [[0.4] + [0.0] * 5]],
+        touches=list(touches), impulse={}, gas={}, openings={}, late_edges={},
+        edges={"sat1": edges}, boards=[], left_as={},
+    )  # fmt: skip
+    return Flown(EPOCH, report, {"sat1": last_words} if last_words else {}, fault)
+
+
+def judged(kind, what):
+    return judge(Injection(kind, "sat1", at_s=2.0), "hold", 0, ["sat1"], what)
+
+
+BRAKED = ended(3.5, "sat1: pose_lost: none", {"pose_stale": 2.1}, {"warn": 2.1, "brake": 2.5})
+
+
+def test_a_fault_that_was_named_and_answered():
+    found = judged("drop_mocap", flown([(us(1.9), 1), (us(2.6), 0)], BRAKED))
+    assert (found.named, found.response, found.late) == ("pose_stale", "brake", 0)
+    assert found.detected_s == pytest.approx(0.1)
+    assert found.shut_s == pytest.approx(0.6)
+    assert found.travelled_m == pytest.approx(0.3)
+    assert found.fault == "sat1: pose_lost: none"
+
+
+def test_what_was_named_before_it_began_does_not_count():
+    early = ended(3.5, None, {"pose_stale": 1.0}, {})
+    found = judged("drop_mocap", flown([], early))
+    assert found.named == ""
+    assert found.detected_s is None
+
+
+@pytest.mark.parametrize("edges", [[(us(1.9), 5)], [(us(1.9), 5), (us(2.9), 0)]])
+def test_valves_that_stay_open_are_counted(edges):
+    coasted = ended(2.5, "sat1: board_silent: x", {"board_silent": 2.3}, {"coast": 2.3})
+    assert judged("brown_out", flown(edges, coasted)).late == 2
+
+
+def test_a_vehicle_that_cannot_speak_is_judged_by_its_board():
+    plan_ran_out = [(us(1.9), 1), (us(2.2), 0)]
+    assert judged("kill_process", flown(plan_ran_out, None)).late == 0
+    assert judged("kill_process", flown([(us(1.9), 1), (us(2.4), 0)], None)).late == 1
+
+
+def test_a_vehicle_that_cannot_push_may_drift_into_something():
+    touch = Touch(4.0, "sat1", "sat2", 0.01)
+    dead = judged("kill_process", flown([], None, [touch]))
+    assert (dead.contacts, dead.adrift) == (0, 1)
+    alive = judged("drop_mocap", flown([], BRAKED, [touch]))
+    assert (alive.contacts, alive.adrift) == (1, 0)
+
+
+def test_all_that_can_break_on_wires_is_rehearsed():
+    assert len(kinds()) >= 24
+    assert {"cut_serial", "stop_process", "kill_host", "foreign_session"} <= set(kinds())

@@ -1,0 +1,78 @@
+"""Faults injected where they happen, over real wires: each is named, and every valve is shut.
+
+`testbed drill --rig bench` does the same with three vehicles, again and again.
+"""
+
+import pytest
+
+from testbed.config import find, load
+from testbed.core.fault_injection import Injection
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import warm_up
+from testbed.rig.wired.host import WireRig
+
+AT = 1.0  # [s]
+
+
+class Noted(NullObserver):
+    """Keeps the rows of the fault table that held, in order."""
+
+    def __init__(self):
+        self.rows, self.commands = {}, []
+
+    def vehicle(self, name, tick):
+        for row in tick.outputs.faults:
+            self.rows.setdefault(row, tick.outputs.t)
+        self.commands.append((tick.outputs.t, tick.outputs.command.on_us))
+
+
+def fly(kind, *overrides, value=None, for_s=1e6, duration=4.0):
+    words = [f"duration_s={duration}", "deploy.law=vehicle", *overrides]
+    experiment = load(find("hold"), words)
+    what = Injection(kind, "sat1", at_s=AT, value=value, for_s=for_s)
+    warm_up(experiment)
+    experiment.inject.append(what)
+    rig, noted = WireRig(experiment, bench=True), Noted()
+    return rig, rig.fly(noted), noted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "value", "names"),
+    [
+        ("operator_gone", None, ["operator_gone"]),
+        ("config_differs", None, ["config_differs"]),
+        ("disk_full", None, ["disk_full"]),
+        ("clock_step", 0.04, ["clock_off"]),
+        ("overrun", 0.09, ["overrun", "watchdog"]),
+        ("flat_battery", None, ["battery_low"]),
+        ("sag", None, ["supply_low"]),
+        ("cut_serial", None, ["board_silent", "watchdog"]),
+        ("brown_out", None, ["board_silent", "battery_low"]),
+        ("freeze_mocap", None, ["pose_frozen"]),
+    ],
+)
+def test_a_fault_is_named_and_ends_the_flight(kind, value, names):
+    rig, ending, noted = fly(kind, value=value)
+    assert ending.fault is not None
+    assert ending.fault.startswith("sat1: ")
+    assert any(name in ending.fault for name in names), (ending.fault, noted.rows)
+    assert rig.supervisor.phase == "FAULT"
+    assert rig.report.edges["sat1"][-1][1] == 0
+    assert rig.contacts == 0
+
+
+@pytest.mark.slow
+def test_messages_of_another_session_are_named_and_change_nothing():
+    _, ending, noted = fly("foreign_session", "deploy.law=host")
+    assert ending.fault is None
+    assert "foreign" in noted.rows
+    assert "setpoint" not in str(noted.rows)
+
+
+@pytest.mark.slow
+def test_the_law_dies_on_the_host_and_the_vehicle_is_brought_to_rest():
+    rig, ending, noted = fly("raise_law", "deploy.law=host")
+    assert "law on the host: SabotageError" in ending.fault
+    assert "fleet" in noted.rows  # it was told, and stopped by itself
+    assert rig.report.edges["sat1"][-1][1] == 0

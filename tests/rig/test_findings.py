@@ -1,0 +1,55 @@
+"""What becomes known of a flight on wires is given out once, whatever is asked for first."""
+
+import pytest
+
+from testbed.config import find, load
+from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Wrench
+from testbed.net.commands import Flown, Pace
+from testbed.rig.wired.run_results import RunResults
+
+STILL = Wrench(0.0, 0.0, 0.0)
+SHUT = (0,) * 8
+
+
+def flown(k):
+    t = 0.1 * k
+    inputs = Inputs(t, True, (), None, {}, Health(t, 5e5, 2e7))
+    outputs = Outputs(t, None, None, STILL, STILL, ValveCommand(k, t, t + 0.1, SHUT, SHUT))
+    return Flown(k, Tick(inputs, outputs), Pace(0.001 * k, None), ((t, 1), (t + 0.05, 0)))
+
+
+@pytest.fixture
+def findings():
+    return RunResults(load(find("hold")))
+
+
+def edges(findings):
+    return [(name, valves.t, valves.mask) for name, valves in findings.valves(since=-1.0)]
+
+
+@pytest.mark.parametrize("valves_first", [True, False])
+def test_the_order_of_asking_does_not_matter(findings, valves_first):
+    for k in (1, 2):
+        findings.note_tick("sat1", flown(k))
+    if valves_first:
+        told = edges(findings)
+        paces = list(findings.paces())
+    else:
+        paces = list(findings.paces())
+        told = edges(findings)
+    assert told == [
+        ("sat1", t, mask) for t, mask in ((0.1, 1), (0.1 + 0.05, 0), (0.2, 1), (0.25, 0))
+    ]
+    assert [(name, t, pace.late_s) for name, t, pace in paces] == [
+        ("sat1", 0.1, 0.001), ("sat1", 0.2, 0.002),
+    ]  # fmt: skip
+
+
+def test_nothing_is_given_out_twice(findings):
+    findings.note_tick("sat1", flown(1))
+    assert len(edges(findings)) == 2
+    assert len(list(findings.paces())) == 1
+    assert edges(findings) == []
+    assert list(findings.paces()) == []
+    findings.note_tick("sat1", flown(2))
+    assert [mask for _, _, mask in edges(findings)] == [1, 0]

@@ -1,0 +1,285 @@
+"""Short flights on the bench: real bytes, real firmware, real processes; nothing left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import pytest
+
+from testbed.config import ConfigError, find, load
+from testbed.net.stop import stop_everything
+from testbed.rig.chain import make_agent
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import make_twin, warm_up
+from testbed.rig.wired.host import WireRig
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Noted(NullObserver):
+    """Keeps every tick."""
+
+    def __init__(self):
+        self.ticks, self.hosts = {}, {}
+
+    def vehicle(self, name, tick):
+        self.ticks.setdefault(name, []).append(tick)
+
+    def host(self, name, tick):
+        self.hosts.setdefault(name, []).append(tick)
+
+
+def listening(pid):
+    """Addresses at which a process, and what it has started, can be reached."""
+    found = set()
+    process = psutil.Process(pid)
+    for one in (process, *process.children(recursive=True)):
+        for connection in one.net_connections("inet"):
+            if connection.status in (psutil.CONN_LISTEN, psutil.CONN_NONE):
+                found.add(connection.laddr.ip)
+    return found
+
+
+def fly(name, *overrides, when_started=lambda rig: None):
+    """On the bench, in this process as host."""
+    experiment = load(find(name), overrides)
+    warm_up(experiment)
+    rig = WireRig(experiment, bench=True)
+    noted, met = Noted(), {}
+
+    def started(rig):
+        met["addresses"] = {ip for pid in rig.children.values() for ip in listening(pid)}
+        met["addresses"] |= listening(os.getpid())
+        met["pids"] = dict(rig.children)
+        met["links"] = list(rig.experiment.table.lab.serial.ports.values())
+        when_started(rig)
+
+    rig.on_start = started
+    ending = rig.fly(noted)
+    return rig, ending, noted, met
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return fly("hold", "duration_s=3")
+
+
+def test_it_is_flown_to_the_end(flown):
+    rig, ending, noted, _ = flown
+    assert ending.fault is None
+    assert ending.t == 3.0
+    assert len(noted.hosts["sat1"]) == 30
+    assert len(noted.ticks["sat1"]) >= 29  # the last one may be under way
+    assert rig.ended["sat1"].fault is None
+    assert rig.contacts == 0
+
+
+def test_the_firmware_moves_the_vehicle(flown):
+    rig, _, noted, _ = flown
+    assert rig.report.openings["sat1"] > 3
+    planned = sum(1 for tick in noted.ticks["sat1"] for on in tick.outputs.command.on_us if on)
+    assert rig.report.openings["sat1"] <= planned
+    track = rig.track()
+    assert track.states[-1, 0, 1] > -0.1 + 0.002  # from y = -0.1 m towards 0
+    assert track.t[-1] <= 3.0
+
+
+def test_the_log_has_the_valves_as_the_board_drove_them(flown):
+    rig, _, _, _ = flown
+    told = [(valves.t, valves.mask) for name, valves in rig.valves(since=-1.0)]
+    seen = [(1e-9 * (1000 * at - rig.epoch_ns), mask) for at, mask in rig.report.edges["sat1"]]
+    flying = [edge for edge in seen if edge[0] < told[-1][0] + 1e-3]
+    assert [mask for _, mask in told] == [mask for _, mask in flying]
+    for (t, _), (at, _) in zip(told, flying, strict=True):
+        assert t == pytest.approx(at, abs=0.02)  # two readings of the board's clock
+
+
+def test_the_log_has_how_the_wires_are(flown):
+    rig, _, _, _ = flown
+    paces = [pace for _, _, pace in rig.paces()]
+    assert len(paces) >= 29
+    assert paces[-1].setpoints_heard >= 28
+    assert paces[-1].setpoint_delay_s > 0.0
+    assert paces[-1].round_trip_s > 0.0
+    assert rig.loop[1] > 0.0
+
+
+def test_poses_may_come_on_the_network():
+    rig, ending, noted, _ = fly("hold", "duration_s=1", "table.lab.mocap.system=zenoh")
+    assert ending.fault is None
+    assert sum(len(tick.inputs.samples) for tick in noted.ticks["sat1"]) > 50
+    assert rig.ended["sat1"].counts.lost_frames < 20
+
+
+@pytest.mark.parametrize(
+    ("bench", "board", "words"),
+    [(True, "inproc", "host or qemu"), (True, "unicorn", "host or qemu"),
+     (False, "qemu", "its boards are the lab")],
+)  # fmt: skip
+def test_a_board_that_this_rig_cannot_have_is_refused(bench, board, words):
+    with pytest.raises(ConfigError, match=words):
+        WireRig(load(find("hold"), [f"board={board}"]), bench=bench)
+
+
+def test_a_twin_has_no_board_in_real_time():
+    with pytest.raises(ConfigError, match="on the twin"):
+        make_twin(load(find("hold"), ["board=qemu"]))
+
+
+def test_what_the_metrics_say(flown):
+    rig, _, _, _ = flown
+    wires = rig.wires()
+    assert wires["commands"].sent >= 28
+    assert (wires["commands"].rejected, wires["commands"].expired) == (0, 0)
+    assert wires["lateness_p99_ms"] > 0.0
+    assert wires["pose_to_valve_p99_ms"] >= wires["pose_to_valve_p50_ms"] > 0.0
+    assert "firmware" in wires["board"]
+
+
+def test_the_same_chain_gives_the_same_outputs(flown):
+    rig, _, noted, _ = flown
+    agent = make_agent(rig.experiment, "sat1")
+    for tick in noted.ticks["sat1"]:
+        assert agent.step(tick.inputs) == tick.outputs
+
+
+def test_nobody_listens_beyond_this_machine(flown):
+    assert flown[3]["addresses"] == {"127.0.0.1"}
+
+
+def assert_nothing_is_left(met):
+    assert [name for name, pid in met["pids"].items() if psutil.pid_exists(pid)] == []
+    assert [link for link in met["links"] if Path(link).exists()] == []
+    assert not Path(met["links"][0]).parent.exists()
+
+
+def test_nothing_is_left(flown):
+    assert_nothing_is_left(flown[3])
+
+
+def test_three_vehicles_with_the_law_on_board_and_bad_weather():
+    rig, ending, noted, met = fly(
+        "zhang2023_table", "duration_s=2", "deploy.law=vehicle",
+        "table.lab.weather={loss=0.05, delay_s=0.02, spread_s=0.01}",
+    )  # fmt: skip
+    assert ending.fault is None
+    assert set(noted.ticks) == {"sat1", "sat2", "sat3"}
+    heard = noted.ticks["sat2"][-1].inputs.neighbours
+    assert set(heard) == {"sat1", "sat3"}
+    assert rig.wires()["commands"].sent == 0  # setpoints are made on board
+    assert_nothing_is_left(met)
+
+
+def test_an_operator_says_stop(capsys):
+    endpoint = []
+
+    def stop_later(rig):
+        endpoint.append(rig.experiment.table.lab.network.endpoint)
+        threading.Timer(2.0, stop_everything, (endpoint[0], "lab")).start()
+
+    rig, ending, _, met = fly("hold", "duration_s=30", when_started=stop_later)
+    assert ending.fault == "stopped by the operator"
+    assert ending.t < 20.0
+    assert rig.report.left_as["sat1"] == ("SAFE", [])
+    assert "1 vehicle has closed its valves" in capsys.readouterr().out
+    assert_nothing_is_left(met)
+
+
+def test_stop_knows_nothing_and_loads_nothing(tmp_path):
+    program = (
+        "import sys; from click.testing import CliRunner; from testbed.cli.main import main;"
+        "code = CliRunner().invoke(main, ['stop']).exit_code;"
+        "print(code, sorted({'numpy', 'numba', 'rerun', 'msgspec'} & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(tmp_path)},
+    )  # fmt: skip
+    assert done.stdout.split(" ", 1) == ["1", "[]\n"]
+
+
+@pytest.fixture
+def start(tmp_path):
+    """`testbed run --rig bench` in a process of its own, until its vehicle flies."""
+    started = []
+
+    def start():
+        env = os.environ | {
+            "PYTHONPATH": str(ROOT),
+            "XDG_RUNTIME_DIR": str(tmp_path),
+            "XDG_STATE_HOME": str(tmp_path),
+        }
+        process = subprocess.Popen(
+            [sys.executable, "-m", "testbed.cli.main", "run", "hold", "--rig", "bench",
+             "--out", str(tmp_path / "out")],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env,
+            start_new_session=True,
+        )  # fmt: skip
+        started.append(process)
+        for _ in range(12000):
+            tree = process_tree(process)
+            ready = [one for one in tree if "agent" in words_of(one)]
+            if ready and any("pts" in fd for fd in files(ready[0])):  # it has its board
+                return process, tree
+            assert process.poll() is None, process.communicate()
+            threading.Event().wait(0.01)
+        pytest.fail("two minutes are enough")
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def words_of(process):
+    try:
+        return process.cmdline()
+    except psutil.Error:  # it has just ended
+        return []
+
+
+def files(process):
+    found = []
+    for path in Path(f"/proc/{process.pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile
+            found.append(str(path.readlink()))
+    return found
+
+
+def process_tree(process):
+    try:
+        return psutil.Process(process.pid).children(recursive=True)
+    except psutil.NoSuchProcess:  # the caller finds out how it ended
+        return []
+
+
+def assert_gone(processes):
+    _, alive = psutil.wait_procs(processes, timeout=60)
+    assert [one.cmdline() for one in alive] == []
+
+
+def test_ctrl_c_ends_everything(start, tmp_path):
+    process, tree = start()
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130, (stdout, stderr)
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["completed"] is False
+    assert_gone(tree)
+
+
+@pytest.mark.parametrize("stopped", [False, True], ids=["", "with a stopped child"])
+def test_a_killed_parent_takes_everything_along(start, stopped):
+    process, tree = start()
+    agent = next(one for one in tree if "agent" in one.cmdline())
+    ports = [fd for fd in files(agent) if "pts" in fd]
+    if stopped:
+        agent.suspend()
+    process.kill()
+    assert_gone(tree)
+    assert ports
