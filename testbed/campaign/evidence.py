@@ -68,4 +68,4 @@ def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, floa
     extra = beside_metrics(experiment, track)
     outcome, reason = outcome_of(metrics)
     columns = columns_of(metrics, experiment, extra)
-    return within(Flown(k, outcome, reason, columns, metrics.criteria), most, least)
+    return within(Flown(k, outcome, reason, columns, metrics.criteria or {}), most, least)

@@ -82,7 +82,7 @@ def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
     flown = metrics.vehicles.values()
     failed = [
         f"{name} not reached" if any(getattr(one, name, 0.0) is None for one in flown) else name
-        for name, met in metrics.criteria.items()
+        for name, met in (metrics.criteria or {}).items()
         if not met
     ]
     return ("failed", ", ".join(failed)) if failed else ("passed", "")

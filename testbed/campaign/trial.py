@@ -34,7 +34,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
         completed = ending.fault is None
         metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)
         columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
-        (outcome, reason), criteria = outcome_of(metrics), metrics.criteria
+        (outcome, reason), criteria = outcome_of(metrics), metrics.criteria or {}
     except ConfigError as error:
         outcome = "refused"
         reason = f"{error.key}: expected {error.expected}, found {error.found}"

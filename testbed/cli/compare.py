@@ -23,13 +23,13 @@ from testbed.report.goal_error import Wanted
 from testbed.report.page import (
     OF_A_GOAL,
     ROWS,
-    UNCOUNTED,
     ReportError,
     figure,
     known,
     page,
     together_of,
 )
+from testbed.report.verdict import UNCOUNTED
 from testbed.run.post_mortem import judged
 
 TOGETHER = {  # key of a row, of the formation's metrics
@@ -134,7 +134,7 @@ def verdict(metrics: Metrics) -> str:
         return "aborted"
     if not metrics.completed:
         return "interrupted"
-    return "passed" if all(metrics.criteria.values()) else "failed"
+    return "passed" if all((metrics.criteria or {}).values()) else "failed"
 
 
 def render(runs: Sequence[Run]) -> str:

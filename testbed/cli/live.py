@@ -16,6 +16,7 @@ from rich.table import Table as Grid
 
 from testbed.config import Experiment
 from testbed.core.types import Tick
+from testbed.report.fault_story import STOPPING_TOO, follows, short
 from testbed.report.goal_error import Wanted
 from testbed.run.fly import FlightScreen
 
@@ -105,8 +106,11 @@ class LiveTable(FlightScreen):
         setup, out = self._experiment.vehicles[name], tick.outputs
         left = tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
         gas = f"{100.0 * left:.0f}" if left > 0.0 else "-"  # no gauge
-        said = escape(out.fault or out.inhibit_reason or "")
-        state = f"[red]{said}[/]" if out.fault else f"[yellow]{said}[/]" if said else "flies"
+        state = f"[yellow]{escape(out.inhibit_reason)}[/]" if out.inhibit_reason else "flies"
+        if out.fault and follows(self._experiment, out.fault):
+            state = f"[red]{STOPPING_TOO}[/]"
+        elif out.fault:
+            state = f"[bold white on red]FAULT {escape(short(out.fault))}[/]"
         if (now := out.state) is None:
             return name, state, "-", "-", "-", gas, "-"
         pose = now.pose

@@ -84,7 +84,7 @@ def run_experiment(
         return FAULT
     if not metrics.completed:
         return INTERRUPTED
-    return OK if all(metrics.criteria.values()) else FAILED
+    return OK if all((metrics.criteria or {}).values()) else FAILED
 
 
 def report(folder: Path) -> None:

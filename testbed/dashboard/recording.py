@@ -1,5 +1,6 @@
 """A run for the rerun viewer: the log as its recording."""
 
+from itertools import islice
 from pathlib import Path
 
 import rerun as rr
@@ -12,7 +13,7 @@ from testbed.logs.export import refuse_older
 from testbed.logs.feed import LogFeed
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 
-BATCH = 500  # messages
+BATCH = 5000  # messages at once; what is drawn does not depend on it
 
 
 def write_recording(run: Path, out: Path) -> Path:
@@ -26,13 +27,10 @@ def write_recording(run: Path, out: Path) -> Path:
     with whole(out) as part:
         recording.set_sinks(rr.FileSink(part))
         recording.send_blueprint(blueprint(scenario, live=False))
-        scene, batch = Scene(scenario, recording), []
-        for one in LogFeed(LogReader(log_of(run))).news():
-            batch.append(one)
-            if len(batch) >= BATCH and one.topic == "/truth":
-                scene.draw(batch)
-                batch = []
-        scene.draw(batch)
+        scene, news = Scene(scenario, recording), LogFeed(LogReader(log_of(run))).news()
+        while batch := list(islice(news, BATCH)):
+            scene.draw(batch)
+        scene.finish()
         recording.flush()
         recording.disconnect()
     return out

@@ -61,14 +61,14 @@ class Run(Mapping[str, Vehicle]):
 
     @property
     def criteria(self) -> dict[str, bool]:
-        """Each criterion of the experiment, met or not."""
-        return dict(self.metrics.criteria)
+        """Each criterion of the experiment, met or not; empty if the run is not judged."""
+        return dict(self.metrics.criteria or {})
 
     @property
     def passed(self) -> bool:
         """The flight reached its end without a fault and met all criteria."""
         m = self.metrics
-        return m.completed and m.fault is None and not m.red and all(m.criteria.values())
+        return m.completed and m.fault is None and not m.red and all(self.criteria.values())
 
     @property
     def fault(self) -> str | None:
@@ -149,7 +149,7 @@ class Run(Mapping[str, Vehicle]):
         m = self.metrics
         verdict = "passed" if self.passed else m.fault or (
             "not completed" if not m.completed
-            else "failed " + ", ".join(k for k, met in m.criteria.items() if not met)
+            else "failed " + ", ".join(k for k, met in self.criteria.items() if not met)
         )  # fmt: skip
         return f"Run of {m.experiment} on the {m.rig}, seed {m.seed}, {m.duration_s:g} s: {verdict}"
 

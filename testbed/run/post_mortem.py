@@ -24,7 +24,8 @@ from testbed.metrics.run_metrics import (
     smallest_separation,
     vehicle_metrics,
 )
-from testbed.report.page import UNCOUNTED, read_metrics
+from testbed.report.page import read_metrics
+from testbed.report.verdict import UNCOUNTED
 from testbed.rig.chain import formation_context
 
 
@@ -59,7 +60,7 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
         contacts=UNCOUNTED,
         min_vehicle_distance_m=smallest_separation(track),
         fault=why,
-        criteria={},
+        criteria=None,
         vehicles={
             name: _vehicle(track, k, experiment, name, aims[name].aim())
             for k, name in enumerate(experiment.vehicles)

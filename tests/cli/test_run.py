@@ -19,7 +19,7 @@ WIRES = {
 METRICS = {
     "experiment", "rig", "seed", "completed", "duration_s", "wall_s", "real_time_factor",
     "contacts", "min_vehicle_distance_m", "criteria", "vehicles", "warnings",
-    "phase", "red",
+    "phase", "red", "touches",
     "formation",
 }  # fmt: skip
 VEHICLE_METRICS = {
