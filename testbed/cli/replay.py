@@ -6,15 +6,23 @@ from contextlib import redirect_stdout
 from pathlib import Path
 
 import msgspec
+from msgspec.structs import replace
 from rich.console import Console
 
 from testbed.cli.main import FAILED, OK
-from testbed.cli.refusal import refuse
+from testbed.cli.refusal import refuse, warn
 from testbed.config import ConfigError, Experiment, load
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import HostNode
 from testbed.logs.log_reader import LogError, LogReader, log_of
-from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
+from testbed.logs.replay import (
+    AtHost,
+    LoggedHost,
+    LoggedLink,
+    Replay,
+    before_damage,
+    replay,
+)
 from testbed.rig.chain import make_agent, make_guidance
 
 
@@ -41,11 +49,16 @@ def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
 def replay_experiment(experiment: Experiment, log: Path) -> Replay:
     """The log through the agents and laws that the experiment makes today."""
     hosts = experiment.vehicles if experiment.deploy.law == "host" else {}
-    return replay(
-        LogReader(log).read(),
-        {name: make_agent(experiment, name).step for name in experiment.vehicles},
-        {name: LoggedHost(_law_of(experiment, name)) for name in hosts},
-    )
+    book = LogReader(log)
+    try:
+        verdict = replay(
+            before_damage(book),
+            {name: make_agent(experiment, name).step for name in experiment.vehicles},
+            {name: LoggedHost(_law_of(experiment, name)) for name in hosts},
+        )
+    finally:
+        warn(book.said())
+    return replace(verdict, whole=not book.lost)
 
 
 def _law_of(experiment: Experiment, name: str) -> Callable[[LoggedLink], AtHost]:
@@ -60,7 +73,8 @@ def _law_of(experiment: Experiment, name: str) -> Callable[[LoggedLink], AtHost]
 def _print(verdict: Replay) -> None:
     out, first = Console(highlight=False), verdict.first_difference
     if first is None:
-        out.print(f"[bold green]bit-exact[/]: {verdict.ticks} ticks")
+        part = "" if verdict.whole else ", up to the damage"
+        out.print(f"[bold green]bit-exact[/]: {verdict.ticks} ticks{part}")
         return
     out.print(
         f"[bold red]different[/] ({verdict.ticks} ticks), first at tick "

@@ -6,7 +6,7 @@ from pathlib import Path
 from rich.console import Console
 
 from testbed.cli.main import OK
-from testbed.cli.refusal import refuse
+from testbed.cli.refusal import refuse, warn
 from testbed.config import ConfigError, load
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
@@ -33,7 +33,9 @@ def make_report(folder: Path) -> list[Path]:
     """The files of the page; all that it says is in the folder."""
     config, log = folder / "config.toml", log_of(folder)
     scenario = load(config)
-    history = gather(LogFeed(LogReader(log)).news())
+    book = LogReader(log)
+    history = gather(LogFeed(book).news())
+    warn(book.said())
     text = config.read_text(encoding="utf-8")
     return write_report(folder, scenario, history, judged(folder, log, scenario, history), text)
 

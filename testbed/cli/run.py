@@ -267,7 +267,8 @@ def fly_and_judge(
         rig = replace(rig, pace=pace)
     aims = {name: ReferenceLog() for name in experiment.vehicles}
     try:
-        with Recorder(folder / "log.mcap") as recorder, live:
+        recorder = Recorder(folder / "log.mcap", vehicles=list(experiment.vehicles))
+        with recorder, live:
             with interrupt.at_once():
                 warm_up(experiment, lambda: interrupt.asked)
             if not interrupt.asked:

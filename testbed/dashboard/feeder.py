@@ -33,13 +33,17 @@ def tell(run: Path, url: str) -> None:
     plan = blueprint(scenario, live=True)
     recording.connect_grpc(url, default_blueprint=plan)
     recording.send_blueprint(plan)
-    feed: Feed = LogFeed(wait_for(log_of(run)))
-    scene, pause = Scene(scenario, recording), Event()
+    book = wait_for(log_of(run))
+    feed: Feed = LogFeed(book)
+    scene, pause, said = Scene(scenario, recording), Event(), 0
     while True:
         ended, news = feed.ended, feed.news()
         while batch := list(islice(news, BATCH)):
             scene.draw(batch)
             recording.flush()  # waits for a viewer that is stopped: rerun would gather 300 MB
+        for line in book.said()[said:]:
+            said += 1
+            sys.stderr.write(f"dashboard: warning: {line}\n")
         if ended:
             break
         pause.wait(PERIOD_S)

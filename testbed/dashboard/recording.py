@@ -4,6 +4,7 @@ from pathlib import Path
 
 import rerun as rr
 
+from testbed.cli.refusal import warn
 from testbed.cli.replay import config_of
 from testbed.config import ConfigError, load
 from testbed.dashboard.blueprint import blueprint
@@ -23,12 +24,13 @@ def write_recording(run: Path, out: Path) -> Path:
         scenario = load(config_of(run))
     except ConfigError as error:
         raise LogError(str(error)) from None
+    book = LogReader(log_of(run))
     recording = rr.RecordingStream("airbearing-testbed", recording_id=str(run.resolve()))
     with whole(out) as part:
         recording.set_sinks(rr.FileSink(part))
         recording.send_blueprint(blueprint(scenario, live=False))
         scene, batch = Scene(scenario, recording), []
-        for one in LogFeed(LogReader(log_of(run))).news():
+        for one in LogFeed(book).news():
             batch.append(one)
             if len(batch) >= BATCH and one.topic == "/truth":
                 scene.draw(batch)
@@ -36,4 +38,5 @@ def write_recording(run: Path, out: Path) -> Path:
         scene.draw(batch)
         recording.flush()
         recording.disconnect()
+    warn(book.said())
     return out
