@@ -14,7 +14,7 @@ from types import FrameType
 from rich.console import Console
 
 from testbed.cli.exit_code import OK
-from testbed.cli.refusal import errors, refuse
+from testbed.cli.refusal import errors, refuse, warn
 from testbed.dashboard.viewer import (
     LOOPBACK,
     Address,
@@ -153,7 +153,7 @@ def play_run(run: Path) -> None:
 
     with TemporaryDirectory() as folder:
         try:
-            recording = write_recording(run, Path(folder) / "run.rrd")
+            recording = write_recording(run, Path(folder) / "run.rrd", warn)
             start("window", address_for(), [recording]).wait()
         except (LogError, ViewerError) as error:
             refuse(error)

@@ -9,7 +9,7 @@ from pathlib import Path
 from testbed.cli.exit_code import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.cli.live import LiveTable
 from testbed.cli.operator import Operator
-from testbed.cli.refusal import errors, refuse
+from testbed.cli.refusal import errors, refuse, warn
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
@@ -91,7 +91,7 @@ def report(folder: Path) -> None:
     """Make the page; the verdict on the flight stands without it."""
     try:
         with redirect_stdout(sys.stderr):  # it reads the law's file
-            make_report(folder)
+            make_report(folder, warn)
     except (ReportError, LogError) as error:
         errors.print(
             f"warning: no report: {error}\n  later     testbed report {folder}",

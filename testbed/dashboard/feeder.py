@@ -32,7 +32,10 @@ def tell(run: Path, url: str) -> None:
     plan = blueprint(scenario, live=True)
     recording.connect_grpc(url, default_blueprint=plan)
     recording.send_blueprint(plan)
-    follow(LogFeed(wait_for(log_of(run))), Scene(scenario, recording), recording)
+    book = wait_for(log_of(run))
+    follow(LogFeed(book), Scene(scenario, recording), recording)
+    for line in book.said():
+        sys.stderr.write(f"dashboard: warning: {line}\n")
 
 
 def follow(feed: Feed, scene: Scene, recording: rr.RecordingStream, batch: int = BATCH) -> None:

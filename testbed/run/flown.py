@@ -50,14 +50,15 @@ class Run(Mapping[str, Vehicle]):
         experiment: what was flown.
         metrics: the numbers of metrics.json.
         folder: where the run is kept; None for a run without a log.
+        damage: a line for each place at which the log is damaged; what is left is read.
     """
 
     def __init__(
         self, experiment: Experiment, metrics: Metrics, history: History,
-        folder: Path | None = None,
+        folder: Path | None = None, damage: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
         self.experiment, self.metrics, self.folder = experiment, metrics, folder
-        self._history = history
+        self._history, self.damage = history, damage
 
     @property
     def criteria(self) -> dict[str, bool]:
@@ -221,5 +222,7 @@ def open_run(folder: str | Path) -> Run:
 def read_run(files: Path, folder: Path | None, experiment: Experiment) -> Run:
     """Read the files of a run, which is said to be kept in `folder`."""
     log = log_of(files)
-    history = gather(LogFeed(LogReader(log)).news())
-    return Run(experiment, judged(log.parent, log, experiment, history), history, folder)
+    book = LogReader(log)
+    history = gather(LogFeed(book).news())
+    metrics = judged(log.parent, log, experiment, history)
+    return Run(experiment, metrics, history, folder, tuple(book.said()))

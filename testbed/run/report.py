@@ -1,6 +1,6 @@
 """The report page of a run, made from its folder."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from testbed.config import load
@@ -13,11 +13,18 @@ from testbed.run.post_mortem import judged
 ZOOM = 4  # of a picture made of pixels: 2400 wide, 8 inches at 300 dpi
 
 
-def make_report(folder: Path) -> list[Path]:
-    """The files of the page; all that it says is in the folder."""
+def make_report(folder: Path, warn: Callable[[list[str]], None] = lambda lines: None) -> list[Path]:
+    """The files of the page; all that it says is in the folder.
+
+    Args:
+        folder: of a run.
+        warn: is handed a line for each damaged place of the log.
+    """
     config, log = folder / "config.toml", log_of(folder)
     scenario = load(config)
-    history = gather(LogFeed(LogReader(log)).news())
+    book = LogReader(log)
+    history = gather(LogFeed(book).news())
+    warn(book.said())
     text = config.read_text(encoding="utf-8")
     return write_report(folder, scenario, history, judged(folder, log, scenario, history), text)
 
