@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from testbed.core.extra import pip_install
+
 
 class MissingExtraError(Exception):
     """A verb needs packages that are not installed."""
@@ -20,5 +22,5 @@ def needs_extra(name: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         raise MissingExtraError(
             f"the package `{error.name}` is not installed\n"
-            f"  expected  the extra `{name}`: pip install 'airbearing-testbed[{name}]'"
+            f"  expected  the extra `{name}`: {pip_install(name)}"
         ) from None

@@ -8,6 +8,7 @@ from rich.console import Console
 from testbed.cli.main import OK
 from testbed.cli.refusal import refuse
 from testbed.config import ConfigError, load
+from testbed.core.extra import pip_install
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogError, LogReader, log_of
@@ -43,7 +44,7 @@ def make_pictures(drawings: Iterable[Path]) -> None:
     try:
         import resvg_py
     except ImportError:
-        raise ReportError("PNG needs resvg-py: pip install 'airbearing-testbed[figures]'") from None
+        raise ReportError(f"PNG needs resvg-py: {pip_install('figures')}") from None
     for drawing in drawings:
         png = resvg_py.svg_to_bytes(
             svg_string=drawing.read_text(encoding="utf-8"), zoom=ZOOM, font_family="DejaVu Sans"

@@ -47,6 +47,7 @@ from testbed.rig.interface import Rig
 from testbed.rig.twin import TwinRig, make_twin, warm_up
 from testbed.run.folder import FolderError, new_folder, take_back, write_config, write_metrics
 
+LINE_S = 10.0  # between two lines where there is no terminal [s]
 FORMATION_S = 1.0  # between two entries of the five elements in the log [s]
 
 
@@ -61,6 +62,9 @@ def run_experiment(
     *,
     arm: bool = False,
     reset: bool = False,
+    here: bool = False,
+    bind: str | None = None,
+    port: int | None = None,
 ) -> int:
     """Fly and return the exit code."""
     interrupt, board, folder = Interrupt(), None, None
@@ -70,15 +74,21 @@ def run_experiment(
     try:
         with redirect_stdout(sys.stderr):  # what a law prints is not the result
             experiment = load(find(name), overrides)
-        check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
+        if here:
+            experiment = on_this_machine(experiment, rig)
+        models = {name: setup.model for name, setup in experiment.vehicles.items()}
+        check_boards(experiment.board, models, rig)
         operator.must_be_there(rig)
+        if view is None and (bind or port):
+            found = f"--bind {bind}" if bind else f"--port {port}"
+            raise ConfigError("command line", "", "--web or --view with it", found)
         with interrupt.caught():
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             if view is not None:
                 from testbed.cli.dash import beside_run
 
-                board = beside_run(folder, view)
+                board = beside_run(folder, view, bind or "127.0.0.1", port)
             make = maker(rig, experiment, folder, operator)
             with redirect_stdout(sys.stderr):
                 metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator)
@@ -110,6 +120,15 @@ def run_experiment(
     if not metrics.completed:
         return INTERRUPTED
     return OK if all(metrics.criteria.values()) else FAILED
+
+
+def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
+    """For `--local`: a table whose cameras and boards are those of `testbed twin --local`."""
+    if rig != "table":
+        raise ConfigError("command line", "--local", "--rig table", f"--rig {rig}")
+    from testbed.rig.wired.local import local
+
+    return local(experiment)
 
 
 def report(folder: Path) -> None:
@@ -258,7 +277,9 @@ def fly_and_judge(
     """Fly, with the log in `folder`, and judge. `make` builds the rig; by default the twin."""
     interrupt = interrupt or Interrupt()
     rig, ending, wall = (make or make_twin)(experiment), Ending(0.0, None), 0.0
-    live = LiveTable(experiment, errors)
+    # a flight in real time says in a pipe or a log how far it is
+    line_s = None if isinstance(rig, TwinRig) else LINE_S
+    live = LiveTable(experiment, errors, line_s)
     if operator is not None:
         operator.live = live
     pace = None

@@ -15,6 +15,8 @@ from typing import Literal
 
 from msgspec import Struct
 
+from testbed.core.extra import pip_install
+
 LOOPBACK = "127.0.0.1"
 MEMORY = "1GB"
 SERVER_MEMORY = "300MB"
@@ -67,9 +69,7 @@ def program() -> Path:
     try:
         import rerun_cli
     except ImportError:
-        raise ViewerError(
-            "the dashboard needs rerun: pip install 'airbearing-testbed[dashboard]'"
-        ) from None
+        raise ViewerError(f"the dashboard needs rerun: {pip_install('dashboard')}") from None
     return Path(rerun_cli.__file__).parent / "rerun"
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.extra import pip_install
 from testbed.files import whole
 from testbed.logs.defaults import KINDS, complete
 from testbed.logs.log_reader import LogError, Row
@@ -135,9 +136,7 @@ def to_parquet(found: dict[str, Table], folder: Path) -> list[Path]:
         import pyarrow as arrow
         from pyarrow import parquet
     except ImportError:
-        raise ExportError(
-            "parquet needs pyarrow: pip install 'airbearing-testbed[export]'"
-        ) from None
+        raise ExportError(f"parquet needs pyarrow: {pip_install('export')}") from None
     paths = _names(found, folder, "parquet")
     for topic, table in found.items():
         with whole(paths[topic]) as part:
