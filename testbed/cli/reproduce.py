@@ -15,6 +15,7 @@ from rich.text import Text
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError
+from testbed.core.extra import pip_install
 from testbed.reproduction.audit import Made, RunError, made, rows_of, tasks_of
 from testbed.reproduction.claim import (
     CHECK,
@@ -168,7 +169,7 @@ def ready_for_plots(folder: Path) -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        what = "matplotlib: pip install 'airbearing-testbed[plots]'"
+        what = f"matplotlib: {pip_install('plots')}"
         raise ConfigError("--plots", "", what, "it is not installed") from None
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.error import TestbedError
+from testbed.core.extra import pip_install
 from testbed.files import whole
 from testbed.logs.defaults import KINDS, complete
 from testbed.logs.log_reader import UNREADABLE, LogError, Row
@@ -141,9 +142,7 @@ def to_parquet(found: dict[str, Table], folder: Path) -> list[Path]:
         import pyarrow as arrow
         from pyarrow import parquet
     except ImportError:
-        raise ExportError(
-            "parquet needs pyarrow: pip install 'airbearing-testbed[export]'"
-        ) from None
+        raise ExportError(f"parquet needs pyarrow: {pip_install('export')}") from None
     paths = _names(found, folder, "parquet")
     for topic, table in found.items():
         with whole(paths[topic]) as part:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from testbed.config import load
+from testbed.core.extra import pip_install
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader, log_of
@@ -34,7 +35,7 @@ def make_pictures(drawings: Iterable[Path]) -> None:
     try:
         import resvg_py
     except ImportError:
-        raise ReportError("PNG needs resvg-py: pip install 'airbearing-testbed[figures]'") from None
+        raise ReportError(f"PNG needs resvg-py: {pip_install('figures')}") from None
     for drawing in drawings:
         png = resvg_py.svg_to_bytes(
             svg_string=drawing.read_text(encoding="utf-8"), zoom=ZOOM, font_family="DejaVu Sans"

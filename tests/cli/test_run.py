@@ -330,3 +330,30 @@ def test_a_folder_that_may_not_be_written(start, here, out):
     assert "Permission denied" in stderr
     assert "Traceback" not in stderr
     assert list(locked.iterdir()) == []
+
+
+@pytest.mark.parametrize("words", [["--port", "9000"], ["--bind", "0.0.0.0"]])
+def test_a_port_of_the_dashboard_needs_a_dashboard(testbed, words):
+    result = testbed("run", "hold", *words)
+    assert result.exit_code == 2
+    assert "--web or --view" in result.stderr
+    assert not Path("runs").exists()
+
+
+def test_the_dashboard_of_a_run_listens_where_it_was_asked_to(testbed, tmp_path, monkeypatch):
+    opened = []
+
+    class Board:
+        def terminate(self): ...
+
+        wait = terminate
+
+    def beside_run(*where):
+        opened.append(where)
+        return Board()
+
+    monkeypatch.setattr("testbed.cli.dash.beside_run", beside_run)
+    out = tmp_path / "out"
+    where = ("--web", "--bind", "0.0.0.0", "--port", "9000", "--speed", "1000")
+    testbed("run", "hold", "duration_s=0.5", *where, "--out", out)
+    assert opened == [(out, "web", "0.0.0.0", 9000)]
