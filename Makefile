@@ -8,6 +8,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # One stamp per extra, because the tests must not wait for the 660 MB dashboard.
+OPERATOR := $(VENV)/.installed-operator
 DASHBOARD := $(VENV)/.installed-dashboard
 DEV := $(VENV)/.installed-dev
 
@@ -19,7 +20,7 @@ DEV := $(VENV)/.installed-dev
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo: $(DASHBOARD)  ## Fly zhang2023's experiment on the twin of the table
+demo: $(OPERATOR)  ## Fly zhang2023's experiment on the twin of the table
 	@$(BIN)/testbed run zhang2023_table
 
 # One process more than cores: a third of the time tests wait for something that flies in real time.
@@ -62,13 +63,13 @@ format: $(DEV)  ## Rewrite the code in the house format
 	@$(BIN)/ruff check --quiet --select I --fix
 	@$(BIN)/ruff format
 
-constraints: $(DASHBOARD) $(DEV)  ## Rewrite constraints.txt from what is in .venv
+constraints: $(OPERATOR) $(DEV)  ## Rewrite constraints.txt from what is in .venv
 	@echo "Writing constraints.txt from $(VENV)"
 	@$(PIP) list --format=freeze --exclude airbearing-testbed --exclude pip --exclude setuptools >$(VENV)/pins
 	@{ head -n 2 constraints.txt; LC_ALL=C sort -f $(VENV)/pins; } >$(VENV)/constraints
 	@mv $(VENV)/constraints constraints.txt
 	@rm $(VENV)/pins
-	@touch $(DASHBOARD) $(DEV)
+	@touch $(OPERATOR) $(DEV)
 
 clean:  ## Remove caches and builds; .venv and runs/ stay
 	@echo "Removing caches and builds"
@@ -82,6 +83,11 @@ $(VENV)/pyvenv.cfg:
 		{ echo "Python >= 3.11 is needed, '$(PYTHON)' is not; try: make PYTHON=python3.11" >&2; exit 1; }
 	@echo "Creating $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
+
+$(OPERATOR): $(VENV)/pyvenv.cfg pyproject.toml constraints.txt
+	@echo "Installing into $(VENV) what README's commands need: 1.5 GB, some minutes the first time"
+	@$(PIP) install -q -c constraints.txt -e '.[operator]'
+	@touch $@
 
 $(DASHBOARD): $(VENV)/pyvenv.cfg pyproject.toml constraints.txt
 	@echo "Installing into $(VENV), with the dashboard: 1 GB, some minutes the first time"

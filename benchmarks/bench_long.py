@@ -47,7 +47,7 @@ def main():
     )
     if rig.report is not None:
         print("  " + ", ".join(f"{n} {ms:.0f}" for n, ms in rig.report.silence_ms.items()))
-        print(f"  late edges {rig.report.late_edges}, contacts {rig.contacts}")
+        print(f"  late edges {rig.report.late_edges}, contacts {len(rig.touches)}")
     return int(ending.fault is not None)
 
 

@@ -52,7 +52,7 @@ def cost(experiment):
         ending = rig.fly(NullObserver())
         spent = time.process_time() - began
     assert ending.fault is None, ending.fault
-    assert not rig.contacts
+    assert not rig.touches
     return spent / (len(experiment.vehicles) * experiment.duration_s)
 
 

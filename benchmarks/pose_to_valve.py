@@ -35,7 +35,7 @@ from testbed.mocap.natnet import Described, MocapFrame, RigidBody, encode_frame
 from testbed.mocap.natnet_server import Address, NatNetServer
 from testbed.realtime.scheduling import preferred, steady
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
-from testbed.rig.wired.host import free_port
+from testbed.rig.wired.local import free_port
 
 WORDS = [
     "flight.jet_period_s=0.01", "vehicles.*.model.command_delay_s=0.0", "duration_s=10",

@@ -17,9 +17,10 @@ collision avoidance", Aerosp. Sci. Technol. 42, 2015, as X. Xue, X. Yue, J. Yuan
 Corrections to the print: only with F on the right-hand side of (1) does m hat F cancel it.
 
 What the paper leaves open: its J_ij is not printed. Here it is psi^r of 2021 below the desired
-distance; above, `attract` chooses psi^d ("cosine", which lets go at the range: no connectivity is
-the point of the baseline) or psi^a ("log") for every pair. Every neighbour that is heard counts,
-whatever its distance: Hu et al. let everybody know everybody.
+distance; above, `attract` chooses for every pair: psi^d ("cosine", which lets go at the range: no
+connectivity is the point of the baseline), psi^a ("log") or psi^r continued with the gain of psi^a
+("continued", a well that knows no range). Every neighbour that is heard counts, whatever its
+distance: Hu et al. let everybody know everybody.
 """
 
 from collections.abc import Sequence
@@ -54,7 +55,7 @@ class CollisionSlidingParams(
     potential: FormationPotentialParams = field(
         default_factory=lambda: FormationPotentialParams(k_f=40.0, k_o=40.0, pair_count=1)
     )
-    attract: Literal["cosine", "log"] = "cosine"
+    attract: Literal["cosine", "log", "continued"] = "cosine"
     gamma: NonNegative = 0.2  # [N]
     k_d: NonNegative = 0.1  # [N s/m]
     tau: Positive = 0.1  # [m/(s N)]
@@ -69,6 +70,7 @@ class Gains(NamedTuple):
 
     potential: FormationPotential
     held: bool  # psi^a for everybody
+    continued: bool  # psi^r beyond d, too, with the gain of psi^a
     gamma: float
     k_d: float
     tau: float
@@ -85,7 +87,10 @@ def gradient(gains, own, neighbours, world):
             continue
         x = distance(own.p, neighbours.p[k])
         d = u.formation.desired[own.who, neighbours.who[k]]
-        slope = log_potential(u.single, x, d, gains.held)[1]
+        if gains.continued and x > d:
+            slope = u.single.attract * (x - d) / (x - u.single.safe)  # Eq. (30)
+        else:
+            slope = log_potential(u.single, x, d, gains.held)[1]
         add_gradient(u.pairs * slope, own.p, neighbours.p[k], x, total)
     for k in range(world.obstacles.p.shape[0]):
         total += obstacle_gradient(u, own, world.obstacles, k)
@@ -117,6 +122,7 @@ def collision_sliding(params: CollisionSlidingParams, names: Sequence[str], d: i
     gains = Gains(
         u,
         params.attract == "log",
+        params.attract == "continued",
         params.gamma,
         params.k_d,
         params.tau,

@@ -33,7 +33,7 @@ import numpy as np
 from msgspec import Struct, field
 
 from controllers.law_file import UnusableLawError, blame, maker, source_of
-from controllers.plain_law import PlainLaw, Watched
+from controllers.plain_law import LawError, PlainLaw, Watched
 from controllers.scale import Scale
 from testbed.core import plugin
 from testbed.core.law import Body, Discs, Goal, Law, Neighbours, World
@@ -106,4 +106,6 @@ def try_out(law: Law, satellites: int, d: int = 2) -> None:
         somewhere(0.4, n), np.zeros((n, d)), np.full(n, 0.5), np.arange(1, n + 1), told, np.zeros(n)
     )
     world = World(goal, Discs(somewhere(3.0, 1), np.zeros((1, d)), np.full(1, 0.5)))
-    law.rate(law.initial(own, others, world), own, others, world, 0.0)
+    force, _ = law.rate(law.initial(own, others, world), own, others, world, 0.0)
+    if not np.isfinite(force).all():
+        raise LawError(f"a force that is no number, {force}, the first time it was asked")

@@ -22,7 +22,6 @@ class Protection(Struct, frozen=True, forbid_unknown_fields=True):
     max_on_s: Positive = 5.0
     duty_window_s: Positive = 16.0
     duty_budget_s: Positive = 12.0  # of each valve in any window
-    undervoltage_v: float = 0.0  # 0: the board has no voltmeter
     undervoltage_s: Positive = 0.002  # coils that pull in make the supply dip
     status_period_s: Positive = 0.05
     drop_bearing_on_trip: bool = False
@@ -70,7 +69,7 @@ def limits_of(vehicle: Vehicle, protection: Protection | None = None) -> Config:
         duty_budget_us=micro(guard.duty_budget_s),
         max_ttl_us=micro(guard.max_ttl_s),
         watchdog_us=micro(guard.watchdog_s),
-        undervoltage_mv=round(guard.undervoltage_v * 1e3),
+        undervoltage_mv=round(1e3 * vehicle.gauges.undervoltage_v),
         undervoltage_us=micro(guard.undervoltage_s),
         status_period_us=micro(guard.status_period_s),
     )

@@ -19,10 +19,12 @@ from firmware_interface.serial_board import BAUD, SerialBoard, monotonic_us
 from firmware_interface.session import Session, SessionError
 from testbed.core.error import TestbedError
 from testbed.core.types import Health, ValveCommand
+from testbed.core.vehicle import Gauges
 
 KEEP_US = 4_000  # between two looks at what time alone asks for
 ANSWER_US = 3_000_000  # longest wait for a board's first words
-UNKNOWN_V = 12.0  # what a board without a voltmeter, which reports 0, is believed to have
+UNKNOWN_V = 12.0  # what a vehicle without a voltmeter is believed to have
+ALL_GAUGES = Gauges()
 REPEAT_US = 30_000  # an order that is not obeyed by then is given again
 
 
@@ -38,7 +40,8 @@ class SerialThrusters:
         config: limits, see `limits.limits_of`.
         delay_s: from issuing a plan to its start, `Vehicle.command_delay_s`.
         nonce: tells this program from others.
-        set_pressure: what a board without a gauge, which reports 0, is believed to have [Pa].
+        set_pressure: what a vehicle without a gauge is believed to have [Pa].
+        gauges: what the board measures, as the vehicle file says.
         epoch_us: the run's time 0 on the monotonic clock; set it before the first plan.
 
     Raises:
@@ -53,16 +56,16 @@ class SerialThrusters:
         nonce: int,
         baud: int = BAUD,
         set_pressure: float = 0.0,
+        gauges: Gauges = ALL_GAUGES,
     ) -> None:
         self._port_name, self._delay_us = port, round(1e6 * delay_s)
         self._config, self._nonce, self._baud = config, nonce, baud
-        self._set_pressure = set_pressure
+        self._set_pressure, self._gauges = set_pressure, gauges
         self.epoch_us = 0
         self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plans' numbers, and when [us]
         self.trouble: str | None = None  # latched
         self._armed = False
         self._heard_us = 0  # when the board said something last
-        self._gauge = self._voltmeter = False  # whether the board has shown that it has them
 
     def __enter__(self) -> "SerialThrusters":
         self._board = SerialBoard(self._port_name, self._baud)
@@ -257,11 +260,8 @@ class SerialThrusters:
             status = self._session.status
             assert status is not None
             now = monotonic_us()
-            # 0 is what a board without the sensor reports, unless it has reported more before
-            self._gauge = self._gauge or status.supply_pa > 0
-            self._voltmeter = self._voltmeter or status.supply_mv > 0
-            pressure = float(status.supply_pa) if self._gauge else self._set_pressure
-            battery = 1e-3 * status.supply_mv if self._voltmeter else UNKNOWN_V
+            pressure = float(status.supply_pa) if self._gauges.supply else self._set_pressure
+            battery = 1e-3 * status.supply_mv if self._gauges.battery else UNKNOWN_V
             silent = 1e-6 * (now - self._heard_us)
             return Health(1e-6 * (now - self.epoch_us), pressure, 0.0, battery, silent)
 

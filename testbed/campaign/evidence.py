@@ -4,39 +4,42 @@ The place of a vehicle is what its estimator said at every tick, for on a table 
 On the twin that is the truth within the estimator's error.
 """
 
-import struct
 from pathlib import Path
 
 import msgspec
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 
 from testbed.campaign.row import Flown, columns_of, outcome_of, within
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, load
 from testbed.core.types import Tick
+from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
+from testbed.logs.message import Decoder
 from testbed.metrics.run_metrics import Metrics, Track
 
 NEEDED = ("config.toml", "log.mcap", "metrics.json")
 
 
 def track_of(folder: Path, experiment: Experiment) -> Track:
-    """Where the vehicles thought they were, at every tick at which all of them knew."""
+    """Where the vehicles thought they were, at every tick at which all of them knew.
+
+    Raises:
+        LogError: a part of the log is missing.
+    """
     names = list(experiment.vehicles)
-    decode = msgspec.json.Decoder(Tick).decode
+    book, decode = LogReader(folder / "log.mcap"), Decoder(Tick).decode
+    topics = {f"/{name}/tick": name for name in names}
     seen: dict[float, dict[str, list[float]]] = {}
-    with (folder / "log.mcap").open("rb") as file:
-        topics = [f"/{name}/tick" for name in names]
-        for _, channel, message in make_reader(file).iter_messages(topics=topics):
-            state = decode(message.data).outputs.state
-            if state is not None:
-                row = [
-                    *(state.pose.x, state.pose.y, state.pose.theta),
-                    *(state.twist.vx, state.twist.vy, state.twist.omega),
-                ]
-                name = channel.topic.split("/")[1]
-                seen.setdefault(message.log_time * 1e-9, {})[name] = row
+    for topic, stamp, data in book.read():
+        if topic not in topics or (state := decode(data).outputs.state) is None:
+            continue
+        row = [
+            *(state.pose.x, state.pose.y, state.pose.theta),
+            *(state.twist.vx, state.twist.vy, state.twist.omega),
+        ]
+        seen.setdefault(stamp * 1e-9, {})[topics[topic]] = row
+    if not book.complete():
+        raise LogError("; ".join(book.said()) or "it has no end")
     whole = {t: rows for t, rows in sorted(seen.items()) if len(rows) == len(names)}
     states = [[rows[name] for name in names] for rows in whole.values()]
     return Track(np.array(list(whole)), np.array(states).reshape(-1, len(names), 6))
@@ -62,10 +65,10 @@ def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, floa
         ) from None
     try:
         track = track_of(folder, experiment)
-    except (McapError, msgspec.DecodeError, struct.error) as error:
-        found = f"{type(error).__name__}: {error}".removesuffix(": ")
-        raise ConfigError(str(folder / "log.mcap"), "", "the whole log of a run", found) from None
+    except (LogError, *UNREADABLE) as error:
+        where = str(folder / "log.mcap")
+        raise ConfigError(where, "", "the whole log of a run", str(error)) from None
     extra = beside_metrics(experiment, track)
     outcome, reason = outcome_of(metrics)
     columns = columns_of(metrics, experiment, extra)
-    return within(Flown(k, outcome, reason, columns, metrics.criteria), most, least)
+    return within(Flown(k, outcome, reason, columns, metrics.criteria or {}), most, least)

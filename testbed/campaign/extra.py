@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from testbed.core.error import TestbedError
+from testbed.core.extra import pip_install
 
 
 class MissingExtraError(TestbedError):
@@ -22,5 +23,5 @@ def needs_extra(name: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         raise MissingExtraError(
             f"the package `{error.name}` is not installed\n"
-            f"  expected  the extra `{name}`: pip install 'airbearing-testbed[{name}]'"
+            f"  expected  the extra `{name}`: {pip_install(name)}"
         ) from None

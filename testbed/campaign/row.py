@@ -13,6 +13,7 @@ from msgspec.structs import replace
 
 from testbed.config import ConfigError, Experiment
 from testbed.config.error import did_you_mean
+from testbed.metrics.fault_line import mishap
 from testbed.metrics.run_metrics import TO_THE_START, Metrics, VehicleMetrics
 
 Task = tuple[int, tuple[str, ...]]  # run, "key=value" on top of the base experiment
@@ -60,6 +61,14 @@ class Flown(Struct, frozen=True):
     criteria: dict[str, bool] = {}
     wall_s: float = 0.0  # not among the columns: they are the same on every machine
     memory_mb: float = 0.0  # of the worker, at most so far
+    seed: int | None = None  # None: it could not be read
+    fault_t: float | None = None  # when the fault that ended it was found [s]
+
+    def told(self, reason: str) -> str:
+        """What is wrong with it, and by which seed it is flown again; a fault, with its time."""
+        if self.outcome == "fault":
+            return mishap(self.seed, self.reason, self.fault_t)
+        return f"seed {self.seed}: {reason}" if self.seed is not None else reason
 
 
 class Kept(Struct, frozen=True):
@@ -82,7 +91,7 @@ def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
     flown = metrics.vehicles.values()
     failed = [
         f"{name} not reached" if any(getattr(one, name, 0.0) is None for one in flown) else name
-        for name, met in metrics.criteria.items()
+        for name, met in (metrics.criteria or {}).items()
         if not met
     ]
     return ("failed", ", ".join(failed)) if failed else ("passed", "")

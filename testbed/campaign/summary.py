@@ -12,6 +12,7 @@ from testbed.campaign.result import Table
 from testbed.campaign.row import Flown
 from testbed.campaign.sweep import Campaign
 
+FAULTS = 100  # flights whose fault a summary names; results.parquet has all
 MOST_GROUPS = 6  # as many colours and marks as one tells apart
 
 
@@ -132,6 +133,7 @@ class Summary(Struct, frozen=True):
     not_repeatable: list[int]
     cases: list[Case]
     spreads: list[Spread]
+    faults: list[str] = []  # of the first flights that ended in one: run, seed, fault, when
 
 
 def summarise(campaign: Campaign, experiment: str, ended: Ended) -> Summary:
@@ -159,6 +161,9 @@ def summarise(campaign: Campaign, experiment: str, ended: Ended) -> Summary:
         not_repeatable=ended.unlike,
         cases=cases(campaign, runs),
         spreads=[s for s in (spread(quantity, runs) for quantity in QUANTITIES) if s],
+        faults=[f"run {run.k}, {run.told(run.reason)}" for run in failed if run.outcome == "fault"][
+            :FAULTS
+        ],
     )
 
 

@@ -26,15 +26,18 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     began = time.perf_counter()
     columns: dict[str, Number] = {}
     criteria: dict[str, bool] = {}
+    seed, fault_t = None, None
     try:
         experiment = read(base, overrides)
+        seed = experiment.seed
         judge, rig = MetricsObserver(experiment.vehicles), make_twin(experiment)
         with steady():
             ending = rig.fly(judge)
         completed = ending.fault is None
         metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)
         columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
-        (outcome, reason), criteria = outcome_of(metrics), metrics.criteria
+        (outcome, reason), criteria = outcome_of(metrics), metrics.criteria or {}
+        fault_t = judge.fault_t
     except ConfigError as error:
         outcome = "refused"
         reason = f"{error.key}: expected {error.expected}, found {error.found}"
@@ -45,7 +48,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     reason = reason.encode(errors="backslashreplace").decode()  # half a character is no UTF-8
     wall = time.perf_counter() - began
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Flown(k, outcome, reason, columns, criteria, wall, memory_mb)
+    return Flown(k, outcome, reason, columns, criteria, wall, memory_mb, seed, fault_t)
 
 
 def fly_batch(base: str, batch: Sequence[Task]) -> list[Flown]:

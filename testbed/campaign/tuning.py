@@ -99,6 +99,7 @@ class Trial(Struct, frozen=True):
     cost: float
     broken: int  # runs that were not within the bounds
     reason: str = ""  # of the first of these
+    reasons: list[str] = []  # of each of them, with its seed
 
 
 class Tuning:
@@ -171,15 +172,15 @@ def judged(tuning: Tuning, number: int, gains: list[float], runs: Sequence[Flown
     Raises:
         ConfigError: a column of the costs or bounds does not exist.
     """
-    file, cost, reasons = tuning.file, 0.0, []
+    file, cost, first = tuning.file, 0.0, ""
+    reasons: list[str] = []
     for run in sorted(runs, key=lambda run: run.k):
         if reason := broken(file, run):
-            reasons.append(reason)
+            first = first or reason
+            reasons.append(run.told(reason))
         for name, weight in file.cost.items():
             cost += weight * float(run.columns.get(name) or 0.0) / len(runs)
-    return Trial(
-        number, gains, cost + BROKEN * len(reasons), len(reasons), reasons[0] if reasons else ""
-    )
+    return Trial(number, gains, cost + BROKEN * len(reasons), len(reasons), first, reasons)
 
 
 def broken(file: TuningFile, run: Flown) -> str:

@@ -25,14 +25,15 @@ from testbed.metrics.admission import (
 )
 from testbed.metrics.run_metrics import obstacle_distances
 from testbed.rig.chain import fence_of
-from testbed.rig.observers import NullObserver
+from testbed.rig.observers import Witness
 from testbed.rig.twin import make_twin
 
 
 def fly_once(experiment: Experiment, seed: int) -> Flown:
     """One flight in the twin, without injected faults."""
     rig = make_twin(replace(experiment, seed=seed, inject=[]))
-    ending = rig.fly(NullObserver())
+    witness = Witness()
+    ending = rig.fly(witness)
     track, models = rig.track(), {n: s.model for n, s in experiment.vehicles.items()}
     radii = [model.radius for model in models.values()]
     solid = {n: rock for n, rock in experiment.obstacles.items() if rock.solid > 0.0}
@@ -51,6 +52,7 @@ def fly_once(experiment: Experiment, seed: int) -> Flown:
         min(rims, default=None),
         max(spent[name].gas / model.air.gas for name, model in models.items()),
         max((spent[name].openings or 0) / len(model.jets) for name, model in models.items()),
+        witness.fault_t,
     )
 
 
@@ -104,6 +106,8 @@ def print_admission(admission: Admission) -> None:
     for one in admission.findings:
         grid.add_row(one.name, one.words, str(one.seed), style=None if one.kept else "red")
     out.print(grid)
+    for words in admission.faults:
+        out.print(f"  {words}", style="red", markup=False, soft_wrap=True)
     broken = ", ".join(one.name for one in admission.findings if not one.kept)
     verdict = "[bold green]admitted[/]" if not broken else f"[bold red]refused[/]: {broken}"
     out.print(verdict)

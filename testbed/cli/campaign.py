@@ -35,6 +35,7 @@ from testbed.config.tree import trouble_at
 from testbed.files import write_atomic
 from testbed.run.interrupt import Interrupt
 
+SHOWN = 10  # flights that ended in a fault, at the terminal
 TROUBLE = (ConfigError, JournalError, EngineError, MissingExtraError, OSError)
 
 
@@ -125,6 +126,10 @@ def print_summary(
     )
     for reason, count in summary.reasons.items():
         out.print(f"  {count:5d}  {reason}", markup=False, style="red")
+    for words in summary.faults[:SHOWN]:
+        out.print(f"  {words}", markup=False, style="red", soft_wrap=True)
+    if (more := summary.outcomes.get("fault", 0) - SHOWN) > 0:
+        out.print(f"  ... and {more} more in summary.json and results.parquet", style="red")
     _print_spreads(out, summary)
     _print_cases(out, summary)
     if summary.spreads:

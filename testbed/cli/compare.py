@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table as Grid
 
 from testbed.cli.exit_code import OK
-from testbed.cli.refusal import refuse
+from testbed.cli.refusal import refuse, warn
 from testbed.config import ConfigError, Experiment, load
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import History, gather
@@ -23,13 +23,13 @@ from testbed.report.goal_error import Wanted
 from testbed.report.page import (
     OF_A_GOAL,
     ROWS,
-    UNCOUNTED,
     ReportError,
     figure,
     known,
     page,
     together_of,
 )
+from testbed.report.verdict import UNCOUNTED
 from testbed.run.post_mortem import judged
 
 TOGETHER = {  # key of a row, of the formation's metrics
@@ -82,7 +82,9 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
 def read_run(folder: Path, label: str) -> Run:
     """A run, whole."""
     log, experiment = log_of(folder), load(config_of(folder))
-    history = gather(LogFeed(LogReader(log)).news())
+    book = LogReader(log)
+    history = gather(LogFeed(book).news())
+    warn(book.said())
     return Run(label, experiment, history, judged(log.parent, log, experiment, history))
 
 
@@ -134,7 +136,7 @@ def verdict(metrics: Metrics) -> str:
         return "aborted"
     if not metrics.completed:
         return "interrupted"
-    return "passed" if all(metrics.criteria.values()) else "failed"
+    return "passed" if all((metrics.criteria or {}).values()) else "failed"
 
 
 def render(runs: Sequence[Run]) -> str:

@@ -14,7 +14,7 @@ from types import FrameType
 from rich.console import Console
 
 from testbed.cli.exit_code import OK
-from testbed.cli.refusal import errors, refuse
+from testbed.cli.refusal import errors, refuse, warn
 from testbed.dashboard.viewer import (
     LOOPBACK,
     Address,
@@ -127,10 +127,14 @@ def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:
     return OK
 
 
-def beside_run(folder: Path, kind: str) -> "subprocess.Popen[bytes]":
+def beside_run(
+    folder: Path, kind: str, bind: str = LOOPBACK, port: int | None = None
+) -> "subprocess.Popen[bytes]":
     """Open the dashboard beside a run that is about to be flown, and do not wait for it."""
     program()  # or say at once that there is none
-    words = [sys.executable, "-m", "testbed.cli.main", "dash", str(folder)]
+    words = [sys.executable, "-m", "testbed.cli.main", "dash", str(folder), "--bind", bind]
+    if port is not None:
+        words += ["--port", str(port)]
     return subprocess.Popen(
         [*words, "--web"] if kind == "web" else words,
         stdin=subprocess.DEVNULL, stdout=sys.stderr, start_new_session=True,
@@ -153,7 +157,7 @@ def play_run(run: Path) -> None:
 
     with TemporaryDirectory() as folder:
         try:
-            recording = write_recording(run, Path(folder) / "run.rrd")
+            recording = write_recording(run, Path(folder) / "run.rrd", warn)
             start("window", address_for(), [recording]).wait()
         except (LogError, ViewerError) as error:
             refuse(error)

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import track
 from rich.table import Table as Grid
 
@@ -42,7 +43,10 @@ AFTERWARDS = 5.0  # [s] contacts are looked for so long after the last valve is 
 ROOM = 0.15  # [m] round a start
 NEEDED = {"stick_closed": 40.0}  # [s] to show itself, a jet must be asked for; others: 8 s
 SOON = 8.0
-WIDTH = 140  # of the table in a file
+HEADINGS = (  # of numbers: narrow, so that the table fits into 80 columns
+    "cases", "not\nfound", "dor-\nmant", "found\n[s]", "worst\n[s]", "shut\n[s]",
+    "moved\n[m]", "con-\ntacts", "a-\ndrift", "open\nlate",
+)  # fmt: skip
 
 
 class Notes:
@@ -247,17 +251,14 @@ def run_drill(rig: str, injections: int | None, seed: int, jobs: int, as_json: b
 def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
     """The table, and every case that went wrong."""
     out = Console(highlight=False)
-    if not out.is_terminal:
-        out.width = WIDTH
     title = f"{drill.injections} injected faults on the {drill.rig}"
-    grid = Grid(title=title, title_justify="left", title_style="bold")
-    grid.add_column("fault")
-    grid.add_column("response")
-    for heading in (
-        "cases", "undetected", "dormant", "detected in \\[s]", "worst \\[s]", "shut in \\[s]",
-        "travelled \\[m]", "contacts", "adrift", "open late",
-    ):  # fmt: skip
-        grid.add_column(heading, justify="right")
+    grid = Grid(
+        title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1, 0, 0)
+    )
+    for heading in ("fault", "does"):
+        grid.add_column(heading, no_wrap=True)
+    for heading in HEADINGS:
+        grid.add_column(escape(heading), justify="right", no_wrap=True)
     for row in drill.rows:
         bad = row.undetected or row.contacts or row.valves_open_after_deadline
         grid.add_row(

@@ -84,9 +84,11 @@ def lab_keys(
     except ImportError as error:
         if error.name is None or not error.name.startswith("cryptography"):
             raise
+        from testbed.core.extra import pip_install
+
         sys.stderr.write(
-            "error: keys are made with the package cryptography, which is not there: pip install"
-            " 'airbearing-testbed[keys]'; only the machine that makes them needs it\n"
+            "error: keys are made with the package cryptography, which is not there:"
+            f" {pip_install('keys')}; only the machine that makes them needs it\n"
         )
     context.exit(BAD_INPUT)
 

@@ -18,9 +18,10 @@ def word(context: click.Context, option: click.Parameter, given: str | None) -> 
 @click.option(
     "--ports",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
-    default=Path(),
-    help="Folder in which the vehicles' serial ports appear.  [default: here]",
+    help="Folder in which the vehicles' serial ports appear, whatever the table file says."
+    "  [default: as the table file says; here]",
 )
+@click.option("--local", "here", is_flag=True, help="This machine's addresses, not the lab's.")
 @click.option("--report", type=click.Path(path_type=Path), hidden=True)
 @click.option("--child", is_flag=True, hidden=True)
 @click.pass_context
@@ -28,18 +29,20 @@ def twin(
     context: click.Context,
     experiment: str,
     overrides: tuple[str, ...],
-    ports: Path,
+    ports: Path | None,
+    here: bool,
     report: Path | None,
     child: bool,
 ) -> None:
     """Serve the table of an EXPERIMENT in real time.
 
     It has cameras, serial ports with firmware behind them, and the truth, for `testbed agent` and
-    `testbed run --rig table` to try a lab's wiring without a lab.
+    `testbed run --rig table` to try a lab's wiring without a lab. With `--local` here and there the
+    table file may name the lab's own addresses already.
     """
     from testbed.cli.wires import serve_twin
 
-    context.exit(serve_twin(experiment, overrides, ports, report, child=child))
+    context.exit(serve_twin(experiment, overrides, ports, report, child=child, here=here))
 
 
 @click.command()

@@ -1,4 +1,4 @@
-"""What an operator at a terminal sees while it flies; nothing at all in a pipe or in CI.
+"""What an operator at a terminal sees while it flies; in a pipe a line now and then, or nothing.
 
 The flight only leaves its newest tick here; a thread of the terminal's draws a few times a second.
 """
@@ -6,6 +6,7 @@ The flight only leaves its newest tick here; a thread of the terminal's draws a 
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from threading import Event, Thread
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -16,6 +17,7 @@ from rich.table import Table as Grid
 
 from testbed.config import Experiment
 from testbed.core.types import Tick
+from testbed.report.fault_story import STOPPING_TOO, follows, short
 from testbed.report.goal_error import Wanted
 from testbed.run.fly import FlightScreen
 
@@ -23,13 +25,23 @@ REFRESH_HZ = 8
 
 
 class LiveTable(FlightScreen):
-    """Everybody's state in one table, and how far the flight is."""
+    """The state of every vehicle in one table, and how far the flight is.
 
-    def __init__(self, experiment: Experiment, console: Console) -> None:
+    Args:
+        experiment: that is flown.
+        console: where to.
+        line_s: between two lines where there is no terminal; None: there are none [s].
+    """
+
+    def __init__(
+        self, experiment: Experiment, console: Console, line_s: float | None = None
+    ) -> None:
+        self._console, self._line_s = console, None if console.is_terminal else line_s
+        self._end = Event()
+        self._teller = Thread(target=self._tell, name="lines", daemon=True)
         self._experiment, self._wanted = experiment, Wanted(experiment)
         self._ticks: dict[str, Tick] = {}
         self._t = 0.0
-        self._console = console
         self.phase = "DISARMED"  # of the supervisor
         self._progress = Progress(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
@@ -45,12 +57,36 @@ class LiveTable(FlightScreen):
     @contextmanager
     def showing(self) -> Iterator[None]:
         """See `FlightScreen`."""
-        with nullcontext() if self._live is None else self._live:
-            yield
+        if self._line_s is not None:
+            self._teller.start()
+        try:
+            with nullcontext() if self._live is None else self._live:
+                yield
+        finally:
+            self._end.set()
+            if self._line_s is not None:
+                self._teller.join()
 
     def say(self, line: str) -> None:
         """See `FlightScreen`."""
         self._console.print(line, style="yellow", markup=False, soft_wrap=True)
+
+    def _tell(self) -> None:
+        assert self._line_s is not None
+        while not self._end.wait(self._line_s):
+            self._console.print(self.line(), markup=False, highlight=False, soft_wrap=True)
+
+    def line(self) -> str:
+        """How far the flight is, and which vehicles do not fly."""
+        if not self._ticks:
+            return f"{self._experiment.name}: {self._words}, {self.phase}"
+        parts = [f"{self._t:.0f} of {self._experiment.duration_s:g} s", self.phase]
+        for name, error in self._off(self._t).items():
+            parts.append(f"{name} {1e3 * error:.1f} mm off")
+        for name, tick in list(self._ticks.items()):
+            if said := tick.outputs.fault or tick.outputs.inhibit_reason:
+                parts.append(f"{name}: {said}")
+        return f"{self._experiment.name}: {', '.join(parts)}"
 
     @contextmanager
     def aside(self) -> Iterator[None]:
@@ -65,7 +101,7 @@ class LiveTable(FlightScreen):
 
     def flies(self) -> None:
         """It is ready and takes off."""
-        self._words = self._experiment.name
+        self._words = "waiting for its vehicles" if self._line_s else self._experiment.name
         self._progress.update(self._bar, total=self._experiment.duration_s)
 
     def vehicle(self, name: str, tick: Tick) -> None:
@@ -105,8 +141,11 @@ class LiveTable(FlightScreen):
         setup, out = self._experiment.vehicles[name], tick.outputs
         left = tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
         gas = f"{100.0 * left:.0f}" if left > 0.0 else "-"  # no gauge
-        said = escape(out.fault or out.inhibit_reason or "")
-        state = f"[red]{said}[/]" if out.fault else f"[yellow]{said}[/]" if said else "flies"
+        state = f"[yellow]{escape(out.inhibit_reason)}[/]" if out.inhibit_reason else "flies"
+        if out.fault and follows(self._experiment, out.fault):
+            state = f"[red]{STOPPING_TOO}[/]"
+        elif out.fault:
+            state = f"[bold white on red]FAULT {escape(short(out.fault))}[/]"
         if (now := out.state) is None:
             return name, state, "-", "-", "-", gas, "-"
         pose = now.pose

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table as Grid
 
 from testbed.cli.exit_code import OK
-from testbed.cli.refusal import refuse
+from testbed.cli.refusal import refuse, warn
 from testbed.logs.export import WRITERS, ExportError, tables
 from testbed.logs.log_reader import LogError, LogReader, log_of
 from testbed.logs.topics import Contents, survey
@@ -21,7 +21,8 @@ def show_log(run: Path, as_json: bool) -> int:
         topics = survey(book.read(), book.kinds)
     except LogError as error:
         return refuse(error)
-    contents = Contents(book.finished, topics)
+    warn(book.said())
+    contents = Contents(book.finished, topics, book.said())
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(contents)).decode() + "\n")
         return OK
@@ -52,10 +53,14 @@ def export_run(run: Path, kind: str, out: Path | None) -> int:
         if kind == "rrd":
             from testbed.dashboard.recording import write_recording
 
-            paths = [write_recording(run, folder / "run.rrd")]
+            paths = [write_recording(run, folder / "run.rrd", warn)]
         else:
             book = LogReader(log_of(run))
-            paths = WRITERS[kind](tables(book.read(), book.kinds), folder)
+            try:
+                found = tables(book.read(), book.kinds)
+            finally:
+                warn(book.said())
+            paths = WRITERS[kind](found, folder)
     except (LogError, ExportError, ValueError, OSError) as error:
         return refuse(error)
     for path in paths:

@@ -13,9 +13,13 @@ from controllers import catalogue
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
+from testbed.config.experiment import VehicleSetup
 from testbed.config.guarantee import warnings_of
+from testbed.config.hardware import WAYS, strength
+from testbed.config.plausibility import doubts_of, quickest_s
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
+from testbed.metrics.formation import has_formation
 
 
 def check_experiment(name: str, overrides: Sequence[str]) -> int:
@@ -26,7 +30,8 @@ def check_experiment(name: str, overrides: Sequence[str]) -> int:
     except ConfigError as error:
         return refuse(error)
     law = type(experiment.controller).__struct_config__.tag
-    Console(highlight=False).print(
+    out = Console(highlight=False)
+    out.print(
         f"ok: {path}\n"
         f"  {counted(experiment.vehicles, 'vehicle')}, "
         f"{counted(experiment.obstacles, 'obstacle')}, "
@@ -34,11 +39,26 @@ def check_experiment(name: str, overrides: Sequence[str]) -> int:
         f"{experiment.duration_s:g} s in {experiment.ticks} jet periods",
         markup=False, soft_wrap=True,
     )  # fmt: skip
-    for warning in warnings_of(experiment):
+    for name, setup in experiment.vehicles.items():
+        out.print(f"  {name}: {abilities(experiment, setup)}", markup=False, soft_wrap=True)
+    for warning in [*warnings_of(experiment), *doubts_of(experiment)]:
         errors.print(
             f"warning: {warning.name}: {warning.text}", style="yellow", markup=False, soft_wrap=True
         )
     return OK
+
+
+def abilities(experiment: Experiment, setup: VehicleSetup) -> str:
+    """What the jets of a vehicle can do, and how soon it can be where it is to go."""
+    model, can = setup.model, strength(setup.model)
+    force, torque = min(can[way] for way in WAYS[:4]), min(can[way] for way in WAYS[4:])
+    words = (
+        f"{counted(model.jets, 'jet')}, {force:.2f} N per axis, {torque:.3g} N m,"
+        f" {force / model.mass:.2g} m/s^2"
+    )
+    if setup.path is not None or has_formation(experiment.controller):
+        return words
+    return f"{words}, at least {quickest_s(experiment, setup):.3g} s from start to goal"
 
 
 def counted(things: Sized, word: str) -> str:

@@ -53,6 +53,11 @@ def main() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print metrics.json and nothing else.")
 @click.option("--view", "view", flag_value="window", help="Open the dashboard in a window.")
 @click.option("--web", "view", flag_value="web", help="Open the dashboard for a browser.")
+@click.option("--bind", help="Who may connect to the dashboard.  [default: 127.0.0.1]")
+@click.option(
+    "--port", type=click.IntRange(1, 65534),
+    help="Of the dashboard's data; the page is one above.  [default: two free ones]",
+)  # fmt: skip
 @click.option(
     "--speed",
     type=click.FloatRange(min=0.0, min_open=True),
@@ -60,6 +65,10 @@ def main() -> None:
 )
 @click.option("--arm", is_flag=True, help="On the table: arm without asking, for scripts.")
 @click.option("--reset", is_flag=True, help="After a fault: I have looked at the vehicles.")
+@click.option(
+    "--local", "here", is_flag=True,
+    help="With --rig table and `testbed twin --local`: this machine's addresses, not the lab's.",
+)  # fmt: skip
 @click.pass_context
 def run(
     context: click.Context,
@@ -70,9 +79,12 @@ def run(
     out: Path | None,
     as_json: bool,
     view: str | None,
+    bind: str | None,
+    port: int | None,
     speed: float | None,
     arm: bool,
     reset: bool,
+    here: bool,
 ) -> None:
     """Fly an EXPERIMENT and judge it.
 
@@ -89,7 +101,20 @@ def run(
     if seed is not None:
         overrides = (*overrides, f"seed={seed}")
     context.exit(
-        run_experiment(experiment, overrides, out, as_json, rig, view, speed, arm=arm, reset=reset)
+        run_experiment(
+            experiment,
+            overrides,
+            out,
+            as_json,
+            rig,
+            view,
+            speed,
+            arm=arm,
+            reset=reset,
+            here=here,
+            bind=bind,
+            port=port,
+        )
     )
 
 

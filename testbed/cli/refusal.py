@@ -3,6 +3,7 @@
 import errno
 import textwrap
 import traceback
+from collections.abc import Iterable
 
 from rich.console import Console
 
@@ -20,6 +21,12 @@ def refuse(error: Exception | str, code: int = BAD_INPUT) -> int:
     text = of_the_disk(error) if isinstance(error, OSError) else error
     errors.print(laid_out(f"error: {text}"), style="red", markup=False, soft_wrap=True)
     return code
+
+
+def warn(lines: Iterable[str]) -> None:
+    """Tell the operator what is not as it should be, and go on."""
+    for line in lines:
+        errors.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
 
 
 def confess() -> int:

@@ -9,7 +9,7 @@ import msgspec
 from rich.console import Console
 
 from testbed.cli.exit_code import FAILED, OK
-from testbed.cli.refusal import refuse
+from testbed.cli.refusal import refuse, warn
 from testbed.config import ConfigError, load
 from testbed.logs.log_reader import LogError, config_of, log_of
 from testbed.logs.replay import Replay
@@ -21,7 +21,7 @@ def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
     try:
         log = log_of(run)
         with redirect_stdout(sys.stderr):  # what a law prints is not the result
-            verdict = replay_experiment(load(config_of(run), overrides), log)
+            verdict = replay_experiment(load(config_of(run), overrides), log, warn)
     except (ConfigError, LogError) as error:
         return refuse(error)
     if as_json:
@@ -34,7 +34,8 @@ def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
 def _print(verdict: Replay) -> None:
     out, first = Console(highlight=False), verdict.first_difference
     if first is None:
-        out.print(f"[bold green]bit-exact[/]: {verdict.ticks} ticks")
+        part = "" if verdict.whole else ", up to the damage"
+        out.print(f"[bold green]bit-exact[/]: {verdict.ticks} ticks{part}")
         return
     out.print(
         f"[bold red]different[/] ({verdict.ticks} ticks), first at tick "

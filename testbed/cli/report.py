@@ -5,7 +5,7 @@ from pathlib import Path
 from rich.console import Console
 
 from testbed.cli.exit_code import OK
-from testbed.cli.refusal import refuse
+from testbed.cli.refusal import refuse, warn
 from testbed.config import ConfigError
 from testbed.logs.log_reader import LogError
 from testbed.report.page import ReportError
@@ -15,7 +15,7 @@ from testbed.run.report import make_pictures, make_report
 def report_run(folder: Path, png: bool = False) -> int:
     """Make the page and say where it is."""
     try:
-        paths = make_report(folder)
+        paths = make_report(folder, warn)
         if png:
             make_pictures(paths[1:])
     except (ReportError, LogError, ConfigError, OSError) as error:

@@ -15,8 +15,20 @@ from rich.text import Text
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError
+from testbed.core.extra import pip_install
 from testbed.reproduction.audit import Made, RunError, made, rows_of, tasks_of
-from testbed.reproduction.claim import CORRECTED, FAILS, HOLDS, UNTESTABLE, MeasureError, Paper, Row
+from testbed.reproduction.claim import (
+    CHECK,
+    CORRECTED,
+    FAILS,
+    HOLDS,
+    UNTESTABLE,
+    MeasureError,
+    Paper,
+    Row,
+    claimed,
+    counts,
+)
 from testbed.reproduction.page import page
 from testbed.reproduction.paper import EVERY, chosen, read_papers
 
@@ -93,6 +105,7 @@ def print_json(rows: Mapping[str, list[Row]], *, as_list: bool) -> None:
     papers = [
         {
             "paper": name,
+            "counts": counts(some),
             "claims": [msgspec.to_builtins(row) | {"as_expected": row.as_expected} for row in some],
         }
         for name, some in rows.items()
@@ -111,20 +124,13 @@ def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
     grid.add_column("measured", justify="right", no_wrap=True)
     grid.add_column("verdict", ratio=3)
     for row in rows:
+        what = row.verdict if row.kind == CHECK else row.outcome
         mark = "" if row.as_expected else f" (expected: {row.expected})"
         grid.add_row(
             Text(row.source), Text(row.claim), Text(claimed(row)), Text(measured(row)),
-            Text(row.outcome + mark, style=STYLES[row.outcome]),
+            Text(what + mark, style=STYLES[row.outcome]),
         )  # fmt: skip
     Console(highlight=False).print(grid)
-
-
-def claimed(row: Row) -> str:
-    """What the paper says, with its unit."""
-    sign = {"at most": "<= ", "at least": ">= ", "equal": ""}[row.must]
-    if isinstance(row.paper, str):
-        return row.paper
-    return f"{sign}{row.paper:.6g} {row.unit}".strip()
 
 
 def measured(row: Row) -> str:
@@ -139,9 +145,8 @@ def say_how_it_went(
 ) -> None:
     """A line on the counts, and one per surprise, beside the output."""
     every = [row for some in rows.values() for row in some]
-    counts = ", ".join(f"{sum(row.outcome == kind for row in every)} {kind}" for kind in STYLES)
-    seeds = " (quick: fewer seeds, coarser steps)" if any(row.quick for row in every) else ""
-    errors.print(f"{len(every)} claims in {wall:.0f} s{seeds}: {counts}")
+    seeds = ", quick: fewer seeds, coarser steps" if any(row.quick for row in every) else ""
+    errors.print(f"{counts(every)} (in {wall:.0f} s{seeds})", soft_wrap=True)
     for row in surprises:
         errors.print(
             f"changed: {row.id}: expected \"{row.expected}\", found \"{row.outcome}\" "
@@ -164,7 +169,7 @@ def ready_for_plots(folder: Path) -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        what = "matplotlib: pip install 'airbearing-testbed[plots]'"
+        what = f"matplotlib: {pip_install('plots')}"
         raise ConfigError("--plots", "", what, "it is not installed") from None
     try:
         folder.mkdir(parents=True, exist_ok=True)

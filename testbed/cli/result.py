@@ -10,6 +10,7 @@ from testbed.config import Experiment
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import FormationCriteria, Metrics
 from testbed.report.page import known
+from testbed.report.verdict import SHOWN_TOUCHES, missed, touched
 
 OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 
@@ -46,10 +47,14 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
     for heading, key, scale, form, criterion in ROWS:
         if key in OF_A_GOAL and not has_goals:
             continue
-        cells = [_cell(known(experiment, metrics, n, key), scale, form) for n in metrics.vehicles]
-        met = metrics.criteria.get(criterion or "")
-        style = "red" if met is False else None
-        grid.add_row(heading, *cells, _limit(experiment, criterion, scale), style=style)
+        cells = [
+            _cell(
+                known(experiment, metrics, n, key), scale, form,
+                is_missed=missed(experiment, metrics, n, key, criterion or ""),
+            )
+            for n in metrics.vehicles
+        ]  # fmt: skip
+        grid.add_row(heading, *cells, _limit(experiment, criterion, scale))
     out.print(grid)
     separation = metrics.min_vehicle_distance_m
     pieces = [f"contacts: {metrics.contacts}"]
@@ -65,6 +70,8 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
         print_formation(out, together, experiment)
     for warning in metrics.warnings:
         out.print(f"warning: {warning.name}: {warning.text}", style="yellow", markup=False)
+    for words in touched(experiment, metrics.touches[:SHOWN_TOUCHES]):
+        out.print(words, style="red", markup=False)
     out.print(_verdict(metrics))
     out.print(f"run folder: {folder}", markup=False, soft_wrap=True)
 
@@ -86,8 +93,9 @@ def print_formation(out: Console, f: FormationMetrics, experiment: Experiment) -
     out.print(f"formation: {', '.join(pieces) or 'no error known'}")
 
 
-def _cell(value: float | None, scale: float, form: str) -> str:
-    return "-" if value is None else form.format(scale * value)
+def _cell(value: float | None, scale: float, form: str, *, is_missed: bool) -> str:
+    words = "-" if value is None else form.format(scale * value)
+    return f"[red]{words}[/]" if is_missed else words
 
 
 def _limit(experiment: Experiment, criterion: str | None, scale: float) -> str:
@@ -110,14 +118,14 @@ def _unmeasured(metrics: Metrics, criterion: str) -> bool:
 def _verdict(metrics: Metrics) -> str:
     failed = [
         name + " (nothing was measured)" * _unmeasured(metrics, name)
-        for name, met in metrics.criteria.items()
+        for name, met in (metrics.criteria or {}).items()
         if not met
     ]
     if metrics.fault:
         why = escape(metrics.fault)
         return f"[bold red]aborted[/] after {metrics.duration_s:.1f} s by a fault: {why}"
     if not metrics.completed:
-        return f"[bold yellow]interrupted[/] after {metrics.duration_s:.1f} s"
+        return f"[bold yellow]interrupted[/] at {metrics.duration_s:.1f} s: not judged"
     if failed:
         return f"[bold red]failed[/]: {', '.join(failed)}"
     whose = "" if metrics.rig == "table" else " (a result of the twin, not of a table)"

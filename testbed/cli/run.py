@@ -9,7 +9,7 @@ from pathlib import Path
 from testbed.cli.exit_code import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.cli.live import LiveTable
 from testbed.cli.operator import Operator
-from testbed.cli.refusal import errors, refuse
+from testbed.cli.refusal import errors, refuse, warn
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
@@ -23,6 +23,8 @@ from testbed.run.folder import FolderError, new_folder, take_back, write_config,
 from testbed.run.interrupt import Interrupt
 from testbed.run.report import make_report
 
+LINE_S = 10.0  # between two lines where there is no terminal [s]
+
 
 def run_experiment(
     name: str,
@@ -35,6 +37,9 @@ def run_experiment(
     *,
     arm: bool = False,
     reset: bool = False,
+    here: bool = False,
+    bind: str | None = None,
+    port: int | None = None,
 ) -> int:
     """Fly and return the exit code."""
     interrupt, board, folder = Interrupt(), None, None
@@ -44,17 +49,24 @@ def run_experiment(
     try:
         with redirect_stdout(sys.stderr):  # what a law prints is not the result
             experiment = load(find(name), overrides)
-        check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
+        if here:
+            experiment = on_this_machine(experiment, rig)
+        models = {name: setup.model for name, setup in experiment.vehicles.items()}
+        check_boards(experiment.board, models, rig)
         operator.must_be_there(rig)
+        if view is None and (bind or port):
+            found = f"--bind {bind}" if bind else f"--port {port}"
+            raise ConfigError("command line", "", "--web or --view with it", found)
         with interrupt.caught():
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             if view is not None:
                 from testbed.cli.dash import beside_run
 
-                board = beside_run(folder, view)
+                board = beside_run(folder, view, bind or "127.0.0.1", port)
             make = maker(rig, experiment, folder, operator)
-            operator.live = LiveTable(experiment, errors)
+            # a flight in real time says in a pipe or a log how far it is
+            operator.live = LiveTable(experiment, errors, None if rig == "twin" else LINE_S)
             with redirect_stdout(sys.stderr):
                 metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator.live)
             write_metrics(folder, metrics)
@@ -84,14 +96,23 @@ def run_experiment(
         return FAULT
     if not metrics.completed:
         return INTERRUPTED
-    return OK if all(metrics.criteria.values()) else FAILED
+    return OK if all((metrics.criteria or {}).values()) else FAILED
+
+
+def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
+    """For `--local`: a table whose cameras and boards are those of `testbed twin --local`."""
+    if rig != "table":
+        raise ConfigError("command line", "--local", "--rig table", f"--rig {rig}")
+    from testbed.rig.wired.local import local
+
+    return local(experiment)
 
 
 def report(folder: Path) -> None:
     """Make the page; the verdict on the flight stands without it."""
     try:
         with redirect_stdout(sys.stderr):  # it reads the law's file
-            make_report(folder)
+            make_report(folder, warn)
     except (ReportError, LogError) as error:
         errors.print(
             f"warning: no report: {error}\n  later     testbed report {folder}",

@@ -53,6 +53,7 @@ class TuningResult(Struct, frozen=True):
     best_proof: float | None
     best_proof_broken: int
     gains: dict[str, float]
+    best_proof_reasons: list[str] = []  # why a run of the best was not within the bounds
 
 
 def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as_json: bool) -> int:
@@ -143,6 +144,7 @@ def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResul
         best_proof=proof[1].cost if proof else None,
         best_proof_broken=proof[1].broken if proof else 0,
         gains=dict(zip([g.key for g in file.gain], best.gains, strict=True)) if best else {},
+        best_proof_reasons=proof[1].reasons if proof else [],
     )
 
 
@@ -158,7 +160,7 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
     out = Console(highlight=False)
     kept = f"{result.within_bounds} of {result.trials} trials within the bounds"
     if result.best is None:
-        first = escape(result.start.reason)
+        first = escape((result.start.reasons or [result.start.reason])[0])
         out.print(f"[bold red]no choice is safe[/]: {kept}; the first one: {first}")
         return
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
@@ -184,6 +186,8 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
         out.print(
             f"[bold red]not safe on {result.best_proof_broken} of the other seeds[/]: more samples"
         )
+        for words in result.best_proof_reasons:
+            out.print(f"  {words}", markup=False, style="red", soft_wrap=True)
     out.print(f"tuned experiment: {folder / 'tuned.toml'}", markup=False, soft_wrap=True)
 
 

@@ -22,6 +22,7 @@ from testbed.net.session import NetworkError
 from testbed.realtime.processes import end_on_terminate, orphaned
 from testbed.realtime.scheduling import prefer_process, preferred, steady
 from testbed.rig.twin import warm_up
+from testbed.rig.wired.local import local
 from testbed.rig.wired.server import TableServer, port_of
 from testbed.rig.wired.vehicle import VehicleError, fly_vehicle
 
@@ -29,12 +30,15 @@ PRIORITY = 30  # the table does not wait for anybody
 
 
 def serve_twin(
-    name: str, overrides: Sequence[str], ports: Path, report: Path | None, *, child: bool
-) -> int:
+    name: str, overrides: Sequence[str], ports: Path | None, report: Path | None, *, child: bool,
+    here: bool = False,
+) -> int:  # fmt: skip
     """Serve until told to end; the exit code."""
     end_on_terminate()
     try:
         experiment = load(find(name), overrides)
+        if here:
+            experiment = local(experiment)
     except ConfigError as error:
         return refuse(error)
     try:

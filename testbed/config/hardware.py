@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 import numpy as np
+from scipy.optimize import nnls
 
 from testbed.config.error import Mistake, show
 from testbed.config.experiment import Experiment
@@ -14,6 +15,8 @@ from testbed.core.vehicle import Jet, Point, Vehicle
 MOST_JETS = 32
 DENSEST = 0.01  # radius of gyration over radius
 QUICKEST_STOP = 0.1  # [s] by drag alone; what stops faster does not float
+HIGHEST_V = 60.0  # what the valve board can be set to
+NEAR = 1e-6  # a wrench that is missed by less is met
 WEAK = 1e-3  # a push or a lever below this share of the largest thrust and the radius is none
 
 
@@ -21,7 +24,8 @@ def bad_hardware(experiment: Experiment) -> Iterator[Mistake]:
     """All that is wrong with the vehicles."""
     for name, setup in experiment.vehicles.items():
         model = setup.model
-        for key, expected, found in chain(_jets(model), _body(model), _air(model), _spread(model)):
+        parts = (_jets(model), _body(model), _air(model), _gauges(model), _spread(model))
+        for key, expected, found in chain.from_iterable(parts):
             yield Mistake(("vehicles", name, "model", *key), expected, found)
 
 
@@ -35,13 +39,38 @@ def _jets(vehicle: Vehicle) -> Iterator[Mistake]:
         yield Mistake(("jets",), f"at most {MOST_JETS} jets", f"{len(jets)}")
     elif not push_everywhere(jets, vehicle.com, vehicle.radius):
         expected = "jets that push the body every way and turn it both ways"
-        yield Mistake(("jets",), expected, f"{len(jets)} that do not")
+        ways = "; none ".join(missing_ways(vehicle))
+        yield Mistake(("jets",), expected, f"{len(jets)}: none {ways or 'of them strongly'}")
 
 
 def _within(key: tuple[str | int, ...], point: Point, radius: float) -> Iterator[Mistake]:
     if math.hypot(*point) > radius:
         expected = f"a point of the vehicle, at most {radius:g} m from its origin"
         yield Mistake(key, expected, show(list(point)))
+
+
+WAYS = ("towards +x", "towards -x", "towards +y", "towards -y", "turning left", "turning right")
+
+
+def strength(vehicle: Vehicle) -> dict[str, float]:
+    """What all jets together can do each way of the body, each jet counted where it helps.
+
+    Forces in N, torques in N m.
+    """
+    effect = effect_matrix(vehicle.jets, about=vehicle.com)
+    both = [(effect[k].clip(min=0.0).sum(), -effect[k].clip(max=0.0).sum()) for k in range(3)]
+    return dict(zip(WAYS, map(float, chain.from_iterable(both)), strict=True))
+
+
+def missing_ways(vehicle: Vehicle) -> list[str]:
+    """Ways of the body that no combination of its jets pushes or turns it, and nothing else."""
+    thrust = max((jet.thrust for jet in vehicle.jets), default=1.0)
+    scale = thrust * np.array([1.0, 1.0, vehicle.radius])
+    effect = effect_matrix(vehicle.jets, about=vehicle.com) / scale[:, None]
+    units = [sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0)]
+    if not vehicle.jets:
+        return list(WAYS)
+    return [way for way, unit in zip(WAYS, units, strict=True) if nnls(effect, unit)[1] > NEAR]
 
 
 def push_everywhere(jets: Sequence[Jet], com: Point, radius: float) -> bool:
@@ -90,6 +119,16 @@ def _air(vehicle: Vehicle) -> Iterator[Mistake]:
     if air.tank_pressure < air.set_pressure + air.dropout:
         expected = f"at least set_pressure + dropout, {air.set_pressure + air.dropout:g} Pa"
         yield Mistake(("air", "tank_pressure"), expected, f"{air.tank_pressure:g} Pa")
+
+
+def _gauges(vehicle: Vehicle) -> Iterator[Mistake]:
+    gauges = vehicle.gauges
+    if gauges.undervoltage_v > 0.0 and not gauges.battery:
+        expected = "0 without a voltmeter (`battery = false`)"
+        yield Mistake(("gauges", "undervoltage_v"), expected, f"{gauges.undervoltage_v:g} V")
+    if gauges.undervoltage_v > HIGHEST_V:
+        expected = f"volts, at most {HIGHEST_V:g}"
+        yield Mistake(("gauges", "undervoltage_v"), expected, f"{gauges.undervoltage_v:g}")
 
 
 def _spread(vehicle: Vehicle) -> Iterator[Mistake]:

@@ -5,7 +5,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from testbed.config.error import ConfigError, Mistake, show
+from testbed.config.error import ConfigError, Mistake, did_you_mean, show
 from testbed.config.key import Key, assignment, spell
 from testbed.config.own_law import place_law
 from testbed.config.shipped import FAULTS
@@ -56,6 +56,9 @@ class Source:
         value = _parse(origin, key, raw)
         spots: list[tuple[Key, Any]] = [((), self.tree)]
         for part in key[:-1]:
+            for spot, parent in spots:
+                if part == "*" and parent == {} and self._origins.get(spot) is origin:
+                    raise self._unknown(origin, spot)
             spots = [
                 self._enter(origin, *spot) for at in spots for spot in _meant(origin, *at, part)
             ]
@@ -64,6 +67,15 @@ class Source:
                 parent[spot[-1]] = deepcopy(value)
                 self._note(spot, origin)
         self._include(Path())
+
+    def _unknown(self, origin: Origin, key: Key) -> ConfigError:
+        """`*` of a table that an override has only just made: its name is wrong."""
+        parent: Any = self.tree
+        for part in key[:-1]:
+            parent = parent[part]
+        known = [name for name in parent if name != key[-1]]
+        found = f"no `{spell(key[-1:])}`{did_you_mean(str(key[-1]), known)}"
+        return ConfigError(origin.where, spell(key), f"one of: {', '.join(known)}", found)
 
     def _enter(self, origin: Origin, key: Key, parent: Any) -> tuple[Key, Any]:
         """The entry `key` of its parent, made if it is not there."""
@@ -111,6 +123,7 @@ def _parse(origin: Origin, key: Key, raw: str) -> Any:
 def _meant(origin: Origin, key: Key, parent: Any, part: str | int) -> list[tuple[Key, Any]]:
     """The entries of `parent` that `part` of an override means: their keys, each with `parent`."""
     names: list[Any] = []
+    found = ""
     match parent, part:
         case dict(), "*":
             names, expected = list(parent), "at least one entry"
@@ -122,9 +135,13 @@ def _meant(origin: Origin, key: Key, parent: Any, part: str | int) -> list[tuple
             expected = "the name of an entry"
         case list(), _:
             names = [i for i in range(len(parent)) if i == part]
-            expected = f"an index below {len(parent)}"
+            last, name = len(parent) - 1, spell(key[-1:])
+            expected = f"an index from [0] to [{last}]: `{name}` has {len(parent)} entries"
+            if not parent:
+                expected = f"no index: `{name}` is empty"
+            found = f"[{part}]" if isinstance(part, int) else show(part)
         case _:
             expected = "a table"
     if not names:
-        raise ConfigError(origin.where, spell(key), expected, show(parent))
+        raise ConfigError(origin.where, spell(key), expected, found or show(parent))
     return [((*key, name), parent) for name in names]

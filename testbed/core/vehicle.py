@@ -70,6 +70,18 @@ class Tolerance(Struct, frozen=True, forbid_unknown_fields=True):
     com: NonNegative  # centre of mass, each axis [m]
 
 
+class Gauges(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the valve board measures.
+
+    A declared sensor that reads 0 is a red arming check: no air, no battery, or a broken wire. One
+    that is not declared is not looked at.
+    """
+
+    supply: bool = True  # pressure behind the regulator
+    battery: bool = True  # voltage of the valves' supply
+    undervoltage_v: NonNegative = 0.0  # the board shuts all valves below it; 0: it never does [V]
+
+
 class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):
     """One air-bearing vehicle."""
 
@@ -84,3 +96,4 @@ class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):
     valve: Valve
     air: Air
     tolerance: Tolerance
+    gauges: Gauges = Gauges()

@@ -9,6 +9,7 @@ from rerun.blueprint.archetypes import (
 )
 from rerun.blueprint.encodings import TimelineColumn
 
+from testbed.dashboard.banner import HEIGHT, WIDTH
 from testbed.dashboard.static_scene import plain
 from testbed.report.goal_error import Wanted
 from testbed.report.scenario import Scenario
@@ -69,7 +70,13 @@ def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
         name="Valves",
     )  # fmt: skip
     left = rrb.Vertical(
-        rrb.TextDocumentView(origin="/banner", name="State", titlebar=False),
+        rrb.Spatial2DView(
+            origin="/banner",
+            name="State",
+            titlebar=False,
+            background=[16, 20, 26],
+            visual_bounds=rrb.VisualBounds2D(x_range=[0, WIDTH], y_range=[0, HEIGHT]),
+        ),
         top,
         rrb.TextLogView(
             origin="/event",
@@ -79,7 +86,7 @@ def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
                 text_log_columns=["LogLevel", "Body"],
             ),
         ),
-        row_shares=[1.0, 9, 2.1],
+        row_shares=[0.75, 9, 2.4],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, rrb.Tabs(flight, air, timing, valves), column_shares=[11, 9]),

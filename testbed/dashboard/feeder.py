@@ -22,7 +22,7 @@ from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 
 PERIOD_S = 0.04  # between two pictures: 25 Hz
 NOTHING, SEVERED = 1, 2  # exit codes: there is nothing to tell; nobody to tell it
-BATCH = 5000  # messages in one picture, when there is something to catch up with
+BATCH = 5000  # messages at once, when there is something to catch up with
 
 
 def tell(run: Path, url: str) -> None:
@@ -32,16 +32,25 @@ def tell(run: Path, url: str) -> None:
     plan = blueprint(scenario, live=True)
     recording.connect_grpc(url, default_blueprint=plan)
     recording.send_blueprint(plan)
-    feed: Feed = LogFeed(wait_for(log_of(run)))
-    scene, pause = Scene(scenario, recording), Event()
+    book = wait_for(log_of(run))
+    follow(LogFeed(book), Scene(scenario, recording), recording)
+    for line in book.said():
+        sys.stderr.write(f"dashboard: warning: {line}\n")
+
+
+def follow(feed: Feed, scene: Scene, recording: rr.RecordingStream, batch: int = BATCH) -> None:
+    """Draw what comes until nothing will come any more."""
+    pause = Event()
     while True:
         ended, news = feed.ended, feed.news()
-        while batch := list(islice(news, BATCH)):
-            scene.draw(batch)
+        while some := list(islice(news, batch)):
+            scene.draw(some)
             recording.flush()  # waits for a viewer that is stopped: rerun would gather 300 MB
         if ended:
             break
         pause.wait(PERIOD_S)
+    scene.finish()
+    recording.flush()
 
 
 def wait_for(path: Path) -> LogReader:

@@ -1,5 +1,7 @@
 """A run for the rerun viewer: the log as its recording."""
 
+from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 
 import rerun as rr
@@ -12,27 +14,28 @@ from testbed.logs.export import refuse_older
 from testbed.logs.feed import LogFeed
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 
-BATCH = 500  # messages
+BATCH = 5000  # messages at once; what is drawn does not depend on it
 
 
-def write_recording(run: Path, out: Path) -> Path:
-    """Draw a whole run into a file."""
+def write_recording(
+    run: Path, out: Path, warn: Callable[[list[str]], None] = lambda lines: None
+) -> Path:
+    """Draw a whole run into a file; `warn` is handed a line for each damaged place of its log."""
     refuse_older(out)
     try:
         scenario = load(config_of(run))
     except ConfigError as error:
         raise LogError(str(error)) from None
+    book = LogReader(log_of(run))
     recording = rr.RecordingStream("airbearing-testbed", recording_id=str(run.resolve()))
     with whole(out) as part:
         recording.set_sinks(rr.FileSink(part))
         recording.send_blueprint(blueprint(scenario, live=False))
-        scene, batch = Scene(scenario, recording), []
-        for one in LogFeed(LogReader(log_of(run))).news():
-            batch.append(one)
-            if len(batch) >= BATCH and one.topic == "/truth":
-                scene.draw(batch)
-                batch = []
-        scene.draw(batch)
+        scene, news = Scene(scenario, recording), LogFeed(book).news()
+        while batch := list(islice(news, BATCH)):
+            scene.draw(batch)
+        scene.finish()
         recording.flush()
         recording.disconnect()
+    warn(book.said())
     return out

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 
 import rerun as rr
 
-from testbed.dashboard.static_scene import plain
-from testbed.logs.feed import News, SeenPace, SeenPhase, SeenValves
-from testbed.logs.history import camera_events, lost_share
+from testbed.logs.feed import News, SeenPace, SeenValves
+from testbed.logs.history import lost_share
 from testbed.report.scenario import Scenario
 
 VALVE_STATES = rr.StateConfiguration(
@@ -19,8 +18,6 @@ class WireScene:
 
     def __init__(self, scenario: Scenario, recording: rr.RecordingStream) -> None:
         self._scenario, self._rec = scenario, recording
-        self.phase = ""  # of the supervisor
-        self._cameras: dict[str, str] = {}
         self._open: dict[tuple[str, int], bool] = {}
 
     def draw(self, news: Sequence[News]) -> None:
@@ -33,19 +30,11 @@ class WireScene:
                     paces.setdefault(one.who, []).append((one.t, pace))
                 case SeenValves() as valves:
                     edges.setdefault(one.who, []).append(valves)
-                case SeenPhase(t=t, phase=phase, because=because):
-                    self.phase = phase
-                    self._say(t, f"{phase}: {because}", bad=phase == "FAULT")
         for name, seen in paces.items():
             self._wires(name, seen)
         for name, driven in edges.items():
             if name in self._scenario.vehicles:
                 self._driven(name, driven)
-
-    def _say(self, t: float, words: str, *, bad: bool) -> None:
-        self._rec.set_time("t", duration=t)
-        level = "WARN" if bad else "INFO"
-        self._rec.log("event", rr.TextLog(plain(f"{t:6.1f}   {words}"), level=level))
 
     def _wires(self, name: str, seen: list[tuple[float, SeenPace]]) -> None:
         """How a vehicle's wires are: lateness, delay and loss of its setpoints, its cameras."""
@@ -56,9 +45,6 @@ class WireScene:
             self._column(f"plot/link/to {name}", ages)
             lost = [(t, 100.0 * lost_share(p)) for t, p in delays]
             self._column(f"plot/loss/to {name}", lost)
-        for t, words in camera_events(seen, self._cameras.get(name, "")):
-            self._say(t, f"{name}   {words}", bad=True)
-        self._cameras[name] = seen[-1][1].cameras
 
     def _driven(self, name: str, driven: list[SeenValves]) -> None:
         """When each valve opened and shut, as the board says."""

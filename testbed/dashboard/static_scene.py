@@ -8,8 +8,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from testbed.core.table import Obstacle
 from testbed.report.goal_error import Wanted
-from testbed.report.scenario import Scenario
+from testbed.report.scenario import Scenario, range_of
 
 Array = NDArray[np.float64]
 
@@ -21,10 +22,12 @@ HUES = (
     (216, 198, 74),
     (159, 164, 255),
 )
+FAULTY = (225, 38, 48)  # a vehicle with a fault of its own
 GREY, RED, WHITE, FLAME = (120, 130, 145), (255, 107, 107), (240, 244, 248), (255, 214, 102)
 AROUND = np.linspace(0.0, 2.0 * math.pi, 73)
 PLUME = 0.26  # [m] as drawn, of a jet that is open all the period
 TRAIL = 600  # points
+LEADER_M = 0.12  # radius of a leader as drawn: nobody is there
 LAYER = {
     "table": -0.02,
     "danger": 0.0,
@@ -33,6 +36,7 @@ LAYER = {
     "body": 0.01,
     "jet": 0.03,
     "top": 0.04,
+    "cross": 0.05,
 }  # [m] what is drawn over what
 
 
@@ -133,7 +137,11 @@ def setting(rec: rr.RecordingStream, scenario: Scenario) -> None:
     )
     for k, name in enumerate(scenario.vehicles):
         vehicle(rec, scenario, k, name)
-    obstacles(rec, scenario, 0.0)
+    for name, rock in scenario.obstacles.items():
+        obstacle(rec, name, rock)
+    moving_goals(rec, scenario)
+    log("world/link", rr.LineStrips3D.from_fields(
+        radii=[0.005], show_labels=range_of(scenario) is not None), static=True)  # fmt: skip
     for k, name in enumerate(scenario.vehicles):
         for jet in range(len(scenario.vehicles[name].model.jets)):
             style = rr.SeriesLines(colors=[hue(k)], names=plain(f"{name} jet {jet + 1}"), widths=1)
@@ -176,9 +184,16 @@ def vehicle(rec: rr.RecordingStream, scenario: Scenario, k: int, name: str) -> N
     fan = [(8, i, (i + 1) % 8) for i in range(8)]
     log(
         f"world/vehicle/{name}/body",
-        rr.Mesh3D(vertex_positions=points, triangle_indices=fan, albedo_factor=[*colour, 255]),
+        rr.Mesh3D(vertex_positions=points, triangle_indices=fan),  # its colour changes
         static=True,
     )
+    for path, paint, width in (
+        (f"world/vehicle/{name}/cross", (*WHITE, 255), 0.022),
+        (f"world/trail/{name}", (*colour, 190), 0.009),
+        (f"world/reference/{name}", (*WHITE, 255), 0.006),
+        (f"world/stop/{name}", (*RED, 255), 0.006),
+    ):
+        log(path, rr.LineStrips3D.from_fields(colors=[paint], radii=[width]), static=True)
     z = LAYER["top"]
     nose, wing, notch = 0.9 * size, (-0.6 * size, 0.62 * size), -0.25 * size
     arrow = [[nose, 0, z], [*wing, z], [notch, 0, z], [wing[0], -wing[1], z]]
@@ -204,7 +219,7 @@ def vehicle(rec: rr.RecordingStream, scenario: Scenario, k: int, name: str) -> N
         static=True,
     )
     if setup.path is None and not Wanted(scenario).forms:
-        goal(rec, name, setup.goal, model.radius, colour, static=True)
+        goal(rec, name, setup.goal, model.radius, colour)
 
 
 def goal(
@@ -213,8 +228,6 @@ def goal(
     pose: tuple[float, float, float],
     radius: float,
     colour: tuple[int, int, int],
-    *,
-    static: bool = False,
 ) -> None:
     """Where somebody is sent: a ring with a cross and an arrow."""
     x, y, theta = pose
@@ -230,49 +243,42 @@ def goal(
         rr.LineStrips3D(
             [circle(x, y, radius, z), tip, *cross], colors=[[*colour, 150]], radii=0.007
         ),
-        static=static,
+        static=True,
     )
 
 
-def obstacles(rec: rr.RecordingStream, scenario: Scenario, t: float) -> None:
-    """Obstacles at time `t`; those that stand still are drawn once, at 0."""
-    moving = any(rock.velocity != (0.0, 0.0) for rock in scenario.obstacles.values())
-    if t > 0.0 and not moving:
-        return
-    for name, rock in scenario.obstacles.items():
-        x, y = (p + t * v for p, v in zip(rock.position, rock.velocity, strict=True))
-        still = rock.velocity == (0.0, 0.0)
-        if t > 0.0 and still:
-            continue
-        if not still:
-            rec.set_time("t", duration=t)
-        z = LAYER["danger"]
-        rec.log(
-            f"world/obstacle/{name}/zone",
-            disc(x, y, rock.radius, z, (66, 36, 44, 255)),
-            static=still,
-        )
-        rec.log(
-            f"world/obstacle/{name}/radius",
-            rr.LineStrips3D(
-                dashes(circle(x, y, rock.radius, z + 0.002), 0.08), colors=[RED], radii=0.009
-            ),
-            static=still,
-        )
-        if rock.solid > 0.0:
-            rec.log(
-                f"world/obstacle/{name}/solid",
-                disc(x, y, rock.solid, z + 0.004, (128, 84, 88, 255)),
-                static=still,
-            )
-        rec.log(
-            f"world/obstacle/{name}/name",
-            rr.Points3D(
-                [[x, y, z + 0.02]],
-                radii=0.001,
-                labels=[plain(name)],
-                colors=[WHITE],
-                show_labels=True,
-            ),
-            static=still,
-        )
+def moving_goals(rec: rr.RecordingStream, scenario: Scenario) -> None:
+    """Shapes of goals that move and of a formation's leader, about their own centres."""
+    wanted = Wanted(scenario)
+    if wanted.led:
+        goal(rec, "leader", (0.0, 0.0, 0.0), LEADER_M, WHITE)
+    for k, (name, setup) in enumerate(scenario.vehicles.items()):
+        if setup.path is not None and not wanted.forms:
+            goal(rec, name, (0.0, 0.0, 0.0), setup.model.radius, hue(k))
+
+
+def is_moving(rock: Obstacle) -> bool:
+    """Whether it has to be drawn anew in every frame."""
+    return rock.velocity != (0.0, 0.0)
+
+
+def obstacle(rec: rr.RecordingStream, name: str, rock: Obstacle) -> None:
+    """Danger zone and solid core; of one that moves about its own centre, which is moved."""
+    path, z = f"world/obstacle/{name}", LAYER["danger"]
+    x, y = (0.0, 0.0) if is_moving(rock) else rock.position
+    if is_moving(rock):
+        rec.set_time("t", duration=0.0)
+        rec.log(path, rr.Transform3D(translation=[*rock.position, 0.0]))
+    rec.log(f"{path}/zone", disc(x, y, rock.radius, z, (66, 36, 44, 255)), static=True)
+    rim = dashes(circle(x, y, rock.radius, z + 0.002), 0.08)
+    rec.log(f"{path}/radius", rr.LineStrips3D(rim, colors=[RED], radii=0.009), static=True)
+    if rock.solid > 0.0:
+        core = disc(x, y, rock.solid, z + 0.004, (128, 84, 88, 255))
+        rec.log(f"{path}/solid", core, static=True)
+    rec.log(
+        f"{path}/name",
+        rr.Points3D(
+            [[x, y, z + 0.02]], radii=0.001, labels=[plain(name)], colors=[WHITE], show_labels=True
+        ),
+        static=True,
+    )

@@ -16,6 +16,7 @@ from typing import Literal
 from msgspec import Struct
 
 from testbed.core.error import TestbedError
+from testbed.core.extra import pip_install
 
 LOOPBACK = "127.0.0.1"
 MEMORY = "1GB"
@@ -69,9 +70,7 @@ def program() -> Path:
     try:
         import rerun_cli
     except ImportError:
-        raise ViewerError(
-            "the dashboard needs rerun: pip install 'airbearing-testbed[dashboard]'"
-        ) from None
+        raise ViewerError(f"the dashboard needs rerun: {pip_install('dashboard')}") from None
     return Path(rerun_cli.__file__).parent / "rerun"
 
 

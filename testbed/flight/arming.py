@@ -13,6 +13,8 @@ from testbed.core.types import Health, State, Vitals
 from testbed.core.vehicle import NonNegative, Positive
 from testbed.flight.gate import Fence
 
+NO_SENSOR = "if there is no such sensor, `[gauges] {} = false` in the vehicle file"
+
 
 class ArmingParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of a healthy start."""
@@ -102,8 +104,13 @@ def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) ->
         check("board", False, "has not answered")
     else:
         share = health.supply_pressure / expected.set_pressure
-        check("supply", share >= p.supply_share, f"at {share:.0%} of its set value", at_reset=False)
+        level = f"at {share:.0%} of its set value"
+        if share <= 0.0:
+            level = f"no pressure: open the air; {NO_SENSOR.format('supply')}"
+        check("supply", share >= p.supply_share, level, at_reset=False)
         volts = f"{health.battery:.1f} V"
+        if health.battery <= 0.0:
+            volts = f"no voltage: connect the battery; {NO_SENSOR.format('battery')}"
         check("battery", health.battery >= p.battery, volts, at_reset=False)
         silent = f"silent for {health.silent_s:.2f} s"
         check("board", health.silent_s <= p.pose_age_s, silent)

@@ -11,6 +11,7 @@ import errno
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.error import TestbedError
+from testbed.core.extra import pip_install
 from testbed.files import whole
 from testbed.logs.defaults import KINDS, complete
-from testbed.logs.log_reader import LogError, Row
+from testbed.logs.log_reader import UNREADABLE, LogError, Row
 
 LISTED = 16
 UNITS = "SI and radians, times in seconds of the run, where a name does not say otherwise (on_us)"
@@ -43,10 +45,13 @@ def tables(rows: Iterable[Row], kinds: Mapping[str, str] | None = None) -> dict[
     flat: dict[str, list[dict[str, Any]]] = {}
     for topic, stamp, data in rows:
         row: dict[str, Any] = {"t": stamp * 1e-9}
-        message = json.loads(data)
-        if kinds is not None and (kind := KINDS.get(kinds.get(topic, ""))) is not None:
-            message = complete(kind, message)
-        _flatten("", message, row)
+        try:
+            message = json.loads(data)
+            if kinds is not None and (kind := KINDS.get(kinds.get(topic, ""))) is not None:
+                message = complete(kind, message)
+            _flatten("", message, row)
+        except UNREADABLE as error:
+            raise LogError(f"{topic} at {stamp * 1e-9:.3f} s: {error}") from None
         flat.setdefault(topic, []).append(row)
     if not flat:
         raise LogError("there are no messages in the log")
@@ -80,10 +85,11 @@ def _column(values: list[Any]) -> NDArray[Any]:
     given = [v for v in values if v is not None]
     if all(isinstance(v, bool) for v in given) and len(given) == len(values):
         return np.array(values, dtype=bool)
-    if all(isinstance(v, int) for v in given) and len(given) == len(values):
-        return np.array(values, dtype=np.int64)
-    if all(isinstance(v, int | float) or v in NO_NUMBERS for v in given):
-        return np.array([np.nan if v is None else float(v) for v in values])
+    with suppress(OverflowError):  # a number that is larger than any: it stays text
+        if all(isinstance(v, int) for v in given) and len(given) == len(values):
+            return np.array(values, dtype=np.int64)
+        if all(isinstance(v, int | float) or v in NO_NUMBERS for v in given):
+            return np.array([np.nan if v is None else float(v) for v in values])
     return np.array(["" if v is None else str(v) for v in values])
 
 
@@ -136,9 +142,7 @@ def to_parquet(found: dict[str, Table], folder: Path) -> list[Path]:
         import pyarrow as arrow
         from pyarrow import parquet
     except ImportError:
-        raise ExportError(
-            "parquet needs pyarrow: pip install 'airbearing-testbed[export]'"
-        ) from None
+        raise ExportError(f"parquet needs pyarrow: {pip_install('export')}") from None
     paths = _names(found, folder, "parquet")
     for topic, table in found.items():
         with whole(paths[topic]) as part:

@@ -12,7 +12,6 @@ one more class with the same two members.
 from collections.abc import Iterator
 from typing import Any, NamedTuple, Protocol
 
-import msgspec
 from msgspec import Struct
 
 from testbed.core.types import (
@@ -25,7 +24,8 @@ from testbed.core.types import (
     ValveCommand,
     Wrench,
 )
-from testbed.logs.log_reader import LogError, LogReader
+from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
+from testbed.logs.message import Decoder
 from testbed.logs.recorder import Truth
 
 _ZERO = Wrench(0.0, 0.0, 0.0)
@@ -154,9 +154,7 @@ class LogFeed:
 
     def __init__(self, book: LogReader) -> None:
         self._book = book
-        self._decoders = {
-            name: msgspec.json.Decoder(kind, strict=False) for name, kind in _KINDS.items()
-        }
+        self._decoders = {name: Decoder(kind) for name, kind in _KINDS.items()}
 
     @property
     def ended(self) -> bool:
@@ -171,9 +169,9 @@ class LogFeed:
                 continue
             try:
                 message: Any = decoder.decode(data)
-            except msgspec.ValidationError as error:
+            except UNREADABLE as error:
                 raise LogError(f"{topic} at {stamp * 1e-9:.3f} s: {error}") from None
-            yield News(topic, topic.split("/")[1], stamp * 1e-9, message)
+            yield News(topic, topic.removeprefix("/").split("/")[0], stamp * 1e-9, message)
 
 
 def pose_of(flown: Reference | Demand | None) -> Pose | None:

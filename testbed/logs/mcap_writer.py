@@ -133,6 +133,7 @@ def write_log(
     say(READY.decode().strip())
     writer.start(profile="", library="airbearing-testbed")
     channels: list[int] = []
+    schemas: dict[tuple[str, bytes], int] = {}  # each once: vehicles share them
     sequence = 0
     try:
         for frame in received:
@@ -145,7 +146,10 @@ def write_log(
                     if warning := disk.check():
                         say(warning)
                 case Topic(name, schema_name, schema):
-                    number = writer.register_schema(schema_name, "jsonschema", schema)
+                    number = schemas.get((schema_name, schema), 0)
+                    if not number:
+                        number = writer.register_schema(schema_name, "jsonschema", schema)
+                        schemas[schema_name, schema] = number
                     channels.append(writer.register_channel(name, "json", number))
         finish(writer, file)
     except DiskFullError:

@@ -9,7 +9,8 @@
     /truth             where the vehicles really were; only a twin knows
 
 JSON messages, each topic with the JSON Schema of its struct: any MCAP reader can open it without
-this code. Times are the run's, so the same seed gives the same bytes.
+this code, and the schemas are so plain that Foxglove reads them (`plain_schema.py`). Times are the
+run's, so the same seed gives the same bytes.
 
 The file is written by a process of its own (`scribe.py`) at the other end of a pipe: the flight
 does not wait for the disk, and when it is killed, the scribe still finishes the file. Every SPAN_NS
@@ -20,15 +21,16 @@ what was under way.
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import msgspec
 from msgspec import Struct
 
 from testbed.core.error import TestbedError
 from testbed.logs.message import to_json
+from testbed.logs.plain_schema import plain_schema
 
 BUFFER = 256 * 1024  # [bytes] between the flight and the scribe; a third of a second of messages
 SPAN_NS = 50_000_000  # of the run between two chunks; the same run gives the same chunks
@@ -91,7 +93,11 @@ class Recorder:
     """
 
     def __init__(
-        self, path: Path, warn_below: int = WARN_BELOW, end_below: int = END_BELOW
+        self,
+        path: Path,
+        warn_below: int = WARN_BELOW,
+        end_below: int = END_BELOW,
+        vehicles: Sequence[str] = (),
     ) -> None:
         self._command = [
             *(sys.executable, "-m", "testbed.logs.mcap_writer"),
@@ -103,6 +109,8 @@ class Recorder:
         self._encode = msgspec.json.Encoder().encode
         self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
+        self._vehicles = vehicles  # whose names are in the schemas
+        self._schemas: dict[type[Struct], bytes] = {}
 
     def __enter__(self) -> "Recorder":
         self._scribe = subprocess.Popen(
@@ -134,7 +142,9 @@ class Recorder:
         if number is None:
             number = self._topics[topic] = len(self._topics)
             kind = type(message)
-            self._send(Topic(topic, kind.__name__, self._encode(json_schema(kind))))
+            if kind not in self._schemas:
+                self._schemas[kind] = self._encode(plain_schema(kind, self._vehicles))
+            self._send(Topic(topic, kind.__name__, self._schemas[kind]))
         self._send(Entry(number, round(t * 1e9), to_json(message)))
 
     def _meet(self) -> None:
@@ -185,11 +195,3 @@ class Recorder:
         _, said = self._scribe.communicate()
         lines = [self._reason, *(self._said + said).decode().strip().splitlines()]
         return lines[-1] or f"the scribe ended with {self._scribe.returncode}"
-
-
-def json_schema(kind: type[Struct]) -> dict[str, Any]:
-    """JSON Schema whose top level is an object, as MCAP readers expect it."""
-    schema = msgspec.json.schema(kind)
-    definitions = schema.pop("$defs")
-    top = definitions.pop(kind.__name__)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **top, "$defs": definitions}

@@ -4,7 +4,7 @@ Agents and laws are pure steps, so the same code must give the same outputs. The
 said with its size; after it the two flights drift apart, and how far says little.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import msgspec
@@ -20,7 +20,8 @@ from testbed.core.types import (
     State,
     Tick,
 )
-from testbed.logs.log_reader import LogError, Row, reads
+from testbed.logs.log_reader import UNREADABLE, LogError, LogReader, Row
+from testbed.logs.message import Decoder
 
 
 class Difference(Struct, frozen=True):
@@ -35,11 +36,12 @@ class Difference(Struct, frozen=True):
     size: float | None  # |now - logged|, for numbers
 
 
-class Replay(Struct, frozen=True):
+class Replay(Struct, frozen=True, omit_defaults=True):
     """What came of it."""
 
     ticks: int  # of all topics together
     first_difference: Difference | None
+    whole: bool = True  # false: a part of the log is missing, and nothing behind it was compared
 
 
 class LoggedLink:
@@ -100,7 +102,7 @@ def replay(
     Raises:
         LogError: the log holds ticks that nobody here can repeat.
     """
-    tick_of, host_of, encode = reads(Tick), reads(HostTick), msgspec.json.Encoder().encode
+    tick_of, host_of, encode = Decoder(Tick), Decoder(HostTick), msgspec.json.Encoder().encode
     count, first = 0, None
     seen: dict[str, int] = {}
     for topic, stamp, data in rows:
@@ -128,6 +130,27 @@ def replay(
     return Replay(count, first)
 
 
+def before_damage(book: LogReader) -> Iterator[Row]:
+    """The rows of a log up to the first that is missing.
+
+    Behind it nothing can be compared: what agents and laws remember depends on what they were told.
+
+    Raises:
+        LogError: the beginning is missing.
+    """
+    begun = False
+    for row in book.read():
+        if book.lost:
+            break
+        begun = True
+        yield row
+    if book.lost and not begun:
+        raise LogError(
+            f"{book.path}\n  expected  a log that is whole from its beginning to some tick\n"
+            "  found     damage before the first tick; what follows it depends on what is missing"
+        )
+
+
 def _known(steps: Mapping[str, Any], name: str, topic: str) -> Any:
     if name not in steps:
         raise LogError(
@@ -140,7 +163,7 @@ def _known(steps: Mapping[str, Any], name: str, topic: str) -> Any:
 def _decoded(decoder: Any, topic: str, stamp: int, data: bytes) -> Any:
     try:
         return decoder.decode(data)
-    except msgspec.ValidationError as error:
+    except UNREADABLE as error:
         raise LogError(
             f"{topic} at {stamp * 1e-9:.3f} s\n  expected  a message of this version\n"
             f"  found     {error}"

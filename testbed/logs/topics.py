@@ -30,6 +30,7 @@ class Contents(Struct, frozen=True):
 
     finished: bool  # false: its writer was killed, or is still at work
     topics: list[Topic]
+    damage: list[str]  # what is missing, in words
 
 
 def survey(rows: Iterable[Row], kinds: dict[str, str]) -> list[Topic]:
@@ -39,7 +40,7 @@ def survey(rows: Iterable[Row], kinds: dict[str, str]) -> list[Topic]:
     for topic, stamp, data in rows:
         stamps.setdefault(topic, []).append(stamp)
         sizes[topic] = sizes.get(topic, 0) + len(data)
-    return [_topic(name, kinds[name], stamps[name], sizes[name]) for name in sorted(stamps)]
+    return [_topic(name, kinds.get(name, ""), stamps[name], sizes[name]) for name in sorted(stamps)]
 
 
 def _topic(name: str, kind: str, stamps: list[int], size: int) -> Topic:

@@ -11,6 +11,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from testbed.core.vehicle import NonNegative, Positive
+from testbed.metrics.fault_line import mishap
 from testbed.metrics.run_metrics import Track
 
 Array = NDArray[np.float64]
@@ -39,6 +40,7 @@ class Flown(Struct, frozen=True):
     solid_m: float | None  # nearest rim to a solid obstacle; None: there is none
     gas_share: float  # of the thirstiest vehicle
     openings_per_valve: float  # of the busiest vehicle, mean over its valves
+    fault_t: float | None = None  # when the fault was found [s]
 
 
 class Finding(Struct, frozen=True):
@@ -59,6 +61,7 @@ class Admission(Struct, frozen=True):
     flights: int
     admitted: bool
     findings: list[Finding]
+    faults: list[str] = []  # of each flight that ended in one, in words
 
 
 def nearest_rims(track: Track, radii: Sequence[float]) -> float | None:
@@ -103,7 +106,8 @@ def judge_flights(experiment: str, flights: Sequence[Flown], limits: AdmissionPa
         return {seed: value for seed, value in found.items() if value is not None}
 
     faults = {one.seed: float(one.fault is not None) for one in flights}
-    at_most("flights that end in a fault", {0: sum(faults.values())}, limits.faults, "")
+    ended = max(faults, key=faults.__getitem__)  # the first seed with one
+    at_most("flights that end in a fault", {ended: sum(faults.values())}, limits.faults, "")
     at_most("contacts", each("contacts"), limits.contacts, "")
     at_least("room to the fence", each("edge_m"), limits.edge_m, "m")
     at_least("room between two vehicles", each("separation_m"), limits.separation_m, "m")
@@ -113,4 +117,5 @@ def judge_flights(experiment: str, flights: Sequence[Flown], limits: AdmissionPa
         "openings of a valve", each("openings_per_valve"), limits.openings_per_valve, "openings"
     )
     kept = all(one.kept for one in findings)
-    return Admission(experiment, len(flights), kept, findings)
+    words = [mishap(f.seed, f.fault, f.fault_t) for f in flights if f.fault is not None]
+    return Admission(experiment, len(flights), kept, findings, words)

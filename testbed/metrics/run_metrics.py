@@ -72,6 +72,15 @@ class VehicleMetrics(Struct, frozen=True):
     filtered_ns: float | None = None  # impulse that the safety filter changed [N s]
 
 
+class Touch(Struct, frozen=True):
+    """A contact that should not have happened."""
+
+    t: float  # [s]
+    vehicle: str
+    other: str  # another vehicle, an obstacle or an edge of the table
+    speed: float  # closing [m/s]
+
+
 class Metrics(Struct, frozen=True):
     """Content of metrics.json."""
 
@@ -85,7 +94,7 @@ class Metrics(Struct, frozen=True):
     contacts: int
     min_vehicle_distance_m: float | None  # centre to centre
     fault: str | None
-    criteria: dict[str, bool]
+    criteria: dict[str, bool] | None  # met or not; null: not judged
     vehicles: dict[str, VehicleMetrics]
     lateness_p99_ms: float | None = None  # of ticks, read after waking; null without a wall clock
     pose_to_valve_p50_ms: float | None = None  # newest pose's arrival to the plan's first byte
@@ -96,6 +105,7 @@ class Metrics(Struct, frozen=True):
     warnings: list[Concern] = []  # what a law's proof asks for and the run does not have
     phase: str = ""  # of the supervisor, in the end: DISARMED, STOPPED or FAULT
     red: list[str] = []  # arming checks that kept the run from starting
+    touches: list[Touch] = []  # contacts, as far as anybody knows when and where
 
 
 class Track(Struct, frozen=True):

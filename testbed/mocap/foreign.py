@@ -16,6 +16,7 @@ from importlib.util import find_spec
 
 import msgspec
 
+from testbed.core.extra import pip_install
 from testbed.core.lab import MocapWire
 from testbed.mocap.exposure import Exposure, Sighting
 from testbed.realtime.wall_clock import monotonic_ns
@@ -67,7 +68,7 @@ class ForeignSource:
         if program is CHILD and find_spec(PACKAGE) is None:
             raise OSError(
                 f"[lab.mocap] system = {wire.system!r} needs the package {PACKAGE}, which is not"
-                " there: pip install 'airbearing-testbed[mocap]'"
+                f" there: {pip_install('mocap')}"
             )
         self._wire, self._program = wire, program
         self._decode = msgspec.msgpack.Decoder(tuple[int, int, Bodies]).decode

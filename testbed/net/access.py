@@ -3,11 +3,11 @@
     role       says                        hears                      asks, and is told
     host       everything: it is the one that everybody else dials
     vehicle    its own state, told, tick   its setpoint; permit,      the host's clock, experiment;
-               and event; is alive         stop, poses; states and    answers its own orders, and
-                                           words of the others        to stop
+               and event; is alive         stop, poses; states and    gives the host its ticket;
+                                           words of the others        answers its own orders, and
+                                                                      to stop
     table      truth, poses
-    operator   stop                        all that is said           any vehicle's order; stop;
-                                                                      the host's experiment
+    operator   stop                        all that is said           stop; the host's experiment
     watcher    nothing                     states, words, ticks,      the host's experiment
                                            events, truth, poses
 
@@ -107,7 +107,7 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
                 (HEAR, of(own, "alive")),  # whether somebody else is there under its name
                 (HEAR, [*of(own, "setpoint"), keys.permit, keys.stop, keys.pose]),
                 (HEAR, of(everybody, "state", "told")),
-                (ASK, [keys.clock, keys.experiment]),
+                (ASK, [*of(own, "roll"), keys.clock, keys.experiment]),
                 (ANSWER, [*of(own, "order"), keys.stop]),
             ]
         case "table":
@@ -115,7 +115,7 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
         case "operator":
             return [
                 (SAY, [keys.stop]),
-                (ASK, [*of(everybody, "order"), keys.stop, keys.experiment]),
+                (ASK, [keys.stop, keys.experiment]),
                 (HEAR, [*seen, *of(everybody, "setpoint"), keys.stop]),
             ]
         case _:  # a watcher

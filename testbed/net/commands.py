@@ -18,6 +18,7 @@ class Start(Struct, frozen=True, tag=True):
 
     session: int
     epoch_ns: int  # the run's time 0 on the host's monotonic clock
+    ticket: int  # that the vehicle has given to its host, see `roll`
 
 
 class Stop(Struct, frozen=True, tag=True):

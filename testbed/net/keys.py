@@ -6,6 +6,7 @@
     <lab>/<vehicle>/tick       inputs and outputs, for the log          vehicle -> host
     <lab>/<vehicle>/event      how its flight ended, and why            vehicle -> host
     <lab>/<vehicle>/order      get: start or stop a flight              host -> vehicle
+    <lab>/<vehicle>/roll       get: give the host the ticket for an order to start
     <lab>/<vehicle>/alive      liveliness token
     <lab>/table/truth          where everybody really is; only a twin knows
     <lab>/table/pose           poses, where the cameras speak Zenoh
@@ -35,5 +36,5 @@ class Keys:
         self.everything = f"{lab}/**"
 
     def of(self, vehicle: str, what: str) -> str:
-        """A vehicle's key: state, setpoint, told, tick, event, order or alive."""
+        """A vehicle's key: state, setpoint, told, tick, event, order, roll or alive."""
         return f"{self._lab}/{vehicle}/{what}"

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 WIDTH = 600  # of a figure; it scales with the page
 HUES = 6
+APART = 14.0  # between two names of limits, baseline to baseline
 THINNEST = 0.7  # of a bar, so that a pulse of milliseconds is seen in a run of minutes
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 44
 LETTER, ROW = 7.2, 18  # of a legend: width of a letter, height of a row
@@ -32,6 +33,8 @@ text { font: 12px system-ui, 'Helvetica Neue', Arial, sans-serif; fill: var(--so
 .name { fill: var(--ink); } .grid { stroke: var(--grid); stroke-width: 1; fill: none; }
 .axis { stroke: var(--soft); stroke-width: 1; fill: none; }
 .line { fill: none; stroke-width: 1.6; stroke-linejoin: round; stroke-linecap: round; }
+.line.hit { stroke: var(--danger); stroke-width: 2.2; }
+.line.way { stroke: var(--danger); opacity: .7; } .line.edge { stroke: var(--soft); opacity: .8; }
 .thin { stroke-width: 1; opacity: .55; } .dashed { stroke-dasharray: 5 4; }
 .dotted { stroke-dasharray: 1.5 4; }
 .limit { stroke: var(--danger); stroke-width: 1.3; stroke-dasharray: 7 4; fill: none; }
@@ -61,6 +64,13 @@ class Limit(Struct, frozen=True):
     name: str
 
 
+class Moment(Struct, frozen=True):
+    """A time at which something happened."""
+
+    x: float
+    name: str
+
+
 class Disc(Struct, frozen=True):
     """A circle in the figure's units."""
 
@@ -77,7 +87,7 @@ class Point(Struct, frozen=True):
     x: float
     y: float
     hue: int
-    shape: str  # ring: a start; cross: a goal
+    shape: str  # ring: a start; cross: a goal; hit: a contact
     name: str = ""
     room: float = 0.0  # radius of what is there: the name stands outside
 
@@ -92,7 +102,7 @@ class Raster(Struct, frozen=True):
     name: str
 
 
-Item = Line | Limit | Disc | Point | Raster
+Item = Line | Limit | Moment | Disc | Point | Raster
 
 
 class Chart(Struct, frozen=True):
@@ -184,6 +194,18 @@ class _Frame:
             inner = self.width * (self.y1 - self.y0) / (self.x1 - self.x0)
         self.bottom = self.top + inner
         self.height = self.bottom + BOTTOM
+        self._name_at = self._names_of_limits()
+
+    def _names_of_limits(self) -> dict[str, float]:
+        """Where each is written: above its line, or below it if there is no room."""
+        limits = [(self.y(i.y), i.name) for i in self.chart.items if isinstance(i, Limit)]
+        found: dict[str, float] = {}
+        last = -math.inf
+        for at, name in sorted(limits):
+            above, below = at - 5.0, at + 13.0
+            last = above if above >= last + APART else max(below, last + APART)
+            found[name] = last
+        return found
 
     def x(self, value: float) -> float:
         return self.left + self.width * (value - self.x0) / (self.x1 - self.x0)
@@ -236,12 +258,19 @@ class _Frame:
                 return f'<path class="line s{hue % HUES} {style}" d="{self._path(x, y)}"/>'
             case Limit(y, name):
                 at = self.y(y)
-                others = [self.y(i.y) for i in self.chart.items if isinstance(i, Limit)]
-                crowded = any(0.0 < at - other < 17.0 for other in others)
                 return (f'<path class="limit" d="M{self.left} {at:.1f}H{self.right}"/>'
                         f'<text class="limitname" x="{self.right - 4}" '
-                        f'y="{at + 13 if crowded else at - 5:.1f}" '
+                        f'y="{self._name_at[name]:.1f}" '
                         f'text-anchor="end">{escape(name)}</text>')  # fmt: skip
+            case Moment(x, name):
+                at = self.x(x)
+                moments = [i.x for i in self.chart.items if isinstance(i, Moment)]
+                row = self.top + 12.0 + APART * sum(other < x for other in moments)
+                late = at + LETTER * len(name) > self.right  # no room on the right
+                return (f'<path class="limit" d="M{at:.1f} {self.top}V{self.bottom:.1f}"/>'
+                        f'<text class="limitname" x="{at - 5 if late else at + 5:.1f}" '
+                        f'y="{row:.1f}" text-anchor="{"end" if late else "start"}">'
+                        f"{escape(name)}</text>")  # fmt: skip
             case Disc(x, y, radius, style, hue):
                 r = radius * self.width / (self.x1 - self.x0)
                 paint = f"{style} s{hue % HUES} f{hue % HUES}" if style == "ghost" else style
@@ -286,6 +315,9 @@ class _Frame:
                 f'y="{max(b - away, self.top + 11):.1f}" '
                 f'text-anchor="{"end" if late else "start"}">'
                 f"{escape(point.name)}</text>" if point.name else "")  # fmt: skip
+        if point.shape == "hit":
+            return (f'<path class="line hit" d="M{a - 7:.1f} {b:.1f}h14m-7 -7v14m-5 -12l10 10m0 -10'
+                    f'l-10 10"/>{name}')  # fmt: skip
         if point.shape == "ring":
             return f'<circle class="line s{hue}" cx="{a:.1f}" cy="{b:.1f}" r="5"/>{name}'
         return f'<path class="line s{hue}" d="M{a - 5:.1f} {b - 5:.1f}l10 10m0 -10l-10 10"/>{name}'

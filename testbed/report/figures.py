@@ -1,13 +1,15 @@
 """The figures of a run, and what they are called in the paper that it repeats."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from controllers.graph import LEADER
 from testbed.logs.history import History, VehicleHistory
-from testbed.metrics.run_metrics import HOLD_S
-from testbed.report.chart import WIDTH, Chart, Disc, Item, Limit, Line, Point, Raster
+from testbed.metrics.run_metrics import HOLD_S, Touch
+from testbed.report.chart import WIDTH, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
 from testbed.report.goal_error import Wanted, goal_at
 from testbed.report.scenario import Scenario
 
@@ -15,6 +17,7 @@ Array = NDArray[np.float64]
 
 MOST_PAIRS = 6  # that get a line each
 GHOSTS = 9  # instants at which the vehicles are drawn along their tracks
+WITH_TOUCHES = ("error", "obstacles", "separation", "speed")  # figures over time
 PAPERS = {  # what a figure is the analogue of
     "zhang2023": {
         "trajectory": "Figure 15", "error_xy": "Figure 16", "error": "Figure 16",
@@ -23,14 +26,33 @@ PAPERS = {  # what a figure is the analogue of
 }  # fmt: skip
 
 
-def figures(scenario: Scenario, history: History) -> list[Chart]:
-    """All that apply, in the order of a report."""
+def figures(scenario: Scenario, history: History, touches: Sequence[Touch] = ()) -> list[Chart]:
+    """All that apply, in the order of a report, with the contacts marked."""
     makers = (
         _trajectory, _error, _error_xy, _tracking, _heading, _distances, _separations, _speed,
         _force, _valves, _air, _timing, _filter,
     )  # fmt: skip
     made = [chart for maker in makers for chart in maker(scenario, history)]
-    return [chart for chart in made if any(_shows(item) for item in chart.items)]
+    shown = [chart for chart in made if any(_shows(item) for item in chart.items)]
+    return [_with_touches(chart, history, touches) for chart in shown]
+
+
+def _with_touches(chart: Chart, history: History, touches: Sequence[Touch]) -> Chart:
+    """Where and when vehicles hit something."""
+    marks: list[Item] = []
+    if chart.key == "trajectory":
+        for one in touches:
+            t, state = history.where(one.vehicle)
+            x, y = (float(np.interp(one.t, t, state[:, i])) for i in (0, 1))
+            marks.append(Point(x, y, 0, "hit"))
+    elif chart.key in WITH_TOUCHES:
+        times: dict[float, str] = {}
+        for one in touches:  # two at a glance are one line
+            if all(abs(one.t - t) > 0.01 * history.end for t in times):
+                times[one.t] = f"{one.vehicle} hits {one.other}"
+        marks += [Moment(t, words) for t, words in times.items()]
+    note = chart.note + " Red stars are contacts." * (bool(marks) and chart.key == "trajectory")
+    return replace(chart, items=[*chart.items, *marks], note=note)
 
 
 def _shows(item: Item) -> bool:
@@ -38,7 +60,7 @@ def _shows(item: Item) -> bool:
     match item:
         case Line(_, y):
             return bool(np.isfinite(y).any())
-        case Limit():
+        case Limit() | Moment():
             return False
     return True
 
@@ -69,8 +91,10 @@ def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
         if rock.solid > 0.0:
             items.append(Disc(x, y, rock.solid, "solid"))
         if vx or vy:
-            end = np.array([x + history.end * vx]), np.array([y + history.end * vy])
-            items.append(Line(np.append([x], end[0]), np.append([y], end[1]), 3, "", "dashed"))
+            t = np.linspace(0.0, history.end, 400)
+            way = np.stack([x + t * vx, y + t * vy], axis=1)
+            way = way[(np.abs(way) <= np.array(scenario.table.size) / 2).all(axis=1)]
+            items.append(Line(way[:, 0], way[:, 1], 0, "", "way dashed"))
     for k, name, vehicle in _vehicles(history):
         setup = scenario.vehicles[name]
         asked = vehicle.reference
@@ -91,12 +115,22 @@ def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
         hue = len(history.vehicles)
         items.append(Line(led[:, 0], led[:, 1], hue, "", "dashed"))
         items.append(Point(float(led[-1, 0]), float(led[-1, 1]), hue, "cross", "leader"))
+    ends = {n: s[-1, :2] for n in history.vehicles if len(s := history.where(n)[1])}
+    if wanted.led:
+        ends[LEADER] = wanted.leader_at(np.array([history.end]))[0]
+    for a, b, _ in wanted.edges:
+        if a in ends and b in ends:
+            x, y = np.stack([ends[a], ends[b]]).T
+            items.append(Line(x, y, 0, "", "edge"))
     half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
     note = "Rings are starts"
     note += ", crosses goals" * has_goals + ", the cross is the leader" * wanted.led
+    note += "; grey lines are the formation's edges at the end" * bool(wanted.edges)
     note += f"; circles are the vehicles to scale at {GHOSTS} instants"
     if not all(np.isnan(v.reference).all() for v in history.vehicles.values()):
         note += "; thin dashed lines are the references"
+    if any(rock.velocity != (0.0, 0.0) for rock in scenario.obstacles.values()):
+        note += "; an obstacle is drawn where it starts, and its way as a dashed red line"
     if scenario.obstacles:
         note += "; dashed red is a danger radius, for the vehicle's centre"
     note += "."
@@ -291,8 +325,10 @@ def _air(scenario: Scenario, history: History) -> Iterator[Chart]:
     tank: list[Item] = []
     supply: list[Item] = []
     for k, name, v in _vehicles(history):
-        tank.append(Line(v.t, v.tank / 1e6, k, name))
-        supply.append(Line(v.t, v.supply / 1e3, k, name))
+        if np.any(v.tank > 0.0):  # else it has no gauge
+            tank.append(Line(v.t, v.tank / 1e6, k, name))
+        if np.any(v.supply > 0.0):
+            supply.append(Line(v.t, v.supply / 1e3, k, name))
     yield Chart("tank", "Gas left: tank pressure", "time [s]", "pressure [MPa]", tank,
                 _time(history), height=160)  # fmt: skip
     yield Chart("supply", "Supply pressure behind the regulator", "time [s]", "pressure [kPa]",

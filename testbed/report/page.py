@@ -12,13 +12,17 @@ from testbed.logs.history import History
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import TO_THE_START, Metrics
 from testbed.report.chart import STYLE, Chart, alone, draw
+from testbed.report.events import happened
 from testbed.report.figures import analogue, figures
-from testbed.report.provenance import colophon
+from testbed.report.provenance import colophon, timing
 from testbed.report.scenario import Scenario, law_of
+from testbed.report.verdict import CRITERIA, UNCOUNTED, missed, reasons, verdict
 
 CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
-SHOWN_EVENTS = 40
-UNCOUNTED = -1  # contacts of a run that was killed before anybody counted them
+NOT_A_TABLE = {
+    "twin": "A result of the twin, not of a table.",
+    "bench": "A result of the bench: the wires are real, the table is the twin. Not of a table.",
+}
 FIRST = ("trajectory", "error", "error_xy")  # figures before the numbers
 
 ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
@@ -27,24 +31,16 @@ ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
     ("tracking RMS [mm]", "track_rms_m", 1e3, 2, "track_rms_m"),
     ("hold RMS [mm]", "hold_rms_m", 1e3, 2, "hold_rms_m"),
     ("heading RMS [deg]", "heading_rms_deg", 1.0, 3, "heading_rms_deg"),
-    ("nearest obstacle [m]", "min_obstacle_distance_m", 1.0, 3, ""),
+    ("nearest obstacle [m]", "min_obstacle_distance_m", 1.0, 3, "clear_of_obstacles"),
     ("impulse [N s]", "impulse_ns", 1.0, 1, "impulse_ns"),
     ("gas [g]", "gas_g", 1.0, 1, ""),
     ("valve pulses", "valve_pulses", 1.0, 0, ""),
     ("filtered by safety [N s]", "filtered_ns", 1.0, 2, ""),
     ("largest force [N]", "max_force_n", 1.0, 2, ""),
 )
+MISSED = ' class="missed"'  # of a cell or a tile
+TILES_JUDGED = {"nearest obstacle, centres": "clear_of_obstacles", "contacts": "max_contacts"}
 OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
-CRITERIA = {  # unit, scale from the file's
-    "max_contacts": ("contacts", "", 1.0), "clear_of_obstacles": ("danger radii kept", "", 1.0),
-    "final_error_m": ("final error", "mm", 1e3), "settle_s": ("settled", "s", 1.0),
-    "hold_rms_m": ("hold RMS, last 30 s", "mm", 1e3),
-    "track_rms_m": ("tracking RMS", "mm", 1e3), "heading_rms_deg": ("heading RMS", "deg", 1.0),
-    "impulse_ns": ("impulse", "N s", 1.0),
-    "formation.error_m": ("formation, error at the end", "mm", 1e3),
-    "formation.settled_s": ("formation settled", "s", 1.0),
-    "formation.longest_edge_m": ("longest edge", "m", 1.0),
-}  # fmt: skip
 
 
 class ReportError(TestbedError):
@@ -55,7 +51,7 @@ def write_report(
     folder: Path, scenario: Scenario, history: History, metrics: Metrics, config: str
 ) -> list[Path]:
     """Write report.html and figures/*.svg into a run folder; the files, the report first."""
-    charts = figures(scenario, history)
+    charts = figures(scenario, history, metrics.touches)
     try:
         drawings = folder / "figures"
         drawings.mkdir(exist_ok=True)
@@ -88,7 +84,8 @@ def render(
         _criteria(scenario, metrics),
         _results(scenario, metrics),
         "<h2>Figures</h2>", _figures(scenario, [c for c in drawn if c.key not in first]),
-        _happened(history),
+        happened(scenario, history, metrics),
+        timing(metrics),
         colophon(metrics, config),
     ]  # fmt: skip
     return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections))
@@ -104,32 +101,14 @@ def page(title: str, body: str) -> str:
     )
 
 
-def _verdict(metrics: Metrics) -> tuple[str, str]:
-    failed = [CRITERIA.get(k, (k,))[0] for k, met in metrics.criteria.items() if not met]
-    if metrics.contacts == UNCOUNTED:
-        return "stopped", f"not judged, {metrics.duration_s:.1f} s in the log"
-    if metrics.red:
-        return "stopped", "not started: a check is red"
-    if metrics.fault:
-        return "stopped", f"aborted by a fault after {metrics.duration_s:.1f} s"
-    if not metrics.completed:
-        return "stopped", f"interrupted after {metrics.duration_s:.1f} s"
-    if failed:
-        return "failed", f"failed: {'; '.join(failed)}"
-    return "passed", "passed"
-
-
 def _header(scenario: Scenario, metrics: Metrics) -> str:
-    look, words = _verdict(metrics)
+    look, words = verdict(scenario, metrics)
     where = f"on the {metrics.rig}, seed {metrics.seed}"
-    reasons = [*metrics.red, *([metrics.fault] if metrics.fault else [])]
-    fault = "".join(f'<p class="not">{escape(reason)}</p>' for reason in reasons)
-    note = ""
-    if metrics.rig == "twin" and look == "passed":
-        note = '<p class="soft">A result of the twin, not of a table.</p>'
+    story = "".join(f'<p class="not">{escape(one)}</p>' for one in reasons(scenario, metrics))
+    note = f'<p class="soft">{NOT_A_TABLE[metrics.rig]}</p>' if metrics.rig in NOT_A_TABLE else ""
     return (
         f"<header><div><h1>{escape(metrics.experiment)}</h1>"
-        f'<p class="soft">{escape(scenario.description)} &middot; {where}</p>{fault}{note}</div>'
+        f'<p class="soft">{escape(scenario.description)} &middot; {where}</p>{story}{note}</div>'
         f'<div class="verdict {look}">{escape(words)}</div></header>'
     )
 
@@ -177,9 +156,11 @@ def _tiles(scenario: Scenario, metrics: Metrics) -> str:
         ("contacts", DASH if metrics.contacts == UNCOUNTED else str(metrics.contacts), ""),
         ("gas, all together", _number(sum(gas) if gas else None, 1.0, 0), "g"),
     )
+    judged = metrics.criteria or {}
+    bad = {name for name, key in TILES_JUDGED.items() if judged.get(key) is False}
     return '<div class="tiles">' + "".join(
-        f'<div class="tile"><b>{value}{f" {unit}" if value != DASH else ""}</b>'
-        f"<span>{name}</span></div>"
+        f'<div class="tile"><b{MISSED * (name in bad)}>{value}'
+        f"{f' {unit}' if value != DASH else ''}</b><span>{name}</span></div>"
         for name, value, unit in tiles
     ) + "</div>"  # fmt: skip
 
@@ -243,6 +224,11 @@ def _warnings(metrics: Metrics) -> str:
 
 
 def _criteria(scenario: Scenario, metrics: Metrics) -> str:
+    if metrics.criteria is None:
+        why = "The flight did not come to its end, so no criterion is judged."
+        if metrics.red:
+            why = "There was no flight, so no criterion is judged."
+        return f"<h2>Criteria</h2><p>{why}</p>"
     if not metrics.criteria:
         return ""
     criteria, together = scenario.criteria, together_of(scenario, metrics)
@@ -287,12 +273,12 @@ def _results(scenario: Scenario, metrics: Metrics) -> str:
     for heading, key, scale, digits, criterion in ROWS:
         if key in OF_A_GOAL and not has_goals:
             continue
-        look = ' class="missed"' if metrics.criteria.get(criterion) is False else ""
         cells = "".join(
-            f"<td>{_number(known(scenario, metrics, name, key), scale, digits)}</td>"
+            f"<td{MISSED * missed(scenario, metrics, name, key, criterion)}>"
+            f"{_number(known(scenario, metrics, name, key), scale, digits)}</td>"
             for name in metrics.vehicles
         )
-        rows.append(f"<tr{look}><td>{heading}</td>{cells}</tr>")
+        rows.append(f"<tr><td>{heading}</td>{cells}</tr>")
     return (
         '<h2>Results</h2><div class="wide"><table>'
         f"<tr><th></th>{names}</tr>{''.join(rows)}</table></div>"
@@ -314,32 +300,6 @@ def figure(chart: Chart, paper: str = "") -> str:
     return (
         f'<figure id="{chart.key}"{full}><figcaption><b>{escape(chart.title)}</b>{also}'
         f"</figcaption>{draw(chart)}{note}</figure>"
-    )
-
-
-def _happened(history: History) -> str:
-    whose: dict[tuple[float, str], list[str]] = {}
-    for name, vehicle in history.vehicles.items():
-        for t, words in vehicle.events:
-            whose.setdefault((t, words), []).append(name)
-    for t, words in history.phases:
-        whose.setdefault((t, words), []).append("supervisor")
-    said = [
-        f'<tr><td>{_number(t, 1.0, 1)}</td><td class="words">{escape(", ".join(names))}</td>'
-        f'<td class="words">{escape(words)}</td></tr>'
-        for (t, words), names in sorted(whose.items(), key=lambda one: one[0][0])
-    ]
-    if not said:
-        return "<h2>Faults and interventions</h2><p>None.</p>"
-    if (more := len(said) - SHOWN_EVENTS) > 0:  # how it began, and how it came to its end
-        half = SHOWN_EVENTS // 2
-        rest = f'<td></td><td></td><td class="words soft">{more} more, in the log</td>'
-        said = [*said[:half], f"<tr>{rest}</tr>", *said[-half:]]
-    rows = "".join(said)
-    return (
-        '<h2>Faults and interventions</h2><div class="wide"><table><tr><th>time [s]</th>'
-        '<th class="words">who</th><th class="words">what</th></tr>'
-        f"{rows}</table></div>"
     )
 
 

@@ -1,4 +1,4 @@
-"""The end of a report: how the run was made, when what came, and how to repeat it."""
+"""The end of a report: when what came, how the run was made, and how to repeat it."""
 
 import platform
 from collections.abc import Mapping
@@ -21,8 +21,8 @@ def versions() -> Mapping[str, str]:
     return found
 
 
-def _timing(metrics: Metrics) -> str:
-    """Of a flight by the wall clock: what came when."""
+def timing(metrics: Metrics) -> str:
+    """The section on a flight by the wall clock: what came when."""
     late, half, most = (
         metrics.lateness_p99_ms, metrics.pose_to_valve_p50_ms, metrics.pose_to_valve_p99_ms
     )  # fmt: skip
@@ -35,7 +35,13 @@ def _timing(metrics: Metrics) -> str:
         said.append(
             f"of {c.sent} setpoints {c.late} came late, {c.expired} expired, {c.rejected} rejected"
         )
-    return f"<p>Timing: {'; '.join(said)}.</p>" if said else ""
+    return f"<h2>Timing</h2><p>{sentence(said)}</p>" if said else ""
+
+
+def sentence(pieces: list[str]) -> str:
+    """Pieces as one, with a capital and a full stop."""
+    words = "; ".join(pieces)
+    return f"{words[:1].upper()}{words[1:]}."
 
 
 def colophon(metrics: Metrics, config: str) -> str:
@@ -47,7 +53,6 @@ def colophon(metrics: Metrics, config: str) -> str:
             f"<p>The flight took {metrics.wall_s:.1f} s of wall time, "
             f"{metrics.real_time_factor:.1f} times real time.</p>"
         )
-    pace += _timing(metrics)
     return (
         f"<h2>How to repeat it</h2>{pace}<p>In this folder:</p>"
         "<pre>testbed run config.toml           # the same flight, to the last bit on the twin\n"

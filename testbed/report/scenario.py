@@ -13,6 +13,7 @@ from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Vehicle
 from testbed.flight.agent import FlightParams
+from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import GuidanceParams
 from testbed.metrics.run_metrics import Criteria
 
@@ -92,6 +93,11 @@ class Scenario(Protocol):
     @property
     def guidance(self) -> GuidanceParams:
         """How the law is flown."""
+        ...
+
+    @property
+    def faults(self) -> FaultTable:
+        """What is watched, and what is done about it."""
         ...
 
     @property

@@ -7,7 +7,7 @@ day the entry was written, so that a change of it is noticed.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, Literal, cast
 
 from msgspec import Meta, Struct
@@ -19,6 +19,10 @@ from testbed.reproduction.run import Run
 HOLDS, CORRECTED, FAILS = "holds", "holds with a correction", "fails"
 UNTESTABLE = "cannot be tested"
 Outcome = Literal["holds", "holds with a correction", "fails", "cannot be tested"]
+
+CLAIM: Literal["claim"] = "claim"
+CHECK: Literal["input check"] = "input check"
+Kind = Literal["claim", "input check"]
 
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9_.]+$")]
 Values = Mapping[str, Sequence[float | None]]  # by measure: one value per seed, null: there is none
@@ -41,7 +45,11 @@ class Assumption(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Claim(Struct, frozen=True, forbid_unknown_fields=True):
-    """One sentence of a paper that can be held against a number."""
+    """One sentence of a paper that can be held against a number.
+
+    An "input check" is one about this software instead: it refuses, or names a concern, where an
+    assumption of the paper is broken. It is counted apart.
+    """
 
     id: Name  # without the paper's key
     source: str  # figure, table, theorem, page
@@ -51,6 +59,7 @@ class Claim(Struct, frozen=True, forbid_unknown_fields=True):
     must: Literal["equal", "at most", "at least"] = "equal"
     limit: float | None = None  # what is compared with; null: `paper`
     tolerance: NonNegative = 0.0
+    kind: Kind = CLAIM
     run: str | None = None
     measure: str | None = None
     over: str | None = None  # measured is the ratio to what this run measures
@@ -125,6 +134,7 @@ class Row(Struct, frozen=True):
     seeds: int  # the worst of so many runs is measured
     quick: bool  # measured with fewer seeds and coarser steps
     note: str
+    kind: Kind
 
     @property
     def as_expected(self) -> bool:
@@ -198,6 +208,8 @@ def judge(key: str, paper: Paper, claim: Claim, made: Mapping[str, Values], *, q
     runs = [paper.runs[name] for name in needed(claim)]
     readings = [*(name for run in runs for name in run.corrections), *claim.corrections]
     guesses = [*(name for run in runs for name in run.assumptions), *claim.assumptions]
+    if claim.kind == CHECK:  # of this software, which reads nothing differently
+        readings, guesses = [], []
     notes = [f"{paper.corrections[n].at} read as {paper.corrections[n].read}" for n in readings]
     notes += [paper.assumptions[n].what for n in guesses]
     assumption = "; ".join(dict.fromkeys(notes))
@@ -212,12 +224,14 @@ def judge(key: str, paper: Paper, claim: Claim, made: Mapping[str, Values], *, q
         f"{key}.{claim.id}", claim.source, claim.claim, claim.paper, measured, claim.unit,
         verdict(claim, outcome, measured, assumption), assumption, outcome, claim.expected,
         claim.must, claim.limit if isinstance(claim.paper, str) else limit_of(claim),
-        claim.tolerance, seeds, quick, claim.note,
+        claim.tolerance, seeds, quick, claim.note, claim.kind,
     )  # fmt: skip
 
 
 def verdict(claim: Claim, outcome: str, measured: float | None, assumption: str) -> str:
     """The outcome as a sentence that can be quoted."""
+    if claim.kind == CHECK:
+        return "input check passed" if outcome == HOLDS else "input check failed"
     if outcome == HOLDS:
         return "reproduced"
     if outcome == CORRECTED:
@@ -227,3 +241,51 @@ def verdict(claim: Claim, outcome: str, measured: float | None, assumption: str)
     found = "it never happens" if measured is None else f"measured {measured:.4g} {claim.unit}"
     wanted = f"{claim.must} {limit_of(claim):g} {claim.unit}".replace("equal ", "")
     return f"not reproducible: {found.rstrip()}, claimed {wanted.rstrip()}"
+
+
+def claimed(row: Row) -> str:
+    """What the paper says, with its unit; for words, with the limit that stands for them."""
+    sign = {"at most": "<= ", "at least": ">= ", "equal": ""}[row.must]
+    slack = f" (+- {row.tolerance:g})" if row.tolerance and row.must == "equal" else ""
+    if isinstance(row.paper, float | int):
+        return f"{sign}{row.paper:.6g} {row.unit}".strip() + slack
+    if row.outcome == UNTESTABLE or row.limit is None or _names(row.paper, row.limit):
+        return row.paper
+    return f"{row.paper} ({sign}{row.limit:.6g} {row.unit}".rstrip() + f"{slack})"
+
+
+def _names(words: str, limit: float) -> bool:
+    """Whether words such as "> 1" are the limit itself."""
+    sign, _, number = words.partition(" ")
+    try:
+        return sign in ("<", ">", "<=", ">=") and float(number) == limit
+    except ValueError:
+        return False
+
+
+class Counts(Struct, frozen=True):
+    """How many of each outcome; input checks are not claims."""
+
+    claims: dict[str, int]
+    input_checks: dict[str, int]
+
+    def __str__(self) -> str:
+        """In one line."""
+        said = ", ".join(f"{n} {kind}" for kind, n in self.claims.items())
+        total, checks = sum(self.claims.values()), sum(self.input_checks.values())
+        failed = checks - self.input_checks["passed"]
+        beside = f"{failed} of them failed" if failed else "all passed"
+        apart = f"; {checks} input checks, {beside}" if checks else ""
+        return f"{total} claims: {said}{apart}"
+
+
+def counts(rows: Iterable[Row]) -> Counts:
+    """The rows counted."""
+    claims = dict.fromkeys((HOLDS, CORRECTED, FAILS, UNTESTABLE), 0)
+    checks = {"passed": 0, "failed": 0}
+    for row in rows:
+        if row.kind == CHECK:
+            checks["passed" if row.outcome == HOLDS else "failed"] += 1
+        else:
+            claims[row.outcome] += 1
+    return Counts(claims, checks)

@@ -8,6 +8,8 @@ Measures, one value per seed; "at T" is for every time T of `times` [s] (whole s
     plane_m at T        largest distance from the plane
     outer_m, inner_m, uniformity at T   of the five elements
     inside, outside at T    how many are within, beyond a b r
+    depth at T          mean distance from the middle over the largest: full ball 3/4, shell 1
+    arrived_s           when the mean distance to it first is below `formed_m`
     formed_s            after which the mean distance to it stays below `formed_m`
     spent_ms            velocity increment per axis, the most any satellite used up, in all
     window_ms           the same, the most within any 10 s
@@ -41,7 +43,8 @@ from testbed.reproduction.kernel.cluster import (
     cluster,
     in_metres,
 )
-from testbed.reproduction.targets import Measures, settled_after
+from testbed.reproduction.settled import reached, settled_after
+from testbed.reproduction.targets import Measures
 
 Array = NDArray[np.float64]
 
@@ -128,6 +131,7 @@ def snapshot(phase: Phase, p: Array, v: Array) -> dict[str, float]:
         "outer_m": five.outer,
         "inner_m": five.inner or 0.0,
         "uniformity": five.uniformity or 0.0,
+        "depth": float(np.linalg.norm(p - p.mean(axis=0), axis=1).mean()) / five.outer,
         "inside": float((level < 1.0).sum()),
         "outside": float((level > 1.0).sum()),
     }
@@ -146,6 +150,8 @@ def measure(run: Swarming, f: Flight) -> dict[str, float | None]:
     off = distance_to(last, f.p).mean(axis=1) > run.formed_m
     after = settled_after(t[since], off[since])
     found["formed_s"] = None if after is None else after - last.at
+    first = reached(t[since], off[since])
+    found["arrived_s"] = None if first is None else first - last.at
     found["spent_ms"] = float(f.spent[-1].max())
     found["spent_mean_ms"] = float(f.spent[-1].mean())
     w = max(1, round(WINDOW / run.sample_s))

@@ -1,8 +1,9 @@
 """gao2022, Table 3: L of formations that are as even as they get, without a simulation.
 
 Curves: equal arcs. Areas and solids: the densest lattice (hexagonal, face-centred cubic), cut so
-that exactly so many are inside, from the centre and size that give the largest L. Surfaces: points
-on a Fibonacci spiral that push each other apart until they rest.
+that exactly so many are inside, from the centre and in the direction that give the largest L.
+Surfaces: a Fibonacci spiral round the axis that gives the largest L; beside it, points that push
+each other apart until they rest.
 """
 
 from collections.abc import Iterator
@@ -10,6 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
+from scipy.spatial.transform import Rotation
 
 from testbed.metrics.characterisation import characterise, ring_uniformity
 from testbed.reproduction.figure import Figure
@@ -17,9 +20,12 @@ from testbed.reproduction.targets import Measures
 
 Array = NDArray[np.float64]
 
-SIZES = 400  # of a lattice are tried
+REACH = 6.0  # of the lattice [spacings]
+SHIFTS = 12  # of the centre along each edge of the lattice's cell
+TURNED_SHIFTS = {2: 12, 3: 4}  # the same for each way to turn it
+TURNS = {2: 24, 3: 200}  # ways to turn it, where that matters
 PUSHES = 400  # of the points of a surface
-DENSEST = np.pi / np.sqrt(18.0)  # share of space that equal balls can fill (Hales 2005)
+DENSEST = float(np.pi / np.sqrt(18.0))  # share of space that equal balls can fill (Hales 2005)
 
 
 class Layouts(Struct, frozen=True, forbid_unknown_fields=True, tag="layouts"):
@@ -45,42 +51,72 @@ def double_circle(count: int, inner: float, outer: float) -> Array:
     return np.concatenate([ellipse(few, inner, inner), ellipse(count - few, outer, outer)])
 
 
-def lattice(d: int) -> tuple[Array, tuple[Array, ...]]:
-    """Points of the densest lattice with spacing 1, and centres to cut from."""
+def lattice(d: int) -> tuple[Array, Array]:
+    """Points of the densest lattice with spacing 1, and its basis, rows."""
     n = np.arange(-9, 10)
     if d == 2:
         basis = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
     else:
         basis = np.array([[1.0, 1.0, 0.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]) / np.sqrt(2.0)
     grid = np.stack(np.meshgrid(*[n] * d, indexing="ij"), axis=-1).reshape(-1, d)
-    shares = [(0.0,) * d, (0.5,) + (0.0,) * (d - 1), (1.0 / 3.0,) * d, (0.25,) * d, (0.5,) * d]
-    return grid @ basis, tuple(np.array(share) @ basis for share in shares)
+    points = grid @ basis
+    return points[np.linalg.norm(points, axis=1) < REACH], basis
+
+
+def turns(d: int) -> Iterator[Array]:
+    """Ways to turn the lattice, the first one not at all."""
+    yield np.eye(d)
+    if d == 2:
+        for angle in np.linspace(0.0, np.pi / 3.0, TURNS[d], endpoint=False)[1:]:
+            c, s = np.cos(angle), np.sin(angle)
+            yield np.array([[c, -s], [s, c]])
+    else:
+        yield from Rotation.from_quat(
+            np.random.default_rng(0).normal(size=(TURNS[d], 4))
+        ).as_matrix()  # evenly at random
 
 
 def cuts(count: int, axes: Array) -> Iterator[Array]:
     """Cuts of the lattice by an ellipse or ellipsoid that hold exactly `count`."""
-    points, centres = lattice(len(axes))
-    for centre in centres:
-        for size in np.linspace(2.0, 6.5, SIZES):
-            x = (points - centre) / size
-            inside = x[((x / axes) ** 2).sum(axis=1) <= 1.0]
-            if len(inside) == count:
-                yield inside
+    d = len(axes)
+    points, basis = lattice(d)
+    round_ = bool(np.ptp(axes) == 0.0)
+    shifts = SHIFTS if round_ else TURNED_SHIFTS[d]
+    share = np.arange(shifts) / shifts
+    centres = np.stack(np.meshgrid(*[share] * d, indexing="ij"), axis=-1).reshape(-1, d) @ basis
+    for turn in [np.eye(d)] if round_ else turns(d):
+        turned = points @ turn.T
+        for centre in centres @ turn.T:
+            x = turned - centre
+            size = ((x / axes) ** 2).sum(axis=1)
+            inner = np.argpartition(size, [count - 1, count])
+            if size[inner[count]] - size[inner[count - 1]] > 1e-9:  # else they are cut together
+                yield x[inner[:count]]
 
 
 def densest(count: int, axes: tuple[float, ...]) -> float | None:
-    """Largest L of such a cut; null if there is none."""
-    found = [characterise(x).uniformity or 0.0 for x in cuts(count, np.array(axes))]
-    return max(found) if found else None
+    """Largest L of such a cut, as the smallest extent has it; null if there is no cut."""
+    best = min(cuts(count, np.array(axes)), key=lambda x: float(pdist(x).max()), default=None)
+    return None if best is None else characterise(best).uniformity
 
 
-def surface(count: int, axes: tuple[float, float, float]) -> Array:
-    """Points on an ellipsoid that have pushed each other apart, (count, 3)."""
+def spiral(count: int) -> Array:
+    """Points on a unit sphere along a Fibonacci spiral round the last axis, (count, 3)."""
     k = np.arange(count) + 0.5
     z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
-    x = np.c_[np.sqrt(1.0 - z * z) * np.cos(angle), np.sqrt(1.0 - z * z) * np.sin(angle), z]
+    return np.c_[np.sqrt(1.0 - z * z) * np.cos(angle), np.sqrt(1.0 - z * z) * np.sin(angle), z]
+
+
+def spirals(count: int, axes: tuple[float, float, float]) -> Iterator[Array]:
+    """The same on an ellipsoid, round each of its axes."""
+    for turn in range(3):
+        yield np.roll(spiral(count), turn, axis=1) * np.array(axes)
+
+
+def rested(count: int, axes: tuple[float, float, float]) -> Array:
+    """Points on an ellipsoid that have pushed each other apart, (count, 3)."""
     shape = np.array(axes)
-    x = x * shape
+    x = spiral(count) * shape
     for push in range(PUSHES):
         gap = x[:, None] - x[None]
         d2 = (gap**2).sum(axis=2) + np.eye(count)
@@ -102,11 +138,13 @@ def run_layouts(run: Layouts, *, quick: bool) -> tuple[Measures, list[Figure]]:
         "ellipse": even(ellipse(n, 1.0, 0.6)),
         "circle": even(ellipse(n, 1.0, 1.0)),
         "double_circle": even(double_circle(n, 0.4, 1.0)),
-        "ellipse_disk": densest(n, (1.0, 0.6)),
-        "ellipse_disk_as_printed": densest(n, (1.0, 0.5)),
+        "ellipse_disk": densest(n, (1.0, 0.5)),
+        "ellipse_disk_wide": densest(n, (1.0, 0.6)),
         "disk": densest(n, (1.0, 1.0)),
-        "ellipsoid_surface": even(surface(n, (1.0, 0.8, 0.6))),
-        "sphere_surface": even(surface(n, (1.0, 1.0, 1.0))),
+        "ellipsoid_surface": max(map(even, spirals(n, (1.0, 0.8, 0.6)))),
+        "sphere_surface": even(spiral(n)),
+        "ellipsoid_surface_rested": even(rested(n, (1.0, 0.8, 0.6))),
+        "sphere_surface_rested": even(rested(n, (1.0, 1.0, 1.0))),
         "ellipsoid_space": densest(n, (1.0, 0.8, 0.6)),
         "sphere_space": densest(n, (1.0, 1.0, 1.0)),
         "equation_28_printed": n * (np.pi / (n + 2.0 * np.pi)) ** 3,

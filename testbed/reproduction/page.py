@@ -1,30 +1,35 @@
 """A paper's page for the docs: what was claimed, what we found, how to repeat it."""
 
-from testbed.reproduction.claim import CORRECTED, FAILS, HOLDS, UNTESTABLE, Paper, Row
+from testbed.reproduction.claim import CHECK, CLAIM, UNTESTABLE, Paper, Row, claimed, counts
 
 QUICK = " These numbers are of `--quick`: fewer seeds, coarser steps."
 
 
 def page(key: str, paper: Paper, rows: list[Row]) -> str:
     """Markdown."""
-    counts = dict.fromkeys((HOLDS, CORRECTED, FAILS, UNTESTABLE), 0)
-    for row in rows:
-        counts[row.outcome] += 1
-    said = ", ".join(f"{n} {kind}" for kind, n in counts.items())
     lines = [
         f"# {key}: {paper.title}", "", paper.source, "", paper.remark.strip(), "",
         f"Repeat: `testbed reproduce {key}`; this page is `testbed reproduce {key} --markdown`. "
         f"The runs and every number in them are in `configs/papers/{key}.toml`. "
-        f"{len(rows)} claims: {said}.",
+        f"{counts(rows)}.",
         "", "## Claims", "",
         "The worst of all seeds is measured." + QUICK * any(row.quick for row in rows), "",
         "| id | where | claim | paper | measured | verdict |",
         "|---|---|---|---|---|---|",
     ]  # fmt: skip
     for row in rows:
-        note = f". {row.note}" if row.note else ""
-        cells = (f"`{row.id}`", row.source, row.claim + note, _claimed(row), _found(row))
-        lines.append("| " + " | ".join(_cell(c) for c in (*cells, row.outcome)) + " |")
+        if row.kind == CLAIM:
+            note = f". {row.note}" if row.note else ""
+            cells = (row.source, row.claim + note, claimed(row), _found(row), row.outcome)
+            lines.append(_line(f"`{row.id}`", *cells))
+    checks = [row for row in rows if row.kind == CHECK]
+    if checks:
+        lines += [
+            "", "## Input checks", "",
+            "No claims of the paper: where its assumptions are broken, this software says so.", "",
+            "| id | where | check | found |", "|---|---|---|---|",
+        ]  # fmt: skip
+        lines += [_line(f"`{r.id}`", r.source, r.claim, r.verdict) for r in checks]
     lines += ["", "## How the print is read", ""]
     for name, fix in paper.corrections.items():
         lines.append(
@@ -35,19 +40,11 @@ def page(key: str, paper: Paper, rows: list[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _claimed(row: Row) -> str:
-    if isinstance(row.paper, str):
-        return row.paper
-    sign = {"at most": "<= ", "at least": ">= ", "equal": ""}[row.must]
-    slack = f" (+- {row.tolerance:g})" if row.tolerance and row.must == "equal" else ""
-    return f"{sign}{row.paper:.6g} {row.unit}".strip() + slack
+def _line(*cells: str) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
 
 
 def _found(row: Row) -> str:
     if row.outcome == UNTESTABLE:
         return row.verdict.partition(": ")[2]
     return "never" if row.measured is None else f"{row.measured:.4g} {row.unit}".strip()
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")

@@ -92,6 +92,7 @@ def place(
     told_sign: float = 1.0,
     told_coriolis: float = 1.0,
     told_rate: bool = False,
+    told_push: bool = False,
     near: float = 0.0,
     far: float = 0.0,
     edges_at: int = 0,
@@ -103,5 +104,5 @@ def place(
     return Place(
         orbit is not None, chief, np.array(goal), goal_v.wave(),
         centres, rocks.velocity.wave(), np.full(len(centres), rocks.radius), push.wave(),
-        told_sign, told_coriolis, told_rate, near, far, edges_at, max_axis,
+        told_sign, told_coriolis, told_rate, told_push, near, far, edges_at, max_axis,
     )  # fmt: skip

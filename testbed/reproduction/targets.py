@@ -1,17 +1,19 @@
 """zhang2023 in space: each satellite goes to a place of its own, round obstacles of its own."""
 
-from typing import Any
-
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from controllers.catalogue import Controller
+from controllers.sotsmc import SotsmcParams
+from sim_twin.orbit.relative import drift, frame_at
 from testbed.core.vehicle import Positive
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
-from testbed.reproduction.kernel.fleet import Flight, fly
+from testbed.reproduction.kernel.fleet import Flight, fly, wave_at
 from testbed.reproduction.scene import STILL, OrbitParams, Rocks, Vector, WaveParams, place
+from testbed.reproduction.settled import settled_after
+from testbed.reproduction.sliding import Motion, vanishing
 
 Array = NDArray[np.float64]
 Measures = dict[str, list[float | None]]
@@ -41,6 +43,7 @@ class Targets(Struct, frozen=True, forbid_unknown_fields=True, tag="targets"):
     step_s: Positive
     quick_step_s: Positive
     disturbance: WaveParams = STILL  # [m/s^2]
+    told_disturbance: bool = False  # the law's acceleration is the true one, not the nominal
     mass: Positive = 1.0  # [kg]
     corrections: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
@@ -50,7 +53,10 @@ def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
     """One satellite; the others do not matter to it."""
     law = gains_of(run.controller, ["sat"], 3)
     rocks = Rocks(satellite.obstacles, run.radius)
-    where = place(run.orbit, satellite.goal, rocks=rocks, push=run.disturbance, told_rate=True)
+    where = place(
+        run.orbit, satellite.goal, rocks=rocks, push=run.disturbance,
+        told_rate=True, told_push=run.told_disturbance,
+    )  # fmt: skip
     steps = round(run.duration_s / step)
     every = max(1, round(0.5 / step))
     start = np.array([satellite.start])
@@ -60,12 +66,17 @@ def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
     )  # fmt: skip
 
 
-def settled_after(t: Array, off: NDArray[Any]) -> float | None:
-    """First time after which nothing is `off`; null if the end is."""
-    late = np.flatnonzero(off)
-    if len(late) == 0:
-        return float(t[0])
-    return float(t[late[-1] + 1]) if late[-1] + 1 < len(t) else None
+def motion_of(run: Targets, satellite: Satellite, flight: Flight) -> Motion:
+    """The flight with its accelerations, as the law knows them."""
+    chief, push = run.orbit.chief(), run.disturbance.wave()
+    p, v = flight.p[:, 0], flight.v[:, 0]
+    a = flight.wanted[:, 0] / run.mass
+    for k, t in enumerate(flight.t):
+        a[k] += drift(frame_at(chief, t), p[k], v[k])
+        if run.told_disturbance:
+            a[k] += wave_at(push, t)
+    rocks = np.array(satellite.obstacles, dtype=float).reshape(-1, 3)
+    return Motion(flight.t, p - np.array(satellite.goal), p, v, a, rocks, run.radius)
 
 
 def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str, float | None]:
@@ -82,6 +93,8 @@ def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str,
         "control_s": settled_after(t, np.abs(u).max(axis=1) > BUSY),
         "vibration": float(flight.travel.sum() / run.mass),
     }
+    if isinstance(run.controller, SotsmcParams):
+        found |= vanishing(run.controller, motion_of(run, satellite, flight))
     gaps = [np.linalg.norm(p - np.array(rock), axis=1) for rock in satellite.obstacles]
     for k, gap in enumerate(gaps, 1):
         found[f"obstacle{k}_m"] = float(gap.min())
@@ -91,7 +104,8 @@ def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str,
         found["obstacles_m"] = float(nearest.min())
         near = float(size[nearest < NEAR].max(initial=0.0))
         far = float(size[nearest >= NEAR].max(initial=0.0))
-        found |= {"near_control": near, "far_control": far, "near_to_far": near / far}
+        found |= {"near_control": near, "far_control": far}
+        found["near_to_far"] = near / far if far > 0.0 else None
     return found
 
 

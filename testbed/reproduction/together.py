@@ -8,11 +8,12 @@ Measures of a run, where "i-j" is a pair of names and `leader` may be one of the
     edges_longest_m, closest_m              over the run; any pair, the leader's included
     obstacle_m                              nearest anybody comes to an obstacle's centre
     lost_edges                              edges of the start that were out of range or given up
-    force_n, raw_n                          largest on any axis; raw: before the thruster's bound
+    obstacle_felt_s                         last time when an obstacle is near enough to push
+    raw_n                                   largest force on any axis, before the thruster's bound
     speed_end                               largest |v - v_leader| in the last hundredth [m/s]
     proxy_m, proxy_end_m, proxy_speed_end   satellite against its proxy
     v0, phi_min, pq, height_needed_m        the certificate; eps/2 with which phi_min = P Q [J, m]
-    longer_than_bar_m, bar_room_m           longest first edge less Delta bar; Delta hat less it
+    longer_than_bar_m                       longest first edge less Delta bar
     gravity_n                               largest m |g| on the way
     v_rise, v_end                           largest rise of V between samples; V at the end / V(0)
     concern <name>                          1 if the certificate raises it, else 0
@@ -42,7 +43,8 @@ from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
 from testbed.reproduction.kernel.fleet import Flight, Place, fly, goal_at, wave_at, wave_integral
 from testbed.reproduction.scene import NO_ROCKS, Leader, OrbitParams, Rocks, Vector, place
-from testbed.reproduction.targets import Measures, settled_after
+from testbed.reproduction.settled import settled_after
+from testbed.reproduction.targets import Measures
 
 Array = NDArray[np.float64]
 
@@ -96,6 +98,12 @@ def formation_of(controller: Controller, law: CompiledLaw) -> tuple[Formation, i
     if isinstance(controller, Bounded):
         return gains.coupling.formation, 6
     return gains.potential.formation, 1
+
+
+def band_of(law: CompiledLaw) -> float:
+    """How far from its danger area the law feels an obstacle [m]."""
+    gains: Any = law.gains
+    return float(getattr(gains.potential, "band", 0.0)) if hasattr(gains, "potential") else 0.0
 
 
 def scene_of(run: Together, edges_at: int) -> Place:
@@ -153,23 +161,27 @@ def distances(run: Together, shape: Formation, track: Tracks) -> Measures:
     return found
 
 
-def obstacles(where: Place, track: Tracks) -> Measures:
-    """How near they come."""
-    gaps = []
+def obstacles(where: Place, track: Tracks, band: float) -> Measures:
+    """How near they come, and the last time they are within `band` of a danger area."""
+    if len(where.rocks) == 0:
+        return {}
+    gaps = np.empty(len(track.t))
     for k, t in enumerate(track.t):
-        way = wave_integral(where.rocks_v, t)
-        gaps += [np.linalg.norm(track.p[k, :-1] - rock - way, axis=1) for rock in where.rocks]
-    return {"obstacle_m": [float(np.min(gaps))]} if gaps else {}
+        rocks = where.rocks + wave_integral(where.rocks_v, t)
+        gaps[k] = np.linalg.norm(track.p[k, :-1, None] - rocks[None], axis=2).min()
+    felt = track.t[gaps < band + float(where.radius.max())]
+    return {
+        "obstacle_m": [float(gaps.min())],
+        "obstacle_felt_s": [float(felt[-1]) if len(felt) else 0.0],
+    }
 
 
 def efforts(run: Together, track: Tracks, f: Flight) -> Measures:
     """Forces and velocities."""
     last = track.t >= (1.0 - END) * track.t[-1]
     relative = track.v[:, :-1] - (track.v[:, -1:] if run.leader else 0.0)
-    clipped = np.minimum(f.peak, run.max_axis_n)
     return {
         "raw_n": [float(f.peak.max())],
-        "force_n": [float(clipped.max())],
         "speed_end": [float(np.linalg.norm(relative[last], axis=2).max())],
         "speed_axis_end": [float(np.abs(relative[last]).max())],
     }
@@ -248,7 +260,7 @@ def bars(c: Coupling, fleet: proof.Fleet) -> Measures:
     """Delta bar of xue2022, Eq. (18): there the edges of the start together have potential Q."""
     p = np.vstack([fleet.p, fleet.leader_p])
     pairs = np.argwhere(np.triu(c.formation.first) > 0.0)
-    beyond, room = -np.inf, np.inf
+    beyond = -np.inf
     for i, j in pairs:
         low, high = float(c.formation.desired[i, j]), c.potential.far
         desired = low
@@ -257,8 +269,7 @@ def bars(c: Coupling, fleet: proof.Fleet) -> Measures:
             above = len(pairs) * inside(c.potential, middle, desired)[0] > c.potential.height
             low, high = (low, middle) if above else (middle, high)
         beyond = max(beyond, float(np.linalg.norm(p[i] - p[j])) - low)
-        room = min(room, c.potential.far - low)
-    return {"longer_than_bar_m": [beyond], "bar_room_m": [room]}
+    return {"longer_than_bar_m": [beyond]}
 
 
 def gravity(run: Together, where: Place, f: Flight) -> Measures:
@@ -318,7 +329,8 @@ def run_together(run: Together, *, quick: bool) -> tuple[Measures, list[Figure]]
         step=step, steps=steps - steps % every, every=every,
     )  # fmt: skip
     track = tracks_of(run, where, shape, edges_at, f)
-    found = distances(run, shape, track) | obstacles(where, track) | efforts(run, track, f)
+    found = distances(run, shape, track) | efforts(run, track, f)
+    found |= obstacles(where, track, band_of(law))
     if isinstance(run.controller, Bounded):
         found |= proxies(track, f) | certificates(run, law, run.controller) | gravity(run, where, f)
         gains: Any = law.gains

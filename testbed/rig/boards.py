@@ -16,12 +16,13 @@ from collections.abc import Mapping
 from msgspec import Struct
 
 from firmware_interface.board import Board
-from firmware_interface.compiler import CompilerError
+from firmware_interface.compiler import CompilerError, host_program
 from firmware_interface.inproc import InprocBoard
 from firmware_interface.limits import limits_of
 from firmware_interface.messages import Config
 from firmware_interface.wire import WiredBoard
 from testbed.config import ConfigError
+from testbed.core.extra import pip_install
 from testbed.core.vehicle import Vehicle
 
 REAL_TIME = ("host", "qemu")
@@ -47,22 +48,45 @@ def make_board(kind: str, config: Config) -> Board:
         from firmware_interface.unicorn_board import UnicornBoard  # a large tool of developers
 
         return UnicornBoard(config)
-    except (CompilerError, ImportError) as error:
-        expected = "a board that this machine can run; `model` needs nothing"
+    except ImportError as error:
+        expected = f"the chip's emulator: {pip_install('emulator')}"
         raise ConfigError("this machine", "board", expected, f"{kind}: {error}") from error
+    except CompilerError as error:
+        raise _not_here(kind, error) from error
 
 
-def check_boards(kind: str, vehicles: Mapping[str, Vehicle]) -> None:
+def _not_here(kind: str, error: Exception) -> ConfigError:
+    expected = "a board that this machine can build and run; on the twin `model` needs nothing"
+    return ConfigError("this machine", "board", expected, f"{kind}: {error}")
+
+
+def check_boards(kind: str, vehicles: Mapping[str, Vehicle], rig: str = "twin") -> None:
     """Find out before a flight leaves anything behind whether there will be boards.
 
     Raises:
         ConfigError: this machine cannot build or run their firmware.
     """
-    if kind == "model":
-        return
-    kinds = {config.pack(): config for config in map(limits_of, vehicles.values())}
-    for config in kinds.values():
-        make_board(kind, config).close()
+    if rig == "bench":
+        _check_wired(kind, vehicles)
+    elif rig == "twin" and kind in LOCKSTEP:
+        kinds = {config.pack(): config for config in map(limits_of, vehicles.values())}
+        for config in kinds.values():
+            make_board(kind, config).close()
+
+
+def _check_wired(kind: str, vehicles: Mapping[str, Vehicle]) -> None:
+    """The bench's firmware runs as processes; `model` is `host` there."""
+    from firmware_interface.qemu import qemu_command  # loads the serial port
+    from firmware_interface.serial_board import BoardError
+
+    try:
+        if kind in ("model", "host"):
+            host_program()
+        elif kind == "qemu":
+            for vehicle in vehicles.values():
+                qemu_command(limits_of(vehicle))
+    except (CompilerError, BoardError) as error:
+        raise _not_here(kind, error) from error
 
 
 def make_drivers(kind: str, vehicles: Mapping[str, Vehicle]) -> dict[str, WiredBoard] | None:

@@ -7,7 +7,7 @@ from testbed.config import Experiment
 from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Supervisor
-from testbed.metrics.run_metrics import Consumption, Track
+from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.boards import Valves
 
 
@@ -30,8 +30,8 @@ class Rig(Protocol):
         ...
 
     @property
-    def contacts(self) -> int:
-        """Touches so far, as far as anybody can know."""
+    def touches(self) -> list[Touch]:
+        """Contacts so far, as far as anybody can know."""
         ...
 
     @property

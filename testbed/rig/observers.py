@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from testbed.core.types import HostTick, Tick
+from testbed.flight.loop import complaint
 from testbed.metrics.run_metrics import ReferenceLog
 
 
@@ -19,12 +20,31 @@ class NullObserver:
         """See `Observer`."""
 
 
-class MetricsObserver(NullObserver):
+class Witness(NullObserver):
+    """Keeps when the first fault was found."""
+
+    def __init__(self) -> None:
+        self.fault_t: float | None = None  # None: there was none [s]
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+        if self.fault_t is None and tick.outputs.fault:
+            self.fault_t = tick.outputs.t
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+        if self.fault_t is None and complaint(tick):
+            self.fault_t = tick.inputs.t
+
+
+class MetricsObserver(Witness):
     """Keeps what the metrics need."""
 
     def __init__(self, names: Iterable[str]) -> None:
+        super().__init__()
         self.aims = {name: ReferenceLog() for name in names}
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
+        super().vehicle(name, tick)
         self.aims[name].note(tick.outputs)

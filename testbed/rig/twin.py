@@ -21,7 +21,7 @@ from testbed.flight.agent import lead_time
 from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
 from testbed.flight.supervisor import Supervisor
 from testbed.metrics.characterisation import characterise
-from testbed.metrics.run_metrics import Consumption, Track
+from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.boards import Valves, WiredBoard, make_drivers
 from testbed.rig.chain import make_agent, make_guidance
 from testbed.rig.interface import not_armed
@@ -122,9 +122,9 @@ class TwinRig(Struct, frozen=True):
         return self.twin.now
 
     @property
-    def contacts(self) -> int:
+    def touches(self) -> list[Touch]:
         """See `Rig`."""
-        return len(self.twin.plant.touches)
+        return [Touch(one.t, one.vehicle, one.other, one.speed) for one in self.twin.plant.touches]
 
     def wires(self) -> dict[str, Any]:
         """See `Rig`."""

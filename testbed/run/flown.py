@@ -50,25 +50,26 @@ class Run(Mapping[str, Vehicle]):
         experiment: what was flown.
         metrics: the numbers of metrics.json.
         folder: where the run is kept; None for a run without a log.
+        damage: a line for each place at which the log is damaged; what is left is read.
     """
 
     def __init__(
         self, experiment: Experiment, metrics: Metrics, history: History,
-        folder: Path | None = None,
+        folder: Path | None = None, damage: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
         self.experiment, self.metrics, self.folder = experiment, metrics, folder
-        self._history = history
+        self._history, self.damage = history, damage
 
     @property
     def criteria(self) -> dict[str, bool]:
-        """Each criterion of the experiment, met or not."""
-        return dict(self.metrics.criteria)
+        """Each criterion of the experiment, met or not; empty if the run is not judged."""
+        return dict(self.metrics.criteria or {})
 
     @property
     def passed(self) -> bool:
         """The flight reached its end without a fault and met all criteria."""
         m = self.metrics
-        return m.completed and m.fault is None and not m.red and all(m.criteria.values())
+        return m.completed and m.fault is None and not m.red and all(self.criteria.values())
 
     @property
     def fault(self) -> str | None:
@@ -149,7 +150,7 @@ class Run(Mapping[str, Vehicle]):
         m = self.metrics
         verdict = "passed" if self.passed else m.fault or (
             "not completed" if not m.completed
-            else "failed " + ", ".join(k for k, met in m.criteria.items() if not met)
+            else "failed " + ", ".join(k for k, met in self.criteria.items() if not met)
         )  # fmt: skip
         return f"Run of {m.experiment} on the {m.rig}, seed {m.seed}, {m.duration_s:g} s: {verdict}"
 
@@ -221,5 +222,7 @@ def open_run(folder: str | Path) -> Run:
 def read_run(files: Path, folder: Path | None, experiment: Experiment) -> Run:
     """Read the files of a run, which is said to be kept in `folder`."""
     log = log_of(files)
-    history = gather(LogFeed(LogReader(log)).news())
-    return Run(experiment, judged(log.parent, log, experiment, history), history, folder)
+    book = LogReader(log)
+    history = gather(LogFeed(book).news())
+    metrics = judged(log.parent, log, experiment, history)
+    return Run(experiment, metrics, history, folder, tuple(book.said()))

@@ -142,7 +142,10 @@ def fly_and_judge(
         rig = replace(rig, pace=pace)
     references = {name: ReferenceLog() for name in experiment.vehicles}
     try:
-        with Recorder(folder / "log.mcap") as recorder, screen.showing():
+        with (
+            Recorder(folder / "log.mcap", vehicles=list(experiment.vehicles)) as recorder,
+            screen.showing(),
+        ):
             with interrupt.at_once():
                 warm_up(experiment, lambda: interrupt.asked)
             if not interrupt.asked:

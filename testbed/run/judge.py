@@ -49,7 +49,9 @@ def measure(
             distances,
         )
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
-    contacts = rig.contacts
+    touches = rig.touches
+    # ended by an operator, or never started: not judged
+    is_judged = not rig.red and (completed or ending.fault is not None)
     together = formation_metrics(experiment.controller, formation_context(experiment), track)
     wanted = experiment.criteria.formation
     return Metrics(
@@ -60,15 +62,18 @@ def measure(
         duration_s=ending.t,
         wall_s=wall,
         real_time_factor=ending.t / wall if wall > 0.0 else None,
-        contacts=contacts,
+        contacts=len(touches),
         min_vehicle_distance_m=smallest_separation(track),
         fault=ending.fault,
-        criteria=judge(experiment.criteria, vehicles, contacts, clear)
-        | (judge_formation(wanted, together) if wanted else {}),
+        criteria=judge(experiment.criteria, vehicles, len(touches), clear)
+        | (judge_formation(wanted, together) if wanted else {})
+        if is_judged
+        else None,
         vehicles=vehicles,
         **rig.wires(),
         formation=together,
         warnings=[*warnings_of(experiment), *rig.concerns()],
         phase=rig.supervisor.phase,
         red=rig.red,
+        touches=touches,
     )

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 from testbed.config import Experiment
 from testbed.core.types import Tick
 from testbed.logs.history import Array, History
-from testbed.logs.log_reader import LogReader, reads
+from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
+from testbed.logs.message import Decoder
 from testbed.metrics.formation import formation_metrics
 from testbed.metrics.run_metrics import (
     Aim,
@@ -24,7 +25,8 @@ from testbed.metrics.run_metrics import (
     smallest_separation,
     vehicle_metrics,
 )
-from testbed.report.page import UNCOUNTED, read_metrics
+from testbed.report.page import read_metrics
+from testbed.report.verdict import UNCOUNTED
 from testbed.rig.chain import formation_context
 
 
@@ -38,11 +40,14 @@ def judged(folder: Path, log: Path, experiment: Experiment, history: History) ->
 def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
     """What the log says."""
     aims = {name: ReferenceLog() for name in experiment.vehicles}
-    book, decode = LogReader(log), reads(Tick).decode
-    for topic, _, data in book.read():
+    book, decode = LogReader(log), Decoder(Tick).decode
+    for topic, stamp, data in book.read():
         name, _, kind = topic.removeprefix("/").rpartition("/")
         if kind == "tick" and name in aims:
-            aims[name].note(decode(data).outputs)
+            try:
+                aims[name].note(decode(data).outputs)
+            except UNREADABLE as error:
+                raise LogError(f"{topic} at {stamp * 1e-9:.3f} s: {error}") from None
     track = track_of(experiment, history)
     wires = any(len(vehicle.wires) for vehicle in history.vehicles.values())
     why = "the flight was killed before it was judged; gas and contacts are not in the log"
@@ -59,7 +64,7 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
         contacts=UNCOUNTED,
         min_vehicle_distance_m=smallest_separation(track),
         fault=why,
-        criteria={},
+        criteria=None,
         vehicles={
             name: _vehicle(track, k, experiment, name, aims[name].aim())
             for k, name in enumerate(experiment.vehicles)

@@ -3,22 +3,37 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from testbed.config import Experiment
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import HostNode
 from testbed.logs.log_reader import LogReader
-from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, replay
+from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, before_damage, replay
 from testbed.rig.chain import make_agent, make_guidance
 
 
-def replay_experiment(experiment: Experiment, log: Path) -> Replay:
-    """The log through the agents and laws that the experiment makes today."""
+def replay_experiment(
+    experiment: Experiment, log: Path, warn: Callable[[list[str]], None] = lambda lines: None
+) -> Replay:
+    """The log through the agents and laws that the experiment makes today.
+
+    Args:
+        experiment: what to make them of.
+        log: of a run.
+        warn: is handed a line for each damaged place of the log.
+    """
     hosts = experiment.vehicles if experiment.deploy.law == "host" else {}
-    return replay(
-        LogReader(log).read(),
-        {name: make_agent(experiment, name).step for name in experiment.vehicles},
-        {name: LoggedHost(_law_of(experiment, name)) for name in hosts},
-    )
+    book = LogReader(log)
+    try:
+        verdict = replay(
+            before_damage(book),
+            {name: make_agent(experiment, name).step for name in experiment.vehicles},
+            {name: LoggedHost(_law_of(experiment, name)) for name in hosts},
+        )
+    finally:
+        warn(book.said())
+    return replace(verdict, whole=not book.lost)
 
 
 def _law_of(experiment: Experiment, name: str) -> Callable[[LoggedLink], AtHost]:

@@ -1,9 +1,10 @@
 """The report page of a run, made from its folder."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from testbed.config import load
+from testbed.core.extra import pip_install
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader, log_of
@@ -13,11 +14,18 @@ from testbed.run.post_mortem import judged
 ZOOM = 4  # of a picture made of pixels: 2400 wide, 8 inches at 300 dpi
 
 
-def make_report(folder: Path) -> list[Path]:
-    """The files of the page; all that it says is in the folder."""
+def make_report(folder: Path, warn: Callable[[list[str]], None] = lambda lines: None) -> list[Path]:
+    """The files of the page; all that it says is in the folder.
+
+    Args:
+        folder: of a run.
+        warn: is handed a line for each damaged place of the log.
+    """
     config, log = folder / "config.toml", log_of(folder)
     scenario = load(config)
-    history = gather(LogFeed(LogReader(log)).news())
+    book = LogReader(log)
+    history = gather(LogFeed(book).news())
+    warn(book.said())
     text = config.read_text(encoding="utf-8")
     return write_report(folder, scenario, history, judged(folder, log, scenario, history), text)
 
@@ -27,7 +35,7 @@ def make_pictures(drawings: Iterable[Path]) -> None:
     try:
         import resvg_py
     except ImportError:
-        raise ReportError("PNG needs resvg-py: pip install 'airbearing-testbed[figures]'") from None
+        raise ReportError(f"PNG needs resvg-py: {pip_install('figures')}") from None
     for drawing in drawings:
         png = resvg_py.svg_to_bytes(
             svg_string=drawing.read_text(encoding="utf-8"), zoom=ZOOM, font_family="DejaVu Sans"

@@ -21,11 +21,12 @@ from testbed.campaign.row import Flown
 from testbed.campaign.summary import summarise
 from testbed.campaign.sweep import load_campaign
 from testbed.campaign.trial import fly, fly_with_log
-from testbed.campaign.tuning import Trial
+from testbed.campaign.tuning import Trial, judged, load_tuning
 from testbed.cli.benchmark import print_scores
 from testbed.cli.campaign import print_summary
 from testbed.cli.tune import TuningResult, print_result
 from testbed.config import dump, find, load
+from testbed.core.extra import pip_install
 
 FILE = """
 name = "try"
@@ -258,6 +259,38 @@ def test_words_in_brackets_are_words(here, capsys):
     assert "[/boom]" in capsys.readouterr().out
 
 
+def test_a_flight_that_ended_in_a_fault_is_named_with_its_seed(here, capsys):
+    campaign = load_campaign(here / "try.toml")
+    stuck = "sat1: valve_stuck_closed: jet 4 gives no thrust"
+    runs = [Flown(k, "fault", stuck, {"gas_g": 1.0}, seed=k, fault_t=12.3) for k in range(12)]
+    print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
+    said = capsys.readouterr().out
+    assert "  run 7, seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4" in said
+    assert "and 2 more in summary.json" in said
+
+
+def test_what_is_not_safe_on_other_seeds_is_named(here, capsys):
+    tune = {"name": "t", "experiment": "hold", "cost": {"gas_g": 1.0}}
+    gain = {"key": "controller.bandwidth", "low": 0.1, "high": 0.6}
+    (here / "tune.toml").write_text(tomli_w.dumps({**tune, "gain": [gain]}))
+    tuning = load_tuning(here / "tune.toml")
+    unsafe = Flown(0, "fault", "sat1: leak: 3 %", {"gas_g": 1.0}, seed=1_000_004, fault_t=2.0)
+    trial = judged(tuning, 0, [0.1], [unsafe])
+    best = msgspec.structs.replace(trial, cost=1.0, broken=0)
+    result = TuningResult(
+        "t", 1, 1, best, best, 1, 1.0, 0, 1e6, 1, {}, best_proof_reasons=trial.reasons
+    )
+    print_result(tuning, result, here)
+    assert "  seed 1000004: leak of sat1 at 2.0 s: 3 %" in capsys.readouterr().out
+
+
+def test_a_run_that_ends_in_a_fault_keeps_seed_and_time(here):
+    base = tomli_w.dumps(dump(load(find("hold"))))
+    run = fly(base, 3, ["duration_s=3", "faults.battery_low.below=12.5", "seed=9"])
+    assert (run.outcome, run.seed) == ("fault", 9)
+    assert run.told(run.reason).startswith("seed 9: battery_low of sat1 at 0.")
+
+
 # What is wrong is said
 
 
@@ -274,7 +307,7 @@ def test_a_missing_package_is_named_and_how_to_get_it(testbed, monkeypatch, here
     monkeypatch.setitem(sys.modules, "distributed", None)
     result = testbed("campaign", "try.toml", "--scheduler", "tcp://127.0.0.1:9")
     assert result.exit_code == 2
-    assert "pip install 'airbearing-testbed[campaign]'" in result.stderr
+    assert pip_install("campaign") in result.stderr
 
 
 def test_bench_says_the_commands_for_a_table(testbed):

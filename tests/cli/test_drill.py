@@ -1,14 +1,15 @@
 """Admission and drill: judged by numbers; the flights themselves are short ones."""
 
 import json
+import re
 
 import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from testbed.cli.admit import forced, print_admission
-from testbed.cli.drill import case, fly_case
+from testbed.cli.admit import fly_once, forced, print_admission
+from testbed.cli.drill import case, fly_case, print_drill
 from testbed.config import ConfigError, find, load
 from testbed.faults.drill import NAMES, WHEN, Drilled, draw, summarise
 from testbed.metrics.admission import (
@@ -18,6 +19,7 @@ from testbed.metrics.admission import (
     nearest_edge,
     nearest_rims,
 )
+from testbed.metrics.fault_line import mishap
 from testbed.metrics.run_metrics import Track
 
 GOOD = Flown(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
@@ -43,7 +45,7 @@ def test_the_worst_flight_decides(change, broken):
     admission = judge_flights("x", flights, AdmissionParams())
     assert [one.name for one in admission.findings if not one.kept] == broken
     assert admission.admitted == (not broken)
-    if broken and broken != ["flights that end in a fault"]:
+    if broken:
         assert next(one.seed for one in admission.findings if not one.kept) == 7
 
 
@@ -52,6 +54,36 @@ def test_a_refusal_says_the_numbers(capsys):
     said = " ".join(capsys.readouterr().out.split())
     assert "refused: room to the fence" in said
     assert "0.010 m, at least 0.05 m" in said
+
+
+def test_each_flight_that_ended_in_a_fault_is_named(capsys):
+    stuck = "sat1: valve_stuck_closed: jet 4 gives no thrust"
+    flights = [GOOD, replace(GOOD, seed=7, fault=stuck, fault_t=12.34), replace(GOOD, seed=8)]
+    print_admission(judge_flights("x", flights, AdmissionParams()))
+    said = capsys.readouterr().out
+    assert "  seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4 gives no thrust\n" in said
+
+
+def test_admit_flies_and_says_when_the_fault_was_found():
+    early = ["duration_s=3", "faults.battery_low.below=12.5"]
+    flown = fly_once(load(find("hold"), early), 5)
+    assert flown.fault.startswith("sat1: battery_low: ")
+    assert flown.fault_t is not None
+    assert flown.fault_t < 0.5
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("sat1: battery_low: battery low: 9 V", "battery_low of sat1 at 2.0 s: battery low: 9 V"),
+        ("sat-2: leak", "leak of sat-2 at 2.0 s"),
+        ("log: No space left on device", "log: No space left on device at 2.0 s"),
+        ("Traceback\n  a line\nZeroDivisionError: 1/0", "ZeroDivisionError: 1/0 at 2.0 s"),
+    ],
+)
+def test_a_mishap_in_words(fault, words):
+    assert mishap(3, fault, 2.0) == f"seed 3: {words}"
+    assert mishap(None, fault, 2.0) == words
 
 
 def nobody(_):
@@ -71,6 +103,17 @@ def test_room_is_measured_from_rim_to_rim():
     assert nearest_rims(track, [0.2, 0.2]) == pytest.approx(0.3)
     assert nearest_rims(Track(np.arange(2.0), states[:, :1]), [0.2]) is None
     assert nearest_edge(track, [(2.8, 2.8), (2.8, 2.8)]) == pytest.approx(1.8)
+
+
+def test_the_table_of_a_drill_fits_into_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    cases = [replace(CASE, kind=kind, response="brake", detected_s=12.34) for kind in NAMES]
+    print_drill(summarise("bench", cases), [])
+    table = capsys.readouterr().out.partition("undetected:")[0]
+    assert max(map(len, table.splitlines())) <= 80
+    assert "…" not in table
+    for kind in NAMES:
+        assert re.search(rf"^{kind} +brake +1 +0 ", table, re.MULTILINE)
 
 
 CASE = Drilled(

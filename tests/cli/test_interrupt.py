@@ -1,6 +1,7 @@
 """Ctrl-C or SIGTERM at any moment: exit code 130, and a run folder that can be read."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -47,6 +48,11 @@ def assert_incomplete(folder: Path, read_log) -> dict:
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["completed"] is False
     assert metrics["fault"] is None
+    assert metrics["criteria"] is None  # not judged
+    page = (folder / "report.html").read_text()
+    assert f"interrupted at {metrics['duration_s']:.1f} s: not judged" in page
+    assert "not met" not in page
+    assert 'class="missed"' not in page
     read_log(folder)
     return metrics
 
@@ -138,7 +144,7 @@ def test_in_flight(start, here, read_log, number):
     stdout, stderr = process.communicate(timeout=30)
     assert process.returncode == 130, stderr
     assert stderr == ""
-    assert "interrupted after" in stdout
+    assert re.search(r"interrupted at \d+\.\d s: not judged", stdout)
     metrics = assert_incomplete(here / "out", read_log)
     assert metrics["duration_s"] > 1.0
     ticks = read_log(here / "out").messages

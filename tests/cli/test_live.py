@@ -7,6 +7,7 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
+from patience import wait_for
 from testbed.cli.live import LiveTable
 from testbed.config import find, load
 from testbed.report.goal_error import Wanted
@@ -70,6 +71,15 @@ def test_a_fault_is_in_it():
     assert "too fast" in said
 
 
+def test_the_culprit_and_those_who_stop_with_it_are_told_apart():
+    stuck = 'inject=[{kind="stick_open",vehicle="sat3",at_s=1.03,jet=3}]'
+    said = words(flown(Console(file=io.StringIO()), "duration_s=4", stuck))
+    rows = {line.split()[0]: line for line in said.splitlines() if line.startswith("sat")}
+    assert "FAULT valve stuck open?" in rows["sat3"]
+    assert "stopping with the others" in rows["sat1"]
+    assert "FAULT" not in rows["sat1"] + rows["sat2"]
+
+
 def test_before_the_first_tick():
     experiment = load(find("hold"))
     assert "getting ready" in words(LiveTable(experiment, Console(file=io.StringIO())))
@@ -100,3 +110,20 @@ def test_the_error_of_a_formation_is_of_its_edges():
     place = {name: np.array(setup.start[:2]) for name, setup in experiment.vehicles.items()}
     first = abs(np.linalg.norm(place["sat1"] - place["sat2"]) - wanted[frozenset(("sat1", "sat2"))])
     assert float(rows["sat1"][2]) == pytest.approx(1e3 * first, abs=30.0)  # little has moved
+
+
+def test_a_flight_in_a_pipe_says_a_line_now_and_then():
+    out = io.StringIO()
+    experiment = load(find("zhang2023_table"), ["duration_s=2"])
+    live = LiveTable(experiment, Console(file=out), line_s=0.001)
+    with live:
+        wait_for(lambda: "zhang2023_table: getting ready" in out.getvalue())
+        live.flies()
+        wait_for(lambda: "zhang2023_table: waiting for its vehicles" in out.getvalue())
+        make_twin(experiment).fly(Shower(live))
+        said = len(out.getvalue())
+        wait_for(lambda: " of 2 s, " in out.getvalue()[said:])
+    whole = out.getvalue()
+    assert ", sat1 33" in whole.splitlines()[-1]
+    assert "mm off" in whole.splitlines()[-1]
+    assert live.line() == whole.splitlines()[-1]

@@ -267,6 +267,18 @@ def test_a_mistake_elsewhere_is_not_blamed_on_the_parameters(testbed, mine):
 
 # Failures in flight
 
+
+def test_a_law_that_gives_nan_at_once_is_refused_before_a_flight(testbed, here):
+    (here / "nan.py").write_text(
+        "class Law:\n    def force(self, own, neighbours, world, t):\n"
+        "        return float('nan') * own.p\n"
+    )
+    for verb in ("check", "run"):
+        result = testbed(verb, "hold", 'controller={type="python", law="nan.py:Law"}')
+        assert result.exit_code == 2
+        assert "a force that is no number, [nan nan], the first time it was asked" in result.stderr
+
+
 LATE = """
 class Law:
     def force(self, own, neighbours, world, t):

@@ -148,3 +148,49 @@ def test_nothing_is_drawn_of_what_was_not_measured(testbed):
     page, words = read()
     assert 'id="tracking"' not in page
     assert "0.3 s" in words
+
+
+def test_a_failure_is_told_from_its_beginning(testbed):
+    """zhang2023_table_pd knows nothing of obstacles: it hits one, and seems to have a stuck valve."""  # noqa: E501
+    result = testbed("run", "zhang2023_table_pd", "duration_s=20", "--out", "out")
+    assert result.exit_code == 3
+    metrics = json.loads(Path("out/metrics.json").read_text())
+    first = metrics["touches"][0]
+    said = f"sat3 hit obstacle o1 at {first['t']:.1f} s, {100 * first['speed']:.0f} cm/s"
+    assert len(metrics["touches"]) == metrics["contacts"] >= 1
+    page, words = read()
+    assert f'<div class="verdict fault">{said}; aborted by a fault after ' in page
+    assert said in result.stdout
+    told = words[words.index("Faults and interventions") :]
+    contact = f"hit obstacle o1, {100 * first['speed']:.0f} cm/s"
+    assert told.index(contact) < told.index("valve_stuck_open")
+    assert len(re.findall(r"pushed by [\d.]+ m/s", page)) == 1  # one sentence once
+    for key in ("obstacles", "error", "speed"):  # and in the figures
+        assert "sat3 hits o1" in Path(f"out/figures/{key}.svg").read_text(), key
+    assert "Red stars are contacts" in words
+    near = {n: v["min_obstacle_distance_m"] for n, v in metrics["vehicles"].items()}
+    assert near["sat3"] < 0.8 < min(near["sat1"], near["sat2"])
+    row = re.search(r"<tr><td>nearest obstacle \[m\].*?</tr>", page).group()
+    assert row.count("missed") == 1
+    assert f'<td class="missed">{near["sat3"]:.3f}</td>' in row
+    assert re.search(r'<b class="missed">\d+ ?</b><span>contacts', page)
+
+
+def test_a_criterion_that_is_missed_is_amber_and_marks_its_cells_only(testbed):
+    words = ("duration_s=4", "criteria={max_contacts=0,impulse_ns=0.4}")
+    testbed("run", "zhang2023_table", *words, "--out", "out")
+    page, _ = read()
+    assert '<div class="verdict failed">failed: impulse</div>' in page
+    row = re.search(r"<tr><td>impulse \[N s\].*?</tr>", page).group()
+    spent = [
+        v["impulse_ns"]
+        for v in json.loads(Path("out/metrics.json").read_text())["vehicles"].values()
+    ]
+    assert row.count("missed") == sum(one > 0.4 for one in spent)
+    assert row.count("missed") > 0
+    assert "<tr class" not in page
+
+
+def test_every_page_of_a_twin_says_so(testbed):
+    testbed("run", "hold", "duration_s=1", "--out", "out")  # fails: nothing settles in a second
+    assert "A result of the twin, not of a table." in read()[1]

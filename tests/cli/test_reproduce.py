@@ -101,6 +101,10 @@ def test_json_is_one_object_per_paper(testbed, small):
     assert result.exit_code == 0
     found = json.loads(result.stdout)
     assert found["paper"] == "small"
+    assert found["counts"]["claims"] == {
+        "holds": 0, "holds with a correction": 1, "fails": 1, "cannot be tested": 1,
+    }  # fmt: skip
+    assert found["counts"]["input_checks"] == {"passed": 0, "failed": 0}
     ring, twenty, metal = found["claims"]
     assert list(ring)[:8] == [
         "id", "source", "claim", "paper", "measured", "unit", "verdict", "assumption",
@@ -128,7 +132,8 @@ def test_a_second_run_says_the_same(testbed, small):
 def test_the_table_is_for_people(testbed, small):
     result = testbed("reproduce", "small")
     assert result.exit_code == 0
-    for words in ("even formations", "0.5", "3 claims in"):
+    counted = "3 claims: 0 holds, 1 holds with a correction, 1 fails, 1 cannot be tested (in"
+    for words in ("even formations", "0.5", counted):
         assert words in result.output
     assert "\x1b" not in result.output
 
@@ -146,6 +151,27 @@ def test_markdown_is_the_page(testbed, small):
     assert result.stdout.startswith("# small: even formations\n")
     assert "| `small.ring` | Table 3 |" in result.stdout
     assert "* **ring**, Eq. (28): printed N + 2 pi; read as N + pi. It is so." in result.stdout
+
+
+def test_input_checks_are_counted_and_printed_apart(testbed, small):
+    small.write_text(
+        SMALL.replace('id = "ring"\n', 'id = "ring"\nkind = "input check"\n').replace(
+            'expected = "holds with a correction"', 'expected = "holds"'
+        )
+    )
+    result = testbed("reproduce", "small", "--json")
+    assert result.exit_code == 0
+    found = json.loads(result.stdout)
+    assert found["counts"]["input_checks"] == {"passed": 1, "failed": 0}
+    assert sum(found["counts"]["claims"].values()) == 2
+    assert found["claims"][0]["kind"] == "input check"
+    assert found["claims"][0]["verdict"] == "input check passed"
+    assert "2 claims: " in result.stderr
+    assert "; 1 input checks, all passed" in result.stderr
+    page = testbed("reproduce", "small", "--markdown").stdout
+    claims, _, checks = page.partition("## Input checks")
+    assert "`small.ring`" not in claims
+    assert "| `small.ring` | Table 3 | L of a ring of 50 | input check passed |" in checks
 
 
 def test_plots_are_files(testbed, small, tmp_path):

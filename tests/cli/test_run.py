@@ -19,7 +19,7 @@ WIRES = {
 METRICS = {
     "experiment", "rig", "seed", "completed", "duration_s", "wall_s", "real_time_factor",
     "contacts", "min_vehicle_distance_m", "criteria", "vehicles", "warnings",
-    "phase", "red",
+    "phase", "red", "touches",
     "formation",
 }  # fmt: skip
 VEHICLE_METRICS = {
@@ -231,7 +231,8 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
             "supervisor": "Event",
         }  # fmt: skip
         assert name == wanted[topic.rpartition("/")[2]]
-        assert set(schema["required"]) == set(log.messages[topic][0][1])
+        there = set(log.messages[topic][0][1])
+        assert set(schema["required"]) <= there <= set(schema["properties"])
     for name in names:
         sequence = [row["outputs"]["command"]["seq"] for _, row in log.messages[f"/{name}/tick"]]
         assert sequence == list(range(1, 21))
@@ -329,3 +330,30 @@ def test_a_folder_that_may_not_be_written(start, here, out):
     assert "Permission denied" in stderr
     assert "Traceback" not in stderr
     assert list(locked.iterdir()) == []
+
+
+@pytest.mark.parametrize("words", [["--port", "9000"], ["--bind", "0.0.0.0"]])
+def test_a_port_of_the_dashboard_needs_a_dashboard(testbed, words):
+    result = testbed("run", "hold", *words)
+    assert result.exit_code == 2
+    assert "--web or --view" in result.stderr
+    assert not Path("runs").exists()
+
+
+def test_the_dashboard_of_a_run_listens_where_it_was_asked_to(testbed, tmp_path, monkeypatch):
+    opened = []
+
+    class Board:
+        def terminate(self): ...
+
+        wait = terminate
+
+    def beside_run(*where):
+        opened.append(where)
+        return Board()
+
+    monkeypatch.setattr("testbed.cli.dash.beside_run", beside_run)
+    out = tmp_path / "out"
+    where = ("--web", "--bind", "0.0.0.0", "--port", "9000", "--speed", "1000")
+    testbed("run", "hold", "duration_s=0.5", *where, "--out", out)
+    assert opened == [(out, "web", "0.0.0.0", 9000)]

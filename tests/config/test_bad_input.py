@@ -130,6 +130,10 @@ def test_a_wrong_choice(override: str) -> None:
 
 
 TOML_VALUE = """a TOML value: a number, a word, [...], {...}, or text in quotes, 'key="..."'"""
+ENTRIES = (
+    "name, description, duration_s, table, vehicles, obstacles, controller, guidance, deploy,"
+    " criteria, faults"
+)
 
 WRONG = {  # override: (key if it is not that of the override, expected, found)
     # wrong types, however deep
@@ -281,7 +285,9 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "vehicles.sat1.model.drag=1e6": ("", "at most 125: with more it does not float", "1e+06"),
     "vehicles.sat1.model.spin_drag=3": ("", "at most 2: with more it does not float", "3"),
     "vehicles.sat1.model.jets=[]": (
-        "", "jets that push the body every way and turn it both ways", "0 that do not",
+        "", "jets that push the body every way and turn it both ways",
+        "0: none towards +x; none towards -x; none towards +y; none towards -y; none turning left;"
+        " none turning right",
     ),
     "vehicles.sat1.model.jets[3].push=[1,1]": ("", "a vector of length 1", "[1.0, 1.0]"),
     "vehicles.sat1.model.jets[3].position=[15,9]": (
@@ -294,6 +300,11 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "vehicles.sat1.model.air.tank_pressure=200": (
         "", "at least set_pressure + dropout, 600000 Pa", "200 Pa",
     ),
+    "vehicles.sat1.model.gauges={battery=false,undervoltage_v=9.0}": (
+        "vehicles.sat1.model.gauges.undervoltage_v", "0 without a voltmeter (`battery = false`)",
+        "9 V",
+    ),
+    "vehicles.sat1.model.gauges.undervoltage_v=9000": ("", "volts, at most 60", "9000"),
     "vehicles.sat1.model.tolerance.thrust=5": ("", "a share, at most 0.5: 5 % is 0.05", "5"),
     "vehicles.sat1.model.tolerance.com=1": ("", "at most the radius, 0.2 m", "1 m"),
     "vehicles.sat1.model.valve.min_on_s=10": ("", "at most flight.jet_period_s, 0.1 s", "10 s"),
@@ -346,12 +357,26 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "guidance.preview_s=1e6": ("", "at most 100 jet periods, 10 s", "1e+06 s"),
     # keys that cannot be
     "name.foo=1": ("name", "a table", '"zhang2023_table"'),
-    "nowhere.*.x=1": ("nowhere", "at least one entry", "{}"),
+    "nowhere.*.x=1": ("nowhere", f"one of: {ENTRIES}", "no `nowhere`"),
+    "vehicle.*.model.mass=3": (
+        "vehicle", f"one of: {ENTRIES}", "no `vehicle` (did you mean `vehicles`?)",
+    ),
+    "vehicles.*.models.*.mass=3": (
+        "vehicles.sat1.models", "one of: model, start, goal",
+        "no `models` (did you mean `model`?)",
+    ),
+    "vehicles.sat1.model.jets[8].thrust=1": (
+        "vehicles.sat1.model.jets", "an index from [0] to [7]: `jets` has 8 entries", "[8]",
+    ),
     "vehicles[0].start=[0,0,0]": (
         "vehicles", "the name of an entry", "{sat1 = ..., sat2 = ..., sat3 = ...}",
     ),
-    "table.size[2]=1": ("table.size", "an index below 2", "[6.0, 6.0]"),
-    "table.size.x=1": ("table.size", "an index below 2", "[6.0, 6.0]"),
+    "table.size[2]=1": (
+        "table.size", "an index from [0] to [1]: `size` has 2 entries", "[2]",
+    ),
+    "table.size.x=1": (
+        "table.size", "an index from [0] to [1]: `size` has 2 entries", '"x"',
+    ),
     # values that cannot be
     "name=": ("", TOML_VALUE, "nothing"),
     "name=two words": ("", TOML_VALUE, '"two words"'),

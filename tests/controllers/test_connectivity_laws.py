@@ -149,6 +149,26 @@ def test_baseline_is_31_and_32(seed, d, attract):
     assert change == pytest.approx([0.5 * s @ scene.drift], rel=1e-10)
 
 
+@pytest.mark.parametrize("x", [30.0, 59.0, 61.0, 119.0, 121.0, 400.0])
+def test_the_continued_well_pulls_at_every_distance(x):
+    shape = FormationParams(range=120.0, safe=10.0, distances={"a-b": 60.0})
+    weights = FormationPotentialParams(k_f=40.0, k_r=0.2, k_a=0.05, pair_count=1)
+    params = sliding_law.CollisionSlidingParams(shape, weights, "continued")
+    law, still = sliding_law.collision_sliding(params, ("a", "b"), 2), np.zeros(2)
+    own = Body(still, still, 10.0, still, still, 1e9, 0)
+    other = Neighbours(
+        np.array([[x, 0.0]]), np.zeros((1, 2)), np.ones(1), np.array([1]),
+        np.zeros((1, 0)), np.zeros(1),
+    )  # fmt: skip
+    world = World(
+        Goal(still, still, still, still), Discs(np.zeros((0, 2)), np.zeros((0, 2)), still[:0])
+    )
+    force, _ = law.rate(np.array([10.0]), own, other, world, 0.0)
+    pull = 40.0 * (0.2 if x < 60.0 else 0.05) * (x - 60.0) / (x - 10.0)
+    s = -0.1 * pull  # tau grad J: towards the other one is +x
+    assert force == pytest.approx([-0.2 * np.sign(s) - 0.1 * s, 0.0])
+
+
 def test_the_paper_swerves_without_a_bound_and_the_smooth_one_does_not():
     # an obstacle and a neighbour push against each other: one component of grad Psi crosses zero
     shape = FormationParams(range=120.0, safe=10.0, distances={"a-b": 60.0})

@@ -27,6 +27,18 @@ def run(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def flown(tmp_path_factory) -> dict[str, Path]:
+    """A flight with an obstacle that moves, and one in which a valve of sat3 stays open."""
+    folder = tmp_path_factory.mktemp("flown")
+    stuck = 'inject=[{kind="stick_open",vehicle="sat3",at_s=2.03,jet=3}]'
+    moving = testbed("run", "xue2021_table_dynamic", "duration_s=6", "--out", folder / "moving")
+    assert moving.wait(600) == 1
+    fault = testbed("run", "zhang2023_table", "duration_s=8", stuck, "--out", folder / "stuck")
+    assert fault.wait(600) == 3
+    return {name: folder / name for name in ("moving", "stuck")}
+
+
 @pytest.fixture
 def pictures(tmp_path) -> Path:
     """Where pictures go: DASHBOARD_PICTURES, to be looked at, or nowhere."""

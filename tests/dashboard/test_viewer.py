@@ -258,17 +258,19 @@ def test_a_formation_is_shown_with_its_leader_and_without_goals(tmp_path):
 
 
 def test_those_in_the_same_state_share_the_banner():
-    from testbed.dashboard.scene import grouped
+    from testbed.dashboard.scene_table import grouped
 
     states = {"sat1": "flies", "sat2": "waits: not armed", "sat3": "flies"}
-    assert grouped(states) == ["**sat1, sat3** flies", "**sat2** waits: not armed"]
+    assert grouped(states) == ["sat1, sat3 flies", "sat2 waits: not armed"]
 
 
 def test_only_an_edge_of_the_formation_has_to_stay_in_range():
     from testbed.config import find, load
+    from testbed.dashboard.columns import Columns
     from testbed.dashboard.scene_goals import AimScene
 
     rr = pytest.importorskip("rerun")
-    aims = AimScene(load(find("xue2024_table_constant")), rr.RecordingStream("test"))
+    columns = Columns(rr.RecordingStream("test"))
+    aims = AimScene(load(find("xue2024_table_constant")), columns)
     assert aims.matters("sat2", "sat1")
     assert not aims.matters("sat1", "sat3")

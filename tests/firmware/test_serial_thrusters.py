@@ -11,6 +11,7 @@ from firmware_interface.serial_board import BoardError, monotonic_us
 from firmware_interface.serial_thrusters import SerialThrusters, ThrustersError
 from patience import wait_for
 from testbed.core.types import ValveCommand
+from testbed.core.vehicle import Gauges
 
 PERIOD_US = 100_000
 
@@ -153,13 +154,25 @@ def test_nothing_is_left_of_a_tap(limits, tmp_path):
         os.kill(pid, 0)
 
 
-def test_a_board_without_a_gauge_is_believed_to_have_pressure(limits, tmp_path):
+@pytest.mark.parametrize(
+    ("gauges", "read"),
+    [
+        (Gauges(), (0.0, 0.0)),
+        (Gauges(supply=False), (4e5, 0.0)),
+        (Gauges(battery=False), (0.0, 12.0)),
+    ],
+)
+def test_a_sensor_that_reads_0_from_boot_is_believed_unless_there_is_none(
+    gauges, read, limits, tmp_path
+):
     with served(limits, tmp_path) as (tap, _):
-        tap.sense(24_000, 0)
-        wait_for(lambda: tap.status is not None and tap.status.supply_pa == 0)
-        with SerialThrusters(str(tap.link), limits, 0.0, 1, set_pressure=4e5) as thrusters:
-            assert thrusters.health().supply_pressure == 4e5
-            assert thrusters.health().battery == 24.0
+        tap.sense(0, 0)
+        wait_for(lambda: tap.status is not None and tap.status.supply_pa == tap.status.supply_mv)
+        with SerialThrusters(
+            str(tap.link), limits, 0.0, 1, set_pressure=4e5, gauges=gauges
+        ) as thrusters:
+            health = thrusters.health()
+            assert (health.supply_pressure, health.battery) == read
 
 
 def test_a_gauge_that_falls_to_nothing_is_believed(limits, tmp_path):

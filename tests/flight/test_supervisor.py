@@ -200,6 +200,14 @@ def test_beyond_the_fence_is_red_wherever_it_was_to_start(place, ready):
     assert list(red(far)) == ["a fence", "a start"]
 
 
+def test_no_air_and_no_battery_are_red_and_say_what_to_do(ready):
+    reasons = red(replace(ready, health=Health(10.0, 0.0, 0.0, battery=0.0)))
+    assert list(reasons) == ["a supply", "a battery"]
+    assert "open the air" in reasons["a supply"]
+    assert "`[gauges] supply = false`" in reasons["a supply"]
+    assert "`[gauges] battery = false`" in reasons["a battery"]
+
+
 def test_the_heading_is_compared_round_the_circle(ready):
     turned = replace(ready.state, pose=Pose(0.1, 0.0, 0.2 + 2.0 * math.pi))
     assert red(replace(ready, state=turned)) == {}

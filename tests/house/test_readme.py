@@ -5,11 +5,13 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from firmware_interface.compiler import CompilerError, cross_compiler
+from testbed.core.extra import pip_install
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -23,6 +25,7 @@ def sh_blocks(markdown: str) -> list[list[str]]:
     ]
 
 
+TOLD = "".join(path.read_text() for path in (ROOT / "testbed").rglob("*.py"))
 BLOCKS = sh_blocks((ROOT / "README.md").read_text())
 COMMANDS = [shlex.split(line) for block in BLOCKS for line in block]
 TESTBED = [words[1:] for words in COMMANDS if Path(words[0]).name == "testbed"]
@@ -57,9 +60,50 @@ def test_make_test_runs_pytest():
     assert [".venv/bin/python", "-m", "pytest"] in [words[:3] for words in expansion("test")]
 
 
-def test_the_dashboard_is_not_needed_for_tests():
-    assert "-dashboard" in str(expansion("--always-make", "demo"))
-    assert "-dashboard" not in str(expansion("--always-make", "test"))
+def test_the_operators_packages_are_not_needed_for_tests():
+    assert ".[operator]" in str(expansion("--always-make", "demo"))
+    for extra in ("operator", "dashboard"):
+        assert f".[{extra}]" not in str(expansion("--always-make", "test"))
+
+
+def test_make_demo_installs_all_that_the_commands_of_the_readme_need():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
+    (operator,) = extras["operator"]
+    for name in ("campaign", "dashboard", "emulator", "keys"):  # tune, --web, unicorn, lab-keys
+        assert re.search(rf"\b{name}\b", operator)
+        assert extras[name]
+
+
+def test_the_readme_does_not_say_that_nothing_else_is_needed():
+    text = (ROOT / "README.md").read_text()
+    assert "nothing else" not in text
+    for package in ("gcc libc6-dev", "gcc-arm-none-eabi"):
+        assert package in text
+
+
+def test_an_extra_is_installed_from_the_checkout(monkeypatch, tmp_path):
+    monkeypatch.chdir(ROOT)
+    words = shlex.split(pip_install("campaign"))
+    assert Path(words[0]).name == "pip"
+    assert words[1:] == ["install", "-c", "constraints.txt", "-e", ".[campaign]"]
+    monkeypatch.chdir(tmp_path)
+    words = shlex.split(pip_install("campaign"))
+    assert words[2:] == ["-c", f"{ROOT}/constraints.txt", "-e", f"{ROOT}[campaign]"]
+    words = shlex.split(pip_install("campaign", root=tmp_path))  # of a package
+    assert words[1:] == ["install", "airbearing-testbed[campaign]"]
+
+
+@pytest.mark.parametrize("extra", ["campaign", "dashboard", "emulator", "export", "figures", "keys",
+                                   "mocap", "plots"])  # fmt: skip
+def test_every_extra_that_a_message_names_is_there(extra):
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
+    said = f"('{extra}')" in TOLD or f'("{extra}")' in TOLD
+    assert said
+    assert extra in extras
 
 
 @pytest.mark.parametrize("words", MAKE, ids=shlex.join)

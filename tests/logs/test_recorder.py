@@ -11,8 +11,7 @@ import msgspec
 import pytest
 from mcap.reader import make_reader
 
-from testbed.core.types import HostTick, Tick
-from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth, json_schema
+from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
 
 HERE = Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 
@@ -115,20 +114,15 @@ def test_a_flight_that_is_killed_leaves_a_whole_log(tmp_path):
     assert len(read(path)) > 10_000
 
 
-@pytest.mark.parametrize("kind", [Tick, HostTick, Truth])
-def test_a_schema_is_an_object_that_describes_itself(kind):
-    schema = json_schema(kind)
-    assert schema["type"] == "object"
-    assert schema["title"] == kind.__name__
-    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
-    named = set(schema["$defs"])
-    assert kind.__name__ not in named
-    used = set(references(schema))
-    assert used == {f"#/$defs/{name}" for name in named}
-
-
-def references(node: object) -> list[str]:
-    if isinstance(node, dict):
-        own = [node["$ref"]] if "$ref" in node else []
-        return own + [r for child in node.values() for r in references(child)]
-    return [r for child in node for r in references(child)] if isinstance(node, list) else []
+def test_vehicles_share_the_schema_of_a_kind(tmp_path):
+    path = tmp_path / "log.mcap"
+    with Recorder(path, vehicles=["sat1"]) as recorder:
+        for topic in ("/a", "/b"):
+            recorder.write(topic, 0.0, truth(0.0))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    (schema,) = summary.schemas.values()
+    assert (schema.name, schema.encoding) == ("Truth", "jsonschema")
+    vehicles = json.loads(schema.data)["properties"]["vehicles"]
+    assert vehicles["properties"]["sat1"]["properties"]["omega"] == {"type": "number"}
+    assert {c.schema_id for c in summary.channels.values()} == {schema.id}

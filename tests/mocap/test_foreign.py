@@ -76,7 +76,7 @@ def test_what_a_package_prints_is_no_pose_and_no_end(make, monkeypatch):
 
 def test_a_package_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setattr(foreign, "PACKAGE", "no_such_package")
-    with pytest.raises(OSError, match=r"airbearing-testbed\[mocap\]"):
+    with pytest.raises(OSError, match=r"pip install .*\[mocap\]"):
         ForeignSource(MocapWire(system="vicon"))
 
 

@@ -219,6 +219,9 @@ def test_a_vehicle_flies_on_whatever_it_is_told():
     assert fired > 0
 
 
+TICKET = 77
+
+
 class NoSession:
     """Of Zenoh, for those who only declare."""
 
@@ -231,8 +234,8 @@ class NoSession:
 def test_orders():
     rng = np.random.default_rng((ROUND, 1))
     now = monotonic_ns()
-    whole = [pack(Start(7, now)), pack(Stop("enough"))]
-    tower = CommandServer(NoSession(), Keys("lab"), "sat1", "a board", BLIND, lambda ns: ns)
+    whole = [pack(Start(7, now, TICKET)), pack(Stop("enough"))]
+    tower = CommandServer(NoSession(), Keys("lab"), "sat1", "a board", BLIND, TICKET, lambda ns: ns)
     fed = answered = 0
 
     def feed():
@@ -254,11 +257,11 @@ def test_orders():
 
 @pytest.mark.parametrize("ahead_s", [-2.0, 31.0, 1e9, -1e9])
 def test_an_order_to_start_at_another_time_is_refused(ahead_s):
-    tower = CommandServer(NoSession(), Keys("lab"), "sat1", "a board", BLIND, lambda ns: ns)
+    tower = CommandServer(NoSession(), Keys("lab"), "sat1", "a board", BLIND, TICKET, lambda ns: ns)
     when = max(0, monotonic_ns() + round(1e9 * ahead_s))
-    assert b"expected 0 to 30 s" in tower._order(pack(Start(7, when)))
+    assert b"expected 0 to 30 s" in tower._order(pack(Start(7, when, TICKET)))
     assert tower.starts.empty()
-    assert b"Accepted" in tower._order(pack(Start(7, monotonic_ns() + 10**9)))
+    assert b"Accepted" in tower._order(pack(Start(7, monotonic_ns() + 10**9, TICKET)))
 
 
 def test_truth():

@@ -44,9 +44,10 @@ from testbed.rig.wired.command_server import CommandServer
 BLIND = SimpleNamespace(ready=lambda: Refused("sees nothing"))  # a lookout
 
 KEYS = Keys("lab")
+TICKET = 77
 VEHICLES = ["sat1", "sat2"]
 UNWELCOME = ["watcher-screen", "vehicle-sat2", "table"]
-START = msgspec.msgpack.encode(Start(7, 10**9))
+START = msgspec.msgpack.encode(Start(7, 10**9, TICKET))
 LATER = b"later"  # said until it is heard, so it may be heard again
 
 
@@ -74,7 +75,7 @@ class LawMessage:
     """What a vehicle has been told to do."""
 
     def __init__(self, session, name):
-        self.tower = CommandServer(session, KEYS, name, "a board", BLIND)
+        self.tower = CommandServer(session, KEYS, name, "a board", BLIND, TICKET)
         self.shut = 0
         self.tower.take_off(self.close)
         self.setpoints = Subscriber(session, KEYS.of(name, "setpoint"))
@@ -138,12 +139,15 @@ def answer(data):
 # Who may
 
 
-def test_host_and_operator_arm_and_stop(rig):
+def test_the_host_arms_and_an_operator_stops(rig):
     told = LawMessage(rig["vehicle-sat1"], "sat1")
     order = KEYS.of("sat1", "order")
     wait_for(lambda: told.tower is not None and _answers(rig.host, order))
-    assert answer(ask(rig["operator-anna"], order, START)) == Accepted("a board")
-    assert told.tower.starts.get_nowait() == Start(7, 10**9)
+    with pytest.raises(NetworkError, match="nobody is there"):
+        ask(rig["operator-anna"], order, START, wait_s=0.5)
+    assert told.tower.starts.empty()
+    assert answer(ask(rig.host, order, START)) == Accepted("a board")
+    assert told.tower.starts.get_nowait() == Start(7, 10**9, TICKET)
     halt = msgspec.msgpack.encode(Stop("enough"))
     assert answer(ask(rig.host, order, halt)) == Accepted("a board")
     assert told.tower.stop_reason == "enough"

@@ -2,6 +2,7 @@
 
 import math
 import xml.etree.ElementTree as ET
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from testbed.report.chart import (
     Disc,
     Limit,
     Line,
+    Moment,
     Point,
     Raster,
     alone,
@@ -122,3 +124,22 @@ def test_a_name_at_the_edge_stays_inside():
     name = next(t for t in root.iter("{http://www.w3.org/2000/svg}text") if t.text == "sat1")
     assert name.get("text-anchor") == "end"
     assert float(name.get("y")) > 10.0
+
+
+def test_no_two_names_of_limits_overlap_however_many_are_near():
+    """gao2022 has three limits within a few millimetres."""
+    limits = [Limit(80.0 - k, f"limit {k}") for k in range(4)]
+    root = ET.fromstring(draw(chart(Line(T, T, 0), *limits)))
+    ys = sorted(
+        float(t.get("y")) for t in root.iter("{http://www.w3.org/2000/svg}text")
+        if t.get("class") == "limitname"
+    )  # fmt: skip
+    assert all(b - a > 12.0 for a, b in pairwise(ys))
+
+
+def test_moments_are_marked_inside_and_do_not_overlap():
+    svg = draw(chart(Line(T, T, 0), Moment(10.0, "sat1 hits o1"), Moment(99.0, "sat1 hits o1")))
+    root = ET.fromstring(svg)
+    names = [t for t in root.iter("{http://www.w3.org/2000/svg}text") if t.text == "sat1 hits o1"]
+    assert [t.get("text-anchor") for t in names] == ["start", "end"]
+    assert float(names[1].get("y")) - float(names[0].get("y")) > 12.0

@@ -7,7 +7,8 @@ import numpy as np
 
 from testbed.config import find, load
 from testbed.logs.history import History, VehicleHistory
-from testbed.report.chart import Line
+from testbed.metrics.run_metrics import Touch
+from testbed.report.chart import Line, Moment, Point
 from testbed.report.figures import figures
 
 T = np.linspace(0.0, 10.0, 101)
@@ -52,3 +53,36 @@ def test_a_figure_of_nothing_is_left_out():
     drawn = flown(1)
     assert not {"separation", "tracking", "obstacles", "filter", "link", "loop"} & set(drawn)
     assert {"trajectory", "error", "speed", "tank"} <= set(drawn)
+
+
+def test_contacts_are_marked():
+    base = load(find("hold"))
+    history = History({"sat1": still(1.0, 0.5)}, np.zeros(0), {}, np.zeros((0, 3)))
+    touches = [Touch(4.0, "sat1", "left edge", 0.1), Touch(4.01, "sat1", "o1", 0.1)]
+    drawn = {chart.key: chart for chart in figures(base, history, touches)}
+    hits = [i for i in drawn["trajectory"].items if isinstance(i, Point) and i.shape == "hit"]
+    assert [(one.x, one.y) for one in hits] == [(1.0, 0.5), (1.0, 0.5)]
+    moments = [one for one in drawn["speed"].items if isinstance(one, Moment)]
+    assert moments == [Moment(4.0, "sat1 hits left edge")]  # the other is too near to be told
+
+
+def test_an_obstacle_that_moves_stays_inside_the_figure():
+    base = load(find("xue2021_table_dynamic"))
+    far = np.linspace(0.0, 1000.0, 101)
+    vehicles = {
+        n: msgspec.structs.replace(still(float(k), 0.0), t=far, at=far)
+        for k, n in enumerate(base.vehicles)
+    }
+    history = History(vehicles, np.zeros(0), {}, np.zeros((0, 3)))
+    trajectory = next(c for c in figures(base, history) if c.key == "trajectory")
+    (way,) = [i for i in trajectory.items if isinstance(i, Line) and i.style == "way dashed"]
+    assert np.abs(way.y).max() <= base.table.size[1] / 2
+    edges = [i for i in trajectory.items if isinstance(i, Line) and i.style == "edge"]
+    assert len(edges) == 2  # sat1-sat2 and sat2-sat3
+
+
+def test_no_pressure_without_a_gauge():
+    base = load(find("hold"))
+    blind = msgspec.structs.replace(still(0.0, 0.0), tank=np.zeros(len(T)), supply=np.zeros(len(T)))
+    history = History({"sat1": blind}, np.zeros(0), {}, np.zeros((0, 3)))
+    assert not {"tank", "supply"} & {chart.key for chart in figures(base, history)}

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from testbed.reproduction.claim import (
+    CHECK,
     CORRECTED,
     FAILS,
     HOLDS,
@@ -16,6 +17,8 @@ from testbed.reproduction.claim import (
     Correction,
     MeasureError,
     Paper,
+    claimed,
+    counts,
     judge,
     met,
     worst,
@@ -144,3 +147,38 @@ def test_numbers_of_numpy_can_be_written_as_json():
     found = row(claim(), np.float64(10.0))
     assert type(found.measured) is float
     assert msgspec.json.decode(msgspec.json.encode(found))["measured"] == 10.0
+
+
+def test_an_input_check_is_no_claim_of_the_paper():
+    check = claim(kind=CHECK, run="fixed", corrections=("sign",))
+    passed = judge("key", paper(check), check, {"fixed": {"gap": [10.0]}}, quick=False)
+    assert (passed.outcome, passed.verdict) == (HOLDS, "input check passed")
+    failed = judge("key", paper(check), check, {"fixed": {"gap": [11.0]}}, quick=False)
+    assert (failed.outcome, failed.verdict) == (FAILS, "input check failed")
+    found = counts([passed, failed, row(claim(), 10.0), row(claim(), 11.0), row(claim(), 12.0)])
+    assert found.claims == {HOLDS: 1, CORRECTED: 0, FAILS: 2, UNTESTABLE: 0}
+    assert found.input_checks == {"passed": 1, "failed": 1}
+    assert str(found) == (
+        "3 claims: 1 holds, 0 holds with a correction, 2 fails, 0 cannot be tested; "
+        "2 input checks, 1 of them failed"
+    )
+    assert str(counts([passed])).endswith("; 1 input checks, all passed")
+    assert "input" not in str(counts([row(claim(), 10.0)]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, "10 m"),
+        ({"tolerance": 0.5}, "10 m (+- 0.5)"),
+        ({"must": "at most"}, "<= 10 m"),
+        ({"paper": "small", "must": "at most", "limit": 3.0}, "small (<= 3 m)"),
+        ({"paper": "3/4", "limit": 0.75, "tolerance": 0.1, "unit": ""}, "3/4 (0.75 (+- 0.1))"),
+        ({"paper": "> 1", "must": "at least", "limit": 1.0}, "> 1"),
+        ({"paper": "< 1", "must": "at most", "limit": 0.9, "unit": ""}, "< 1 (<= 0.9)"),
+        ({"paper": "< a lot", "must": "at most", "limit": 9.0}, "< a lot (<= 9 m)"),
+        ({"paper": "curves", "run": None, "measure": None, "untestable": "no data"}, "curves"),
+    ],
+)
+def test_what_is_claimed_is_said_with_the_limit_that_decides(changes, said):
+    assert claimed(row(claim(**changes), 10.0)) == said

@@ -13,7 +13,7 @@ from sim_twin.orbit.kepler import Orbit
 from sim_twin.orbit.relative import chief_on, drift, field, frame_at
 from testbed.core.law import Body, Discs, Goal, Neighbours, World
 from testbed.reproduction.kernel.cluster import cluster, cluster_control, in_metres
-from testbed.reproduction.kernel.fleet import Wave, fly, goal_at, wave_at, wave_integral
+from testbed.reproduction.kernel.fleet import Wave, drifts, fly, goal_at, wave_at, wave_integral
 from testbed.reproduction.scene import Leader, OrbitParams, Rocks, WaveParams, place
 
 ORBIT = OrbitParams(6971.0, 0.01, 30.0, 50.0, 30.0, 20.0)
@@ -32,6 +32,17 @@ def test_a_wave_and_its_integral():
     t = np.linspace(0.0, 9.0, 20_001)
     values = np.array([wave_at(wave, s)[0] for s in t])
     assert wave_integral(wave, 9.0)[0] == pytest.approx(np.trapezoid(values, t), abs=1e-6)
+
+
+@pytest.mark.parametrize("told_push", [False, True])
+def test_laws_are_told_the_push_only_if_the_place_says_so(told_push):
+    where = place(ORBIT, push=SWING, told_push=told_push)
+    true, told = np.empty((3, 3)), np.empty((3, 3))
+    drifts(where, 5.0, START, 0.0 * START, true, told)
+    push = wave_at(SWING.wave(), 5.0)
+    untold = np.zeros(3) if told_push else push
+    assert true - told == pytest.approx(np.tile(untold, (3, 1)), abs=1e-15)
+    assert np.abs(push).min() > 0.0
 
 
 def test_the_leader_moves_as_its_velocity_says():

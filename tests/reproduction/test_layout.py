@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from testbed.metrics.characterisation import characterise
-from testbed.reproduction.layout import cuts, densest, double_circle, ellipse, lattice, surface
+from testbed.reproduction.layout import (
+    cuts,
+    densest,
+    double_circle,
+    ellipse,
+    lattice,
+    rested,
+    spiral,
+    spirals,
+    turns,
+)
 
 
 def gaps(x):
@@ -48,14 +58,40 @@ def test_cuts_hold_as_many_as_asked_for_and_nothing_outside():
     assert found
     for x in found:
         assert len(x) == 50
-        assert ((x / axes) ** 2).sum(axis=1).max() <= 1.0
+        assert gaps(x).min() == pytest.approx(1.0)
+        inside = ((x / axes) ** 2).sum(axis=1).max()
+        lattice_again = len(x) * np.sqrt(0.75) / (np.pi * 0.6 * inside)
+        assert lattice_again == pytest.approx(1.0, abs=0.2)  # its density
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_lattice_is_turned_and_not_bent(d):
+    found = list(turns(d))
+    assert found[0] == pytest.approx(np.eye(d))
+    for turn in found:
+        assert turn @ turn.T == pytest.approx(np.eye(d))
+        assert np.linalg.det(turn) == pytest.approx(1.0)
+
+
+def test_a_turned_lattice_fills_an_ellipsoid_better_than_one_along_its_axes():
+    assert densest(50, (1.0, 0.8, 0.6)) == pytest.approx(0.3719, abs=1e-4)  # along the axes 0.305
 
 
 def test_balls_never_fill_more_than_kepler_allows():
     assert densest(50, (1.0, 1.0, 1.0)) < np.pi / np.sqrt(18.0)
 
 
-def test_points_on_a_sphere_keep_apart():
-    x = surface(50, (1.0, 1.0, 1.0))
+def test_a_spiral_is_on_its_surface_and_spread_evenly():
+    x = spiral(50)
+    assert np.linalg.norm(x, axis=1) == pytest.approx(np.ones(50))
+    assert x.mean(axis=0) == pytest.approx(np.zeros(3), abs=0.02)
+    axes = np.array([1.0, 0.8, 0.6])
+    for y in spirals(50, (1.0, 0.8, 0.6)):
+        assert ((y / axes) ** 2).sum(axis=1) == pytest.approx(np.ones(50))
+
+
+def test_points_that_push_each_other_keep_further_apart():
+    x = rested(50, (1.0, 1.0, 1.0))
     assert np.linalg.norm(x, axis=1) == pytest.approx(np.ones(50))
     assert gaps(x).min() > 0.46  # the best known arrangement of 50 has 0.5135 (Tammes)
+    assert gaps(x).min() > gaps(spiral(50)).min()

@@ -6,7 +6,7 @@ import pytest
 
 from testbed.config import ConfigError
 from testbed.reproduction.audit import grouped, rows_of, tasks_of
-from testbed.reproduction.claim import needed
+from testbed.reproduction.claim import CHECK, needed
 from testbed.reproduction.page import page
 from testbed.reproduction.paper import chosen, complete_runs, keys, read_paper, read_papers
 
@@ -49,6 +49,25 @@ def test_the_docs_have_a_row_for_every_claim(papers, key):
     text = (ROOT / "docs" / "papers" / f"{key}.md").read_text()
     assert [c.id for c in papers[key].claims if f"`{key}.{c.id}`" not in text] == []
     assert [name for name in papers[key].corrections if f"**{name}**" not in text] == []
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_the_docs_have_the_verdict_that_is_expected(papers, key):
+    lines = (ROOT / "docs" / "papers" / f"{key}.md").read_text().splitlines()
+    said = {line.split("`")[1]: line for line in lines if line.startswith(f"| `{key}.")}
+    wrong = [
+        claim.id
+        for claim in papers[key].claims
+        if not said[f"{key}.{claim.id}"].endswith(
+            "| input check passed |" if claim.kind == CHECK else f"| {claim.expected} |"
+        )
+    ]
+    assert wrong == []
+
+
+def test_eight_input_checks_are_no_claims(papers):
+    kinds = [claim.kind for paper in papers.values() for claim in paper.claims]
+    assert kinds.count(CHECK) == 8
 
 
 def test_every_run_is_made_once_and_each_kind_begins_with_one(papers):

@@ -2,7 +2,9 @@
 
 import json
 import threading
+from contextlib import ExitStack, suppress
 from pathlib import Path
+from threading import Event
 
 import pytest
 from click.testing import CliRunner
@@ -11,12 +13,18 @@ from msgspec.structs import replace
 from testbed.cli.exit_code import BAD_INPUT, FAULT, NOT_STARTED
 from testbed.cli.main import main
 from testbed.config import ConfigError, find, load
+from testbed.core.vehicle import Gauges
 from testbed.logs.log_reader import LogReader
-from testbed.net.session import Publisher, dial
+from testbed.net.commands import Refused, Start
+from testbed.net.keys import Keys
+from testbed.net.roll_call import Enrolment, last_words
+from testbed.net.session import NetworkError, Publisher, dial
+from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.fault_latch import KILLED, FaultLatch
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.host import WireRig, loopback
+from testbed.rig.wired.preflight import order
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -96,6 +104,38 @@ def test_setpoints_of_somebody_else_before_the_start_are_red():
     assert ending.t == 0.0
 
 
+def test_a_forged_order_to_start_moves_nothing_and_the_flight_takes_place():
+    rig, over, answers = WireRig(load(find("hold"), ["duration_s=1"]), bench=True), Event(), []
+
+    def sample_plant(endpoint):
+        with dial(endpoint) as session:
+            while not over.wait(0.05):
+                soon = monotonic_ns() + 10**9
+                with suppress(NetworkError):
+                    answers.append(order(session, Keys("lab"), "sat1", Start(7, soon, 7)))
+
+    def way(endpoint):
+        threading.Thread(target=sample_plant, args=(endpoint,)).start()
+        return endpoint
+
+    rig.way = way
+    warm_up(rig.experiment)
+    try:
+        ending = rig.fly(NullObserver())
+    finally:
+        over.set()
+    assert ending.fault is None, (ending, rig.red)
+    assert ending.t == pytest.approx(1.0)
+    assert set(answers) == {Refused("the order to start is not from the host of this session")}
+
+
+def test_the_boards_of_qemu_measure_nothing():
+    measured = loopback(load(find("hold")), Path())
+    assert measured.vehicles["sat1"].model.gauges.supply
+    blind = loopback(load(find("hold"), ['board="qemu"']), Path())
+    assert blind.vehicles["sat1"].model.gauges == Gauges(supply=False, battery=False)
+
+
 def test_what_cannot_be_flown_on_wires_is_refused_before_anything_starts():
     slope = [[[0.0001234567, 0.0001]] * 120] * 120
     table = replace(
@@ -116,6 +156,30 @@ def test_on_the_table_it_says_whom_it_waits_for():
     ending = rig.fly(None, stopped=lambda: bool(said))
     assert said == ["waiting for sat1: `testbed agent` on each"]
     assert (ending.t, ending.fault) == (0.0, None)
+
+
+def test_the_host_says_that_an_agent_has_ended_and_why():
+    experiment, said = loopback(load(find("zhang2023_table")), Path()), []
+    endpoint, keys = experiment.table.lab.network.endpoint, Keys("lab")
+    with ExitStack() as stack:
+
+        def say(text):
+            said.append(text)
+            if len(said) == 1:  # sat1 comes, sat2 ends before it is ready
+                session = stack.enter_context(dial(endpoint))
+                Enrolment(session, keys, "sat1")
+                tokens.append(session.liveliness().declare_token(keys.of("sat1", "alive")))
+                with suppress(OSError), last_words(session, keys, "sat2"):
+                    raise OSError("no board at /dev/ttyACM7")
+            if tokens and "waiting for sat2, sat3: " in text:
+                tokens.pop().undeclare()
+
+        tokens = []
+        rig = WireRig(experiment, bench=False, say=say)
+        rig.fly(None, stopped=lambda: any("not on the network" in text for text in said))
+    ended = "{} has ended: {}; start its `testbed agent` again"
+    assert ended.format("sat2", "no board at /dev/ttyACM7") in said
+    assert ended.format("sat1", "it is not on the network any more") in said
 
 
 def test_the_run_after_a_fault_says_so_and_resets_it():

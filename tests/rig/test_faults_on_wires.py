@@ -59,7 +59,7 @@ def test_a_fault_is_named_and_ends_the_flight(kind, value, names):
     assert any(name in ending.fault for name in names), (ending.fault, noted.rows)
     assert rig.supervisor.phase == "FAULT"
     assert rig.report.edges["sat1"][-1][1] == 0
-    assert rig.contacts == 0
+    assert rig.touches == []
 
 
 @pytest.mark.slow

@@ -77,7 +77,7 @@ def test_it_is_flown_to_the_end(flown):
     assert len(noted.hosts["sat1"]) == 30
     assert len(noted.ticks["sat1"]) >= 29  # the last one may be under way
     assert rig.ended["sat1"].fault is None
-    assert rig.contacts == 0
+    assert rig.touches == []
 
 
 def test_the_firmware_moves_the_vehicle(flown):

@@ -40,10 +40,11 @@ class Place(NamedTuple):
     rocks: Array  # (k, d) obstacles at time 0 [m]
     rocks_v: Wave  # the velocity of all of them [m/s]
     radius: Array  # (k,) of them [m]
-    push: Wave  # acceleration that no law knows of [m/s^2]
+    push: Wave  # acceleration besides the orbit's [m/s^2]
     told_sign: float  # of g as the laws believe it to be; 1: as it is
     told_coriolis: float  # 1: what a law calls drift has C p' in it, 0: not
     told_rate: bool  # laws are told how their drift changes
+    told_push: bool  # what laws call drift has `push` in it
     near: float  # Eq. (2) of xue2022 to the letter: an edge between two satellites
     far: float  # is there in (near, far) and nowhere else; far = 0: the laws' own graph [m]
     edges_at: int  # where in a law's state a_ij begins
@@ -185,6 +186,8 @@ def drifts(place, t, p, v, true, told):
     for i in range(p.shape[0]):
         for a in range(p.shape[1]):
             true[i, a] += push[a]
+            if place.told_push:
+                told[i, a] += push[a]
 
 
 @compiled

@@ -22,10 +22,20 @@ class CommandServer:
 
     def __init__(
         self, session: zenoh.Session, keys: Keys, name: str, board: str, lookout: PreflightMonitor,
-        to_own: Callable[[int], int | None] = lambda host_ns: None,
+        ticket: int, to_own: Callable[[int], int | None] = lambda host_ns: None,
     ) -> None:  # fmt: skip
-        """Listen; `to_own` says when a time of the host's clock is on this machine's."""
-        self._lookout, self._to_own = lookout, to_own
+        """Listen.
+
+        Args:
+            session: the network.
+            keys: of the lab.
+            name: of the vehicle.
+            board: what the valves hang on.
+            lookout: says how the vehicle is.
+            ticket: that an order to start must carry.
+            to_own: says when a time of the host's clock is on this machine's.
+        """
+        self._lookout, self._ticket, self._to_own = lookout, ticket, to_own
         self.bad_orders = 0  # that were none
         self.starts: SimpleQueue[Start] = SimpleQueue()
         self.stop_reason: str | None = None
@@ -57,7 +67,10 @@ class CommandServer:
             case Start():
                 begin = self._to_own(order.epoch_ns)
                 ahead = 0 if begin is None else begin - monotonic_ns()
-                if self._flying.is_set():
+                if order.ticket != self._ticket:
+                    self.bad_orders += 1
+                    answer = Refused("the order to start is not from the host of this session")
+                elif self._flying.is_set():
                     answer = Refused("it flies already")
                 elif not -SOONEST_NS <= ahead <= FARTHEST_NS:
                     self.bad_orders += 1

@@ -6,7 +6,6 @@ table those run where they belong, and it waits for them.
 
 import os
 import secrets
-import socket
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
@@ -15,11 +14,9 @@ from pathlib import Path
 import msgspec
 import tomli_w
 import zenoh
-from msgspec.structs import replace
 
 from testbed.config import ConfigError, Experiment, dump
 from testbed.core.error import TestbedError
-from testbed.core.lab import ThrusterWire
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Answer, Request, Supervisor
 from testbed.net.access import open_lab
@@ -27,6 +24,7 @@ from testbed.net.commands import Accepted, Refused, Start, Stop
 from testbed.net.credentials import neighbour
 from testbed.net.keys import Keys
 from testbed.net.links import Party
+from testbed.net.roll_call import Roll
 from testbed.net.session import LARGEST, NetworkError, Subscriber, answer_to
 from testbed.net.stop import noted
 from testbed.realtime.processes import ChildError, Children
@@ -34,6 +32,7 @@ from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.boards import LOCKSTEP
 from testbed.rig.fault_latch import FaultLatch
 from testbed.rig.interface import not_armed
+from testbed.rig.wired.local import loopback
 from testbed.rig.wired.preflight import Preflight, order
 from testbed.rig.wired.process_faults import OF_PROCESSES
 from testbed.rig.wired.run_results import RunResults
@@ -64,30 +63,6 @@ class NotArmedError(TestbedError):
 def anybody(_: Sequence[str]) -> bool:
     """An operator who always says yes: on the bench nobody can be hurt."""
     return True
-
-
-def loopback(experiment: Experiment, folder: Path) -> Experiment:
-    """The experiment with every address on this machine, and free."""
-    table = experiment.table
-    system = "zenoh" if table.lab.mocap.system == "zenoh" else "natnet"
-    wire = replace(
-        table.lab.mocap, system=system, options={}, server="127.0.0.1", interface="127.0.0.1",
-        command_port=free_port(socket.SOCK_DGRAM), data_port=free_port(socket.SOCK_DGRAM),
-    )  # fmt: skip
-    how = "tls" if table.lab.network.keys else "tcp"
-    endpoint = f"{how}/127.0.0.1:{free_port(socket.SOCK_STREAM)}"
-    network = replace(table.lab.network, endpoint=endpoint)
-    ports = {name: str(folder / f"serial-{name}") for name in experiment.vehicles}
-    serial = replace(table.lab.serial, ports=ports)
-    lab = replace(table.lab, mocap=wire, network=network, serial=serial, thrusters=ThrusterWire())
-    return replace(experiment, table=replace(table, lab=lab))
-
-
-def free_port(kind: int) -> int:
-    """A port of the loopback interface that nobody has now."""
-    with socket.socket(socket.AF_INET, kind) as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
 
 
 class WireRig(RunResults):
@@ -189,6 +164,7 @@ class WireRig(RunResults):
         stack.enter_context(noted(network.endpoint, network.lab, network.keys))
         keys = Keys(network.lab)
         text = msgspec.json.encode(self.experiment)
+        roll = Roll(session, keys, self.experiment.vehicles)
         answering = [
             answer_to(session, keys.experiment, lambda _: text),
             answer_to(session, keys.clock, lambda _: monotonic_ns().to_bytes(8, "little")),
@@ -197,7 +173,7 @@ class WireRig(RunResults):
         if children is not None:
             self._start_children(children)
         try:
-            flight = self._prepare(session, keys, children, stopped)
+            flight = self._prepare(session, keys, roll, children, stopped)
             if flight is None:
                 return Ending(0.0, None)
             flight.truth = truth
@@ -243,6 +219,7 @@ class WireRig(RunResults):
         self,
         session: zenoh.Session,
         keys: Keys,
+        roll: Roll,
         children: Children | None,
         stopped: Callable[[], bool],
     ) -> "HostFlight | None":
@@ -251,11 +228,14 @@ class WireRig(RunResults):
         Raises:
             HostError: one of them cannot.
         """
-        missing, told = set(self.experiment.vehicles), set[str]()
+        there, told, lost = set[str](), set[str](), dict[str, str]()
         end = monotonic_ns() + round(1e9 * READY_S)
-        while missing:
-            if not self._bench and missing != told:
-                self._say(f"waiting for {', '.join(sorted(missing))}: `testbed agent` on each")
+        while missing := set(self.experiment.vehicles) - there:
+            if not self._bench:
+                for name, why in lost.items():
+                    self._say(f"{name} has ended: {why}; start its `testbed agent` again")
+                if missing != told:
+                    self._say(f"waiting for {', '.join(sorted(missing))}: `testbed agent` on each")
                 told = missing
             if stopped():
                 return None
@@ -268,10 +248,13 @@ class WireRig(RunResults):
                     f" {self.experiment.table.lab.network.endpoint}?"
                 )
             sleep_until_ns(monotonic_ns() + LOOK_NS)
-            missing = {
-                name for name in missing
-                if not list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0))
+            before, there = there, {
+                name for name in self.experiment.vehicles
+                if name in roll.tickets
+                and list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0))
             }  # fmt: skip
+            lost = dict.fromkeys(before - there, "it is not on the network any more")
+            lost |= roll.farewells()
         preflight = Preflight(self.experiment, session, keys, self.disk_free)
         names = list(self.experiment.vehicles)
         if self.supervisor.fault is not None:
@@ -292,7 +275,7 @@ class WireRig(RunResults):
         flight = HostFlight(self.experiment, self, party, self.disk_free)
         try:
             for name in names:
-                match order(session, keys, name, Start(run, epoch)):
+                match order(session, keys, name, Start(run, epoch, roll.tickets[name])):
                     case Accepted(board):
                         self._boards[name] = board
                     case Refused(reason):

@@ -8,7 +8,7 @@ import numpy as np
 
 from testbed.config import Experiment
 from testbed.core.law import Concern
-from testbed.metrics.run_metrics import Commands, Consumption, Track
+from testbed.metrics.run_metrics import Commands, Consumption, Touch, Track
 from testbed.net.commands import Ended, Flown, Pace
 from testbed.net.envelope import Verdict
 from testbed.realtime.wall_clock import WallClock
@@ -48,12 +48,16 @@ class RunResults:
         return max(0.0, self._clock.now) if self._clock is not None else 0.0
 
     @property
-    def contacts(self) -> int:
+    def touches(self) -> list[Touch]:
         """See `Rig`."""
         if self._report is None:
-            return 0
-        end = self._flown_s - self._released_late()
-        return sum(touch.t <= end for touch in self._report.touches)
+            return []
+        late = self._released_late()
+        return [
+            Touch(one.t + late, one.vehicle, one.other, one.speed)
+            for one in self._report.touches
+            if one.t + late <= self._flown_s
+        ]
 
     def _released_late(self) -> float:
         """The twin's time 0, by the run's clock [s]."""

@@ -71,10 +71,10 @@ class TableServer:
 
     Args:
         experiment: its `table.lab` says where to serve what.
-        folder: where the vehicles' serial ports appear that the lab file does not name.
+        folder: where the vehicles' serial ports appear; None: where the lab file says, else here.
     """
 
-    def __init__(self, experiment: Experiment, folder: Path) -> None:
+    def __init__(self, experiment: Experiment, folder: Path | None) -> None:
         self.experiment, self._folder = experiment, folder
         setups, table = experiment.vehicles, experiment.table
         self.names = list(setups)
@@ -367,6 +367,9 @@ def _left_as(status: Status | None) -> tuple[str, list[str]]:
     return status.state.name, [fault.name or "" for fault in status.faults]
 
 
-def port_of(experiment: Experiment, name: str, folder: Path) -> Path:
-    """Where a vehicle's serial port is, or appears."""
-    return Path(experiment.table.lab.serial.ports.get(name, str(folder / f"serial-{name}")))
+def port_of(experiment: Experiment, name: str, folder: Path | None) -> Path:
+    """Where a vehicle's serial port appears."""
+    here = f"serial-{name}"
+    if folder is not None:
+        return folder / here
+    return Path(experiment.table.lab.serial.ports.get(name, here))

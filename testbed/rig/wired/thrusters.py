@@ -56,7 +56,7 @@ def make_thrusters(lab: Lab, name: str, vehicle: Vehicle, port: str | None) -> W
     assert port is not None
     return SerialThrusters(
         port, limits_of(vehicle), vehicle.command_delay_s, monotonic_ns() & 0xFFFFFFFF,
-        lab.serial.baud, vehicle.air.set_pressure,
+        lab.serial.baud, vehicle.air.set_pressure, vehicle.gauges,
     )  # fmt: skip
 
 

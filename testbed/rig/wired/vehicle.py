@@ -9,7 +9,6 @@ happens then, it ends with closed valves:
 * the board, its line or the cameras fail: the flight ends, and the host is told.
 """
 
-import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
@@ -17,7 +16,6 @@ from pathlib import Path
 from queue import Empty
 
 import msgspec
-import numpy as np
 import zenoh
 
 from testbed.config import Experiment
@@ -30,7 +28,6 @@ from testbed.mocap.poses import MocapPoses
 from testbed.mocap.source import make_source
 from testbed.net.clock import HostClock, Reader, read_clock
 from testbed.net.commands import (
-    Counts,
     Ended,
     Flown,
     Lease,
@@ -42,8 +39,8 @@ from testbed.net.envelope import Inbox, Outbox, Verdict
 from testbed.net.impairment import NetworkImpairment
 from testbed.net.keys import Keys
 from testbed.net.links import Party, ZenohVehicleLink
+from testbed.net.roll_call import Enrolment, last_words
 from testbed.net.session import NetworkError, NobodyError, Publisher, Subscriber, ask, dial
-from testbed.realtime.clock_sync import Offset
 from testbed.realtime.processes import orphaned
 from testbed.realtime.scheduling import preferred, steady
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
@@ -51,6 +48,7 @@ from testbed.rig.chain import make_agent
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.command_guard import CommandGuard
 from testbed.rig.wired.command_server import CommandServer
+from testbed.rig.wired.counts import count
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.process_faults import Rehearsal
 from testbed.rig.wired.thrusters import WiredThrusters, make_thrusters
@@ -223,6 +221,7 @@ def fly_vehicle(
     keys = Keys(lab)
     with ExitStack() as stack:
         session = stack.enter_context(await_host(endpoint, badge, gone))
+        stack.enter_context(last_words(session, keys, name))
         experiment = ask_experiment(session, keys, gone)
         if name not in experiment.vehicles:
             raise VehicleError(f"the host flies {', '.join(experiment.vehicles)}, not {name}")
@@ -250,13 +249,21 @@ def fly_vehicle(
         # nobody has anything to say there before the order to start
         strangers = [Subscriber(session, key) for key in (keys.of(name, "setpoint"), keys.permit)]
         lookout = PreflightMonitor(experiment, name, source, thrusters, reader, strangers)
-        tower = CommandServer(session, keys, name, thrusters.board, lookout, clock_of_host.to_own)
+        enrolment = Enrolment(session, keys, name)
+        tower = CommandServer(
+            session, keys, name, thrusters.board, lookout, enrolment.ticket, clock_of_host.to_own
+        )
         stack.enter_context(steady())  # now: the last collection of garbage takes its time
         await_alone(session, keys, name)
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
         say(f"ready, {thrusters.board}; waiting for the host's order to start")
-        start = await_start(tower, lookout.look, gone)
+
+        def wait() -> None:
+            lookout.look()
+            enrolment.look()
+
+        start = await_start(tower, wait, gone)
         if start is None:
             say(f"not flown: {tower.stop_reason or 'its parent is gone'}")
             return
@@ -374,21 +381,3 @@ def await_end(gone: Callable[[], bool], tower: CommandServer) -> None:
     end = monotonic_ns() + 500_000_000
     while monotonic_ns() < end and not gone():
         sleep_until_ns(monotonic_ns() + LOOK_NS)
-
-
-def count(
-    link: ZenohVehicleLink, thrusters: WiredThrusters, poses: MocapPoses, clock: Offset,
-    unsent: int,
-) -> Counts:  # fmt: skip
-    """What became of messages and frames."""
-    best = clock.best
-    latency = float(np.median(poses.latencies)) if poses.latencies else math.nan
-    return Counts(
-        commands={str(k): n for k, n in link.heard.inbox.counts.items()},
-        refusals=thrusters.refusals | ({"not_sent": unsent} if unsent else {}),
-        mocap={str(k): n for k, n in poses.watch.counts.items()},
-        lost_frames=poses.lost_frames,
-        reconnects=thrusters.reconnects,
-        mocap_latency_ms=None if math.isnan(latency) else 1e3 * latency,
-        clock_offset_ms=None if best is None else 1e-6 * best.offset_ns,
-    )

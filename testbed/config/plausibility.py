@@ -1,0 +1,142 @@
+"""What is possible in an experiment but improbable: a wrong unit, a forgotten jet, a typing error.
+
+Said by `testbed check` only. The ranges are wide: they hold every published vehicle and table that
+the survey of configs/vehicles/floater.toml names, with a factor of ten to spare.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from controllers.lqr import LqrParams
+from controllers.pd import PdParams
+from testbed.config.error import did_you_mean
+from testbed.config.experiment import Experiment, VehicleSetup
+from testbed.config.hardware import WAYS, strength
+from testbed.core.law import Concern
+from testbed.core.se2 import wrap
+from testbed.core.vehicle import Vehicle
+from testbed.flight.allocation import weakest_force
+
+BLIND = (PdParams, LqrParams)  # laws that know no obstacle
+UNEQUAL = 0.8  # of the opposite way, what the jets can do one way
+FAST = 1.0  # acceleration [m/s^2]
+SLOW = 0.003  # [m/s^2]
+
+
+def doubts_of(experiment: Experiment) -> list[Concern]:
+    """All that is improbable."""
+    found: list[Concern] = []
+    for name, setup in experiment.vehicles.items():
+        found += [Concern(one, f"{name}: {text}") for one, text in _vehicle(setup.model)]
+        found += [Concern(one, f"{name}: {text}") for one, text in _flight(experiment, setup)]
+    found += [Concern("cameras", text) for text in _cameras(experiment)]
+    return [*found, *_wires(experiment)]
+
+
+def _vehicle(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
+    weakest, strongest = (f(jet.thrust for jet in vehicle.jets) for f in (min, max))
+    air, valve = vehicle.air, vehicle.valve
+    for name, what, value, low, high in (
+        ("mass", "mass", vehicle.mass, 0.5, 500.0),
+        ("thrust", "jets[].thrust", strongest if strongest > 20.0 else weakest, 0.005, 20.0),
+        ("pressure", "air.set_pressure", air.set_pressure, 2e4, 3e6),
+        ("pressure", "air.tank_pressure", air.tank_pressure, 1e5, 1e8),
+    ):
+        unit = {"mass": "kg", "thrust": "N", "pressure": "Pa"}[name]
+        if not low <= value <= high:
+            yield name, f"{what} is {value:g} {unit}, expected {low:g} to {high:g} {unit}"
+    accel = weakest_force(vehicle) / vehicle.mass
+    if not SLOW <= accel <= FAST:
+        yield (
+            "acceleration",
+            f"the jets give it {accel:.2g} m/s^2, expected {SLOW:g} to {FAST:g} m/s^2:"
+            " thrust in N, mass in kg?",
+        )
+    can = strength(vehicle)
+    for one, other in list(pairwise(WAYS))[::2]:
+        weak, strong = sorted((one, other), key=lambda way: can[way])
+        if can[weak] < UNEQUAL * can[strong]:
+            unit = "N" if "turn" not in one else "N m"
+            yield (
+                "jets-unequal",
+                f"{len(vehicle.jets)} jets, {can[weak]:.3g} {unit} {weak} but"
+                f" {can[strong]:.3g} {unit} {strong}: is a jet {weak} missing?",
+            )
+    if valve.min_on_s < valve.open_delay_s:
+        yield (
+            "valve",
+            f"valve.min_on_s is {1e3 * valve.min_on_s:g} ms, and a valve starts to open only after"
+            f" {1e3 * valve.open_delay_s:g} ms (open_delay_s): a pulse so short gives nothing",
+        )
+
+
+def _flight(experiment: Experiment, setup: VehicleSetup) -> Iterator[tuple[str, str]]:
+    if setup.path is not None:
+        return
+    needed = quickest_s(experiment, setup)
+    if needed > experiment.duration_s:
+        yield (
+            "too-short",
+            f"at least {needed:.0f} s from start to goal, the run ends after"
+            f" {experiment.duration_s:g} s",
+        )
+    if not isinstance(experiment.controller, BLIND):
+        return
+    for name, rock in experiment.obstacles.items():
+        gap = _gap(setup.start[:2], setup.goal[:2], rock.position)
+        if gap < rock.radius and rock.velocity == (0.0, 0.0):
+            yield (
+                "way-blocked",
+                f"the straight way from start to goal passes {gap:.3f} m from {name}, whose danger"
+                f" radius is {rock.radius:g} m, and this law does not know obstacles",
+            )
+
+
+def quickest_s(experiment: Experiment, setup: VehicleSetup) -> float:
+    """No law flies from start to goal in less time: full thrust both ways, and the turn [s]."""
+    params = experiment.guidance
+    accel = params.force_share * weakest_force(setup.model) / setup.model.mass
+    move = 2.0 * math.sqrt(math.dist(setup.start[:2], setup.goal[:2]) / accel)
+    angle = abs(wrap(setup.goal[2] - setup.start[2]))
+    # a quintic's, as guidance plans it
+    turn = math.sqrt(10.0 / math.sqrt(3.0) * angle / params.heading_accel)
+    return max(move, turn)
+
+
+def _gap(start: tuple[float, ...], end: tuple[float, ...], point: tuple[float, ...]) -> float:
+    """From a point to the straight line between two others [m]."""
+    a, b, p = np.array(start), np.array(end), np.array(point)
+    along = b - a
+    share = np.clip((p - a) @ along / max(along @ along, 1e-12), 0.0, 1.0)
+    return float(np.hypot(*(a + share * along - p)))
+
+
+def _cameras(experiment: Experiment) -> Iterator[str]:
+    mocap = experiment.table.mocap
+    if mocap.noise > 0.02:
+        yield f"table.mocap.noise is {mocap.noise:g} m, expected at most 0.02 m: in metres?"
+    if mocap.noise_deg > 5.0:
+        yield f"table.mocap.noise_deg is {mocap.noise_deg:g} deg, expected at most 5 deg"
+
+
+def _wires(experiment: Experiment) -> Iterator[Concern]:
+    """Entries of the lab that a vehicle is not among, where others are."""
+    lab, names = experiment.table.lab, list(experiment.vehicles)
+    for name in _unnamed(names, lab.mocap.bodies):
+        hint = _misspelt(name, names, lab.mocap.bodies)
+        text = f"[lab.mocap] bodies has no entry for {name}{hint}: a body called {name} is expected"
+        yield Concern("body-unnamed", text)
+    for name in _unnamed(names, lab.serial.ports):
+        hint = _misspelt(name, names, lab.serial.ports)
+        yield Concern("port-unnamed", f"[lab.serial] ports has no entry for {name}{hint}")
+
+
+def _unnamed(names: Iterable[str], entries: Mapping[str, str]) -> list[str]:
+    return [name for name in names if entries and name not in entries]
+
+
+def _misspelt(name: str, names: list[str], entries: Mapping[str, str]) -> str:
+    return did_you_mean(name, [one for one in entries if one not in names])

@@ -1,0 +1,25 @@
+"""How to install the packages that only some verbs need."""
+
+import shlex
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def pip_install(extra: str, root: Path = ROOT) -> str:
+    """The command that installs an extra into the environment that runs this.
+
+    In a checkout it installs the checkout; the project is on no index under its name then.
+    """
+    pip = shlex.quote(_short(Path(sys.executable).with_name("pip")))
+    if not (root / "pyproject.toml").is_file():
+        return f"{pip} install {shlex.quote(f'airbearing-testbed[{extra}]')}"
+    pins = shlex.quote(_short(root / "constraints.txt"))
+    return f"{pip} install -c {pins} -e {shlex.quote(f'{_short(root)}[{extra}]')}"
+
+
+def _short(path: Path) -> str:
+    """Relative to where the operator is, if it is below that."""
+    here = Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)

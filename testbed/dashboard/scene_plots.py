@@ -1,0 +1,201 @@
+"""The dashboard's plots, jets and valves: what each message says by itself, with its own time.
+
+Nothing here depends on how many messages come at once.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from testbed.core.types import State
+from testbed.dashboard.scene_wires import VALVE_STATES
+from testbed.dashboard.static_scene import FLAME, LAYER, PLUME
+from testbed.logs.feed import Loop, News, SeenHost, SeenTick
+from testbed.report.scenario import Scenario
+
+MEAN_S = 1.0  # of forces: pulses of milliseconds say little by themselves
+
+
+class PlotScene:
+    """What has been drawn of it so far."""
+
+    def __init__(self, scenario: Scenario, recording: rr.RecordingStream) -> None:
+        self._scenario, self._rec = scenario, recording
+        self._names = list(scenario.vehicles)
+        self._open: dict[tuple[str, int], bool] = {}
+        self._lit: set[str] = set()  # whose jets have a shape
+        self._renewed: dict[str, tuple[float, float]] = {}
+        self._means: dict[str, tuple[float, float]] = {}
+
+    def draw(self, news: Sequence[News]) -> None:
+        """Take in what has come."""
+        ticks: dict[str, list[SeenTick]] = {}
+        hosts: dict[str, list[SeenHost]] = {}
+        loops: list[Loop] = []
+        for one in news:
+            match one.message:
+                case SeenTick() as tick:
+                    ticks.setdefault(one.who, []).append(tick)
+                case SeenHost() as host:
+                    hosts.setdefault(one.who, []).append(host)
+                case Loop() as loop:
+                    loops.append(loop)
+        for name, flown in ticks.items():
+            if name in self._names:
+                self._ticks(name, flown)
+        for name, told in hosts.items():
+            self._heard(name, told)
+        if loops:
+            self._column("plot/loop/late", [o.t for o in loops], [1e3 * o.late_s for o in loops])
+            self._column("plot/loop/busy", [o.t for o in loops], [1e3 * o.busy_s for o in loops])
+
+    def _column(self, path: str, t: Sequence[float], values: Sequence[float]) -> None:
+        self._rec.send_columns(
+            path, [rr.TimeColumn("t", duration=t)], rr.Scalars.columns(scalars=values)
+        )
+
+    def _ticks(self, name: str, flown: list[SeenTick]) -> None:
+        """Everything that one vehicle's ticks say."""
+        setup, t = self._scenario.vehicles[name], [tick.inputs.t for tick in flown]
+        period = self._scenario.flight.jet_period_s
+        outs = [tick.outputs for tick in flown]
+        for path, wrenches in (
+            (f"plot/force/{name}", [o.wanted for o in outs]),
+            (f"plot/force/{name}_delivered", [o.planned for o in outs]),
+        ):
+            forces = self._mean(path, [(w.fx, w.fy) for w in wrenches], period)
+            self._column(path, t, forces)
+        health = [tick.inputs.health for tick in flown]
+        self._column(f"plot/supply/{name}", t, [h.supply_pressure / 1e3 for h in health])
+        self._column(
+            f"plot/gas/{name}",
+            t,
+            [100.0 * h.tank_pressure / setup.model.air.tank_pressure for h in health],
+        )
+        self._column(
+            f"plot/filter/{name}",
+            t,
+            [math.hypot(o.filtered.dfx_w, o.filtered.dfy_w) if o.filtered else 0.0 for o in outs],
+        )
+        known = [(tick.inputs.t, tick.outputs.state) for tick in flown if tick.outputs.state]
+        seen = [(at, s) for at, s in known if s is not None]
+        if seen:
+            at = [a for a, _ in seen]
+            self._column(f"plot/pose_age/{name}", at, [1e3 * s.pose_age for _, s in seen])
+            self._column(
+                f"plot/speed/{name}",
+                at,
+                [1e3 * math.hypot(s.twist.vx, s.twist.vy) for _, s in seen],
+            )
+            self._clearances(name, seen)
+        self._jets(name, flown, period)
+        self._valves(name, flown, setup.model.command_delay_s)
+
+    def _mean(self, path: str, forces: list[tuple[float, float]], period: float) -> list[float]:
+        """Size of a force, averaged over the last MEAN_S or so."""
+        weight = min(1.0, period / MEAN_S)
+        x, y = self._means.get(path, forces[0])
+        out = []
+        for fx, fy in forces:
+            x, y = x + weight * (fx - x), y + weight * (fy - y)
+            out.append(math.hypot(x, y))
+        self._means[path] = (x, y)
+        return out
+
+    def _clearances(self, name: str, seen: list[tuple[float, State]]) -> None:
+        rocks = list(self._scenario.obstacles.values())
+        if not rocks:
+            return
+        gaps = [
+            min(
+                math.hypot(
+                    s.pose.x - r.position[0] - t * r.velocity[0],
+                    s.pose.y - r.position[1] - t * r.velocity[1],
+                )
+                - r.radius
+                for r in rocks
+            )
+            for t, s in seen
+        ]
+        self._column(f"plot/clearance/{name}", [t for t, _ in seen], gaps)
+        self._column("plot/clearance/limit", [t for t, _ in seen], [0.0] * len(seen))
+
+    def _jets(self, name: str, flown: list[SeenTick], period: float) -> None:
+        """Plumes, as long as the jet is open in the period."""
+        jets = self._scenario.vehicles[name].model.jets
+        if not jets:
+            return
+        at = np.array([j.position for j in jets])
+        push = np.array([j.push for j in jets])
+        side = np.stack([-push[:, 1], push[:, 0]], axis=1)
+        share = np.array([t.outputs.command.on_us for t in flown]) * 1e-6 / period  # (n, jets)
+        length = np.where(share > 0.0, 0.25 + 0.75 * np.sqrt(np.minimum(share, 1.0)), 0.0) * PLUME
+        n, m = share.shape
+        points = np.full((n, m, 3, 3), LAYER["jet"])
+        lit = (share > 0.0)[..., None]
+        points[:, :, 0, :2] = at + np.where(lit, 0.022 * side, 0.0)
+        points[:, :, 1, :2] = at - np.where(lit, 0.022 * side, 0.0)
+        points[:, :, 2, :2] = at - length[..., None] * push
+        times = [tick.inputs.t for tick in flown]
+        first = self._names.index(name) * (m + 1)
+        for jet in range(m):  # rows from the top: the first vehicle's first jet
+            row = -float(first + jet) + 0.85 * np.minimum(share[:, jet], 1.0)
+            self._column(f"plot/valve/{name}_{jet + 1}", times, row.tolist())
+        if name not in self._lit:
+            self._lit.add(name)
+            self._rec.log(
+                f"world/vehicle/{name}/jets",
+                rr.Mesh3D.from_fields(
+                    triangle_indices=[(3 * j, 3 * j + 1, 3 * j + 2) for j in range(m)],
+                    albedo_factor=[*FLAME, 255],
+                ),
+                static=True,
+            )
+        self._rec.send_columns(
+            f"world/vehicle/{name}/jets",
+            [rr.TimeColumn("t", duration=times)],
+            rr.Mesh3D.columns(vertex_positions=points.reshape(-1, 3)).partition([3 * m] * n),
+        )
+
+    def _valves(self, name: str, flown: list[SeenTick], delay: float) -> None:
+        """When each valve opened and shut."""
+        for jet in range(len(self._scenario.vehicles[name].model.jets)):
+            times, states = [], []
+            for tick in flown:
+                command = tick.outputs.command
+                if command.on_us[jet] > 0:
+                    opened = tick.inputs.t + delay + 1e-6 * command.offset_us[jet]
+                    times += [opened, opened + 1e-6 * command.on_us[jet]]
+                    states += ["open", "shut"]
+            if (name, jet) not in self._open:
+                self._open[name, jet] = True
+                self._rec.log(f"valve/{name}/jet_{jet + 1}", VALVE_STATES, static=True)
+                times, states = [0.0, *times], ["shut", *states]
+            if times:
+                self._rec.send_columns(
+                    f"valve/{name}/jet_{jet + 1}",
+                    [rr.TimeColumn("t", duration=times)],
+                    rr.StateChange.columns(state=states),
+                )
+
+    def _heard(self, name: str, told: list[SeenHost]) -> None:
+        """How old what the host has heard of a vehicle is, and how much of it was lost."""
+        rows = [(h.inputs.t, h.inputs.own) for h in told if h.inputs.own is not None]
+        if rows:
+            t = [at for at, _ in rows]
+            self._column(f"plot/link/{name}", t, [1e3 * (at - own.t) for at, own in rows])
+            lost = self._lost(name, [(at, own.t) for at, own in rows])
+            self._column(f"plot/loss/{name}", t, lost)
+
+    def _lost(self, name: str, heard: list[tuple[float, float]]) -> list[float]:
+        """Share of ticks without anything new, over some seconds [%]."""
+        share, newest = self._renewed.get(name, (0.0, -1.0))
+        out = []
+        for _, stamp in heard:
+            share += 0.02 * ((0.0 if stamp > newest else 100.0) - share)
+            newest = stamp
+            out.append(share)
+        self._renewed[name] = (share, newest)
+        return out

@@ -1,0 +1,106 @@
+"""The roll call: a waiting vehicle and its host agree on who may order it to start.
+
+The vehicle draws a number, its ticket, and gives it to the host. An order to start without the
+ticket is refused, whoever it is from. The ticket is given again every second, because a host that
+was started anew does not know it. A vehicle that ends before its flight says why.
+"""
+
+import secrets
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from typing import Any
+
+import msgspec
+import zenoh
+from msgspec import Struct
+
+from testbed.net.keys import Keys
+from testbed.net.session import NetworkError, answer_to, ask
+from testbed.realtime.wall_clock import monotonic_ns
+
+AGAIN_NS = 1_000_000_000  # between two calls
+LEAVE_S = 0.5  # for the host to hear the last words
+LONGEST = 500  # characters of them
+
+
+class Enrol(Struct, frozen=True, tag=True):
+    """I am here."""
+
+    ticket: int  # that an order to start must carry
+
+
+class Leave(Struct, frozen=True, tag=True):
+    """I am not here any more."""
+
+    reason: str
+
+
+_decode = msgspec.msgpack.Decoder(Enrol | Leave).decode
+
+
+class Roll:
+    """The host's list. Must be kept as long as vehicles may enrol."""
+
+    def __init__(self, session: zenoh.Session, keys: Keys, names: Iterable[str]) -> None:
+        self.tickets: dict[str, int] = {}  # by vehicle
+        self.left: dict[str, str] = {}  # vehicles that have left, and why
+        self._kept = [
+            answer_to(session, keys.of(name, "roll"), partial(self._hear, name)) for name in names
+        ]
+
+    def farewells(self) -> dict[str, str]:
+        """Who has left since the last call, and why."""
+        left, self.left = self.left, {}
+        return left
+
+    def _hear(self, name: str, data: bytes) -> bytes:
+        match _decode(data):
+            case Enrol(ticket):
+                self.tickets[name] = ticket
+                self.left.pop(name, None)
+            case Leave(reason):
+                self.tickets.pop(name, None)
+                self.left[name] = reason[:LONGEST]
+        return b"heard"
+
+
+class Enrolment:
+    """A vehicle's end.
+
+    Raises:
+        NetworkError: the host does not answer.
+    """
+
+    def __init__(self, session: zenoh.Session, keys: Keys, name: str) -> None:
+        self.ticket = secrets.randbits(63)
+        self._session, self._key = session, keys.of(name, "roll")
+        self._data = msgspec.msgpack.encode(Enrol(self.ticket))
+        ask(session, self._key, self._data)
+        self._due = monotonic_ns() + AGAIN_NS
+
+    def look(self) -> None:
+        """Enrol again, if it is time to; does not wait for the answer."""
+        now = monotonic_ns()
+        if now < self._due:
+            return
+        self._due = now + AGAIN_NS
+
+        def unheard(_: Any) -> None:
+            """The next call comes whatever the host answers."""
+
+        answers = zenoh.handlers.Callback(unheard, indirect=False)
+        self._session.get(self._key, answers, payload=self._data, timeout=1.0)
+
+
+@contextmanager
+def last_words(session: zenoh.Session, keys: Keys, name: str) -> Iterator[None]:
+    """Tell the host why this vehicle ends, if it ends by an error."""
+    try:
+        yield
+    except BaseException as error:
+        reason = str(error) or "interrupted"
+        with suppress(NetworkError):
+            words = msgspec.msgpack.encode(Leave(reason[:LONGEST]))
+            ask(session, keys.of(name, "roll"), words, LEAVE_S)
+        raise

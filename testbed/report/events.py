@@ -1,0 +1,69 @@
+"""A report's list of what happened: contacts, faults, interventions, each said once."""
+
+from html import escape
+
+from testbed.logs.history import History
+from testbed.metrics.run_metrics import Metrics
+from testbed.report.fault_story import RANK, SUPERVISOR, Said, Story
+from testbed.report.scenario import Scenario
+from testbed.report.verdict import hit
+
+SHOWN = 40  # lines
+REPEATED = 3  # times, from which on they are one line
+LOOKS = {"CRITICAL": "not", "ERROR": "not", "WARN": "warn", "INFO": ""}
+
+
+def lines(scenario: Scenario, history: History, metrics: Metrics) -> list[Said]:
+    """In order of time, what was said again and again in one line."""
+    rows = [
+        (t, name, words)
+        for name, vehicle in history.vehicles.items()
+        for t, words in vehicle.events
+    ]
+    rows += [(t, SUPERVISOR, words) for t, words in history.phases]
+    told = Story(scenario).tell(rows)
+    told += [Said(one.t, (one.vehicle,), "CRITICAL", hit(scenario, one)) for one in metrics.touches]
+    return sorted(gathered(told), key=lambda one: (one.t, RANK.index(one.level)))
+
+
+def gathered(told: list[Said]) -> list[Said]:
+    """What is said often becomes one line, at its first time."""
+    often: dict[tuple[str, str], list[Said]] = {}
+    for one in told:
+        often.setdefault((one.level, one.words), []).append(one)
+    found = []
+    for (level, words), same in often.items():
+        count = sum(len(one.who) for one in same)
+        if level not in ("WARN", "INFO") or len(same) < REPEATED:
+            found += same
+            continue
+        who = tuple(dict.fromkeys(name for one in same for name in one.who))
+        first, last = same[0].t, same[-1].t
+        often_said = f"{count} x {words}, first {first:.1f} s, last {last:.1f} s"
+        found.append(Said(first, who, same[0].level, often_said))
+    return found
+
+
+def happened(scenario: Scenario, history: History, metrics: Metrics) -> str:
+    """The section."""
+    rows = [_row(one) for one in lines(scenario, history, metrics)]
+    if not rows:
+        return "<h2>Faults and interventions</h2><p>None.</p>"
+    if (more := len(rows) - SHOWN) > 0:  # how it began, and how it came to its end
+        half = SHOWN // 2
+        rest = f'<td></td><td></td><td class="words soft">{more} more, in the log</td>'
+        rows = [*rows[:half], f"<tr>{rest}</tr>", *rows[-half:]]
+    return (
+        '<h2>Faults and interventions</h2><div class="wide"><table><tr>'
+        '<th>time [s]</th><th class="words">who</th><th class="words">what</th></tr>'
+        f"{''.join(rows)}</table></div>"
+    )
+
+
+def _row(one: Said) -> str:
+    look = LOOKS[one.level]
+    words = f'<span class="{look}">{escape(one.words)}</span>' if look else escape(one.words)
+    return (
+        f'<tr><td>{one.t:.1f}</td><td class="words">{escape(", ".join(one.who))}</td>'
+        f'<td class="words">{words}</td></tr>'
+    )

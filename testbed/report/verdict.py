@@ -1,0 +1,101 @@
+"""A run in a sentence: what is said of it first, in which colour, and which numbers are to blame.
+
+Green: all criteria met. Amber: a criterion missed, or not started. Red: a fault ended it, or there
+was a contact. Grey: not judged, because an operator interrupted it or it was killed.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+from testbed.metrics.run_metrics import Metrics, Touch
+from testbed.report.fault_story import short
+from testbed.report.scenario import Scenario
+
+UNCOUNTED = -1  # contacts of a run that was killed before anybody counted them
+SHOWN_TOUCHES = 3
+CRITERIA = {  # unit, scale from the file's
+    "max_contacts": ("contacts", "", 1.0), "clear_of_obstacles": ("danger radii kept", "", 1.0),
+    "final_error_m": ("final error", "mm", 1e3), "settle_s": ("settled", "s", 1.0),
+    "hold_rms_m": ("hold RMS, last 30 s", "mm", 1e3),
+    "track_rms_m": ("tracking RMS", "mm", 1e3), "heading_rms_deg": ("heading RMS", "deg", 1.0),
+    "impulse_ns": ("impulse", "N s", 1.0),
+    "formation.error_m": ("formation, error at the end", "mm", 1e3),
+    "formation.settled_s": ("formation settled", "s", 1.0),
+    "formation.longest_edge_m": ("longest edge", "m", 1.0),
+}  # fmt: skip
+
+Look = Literal["passed", "failed", "fault", "unjudged"]
+
+
+class Verdict(NamedTuple):
+    """What is said first."""
+
+    look: Look
+    words: str
+
+
+def verdict(scenario: Scenario, metrics: Metrics) -> Verdict:
+    """Of a run."""
+    end = f"{metrics.duration_s:.1f} s"
+    if metrics.contacts == UNCOUNTED:
+        return Verdict("unjudged", f"not judged, {end} in the log")
+    if metrics.red:
+        return Verdict("failed", "not started: a check is red")
+    hits = touched(scenario, metrics.touches[:1])
+    if metrics.fault:
+        return Verdict("fault", "; ".join([*hits, f"aborted by a fault after {end}"]))
+    if not metrics.completed:
+        return Verdict("unjudged", "; ".join([*hits, f"interrupted at {end}: not judged"]))
+    missed = [k for k, met in (metrics.criteria or {}).items() if not met]
+    names = [CRITERIA.get(k, (k,))[0] for k in missed if not (hits and k == "max_contacts")]
+    if missed:
+        words = f"failed: {'; '.join([*hits, *names])}"
+        return Verdict("fault" if "max_contacts" in missed else "failed", words)
+    return Verdict("passed", "passed")
+
+
+def touched(scenario: Scenario, touches: Sequence[Touch]) -> list[str]:
+    """Contacts as sentences."""
+    return [
+        f"{one.vehicle} hit {_other(scenario, one)} at {one.t:.1f} s, {_speed(one)}"
+        for one in touches
+    ]
+
+
+def hit(scenario: Scenario, touch: Touch) -> str:
+    """What a vehicle hit, and how fast."""
+    return f"hit {_other(scenario, touch)}, {_speed(touch)}"
+
+
+def _other(scenario: Scenario, touch: Touch) -> str:
+    if touch.other in scenario.obstacles:
+        return f"obstacle {touch.other}"
+    return touch.other if touch.other in scenario.vehicles else f"the table's {touch.other}"
+
+
+def _speed(touch: Touch) -> str:
+    return f"{100.0 * touch.speed:.0f} cm/s"
+
+
+def reasons(scenario: Scenario, metrics: Metrics) -> list[str]:
+    """Why it did not go well, the first thing first, each in short words."""
+    found = touched(scenario, metrics.touches[:SHOWN_TOUCHES])
+    if (more := len(metrics.touches) - SHOWN_TOUCHES) > 0:
+        found.append(f"{more} more {'contacts' if more > 1 else 'contact'}")
+    found += metrics.red
+    if metrics.fault and not metrics.red:
+        who, _, fault = metrics.fault.partition(": ")
+        found.append(f"{who}: {short(fault)}" if who in scenario.vehicles else metrics.fault)
+    return found
+
+
+def missed(scenario: Scenario, metrics: Metrics, name: str, key: str, criterion: str) -> bool:
+    """Whether it is this vehicle's number for which a criterion is not met."""
+    if (metrics.criteria or {}).get(criterion) is not False:
+        return False
+    value = getattr(metrics.vehicles[name], key)
+    if criterion == "clear_of_obstacles":
+        # of several radii, only the smallest says for certain that one was not kept
+        return value is not None and value < min(o.radius for o in scenario.obstacles.values())
+    limit = getattr(scenario.criteria, criterion)
+    return value is None or limit is None or value > limit

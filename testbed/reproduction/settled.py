@@ -1,0 +1,22 @@
+"""When something is over for good."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def settled_after(t: Array, off: NDArray[Any]) -> float | None:
+    """First time after which nothing is `off`; null if the end is."""
+    late = np.flatnonzero(off)
+    if len(late) == 0:
+        return float(t[0])
+    return float(t[late[-1] + 1]) if late[-1] + 1 < len(t) else None
+
+
+def reached(t: Array, off: NDArray[Any]) -> float | None:
+    """First time when nothing is `off`, whatever comes later; null if there is none."""
+    there = np.flatnonzero(~off)
+    return float(t[there[0]]) if len(there) else None

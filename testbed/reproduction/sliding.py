@@ -1,0 +1,80 @@
+r"""zhang2023: s and sigma along a flight, and how fast they vanish.
+
+    s     = lambda nabla U + e'                     Eq. (15)
+    sigma = s + beta^-1 s'^(p/q)                    Eq. (24)
+
+What vanishes in finite time takes less time for each further decade; what falls exponentially
+takes the same for all.
+
+Written with arrays, apart from `controllers.potential`, so that a slip there does not hide here.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.potential import Potential, diagonal, potential
+from controllers.sotsmc import SotsmcParams
+from testbed.reproduction.settled import settled_after
+
+Array = NDArray[np.float64]
+
+TOP_SPEED = 0.1  # where the first decade of s and sigma begins; both end far above the step's [m/s]
+TOP_ERROR = 10.0  # of e: past the obstacles [m]
+HOP = 1e-3  # to differentiate along the way [s]
+
+
+class Motion(NamedTuple):
+    """A satellite's way; arrays of shape (m, d), obstacles stand still."""
+
+    t: Array  # (m,) [s]
+    e: Array  # to the goal [m]
+    p: Array  # [m]
+    v: Array  # [m/s]
+    a: Array  # [m/s^2]
+    rocks: Array  # (k, d) [m]
+    radius: float  # of the danger areas [m]
+
+
+def slope(u: Potential, way: Motion, hop: float = 0.0) -> Array:
+    """Nabla U, Eq. (16), `hop` seconds on at the velocity of the moment; shape (m, d) [m]."""
+    step = hop * way.v
+    e, p = way.e + step, way.p + step
+    total = u.attract * e
+    size = (u.repel * e * e).sum(axis=1, keepdims=True)
+    for rock in way.rocks:
+        r = p - rock
+        width = u.width_ratio * (way.radius + u.standoff)
+        high = u.height * np.exp(-(r**2).sum(axis=1, keepdims=True) / width**2)
+        total = total + high * u.repel * e - size * high * r / width**2
+    return total
+
+
+def surfaces(params: SotsmcParams, way: Motion) -> tuple[Array, Array]:
+    """The surface s and the switching function sigma, each (m, d) [m/s]."""
+    d = way.p.shape[1]
+    u, gain = potential(params.potential, d), diagonal(params.surface, d)
+    s = gain * slope(u, way) + way.v
+    rate = gain * (slope(u, way, HOP) - slope(u, way, -HOP)) / (2.0 * HOP) + way.a
+    curve = np.sign(rate) * np.abs(rate) ** (params.p / params.q)
+    return s, s + curve / diagonal(params.beta, d)
+
+
+def decades(t: Array, x: Array, top: float) -> float | None:
+    """Time from top/10 to top/100 over that from `top` to top/10, each left for good."""
+    ends = [settled_after(t, x > level) for level in (top, top / 10.0, top / 100.0)]
+    if None in ends:
+        return None
+    first, second, third = (float(end or 0.0) for end in ends)
+    return (third - second) / (second - first) if second > first else None
+
+
+def vanishing(params: SotsmcParams, way: Motion) -> dict[str, float | None]:
+    """How sigma, s and e vanish."""
+    s, sigma = surfaces(params, way)
+    return {
+        "sigma_decades": decades(way.t, np.linalg.norm(sigma, axis=1), TOP_SPEED),
+        "surface_decades": decades(way.t, np.linalg.norm(s, axis=1), TOP_SPEED),
+        "error_decades": decades(way.t, np.linalg.norm(way.e, axis=1), TOP_ERROR),
+    }

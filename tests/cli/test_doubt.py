@@ -1,0 +1,86 @@
+"""What is possible but improbable is said by `check`, and changes no exit code."""
+
+import re
+
+import pytest
+
+from testbed.config import SHIPPED, find, load
+from testbed.config.plausibility import doubts_of
+
+MODEL = "vehicles.sat1.model"
+SHIPPED_ONES = sorted(path.stem for path in (SHIPPED / "experiments").glob("*.toml"))
+BLIND = {"zhang2023_table_pd", "zhang2023_table_lqr"}  # they show what avoidance avoids
+DOUBTED = {  # what is changed: what is said
+    "thrust": ([f"{MODEL}.jets[*].thrust=250"], ["thrust", "acceleration"]),
+    "one jet": ([f"{MODEL}.jets[3].thrust=0.06"], ["jets-unequal", "jets-unequal"]),
+    "mass": ([f"{MODEL}.mass=20000", f"{MODEL}.inertia=100"], ["mass", "acceleration"]),
+    "pressure": ([f"{MODEL}.air.set_pressure=5"], ["pressure"]),
+    "noise": (["table.mocap.noise=0.2"], ["cameras"]),
+    "noise of the heading": (["table.mocap.noise_deg=9"], ["cameras"]),
+    "a pulse that opens nothing": (
+        [f"{MODEL}.valve.open_delay_s=0.05", f"{MODEL}.valve.min_on_s=0.001"], ["valve"],
+    ),
+    "an obstacle on the way": (
+        ["obstacles.rock={position=[0.0,1.0],radius=0.5}", "vehicles.sat1.goal=[0.0,2.0,0.0]"],
+        ["way-blocked"],
+    ),
+    "an obstacle beside the way": (["obstacles.rock={position=[0.0,1.0],radius=0.5}"], []),
+    "too far for the time": (["duration_s=10"], ["too-short"]),
+    "a body of another name": (["table.lab.mocap.bodies={sta1='Body 1'}"], ["body-unnamed"]),
+    "bodies of others, too": (["table.lab.mocap.bodies={sat1='a',sat2='b'}"], []),
+    "a port of another name": (["table.lab.serial.ports={stat1='/dev/a'}"], ["port-unnamed"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", DOUBTED)
+def test_doubts(case):
+    changes, names = DOUBTED[case]
+    assert [one.name for one in doubts_of(load(find("hold"), changes))] == names
+
+
+@pytest.mark.parametrize("name", SHIPPED_ONES)
+def test_what_is_shipped_is_not_doubted(name):
+    found = {one.name for one in doubts_of(load(find(name)))}
+    assert found == ({"way-blocked"} if name in BLIND else set())
+
+
+WAYS = ["towards -x", "towards -x", "towards +y", "towards +y", "towards +x", "towards +x",
+        "towards -y", "towards -y"]  # fmt: skip
+
+
+@pytest.mark.parametrize("lost", range(8))
+def test_a_forgotten_jet_is_missed_by_its_direction(testbed, tmp_path, lost):
+    whole = (SHIPPED / "vehicles" / "floater.toml").read_text()
+    rows = re.findall(r"^  \{ position = .*\n", whole, re.MULTILINE)
+    assert len(rows) == 8
+    file = tmp_path / "seven.toml"
+    file.write_text(whole.replace(rows[lost], ""))
+    result = testbed("check", "hold", f"vehicles.sat1.model={file}")
+    assert result.exit_code == 0
+    assert f"7 jets, 0.6 N {WAYS[lost]} but 1.2 N" in result.stderr
+    assert f"is a jet {WAYS[lost]} missing?" in result.stderr
+    assert (
+        "  sat1: 7 jets, 0.60 N per axis, 0.162 N m, 0.048 m/s^2, at least 21.3 s" in result.stdout
+    )
+
+
+def test_the_jets_that_are_missing_altogether_are_named(testbed, tmp_path):
+    whole = (SHIPPED / "vehicles" / "floater.toml").read_text()
+    rows = re.findall(r"^  \{ position = .*\n", whole, re.MULTILINE)
+    file = tmp_path / "six.toml"
+    file.write_text(whole.replace(rows[0], "").replace(rows[1], ""))
+    result = testbed("check", "hold", f"vehicles.sat1.model={file}")
+    assert result.exit_code == 2
+    assert "6: none towards -x" in result.stderr
+
+
+def test_check_says_what_each_vehicle_can_do(testbed):
+    said = testbed("check", "zhang2023_table").stdout
+    assert said.count(": 8 jets, 1.20 N per axis, 0.216 N m, 0.096 m/s^2, at least 15") == 3
+    formation = testbed("check", "xue2022_table").stdout  # has no goals
+    assert "from start to goal" not in formation
+
+
+@pytest.mark.parametrize("changes", [case for case, _ in DOUBTED.values()], ids=list(DOUBTED))
+def test_a_doubt_changes_no_exit_code(testbed, changes):
+    assert testbed("check", "hold", *changes).exit_code == 0
