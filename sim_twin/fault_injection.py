@@ -80,6 +80,8 @@ class Sabotage:
             match what.kind:
                 case "stick_open" | "stick_closed":
                     self._plant.stick(k, what.jet - 1, what.kind == "stick_open", one.since, over)
+                case "leak_valve":
+                    self._plant.leak_valve(k, what.jet - 1, what.size, one.since, over)
                 case "brown_out" if self._boards:
                     board = self._plant.boards[what.vehicle]
                     assert isinstance(board, Board), "the configuration refuses it"

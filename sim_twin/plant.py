@@ -191,6 +191,7 @@ class Plant:
             own = vehicle, self._pulses_of(k), stream(seed, name, "pulses")
             self.boards[name] = FirmwareBoard(*own, drivers[name]) if drivers else Board(*own)
         self._stuck: dict[tuple[int, int], tuple[bool, int, int]] = {}
+        self._leaky: dict[tuple[int, int], tuple[float, int, int]] = {}
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
@@ -204,6 +205,11 @@ class Plant:
         span = nanoseconds(since), min(FAR_AHEAD, nanoseconds(until))
         self._stuck[k, jet] = (is_open, *span)
 
+    def leak_valve(self, k: int, jet: int, share: float, since: float, until: float) -> None:
+        """Valve number `jet` of vehicle number `k` lets a share of its flow through when shut."""
+        span = nanoseconds(since), min(FAR_AHEAD, nanoseconds(until))
+        self._leaky[k, jet] = (share, *span)
+
     def leak(self, k: int, gas: float) -> None:
         """Vehicle number `k` loses `gas` [kg]."""
         self.used[k] = min(self.used[k] + gas, self.metal.gas[k])
@@ -215,8 +221,8 @@ class Plant:
         self.metal.drag[k], self.metal.spin_drag[k] = GROUNDED, GROUNDED_SPIN
 
     def played(self) -> Pulses:
-        """What the valves do: what the boards say, but for those that are stuck."""
-        if not self._stuck:
+        """What the valves do: what the boards say, but for those that are stuck or leak."""
+        if not self._stuck and not self._leaky:
             return self._pulses
         ours = self._pulses
         played = Pulses(ours.up.copy(), ours.down.copy(), ours.strength.copy())
@@ -228,6 +234,10 @@ class Plant:
             down[across] = since
             if is_open:  # the oldest pulse gives its place
                 up[0], down[0], played.strength[k, jet, 0] = since, until, 1.0
+        for (k, jet), (share, since, until) in self._leaky.items():
+            up, down, strength = played.up[k, jet], played.down[k, jet], played.strength[k, jet]
+            strength[(up >= since) & (up < until)] *= 1.0 - share  # open, it is no more than open
+            up[0], down[0], strength[0] = since, until, share
         return played
 
     def advance(self, t: float, marks: Array | Sequence[float] = ()) -> Array:

@@ -30,7 +30,7 @@ EXPERIMENT = "zhang2023_table"
 COUNT = 72
 WHEN = (1.5, 4.0)  # [s]
 LASTS = 6.0  # [s] after an injection, if nothing ends the flight before
-LONGER = {"leak": 12.0, "stick_open": 10.0}
+LONGER = {"leak": 12.0, "stick_open": 10.0, "leak_valve": 20.0}
 TWIN_ONLY = ("stick_closed",)  # takes a flight of a minute to show itself
 # names that only wires can give; the others are those of the twin
 ON_THE_WAY: dict[str, tuple[str, ...]] = {

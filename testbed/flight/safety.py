@@ -14,6 +14,7 @@ from testbed.core.vehicle import Vehicle
 from testbed.flight.barrier import Barrier
 from testbed.flight.detectors import Detectors
 from testbed.flight.fault_monitor import FaultMonitor
+from testbed.flight.flow import Flow
 from testbed.flight.tracker import halt
 
 AT_REST = 0.003  # [m/s] slower is stopped: the estimate is not better
@@ -51,6 +52,7 @@ class Safety:
         """Guard a vehicle; `decel` [m/s^2] is what its jets can do in every direction."""
         self._vehicle, self._period, self._decel = vehicle, period, decel
         self._watch, self._detectors, self._barrier = watch, detectors, barrier
+        self._flow = Flow(vehicle, period)
         self._duty, self._share = np.zeros(len(vehicle.jets)), 1.0
         self._braking_since: float | None = None
         self._stopped: str | None = None
@@ -62,7 +64,7 @@ class Safety:
         """Judge a tick and say what to do instead of `wanted`."""
         detectors, barrier = self._detectors, self._barrier
         if state is not None and inputs.armed:
-            detectors.evidence.look(state, self._duty, self._share)
+            detectors.compare(inputs, state, self._duty, self._share)
         spare, filtered = math.inf, None
         if barrier is not None and state is not None:
             through, filtered = self._filter(barrier, effect_at, state, wanted, inputs, share)
@@ -91,8 +93,7 @@ class Safety:
 
     def remember(self, command: ValveCommand, share: float) -> None:
         """Note the plan that was really sent."""
-        unit = 1e-6 / self._period
-        self._duty, self._share = np.array([unit * us for us in command.on_us]), share
+        self._duty, self._share = self._flow.of(command), share
 
     @property
     def latched(self) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from testbed.flight.estimator import Estimator
 from testbed.flight.fault_monitor import FaultMonitor
 from testbed.flight.gate import Fence, Gate
 from testbed.flight.guidance import Guidance
+from testbed.flight.jet_faults import JetFaultDetector
 from testbed.flight.safety import Safety
 from testbed.metrics.formation import FormationContext
 
@@ -87,6 +88,14 @@ def expected_of(experiment: Experiment, name: str) -> Expected:
     )
 
 
+def make_detectors(experiment: Experiment, name: str) -> Detectors:
+    """One vehicle's detectors of faults."""
+    vehicle, table = experiment.vehicles[name].model, experiment.table
+    flight = experiment.flight
+    evidence = JetFaultDetector(vehicle, flight.jet_period_s, flight.estimator, table)
+    return Detectors(vehicle, evidence, noisy=table.mocap.noise > 0.0)
+
+
 def make_safety(experiment: Experiment, name: str) -> Safety:
     """One vehicle's watch, brake and filter."""
     vehicle, period = experiment.vehicles[name].model, experiment.flight.jet_period_s
@@ -94,7 +103,7 @@ def make_safety(experiment: Experiment, name: str) -> Safety:
         vehicle,
         period,
         FaultMonitor(experiment.faults),
-        Detectors(vehicle, period, noisy=experiment.table.mocap.noise > 0.0),
+        make_detectors(experiment, name),
         make_barrier(experiment, name),
         SPARE_FORCE * weakest_force(vehicle) / vehicle.mass,
     )

@@ -19,11 +19,11 @@ from testbed.core.types import (
     Vitals,
     Wrench,
 )
-from testbed.flight.detectors import Detectors, Repeats, jump, whose
+from testbed.flight.detectors import Repeats, jump, whose
 from testbed.flight.fault_monitor import FaultMonitor
 from testbed.flight.safety import AT_REST, LONGEST_BRAKE, Safety
 from testbed.flight.tracker import halt
-from testbed.rig.chain import fence_of, make_agent
+from testbed.rig.chain import fence_of, make_agent, make_detectors
 
 PERIOD = 0.1  # [s]
 FOR_EVER = 1e6  # [s]
@@ -92,7 +92,7 @@ def test_whose_pose_it_is(make_state):
 
 @pytest.fixture
 def safety(vehicle):
-    detectors = Detectors(vehicle, PERIOD, noisy=True)
+    detectors = make_detectors(EXPERIMENT, NAME)
     return Safety(vehicle, PERIOD, FaultMonitor(shipped_faults()), detectors, None, 0.08)
 
 
@@ -145,7 +145,7 @@ def test_a_stop_that_does_not_end_is_given_up(safety, make_state):
 def edited(vehicle, name, **changes):
     table = shipped_faults()
     watch = FaultMonitor(table | {name: replace(table[name], **changes)})
-    return Safety(vehicle, PERIOD, watch, Detectors(vehicle, PERIOD, noisy=True), None, 0.08)
+    return Safety(vehicle, PERIOD, watch, make_detectors(EXPERIMENT, NAME), None, 0.08)
 
 
 def test_the_second_stop_of_a_row_that_is_not_latched_is_a_stop_again(vehicle, make_state):
@@ -186,13 +186,17 @@ def test_a_reset_begins_anew(safety, make_state):
 
 
 def test_a_stuck_valve_is_not_inferred_from_poses_that_cannot_be_trusted(safety, make_state):
-    pushed = make_state(bias=(0.05, 0.0, 0.0))
-    for k in range(3):
-        acted = act(safety, replace(pushed, rejected=9), 0.1 * k)
-    assert acted.response == ""
-    for k in range(3, 6):
-        acted = act(safety, pushed, 0.1 * k)
+    def pushed(k):  # as by jet 6: it gives 0.048 m/s^2 and turns clockwise
+        t = 0.1 * k
+        return make_state(twist=(0.048 * t, 0.0, -0.27 * t), t=t)
+
+    for k in range(30):
+        acted = act(safety, replace(pushed(k), rejected=9), 0.1 * k)
+    assert acted.fault is None
+    for k in range(30, 60):
+        acted = act(safety, pushed(k), 0.1 * k)
     assert acted.response == "land"
+    assert "jet 6 " in acted.fault
 
 
 # Any sequence: no valve opens in a forbidden state

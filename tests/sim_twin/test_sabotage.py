@@ -61,6 +61,19 @@ def test_a_stuck_valve_may_come_free(plant):
     assert plant.impulse[0] == pytest.approx(0.6 * 0.5, rel=1e-9)
 
 
+def test_a_valve_that_leaks_pushes_a_share_and_open_no_more_than_whole(plant, make_plan):
+    broken = sabotage(plant, fault("leak_valve", 1.0, value=0.3, jet=1))
+    advance(plant, broken, 1.0)
+    assert not plant.x.any()
+    advance(plant, broken, 2.0)
+    opens = 0.006 + 0.5 * 0.002  # as long as any other valve
+    assert plant.impulse[0] == pytest.approx(0.6 * 0.3 * (1.0 - opens), rel=1e-6)
+    before = plant.impulse[0]
+    plant.boards["0"].apply(make_plan(2.0, {0: (0.0, 0.1)}))
+    advance(plant, broken, 2.5)
+    assert plant.impulse[0] - before == pytest.approx(0.6 * (0.1 + 0.3 * 0.4), rel=1e-6)
+
+
 def test_a_leak_takes_gas(plant):
     broken = sabotage(plant, fault("leak", 1.05, value=0.01, for_s=2.0))
     advance(plant, broken, 1.0)
