@@ -21,7 +21,7 @@ from testbed.cli.report import make_report
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.config.guarantee import warnings_of
-from testbed.core.types import HostTick, Tick
+from testbed.core.types import EndingTick, HostTick, Tick
 from testbed.dashboard.viewer import ViewerError
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
@@ -125,14 +125,18 @@ def report(folder: Path) -> None:
 
 
 class Interrupt:
-    """Ctrl-C and SIGTERM: noted, and the flight ends after its tick; files are always finished."""
+    """Ctrl-C and SIGTERM, counted; files are always finished.
+
+    The first ends the flight after its tick: the vehicles brake and land. The second shuts valves
+    and air at once.
+    """
 
     def __init__(self) -> None:
-        self.asked = False
+        self.asked = 0  # times
         self._raises = False
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
+        self.asked += 1
         if self._raises:
             raise KeyboardInterrupt
 
@@ -153,7 +157,7 @@ class Interrupt:
         try:
             yield
         except KeyboardInterrupt:
-            self.asked = True
+            self.asked = max(1, self.asked)
         finally:
             self._raises = False
 
@@ -178,6 +182,10 @@ class Watcher:
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
+        if tick.inputs.vitals.end:
+            last = EndingTick(tick.inputs, tick.outputs)
+            self._record(f"/{name}/ending", tick.inputs.t, last)
+            return
         self._record(f"/{name}/tick", tick.inputs.t, tick)
         self._aims[name].note(tick.outputs)
         self._live.vehicle(name, tick)
@@ -266,6 +274,7 @@ def fly_and_judge(
         pace = Pace(rig.twin, speed)
         rig = replace(rig, pace=pace)
     aims = {name: ReferenceLog() for name in experiment.vehicles}
+    metrics = None
     try:
         with Recorder(folder / "log.mcap") as recorder, live:
             with interrupt.at_once():
@@ -280,13 +289,21 @@ def fly_and_judge(
                         stopped=lambda: interrupt.asked or watcher.trouble is not None,
                     )
                     wall = time.perf_counter() - began
-                watcher.reports()
+                    watcher.reports()
+                    completed = ending.fault is None and ending.t >= experiment.end_s
+                    metrics = measure(rig, aims, ending, wall, completed=completed)
+                    after = rig.come_to_rest(ending, watcher, lambda: interrupt.asked)
+                    metrics = replace(metrics, after=after)
                 if watcher.trouble is not None:
                     raise RecorderError(watcher.trouble)
     except RecorderError as error:
-        ending = Ending(rig.now, f"log: {error}")
-    completed = ending.fault is None and ending.t >= experiment.end_s
-    return measure(rig, aims, ending, wall, completed=completed)
+        fault = f"log: {error}"
+        if metrics is not None:
+            return replace(metrics, fault=fault, completed=False)
+        ending = Ending(rig.now, fault)
+    if metrics is not None:
+        return metrics
+    return measure(rig, aims, ending, wall, completed=False)
 
 
 def measure(

@@ -14,6 +14,7 @@ from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Outputs
 from testbed.core.vehicle import NonNegative, Positive
+from testbed.metrics.afterwards import After
 
 Array = NDArray[np.float64]
 
@@ -96,6 +97,7 @@ class Metrics(Struct, frozen=True):
     warnings: list[Concern] = []  # what a law's proof asks for and the run does not have
     phase: str = ""  # of the supervisor, in the end: DISARMED, STOPPED or FAULT
     red: list[str] = []  # arming checks that kept the run from starting
+    after: After | None = None  # how the vehicles were left; null where only they could tell
 
 
 class Track(Struct, frozen=True):

@@ -97,6 +97,7 @@ def make_safety(experiment: Experiment, name: str) -> Safety:
         Detectors(vehicle, period, noisy=experiment.table.mocap.noise > 0.0),
         make_barrier(experiment, name),
         SPARE_FORCE * weakest_force(vehicle) / vehicle.mass,
+        experiment.flight.ending,
     )
 
 

@@ -27,4 +27,6 @@ class MetricsObserver(NullObserver):
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
+        if tick.inputs.vitals.end:
+            return
         self.aims[name].note(tick.outputs)
