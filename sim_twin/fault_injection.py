@@ -86,6 +86,8 @@ class Sabotage:
                     board = self._plant.boards[what.vehicle]
                     assert isinstance(board, Board), "the configuration refuses it"
                     board.lose_power(one.since, over)
+                    if self._plant.t >= one.since:  # normally closed, as the jets' valves are
+                        self._plant.land(k)
                 case "leak":
                     span = min(until, over) - max(one.since, self._plant.t)
                     self._plant.leak(k, what.size * max(0.0, span))

@@ -99,7 +99,10 @@ def poses(
 )
 @click.pass_context
 def stop(context: click.Context, connect: str | None, lab: str, keys: Path | None) -> None:
-    """Stop whatever flies: shut every valve, now."""
+    """Stop whatever flies: the vehicles brake, and at rest shut their air off.
+
+    Said again, they shut valves and air at once.
+    """
     from testbed.net.stop import stop_everything
 
     context.exit(stop_everything(connect, lab, keys))

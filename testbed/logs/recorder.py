@@ -1,6 +1,7 @@
 """Log of record: every tick's inputs and outputs in one MCAP file.
 
     /<vehicle>/tick    one tick of the flight chain: inputs and outputs
+    /<vehicle>/ending  the same after the end of the flight, until its air is off
     /<vehicle>/host    one tick of its law, where that runs on the host
     /<vehicle>/valves  what its board drove, where firmware is in the loop
     /<vehicle>/pace    how its ticks keep their time and how its wires are, where it has any

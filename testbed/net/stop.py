@@ -1,4 +1,6 @@
-"""`testbed stop`: shut every valve, from anywhere, knowing nothing.
+"""`testbed stop`: bring whatever flies to a stop, from anywhere, knowing nothing.
+
+Vehicles brake, and at rest shut their air off; said again, they shut valves and air at once.
 
 It needs no experiment and loads neither numpy nor anything else that takes its time. A host leaves
 a note on its machine that says where it listens, and with which keys: whoever may read the note
@@ -139,6 +141,6 @@ def _stop(flight: Flight) -> bool:
     except NetworkError as error:
         sys.stderr.write(f"not stopped: {error}\n")
         return False
-    whose = "1 vehicle has closed its" if heard == 1 else f"{heard} vehicles have closed their"
-    sys.stdout.write(f"{endpoint}: {whose} valves\n")
+    who = "1 vehicle stops" if heard == 1 else f"{heard} vehicles stop"
+    sys.stdout.write(f"{endpoint}: {who}; once more shuts valves and air at once\n")
     return heard > 0

@@ -106,6 +106,7 @@ def make_safety(experiment: Experiment, name: str) -> Safety:
         make_detectors(experiment, name),
         make_barrier(experiment, name),
         SPARE_FORCE * weakest_force(vehicle) / vehicle.mass,
+        experiment.flight.ending,
     )
 
 

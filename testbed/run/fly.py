@@ -10,7 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.config import Experiment
-from testbed.core.types import HostTick, Tick
+from testbed.core.types import EndingTick, HostTick, Tick
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
 from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
@@ -63,6 +63,10 @@ class FlightLog:
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
+        if tick.inputs.vitals.end:
+            last = EndingTick(tick.inputs, tick.outputs)
+            self._record(f"/{name}/ending", tick.inputs.t, last)
+            return
         self._record(f"/{name}/tick", tick.inputs.t, tick)
         self._references[name].note(tick.outputs)
         self._screen.vehicle(name, tick)
@@ -141,6 +145,7 @@ def fly_and_judge(
         pace = Pace(rig.twin, speed)
         rig = replace(rig, pace=pace)
     references = {name: ReferenceLog() for name in experiment.vehicles}
+    metrics = None
     try:
         with (
             Recorder(folder / "log.mcap", vehicles=list(experiment.vehicles)) as recorder,
@@ -157,10 +162,16 @@ def fly_and_judge(
                         log, stopped=lambda: interrupt.asked or log.trouble is not None
                     )
                     wall = time.perf_counter() - began
-                log.reports()
+                    log.reports()
+                    completed = ending.fault is None and ending.t >= experiment.end_s
+                    metrics = measure(rig, references, ending, wall, completed=completed)
+                    after = rig.come_to_rest(ending, log, lambda: interrupt.asked)
+                    metrics = replace(metrics, after=after)
                 if log.trouble is not None:
                     raise RecorderError(log.trouble)
     except RecorderError as error:
-        ending = Ending(rig.now, f"log: {error}")
-    completed = ending.fault is None and ending.t >= experiment.end_s
-    return measure(rig, references, ending, wall, completed=completed)
+        fault = f"log: {error}"
+        if metrics is not None:
+            return replace(metrics, fault=fault, completed=False)
+        ending = Ending(rig.now, fault)
+    return metrics or measure(rig, references, ending, wall, completed=False)

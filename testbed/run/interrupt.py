@@ -1,4 +1,8 @@
-"""Ctrl-C and SIGTERM during a run: the flight ends after its tick, and files are finished."""
+"""Ctrl-C and SIGTERM during a run, counted; files are always finished.
+
+The first ends the flight after its tick: the vehicles brake and land. The second shuts valves and
+air at once.
+"""
 
 import signal
 from collections.abc import Iterator
@@ -7,14 +11,14 @@ from types import FrameType
 
 
 class Interrupt:
-    """A request to end the run, set by a signal or by the caller."""
+    """Requests to end the run, by a signal or by the caller."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.asked = 0  # times
         self._raises = False
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        self.asked = True
+        self.asked += 1
         if self._raises:
             raise KeyboardInterrupt
 
@@ -35,6 +39,6 @@ class Interrupt:
         try:
             yield
         except KeyboardInterrupt:
-            self.asked = True
+            self.asked = max(1, self.asked)
         finally:
             self._raises = False

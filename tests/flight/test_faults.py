@@ -136,12 +136,12 @@ def test_the_most_severe_wins():
     warn, brake = TABLE["link_late"], TABLE["battery_low"]
     both = numbers(setpoint_age=bad(warn), battery=bad(brake))
     assert watch.look(0.0, True, both, {}).response == "brake"
-    coast = numbers(battery=bad(brake), board_silent=1.0)
-    verdict = watch.look(0.1, True, coast, {})
-    assert verdict.response == "coast"
+    land = numbers(battery=bad(brake), board_silent=1.0)
+    verdict = watch.look(0.1, True, land, {})
+    assert verdict.response == "land"
     assert verdict.fault.startswith("board_silent")
     # and it does not get milder again
-    assert watch.look(0.2, True, numbers(), {}).response == "coast"
+    assert watch.look(0.2, True, numbers(), {}).response == "land"
     assert watch.latched == ("battery_low", "board_silent")
 
 

@@ -36,7 +36,7 @@ from testbed.rig.wired.local import loopback
 from testbed.rig.wired.preflight import Preflight, order
 from testbed.rig.wired.process_faults import OF_PROCESSES
 from testbed.rig.wired.run_results import RunResults
-from testbed.rig.wired.server import TableReport
+from testbed.rig.wired.table_report import TableReport
 from testbed.rig.wired.vehicle import unheard
 from testbed.rig.wired.wired_flight import HostFlight
 
@@ -121,7 +121,7 @@ class WireRig(RunResults):
 
     # The flight
 
-    def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
+    def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
         """See `Rig`."""
         try:
             with ExitStack() as stack:
@@ -153,7 +153,7 @@ class WireRig(RunResults):
         room = os.statvfs(self._log)
         return float(room.f_bavail * room.f_frsize)
 
-    def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], bool]) -> Ending:
+    def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], int]) -> Ending:
         children = None
         if self._bench:
             children = stack.enter_context(Children())
@@ -221,7 +221,7 @@ class WireRig(RunResults):
         keys: Keys,
         roll: Roll,
         children: Children | None,
-        stopped: Callable[[], bool],
+        stopped: Callable[[], int],
     ) -> "HostFlight | None":
         """Wait for the vehicles, and order them to start; None: the operator has changed his mind.
 
@@ -304,7 +304,7 @@ class WireRig(RunResults):
                 order(session, keys, name, Stop("the flight does not begin"))
 
     def _request(
-        self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], bool]
+        self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], int]
     ) -> None:
         """Ask the supervisor until it agrees.
 
