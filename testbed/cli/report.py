@@ -7,7 +7,7 @@ from rich.console import Console
 
 from testbed.cli.main import OK
 from testbed.cli.refusal import refuse
-from testbed.config import ConfigError, load
+from testbed.config import ConfigError, Experiment, load
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogError, LogReader, log_of
@@ -31,8 +31,13 @@ def report_run(folder: Path, png: bool = False) -> int:
 
 def make_report(folder: Path) -> list[Path]:
     """The files of the page; all that it says is in the folder."""
+    log_of(folder)  # or say that this is no run folder
+    return write_page(folder, load(folder / "config.toml"))
+
+
+def write_page(folder: Path, scenario: Experiment) -> list[Path]:
+    """The same for an experiment that was read already, so that no file of a law is executed."""
     config, log = folder / "config.toml", log_of(folder)
-    scenario = load(config)
     history = gather(LogFeed(LogReader(log)).news())
     text = config.read_text(encoding="utf-8")
     return write_report(folder, scenario, history, judged(folder, log, scenario, history), text)

@@ -1,10 +1,11 @@
 """`testbed run`: fly an experiment, watch it, keep it, judge it."""
 
+import os
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import AbstractContextManager, contextmanager, nullcontext, redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
@@ -13,14 +14,17 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from controllers.law_file import UnusableLawError
+from controllers.plain_law import LawError
 from testbed.cli.live import LiveTable
 from testbed.cli.main import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.cli.operator import Operator
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.report import make_report
+from testbed.cli.report import write_page
 from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.config.guarantee import warnings_of
+from testbed.core.law import Concern
 from testbed.core.types import HostTick, Tick
 from testbed.dashboard.viewer import ViewerError
 from testbed.flight.loop import Ending
@@ -38,11 +42,14 @@ from testbed.metrics.run_metrics import (
     smallest_separation,
     vehicle_metrics,
 )
+from testbed.net.stop import noted
+from testbed.realtime.heartbeat import Phase, heartbeat, process_to_end
+from testbed.realtime.law_watch import hurry, left_running, patience
 from testbed.realtime.pacer import Pace
 from testbed.realtime.scheduling import steady
 from testbed.report.page import ReportError
 from testbed.rig.boards import check_boards
-from testbed.rig.chain import formation_context
+from testbed.rig.chain import formation_context, watched
 from testbed.rig.interface import Rig
 from testbed.rig.twin import TwinRig, make_twin, warm_up
 from testbed.run.folder import FolderError, new_folder, take_back, write_config, write_metrics
@@ -72,23 +79,25 @@ def run_experiment(
             experiment = load(find(name), overrides)
         check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
         operator.must_be_there(rig)
-        with interrupt.caught():
+        with interrupt.caught(), watched(experiment):
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
+            heart = heartbeat()
+            heart.rig, heart.folder, heart.phase = rig, str(folder), Phase.COMPILING
             if view is not None:
                 from testbed.cli.dash import beside_run
 
                 board = beside_run(folder, view)
             make = maker(rig, experiment, folder, operator)
-            with redirect_stdout(sys.stderr):
+            with redirect_stdout(sys.stderr), noted_on_twin(rig, experiment):
                 metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator)
             write_metrics(folder, metrics)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
             else:
                 print_result(metrics, experiment, folder)
-            report(folder)
-    except (ConfigError, ViewerError) as error:
+            report(folder, experiment)
+    except (ConfigError, ViewerError, UnusableLawError, LawError) as error:
         if board is not None:
             board.terminate()
             board.wait()
@@ -112,11 +121,20 @@ def run_experiment(
     return OK if all(metrics.criteria.values()) else FAILED
 
 
-def report(folder: Path) -> None:
+def noted_on_twin(rig: str, experiment: Experiment) -> AbstractContextManager[None]:
+    """A note for `testbed stop`; a host on wires leaves its own."""
+    if rig != "twin":
+        return nullcontext()
+    return noted(
+        "", "", vehicles=list(experiment.vehicles), name=experiment.name, pid=process_to_end(),
+        say=lambda text: errors.print(text, style="yellow", markup=False, soft_wrap=True),
+    )  # fmt: skip
+
+
+def report(folder: Path, experiment: Experiment) -> None:
     """Make the page; the verdict on the flight stands without it."""
     try:
-        with redirect_stdout(sys.stderr):  # it reads the law's file
-            make_report(folder)
+        write_page(folder, experiment)
     except (ReportError, LogError) as error:
         errors.print(
             f"warning: no report: {error}\n  later     testbed report {folder}",
@@ -125,21 +143,39 @@ def report(folder: Path) -> None:
 
 
 class Interrupt:
-    """Ctrl-C and SIGTERM: noted, and the flight ends after its tick; files are always finished."""
+    """Ctrl-C, SIGTERM, a closed terminal: noted, and the flight ends after its tick.
+
+    Files are always finished.
+    """
 
     def __init__(self) -> None:
         self.asked = False
         self._raises = False
+        self._terminals: list[int] = []
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self.asked = True
+        heartbeat().signalled()
+        hurry()
+        if number == signal.SIGHUP:
+            self._leave_terminal()
         if self._raises:
             raise KeyboardInterrupt
 
+    def _leave_terminal(self) -> None:
+        """Write nowhere what was for a terminal that was closed, so that nothing fails at it."""
+        for descriptor in self._terminals:
+            if not os.isatty(descriptor):
+                os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
+
     @contextmanager
     def caught(self) -> Iterator[None]:
-        """Note signals meanwhile."""
-        before = {n: signal.signal(n, self._handle) for n in (signal.SIGINT, signal.SIGTERM)}
+        """Note signals meanwhile; a closed terminal only where it would end the command."""
+        self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as under nohup
+            numbers.append(signal.SIGHUP)
+        before = {number: signal.signal(number, self._handle) for number in numbers}
         try:
             yield
         finally:
@@ -216,6 +252,7 @@ class Watcher:
 
     def done(self, t: float) -> None:
         """See `Observer`."""
+        heartbeat().beat()
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
         self._record("/truth", t, Truth(t, motions))
         if len(motions) > 1 and t >= self._next:  # the five elements, live
@@ -266,11 +303,13 @@ def fly_and_judge(
         pace = Pace(rig.twin, speed)
         rig = replace(rig, pace=pace)
     aims = {name: ReferenceLog() for name in experiment.vehicles}
+    recorder = Recorder(folder / "log.mcap", waits=rig.name == "twin")
     try:
-        with Recorder(folder / "log.mcap") as recorder, live:
-            with interrupt.at_once():
+        with recorder, live:
+            with interrupt.at_once(), patience():
                 warm_up(experiment, lambda: interrupt.asked)
             if not interrupt.asked:
+                heartbeat().phase = Phase.FLYING
                 watcher = Watcher(rig, aims, recorder, live, pace)
                 live.flies()
                 with steady():
@@ -285,8 +324,15 @@ def fly_and_judge(
                     raise RecorderError(watcher.trouble)
     except RecorderError as error:
         ending = Ending(rig.now, f"log: {error}")
+    heartbeat().phase = Phase.ENDING
+    if ending.fault is None and (left := left_running()):
+        ending = Ending(ending.t, left)
     completed = ending.fault is None and ending.t >= experiment.end_s
-    return measure(rig, aims, ending, wall, completed=completed)
+    metrics = measure(rig, aims, ending, wall, completed=completed)
+    if recorder.lost:
+        lost = Concern("log_rows_lost", f"{recorder.lost} rows: their writer did not keep up")
+        metrics = replace(metrics, warnings=[*metrics.warnings, lost])
+    return metrics
 
 
 def measure(

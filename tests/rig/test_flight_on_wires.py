@@ -187,13 +187,14 @@ def test_an_operator_says_stop(capsys):
     assert ending.fault == "stopped by the operator"
     assert ending.t < 20.0
     assert rig.report.left_as["sat1"] == ("SAFE", [])
-    assert "1 vehicle has closed its valves" in capsys.readouterr().out
+    assert "  sat1: shut\n" in capsys.readouterr().out
     assert_nothing_is_left(met)
 
 
 def test_stop_knows_nothing_and_loads_nothing(tmp_path):
     program = (
         "import sys; from click.testing import CliRunner; from testbed.cli.main import main;"
+        "from testbed.ops import stop; stop.DEFAULT = 'tcp/127.0.0.1:1';"  # no flight of a tester
         "code = CliRunner().invoke(main, ['stop']).exit_code;"
         "print(code, sorted({'numpy', 'numba', 'rerun', 'msgspec'} & set(sys.modules)))"
     )

@@ -29,7 +29,7 @@ class CommandServer:
         self.bad_orders = 0  # that were none
         self.starts: SimpleQueue[Start] = SimpleQueue()
         self.stop_reason: str | None = None
-        self._board, self._flying = board, threading.Event()
+        self._name, self._board, self._flying = name, board, threading.Event()
         self._close: Callable[[], None] | None = None
         self._kept = [
             answer_to(session, keys.of(name, "order"), self._order),
@@ -73,4 +73,4 @@ class CommandServer:
             self.stop_reason = reason
         if self._close is not None:
             self._close()
-        return b"stopped"
+        return self._name.encode()  # who has shut its valves
