@@ -23,6 +23,13 @@ class UnusableLawError(TestbedError, ValueError):
         self.key = key
 
 
+class LawStoppedError(BaseException):
+    """Raised inside a law to end its call, for instance because it takes too long.
+
+    No `Exception`, so that a law that catches those does not go on.
+    """
+
+
 def file_of(law: str) -> Path | None:
     """The file that "path.py:Name" names; None for an entry point."""
     path, colon, name = law.rpartition(":")
@@ -77,9 +84,11 @@ def _published(name: str) -> Callable[..., Any]:
         raise UnusableLawError("law", expected, f'"{name}"')
     try:
         return published[name].load()
-    except Exception as error:  # it is somebody's code
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # it is the user's code, and may call sys.exit
         expected = "an entry point that can be imported"
-        raise UnusableLawError("law", expected, f"{type(error).__name__}: {error}") from error
+        raise UnusableLawError("law", expected, blame(error, None)) from error
 
 
 def _executed(path: Path, content: bytes, name: str) -> ModuleType:
@@ -96,7 +105,9 @@ def _executed(path: Path, content: bytes, name: str) -> ModuleType:
     sys.modules[name] = module  # where annotations are looked up
     try:
         exec(compile(content, str(path), "exec"), vars(module))
-    except Exception as error:  # it is somebody's code
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # it is the user's code, and may call sys.exit
         del sys.modules[name]
         raise UnusableLawError(
             "law", "a Python file that can be executed", blame(error, path)
@@ -121,6 +132,10 @@ def blame(error: BaseException, path: Path | None) -> str:
     whole = re.sub(r"\x1b\[[\d;]*m", "", str(error))  # numba writes in bold
     reason = next((line for line in whole.splitlines() if _says_something(line)), "")
     text = f"{type(error).__name__}: {reason.strip()}"
+    if isinstance(error, SystemExit):
+        text = f"called sys.exit({'' if error.code is None else repr(error.code)})"
+    elif isinstance(error, LawStoppedError):
+        text = whole
     if path is None:
         return text
     if isinstance(error, SyntaxError) and error.lineno:

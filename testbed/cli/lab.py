@@ -54,16 +54,18 @@ def twin(
 @click.option("--serial", help="The board's port.  [default: the table file's]")
 @click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
 @click.option("--report", type=click.Path(path_type=Path), hidden=True)
+@click.option("--heart", type=click.Path(path_type=Path), hidden=True)
 @click.option("--child", is_flag=True, hidden=True)
 @click.pass_context
 def agent(
     context: click.Context, vehicle: str, connect: str | None, lab: str | None,
-    serial: str | None, keys: Path | None, report: Path | None, child: bool,
+    serial: str | None, keys: Path | None, report: Path | None, heart: Path | None, child: bool,
 ) -> None:  # fmt: skip
     """Fly a VEHICLE: on its own computer, beside its valve board."""
     from testbed.cli.wires import fly_agent
 
-    context.exit(fly_agent(vehicle, connect, lab, serial, keys, child=child, report=report))
+    code = fly_agent(vehicle, connect, lab, serial, keys, child=child, report=report, heart=heart)
+    context.exit(code)
 
 
 @click.command()

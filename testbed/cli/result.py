@@ -11,7 +11,7 @@ from testbed.metrics.afterwards import left_in_words
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import FormationCriteria, Metrics
 from testbed.report.page import known
-from testbed.report.verdict import SHOWN_TOUCHES, missed, touched
+from testbed.report.verdict import SHOWN_TOUCHES, UNCOUNTED, missed, touched
 
 OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 
@@ -58,7 +58,7 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
         grid.add_row(heading, *cells, _limit(experiment, criterion, scale))
     out.print(grid)
     separation = metrics.min_vehicle_distance_m
-    pieces = [f"contacts: {metrics.contacts}"]
+    pieces = [f"contacts: {'not known' if metrics.contacts == UNCOUNTED else metrics.contacts}"]
     if separation is not None:
         pieces.append(f"nearest two vehicles: {separation:.2f} m")
     if metrics.real_time_factor:

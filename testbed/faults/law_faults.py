@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from testbed.core.error import TestbedError
-from testbed.core.law import Ahead, Array, Body, Law, Neighbours, World
+from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
@@ -23,6 +23,11 @@ class SpoiltLaw:
 
     def __init__(self, law: Law, spoilt: Callable[[], str]) -> None:
         self._law, self._spoilt, self.words = law, spoilt, law.words
+
+    def concerns(self, law_state: Array) -> list[Concern]:
+        """What the law itself has to say of the flight."""
+        say = getattr(self._law, "concerns", None)
+        return [] if say is None else list(say(law_state))
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""

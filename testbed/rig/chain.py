@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 
 import numpy as np
 
@@ -21,6 +22,14 @@ from testbed.flight.guidance import Guidance
 from testbed.flight.jet_faults import JetFaultDetector
 from testbed.flight.safety import Safety
 from testbed.metrics.formation import FormationContext
+from testbed.realtime.law_watch import timed, watching
+
+
+def watched(experiment: Experiment) -> AbstractContextManager[object]:
+    """What times the calls of the experiment's law, in the process that calls it."""
+    deploy, period = experiment.deploy, experiment.flight.jet_period_s
+    limit = deploy.call_limit(period)
+    return watching(experiment.controller, limit, deploy.law_memory_mb, period)
 
 
 def make_guidance(
@@ -28,7 +37,7 @@ def make_guidance(
 ) -> Guidance:
     """One vehicle's law and the world it is told about; `spoilt` is for rehearsals."""
     setup = experiment.vehicles[name]
-    law = make_law(experiment.controller, list(experiment.vehicles))
+    law = timed(lambda: make_law(experiment.controller, list(experiment.vehicles)), name)
     return Guidance(
         experiment.guidance,
         law if spoilt is None else SpoiltLaw(law, spoilt),

@@ -533,6 +533,7 @@ def nowhere(tmp_path, monkeypatch):
     """No flight on this machine, and no keys at home."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(stopping, "own_keys", lambda: tmp_path / "home")
+    monkeypatch.setattr(stopping, "DEFAULT", f"tcp/127.0.0.1:{free_port()}")
     return tmp_path
 
 
@@ -550,7 +551,7 @@ def test_stop_with_an_operators_keys(rig, folder, nowhere, monkeypatch, capsys):
     monkeypatch.setattr(stopping, "own_keys", lambda: folder / "operator-anna")
     assert stop_everything(None, "lab") == OK  # the same without a word
     assert told.tower.stop_reason == "stopped by the operator"
-    assert "1 vehicle stops" in capsys.readouterr().out
+    assert "  sat1: stops\n" in capsys.readouterr().out
 
 
 def test_stop_on_the_hosts_machine_needs_no_keys(rig, folder, endpoint, nowhere):

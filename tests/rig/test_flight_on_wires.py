@@ -202,7 +202,7 @@ def test_an_operator_says_stop(capsys):
     assert ending.fault == "stopped by the operator"
     assert ending.t < 20.0
     assert rig.report.left_as["sat1"] == ("SAFE", [])
-    assert "1 vehicle stops" in capsys.readouterr().out
+    assert "  sat1: stops\n" in capsys.readouterr().out
     after = rig.come_to_rest(ending, NullObserver())
     assert (after.contacts, after.air) == (0, "off")
     assert after.at_rest_s < 3.0
@@ -222,6 +222,7 @@ def test_the_second_ctrl_c_shuts_valves_and_air_without_a_brake():
 def test_stop_knows_nothing_and_loads_nothing(tmp_path):
     program = (
         "import sys; from click.testing import CliRunner; from testbed.cli.main import main;"
+        "from testbed.ops import stop; stop.DEFAULT = 'tcp/127.0.0.1:1';"  # no flight of a tester
         "code = CliRunner().invoke(main, ['stop']).exit_code;"
         "print(code, sorted({'numpy', 'numba', 'rerun', 'msgspec'} & set(sys.modules)))"
     )

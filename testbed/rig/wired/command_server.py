@@ -41,7 +41,7 @@ class CommandServer:
         self.bad_orders = 0  # that were none
         self.starts: SimpleQueue[Start] = SimpleQueue()
         self.stop_reason: str | None = None
-        self._board, self._flying = board, threading.Event()
+        self._name, self._board, self._flying = name, board, threading.Event()
         self._close: Callable[[], None] | None = None
         self.asked = Asked()
         self._obeyed = threading.Event()
@@ -95,7 +95,7 @@ class CommandServer:
         """An operator says stop, at any terminal."""
         self.asked.hear()
         self._stop("stopped by the operator")
-        return b"stopped"
+        return self._name.encode()  # which vehicle stops
 
     def _stop(self, reason: str) -> None:
         first = self.stop_reason is None

@@ -33,6 +33,7 @@ class RunResults:
         self._lateness: list[float] = []
         self._sent = 0
         self._warned: list[str] = []  # about keys
+        self._concerns: list[Concern] = []  # of the laws on the host
         self._new_valves: list[tuple[str, Valves]] = []  # that nobody has taken yet
         self._new_paces: list[tuple[str, float, Pace]] = []
         self.loop: tuple[float, float] | None = None
@@ -177,8 +178,8 @@ class RunResults:
         return self._ended
 
     def concerns(self) -> list[Concern]:
-        """See `Rig`. The laws' last words stay in their processes."""
-        return [Concern("keys_expire", words) for words in self._warned]
+        """See `Rig`. What laws on board have to say stays in their processes."""
+        return [*self._concerns, *(Concern("keys_expire", words) for words in self._warned)]
 
     def wires(self) -> dict[str, Any]:
         """See `Rig`."""

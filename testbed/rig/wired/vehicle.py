@@ -38,10 +38,11 @@ from testbed.net.keys import Keys
 from testbed.net.links import Party, ZenohVehicleLink
 from testbed.net.roll_call import Enrolment, last_words
 from testbed.net.session import NetworkError, NobodyError, Publisher, Subscriber, ask, dial
+from testbed.realtime.law_watch import patience
 from testbed.realtime.processes import orphaned
 from testbed.realtime.scheduling import preferred, steady
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
-from testbed.rig.chain import make_agent
+from testbed.rig.chain import make_agent, watched
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.command_guard import CommandGuard
 from testbed.rig.wired.command_server import CommandServer
@@ -107,8 +108,10 @@ def fly_vehicle(
         clock = WallClock(monotonic_ns())  # until the run's time 0 is known
         rehearsal = Rehearsal(experiment.inject, lambda: clock.now)
         spoilt = partial(rehearsal.spoilt, name) if experiment.inject else None
+        stack.enter_context(watched(experiment))
         agent = make_agent(experiment, name, spoilt)
-        warm_up(experiment)
+        with patience():
+            warm_up(experiment)
         if child:
             await_port(port, gone)
         source = make_source(wires.mocap, session, keys)

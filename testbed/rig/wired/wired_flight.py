@@ -8,6 +8,7 @@ from typing import Protocol
 import msgspec
 
 from testbed.config import Experiment
+from testbed.core.law import Concern
 from testbed.core.types import (
     Accel,
     Health,
@@ -162,6 +163,7 @@ class HostFlight:
         self._observer: Observer | None = None
         self._fleet, self._armed = "", True
         self._asked = Asked()  # at any terminal
+        self.concerns: list[Concern] = []  # of the laws here, after the flight
         self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
 
     @property
@@ -214,7 +216,17 @@ class HostFlight:
         self._book.note_host(
             clock.lateness, sum(link.said.outbox.sent for link in self._links.values())
         )
-        fault = ending.fault or self._late_fault()
+        late = self._late_fault()
+        fault = ending.fault or late
+        if ending.fault and late and "vehicle_silent" in ending.fault:  # why it was
+            fault = f"{fault}; then it said: {late}"
+        self.concerns = [
+            Concern(one.name, f"{host.name}: {one.text}")
+            for host in hosts
+            for one in host.guidance.concerns
+        ]
+        if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
+            fault = fault and f"{fault}; {slow[0]}"  # setpoints that come too late look like a link
         if fault is None and self._asked.times:
             fault = "stopped by the operator"
         return Ending(ending.t, fault)
