@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
-from testbed.rig.wired.server import TableReport
+from testbed.rig.wired.table_report import TableReport
 
 CASES = (
     "agent-kill", "agent-stop", "serial-cut", "host-kill", "host-stop", "zenoh-cut",

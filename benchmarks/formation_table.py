@@ -31,7 +31,8 @@ NAMES = (
 # takes a throw for jets that give nothing, or too much (13 and 1 of 100 seeds, in 4 s).
 AS_PRINTED = (
     "obstacles.o1.position=[1.25,0.0]", "arming.at_rest=0.2",
-    "faults.valve_stuck_closed.above=1e9", "faults.valve_stuck_open_push.above=1e9",
+    "faults.valve_stuck_closed.above=1e9", "faults.valve_stuck_open.above=1e9",
+    "faults.valve_leaks.above=1e9", "faults.valve_leaks_or_weak.above=1e9",
 )  # fmt: skip
 DRIFT = 0.1  # towards the obstacle; its 2 m/s, 0.247 m/s here, would not stop before it [m/s]
 LED = ("bounded_leader", "bounded_leader_varying")

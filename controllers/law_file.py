@@ -24,6 +24,13 @@ class UnusableLawError(TestbedError, ValueError):
         self.key = key
 
 
+class LawStoppedError(BaseException):
+    """Raised inside a law to end its call, for instance because it takes too long.
+
+    No `Exception`, so that a law that catches those does not go on.
+    """
+
+
 def file_of(law: str) -> Path | None:
     """The file that "path.py:Name" names; None for an entry point."""
     path, colon, name = law.rpartition(":")
@@ -115,7 +122,8 @@ def _published(name: str) -> Callable[..., Any]:
         expected = f'"my_law.py:Name", or {error.expected}'
         raise UnusableLawError("law", expected, error.found) from error
     except plugin.PluginError as error:
-        raise UnusableLawError("law", error.expected, error.found) from error
+        found = error.found if error.__cause__ is None else blame(error.__cause__, None)
+        raise UnusableLawError("law", error.expected, found) from error
 
 
 def _module(name: str, made: Callable[..., Any]) -> ModuleType:
@@ -139,7 +147,9 @@ def _executed(path: Path, content: bytes, name: str) -> ModuleType:
     sys.modules[name] = module  # where annotations are looked up
     try:
         exec(compile(content, str(path), "exec"), vars(module))
-    except Exception as error:  # it is somebody's code
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # it is the user's code, and may call sys.exit
         del sys.modules[name]
         raise UnusableLawError(
             "law", "a Python file that can be executed", blame(error, path)
@@ -164,6 +174,10 @@ def blame(error: BaseException, path: Path | None) -> str:
     whole = re.sub(r"\x1b\[[\d;]*m", "", str(error))  # numba writes in bold
     reason = next((line for line in whole.splitlines() if _says_something(line)), "")
     text = f"{type(error).__name__}: {reason.strip()}"
+    if isinstance(error, SystemExit):
+        text = f"called sys.exit({'' if error.code is None else repr(error.code)})"
+    elif isinstance(error, LawStoppedError):
+        text = whole
     if path is None:
         return text
     if isinstance(error, SyntaxError) and error.lineno:

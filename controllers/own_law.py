@@ -81,7 +81,9 @@ def law_of(
         raise UnusableLawError("parameters", f"those of {made.__name__}", str(error)) from None
     try:
         law = plugin.call(made, values, {"names": tuple(names), "d": d})
-    except Exception as error:  # it is somebody's code
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # it is the user's code, and may call sys.exit
         raise UnusableLawError("parameters", "some that it accepts", blame(error, path)) from error
     whole = callable(getattr(law, "fly_ahead", None))
     return Watched(law if whole else PlainLaw(law, path), path)

@@ -104,7 +104,9 @@ class Watched:
     def _watch(self, verb: str, *arguments: Any) -> Any:
         try:
             return getattr(self._law, verb)(*arguments)
-        except Exception as error:  # it is somebody's code
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # it is the user's code, and may call sys.exit
             raise LawError(blame(error, self._path)) from error
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:

@@ -185,6 +185,12 @@ class SerialThrusters:
             "BEARING",
         )
 
+    @property
+    def floats(self) -> bool:
+        """Whether bearing air is on, by the board's newest report."""
+        status = self._session.status
+        return status is not None and status.bearing == 1
+
     def arm(self) -> None:
         """Arm; plans must follow at once.
 

@@ -78,6 +78,7 @@ class WiredBoard:
         self._now_us = 0  # since power came, as all times inside
         self._new: list[Edge] = []
         self._mask = self._before = 0  # after the newest edge, and before it
+        self._landed = False
         self._start()
 
     def _start(self) -> None:
@@ -103,7 +104,7 @@ class WiredBoard:
     def trouble(self) -> str | None:
         """Why the board does not play plans any more; None while it does."""
         session = self.session
-        if session.state == State.ARMED and not session.refusals:
+        if self._landed or (session.state == State.ARMED and not session.refusals):
             return None
         faults = session.status.faults.name if session.status else None
         refused = ", ".join(result.name for result in session.refusals)
@@ -113,6 +114,8 @@ class WiredBoard:
 
     def apply(self, command: ValveCommand) -> None:
         """Send a plan, now."""
+        if self._landed:
+            return
         shift = HEAD_START_US * 1e-6
         shifted = replace(
             command,
@@ -120,6 +123,14 @@ class WiredBoard:
             valid_until=command.valid_until + shift,
         )
         self._there.send(self._now_us, self.session.apply(shifted, self._now_us))
+
+    def land(self) -> None:
+        """Disarm and take the bearing air away, for good: no plan is sent any more."""
+        if self._landed:
+            return
+        self._landed = True
+        self._there.send(self._now_us, self.session.disarm(self._now_us))
+        self._there.send(self._now_us, self.session.bearing(False, self._now_us))
 
     def run_until(self, t_us: int) -> list[Edge]:
         """Let time pass; what the valves did since the last call."""

@@ -132,6 +132,9 @@ class Board:
             self._min_on, self._min_off, self._spread, self._draws.take(1)[0],
         )  # fmt: skip
 
+    def land(self) -> None:
+        """Nothing to do: the plant shuts the air off."""
+
     def run_until(self, t: float) -> None:
         """Nothing happens here by itself: plans are played ahead."""
 
@@ -141,6 +144,10 @@ class Driver(Protocol):
 
     def apply(self, command: ValveCommand) -> None:
         """Take a plan."""
+        ...
+
+    def land(self) -> None:
+        """Shut valves and bearing air, for good."""
         ...
 
     def run_until(self, t_us: int) -> Sequence[tuple[int, int]]:
@@ -164,6 +171,10 @@ class FirmwareBoard:
     def apply(self, command: ValveCommand) -> None:
         """Pass a plan on."""
         self._driver.apply(command)
+
+    def land(self) -> None:
+        """Pass it on."""
+        self._driver.land()
 
     def run_until(self, t: float) -> None:
         """Know what the valves do up to time `t` [s]."""

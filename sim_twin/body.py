@@ -129,3 +129,32 @@ def step(x, h, stages, drag, spin_drag, ground):
         x[3] += h * B[i] * accel[i, 0]
         x[4] += h * B[i] * accel[i, 1]
         x[5] += h * B[i] * spin[i]
+
+
+@inlined
+def slide(x, h, grip):
+    """Advance `x`, shape (6,), by `h` in place: on the stone, without air, by dry friction.
+
+    The table's slope is far too small to move what stands. Sliding and turning do not share the
+    friction: a body that does both stops a little later than here.
+
+    Args:
+        x: see the module's first lines.
+        h: [s].
+        grip: how fast sliding and turning slow down, shape (2,) [m/s^2, rad/s^2].
+    """
+    speed = np.sqrt(x[3] * x[3] + x[4] * x[4])
+    if speed > 0.0:
+        lasts = min(h, speed / grip[0])
+        left = max(0.0, 1.0 - grip[0] * h / speed)
+        way = lasts * (1.0 - 0.5 * grip[0] * lasts / speed)
+        x[0] += way * x[3]
+        x[1] += way * x[4]
+        x[3] *= left
+        x[4] *= left
+    spin = abs(x[5])
+    if spin > 0.0:
+        lasts = min(h, spin / grip[1])
+        left = max(0.0, 1.0 - grip[1] * h / spin)
+        x[2] += lasts * (1.0 - 0.5 * grip[1] * lasts / spin) * x[5]
+        x[5] *= left

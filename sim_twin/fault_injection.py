@@ -80,10 +80,14 @@ class Sabotage:
             match what.kind:
                 case "stick_open" | "stick_closed":
                     self._plant.stick(k, what.jet - 1, what.kind == "stick_open", one.since, over)
+                case "leak_valve":
+                    self._plant.leak_valve(k, what.jet - 1, what.size, one.since, over)
                 case "brown_out" if self._boards:
                     board = self._plant.boards[what.vehicle]
                     assert isinstance(board, Board), "the configuration refuses it"
                     board.lose_power(one.since, over)
+                    if self._plant.t >= one.since:  # normally closed, as the jets' valves are
+                        self._plant.land(k)
                 case "leak":
                     span = min(until, over) - max(one.since, self._plant.t)
                     self._plant.leak(k, what.size * max(0.0, span))

@@ -24,6 +24,7 @@ class Metal(NamedTuple):
     radius: Array  # (v,) [m]
     drag: Array  # (v,) [N s/m]
     spin_drag: Array  # (v,) [N m s/rad]
+    grip: Array  # (v, 2) dry friction of one that stands: [m/s^2], [rad/s^2]; 0: it floats
     effect: Array  # (v, 3, j) wrench of a fully open jet at set pressure
     thrust: Array  # (v, j) its magnitude [N]
     gas: Array  # (v,) in the full tank [kg]
@@ -69,6 +70,7 @@ def _forge_one(vehicle: Vehicle, rng: np.random.Generator, jets: int) -> Metal:
         radius=np.array(vehicle.radius),
         drag=np.array(vehicle.drag),
         spin_drag=np.array(vehicle.spin_drag),
+        grip=np.zeros(2),
         effect=effect,
         thrust=thrust,
         gas=np.array(air.gas),

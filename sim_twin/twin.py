@@ -164,6 +164,7 @@ class TwinThrusters:
     def land(self) -> None:
         """See `Thrusters`."""
         plant = self._twin.plant
+        self._board.land()
         plant.land(plant.names.index(self._name))
 
     def health(self) -> Health:

@@ -1,5 +1,6 @@
 """`testbed drill`: rehearse the whole catalogue of faults and print what became of each."""
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -29,23 +30,25 @@ from testbed.faults.drill import (
     OTHERS,
     Drill,
     Drilled,
+    answered,
     deadline,
     draw,
     summarise,
 )
 from testbed.flight.faults import SEVERITY
 from testbed.flight.loop import complaint
+from testbed.metrics.afterwards import HARD
 from testbed.rig.chain import fence_of
 from testbed.rig.twin import TwinRig, make_twin
 
 EXPERIMENTS = ("zhang2023_table", "zhang2023_table_wrench")
-AFTERWARDS = 5.0  # [s] contacts are looked for so long after the last valve is shut
 ROOM = 0.15  # [m] round a start
-NEEDED = {"stick_closed": 40.0}  # [s] to show itself, a jet must be asked for; others: 8 s
+# [s] to show itself: a jet must be asked for, a small leak is found by its mean; others: 8 s
+NEEDED = {"stick_closed": 40.0, "leak_valve": 20.0}
 SOON = 8.0
 HEADINGS = (  # of numbers: narrow, so that the table fits into 80 columns
-    "cases", "not\nfound", "dor-\nmant", "found\n[s]", "worst\n[s]", "shut\n[s]",
-    "moved\n[m]", "con-\ntacts", "a-\ndrift", "open\nlate",
+    "n", "not\nfound", "dor-\nmant", "does\n[s]", "worst\n[s]", "shut\n[s]", "moved\n[m]",
+    "con-\ntacts", "after", "a-\ndrift", "mov-\ning", "air\non", "open\nlate",
 )  # fmt: skip
 
 
@@ -60,6 +63,8 @@ class Notes:
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
+        if tick.inputs.vitals.end:
+            return
         out = tick.outputs
         self.rows += [(out.t, name, row) for row in out.faults]
         if out.response:
@@ -82,22 +87,27 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
     rig, notes = make_twin(experiment), Notes()
     ending = rig.fly(notes)
     twin, plant = rig.twin, rig.twin.plant
-    if ending.fault is not None:
-        twin.wait_until(twin.now + AFTERWARDS)
+    last = max(last_closing(board.pulses) for board in plant.boards.values())
+    rest = rig.come_to_rest(ending, notes)
+    assert rest is not None
     assert twin.sabotage is not None
     began = twin.sabotage.began()[0]
-    named, found = _named(what, notes, began)
     after = [(t, name, one) for t, name, one in notes.responses if t >= began]
-    response = max((one for _, _, one in after), key=SEVERITY.__getitem__, default="")
-    last = max(last_closing(board.pulses) for board in plant.boards.values())
+    own = [(t, one) for t, name, one in after if concerned(what, name)]
+    named, found = answered(_named(what, notes, began), own, began)
+    response = max((one for _, one in own), key=SEVERITY.__getitem__, default="")
     over = ending.fault is not None
     limits = {name: _limit(name, what, after, began) for name in plant.names}
-    touches = [touch for touch in plant.touches if touch.t >= began]
-    adrift = sum(
-        (what.kind in ADRIFT and what.vehicle in (touch.vehicle, touch.other))
-        or (over and touch.t > ending.t and _moves(experiment, touch.other))
-        for touch in touches
-    )
+    touches = [
+        touch for touch in plant.touches
+        if began <= touch.t and (touch.t <= ending.t or touch.speed > HARD)
+    ]  # fmt: skip
+    helpless = [
+        touch for touch in touches
+        if (what.kind in ADRIFT and what.vehicle in (touch.vehicle, touch.other))
+        or (touch.t > ending.t and _moves(experiment, touch.other))
+    ]  # fmt: skip
+    adrift = len(helpless)
     early = tuple(sorted({words for t, _, words in notes.words if t < began}))
     asked = sum(
         on[what.jet - 1] for t, name, on in notes.asked if name == what.vehicle and t >= began
@@ -119,7 +129,17 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
         early,
         adrift,
         what.kind == "stick_closed" and found is None and asked < 1e6 * ASKED,
+        sum(touch.t > ending.t and touch not in helpless for touch in touches),
+        rest.at_rest_s,
+        rest.air,
     )
+
+
+def concerned(what: Injection, name: str) -> bool:
+    """Whether a vehicle is one whose response counts: of a dead one the others'."""
+    if what.kind in OTHERS:
+        return name != what.vehicle
+    return name in (what.vehicle, what.other)
 
 
 def _moves(experiment: Experiment, obstacle: str) -> bool:
@@ -139,20 +159,16 @@ def _limit(
     return min((t for t, one in own if one == severest), default=0.0) + deadline(severest)
 
 
-def _named(what: Injection, notes: Notes, began: float) -> tuple[str, float | None]:
-    """The first right name, and how long after the beginning it was said by whom it concerns."""
+def _named(what: Injection, notes: Notes, began: float) -> list[tuple[float, str]]:
+    """When it was rightly named, by whom it concerns."""
     names = NAMES[what.kind]
-    concerned = (what.vehicle, what.other)
     right = [
         (t, row) for t, who, row in notes.rows
-        if t >= began and row in names and (who in concerned or what.kind in OTHERS)
+        if t >= began and row in names and concerned(what, who)
     ]  # fmt: skip
     for t, _, words in notes.words:
         right += [(t, name) for name in names if name in words and t >= began]
-    if not right:
-        return "", None
-    t, name = min(right)
-    return name, t - began
+    return right
 
 
 def _open_after(rig: TwinRig, limits: Mapping[str, float]) -> int:
@@ -160,9 +176,10 @@ def _open_after(rig: TwinRig, limits: Mapping[str, float]) -> int:
     plant, count = rig.twin.plant, 0
     played = plant.played()
     for k, name in enumerate(plant.names):
-        flows = plant.metal.thrust[k].sum() > 0.0
-        late = (played.down[k] > 1e9 * limits[name]) & (played.down[k] > played.up[k])
-        count += int(flows) * int(late.any(axis=1).sum())
+        landed = 1e9 * plant.landed.get(k, math.inf)
+        shut = np.minimum(played.down[k], landed)
+        late = (shut > 1e9 * limits[name]) & (shut > played.up[k])
+        count += int(late.any(axis=1).sum())
     return count
 
 
@@ -200,10 +217,14 @@ def somewhere(name: str, rng: np.random.Generator) -> Experiment:
 
 def case(number: int, seed: int) -> Drilled:
     """Case `number` of a drill: kinds and experiments take turns, the rest is drawn."""
-    rng = np.random.default_rng([seed, number])
-    kinds: list[Any] = list(NAMES)
-    kind = kinds[number % len(kinds)]
-    begun = somewhere(EXPERIMENTS[(number // len(kinds)) % len(EXPERIMENTS)], rng)
+    kinds, rng = list(NAMES), np.random.default_rng([seed, number])
+    name = EXPERIMENTS[(number // len(kinds)) % len(EXPERIMENTS)]
+    return drawn(kinds[number % len(kinds)], name, rng)
+
+
+def drawn(kind: Any, name: str, rng: np.random.Generator) -> Drilled:
+    """A case of this kind in this experiment."""
+    begun = somewhere(name, rng)
     jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
     what = draw(kind, list(begun.vehicles), jets, rng)
     duration = (what.at_s or 0.0) + NEEDED.get(kind, SOON)
@@ -265,14 +286,15 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
             row.kind, row.response or "-", str(row.cases), str(row.undetected),
             str(row.dormant), _number(row.detected_median_s), _number(row.detected_worst_s),
             _number(row.shut_worst_s), _number(row.travelled_worst_m), str(row.contacts),
-            str(row.adrift),
+            str(row.contacts_after), str(row.adrift), str(row.moving), str(row.air_on),
             str(row.valves_open_after_deadline), style="red" if bad else None,
         )  # fmt: skip
     out.print(grid)
     out.print(
         f"undetected: {drill.undetected}, dormant: {drill.dormant}, "
         f"valves open after the deadline: {drill.valves_open_after_deadline}, "
-        f"contacts: {drill.contacts} (and {drill.contacts_adrift} of a vehicle adrift), "
+        f"contacts: {drill.contacts}, {drill.contacts_after} of them in the minute after the end "
+        f"(and {drill.contacts_adrift} of a vehicle adrift), "
         f"false alarms before the fault: {drill.false_alarms}"
     )
     for one in cases:

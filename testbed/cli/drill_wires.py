@@ -19,18 +19,19 @@ from testbed.cli.drill import shipped, somewhere
 from testbed.config import dump
 from testbed.core.error import TestbedError
 from testbed.core.fault_injection import Injection
-from testbed.faults.drill import ADRIFT, DEAD_WITHIN, NAMES, Drilled, deadline, draw
+from testbed.faults.drill import ADRIFT, DEAD_WITHIN, NAMES, Drilled, answered, deadline, draw
 from testbed.flight.faults import SEVERITY
+from testbed.metrics.afterwards import HARD
 from testbed.net.commands import Ended
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.twin import warm_up
-from testbed.rig.wired.server import TableReport
+from testbed.rig.wired.table_report import TableReport
 
 EXPERIMENT = "zhang2023_table"
 COUNT = 72
 WHEN = (1.5, 4.0)  # [s]
 LASTS = 6.0  # [s] after an injection, if nothing ends the flight before
-LONGER = {"leak": 12.0, "stick_open": 10.0}
+LONGER = {"leak": 12.0, "stick_open": 10.0, "leak_valve": 20.0}
 TWIN_ONLY = ("stick_closed",)  # takes a flight of a minute to show itself
 # names that only wires can give; the others are those of the twin
 ON_THE_WAY: dict[str, tuple[str, ...]] = {
@@ -50,7 +51,9 @@ ON_THE_WAY: dict[str, tuple[str, ...]] = {
 }
 # whose own process or board cannot say or do anything more
 MUTE = ("kill_process", "stop_process", "cut_serial", "brown_out")
+SILENT = ("kill_process", "stop_process")  # of these the others' response counts
 GRACE_S = 180.0
+LONGEST_END = 8.0  # [s] for the vehicles to come to rest after the planned end
 
 
 class Flown(Struct, frozen=True):
@@ -125,7 +128,7 @@ def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
             break
         if start.exists() and over is None:
             epoch_ns = msgspec.json.decode(start.read_bytes())[0]
-            over = epoch_ns + round(1e9 * (duration_s + 4.0))
+            over = epoch_ns + round(1e9 * (duration_s + LONGEST_END))
         if over is not None and monotonic_ns() > over:  # a host that is stopped ends nothing
             with suppress(ProcessLookupError):
                 host.kill()
@@ -162,35 +165,46 @@ def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: 
     faults = [flown.fault, *(one.fault for one in flown.ended.values())]
     for fault in faults:
         right += [(_said_at(flown, fault), w) for w in wanted if fault is not None and w in fault]
-    found, named = min(right, default=(None, ""))
-    shut, late, responses = 0.0, 0, set()
+    shut, late = 0.0, 0
+    own = [
+        (t, one) for name, words in flown.ended.items() for one, t in words.responses.items()
+        if t >= began and (name == what.vehicle) != (what.kind in SILENT)
+    ]  # fmt: skip
+    named, found = answered(right, own, began)
+    end = max((one.t for one in flown.ended.values()), default=began)
     for name in names:
         severest, since = "", began
         if (one := flown.ended.get(name)) is not None:
             told = [r for r, t in one.responses.items() if t >= began]
             severest = max(told, default="", key=SEVERITY.__getitem__)
             since = one.responses.get(severest, began)
-            responses.add(severest)
         limit = since + deadline(severest)
         if what.kind in MUTE and name == what.vehicle:
             limit = began + DEAD_WITHIN
         closed, open_after = _closing(report.edges[name], flown.epoch_ns, limit)
         shut, late = max(shut, closed), late + open_after
     offset = 1e-9 * ((report.released_ns or 0) - flown.epoch_ns)
-    touches = [touch for touch in report.touches if touch.t + offset >= began]
-    adrift = sum(
-        what.kind in (*ADRIFT, *MUTE) and what.vehicle in (touch.vehicle, touch.other)
-        for touch in touches
-    )
+    touches = [
+        touch for touch in report.touches
+        if began <= touch.t + offset and (touch.t + offset <= end or touch.speed > HARD)
+    ]  # fmt: skip
+    after = report.after(names, end - offset)
+    helpless = [
+        touch for touch in touches
+        if what.kind in (*ADRIFT, *MUTE) and what.vehicle in (touch.vehicle, touch.other)
+    ]  # fmt: skip
+    adrift = len(helpless)
     over = any(fault is not None for fault in faults)
     early = sorted({o.fault for o in flown.ended.values() if o.fault and o.t < began})
     return Drilled(
         what.kind, experiment, what.vehicle, seed, began, named,
-        None if found is None else found - began,
-        max(responses, default="", key=SEVERITY.__getitem__),
+        found,
+        max((one for _, one in own), default="", key=SEVERITY.__getitem__),
         shut - began if over else None, late, len(touches) - adrift, _travelled(flown, began),
         next((fault for fault in faults if fault is not None), None), tuple(early), adrift,
         dormant=False,
+        contacts_after=sum(t.t + offset > end and t not in helpless for t in touches),
+        at_rest_s=after.at_rest_s, air=after.air,
     )  # fmt: skip
 
 

@@ -54,16 +54,18 @@ def twin(
 @click.option("--serial", help="The board's port.  [default: the table file's]")
 @click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
 @click.option("--report", type=click.Path(path_type=Path), hidden=True)
+@click.option("--heart", type=click.Path(path_type=Path), hidden=True)
 @click.option("--child", is_flag=True, hidden=True)
 @click.pass_context
 def agent(
     context: click.Context, vehicle: str, connect: str | None, lab: str | None,
-    serial: str | None, keys: Path | None, report: Path | None, child: bool,
+    serial: str | None, keys: Path | None, report: Path | None, heart: Path | None, child: bool,
 ) -> None:  # fmt: skip
     """Fly a VEHICLE: on its own computer, beside its valve board."""
     from testbed.cli.wires import fly_agent
 
-    context.exit(fly_agent(vehicle, connect, lab, serial, keys, child=child, report=report))
+    code = fly_agent(vehicle, connect, lab, serial, keys, child=child, report=report, heart=heart)
+    context.exit(code)
 
 
 @click.command()
@@ -99,7 +101,10 @@ def poses(
 )
 @click.pass_context
 def stop(context: click.Context, connect: str | None, lab: str, keys: Path | None) -> None:
-    """Stop whatever flies: shut every valve, now."""
+    """Stop whatever flies: the vehicles brake, and at rest shut their air off.
+
+    Said again, they shut valves and air at once.
+    """
     from testbed.net.stop import stop_everything
 
     context.exit(stop_everything(connect, lab, keys))

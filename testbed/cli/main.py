@@ -350,4 +350,6 @@ def entry() -> None:
 
 
 if __name__ == "__main__":
-    entry()
+    from testbed.cli.start import entry as begin
+
+    begin()

@@ -7,10 +7,11 @@ from rich.markup import escape
 from rich.table import Table as Grid
 
 from testbed.config import Experiment
+from testbed.metrics.afterwards import left_in_words
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import FormationCriteria, Metrics
 from testbed.report.page import known
-from testbed.report.verdict import SHOWN_TOUCHES, missed, touched
+from testbed.report.verdict import SHOWN_TOUCHES, UNCOUNTED, missed, touched
 
 OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 
@@ -57,7 +58,7 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
         grid.add_row(heading, *cells, _limit(experiment, criterion, scale))
     out.print(grid)
     separation = metrics.min_vehicle_distance_m
-    pieces = [f"contacts: {metrics.contacts}"]
+    pieces = [f"contacts: {'not known' if metrics.contacts == UNCOUNTED else metrics.contacts}"]
     if separation is not None:
         pieces.append(f"nearest two vehicles: {separation:.2f} m")
     if metrics.real_time_factor:
@@ -70,6 +71,12 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
         print_formation(out, together, experiment)
     for warning in metrics.warnings:
         out.print(f"warning: {warning.name}: {warning.text}", style="yellow", markup=False)
+    for name, left in metrics.after.vehicles.items() if metrics.after is not None else ():
+        bad = left.at_rest_s is None or left.air == "on"
+        out.print(left_in_words(name, left), style="red" if bad else None, markup=False)
+    if metrics.after is not None and metrics.after.contacts:
+        words = f"contacts in the minute after the end: {metrics.after.contacts}"
+        out.print(words, style="red", markup=False)
     for words in touched(experiment, metrics.touches[:SHOWN_TOUCHES]):
         out.print(words, style="red", markup=False)
     out.print(_verdict(metrics))

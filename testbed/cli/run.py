@@ -2,10 +2,12 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
 
+from controllers.law_file import UnusableLawError
+from controllers.plain_law import LawError
 from testbed.cli.exit_code import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.cli.live import LiveTable
 from testbed.cli.operator import Operator
@@ -14,14 +16,17 @@ from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
+from testbed.net.stop import noted
+from testbed.realtime.heartbeat import Phase, heartbeat, process_to_end
 from testbed.report.page import ReportError
 from testbed.rig.boards import check_boards
+from testbed.rig.chain import watched
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import FolderError, new_folder, take_back, write_config, write_metrics
 from testbed.run.interrupt import Interrupt
-from testbed.run.report import make_report
+from testbed.run.report import write_page
 
 LINE_S = 10.0  # between two lines where there is no terminal [s]
 
@@ -57,9 +62,11 @@ def run_experiment(
         if view is None and (bind or port):
             found = f"--bind {bind}" if bind else f"--port {port}"
             raise ConfigError("command line", "", "--web or --view with it", found)
-        with interrupt.caught():
+        with interrupt.caught(), watched(experiment):
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
+            heart = heartbeat()
+            heart.rig, heart.folder, heart.phase = rig, str(folder), Phase.COMPILING
             if view is not None:
                 from testbed.cli.dash import beside_run
 
@@ -67,15 +74,15 @@ def run_experiment(
             make = maker(rig, experiment, folder, operator)
             # a flight in real time says in a pipe or a log how far it is
             operator.live = LiveTable(experiment, errors, None if rig == "twin" else LINE_S)
-            with redirect_stdout(sys.stderr):
+            with redirect_stdout(sys.stderr), noted_on_twin(rig, experiment):
                 metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator.live)
             write_metrics(folder, metrics)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
             else:
                 print_result(metrics, experiment, folder)
-            report(folder)
-    except (ConfigError, ViewerError) as error:
+            report(folder, experiment)
+    except (ConfigError, ViewerError, UnusableLawError, LawError) as error:
         if board is not None:
             board.terminate()
             board.wait()
@@ -108,11 +115,20 @@ def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
     return local(experiment)
 
 
-def report(folder: Path) -> None:
+def noted_on_twin(rig: str, experiment: Experiment) -> AbstractContextManager[None]:
+    """A note for `testbed stop`; a host on wires leaves its own."""
+    if rig != "twin":
+        return nullcontext()
+    return noted(
+        "", "", vehicles=list(experiment.vehicles), name=experiment.name, pid=process_to_end(),
+        say=lambda text: errors.print(text, style="yellow", markup=False, soft_wrap=True),
+    )  # fmt: skip
+
+
+def report(folder: Path, experiment: Experiment) -> None:
     """Make the page; the verdict on the flight stands without it."""
     try:
-        with redirect_stdout(sys.stderr):  # it reads the law's file
-            make_report(folder, warn)
+        write_page(folder, experiment, warn)
     except (ReportError, LogError) as error:
         errors.print(
             f"warning: no report: {error}\n  later     testbed report {folder}",

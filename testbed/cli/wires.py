@@ -19,6 +19,7 @@ from testbed.core.lab import Network
 from testbed.files import write_atomic
 from testbed.net.credentials import BadgeError, read_badge, trouble
 from testbed.net.session import NetworkError
+from testbed.realtime.heartbeat import attach, in_file
 from testbed.realtime.processes import end_on_terminate, orphaned
 from testbed.realtime.scheduling import prefer_process, preferred, steady
 from testbed.rig.twin import warm_up
@@ -68,6 +69,7 @@ def serve_twin(
 def fly_agent(
     name: str, endpoint: str | None, lab: str | None, port: str | None,
     keys: Path | None = None, *, child: bool, report: Path | None = None,
+    heart: Path | None = None,
 ) -> int:  # fmt: skip
     """Fly one vehicle; the exit code."""
     end_on_terminate()
@@ -89,6 +91,8 @@ def fly_agent(
         if not child:
             errors.print(f"{name}: {text}", markup=False, soft_wrap=True)
 
+    if heart is not None:
+        attach(in_file(heart))  # the host sees there whether this vehicle's law is being called
     say(f"looking for the host at {endpoint}")
     try:
         fly_vehicle(

@@ -35,6 +35,12 @@ class Deploy(Struct, frozen=True, forbid_unknown_fields=True):
     """Where the halves run."""
 
     law: Literal["host", "vehicle"] = "host"
+    law_limit_s: Positive | None = None  # of one call of a law in a file; null: see below [s]
+    law_memory_mb: Positive = 4000.0  # that the calls of such a law may add to the process [MB]
+
+    def call_limit(self, jet_period_s: float) -> float:
+        """How long one call of a law may take before it counts as hanging [s]."""
+        return self.law_limit_s or max(2.0, 20.0 * jet_period_s)
 
 
 class Experiment(Struct, frozen=True, forbid_unknown_fields=True):

@@ -24,6 +24,9 @@ def bad_injections(experiment: Experiment) -> Iterator[Mistake]:
         jets = len(experiment.vehicles[what.vehicle].model.jets)
         if not 1 <= what.jet <= jets:
             yield Mistake((*key, "jet"), f"a jet from 1 to {jets}", show(what.jet))
+        if what.kind == "leak_valve" and not 0.0 < what.size <= 1.0:
+            expected = "a share of the jet's flow, more than 0 and at most 1: 30 % is 0.3"
+            yield Mistake((*key, "value"), expected, f"{what.size:g}")
         if what.event == "near_obstacle" and not experiment.obstacles:
             yield Mistake((*key, "event"), "an event that can happen", "no obstacle is there")
         if what.event == "near_vehicle" and len(experiment.vehicles) < 2:

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from controllers.catalogue import make_law
+from controllers.own_law import OwnLawParams
 from testbed.config.board import bad_board
 from testbed.config.error import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.experiment import Experiment
@@ -95,6 +96,8 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     yield from bad_injections(experiment)
     yield from bad_network(experiment)
     yield from bad_plugins(experiment)
+    if isinstance(experiment.controller, OwnLawParams):
+        return  # it was made and asked above
     try:
         make_law(experiment.controller, list(experiment.vehicles))
     except ValueError as error:

@@ -13,6 +13,7 @@ from controllers.plain_law import LawError
 from testbed.config.error import Mistake, refused
 from testbed.config.experiment import Experiment
 from testbed.config.validation import first_misfit
+from testbed.realtime.law_watch import reading
 
 
 def place_law(tree: Any, folder: Path) -> None:
@@ -31,19 +32,26 @@ def bad_own_law(experiment: Experiment) -> Iterator[Mistake]:
     if not isinstance(params, OwnLawParams):
         return
     try:
-        kind = parameter_type(maker(params.law, params.sha256))
-        try:
-            msgspec.convert(params.parameters, kind)
-        except msgspec.ValidationError:
-            key, expected, found = first_misfit(params.parameters, kind)
-            yield Mistake(("controller", "parameters", *key), expected, found)
-            return
-        names = list(experiment.vehicles)
-        try_out(own_law(params, names, 2), len(names))
+        with reading(params.law):
+            found = _tried(params, list(experiment.vehicles))
+        yield from found
     except UnusableLawError as error:
         yield refused(("controller", error.key), error)
+
+
+def _tried(params: OwnLawParams, names: list[str]) -> list[Mistake]:
+    """Read the file, make the law, ask it once."""
+    kind = parameter_type(maker(params.law, params.sha256))
+    try:
+        msgspec.convert(params.parameters, kind)
+    except msgspec.ValidationError:
+        key, expected, found = first_misfit(params.parameters, kind)
+        return [Mistake(("controller", "parameters", *key), expected, found)]
+    try:
+        try_out(own_law(params, names, 2), len(names))
     except LawError as error:
-        yield Mistake(("controller", "law"), "a law that says what to do", str(error))
+        return [Mistake(("controller", "law"), "a law that says what to do", str(error))]
+    return []
 
 
 def with_content(experiment: Experiment) -> Experiment:

@@ -12,6 +12,8 @@ MOST_FRAMES = 10**7  # so are the camera's
 FASTEST_CAMERA = 10_000.0  # [Hz]
 MOST_STEPS = 10_000  # of a law in one jet period
 MOST_REFERENCES = 100  # in one message
+MOST_DELAY = 2.0  # jet periods that a valve may be late: boards remember four pulses
+HAIR = 1e-9  # [s] sums of decimal fractions are off by less
 
 
 def bad_timing(experiment: Experiment) -> Iterator[Mistake]:
@@ -79,14 +81,19 @@ def _valves(vehicle: Vehicle, period: float) -> Iterator[Mistake]:
         (("command_delay_s",), vehicle.command_delay_s),
         (("valve", "min_on_s"), valve.min_on_s),
         (("valve", "min_off_s"), valve.min_off_s),
-        (("valve", "open_delay_s"), valve.open_delay_s),
-        (("valve", "close_delay_s"), valve.close_delay_s),
         (("valve", "open_ramp_s"), valve.open_ramp_s),
         (("valve", "close_ramp_s"), valve.close_ramp_s),
     ):
-        if time > period:
+        if time > period + HAIR:
             yield Mistake(key, expected, f"{time:g} s")
+    for name in ("open_delay_s", "close_delay_s"):
+        if (delay := getattr(valve, name)) > MOST_DELAY * period + HAIR:
+            longest = f"at most {MOST_DELAY:g} times flight.jet_period_s, {MOST_DELAY * period:g} s"
+            yield Mistake(("valve", name), longest, f"{delay:g} s")
+    if valve.open_delay_s - valve.close_delay_s > period + HAIR:
+        nothing = f"less than {valve.close_delay_s + period:g} s, or nothing flows in a jet period"
+        yield Mistake(("valve", "open_delay_s"), nothing, f"{valve.open_delay_s:g} s")
     shortest = valve.close_delay_s + valve.close_ramp_s - valve.open_delay_s
-    if valve.min_off_s < shortest:
+    if valve.min_off_s < shortest - HAIR:
         expected = f"at least {shortest:g} s: before, the valve is still closing"
         yield Mistake(("valve", "min_off_s"), expected, f"{valve.min_off_s:g} s")

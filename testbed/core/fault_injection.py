@@ -24,6 +24,7 @@ Kind = Literal[
     "kill_process",  # the vehicle's process is gone
     "stick_open",  # valve number `jet` stays open
     "stick_closed",  # valve number `jet` stays shut
+    "leak_valve",  # valve number `jet` lets the share `value` of its flow through when it is shut
     "leak",  # `value` [kg/s] of gas
     "brown_out",  # the board resets and is away
     "clock_step",  # the vehicle's clock and the cameras' differ by `value` [s]
@@ -55,6 +56,7 @@ VALUES: dict[str, float] = {  # when none is given
     "delay_link": 0.6,
     "lose_link": 1.0,
     "leak": 0.1,
+    "leak_valve": 0.3,
     "clock_step": 0.05,
     "overrun": 0.08,
     "sag": 0.5,

@@ -92,7 +92,9 @@ def load(group: str, name: str, built_in: Iterable[str] = ()) -> Plugin:
     point = find(group, name, built_in)
     try:
         plugin = point.load()
-    except Exception as error:  # a plug-in may raise anything
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a plug-in may raise anything, or call sys.exit
         found = f"{type(error).__name__}: {error}"
         raise PluginError("an entry point that can be imported", found) from error
     if not callable(plugin):

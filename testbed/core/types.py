@@ -144,6 +144,7 @@ class Vitals(Struct, frozen=True, gc=False, omit_defaults=True):
     raised: str = ""  # what the law on the host died of
     fleet: str = ""  # a fault of another vehicle that stops all
     foreign: int = 0  # messages of another session since the last tick; none was obeyed
+    end: str = ""  # why the flight is over: come to rest and shut the air off
 
 
 ALL_WELL = Vitals()
@@ -185,6 +186,7 @@ class Outputs(Struct, frozen=True, gc=False, omit_defaults=True):
     faults: tuple[str, ...] = ()  # ids of all rows of the fault table that hold now
     response: str = ""  # the most severe response in force; empty: none
     filtered: Intervention | None = None  # None: the demand was left as it was
+    air_off: bool = False  # shut the bearing air off: nothing flies on from here
 
 
 class Tick(Struct, frozen=True, gc=False):
@@ -192,6 +194,10 @@ class Tick(Struct, frozen=True, gc=False):
 
     inputs: Inputs
     outputs: Outputs
+
+
+class EndingTick(Tick, frozen=True, gc=False):
+    """A tick after the end of the flight: what is measured of the flight leaves it out."""
 
 
 class HostInputs(Struct, frozen=True, gc=False, omit_defaults=True):

@@ -23,8 +23,9 @@ NAMES: dict[str, tuple[str, ...]] = {
     "delay_link": ("link_late", "link_out", "link_lost", "neighbour_late", "neighbour_silent"),
     "lose_link": ("link_late", "link_out", "link_lost", "neighbour_late", "neighbour_silent"),
     "kill_process": ("neighbour_late", "neighbour_silent", "vehicle_silent"),
-    "stick_open": ("valve_stuck_open_push", "valve_stuck_open_turn"),
-    "stick_closed": ("valve_stuck_closed",),
+    "stick_open": ("valve_stuck_open", "valve_leaks", "valve_leaks_or_weak"),
+    "stick_closed": ("valve_stuck_closed", "valve_leaks_or_weak"),
+    "leak_valve": ("valve_leaks", "valve_leaks_or_weak", "valve_stuck_open"),
     "leak": ("leak", "supply_weak", "supply_low"),
     "brown_out": ("battery_low", "board_silent"),
     "clock_step": ("clock_off",),
@@ -49,6 +50,7 @@ SPREAD = {  # sizes that are drawn, as factors of what is usual
     "delay_link": (1.0, 3.0),
     "lose_link": (1.0, 1.0),
     "leak": (0.5, 2.0),
+    "leak_valve": (0.5, 2.0),
     "clock_step": (0.5, 10.0),
     "overrun": (0.8, 3.0),
 }
@@ -63,16 +65,19 @@ class Drilled(Struct, frozen=True):
     seed: int
     at_s: float
     named: str  # the first row or words that name it; empty: undetected
-    detected_s: float | None  # after it began
-    response: str  # the most severe that followed, of any vehicle
+    detected_s: float | None  # from its beginning to the response of the vehicle concerned
+    response: str  # the most severe of the vehicle concerned
     shut_s: float | None  # last valve shut after it began; None: the run went on
     late: int  # valves still open after the deadline
-    contacts: int
+    contacts: int  # while it flew, and hard ones in the minute after
     travelled_m: float  # the farthest that any vehicle got from where it was when it began
     fault: str | None  # how the run ended
     early: tuple[str, ...]  # faults that were latched before it began
     adrift: int  # contacts of one that could not push any more, or that a moving obstacle ran into
     dormant: bool  # it had no occasion to show: a valve that is stuck shut and not asked for
+    contacts_after: int = 0  # of `contacts` those in the minute after the end
+    at_rest_s: float | None = None  # after the end, the last vehicle; null: one never was
+    air: str = "off"  # bearing air a minute after the end; "on": of one vehicle at least
 
 
 class Row(Struct, frozen=True):
@@ -90,6 +95,9 @@ class Row(Struct, frozen=True):
     contacts: int
     adrift: int
     valves_open_after_deadline: int
+    contacts_after: int = 0
+    moving: int = 0  # cases in which a vehicle was not at rest a minute after the end
+    air_on: int = 0  # cases in which a bearing had air then
 
 
 class Drill(Struct, frozen=True):
@@ -104,6 +112,7 @@ class Drill(Struct, frozen=True):
     contacts_adrift: int
     false_alarms: int
     rows: list[Row]
+    contacts_after: int = 0  # of the contacts those in the minute after the end
 
 
 def draw(kind: Any, vehicles: Sequence[str], jets: int, rng: np.random.Generator) -> Injection:
@@ -121,6 +130,30 @@ def draw(kind: Any, vehicles: Sequence[str], jets: int, rng: np.random.Generator
     )
 
 
+def answered(
+    named: Sequence[tuple[float, str]], responses: Sequence[tuple[float, str]], began: float
+) -> tuple[str, float | None]:
+    """What names a fault rightly, and how long after its beginning the vehicle did something.
+
+    A warning comes in flights without a fault, too: it counts only where nothing else followed.
+
+    Args:
+        named: time and right name, of whom it concerns.
+        responses: time and response of the vehicle concerned.
+        began: when the fault did [s].
+    """
+    if not named:
+        return "", None
+    since: dict[str, float] = {}  # each name, and when it was said first
+    for t, name in sorted(named):
+        since.setdefault(name, t)
+    first = min(since.values())
+    acted = min((t for t, one in responses if t >= began and one != "warn"), default=first)
+    # the last that came before the response is what it was for; a host may say it afterwards
+    known = {name: t for name, t in since.items() if t <= acted} or since
+    return max(known, key=known.__getitem__), acted - began
+
+
 def deadline(response: str) -> float:
     """How long after detection every valve must be shut [s]."""
     return BRAKE_WITHIN if response == "brake" else SHUT_WITHIN[response]
@@ -133,7 +166,7 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
         own = [one for one in cases if one.kind == kind]
         found = [one.detected_s for one in own if one.detected_s is not None]
         shut = [one.shut_s for one in own if one.shut_s is not None]
-        responses = {one.response for one in own}
+        responses = {one.response for one in own if one.response}
         rows.append(
             Row(
                 kind,
@@ -148,6 +181,9 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
                 sum(one.contacts for one in own),
                 sum(one.adrift for one in own),
                 sum(one.late for one in own),
+                sum(one.contacts_after for one in own),
+                sum(one.at_rest_s is None for one in own),
+                sum(one.air == "on" for one in own),
             )
         )
     return Drill(
@@ -160,4 +196,5 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
         sum(row.adrift for row in rows),
         sum(bool(one.early) for one in cases),
         rows,
+        sum(row.contacts_after for row in rows),
     )

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from testbed.core.error import TestbedError
-from testbed.core.law import Ahead, Array, Body, Law, Neighbours, World
-from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Wrench
+from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World
+from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 
@@ -23,6 +23,11 @@ class SpoiltLaw:
 
     def __init__(self, law: Law, spoilt: Callable[[], str]) -> None:
         self._law, self._spoilt, self.words = law, spoilt, law.words
+
+    def concerns(self, law_state: Array) -> list[Concern]:
+        """What the law itself has to say of the flight."""
+        say = getattr(self._law, "concerns", None)
+        return [] if say is None else list(say(law_state))
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""
@@ -61,10 +66,10 @@ class CrashableNode:
         """See `VehicleNode`."""
         return self._node.guidance
 
-    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
+    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
         """The node's own tick, or what a log says of a process that is gone."""
         if not self._dead():
-            return self._node.tick(t, armed, fleet)
+            return self._node.tick(t, armed, fleet, end)
         still, command = Wrench(0.0, 0.0, 0.0), ValveCommand(0, t, t, self._shut, self._shut)
-        inputs = Inputs(t, armed, (), None, {}, Health(t, 0.0, 0.0))
+        inputs = Inputs(t, armed, (), None, {}, Health(t, 0.0, 0.0), vitals=Vitals(end=end))
         return Tick(inputs, Outputs(t, None, None, still, still, command, "its process is dead"))

@@ -26,6 +26,7 @@ from testbed.core.types import (
 from testbed.core.vehicle import Positive, Vehicle
 from testbed.flight.allocation import Allocator, AllocatorParams
 from testbed.flight.barrier import BarrierParams
+from testbed.flight.ending import EndingParams
 from testbed.flight.estimator import Estimator, EstimatorParams
 from testbed.flight.gate import Gate, GateParams, closed
 from testbed.flight.guidance import Guidance
@@ -46,6 +47,7 @@ class FlightParams(Struct, frozen=True, forbid_unknown_fields=True):
     allocator: AllocatorParams = field(default_factory=AllocatorParams)
     gate: GateParams = field(default_factory=GateParams)
     barrier: BarrierParams = field(default_factory=BarrierParams)
+    ending: EndingParams = field(default_factory=EndingParams)
 
 
 def lead_time(vehicle: Vehicle) -> float:
@@ -103,8 +105,9 @@ class Agent:
         effect_at = t + self._lead
         self._estimator.update(inputs.samples, t)
         state = self._estimator.predict(effect_at, now=t)
-        setpoint, told = inputs.setpoint, None
-        if self._guidance is not None:
+        end = inputs.vitals.end
+        setpoint, told = None if end else inputs.setpoint, None
+        if self._guidance is not None and not end:
             setpoint, told = self._guided(effect_at, state, inputs)
         flown, wanted = self._aim(setpoint, state, effect_at)
         share = inputs.health.supply_pressure / self._vehicle.air.set_pressure
@@ -119,6 +122,10 @@ class Agent:
             session_ok=inputs.vitals.session_ok, braking=braking,
         )  # fmt: skip
         refused = refused or done
+        # what the gate has shut cannot brake; nor can one that is not armed any more at the end
+        air_off = acted.air_off or (inputs.armed and self._gate.fault is not None)
+        if end and (not inputs.armed or self._safety is None):
+            refused, air_off = refused or end, True
         command, planned = self._plan(t, wanted if refused is None else STILL, share)
         if refused is not None:
             command, planned = closed(command), STILL
@@ -128,7 +135,7 @@ class Agent:
         return Outputs(
             t, state, flown, wanted, planned, command,
             refused, acted.fault or self._gate.fault, told,
-            acted.holding, acted.response, acted.filtered,
+            acted.holding, acted.response, acted.filtered, air_off,
         )  # fmt: skip
 
     def _guided(

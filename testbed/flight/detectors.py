@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from testbed.core.types import Inputs, PoseSample, Setpoint, State, Trajectory, Wrench
 from testbed.core.vehicle import Vehicle
 from testbed.flight.gate import is_number
-from testbed.flight.jet_faults import JetFaultDetector
+from testbed.flight.jet_faults import Array, JetFaultDetector, Suspicion
 
 SAME_PLACE = 0.15  # [m] a pose so near to where another vehicle should be is that one's
 TRUSTED_AGE = 0.1  # [s]
@@ -73,14 +73,25 @@ def due_at(setpoint: Setpoint) -> float:
 class Detectors:
     """All of them, for one vehicle."""
 
-    def __init__(self, vehicle: Vehicle, period: float, *, noisy: bool) -> None:
+    def __init__(self, vehicle: Vehicle, evidence: JetFaultDetector, *, noisy: bool) -> None:
         """`noisy` cameras never say the same twice; others may, of a vehicle at rest."""
         self._set_pressure, self._full = vehicle.air.set_pressure, vehicle.air.tank_pressure
         self._tank: tuple[float, float] | None = None  # time [s] and pressure [Pa] at the last tick
         self._repeats = Repeats() if noisy else None
-        self.evidence = JetFaultDetector(vehicle, period)
+        self._evidence = evidence
         self._before: State | None = None
         self.said: dict[str, str] = {}  # words to the numbers, where there are any
+
+    def compare(self, inputs: Inputs, state: State, duty: Array, share: float) -> None:
+        """Compare the motion with what the last plan let flow; see `Evidence.look`.
+
+        Poses that are old, refused or of another clock say nothing about valves.
+        """
+        ours = abs(inputs.vitals.clock_offset) < SAME_CLOCK
+        if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
+            self._evidence.look(state, duty, share)
+        else:
+            self._evidence.pause()
 
     def numbers(
         self, inputs: Inputs, state: State | None, setpoint: Setpoint | None, wanted: Wrench,
@@ -98,12 +109,9 @@ class Detectors:
             raised: what the law died of.
         """
         vitals, health, samples = inputs.vitals, inputs.health, inputs.samples
-        age = rejected = push = turn = 0.0
+        age = rejected = 0.0
         if state is not None:
-            age, rejected, bias = state.pose_age, state.rejected, state.bias
-            # poses that are old, refused or of another clock say nothing about valves
-            if age < TRUSTED_AGE and rejected <= TRUSTED and abs(vitals.clock_offset) < SAME_CLOCK:
-                push, turn = math.hypot(bias.ax, bias.ay), abs(bias.alpha)
+            age, rejected = state.pose_age, state.rejected
         jumped = jump(self._before, samples)
         other = whose(jumped, samples, inputs.neighbours) if jumped > FAR else None
         self._before = state
@@ -114,9 +122,7 @@ class Detectors:
         for name, one in inputs.neighbours.items():
             if inputs.t - one.t > oldest:
                 oldest, self.said["neighbour_age"] = inputs.t - one.t, name
-        missing = self.evidence.missing
-        if missing > 0.0:
-            self.said["jet_missing"] = str(self.evidence.jet + 1)
+        leak, weak, either = self._suspicions()
         raised = raised or vitals.raised
         if raised or other or vitals.fleet:
             self.said |= {"raised": raised, "pose_of_another": other or "", "fleet": vitals.fleet}
@@ -133,9 +139,10 @@ class Detectors:
             self._tank_loss(inputs.t, health.tank_pressure),
             health.battery,
             health.silent_s,
-            push,
-            turn,
-            missing,
+            leak.size,
+            leak.sigmas,
+            either,
+            weak.sigmas,
             spare,
             1.0 if raised else 0.0,
             0.0 if is_number(wanted.fx, wanted.fy, wanted.tau) else 1.0,
@@ -147,6 +154,22 @@ class Detectors:
             vitals.foreign,
             1.0 if vitals.fleet else 0.0,
         )
+
+    def _suspicions(self) -> tuple[Suspicion, Suspicion, float]:
+        """Which jet leaks, which gives too little, and how sure it is that one of them does."""
+        evidence, said = self._evidence, self.said
+        leak, weak = evidence.open, evidence.weak
+        if leak.gain > 0.0:
+            said["jet_open"] = str(leak.jet + 1)
+            said["jet_leaks"] = f"{leak.jet + 1} gives {leak.size:.0%}"
+        if weak.gain > 0.0:
+            said["jet_missing"] = str(weak.jet + 1)
+        may_leak, or_weak = evidence.either
+        if may_leak.gain > 0.0:
+            said["jet_leaks_or_weak"] = f"jet {may_leak.jet + 1} leaks"
+            if leak.gain == 0.0:
+                said["jet_leaks_or_weak"] += f" or jet {or_weak.jet + 1} gives too little"
+        return leak, weak, may_leak.sigmas
 
     def _tank_loss(self, t: float, pressure: float) -> float:
         """Share of a full tank that has gone per second since the last tick [1/s]."""

@@ -35,8 +35,9 @@ Detector = Literal[
     "tank_loss",  # [1/s] share of a full tank that goes per second
     "battery",  # [V]
     "board_silent",  # [s]
-    "push_unexplained",  # [m/s^2] that the fired jets do not explain
-    "turn_unexplained",  # [rad/s^2]
+    "jet_open",  # share of its thrust that a jet gives without a command
+    "jet_leaks",  # standard deviations from a jet that gives nothing without a command
+    "jet_leaks_or_weak",  # the same, where a jet that gives too little may explain it as well
     "jet_missing",  # standard deviations by which a jet gives too little
     "spare_room",  # [m] left after a full stop, to the nearest thing ahead
     "raised",  # 1: the law died of an exception

@@ -55,11 +55,18 @@ class VehicleNode:
         """The law at work, if it runs on board."""
         return self._agent.guidance
 
-    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
-        """Listen, step, act, tell; `fleet` is a fault elsewhere that stops all."""
+    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
+        """Listen, step, act, tell.
+
+        Args:
+            t: now [s].
+            armed: whether valves may open.
+            fleet: a fault elsewhere that stops all.
+            end: why the flight is over; empty: it is not.
+        """
         link, vitals = self._link, self._vitals()
-        if fleet:
-            vitals = replace(vitals, fleet=fleet)
+        if fleet or end:
+            vitals = replace(vitals, fleet=fleet, end=end)
         inputs = Inputs(
             t,
             armed,
@@ -72,7 +79,7 @@ class VehicleNode:
         )
         outputs = self._agent.step(inputs)
         self._thrusters.apply(outputs.command)
-        if outputs.response == "land":
+        if outputs.air_off or outputs.response == "land":
             self._thrusters.land()
         if outputs.state is not None:
             link.publish(outputs.state)
@@ -94,7 +101,7 @@ class Node(Protocol):
 
     name: str
 
-    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
+    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
         """See `VehicleNode`."""
         ...
 
@@ -174,12 +181,13 @@ def fly(
     ticks: int,
     observer: Observer,
     *,
-    stopped: Callable[[], bool] = lambda: False,
+    stopped: Callable[[], int] = lambda: 0,
 ) -> Ending:
-    """Fly `ticks` jet periods, or until a fault or `stopped()` ends it.
+    """Fly `ticks` jet periods, or until a fault or `stopped()` ends it; `come_to_rest` is next.
 
-    A fault of one stops all: the others come to rest before the flight ends, as the fault table
-    says. `stopped()` shuts every valve at the next tick.
+    A fault of one stops all: all come to rest before the flight ends, as the fault table says.
+    `stopped()` is how often an operator has said stop. Once ends the flight with this tick, but not
+    a stop for a fault, which is under way; twice ends that, too.
     """
     fault, failed_at, stop = None, 0.0, False
     for k in range(ticks):
@@ -200,7 +208,45 @@ def fly(
         observer.done(t)
         if not armed:
             return Ending(t, fault)
+        asked = stopped()
+        if asked and fault is None:
+            clock.wait_until((k + 1) * period)
+            return Ending((k + 1) * period, None)
         over = fault is not None and (shut or t - failed_at >= LONGEST_STOP)
-        stop = stopped() or over  # then one more tick, disarmed, to shut every valve
+        stop = asked > 1 or over  # then one more tick, disarmed, to shut every valve
     clock.wait_until(ticks * period)
     return Ending(ticks * period, fault)
+
+
+def come_to_rest(
+    clock: Clock,
+    vehicles: Sequence[Node],
+    period: float,
+    first: int,
+    ticks: int,
+    observer: Observer,
+    why: str,
+    *,
+    stopped: Callable[[], int] = lambda: 0,
+) -> None:
+    """After the flight: every vehicle brakes, and at rest its bearing air is shut off.
+
+    Args:
+        clock: of the flight.
+        vehicles: that flew.
+        period: [s].
+        first: number of the first tick, counted from the flight's beginning.
+        ticks: at most; whoever is not at rest by then lands as it is.
+        observer: is shown these ticks, too: their vitals have `end`.
+        why: the flight is over, in words.
+        stopped: how often an operator has said stop: twice shuts valves and air at once.
+    """
+    for k in range(first, first + ticks + 1):
+        clock.wait_until(k * period)
+        may_brake, down = k < first + ticks and stopped() <= 1, True
+        for node in vehicles:
+            tick = node.tick(k * period, may_brake, "", why)
+            observer.vehicle(node.name, tick)
+            down = down and tick.outputs.air_off
+        if down or not may_brake:
+            return

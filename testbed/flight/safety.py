@@ -13,12 +13,16 @@ from testbed.core.types import Inputs, Intervention, Setpoint, State, ValveComma
 from testbed.core.vehicle import Vehicle
 from testbed.flight.barrier import Barrier
 from testbed.flight.detectors import Detectors
+from testbed.flight.ending import EndingParams, longest_brake
 from testbed.flight.fault_monitor import FaultMonitor
+from testbed.flight.faults import SEVERITY
+from testbed.flight.flow import Flow
 from testbed.flight.tracker import halt
 
 AT_REST = 0.003  # [m/s] slower is stopped: the estimate is not better
 NO_SPIN = 0.02  # [rad/s]
-LONGEST_BRAKE = 6.0  # [s] twice what the top speed of the filter takes with the shipped jets
+SPARE_S = 0.5  # [s] for an ending, besides its longest brake
+WEAKEST_SHARE = 0.1  # of the set pressure: a stop with less would last for ever
 
 
 class Acted(NamedTuple):
@@ -31,6 +35,7 @@ class Acted(NamedTuple):
     filtered: Intervention | None = None
     braking: bool = False
     inhibit_reason: str | None = None
+    air_off: bool = False
 
 
 CALM = Acted(Wrench(0.0, 0.0, 0.0))
@@ -47,10 +52,13 @@ class Safety:
         detectors: Detectors,
         barrier: Barrier | None,
         decel: float,
+        ending: EndingParams = EndingParams(),  # noqa: B008
     ) -> None:
         """Guard a vehicle; `decel` [m/s^2] is what its jets can do in every direction."""
+        self._ending, self._longest = ending, 0.0
         self._vehicle, self._period, self._decel = vehicle, period, decel
         self._watch, self._detectors, self._barrier = watch, detectors, barrier
+        self._flow = Flow(vehicle, period)
         self._duty, self._share = np.zeros(len(vehicle.jets)), 1.0
         self._braking_since: float | None = None
         self._stopped: str | None = None
@@ -62,7 +70,7 @@ class Safety:
         """Judge a tick and say what to do instead of `wanted`."""
         detectors, barrier = self._detectors, self._barrier
         if state is not None and inputs.armed:
-            detectors.evidence.look(state, self._duty, self._share)
+            detectors.compare(inputs, state, self._duty, self._share)
         spare, filtered = math.inf, None
         if barrier is not None and state is not None:
             through, filtered = self._filter(barrier, effect_at, state, wanted, inputs, share)
@@ -70,8 +78,13 @@ class Safety:
         else:
             through = wanted
         numbers = detectors.numbers(inputs, state, setpoint, wanted, effect_at, spare, raised)
-        verdict = self._watch.look(inputs.t, inputs.armed, numbers, detectors.said)
+        # what is found after the end ends nothing any more: it is answered, not latched
+        end = inputs.vitals.end
+        latches = inputs.armed and not end
+        verdict = self._watch.look(inputs.t, latches, numbers, detectors.said)
         response, holding, fault = verdict
+        if end and SEVERITY[response] < SEVERITY["brake"]:
+            response = "brake"
         if not response or response == "warn" or not inputs.armed:
             self._braking_since = None  # of a row that is not latched: the next stop is another
             return Acted(through, response, holding, fault, filtered)
@@ -84,15 +97,19 @@ class Safety:
             return Acted(through, response, holding, fault, filtered)
         if self._stopped is None and response == "brake" and state is not None:
             stop = halt(state, self._vehicle, share * self._decel, self._period)
-            if not self._is_over(inputs.t, state):
+            if not self._is_over(inputs.t, state, max(share, WEAKEST_SHARE) * self._decel):
                 return Acted(stop, response, holding, fault, None, braking=True)
-        self._stopped = self._stopped or fault
-        return Acted(wanted, response, holding, fault, inhibit_reason=fault or response)
+        self._stopped = self._stopped or fault or end or None
+        # one that coasts lands when its flight is over; one that has braked needs no air any more
+        air_off = bool(end) or (response != "coast" and fault is not None)
+        return Acted(
+            wanted, response, holding, fault,
+            inhibit_reason=fault or end or response, air_off=air_off,
+        )  # fmt: skip
 
     def remember(self, command: ValveCommand, share: float) -> None:
         """Note the plan that was really sent."""
-        unit = 1e-6 / self._period
-        self._duty, self._share = np.array([unit * us for us in command.on_us]), share
+        self._duty, self._share = self._flow.of(command), share
 
     @property
     def latched(self) -> tuple[str, ...]:
@@ -104,13 +121,15 @@ class Safety:
         self._watch.reset()
         self._braking_since, self._stopped = None, None
 
-    def _is_over(self, t: float, state: State) -> bool:
+    def _is_over(self, t: float, state: State, decel: float) -> bool:
         """Whether a stop has come to its end: at rest, or it lasts too long."""
+        twist = state.twist
+        speed = math.hypot(twist.vx, twist.vy)
         if self._braking_since is None:
             self._braking_since = t
-        twist = state.twist
-        rests = math.hypot(twist.vx, twist.vy) <= AT_REST and abs(twist.omega) <= NO_SPIN
-        return rests or t - self._braking_since > LONGEST_BRAKE
+            self._longest = longest_brake(self._ending, speed, decel)
+        rests = speed <= AT_REST and abs(twist.omega) <= NO_SPIN
+        return rests or t - self._braking_since > self._longest
 
     def _filter(
         self, barrier: Barrier, t: float, state: State, wanted: Wrench, inputs: Inputs, share: float

@@ -7,9 +7,11 @@ import msgspec
 from msgspec import NODEFAULT, Struct
 from msgspec.structs import FieldInfo, asdict, fields
 
-from testbed.core.types import HostTick, Tick
+from testbed.core.types import EndingTick, HostTick, Tick
 
-KINDS: dict[str, type[Struct]] = {"Tick": Tick, "HostTick": HostTick}  # by name of the schema
+KINDS: dict[str, type[Struct]] = {  # by name of the schema
+    "Tick": Tick, "EndingTick": EndingTick, "HostTick": HostTick,
+}  # fmt: skip
 
 
 def complete(kind: Any, message: Any) -> Any:

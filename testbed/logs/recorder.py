@@ -1,6 +1,7 @@
 """Log of record: every tick's inputs and outputs in one MCAP file.
 
     /<vehicle>/tick    one tick of the flight chain: inputs and outputs
+    /<vehicle>/ending  the same after the end of the flight, until its air is off
     /<vehicle>/host    one tick of its law, where that runs on the host
     /<vehicle>/valves  what its board drove, where firmware is in the loop
     /<vehicle>/pace    how its ticks keep their time and how its wires are, where it has any
@@ -16,13 +17,20 @@ The file is written by a process of its own (`scribe.py`) at the other end of a 
 does not wait for the disk, and when it is killed, the scribe still finishes the file. Every SPAN_NS
 of the run a chunk of the file is closed, so a scribe that is killed loses no more than that and
 what was under way.
+
+The pipe is never waited for on wires, where a flight that waits loses its vehicles: what it does
+not take is kept in memory, and beyond LARGEST_BACKLOG rows are lost, which is said. On the twin,
+which is faster than any disk, the flight waits for the scribe, but not for one that does nothing.
 """
 
 import os
+import select
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
 
 import msgspec
@@ -33,6 +41,10 @@ from testbed.logs.message import to_json
 from testbed.logs.plain_schema import plain_schema
 
 BUFFER = 256 * 1024  # [bytes] between the flight and the scribe; a third of a second of messages
+PIECE = 64 * 1024  # [bytes] that are written at once, between two marks
+LARGEST_BACKLOG = 32_000_000  # [bytes] that wait in memory for a scribe that does not keep up
+LOOK_S = 0.05
+PATIENCE_S = 5.0  # for a scribe that takes and writes nothing
 SPAN_NS = 50_000_000  # of the run between two chunks; the same run gives the same chunks
 WARN_BELOW = 500_000_000  # [bytes] free on the disk: say so
 END_BELOW = 20_000_000  # [bytes] free on the disk: end the log properly while there is room
@@ -88,6 +100,11 @@ Frame = Topic | Entry | Mark
 class Recorder:
     """Writes a log; a context manager that finishes the file however the flight ends.
 
+    Args:
+        path: of the new file.
+        waits: for a scribe that does not keep up; else rows are lost then.
+        warn_below, end_below: room on the disk [bytes].
+
     Raises:
         RecorderError: on leaving or writing, when the scribe could not do its work.
     """
@@ -98,7 +115,13 @@ class Recorder:
         warn_below: int = WARN_BELOW,
         end_below: int = END_BELOW,
         vehicles: Sequence[str] = (),
+        *,
+        waits: bool = True,
     ) -> None:
+        self._path, self._waits = path, waits
+        self.lost = 0  # rows
+        self._told = False  # that rows are lost
+        self._pending = bytearray()  # not taken by the pipe yet
         self._command = [
             *(sys.executable, "-m", "testbed.logs.mcap_writer"),
             *(str(path), str(warn_below), str(end_below)),
@@ -115,7 +138,7 @@ class Recorder:
     def __enter__(self) -> "Recorder":
         self._scribe = subprocess.Popen(
             self._command,
-            bufsize=BUFFER,
+            bufsize=0,
             pipesize=BUFFER,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
@@ -149,12 +172,16 @@ class Recorder:
 
     def _meet(self) -> None:
         """Wait until the scribe has made its file: from then on a kill costs next to nothing."""
+        assert self._scribe.stdin is not None
         assert self._scribe.stderr is not None
+        if not select.select([self._scribe.stderr], [], [], 4.0 * PATIENCE_S)[0]:
+            raise RecorderError(self._give_up("has not started"))
         self._said = self._scribe.stderr.readline()
         if self._said != READY:
             raise RecorderError(self._last_words())
         self._said = b""
         os.set_blocking(self._scribe.stderr.fileno(), False)
+        os.set_blocking(self._scribe.stdin.fileno(), False)
 
     def mark(self, t: float) -> list[str]:
         """A tick is whole: hand it over; what the scribe has to say, for instance of the disk.
@@ -166,32 +193,120 @@ class Recorder:
         if now - self._marked >= SPAN_NS:
             self._marked = now
             self._send(Mark())
-        assert self._scribe.stdin is not None
         assert self._scribe.stderr is not None
+        self._hand_over()
         try:
-            self._scribe.stdin.flush()
             heard = os.read(self._scribe.stderr.fileno(), 4096)
         except BlockingIOError:
-            return []  # it has nothing to say
-        except BrokenPipeError:
-            heard = b""
+            return self._losses()  # it has nothing to say
         if not heard:
             raise RecorderError(self._last_words())
         *lines, self._said = (self._said + heard).split(b"\n")
         self._reason = lines[-1].decode() if lines else self._reason
-        return [line.decode() for line in lines if line.startswith(b"warning")]
+        said = [line.decode() for line in lines if line.startswith(b"warning")]
+        return said + self._losses()
+
+    def _losses(self) -> list[str]:
+        """Words about rows that are lost, once."""
+        if not self.lost or self._told:
+            return []
+        self._told = True
+        return ["warning: the process that writes the log does not keep up; rows of it are lost"]
 
     def _send(self, frame: Frame) -> None:
-        assert self._scribe.stdin is not None
+        if len(self._pending) > LARGEST_BACKLOG and not isinstance(frame, Topic):
+            self.lost += isinstance(frame, Entry)
+            return
         packed = self._pack(frame)
+        self._pending += len(packed).to_bytes(4, "little")
+        self._pending += packed
+        if len(self._pending) >= PIECE:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        """Give the pipe what it takes; on the twin, wait for it to take some more.
+
+        Raises:
+            RecorderError: the scribe has ended, or takes nothing.
+        """
         try:
-            self._scribe.stdin.write(len(packed).to_bytes(4, "little"))
-            self._scribe.stdin.write(packed)
+            self._push()
+            while self._waits and len(self._pending) > BUFFER:
+                if not self._takes_more(PATIENCE_S):
+                    raise RecorderError(self._give_up(f"has taken nothing for {PATIENCE_S:g} s"))
+                self._push()
         except BrokenPipeError:
+            self._pending.clear()
             raise RecorderError(self._last_words()) from None
 
+    def _push(self) -> int:
+        """Write what can be written without waiting; how much that was [bytes]."""
+        assert self._scribe.stdin is not None
+        done = 0
+        try:
+            while self._pending:
+                step = os.write(self._scribe.stdin.fileno(), self._pending[:BUFFER])
+                del self._pending[:step]
+                done += step
+        except BlockingIOError:
+            pass
+        return done
+
+    def _takes_more(self, wait_s: float) -> bool:
+        poll = select.poll()
+        assert self._scribe.stdin is not None
+        poll.register(self._scribe.stdin, select.POLLOUT)
+        return bool(poll.poll(1e3 * wait_s))
+
     def _last_words(self) -> str:
-        """Wait for the scribe's end; the last line that it said."""
-        _, said = self._scribe.communicate()
+        """Wait for the scribe's end, as long as it does anything; the last line that it said."""
+        assert self._scribe.stdin is not None
+        assert self._scribe.stderr is not None
+        if self._scribe.stderr.closed:
+            return self._reason
+        size, idle_from = -1, monotonic()
+        while self._scribe.poll() is None:
+            if monotonic() - idle_from > PATIENCE_S:
+                return self._give_up(f"has done nothing for {PATIENCE_S:g} s")
+            try:
+                pushed = self._push() if self._pending else 0
+            except BrokenPipeError:
+                self._pending.clear()
+                pushed = 0
+            if self._pending:
+                self._takes_more(LOOK_S)
+            else:
+                with suppress(BrokenPipeError):
+                    self._scribe.stdin.close()
+                with suppress(subprocess.TimeoutExpired):
+                    self._scribe.wait(LOOK_S)
+            grown, size = self._size() != size, self._size()
+            if pushed or grown:
+                idle_from = monotonic()
+        with suppress(BrokenPipeError):
+            self._scribe.stdin.close()
+        os.set_blocking(self._scribe.stderr.fileno(), True)
+        said = self._scribe.stderr.read()
+        self._scribe.stderr.close()
         lines = [self._reason, *(self._said + said).decode().strip().splitlines()]
-        return lines[-1] or f"the scribe ended with {self._scribe.returncode}"
+        self._reason = lines[-1] or f"the scribe ended with {self._scribe.returncode}"
+        return self._reason
+
+    def _size(self) -> int:
+        try:
+            return self._path.stat().st_size
+        except OSError:
+            return 0
+
+    def _give_up(self, why: str) -> str:
+        """End a scribe that hangs; words about it."""
+        assert self._scribe.stdin is not None
+        assert self._scribe.stderr is not None
+        self._scribe.kill()
+        self._scribe.wait()
+        self._pending.clear()
+        for pipe in (self._scribe.stdin, self._scribe.stderr):
+            with suppress(BrokenPipeError):
+                pipe.close()
+        self._reason = f"the process that writes the log {why} and was ended"
+        return self._reason

@@ -107,18 +107,19 @@ def replay(
     seen: dict[str, int] = {}
     for topic, stamp, data in rows:
         name, _, kind = topic.removeprefix("/").rpartition("/")
-        if kind not in ("tick", "host"):
+        if kind not in ("tick", "ending", "host"):
             continue
         then: Any
         now: Any
-        if kind == "tick":
+        if kind != "host":
             then = _decoded(tick_of, topic, stamp, data)
             step = _known(agents, name, topic)
             now = Tick(then.inputs, step(then.inputs))
         else:
             then = _decoded(host_of, topic, stamp, data)
             now = _known(hosts, name, topic)(then.inputs)
-        tick = seen[topic] = seen.get(topic, -1) + 1
+        chain = f"/{name}/host" if kind == "host" else f"/{name}/tick"  # the ending goes on with it
+        tick = seen[chain] = seen.get(chain, -1) + 1
         count += 1
         if encode(now) == data:
             continue

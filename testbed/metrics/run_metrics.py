@@ -14,6 +14,7 @@ from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Outputs
 from testbed.core.vehicle import NonNegative, Positive
+from testbed.metrics.afterwards import After
 
 Array = NDArray[np.float64]
 
@@ -106,6 +107,7 @@ class Metrics(Struct, frozen=True):
     phase: str = ""  # of the supervisor, in the end: DISARMED, STOPPED or FAULT
     red: list[str] = []  # arming checks that kept the run from starting
     touches: list[Touch] = []  # contacts, as far as anybody knows when and where
+    after: After | None = None  # how the vehicles were left; null where only they could tell
 
 
 class Track(Struct, frozen=True):

@@ -1,6 +1,7 @@
 """What the parties say to each other besides states and setpoints."""
 
 from hashlib import sha256
+from typing import Literal
 
 import msgspec
 from msgspec import Struct
@@ -22,9 +23,10 @@ class Start(Struct, frozen=True, tag=True):
 
 
 class Stop(Struct, frozen=True, tag=True):
-    """Shut every valve and end the flight."""
+    """End the flight: come to rest, then shut the air off."""
 
     reason: str
+    at_once: bool = False  # valves and air, without a brake
 
 
 Order = Look | Start | Stop
@@ -55,10 +57,11 @@ Answer = Accepted | Ready | Refused
 class Lease(Struct, frozen=True):
     """Go on flying, until the envelope's valid-until; and what a vehicle must know of the host."""
 
-    may_fire: bool = True  # the supervisor's word
+    may_fire: bool = True  # the supervisor's word; once it is not: come to rest
     fleet: str = ""  # a fault of another vehicle that stops all
     config: str = ""  # see `config_id`
     disk_free: float = 1e12  # where the log goes [bytes]
+    at_once: bool = False  # valves and air, without a brake: the operator has said stop twice
 
 
 def config_id(experiment: Struct) -> str:
@@ -115,3 +118,5 @@ class Ended(Struct, frozen=True):
     counts: Counts
     rows: dict[str, float] = {}  # of the fault table that held at any time, and since when [s]
     responses: dict[str, float] = {}  # that were in force, and since when [s]
+    landed_s: float | None = None  # from the end until its air was ordered off; None: never [s]
+    air: Literal["off", "on"] = "on"  # of its bearings, as the board reported it last

@@ -23,6 +23,7 @@ from testbed.realtime.wall_clock import monotonic_ns
 LARGEST = 1 << 18  # [bytes] of a message; an experiment has 20 kB
 LEASE_MS = 400  # a peer that is silent for so long is gone
 BURST = 16  # messages that may be said at once; Zenoh's own 2 lose every third of a burst
+OPEN_S = 10.0  # for the other side to say who it is; Zenoh's own
 PENDING = 64  # messages of a key between two looks; more are not worth having
 
 
@@ -36,7 +37,7 @@ class NobodyError(NetworkError):
 
 def _config(
     mode: str, listen: list[str], connect: list[str], wait_ms: int,
-    keys: Path | None = None, control: Mapping[str, Any] | None = None,
+    keys: Path | None = None, control: Mapping[str, Any] | None = None, open_s: float = OPEN_S,
 ) -> zenoh.Config:  # fmt: skip
     return zenoh.Config.from_json5(
         json.dumps({
@@ -57,6 +58,7 @@ def _config(
                 },
             },
             "transport": {
+                "unicast": {"open_timeout": round(1e3 * open_s)},
                 "link": {
                     "tls": tls(keys) if keys is not None else {},
                     "rx": {"max_message_size": LARGEST},
@@ -114,8 +116,16 @@ def listen(
         ) from None
 
 
-def dial(endpoint: str, wait_s: float = 1.0, keys: Path | None = None) -> zenoh.Session:
+def dial(
+    endpoint: str, wait_s: float = 1.0, keys: Path | None = None, open_s: float = OPEN_S
+) -> zenoh.Session:
     """Open a vehicle's or an onlooker's end.
+
+    Args:
+        endpoint: in Zenoh's words.
+        wait_s: for somebody to be there.
+        keys: this party's folder; None: none are used.
+        open_s: for whoever is there to say who it is.
 
     Raises:
         NobodyError: nobody listens there, or one side does not believe the other's keys.
@@ -123,7 +133,9 @@ def dial(endpoint: str, wait_s: float = 1.0, keys: Path | None = None) -> zenoh.
     """
     _checked(endpoint, keys)
     try:
-        return zenoh.open(_config("client", [], [endpoint], round(1e3 * wait_s), keys))
+        return zenoh.open(
+            _config("client", [], [endpoint], round(1e3 * wait_s), keys, open_s=open_s)
+        )
     except zenoh.ZError as error:
         doubt = "" if keys is None else f", and are the keys in {keys} of its lab and not expired"
         raise NobodyError(
@@ -212,13 +224,18 @@ def answer_to(
 
 def ask_all(session: zenoh.Session, key: str, wait_s: float = 0.5) -> int:
     """How many have answered a question that is for everybody."""
+    return len(answers(session, key, wait_s))
+
+
+def answers(session: zenoh.Session, key: str, wait_s: float) -> list[bytes]:
+    """What they have answered."""
     replies = session.get(
         key,
         timeout=wait_s,
         target=zenoh.QueryTarget.ALL,
         consolidation=zenoh.ConsolidationMode.NONE,
     )
-    return sum(reply.ok is not None for reply in replies)
+    return [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
 
 
 def ask(session: zenoh.Session, key: str, question: bytes = b"", wait_s: float = 1.0) -> bytes:

@@ -19,6 +19,7 @@ from pathlib import Path
 from testbed.core.error import TestbedError
 
 GRACE_S = 12.0  # for a vehicle that brakes
+LEAVE_S = 2.0  # for a guardian that has nothing to guard any more
 GUARDIAN = """
 import os, select, shutil, signal, sys
 grace, folder, fds = float(sys.argv[1]), sys.argv[2], []
@@ -70,7 +71,11 @@ class Children:
         self.end()
         assert self._guardian.stdin is not None
         self._guardian.stdin.close()
-        self._guardian.wait()
+        try:
+            self._guardian.wait(LEAVE_S)  # nobody is left for it
+        except subprocess.TimeoutExpired:
+            self._guardian.kill()
+            self._guardian.wait()
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def start(self, name: str, words: Sequence[str]) -> int:
@@ -89,6 +94,14 @@ class Children:
             self._guardian.stdin.write(f"{process.pid}\n".encode())
             self._guardian.stdin.flush()
         return process.pid
+
+    def ended(self, name: str) -> int | None:
+        """The exit code of one, negative for a signal; None: it runs."""
+        return self._running[name].poll()
+
+    def kill(self, name: str) -> None:
+        """End one that does not listen any more."""
+        self._running[name].kill()
 
     def pid(self, name: str) -> int:
         """Of one."""
@@ -132,5 +145,7 @@ def orphaned() -> bool:
 
 
 def end_on_terminate() -> None:
-    """SIGTERM ends this process as Ctrl-C does: what is open is closed in order."""
+    """SIGTERM and a closed terminal end this process as Ctrl-C does, and all is closed in order."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as under nohup
+        signal.signal(signal.SIGHUP, signal.default_int_handler)

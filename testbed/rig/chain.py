@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 
 import numpy as np
 
@@ -18,8 +19,17 @@ from testbed.flight.estimator import Estimator
 from testbed.flight.fault_monitor import FaultMonitor
 from testbed.flight.gate import Fence, Gate
 from testbed.flight.guidance import Guidance
+from testbed.flight.jet_faults import JetFaultDetector
 from testbed.flight.safety import Safety
 from testbed.metrics.formation import FormationContext
+from testbed.realtime.law_watch import timed, watching
+
+
+def watched(experiment: Experiment) -> AbstractContextManager[object]:
+    """What times the calls of the experiment's law, in the process that calls it."""
+    deploy, period = experiment.deploy, experiment.flight.jet_period_s
+    limit = deploy.call_limit(period)
+    return watching(experiment.controller, limit, deploy.law_memory_mb, period)
 
 
 def make_guidance(
@@ -27,7 +37,7 @@ def make_guidance(
 ) -> Guidance:
     """One vehicle's law and the world it is told about; `spoilt` is for rehearsals."""
     setup = experiment.vehicles[name]
-    law = make_law(experiment.controller, list(experiment.vehicles))
+    law = timed(lambda: make_law(experiment.controller, list(experiment.vehicles)), name)
     return Guidance(
         experiment.guidance,
         law if spoilt is None else SpoiltLaw(law, spoilt),
@@ -87,6 +97,14 @@ def expected_of(experiment: Experiment, name: str) -> Expected:
     )
 
 
+def make_detectors(experiment: Experiment, name: str) -> Detectors:
+    """One vehicle's detectors of faults."""
+    vehicle, table = experiment.vehicles[name].model, experiment.table
+    flight = experiment.flight
+    evidence = JetFaultDetector(vehicle, flight.jet_period_s, flight.estimator, table)
+    return Detectors(vehicle, evidence, noisy=table.mocap.noise > 0.0)
+
+
 def make_safety(experiment: Experiment, name: str) -> Safety:
     """One vehicle's watch, brake and filter."""
     vehicle, period = experiment.vehicles[name].model, experiment.flight.jet_period_s
@@ -94,9 +112,10 @@ def make_safety(experiment: Experiment, name: str) -> Safety:
         vehicle,
         period,
         FaultMonitor(experiment.faults),
-        Detectors(vehicle, period, noisy=experiment.table.mocap.noise > 0.0),
+        make_detectors(experiment, name),
         make_barrier(experiment, name),
         SPARE_FORCE * weakest_force(vehicle) / vehicle.mass,
+        experiment.flight.ending,
     )
 
 

@@ -7,6 +7,7 @@ from testbed.config import Experiment
 from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Supervisor
+from testbed.metrics.afterwards import After
 from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.boards import Valves
 
@@ -44,8 +45,17 @@ class Rig(Protocol):
         """Arming checks that kept the run from starting."""
         ...
 
-    def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
-        """Fly to the end, to a fault, or until `stopped()`."""
+    def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
+        """Fly to the end, to a fault, or until `stopped()`, which counts how often."""
+        ...
+
+    def come_to_rest(
+        self, ending: Ending, observer: Observer, stopped: Callable[[], int] = lambda: 0
+    ) -> After | None:
+        """After `fly`: see that every vehicle stands, and what a minute makes of it.
+
+        What is measured of the flight itself is measured before. None where nobody knows the truth.
+        """
         ...
 
     def track(self) -> Track:

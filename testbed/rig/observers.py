@@ -46,5 +46,7 @@ class MetricsObserver(Witness):
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
+        if tick.inputs.vitals.end:
+            return
         super().vehicle(name, tick)
         self.aims[name].note(tick.outputs)

@@ -1,5 +1,6 @@
 """The experiment on the twin."""
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -18,8 +19,10 @@ from testbed.core.ports import Clock
 from testbed.core.types import Pose
 from testbed.faults.law_faults import CrashableNode
 from testbed.flight.agent import lead_time
-from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, fly
+from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, come_to_rest, fly
+from testbed.flight.safety import SPARE_S
 from testbed.flight.supervisor import Supervisor
+from testbed.metrics.afterwards import MINUTE, STEP, After, judge_after
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.boards import Valves, WiredBoard, make_drivers
@@ -41,7 +44,7 @@ class TwinRig(Struct, frozen=True):
     supervisor: Supervisor = field(default_factory=Supervisor)
     red: list[str] = field(default_factory=list)  # see `Rig`
 
-    def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
+    def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
         """See `Rig`."""
         experiment, supervisor = self.experiment, self.supervisor
         checks = twin_checks(experiment, self.twin)
@@ -52,14 +55,51 @@ class TwinRig(Struct, frozen=True):
         supervisor.close(ending.t, ending.fault, flown=ending.t >= experiment.end_s)
         return ending
 
-    def fly_unasked(self, observer: Observer, stopped: Callable[[], bool]) -> Ending:
+    def fly_unasked(self, observer: Observer, stopped: Callable[[], int]) -> Ending:
         """Fly, whatever the arming checks would say."""
         experiment = self.experiment
         ending = fly(
             self.pace or self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
-            experiment.ticks, observer, stopped=lambda: bool(self._trouble()) or stopped(),
+            experiment.ticks, observer, stopped=lambda: 2 if self._trouble() else stopped(),
         )  # fmt: skip
         return Ending(ending.t, ending.fault or self._trouble())
+
+    def come_to_rest(
+        self, ending: Ending, observer: Observer, stopped: Callable[[], int] = lambda: 0
+    ) -> After | None:
+        """See `Rig`. The minute is the plant's alone: no cameras, no plans."""
+        if self.red:  # nothing has moved
+            return None
+        flight, twin, began = self.experiment.flight, self.twin, self.twin.now
+        period = flight.jet_period_s
+        # a fault has had its last tick at the very end, every other flight one period before
+        first = round(began / period) + (ending.fault is not None)
+        come_to_rest(
+            self.pace or twin, self.vehicles, period, first,
+            math.ceil((flight.ending.brake_s + SPARE_S) / period), observer,
+            ending.fault or "the flight is over",
+            stopped=lambda: 2 if self._trouble() else stopped(),
+        )  # fmt: skip
+        return self._minute(began)
+
+    def _minute(self, began: float) -> After:
+        """Let what moves move on until a minute after the end, and judge it."""
+        twin, plant = self.twin, self.twin.plant
+        braked = [at for at in twin.seen_at if at >= began]
+        seen = np.concatenate([np.zeros((0, len(twin.names), 6)), *twin.seen])
+        times, states = [np.array(braked)], [seen[len(seen) - len(braked) :]]
+        while plant.t < began + MINUTE and not (len(times) > 1 and plant.stands):
+            until = min(plant.t + 1.0, began + MINUTE)
+            if twin.sabotage is not None:
+                twin.sabotage.before(until)
+            marks = np.arange(plant.t, until, STEP)
+            # the last plan ends by itself, and after it the board's watchdog
+            states.append(plant.advance(until, marks, boards=plant.t < twin.now + 1.0))
+            times.append(marks)
+        floats = {name: plant.floats(k) for k, name in enumerate(plant.names)}
+        return judge_after(
+            plant.names, np.concatenate(times), np.concatenate(states), plant.touches, floats, began
+        )
 
     def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
         """What each vehicle's board drove after `since` [s]; nothing with the twin's own."""
@@ -182,7 +222,7 @@ def make_twin(experiment: Experiment) -> TwinRig:
     return TwinRig(experiment, twin, vehicles, hosts, drivers or {})
 
 
-def warm_up(experiment: Experiment, stopped: Callable[[], bool] = lambda: False) -> None:
+def warm_up(experiment: Experiment, stopped: Callable[[], int] = lambda: 0) -> None:
     """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
     period = experiment.flight.jet_period_s
     short = replace(experiment, duration_s=4 * period, board="model", inject=[])

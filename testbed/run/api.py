@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 from threading import current_thread, main_thread
@@ -13,6 +13,7 @@ from testbed.core.error import TestbedError
 from testbed.logs.log_reader import config_of, log_of
 from testbed.logs.replay import Replay
 from testbed.rig.boards import check_boards
+from testbed.rig.chain import watched
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
 from testbed.run.flown import Run, read_run
@@ -64,9 +65,9 @@ def fly(
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="testbed-")))
         else:
             folder = new_folder(Path(log), experiment.name)
-        stack.enter_context(
-            interrupt.caught() if current_thread() is main_thread() else nullcontext()
-        )
+        if current_thread() is main_thread():  # no other thread can be interrupted
+            stack.enter_context(interrupt.caught())
+            stack.enter_context(watched(experiment))
         try:
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             screen = Progress(experiment.duration_s) if progress else None

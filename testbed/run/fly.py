@@ -10,12 +10,15 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.config import Experiment
-from testbed.core.types import HostTick, Tick
+from testbed.core.law import Concern
+from testbed.core.types import EndingTick, HostTick, Tick
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
 from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Metrics, ReferenceLog
+from testbed.realtime.heartbeat import Phase, heartbeat
+from testbed.realtime.law_watch import left_running, patience
 from testbed.realtime.pacer import Pace
 from testbed.realtime.scheduling import steady
 from testbed.rig.interface import Rig
@@ -63,6 +66,10 @@ class FlightLog:
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
+        if tick.inputs.vitals.end:
+            last = EndingTick(tick.inputs, tick.outputs)
+            self._record(f"/{name}/ending", tick.inputs.t, last)
+            return
         self._record(f"/{name}/tick", tick.inputs.t, tick)
         self._references[name].note(tick.outputs)
         self._screen.vehicle(name, tick)
@@ -101,6 +108,7 @@ class FlightLog:
 
     def done(self, t: float) -> None:
         """See `Observer`."""
+        heartbeat().beat()
         motions = {name: Motion(*state) for name, state in self._rig.truth()}
         self._record("/truth", t, Truth(t, motions))
         if len(motions) > 1 and t >= self._next:  # the five elements, live
@@ -141,14 +149,16 @@ def fly_and_judge(
         pace = Pace(rig.twin, speed)
         rig = replace(rig, pace=pace)
     references = {name: ReferenceLog() for name in experiment.vehicles}
+    metrics = None
+    recorder = Recorder(
+        folder / "log.mcap", vehicles=list(experiment.vehicles), waits=rig.name == "twin"
+    )
     try:
-        with (
-            Recorder(folder / "log.mcap", vehicles=list(experiment.vehicles)) as recorder,
-            screen.showing(),
-        ):
-            with interrupt.at_once():
+        with recorder, screen.showing():
+            with interrupt.at_once(), patience():
                 warm_up(experiment, lambda: interrupt.asked)
             if not interrupt.asked:
+                heartbeat().phase = Phase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)
                 screen.flies()
                 with steady():
@@ -157,10 +167,23 @@ def fly_and_judge(
                         log, stopped=lambda: interrupt.asked or log.trouble is not None
                     )
                     wall = time.perf_counter() - began
-                log.reports()
+                    log.reports()
+                    if ending.fault is None and (left := left_running()):
+                        ending = Ending(ending.t, left)
+                    completed = ending.fault is None and ending.t >= experiment.end_s
+                    metrics = measure(rig, references, ending, wall, completed=completed)
+                    after = rig.come_to_rest(ending, log, lambda: interrupt.asked)
+                    metrics = replace(metrics, after=after)
                 if log.trouble is not None:
                     raise RecorderError(log.trouble)
     except RecorderError as error:
-        ending = Ending(rig.now, f"log: {error}")
-    completed = ending.fault is None and ending.t >= experiment.end_s
-    return measure(rig, references, ending, wall, completed=completed)
+        fault = f"log: {error}"
+        if metrics is not None:
+            metrics = replace(metrics, fault=fault, completed=False)
+        ending = Ending(rig.now, fault)
+    heartbeat().phase = Phase.ENDING
+    metrics = metrics or measure(rig, references, ending, wall, completed=False)
+    if recorder.lost:
+        lost = Concern("log_rows_lost", f"{recorder.lost} rows: their writer did not keep up")
+        metrics = replace(metrics, warnings=[*metrics.warnings, lost])
+    return metrics

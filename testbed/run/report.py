@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from testbed.config import load
+from testbed.config import Experiment, load
 from testbed.core.extra import pip_install
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
@@ -21,8 +21,15 @@ def make_report(folder: Path, warn: Callable[[list[str]], None] = lambda lines: 
         folder: of a run.
         warn: is handed a line for each damaged place of the log.
     """
+    log_of(folder)  # or say that this is no run folder
+    return write_page(folder, load(folder / "config.toml"), warn)
+
+
+def write_page(
+    folder: Path, scenario: Experiment, warn: Callable[[list[str]], None] = lambda lines: None
+) -> list[Path]:
+    """The same for an experiment that was read already, so that no file of a law is executed."""
     config, log = folder / "config.toml", log_of(folder)
-    scenario = load(config)
     book = LogReader(log)
     history = gather(LogFeed(book).news())
     warn(book.said())

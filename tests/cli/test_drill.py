@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.cli.admit import fly_once, forced, print_admission
-from testbed.cli.drill import case, fly_case, print_drill
+from testbed.cli.drill import EXPERIMENTS, drawn, fly_case, print_drill
 from testbed.config import ConfigError, find, load
 from testbed.faults.drill import NAMES, WHEN, Drilled, draw, summarise
 from testbed.metrics.admission import (
@@ -171,6 +171,8 @@ def test_whatever_is_drawn_can_be_injected(kind):
         ('{kind="leak",vehicle="sat9",at_s=1.0}', "one of: sat1"),
         ('{kind="leek",vehicle="sat1",at_s=1.0}', "one of: "),
         ('{kind="stick_open",vehicle="sat1",at_s=1.0,jet=9}', "a jet from 1 to 8"),
+        ('{kind="leak_valve",vehicle="sat1",at_s=1.0,value=30}', "at most 1: 30 % is 0.3"),
+        ('{kind="leak_valve",vehicle="sat1",at_s=1.0,value=0}', "more than 0"),
         ('{kind="leak",vehicle="sat1"}', "one of `at_s` and `event`"),
         ('{kind="leak",vehicle="sat1",event="near_edge"}', "threshold"),
         ('{kind="swap_bodies",vehicle="sat1",at_s=1.0}', "`other` with a swap"),
@@ -193,14 +195,15 @@ def flown(name, inject, duration):
 @pytest.mark.parametrize(
     ("inject", "named", "response", "within"),
     [
-        ('{kind="drop_mocap",vehicle="sat1",at_s=2.03}', "pose_stale", "brake", 0.15),
+        ('{kind="drop_mocap",vehicle="sat1",at_s=2.03}', "pose_lost", "brake", 0.6),
         ('{kind="freeze_mocap",vehicle="sat1",at_s=2.03}', "pose_frozen", "brake", 0.16),
         ('{kind="jump_mocap",vehicle="sat1",at_s=2.03}', "pose_jumped", "brake", 0.3),
-        ('{kind="stick_open",vehicle="sat1",at_s=2.03,jet=3}', "valve_stuck_open", "land", 1.0),
-        ('{kind="brown_out",vehicle="sat1",at_s=2.03}', "battery_low", "coast", 0.15),
+        ('{kind="stick_open",vehicle="sat1",at_s=2.03,jet=3}', "valve_stuck_open", "land", 1.3),
+        ('{kind="leak_valve",vehicle="sat1",at_s=2.03,jet=3}', "valve_leaks", "land", 2.5),
+        ('{kind="brown_out",vehicle="sat1",at_s=2.03}', "battery_low", "land", 0.15),
         ('{kind="clock_step",vehicle="sat1",at_s=2.03}', "clock_off", "brake", 0.3),
-        ('{kind="nan_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.2),
-        ('{kind="raise_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.15),
+        ('{kind="nan_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.3),
+        ('{kind="raise_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.2),
         ('{kind="kill_process",vehicle="sat1",at_s=2.03}', "vehicle_silent", "", 1.6),
         ('{kind="leak",vehicle="sat1",at_s=2.03,value=0.2}', "leak", "brake", 0.3),
         (
@@ -216,13 +219,19 @@ def test_an_injected_fault_is_named_and_answered(inject, named, response, within
     assert found.detected_s <= within
     assert found.response == response
     assert (found.contacts, found.late) == (0, 0)
+    # who is dead keeps its bearing air, and drifts
+    dead = "kill_process" in inject
+    assert (found.at_rest_s is None, found.air) == (dead, "on" if dead else "off")
 
 
 def test_an_obstacle_that_runs_into_a_vehicle_at_rest_is_no_fault_of_the_response():
     inject = '{kind="drop_mocap",vehicle="sat3",at_s=5.8}'
     found = flown("xue2021_table_dynamic", inject, 15.0)
     assert found.response == "brake"
-    assert (found.contacts, found.adrift) == (0, 1)
+    assert (found.contacts, found.adrift) == (0, 2)  # it pushes the vehicle on
+
+
+KINDS = 19  # in the drills that these cases are of
 
 
 @pytest.mark.parametrize(
@@ -235,8 +244,9 @@ def test_an_obstacle_that_runs_into_a_vehicle_at_rest_is_no_fault_of_the_respons
     ],
 )  # fmt: skip
 def test_what_once_ended_in_a_contact_does_not_any_more(number, kind):
-    found = case(number, 0)
-    assert found.kind == kind
+    found = drawn(kind, EXPERIMENTS[number // KINDS % 2], np.random.default_rng([0, number]))
     assert found.response == "brake"
-    assert found.detected_s < 0.3
+    assert found.detected_s < (0.6 if kind == "drop_mocap" else 0.3)
+    assert found.at_rest_s < 0.5
+    assert found.air == "off"
     assert (found.contacts, found.late) == (0, 0)

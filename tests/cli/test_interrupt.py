@@ -150,8 +150,14 @@ def test_in_flight(start, here, read_log, number):
     ticks = read_log(here / "out").messages
     for topic in ("/formation", "/supervisor"):  # have a pace of their own
         ticks.pop(topic)
+    endings = {topic: ticks.pop(topic) for topic in list(ticks) if topic.endswith("/ending")}
     assert {len(rows) for rows in ticks.values()} == {len(ticks["/truth"])}
-    assert ticks["/truth"][-1][0] * 1e-9 == pytest.approx(metrics["duration_s"])
+    assert ticks["/truth"][-1][0] * 1e-9 == pytest.approx(metrics["duration_s"] - 0.1)
+    for rows in endings.values():  # the vehicles brake and land then
+        assert rows[0][0] * 1e-9 == pytest.approx(metrics["duration_s"])
+        assert rows[-1][1]["outputs"]["air_off"] is True
+    assert len(endings) == 3
+    assert (metrics["after"]["contacts"], metrics["after"]["air"]) == (0, "off")
 
 
 @pytest.mark.parametrize("number", SIGNALS)

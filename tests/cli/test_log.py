@@ -19,7 +19,8 @@ def test_topics_rates_and_gaps(testbed):
     contents = json.loads(result.stdout)
     assert contents["finished"] is True
     topics = {t["topic"]: t for t in contents["topics"]}
-    assert list(topics) == ["/sat1/host", "/sat1/tick", "/supervisor", "/truth"]
+    assert list(topics) == ["/sat1/ending", "/sat1/host", "/sat1/tick", "/supervisor", "/truth"]
+    assert topics.pop("/sat1/ending")["first_s"] == pytest.approx(2.0)
     assert topics.pop("/supervisor")["messages"] == 3  # armed, running, stopped
     for topic in topics.values():
         assert (topic["messages"], topic["gaps"]) == (20, 0)
@@ -42,7 +43,7 @@ def test_export_writes_files_and_never_over_others(testbed):
     assert result.exit_code == 0
     paths = [Path(line) for line in result.stdout.split()]
     assert [p.name for p in paths] == [
-        "sat1_tick.csv", "sat1_host.csv", "truth.csv", "supervisor.csv",
+        "sat1_tick.csv", "sat1_host.csv", "truth.csv", "supervisor.csv", "sat1_ending.csv",
     ]  # fmt: skip
     assert all(p.parent == Path("out/export") and p.stat().st_size > 0 for p in paths)
     assert testbed("export", "out", "--to", "csv").exit_code == 2

@@ -137,10 +137,10 @@ def test_a_verdict_stands_without_its_report(testbed, here, monkeypatch):
     from testbed.cli import run
     from testbed.report.page import ReportError
 
-    def full(folder):
+    def full(folder, experiment):
         raise ReportError("out/figures: No space left on device")
 
-    monkeypatch.setattr(run, "make_report", full)
+    monkeypatch.setattr(run, "write_page", full)
     result = testbed("run", "hold", "duration_s=1", "criteria={}", "--out", "out")
     assert result.exit_code == 0
     assert "passed: all criteria met" in result.stdout

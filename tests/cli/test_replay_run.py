@@ -50,7 +50,8 @@ def test_a_gain_changed_by_one_percent_is_found_at_once(testbed, change, topic, 
 
 def test_it_is_said_in_words(testbed):
     testbed("run", "hold", "duration_s=1", "--out", "out")
-    assert "bit-exact: 20 ticks" in testbed("replay", "out/log.mcap").stdout
+    # the law's ten, the vehicle's ten, and two in which it comes to rest
+    assert "bit-exact: 22 ticks" in testbed("replay", "out/log.mcap").stdout
     result = testbed("replay", "out", "controller.bandwidth=0.3")
     assert result.exit_code == 1
     assert "different" in result.stdout

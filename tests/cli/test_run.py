@@ -19,7 +19,7 @@ WIRES = {
 METRICS = {
     "experiment", "rig", "seed", "completed", "duration_s", "wall_s", "real_time_factor",
     "contacts", "min_vehicle_distance_m", "criteria", "vehicles", "warnings",
-    "phase", "red", "touches",
+    "phase", "red", "touches", "after",
     "formation",
 }  # fmt: skip
 VEHICLE_METRICS = {
@@ -211,7 +211,8 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
     testbed("run", "zhang2023_table", "duration_s=2", "--out", "out")
     log = read_log(Path("out"))
     names = ["sat1", "sat2", "sat3"]
-    assert set(log.messages) == {f"/{n}/{end}" for n in names for end in ("tick", "host")} | {
+    kinds = ("tick", "host", "ending")
+    assert set(log.messages) == {f"/{n}/{end}" for n in names for end in kinds} | {
         "/truth", "/formation", "/supervisor",
     }  # fmt: skip
     events = log.messages["/supervisor"]
@@ -221,6 +222,9 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
     for topic, rows in log.messages.items():
         if rows is events:
             continue
+        if topic.endswith("/ending"):
+            assert rows[0][0] == 2 * 10**9, topic
+            continue
         every = 10 if topic == "/formation" else 1  # the five elements, once a second
         assert [stamp for stamp, _ in rows] == stamps[::every], topic
     for topic, (encoding, name, schema) in log.schemas.items():
@@ -228,7 +232,7 @@ def test_every_tick_of_every_vehicle_is_in_the_log(testbed, read_log):
         assert schema["type"] == "object"
         wanted = {
             "tick": "Tick", "host": "HostTick", "truth": "Truth", "formation": "Characterisation",
-            "supervisor": "Event",
+            "supervisor": "Event", "ending": "EndingTick",
         }  # fmt: skip
         assert name == wanted[topic.rpartition("/")[2]]
         there = set(log.messages[topic][0][1])
@@ -246,6 +250,9 @@ def test_a_law_on_the_vehicle_has_no_host_topic(testbed, read_log):
         "/sat1/tick",
         "/sat2/tick",
         "/sat3/tick",
+        "/sat1/ending",
+        "/sat2/ending",
+        "/sat3/ending",
         "/truth",
         "/formation",
         "/supervisor",

@@ -308,7 +308,12 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "vehicles.sat1.model.tolerance.thrust=5": ("", "a share, at most 0.5: 5 % is 0.05", "5"),
     "vehicles.sat1.model.tolerance.com=1": ("", "at most the radius, 0.2 m", "1 m"),
     "vehicles.sat1.model.valve.min_on_s=10": ("", "at most flight.jet_period_s, 0.1 s", "10 s"),
-    "vehicles.sat1.model.valve.open_delay_s=6": ("", "at most flight.jet_period_s, 0.1 s", "6 s"),
+    "vehicles.sat1.model.valve.open_delay_s=6": (
+        "", "at most 2 times flight.jet_period_s, 0.2 s", "6 s",
+    ),
+    "vehicles.sat1.model.valve.open_delay_s=0.15": (
+        "", "less than 0.106 s, or nothing flows in a jet period", "0.15 s",
+    ),
     "vehicles.sat1.model.command_delay_s=2": ("", "at most flight.jet_period_s, 0.1 s", "2 s"),
     # times and rates
     "duration_s=0.01": ("", "at least flight.jet_period_s, 0.1 s", "0.01 s"),

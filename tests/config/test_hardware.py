@@ -14,6 +14,17 @@ CENTRE, RADIUS = (0.0, 0.0), 0.2
 EIGHT = load(find("hold")).vehicles["sat1"].model.jets
 
 
+def test_valve_times_that_just_meet_a_limit_are_not_refused_by_rounding():
+    # 0.04 + 0.01 - 0.04 is more than 0.01 by 2e-18
+    times = {"open_delay_s": 0.04, "close_delay_s": 0.04, "close_ramp_s": 0.01, "min_off_s": 0.01}
+    load(find("hold"), [f"vehicles.sat1.model.valve.{key}={value}" for key, value in times.items()])
+
+
+def test_valves_may_be_later_than_a_jet_period():
+    times = {"open_delay_s": 0.15, "close_delay_s": 0.14}
+    load(find("hold"), [f"vehicles.sat1.model.valve.{key}={value}" for key, value in times.items()])
+
+
 def jet(x: float, y: float, direction: float, thrust: float) -> Jet:
     push = (float(np.cos(direction)), float(np.sin(direction)))
     return Jet((x * RADIUS, y * RADIUS), push, thrust)

@@ -1,44 +1,65 @@
-"""A jet that gives nothing is found, and healthy ones of unequal strength are not suspected."""
+"""A jet that does not obey is found and named; healthy ones of unequal strength are not."""
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from testbed.core.jets import effect_matrix
+from testbed.core.jets import effect_matrix, opposing_pairs
+from testbed.core.table import Tilt
 from testbed.core.types import Accel, Pose, State, Twist
-from testbed.flight.jet_faults import LAG, JetFaultDetector
+from testbed.flight.estimator import EstimatorParams
+from testbed.flight.jet_faults import BUMPS, SLOPE, JetFaultDetector, slopes
+from testbed.flight.response import response
 
 PERIOD = 0.1  # [s]
 BOUND = 4.0  # of the fault table
 NOISE = np.array([3e-4, 3e-4, 8e-4])  # of a velocity estimate in flight [m/s, m/s, rad/s]
+PARAMS = EstimatorParams()
 
 
 class Body:
-    """A vehicle whose jets give a share of what the file says.
+    """A vehicle whose jets give a share of what the file says, and leak.
 
     Its filter knows the commands at once, and what they do not explain after a while.
     """
 
-    def __init__(self, vehicle, gains, seed):
+    def __init__(self, vehicle, table, gains, seed, period=PERIOD):
         scale = np.array([[vehicle.mass], [vehicle.mass], [vehicle.inertia]])
         self._effect = effect_matrix(vehicle.jets, about=vehicle.com) / scale
-        self.gains = gains
+        self.gains, self.leaks = gains, np.zeros(len(vehicle.jets))
         self._rng, self._t, self._theta = np.random.default_rng(seed), 0.0, 0.4
-        self._true, self._seen = np.zeros(3), np.zeros(3)
-        self.evidence = JetFaultDetector(vehicle, PERIOD)
+        self._period, self._shown = period, response(PARAMS, vehicle, table.mocap, PERIOD)
+        self._late, self._seen = np.zeros((len(self._shown), 3)), np.zeros(3)
+        self._opposite = dict(
+            pair for one, other in opposing_pairs(vehicle.jets)
+            for pair in ((one, other), (other, one))
+        )  # fmt: skip
+        self.evidence = JetFaultDetector(vehicle, period, PARAMS, table)
+
+    def opposite(self, jet):
+        return self._opposite[jet]
 
     def tick(self, duty):
         c, s = np.cos(self._theta), np.sin(self._theta)
         turn = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
-        self._true += PERIOD * turn @ (self._effect @ (duty * self.gains))
-        self._seen += PERIOD * turn @ (self._effect @ duty)
-        self._seen += PERIOD / LAG * (self._true - self._seen)
-        self._t += PERIOD
+        known = turn @ (self._effect @ duty)
+        given = duty * self.gains + (1.0 - duty) * self.leaks
+        self._late[1:] = self._late[:-1].copy()
+        self._late[0] = turn @ (self._effect @ given) - known
+        shown = self._shown[:, [0, 0, 1]]
+        self._seen += self._period * (known + (shown * self._late).sum(axis=0))
+        self._t += self._period
         vx, vy, omega = self._seen + NOISE * self._rng.standard_normal(3)
         state = State(
             self._t, Pose(0.0, 0.0, self._theta), Twist(vx, vy, omega), Accel(0, 0, 0), 0.02, 0
         )
         self.evidence.look(state, duty, 1.0)
-        return self.evidence.missing, self.evidence.jet
+        return self.evidence.weak.sigmas, self.evidence.weak.jet
+
+
+def some(rng, jets):
+    """What a vehicle fires that holds its place."""
+    return (rng.random(jets) < 0.3) * rng.uniform(0.1, 0.3, jets)
 
 
 def turn_after_rest(rng, jets):
@@ -54,25 +75,26 @@ def turn_after_rest(rng, jets):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_unequal_jets_in_a_hard_turn_are_not_suspected(seed, vehicle):
+def test_unequal_jets_in_a_hard_turn_are_not_suspected(seed, vehicle, table):
     rng, jets = np.random.default_rng(seed), len(vehicle.jets)
     gains = 1.0 + vehicle.tolerance.thrust * rng.standard_normal(jets)
-    body = Body(vehicle, gains, seed)
-    worst = max(body.tick(duty)[0] for duty in turn_after_rest(rng, jets))
-    assert worst < BOUND
+    body = Body(vehicle, table, gains, seed)
+    for duty in turn_after_rest(rng, jets):
+        body.tick(duty)
+        assert body.evidence.weak.sigmas < BOUND
+        assert body.evidence.either[0].sigmas < BOUND
 
 
 @pytest.mark.parametrize("stuck", range(8))
-def test_a_jet_that_gives_nothing_is_found_and_named(stuck, vehicle):
+def test_a_jet_that_gives_nothing_is_found_and_named(stuck, vehicle, table):
     rng, jets = np.random.default_rng(stuck), len(vehicle.jets)
     gains = 1.0 + 0.05 * rng.standard_normal(jets)
-    body = Body(vehicle, gains, stuck)
+    body = Body(vehicle, table, gains, stuck)
     for _ in range(300):  # healthy at first
-        on = (rng.random(jets) < 0.3) * rng.uniform(0.1, 0.3, jets)
-        assert body.tick(on)[0] < BOUND
+        assert body.tick(some(rng, jets))[0] < BOUND
     body.gains[stuck] = asked = 0.0
     for _ in range(600):
-        on = (rng.random(jets) < 0.3) * rng.uniform(0.1, 0.3, jets)
+        on = some(rng, jets)
         asked += PERIOD * on[stuck]
         missing, jet = body.tick(on)
         if missing > BOUND:
@@ -82,6 +104,84 @@ def test_a_jet_that_gives_nothing_is_found_and_named(stuck, vehicle):
     assert asked < 2.0  # [s] of open time that the jet was asked for
 
 
-def test_nothing_fired_says_nothing(vehicle):
-    body = Body(vehicle, np.zeros(len(vehicle.jets)), 1)
-    assert max(body.tick(np.zeros(len(vehicle.jets)))[0] for _ in range(300)) == 0.0
+@pytest.mark.parametrize("leaky", range(8))
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.6])
+def test_a_jet_that_leaks_is_found_and_not_the_one_that_fires_against_it(
+    leaky, share, vehicle, table
+):
+    rng, jets = np.random.default_rng(leaky), len(vehicle.jets)
+    body = Body(vehicle, table, 1.0 + 0.05 * rng.standard_normal(jets), leaky)
+    for _ in range(300):
+        body.tick(some(rng, jets))
+    body.leaks[leaky], opposite = share, body.opposite(leaky)
+    blamed = sure = 0
+    for tick in range(100):
+        duty = some(rng, jets)
+        duty[leaky] = 0.0
+        if tick > 4:  # what a controller makes of it half a second later
+            duty[opposite] = share * rng.uniform(0.5, 1.5)
+        body.tick(duty)
+        blamed = blamed + 1 if body.evidence.weak.sigmas > BOUND else 0
+        assert blamed < 10, "the opposite one is blamed, and for as long as the fault table asks"
+        leak, _ = body.evidence.either
+        sure = sure + 1 if leak.sigmas > 4.5 else 0
+        if sure > 20:
+            break
+    assert leak.jet == leaky
+    assert 0.6 * share < leak.size < 1.4 * share
+
+
+def test_a_leak_that_was_always_made_up_for_may_be_one_of_two(vehicle, table):
+    jets = len(vehicle.jets)
+    body = Body(vehicle, table, np.ones(jets), 3)
+    duty, opposite = np.zeros(jets), body.opposite(0)
+    for _ in range(100):
+        body.tick(duty)
+    body.leaks[0] = duty[opposite] = 0.3  # from the same tick on
+    for _ in range(15):
+        body.tick(duty)
+    leak, weak = body.evidence.either
+    assert (leak.jet, weak.jet) == (0, opposite)
+    assert leak.sigmas > 4.5
+    assert body.evidence.open.gain == body.evidence.weak.gain == 0.0
+
+
+def test_nothing_fired_says_nothing(vehicle, table):
+    body = Body(vehicle, table, np.zeros(len(vehicle.jets)), 1)
+    for _ in range(300):
+        assert body.tick(np.zeros(len(vehicle.jets)))[0] == 0.0
+        assert body.evidence.open.sigmas < BOUND
+
+
+def test_poses_that_cannot_be_trusted_say_nothing_and_are_forgotten(vehicle, table):
+    body, none = Body(vehicle, table, np.ones(len(vehicle.jets)), 1), np.zeros(len(vehicle.jets))
+    for _ in range(50):
+        body.tick(none)
+    body.leaks[2] = 1.0
+    for _ in range(20):
+        body.tick(none)
+    assert body.evidence.open.jet == 2
+    body.evidence.pause()
+    assert body.evidence.open.gain == 0.0
+    for _ in range(10):
+        body.tick(none)
+        assert body.evidence.open.gain == 0.0
+    for _ in range(10):
+        body.tick(none)
+    assert body.evidence.open.jet == 2
+
+
+def test_a_table_is_as_steep_as_its_file_says_but_never_level(table):
+    assert slopes(Tilt((0.0, 0.0))) == (SLOPE, BUMPS)
+    assert slopes(Tilt((0.03, 0.04))) == (pytest.approx(0.05), BUMPS)
+    steep, bumps = slopes(Tilt((0.0, 0.0), [[(0.01, 0.0), (-0.01, 0.0)]]))
+    assert (steep, bumps) == (SLOPE, pytest.approx(0.01))
+
+
+def test_what_the_estimate_shows_of_a_push_comes_later_with_noisier_cameras(vehicle, table):
+    late = replace(table.mocap, noise=1e-3, noise_deg=0.15)
+    sharp, blurred = (response(PARAMS, vehicle, m, PERIOD) for m in (table.mocap, late))
+    for shown in (sharp, blurred):
+        assert shown.sum(axis=0) == pytest.approx([1.0, 1.0], abs=0.15)
+    assert np.all(sharp[:5].sum(axis=0) > 0.9)
+    assert np.all(blurred[:5].sum(axis=0) < 0.7)

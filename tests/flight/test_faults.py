@@ -24,7 +24,7 @@ WELL = {  # what every detector says when all is well
 }
 NEEDED = {  # what the issue of a table of faults asks for, and the detector that sees it
     "pose_age", "pose_repeats", "pose_jump", "pose_of_another", "setpoint_age", "setpoint_overdue",
-    "poses_rejected", "supply_share", "battery", "push_unexplained", "turn_unexplained",
+    "poses_rejected", "supply_share", "battery", "jet_open", "jet_leaks", "jet_leaks_or_weak",
     "jet_missing", "tank_loss", "spare_room", "raised", "not_a_number", "tick_late", "operator_age",
     "clock_offset", "config_differs", "disk_free", "neighbour_age", "board_silent", "fleet",
     "foreign",
@@ -136,12 +136,12 @@ def test_the_most_severe_wins():
     warn, brake = TABLE["link_late"], TABLE["battery_low"]
     both = numbers(setpoint_age=bad(warn), battery=bad(brake))
     assert watch.look(0.0, True, both, {}).response == "brake"
-    coast = numbers(battery=bad(brake), board_silent=1.0)
-    verdict = watch.look(0.1, True, coast, {})
-    assert verdict.response == "coast"
+    land = numbers(battery=bad(brake), board_silent=1.0)
+    verdict = watch.look(0.1, True, land, {})
+    assert verdict.response == "land"
     assert verdict.fault.startswith("board_silent")
     # and it does not get milder again
-    assert watch.look(0.2, True, numbers(), {}).response == "coast"
+    assert watch.look(0.2, True, numbers(), {}).response == "land"
     assert watch.latched == ("battery_low", "board_silent")
 
 

@@ -18,7 +18,15 @@ from testbed.core.types import (
     Vitals,
     Wrench,
 )
-from testbed.flight.loop import LONGEST_STOP, LONGEST_WORDS, Ending, HostNode, VehicleNode, fly
+from testbed.flight.loop import (
+    LONGEST_STOP,
+    LONGEST_WORDS,
+    Ending,
+    HostNode,
+    VehicleNode,
+    come_to_rest,
+    fly,
+)
 
 PERIOD = 0.1  # [s]
 STILL = Wrench(0.0, 0.0, 0.0)
@@ -163,12 +171,60 @@ def test_a_fault_in_the_last_tick_is_told(diary):
     assert flown(diary, [Node(diary, "a", fails_at=2)], ticks=3).fault == "a: broke"
 
 
-def test_a_stop_is_followed_by_one_disarmed_tick(diary):
-    asked = iter([False, False, True])
+def test_a_stop_ends_the_flight_with_its_tick(diary):
+    asked = iter([0, 0, 1])
     ending = flown(diary, [Node(diary, "a")], ticks=9, stopped=lambda: next(asked))
     assert ending == Ending(3 * PERIOD, None)
-    assert [entry[2] for entry in diary if entry[0] == "a"] == [True, True, True, False]
-    assert diary[-1] == ("done", 3 * PERIOD)
+    assert [entry[2] for entry in diary if entry[0] == "a"] == [True, True, True]
+    assert diary[-1] == ("wait", 3 * PERIOD)
+
+
+@pytest.mark.parametrize(("times", "ticks"), [(1, 6), (2, 2)])
+def test_the_second_stop_ends_also_the_stop_for_a_fault(diary, times, ticks):
+    nodes = [Node(diary, "a", fails_at=0), Node(diary, "b", slow=3)]
+    flown(diary, nodes, ticks=9, stopped=lambda: times)
+    armed = [entry[2] for entry in diary if entry[0] == "b"]
+    assert armed == [True] * (ticks - 1) + [False]
+
+
+class Lander:
+    """A vehicle that shuts its air off at its `at`-th tick, or when it may not brake."""
+
+    def __init__(self, diary, name, at):
+        self.diary, self.name, self.at, self.ticks = diary, name, at, 0
+
+    def tick(self, t, armed, fleet, end):
+        self.ticks += 1
+        down = self.ticks >= self.at or not armed
+        self.diary.append((self.name, t, armed, end, down))
+        command = ValveCommand(self.ticks, t, t, (), ())
+        outputs = Outputs(t, None, None, STILL, STILL, command, "over", air_off=down)
+        return Tick(Inputs(t, armed, (), None, {}, Health(t, 0.0, 0.0)), outputs)
+
+
+def landed(diary, nodes, ticks=9, stopped=lambda: 0):
+    come_to_rest(Clock(diary), nodes, PERIOD, 30, ticks, Observer(diary), "why", stopped=stopped)
+    return [entry for entry in diary if entry[0] in "ab"]
+
+
+def test_after_the_flight_all_brake_until_the_last_one_has_landed(diary):
+    ticks = landed(diary, [Lander(diary, "a", 1), Lander(diary, "b", 3)])
+    assert ticks == [
+        (name, k * PERIOD, True, "why", name == "a" or k == 32)
+        for k in (30, 31, 32) for name in "ab"
+    ]  # fmt: skip
+    assert ("wait", 30 * PERIOD) in diary  # the board hears of it within its watchdog's time
+
+
+def test_who_does_not_come_to_rest_lands_as_it_is(diary):
+    ticks = landed(diary, [Lander(diary, "a", 1000)], ticks=4)
+    assert [armed for _, _, armed, _, _ in ticks] == [True] * 4 + [False]
+
+
+def test_the_second_stop_lands_all_at_once(diary):
+    asked = iter([1, 1, 2])
+    ticks = landed(diary, [Lander(diary, "a", 1000)], stopped=lambda: next(asked))
+    assert [armed for _, _, armed, _, _ in ticks] == [True, True, False]
 
 
 # Nodes
@@ -288,6 +344,9 @@ def test_landing_shuts_the_air_off(response):
     agent = Agent(replace(OUTPUTS, response=response), True)
     VehicleNode("a", agent, ports, ports, ports).tick(0.3, True)
     assert landed == [True] * (response == "land")
+    agent.outputs = replace(OUTPUTS, response=response, air_off=True)
+    VehicleNode("a", agent, ports, ports, ports).tick(0.4, True)
+    assert landed == [True] * (1 + (response == "land"))
 
 
 def test_a_vehicle_is_told_of_its_process_and_of_the_others():
@@ -296,6 +355,8 @@ def test_a_vehicle_is_told_of_its_process_and_of_the_others():
     assert node.tick(0.3, True).inputs.vitals == Vitals(late_s=0.2)
     told = node.tick(0.4, True, "b: broke").inputs.vitals
     assert told == Vitals(late_s=0.2, fleet="b: broke")
+    over = node.tick(0.5, True, "", "the flight is over").inputs.vitals
+    assert over == Vitals(late_s=0.2, end="the flight is over")
 
 
 def test_a_host_waits_for_the_first_word_of_its_vehicle():

@@ -19,11 +19,12 @@ from testbed.core.types import (
     Vitals,
     Wrench,
 )
-from testbed.flight.detectors import Detectors, Repeats, jump, whose
+from testbed.flight.detectors import Repeats, jump, whose
+from testbed.flight.ending import EndingParams, longest_brake
 from testbed.flight.fault_monitor import FaultMonitor
-from testbed.flight.safety import AT_REST, LONGEST_BRAKE, Safety
+from testbed.flight.safety import AT_REST, Safety
 from testbed.flight.tracker import halt
-from testbed.rig.chain import fence_of, make_agent
+from testbed.rig.chain import fence_of, make_agent, make_detectors
 
 PERIOD = 0.1  # [s]
 FOR_EVER = 1e6  # [s]
@@ -92,7 +93,7 @@ def test_whose_pose_it_is(make_state):
 
 @pytest.fixture
 def safety(vehicle):
-    detectors = Detectors(vehicle, PERIOD, noisy=True)
+    detectors = make_detectors(EXPERIMENT, NAME)
     return Safety(vehicle, PERIOD, FaultMonitor(shipped_faults()), detectors, None, 0.08)
 
 
@@ -129,6 +130,7 @@ def test_a_braking_vehicle_stops_and_then_shuts_its_valves_for_good(safety, make
     assert not stopped.braking
     assert stopped.inhibit_reason == stopped.fault
     assert stopped.fault.startswith("operator_gone")
+    assert (acted.air_off, stopped.air_off) == (False, True)
     # the operator is back, the vehicle drifts: it does not begin again
     again = act(safety, moving, 2.0)
     assert again.inhibit_reason is not None
@@ -138,14 +140,16 @@ def test_a_braking_vehicle_stops_and_then_shuts_its_valves_for_good(safety, make
 def test_a_stop_that_does_not_end_is_given_up(safety, make_state):
     moving, gone = make_state((0.0, 0.0, 0.0), (0.05, 0.0, 0.0)), Vitals(operator_age=1.5)
     assert act(safety, moving, 0.0, gone).braking
-    assert act(safety, moving, LONGEST_BRAKE, gone).braking
-    assert not act(safety, moving, LONGEST_BRAKE + 0.1, gone).braking
+    longest = longest_brake(EndingParams(), 0.05, 0.08)
+    assert act(safety, moving, longest - 0.05, gone).braking
+    given_up = act(safety, moving, longest + 0.05, gone)
+    assert (given_up.braking, given_up.air_off) == (False, True)
 
 
 def edited(vehicle, name, **changes):
     table = shipped_faults()
     watch = FaultMonitor(table | {name: replace(table[name], **changes)})
-    return Safety(vehicle, PERIOD, watch, Detectors(vehicle, PERIOD, noisy=True), None, 0.08)
+    return Safety(vehicle, PERIOD, watch, make_detectors(EXPERIMENT, NAME), None, 0.08)
 
 
 def test_the_second_stop_of_a_row_that_is_not_latched_is_a_stop_again(vehicle, make_state):
@@ -153,7 +157,7 @@ def test_the_second_stop_of_a_row_that_is_not_latched_is_a_stop_again(vehicle, m
     moving, gone = make_state((0.0, 0.0, 0.0), (0.05, 0.0, 0.0)), Vitals(operator_age=1.5)
     assert act(safety, moving, 0.0, gone).braking
     assert act(safety, moving, 1.0).inhibit_reason is None
-    assert act(safety, moving, LONGEST_BRAKE + 1.0, gone).braking
+    assert act(safety, moving, 100.0, gone).braking
 
 
 def test_whoever_holds_comes_to_rest_also_where_setpoints_still_come(vehicle, make_state):
@@ -171,11 +175,14 @@ def test_what_cannot_brake_coasts(safety):
     assert acted.inhibit_reason is not None
 
 
-def test_coasting_shuts_the_valves_at_once(safety, make_state):
+@pytest.mark.parametrize("response", ["coast", "land"])
+def test_coasting_shuts_the_valves_at_once_and_landing_the_air_too(vehicle, make_state, response):
+    safety = edited(vehicle, "board_silent", response=response)
     silent = Health(0.0, 0.5e6, 2e7, silent_s=1.0)
     acted = act(safety, make_state((0, 0, 0), (0.05, 0, 0)), health=silent)
-    assert (acted.response, acted.braking) == ("coast", False)
+    assert (acted.response, acted.braking) == (response, False)
     assert acted.inhibit_reason.startswith("board_silent")
+    assert acted.air_off == (response == "land")
 
 
 def test_a_reset_begins_anew(safety, make_state):
@@ -186,13 +193,17 @@ def test_a_reset_begins_anew(safety, make_state):
 
 
 def test_a_stuck_valve_is_not_inferred_from_poses_that_cannot_be_trusted(safety, make_state):
-    pushed = make_state(bias=(0.05, 0.0, 0.0))
-    for k in range(3):
-        acted = act(safety, replace(pushed, rejected=9), 0.1 * k)
-    assert acted.response == ""
-    for k in range(3, 6):
-        acted = act(safety, pushed, 0.1 * k)
+    def pushed(k):  # as by jet 6: it gives 0.048 m/s^2 and turns clockwise
+        t = 0.1 * k
+        return make_state(twist=(0.048 * t, 0.0, -0.27 * t), t=t)
+
+    for k in range(30):
+        acted = act(safety, replace(pushed(k), rejected=9), 0.1 * k)
+    assert acted.fault is None
+    for k in range(30, 60):
+        acted = act(safety, pushed(k), 0.1 * k)
     assert acted.response == "land"
+    assert "jet 6 " in acted.fault
 
 
 # Any sequence: no valve opens in a forbidden state

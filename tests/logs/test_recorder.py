@@ -11,6 +11,7 @@ import msgspec
 import pytest
 from mcap.reader import make_reader
 
+from testbed.logs import recorder as recording
 from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
 
 HERE = Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
@@ -126,3 +127,54 @@ def test_vehicles_share_the_schema_of_a_kind(tmp_path):
     vehicles = json.loads(schema.data)["properties"]["vehicles"]
     assert vehicles["properties"]["sat1"]["properties"]["omega"] == {"type": "number"}
     assert {c.schema_id for c in summary.channels.values()} == {schema.id}
+
+
+@pytest.fixture
+def stopped(tmp_path, monkeypatch):
+    """A log whose writer was stopped after its first row; nothing is waited for long."""
+    monkeypatch.setattr(recording, "PATIENCE_S", 0.2)
+    monkeypatch.setattr(recording, "LARGEST_BACKLOG", 1_000_000)
+
+    def begin(**words) -> Recorder:
+        recorder = Recorder(tmp_path / "log.mcap", **words)
+        recorder.__enter__()
+        recorder.write("/truth", 0.0, truth(0.0))
+        recorder.mark(0.0)
+        pid = recorder._scribe.pid
+        os.kill(pid, signal.SIGSTOP)
+        os.waitid(os.P_PID, pid, os.WSTOPPED)
+        return recorder
+
+    return begin
+
+
+def test_a_flight_on_wires_does_not_wait_for_a_stopped_writer(stopped, tmp_path):
+    recorder, said = stopped(waits=False), []
+    for k in range(1, 30_001):
+        recorder.write("/truth", 0.1 * k, truth(0.1 * k))
+        said += recorder.mark(0.1 * k)
+    assert 0 < recorder.lost < 30_000
+    assert len(said) == 1
+    assert "rows of it are lost" in said[0]
+    os.kill(recorder._scribe.pid, signal.SIGCONT)
+    recorder.__exit__(None, None, None)
+    assert len(read(tmp_path / "log.mcap")) == 30_001 - recorder.lost
+
+
+def test_a_flight_on_the_twin_ends_when_its_writer_is_stopped(stopped, tmp_path):
+    recorder = stopped(waits=True)
+
+    def fly() -> None:
+        for k in range(30_000):
+            recorder.write("/truth", 0.1 * k, truth(0.1 * k))
+
+    with pytest.raises(RecorderError, match="has taken nothing"):
+        fly()
+    with pytest.raises(RecorderError, match="has taken nothing"):
+        recorder.__exit__(None, None, None)
+
+
+def test_the_end_does_not_wait_for_a_stopped_writer(stopped):
+    recorder = stopped()
+    with pytest.raises(RecorderError, match="has done nothing"):
+        recorder.__exit__(None, None, None)

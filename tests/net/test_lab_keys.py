@@ -152,9 +152,21 @@ def test_the_host_arms_and_an_operator_stops(rig):
     assert answer(ask(rig.host, order, halt)) == Accepted("a board")
     assert told.tower.stop_reason == "enough"
     assert ask_all(rig["operator-anna"], KEYS.stop) == 1
+    wait_for(lambda: told.shut > 0)  # here no loop obeys: it is shut without one
     shut = told.shut
-    rig["operator-anna"].put(KEYS.stop, b"stop")
-    wait_for(lambda: told.shut > shut)
+    wait_for(lambda: rig["operator-anna"].put(KEYS.stop, b"stop") or told.shut > shut)
+
+
+def test_a_flight_that_obeys_a_stop_is_not_shut_before_it_rests(rig):
+    told = LawMessage(rig["vehicle-sat1"], "sat1")
+    told.tower.obey()
+    wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
+    assert ask_all(rig["operator-anna"], KEYS.stop) == 1
+    assert told.tower.stop_reason == "stopped by the operator"
+    assert told.shut == 0
+    at_once = msgspec.msgpack.encode(Stop("twice", at_once=True))
+    ask(rig.host, KEYS.of("sat1", "order"), at_once)
+    assert told.shut == 1
 
 
 def _answers(session, key):
@@ -521,6 +533,7 @@ def nowhere(tmp_path, monkeypatch):
     """No flight on this machine, and no keys at home."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(stopping, "own_keys", lambda: tmp_path / "home")
+    monkeypatch.setattr(stopping, "DEFAULT", f"tcp/127.0.0.1:{free_port()}")
     return tmp_path
 
 
@@ -533,12 +546,12 @@ def test_stop_with_an_operators_keys(rig, folder, nowhere, monkeypatch, capsys):
     assert stop_everything(None, "lab", folder / "vehicle-sat2") == FAILED
     assert told.nothing()
     assert stop_everything(None, "lab", folder / "operator-anna") == OK
-    assert told.shut > 0
-    shut = told.shut
+    assert told.tower.stop_reason == "stopped by the operator"
+    told.tower.stop_reason = None
     monkeypatch.setattr(stopping, "own_keys", lambda: folder / "operator-anna")
     assert stop_everything(None, "lab") == OK  # the same without a word
-    assert told.shut > shut
-    assert "1 vehicle has closed" in capsys.readouterr().out
+    assert told.tower.stop_reason == "stopped by the operator"
+    assert "  sat1: stops\n" in capsys.readouterr().out
 
 
 def test_stop_on_the_hosts_machine_needs_no_keys(rig, folder, endpoint, nowhere):
@@ -546,7 +559,7 @@ def test_stop_on_the_hosts_machine_needs_no_keys(rig, folder, endpoint, nowhere)
     wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
     with noted(endpoint, "lab", str(folder / "host")):
         assert stop_everything(None, "lab") == OK
-    assert told.shut > 0
+    assert told.tower.stop_reason == "stopped by the operator"
 
 
 def test_stop_without_the_keys_it_needs_says_what_still_works(nowhere, endpoint, capsys):
@@ -562,7 +575,7 @@ def test_bad_keys_at_home_do_not_keep_the_flights_here_from_being_stopped(
     (nowhere / "home").mkdir()
     with noted(endpoint, "lab", str(folder / "host")):
         assert stop_everything(None, "lab") == FAILED
-    assert told.shut > 0
+    assert told.tower.stop_reason == "stopped by the operator"
     assert "no keys in" in capsys.readouterr().err
 
 

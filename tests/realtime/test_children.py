@@ -10,6 +10,7 @@ import psutil
 import pytest
 
 from patience import wait_for
+from testbed.realtime import processes as children
 from testbed.realtime.processes import ChildError, Children
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,3 +67,12 @@ def test_children_of_a_killed_parent(stop):
     _, alive = psutil.wait_procs(tree, timeout=60)
     assert alive == []
     assert not Path(folder).exists()
+
+
+def test_a_stopped_guardian_does_not_keep_its_parent(monkeypatch):
+    monkeypatch.setattr(children, "LEAVE_S", 0.1)
+    with Children() as some:
+        guardian = some._guardian.pid
+        os.kill(guardian, signal.SIGSTOP)
+        os.waitid(os.P_PID, guardian, os.WSTOPPED)
+    assert not psutil.pid_exists(guardian)

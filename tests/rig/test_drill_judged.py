@@ -6,7 +6,7 @@ from sim_twin.plant import Touch
 from testbed.cli.drill_wires import Flown, judge, kinds
 from testbed.core.fault_injection import Injection
 from testbed.net.commands import Counts, Ended
-from testbed.rig.wired.server import TableReport
+from testbed.rig.wired.table_report import TableReport
 
 COUNTS = Counts({}, {}, {}, 0, 0, None, None)
 EPOCH = 5_000_000_000  # [ns]
@@ -41,7 +41,7 @@ BRAKED = ended(3.5, "sat1: pose_lost: none", {"pose_stale": 2.1}, {"warn": 2.1, 
 def test_a_fault_that_was_named_and_answered():
     found = judged("drop_mocap", flown([(us(1.9), 1), (us(2.6), 0)], BRAKED))
     assert (found.named, found.response, found.late) == ("pose_stale", "brake", 0)
-    assert found.detected_s == pytest.approx(0.1)
+    assert found.detected_s == pytest.approx(0.5)  # the brake; the warning comes without a fault
     assert found.shut_s == pytest.approx(0.6)
     assert found.travelled_m == pytest.approx(0.3)
     assert found.fault == "sat1: pose_lost: none"
@@ -67,13 +67,31 @@ def test_a_vehicle_that_cannot_speak_is_judged_by_its_board():
 
 
 def test_a_vehicle_that_cannot_push_may_drift_into_something():
-    touch = Touch(4.0, "sat1", "sat2", 0.01)
+    touch = Touch(4.0, "sat1", "sat2", 0.03)
     dead = judged("kill_process", flown([], None, [touch]))
     assert (dead.contacts, dead.adrift) == (0, 1)
     alive = judged("drop_mocap", flown([], BRAKED, [touch]))
-    assert (alive.contacts, alive.adrift) == (1, 0)
+    assert (alive.contacts, alive.contacts_after, alive.adrift) == (1, 0, 0)
+    soft = judged("drop_mocap", flown([], BRAKED, [Touch(5.0, "sat1", "sat2", 0.01)]))
+    assert soft.contacts == 0  # after the end of the flight
 
 
 def test_all_that_can_break_on_wires_is_rehearsed():
     assert len(kinds()) >= 24
     assert {"cut_serial", "stop_process", "kill_host", "foreign_session"} <= set(kinds())
+
+
+def test_the_response_is_that_of_the_vehicle_concerned():
+    brakes = ended(3.0, "sat2: fleet: sat1", {"fleet": 2.4}, {"brake": 2.4})
+    lands = ended(2.6, "sat1: board_silent: x", {"board_silent": 2.3}, {"land": 2.3})
+    cut = flown([], lands)
+    cut.ended["sat2"] = brakes
+    found = judged("cut_serial", cut)
+    assert (found.response, found.detected_s) == ("land", pytest.approx(0.3))
+    # of a dead one the others'
+    dead = flown([], None)
+    silent = ended(3.0, None, {"neighbour_late": 2.5, "neighbour_silent": 3.2}, {"brake": 3.2})
+    dead.ended["sat2"] = silent
+    found = judged("kill_process", dead)
+    assert (found.response, found.named) == ("brake", "neighbour_silent")
+    assert found.detected_s == pytest.approx(1.2)

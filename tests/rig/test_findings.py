@@ -1,10 +1,14 @@
 """What becomes known of a flight on wires is given out once, whatever is asked for first."""
 
 import pytest
+from msgspec.structs import replace
 
 from testbed.config import find, load
-from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Wrench
-from testbed.net.commands import Flown, Pace
+from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
+from testbed.flight.loop import Ending
+from testbed.metrics.afterwards import After, Left
+from testbed.net.commands import Counts, Ended, Flown, Pace
+from testbed.rig.observers import NullObserver
 from testbed.rig.wired.run_results import RunResults
 
 STILL = Wrench(0.0, 0.0, 0.0)
@@ -53,3 +57,25 @@ def test_nothing_is_given_out_twice(findings):
     assert list(findings.paces()) == []
     findings.note_tick("sat1", flown(2))
     assert [mask for _, _, mask in edges(findings)] == [1, 0]
+
+
+COUNTS = Counts({}, {}, {}, 0, 0, None, None)
+
+
+def test_without_a_twin_the_vehicles_say_how_they_were_left(findings):
+    over = Ending(3.0, None)
+    assert findings.come_to_rest(over, NullObserver()) is None  # nobody has said anything
+    findings.note_end("sat1", Ended(3.0, None, COUNTS, landed_s=0.4, air="off"))
+    after = findings.come_to_rest(over, NullObserver())
+    assert after == After(None, 0.4, "off", {"sat1": Left(0.4, "off")})
+
+
+def test_what_comes_after_the_end_is_not_of_the_flight(findings):
+    one = flown(1)
+    findings.note_tick("sat1", one)
+    before = findings.spent("sat1"), len(findings.track().t)
+    inputs = replace(one.tick.inputs, vitals=Vitals(end="the flight is over"))
+    command = replace(one.tick.outputs.command, on_us=(50_000,) * 8)
+    outputs = replace(one.tick.outputs, command=command)
+    findings.note_tick("sat1", replace(one, tick=Tick(inputs, outputs)))
+    assert (findings.spent("sat1"), len(findings.track().t)) == before

@@ -26,9 +26,12 @@ class Noted(NullObserver):
     """Keeps every tick."""
 
     def __init__(self):
-        self.ticks, self.hosts = {}, {}
+        self.ticks, self.hosts, self.after = {}, {}, []
 
     def vehicle(self, name, tick):
+        if tick.inputs.vitals.end:
+            self.after.append(tick)
+            return
         self.ticks.setdefault(name, []).append(tick)
 
     def host(self, name, tick):
@@ -46,7 +49,7 @@ def listening(pid):
     return found
 
 
-def fly(name, *overrides, when_started=lambda rig: None):
+def fly(name, *overrides, when_started=lambda rig: None, stops=lambda rig: 0):
     """On the bench, in this process as host."""
     experiment = load(find(name), overrides)
     warm_up(experiment)
@@ -61,7 +64,7 @@ def fly(name, *overrides, when_started=lambda rig: None):
         when_started(rig)
 
     rig.on_start = started
-    ending = rig.fly(noted)
+    ending = rig.fly(noted, lambda: stops(rig))
     return rig, ending, noted, met
 
 
@@ -80,11 +83,23 @@ def test_it_is_flown_to_the_end(flown):
     assert rig.touches == []
 
 
+def test_after_it_the_vehicle_stands(flown):
+    rig, ending, noted, _ = flown
+    after = rig.come_to_rest(ending, NullObserver())
+    assert (after.contacts, after.air) == (0, "off")
+    assert after.at_rest_s < 3.0
+    assert rig.ended["sat1"].air == "off"  # as its board says
+    assert rig.report.left_as["sat1"] == ("SAFE", [])
+    assert noted.after[-1].outputs.air_off
+    assert all(tick.inputs.armed for tick in noted.after)
+
+
 def test_the_firmware_moves_the_vehicle(flown):
     rig, _, noted, _ = flown
     assert rig.report.openings["sat1"] > 3
     planned = sum(1 for tick in noted.ticks["sat1"] for on in tick.outputs.command.on_us if on)
-    assert rig.report.openings["sat1"] <= planned
+    assert rig.spent("sat1").openings <= planned  # those of the flight
+    assert rig.spent("sat1").openings < rig.report.openings["sat1"]  # and of the brake after it
     track = rig.track()
     assert track.states[-1, 0, 1] > -0.1 + 0.002  # from y = -0.1 m towards 0
     assert track.t[-1] <= 3.0
@@ -187,13 +202,27 @@ def test_an_operator_says_stop(capsys):
     assert ending.fault == "stopped by the operator"
     assert ending.t < 20.0
     assert rig.report.left_as["sat1"] == ("SAFE", [])
-    assert "1 vehicle has closed its valves" in capsys.readouterr().out
+    assert "  sat1: stops\n" in capsys.readouterr().out
+    after = rig.come_to_rest(ending, NullObserver())
+    assert (after.contacts, after.air) == (0, "off")
+    assert after.at_rest_s < 3.0
+    assert_nothing_is_left(met)
+
+
+def test_the_second_ctrl_c_shuts_valves_and_air_without_a_brake():
+    rig, ending, noted, met = fly("hold", "duration_s=30", stops=lambda rig: 2 * (rig.now > 1.5))
+    assert ending.fault is None
+    assert ending.t < 20.0
+    after = rig.come_to_rest(ending, NullObserver())
+    assert (after.contacts, after.air) == (0, "off")
+    assert not any(tick.inputs.armed for tick in noted.after)
     assert_nothing_is_left(met)
 
 
 def test_stop_knows_nothing_and_loads_nothing(tmp_path):
     program = (
         "import sys; from click.testing import CliRunner; from testbed.cli.main import main;"
+        "from testbed.ops import stop; stop.DEFAULT = 'tcp/127.0.0.1:1';"  # no flight of a tester
         "code = CliRunner().invoke(main, ['stop']).exit_code;"
         "print(code, sorted({'numpy', 'numba', 'rerun', 'msgspec'} & set(sys.modules)))"
     )

@@ -204,6 +204,19 @@ def test_a_board_that_has_no_health_to_tell_is_refused(plugged_in):
         pass
 
 
+def test_it_floats_until_the_board_has_landed(plugged_in):
+    thrusters, board = plugged_in
+    with thrusters:
+        assert not thrusters.floats
+        thrusters.bearing(on=True)
+        board.fails = True
+        thrusters.land()
+        assert thrusters.floats  # nothing has said that it is done
+        board.fails = False
+        thrusters.land()
+        assert not thrusters.floats
+
+
 def test_edges_are_of_the_run_and_say_whether_all_is_shut(plugged_in):
     thrusters, _ = plugged_in
     with thrusters:

@@ -7,6 +7,7 @@ import pytest
 
 from sim_twin.board import last_closing
 from sim_twin.fault_injection import Sabotage
+from sim_twin.plant import FRICTION, GRAVITY
 from testbed.core.fault_injection import Injection
 from testbed.core.table import Obstacle
 from testbed.core.types import ALL_WELL, PoseSample
@@ -61,6 +62,19 @@ def test_a_stuck_valve_may_come_free(plant):
     assert plant.impulse[0] == pytest.approx(0.6 * 0.5, rel=1e-9)
 
 
+def test_a_valve_that_leaks_pushes_a_share_and_open_no_more_than_whole(plant, make_plan):
+    broken = sabotage(plant, fault("leak_valve", 1.0, value=0.3, jet=1))
+    advance(plant, broken, 1.0)
+    assert not plant.x.any()
+    advance(plant, broken, 2.0)
+    opens = 0.006 + 0.5 * 0.002  # as long as any other valve
+    assert plant.impulse[0] == pytest.approx(0.6 * 0.3 * (1.0 - opens), rel=1e-6)
+    before = plant.impulse[0]
+    plant.boards["0"].apply(make_plan(2.0, {0: (0.0, 0.1)}))
+    advance(plant, broken, 2.5)
+    assert plant.impulse[0] - before == pytest.approx(0.6 * (0.1 + 0.3 * 0.4), rel=1e-6)
+
+
 def test_a_leak_takes_gas(plant):
     broken = sabotage(plant, fault("leak", 1.05, value=0.01, for_s=2.0))
     advance(plant, broken, 1.0)
@@ -72,11 +86,23 @@ def test_a_leak_takes_gas(plant):
 def test_a_vehicle_without_air_stands(make_plant, make_vehicle):
     plant = make_plant([make_vehicle()], [[0.0, 0.0, 0.0, 0.1, 0.0, 0.5]])
     plant.stick(0, 0, True, 0.0, 10.0)
+    assert plant.floats(0)
     plant.land(0)
     plant.advance(1.0)
-    assert np.abs(plant.x[0, 3:]).max() < 1e-3
-    assert plant.x[0, 0] < 0.01
+    assert not plant.floats(0)
+    assert plant.x[0, 3:].tolist() == [0.0, 0.0, 0.0]
+    assert plant.x[0, 0] == pytest.approx(0.1**2 / (2.0 * FRICTION * GRAVITY), rel=1e-9)
     assert plant.impulse[0] == 0.0
+    assert plant.stands
+
+
+def test_what_stands_does_not_slide_down_the_slope(make_plant, make_vehicle, make_table):
+    table = make_table(tilt={"uniform": (0.002, 0.0)})
+    plant = make_plant([make_vehicle()], [[0.0] * 6], table=table)
+    plant.land(0)
+    plant.advance(60.0)
+    assert plant.x[0].tolist() == [0.0] * 6
+    assert plant.landed == {0: 0.0}
 
 
 def test_a_board_without_power_shuts_its_valves_and_hears_nothing(plant, make_plan):

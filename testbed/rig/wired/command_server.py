@@ -12,9 +12,11 @@ from testbed.net.keys import Keys
 from testbed.net.session import answer_to, on_word
 from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
+from testbed.rig.wired.stop_requests import Asked
 
 SOONEST_NS = 1_000_000_000  # an order to start may be late by so much
 FARTHEST_NS = 30_000_000_000  # and early
+OBEYED_S = 0.5  # a loop that does not obey a stop by then hangs: it is shut without it
 
 
 class CommandServer:
@@ -39,17 +41,23 @@ class CommandServer:
         self.bad_orders = 0  # that were none
         self.starts: SimpleQueue[Start] = SimpleQueue()
         self.stop_reason: str | None = None
-        self._board, self._flying = board, threading.Event()
+        self._name, self._board, self._flying = name, board, threading.Event()
         self._close: Callable[[], None] | None = None
+        self.asked = Asked()
+        self._obeyed = threading.Event()
         self._kept = [
             answer_to(session, keys.of(name, "order"), self._order),
-            answer_to(session, keys.stop, lambda _: self._stop("stopped by the operator")),
-            on_word(session, keys.stop, lambda: self._stop("stopped by the operator")),
+            answer_to(session, keys.stop, lambda _: self._stopped()),
+            on_word(session, keys.stop, self._stopped),
         ]
 
     def take_off(self, close: Callable[[], None]) -> None:
-        """From now on a stop calls `close` at once."""
+        """From now on a stop that is repeated, or not obeyed, calls `close`, in another thread."""
         self._close = close
+
+    def obey(self) -> None:
+        """The flight's loop has heard the stop, and brakes."""
+        self._obeyed.set()
 
     def _order(self, data: bytes) -> bytes:
         try:
@@ -61,7 +69,9 @@ class CommandServer:
         match order:
             case Look():
                 answer = self._lookout.ready()
-            case Stop(reason):
+            case Stop(reason, at_once):
+                if at_once:
+                    self.asked.insist()
                 self._stop(reason)
                 answer = Accepted(self._board)
             case Start():
@@ -81,9 +91,25 @@ class CommandServer:
                     answer = Accepted(self._board)
         return msgspec.msgpack.encode(answer)
 
-    def _stop(self, reason: str) -> bytes:
-        if self.stop_reason is None:
+    def _stopped(self) -> bytes:
+        """An operator says stop, at any terminal."""
+        self.asked.hear()
+        self._stop("stopped by the operator")
+        return self._name.encode()  # which vehicle stops
+
+    def _stop(self, reason: str) -> None:
+        first = self.stop_reason is None
+        if first:
             self.stop_reason = reason
-        if self._close is not None:
+        if self._close is None:
+            return
+        if self.asked.times > 1:
             self._close()
-        return b"stopped"
+        elif first:
+            insist = threading.Timer(OBEYED_S, self._insist)
+            insist.daemon = True
+            insist.start()
+
+    def _insist(self) -> None:
+        if self._close is not None and not self._obeyed.is_set():
+            self._close()

@@ -6,6 +6,7 @@ table those run where they belong, and it waits for them.
 
 import os
 import secrets
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
@@ -27,6 +28,7 @@ from testbed.net.links import Party
 from testbed.net.roll_call import Roll
 from testbed.net.session import LARGEST, NetworkError, Subscriber, answer_to
 from testbed.net.stop import noted
+from testbed.realtime.heartbeat import in_file
 from testbed.realtime.processes import ChildError, Children
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.boards import LOCKSTEP
@@ -36,7 +38,7 @@ from testbed.rig.wired.local import loopback
 from testbed.rig.wired.preflight import Preflight, order
 from testbed.rig.wired.process_faults import OF_PROCESSES
 from testbed.rig.wired.run_results import RunResults
-from testbed.rig.wired.server import TableReport
+from testbed.rig.wired.table_report import TableReport
 from testbed.rig.wired.vehicle import unheard
 from testbed.rig.wired.wired_flight import HostFlight
 
@@ -121,7 +123,7 @@ class WireRig(RunResults):
 
     # The flight
 
-    def fly(self, observer: Observer, stopped: Callable[[], bool] = lambda: False) -> Ending:
+    def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
         """See `Rig`."""
         try:
             with ExitStack() as stack:
@@ -153,7 +155,7 @@ class WireRig(RunResults):
         room = os.statvfs(self._log)
         return float(room.f_bavail * room.f_frsize)
 
-    def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], bool]) -> Ending:
+    def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], int]) -> Ending:
         children = None
         if self._bench:
             children = stack.enter_context(Children())
@@ -161,7 +163,10 @@ class WireRig(RunResults):
         network = self.experiment.table.lab.network
         opened, self._warned = open_lab(network, self.experiment.vehicles)
         session = stack.enter_context(opened)
-        stack.enter_context(noted(network.endpoint, network.lab, network.keys))
+        names, title = list(self.experiment.vehicles), self.experiment.name
+        stack.enter_context(
+            noted(network.endpoint, network.lab, network.keys, names, title, say=self._say)
+        )
         keys = Keys(network.lab)
         text = msgspec.json.encode(self.experiment)
         roll = Roll(session, keys, self.experiment.vehicles)
@@ -180,6 +185,9 @@ class WireRig(RunResults):
             if self.on_start is not None:
                 self.on_start(self)
             ending = flight.fly(observer, stopped)
+            self._concerns = flight.concerns
+            if children is not None:
+                ending = Ending(ending.t, self._blamed(children, ending.fault))
             if flight.stopped:
                 self.supervisor.request(ending.t, "stop")
             self._close(ending)
@@ -205,8 +213,26 @@ class WireRig(RunResults):
                 where += ["--keys", str(neighbour(Path(network.keys), "vehicle", name))]
             if self._keep is not None:
                 where += ["--report", str(self._keep.with_name(f"{name}.json"))]
+            where += ["--heart", str(children.folder / f"{name}.heart")]
             children.start(name, [*command, "agent", name, *where, "--child"])
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
+
+    def _blamed(self, children: Children, fault: str | None) -> str | None:
+        """The fault, with the law that has ended or blocks the process of its vehicle."""
+        for name in self.experiment.vehicles:
+            heart = in_file(children.folder / f"{name}.heart")
+            if name in self.ended or heart.inside is None:
+                continue
+            code = children.ended(name)
+            if code is None:
+                children.kill(name)  # it does not hear that it is time to end
+                how = "did not return"
+            elif code < 0:
+                how = f"ended its process by {signal.Signals(-code).name}"
+            else:
+                how = f"ended its process with exit code {code}"
+            return f"law of {name} ({heart.law}) {how}; {fault}"
+        return fault
 
     def _end_children(self, children: Children) -> None:
         children.end(list(self.experiment.vehicles))
@@ -221,7 +247,7 @@ class WireRig(RunResults):
         keys: Keys,
         roll: Roll,
         children: Children | None,
-        stopped: Callable[[], bool],
+        stopped: Callable[[], int],
     ) -> "HostFlight | None":
         """Wait for the vehicles, and order them to start; None: the operator has changed his mind.
 
@@ -304,7 +330,7 @@ class WireRig(RunResults):
                 order(session, keys, name, Stop("the flight does not begin"))
 
     def _request(
-        self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], bool]
+        self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], int]
     ) -> None:
         """Ask the supervisor until it agrees.
 

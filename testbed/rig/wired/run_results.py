@@ -1,19 +1,21 @@
 """What becomes known of a flight on wires: of vehicles while it lasts, of the twin afterwards."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from testbed.config import Experiment
 from testbed.core.law import Concern
+from testbed.flight.loop import Ending, Observer
+from testbed.metrics.afterwards import After, Left
 from testbed.metrics.run_metrics import Commands, Consumption, Touch, Track
 from testbed.net.commands import Ended, Flown, Pace
 from testbed.net.envelope import Verdict
 from testbed.realtime.wall_clock import WallClock
 from testbed.rig.boards import Valves
-from testbed.rig.wired.server import TableReport
+from testbed.rig.wired.table_report import TableReport
 
 
 class RunResults:
@@ -31,6 +33,7 @@ class RunResults:
         self._lateness: list[float] = []
         self._sent = 0
         self._warned: list[str] = []  # about keys
+        self._concerns: list[Concern] = []  # of the laws on the host
         self._new_valves: list[tuple[str, Valves]] = []  # that nobody has taken yet
         self._new_paces: list[tuple[str, float, Pace]] = []
         self.loop: tuple[float, float] | None = None
@@ -74,6 +77,8 @@ class RunResults:
         self._paces.append(flown.pace)
         self._new_paces.append((name, flown.tick.inputs.t, flown.pace))
         self._new_valves += [(name, Valves(t, mask)) for t, mask in flown.edges]
+        if flown.tick.inputs.vitals.end:  # not the flight's any more
+            return
         state = flown.tick.outputs.state
         if state is not None:
             row = [
@@ -116,11 +121,37 @@ class RunResults:
         states = np.array([[state for _, state in row[:count]] for row in rows])
         return Track(np.array([t for t, _ in rows[0][:count]]), states.transpose(1, 0, 2))
 
+    def come_to_rest(
+        self, ending: Ending, observer: Observer, stopped: Callable[[], int] = lambda: 0
+    ) -> After | None:
+        """See `Rig`. The vehicles have done it by themselves; here is what is known of it.
+
+        The twin's server has moved its plant on for a minute after its last frame, with valves and
+        bearing air as the boards had reported them last. Without a twin it is the vehicles' word.
+        """
+        names, report = list(self.experiment.vehicles), self._report
+        if report is not None and report.released_ns is not None and self._clock is not None:
+            return report.after(names, ending.t - self._released_late())
+        if not self._ended:
+            return None
+        left = {
+            name: Left(one.landed_s, one.air) for name, one in self._ended.items() if name in names
+        } | {name: Left(None, "on") for name in names if name not in self._ended}
+        rests = [one.at_rest_s for one in left.values()]
+        known = [rest for rest in rests if rest is not None]
+        return After(
+            None,
+            max(known) if len(known) == len(rests) else None,
+            "on" if any(one.air == "on" for one in left.values()) else "off",
+            left,
+        )
+
     def spent(self, name: str) -> Consumption:
         """See `Rig`. Without a twin: what was commanded, by the vehicle file's thrust."""
         report = self._report
         if report is not None:
-            return Consumption(report.impulse[name], report.gas[name], report.openings[name])
+            end = self._flown_s - self._released_late()
+            return report.spent_by(name, list(self.experiment.vehicles), end)
         model = self.experiment.vehicles[name].model
         thrust = float(np.mean([jet.thrust for jet in model.jets]))
         impulse = 1e-6 * self._fired_us.get(name, 0) * thrust
@@ -147,8 +178,8 @@ class RunResults:
         return self._ended
 
     def concerns(self) -> list[Concern]:
-        """See `Rig`. The laws' last words stay in their processes."""
-        return [Concern("keys_expire", words) for words in self._warned]
+        """See `Rig`. What laws on board have to say stays in their processes."""
+        return [*self._concerns, *(Concern("keys_expire", words) for words in self._warned)]
 
     def wires(self) -> dict[str, Any]:
         """See `Rig`."""

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from msgspec import Struct
 from msgspec.structs import replace
 
 from firmware_interface.limits import limits_of
@@ -23,11 +22,12 @@ from firmware_interface.line_tap import LineTap
 from firmware_interface.messages import Status
 from sim_twin.camera import Camera
 from sim_twin.fault_injection import Sabotage
-from sim_twin.plant import Plant, Touch
+from sim_twin.plant import Plant
 from sim_twin.randomness import stream
 from sim_twin.reported import ReportedValves
 from testbed.config import Experiment
 from testbed.core.types import Pose, PoseSample
+from testbed.metrics.afterwards import MINUTE, STEP
 from testbed.mocap.exposure import Axes, Sighting
 from testbed.mocap.natnet import Described, MocapFrame, RigidBody
 from testbed.mocap.natnet_server import Address, NatNetServer
@@ -38,6 +38,7 @@ from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, Publisher, Subscriber, dial
 from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.wired.process_faults import OF_PROCESSES
+from testbed.rig.wired.table_report import TableReport
 
 SENSE_NS = 100_000_000  # between two looks of the boards at their gauges
 TRUTH_FRAMES = 5  # every so many exposures the truth is told
@@ -47,23 +48,6 @@ LARGEST_S = 1e6  # that a permit's stamp can be
 SUPPLY_MV = 12_000
 ERROR_M = 0.0002  # of the markers' fit, as a healthy system reports it
 UNTRACKED = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
-
-
-class TableReport(Struct, frozen=True):
-    """What really happened, by the end."""
-
-    released_ns: int | None  # the plant's time 0 on the monotonic clock; None: it never started
-    t: list[float]  # of each exposure, plant's time [s]
-    states: list[list[list[float]]]  # (n, v, 6)
-    touches: list[Touch]
-    impulse: dict[str, float]  # [N s]
-    gas: dict[str, float]  # [kg]
-    openings: dict[str, int]
-    late_edges: dict[str, int]  # reported after the plant had gone past them
-    edges: dict[str, list[tuple[int, int]]]  # monotonic [us], mask: all of them
-    boards: list[str]
-    left_as: dict[str, tuple[str, list[str]]]  # each board's state and faults at the end
-    silence_ms: dict[str, float] = {}  # longest time of an armed board without a word
 
 
 class TableServer:
@@ -93,6 +77,7 @@ class TableServer:
         self._released_ns: int | None = None
         self._t: list[float] = []
         self._states: list[list[list[float]]] = []
+        self._spent: list[list[tuple[float, float, int]]] = []
         self._edges: dict[str, list[tuple[int, int]]] = {name: [] for name in self.names}
         self._pose_topic: Publisher | None = None
         self._permits: Subscriber | None = None  # their stamps tell the run's time 0
@@ -230,6 +215,9 @@ class TableServer:
                 self._sabotage.look(t)
             self._t.append(t)
             self._states.append(self.plant.x.tolist())
+            openings = [valves.openings for valves in self._valves.values()]
+            impulse, used = self.plant.impulse.tolist(), self.plant.used.tolist()
+            self._spent.append(list(zip(impulse, used, openings, strict=True)))
         bodies, rows = [], None
         if self._sabotage is not None and t is not None:
             rows = self._sabotage.sources(self.names, np.array([t]))
@@ -333,6 +321,8 @@ class TableServer:
             self._edges[name].append((monotonic_ns() // 1000, 0))
             if self._released_ns is not None:
                 self._valves[name].close_all(monotonic_ns() - self._released_ns)
+                self._landed.add(name)  # its valve for the bearings is normally closed, too
+                self.plant.land(self.names.index(name))
         else:
             self._down.discard(name)
 
@@ -340,7 +330,8 @@ class TableServer:
 
     def report(self) -> TableReport:
         """What really happened so far."""
-        plant = self.plant
+        plant, flown = self.plant, (self.plant.impulse.copy(), self.plant.used.copy())
+        later_t, later = self._move_on()
 
         def by_name(values: object) -> dict[str, float]:
             return dict(zip(self.names, np.asarray(values).tolist(), strict=True))
@@ -350,15 +341,34 @@ class TableServer:
             t=self._t,
             states=self._states,
             touches=plant.touches,
-            impulse=by_name(plant.impulse),
-            gas=by_name(plant.used),
+            impulse=by_name(flown[0]),
+            gas=by_name(flown[1]),
             openings={n: v.openings for n, v in self._valves.items()},
             late_edges={n: v.late for n, v in self._valves.items()},
             edges=self._edges,
             boards=[tap.board_name for tap in self._taps.values()],
             left_as={name: _left_as(tap.status) for name, tap in self._taps.items()},
             silence_ms={name: 1e-3 * tap.silence_us for name, tap in self._taps.items()},
+            spent=self._spent,
+            later_t=later_t,
+            later_states=later,
+            floats={name: plant.floats(k) for k, name in enumerate(self.names)},
         )
+
+    def _move_on(self) -> tuple[list[float], list[list[list[float]]]]:
+        """A minute of the plant alone, valves and air as the boards reported them last."""
+        plant, t, states = self.plant, list[float](), list[list[list[float]]]()
+        if self._released_ns is None:
+            return t, states
+        end = plant.t + MINUTE
+        while plant.t < end and not (t and plant.stands):
+            until = min(plant.t + 1.0, end)
+            if self._sabotage is not None:
+                self._sabotage.before(until)
+            marks = np.arange(plant.t, until, STEP)
+            states += plant.advance(until, marks).tolist()
+            t += marks.tolist()
+        return t, states
 
 
 def _left_as(status: Status | None) -> tuple[str, list[str]]:

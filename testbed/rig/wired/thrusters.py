@@ -21,6 +21,8 @@ from testbed.core.types import Health, ValveCommand
 from testbed.core.vehicle import Vehicle
 from testbed.realtime.wall_clock import MonotonicClock, monotonic_ns
 
+FAILED = object()  # instead of an answer
+
 
 class WiredThrusters(Thrusters, Protocol):
     """What a vehicle's process asks of its thrusters, whichever; see `SerialThrusters`."""
@@ -39,6 +41,8 @@ class WiredThrusters(Thrusters, Protocol):
     def refusals(self) -> dict[str, int]: ...  # noqa: D102
     @property
     def shut(self) -> bool: ...  # noqa: D102
+    @property
+    def floats(self) -> bool: ...  # noqa: D102
     def bearing(self, *, on: bool) -> None: ...  # noqa: D102
     def arm(self) -> None: ...  # noqa: D102
     def disarm(self) -> None: ...  # noqa: D102
@@ -75,6 +79,7 @@ class PluggedThrusters:
         self._lock = threading.RLock()
         self._armed, self._edges, self._mask = False, list[tuple[float, int]](), 0
         self.epoch_us, self.trouble, self.refusals = 0, None, dict[str, int]()
+        self.floats = False  # whether bearing air is on, as far as the plug-in obeyed
         self.sent = deque[tuple[int, int]](maxlen=1000)
         self._clock = MonotonicClock()
         told = {"vehicle": vehicle, "name": name, "clock": self._clock}
@@ -114,7 +119,8 @@ class PluggedThrusters:
 
     def bearing(self, *, on: bool) -> None:
         """See `SerialThrusters`."""
-        self._ask(self._driver.bearing, None, on=on)
+        if self._ask(self._driver.bearing, FAILED, on=on) is not FAILED:
+            self.floats = on
         if self.trouble is not None:
             raise ThrustersError(self.trouble)
 
@@ -133,7 +139,8 @@ class PluggedThrusters:
     def land(self) -> None:
         """See `Thrusters`."""
         self.disarm()
-        self._ask(self._driver.land, None)
+        if self._ask(self._driver.land, FAILED) is not FAILED:
+            self.floats = False
 
     def apply(self, command: ValveCommand) -> None:
         """See `Thrusters`."""

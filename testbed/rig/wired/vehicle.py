@@ -1,7 +1,7 @@
 """One vehicle's process: cameras and setpoints in, valve commands out.
 
 It asks the host what is flown, gets ready, says so, and waits for the order to start. Whatever
-happens then, it ends with closed valves:
+happens then, it ends with closed valves, and as far as it can at rest and without bearing air:
 
 * the host is gone, or the network: setpoints run out and the permit, and the vehicle does what the
   fault table says, wherever its law runs;
@@ -20,7 +20,6 @@ import zenoh
 
 from testbed.config import Experiment
 from testbed.core.error import TestbedError
-from testbed.core.types import HostTick, Tick, Vitals
 from testbed.files import write_atomic
 from testbed.flight.loop import VehicleNode, fly
 from testbed.mocap.body_monitor import BodyWatch
@@ -29,29 +28,27 @@ from testbed.mocap.source import make_source
 from testbed.net.clock import HostClock, Reader, read_clock
 from testbed.net.commands import (
     Ended,
-    Flown,
-    Lease,
-    Pace,
     Start,
     config_id,
 )
-from testbed.net.envelope import Inbox, Outbox, Verdict
-from testbed.net.impairment import NetworkImpairment
+from testbed.net.envelope import Outbox
 from testbed.net.keys import Keys
 from testbed.net.links import Party, ZenohVehicleLink
 from testbed.net.roll_call import Enrolment, last_words
 from testbed.net.session import NetworkError, NobodyError, Publisher, Subscriber, ask, dial
+from testbed.realtime.law_watch import patience
 from testbed.realtime.processes import orphaned
 from testbed.realtime.scheduling import preferred, steady
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
-from testbed.rig.chain import make_agent
+from testbed.rig.chain import make_agent, watched
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.command_guard import CommandGuard
 from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.counts import count
+from testbed.rig.wired.onboard import Flight, Permitted, counted, land
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.process_faults import Rehearsal
-from testbed.rig.wired.thrusters import WiredThrusters, make_thrusters
+from testbed.rig.wired.thrusters import make_thrusters
 
 PRIORITY = 20
 LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
@@ -59,7 +56,6 @@ PATIENCE_S = 60.0  # for a host that does not answer
 TRY_S = 2.0
 ALONE_NS = 2_000_000_000  # some leases of a network that was cut
 KEPT_S = 10.0
-PERMITTED_S = 3.0  # a flight that the host has not permitted by then will not be
 
 
 class VehicleError(TestbedError):
@@ -68,131 +64,6 @@ class VehicleError(TestbedError):
 
 def unheard(_: str) -> None:
     """Nobody is at a terminal."""
-
-
-class Flight:
-    """Observer of the flight, and the one who says that it is over."""
-
-    def __init__(
-        self,
-        party: Party,
-        thrusters: WiredThrusters,
-        poses: MocapPoses,
-        tower: CommandServer,
-        config: str,
-        drift: HostClock,
-        link: ZenohVehicleLink,
-        rehearsal: Rehearsal,
-    ) -> None:
-        self._link, self._foreign = link, 0
-        self.rehearsal, self.due = rehearsal, 0.0
-        self._storm = NetworkImpairment(
-            party.lab.weather, party.seed, f"permit to {party.name}", party.worse
-        )
-
-        self._thrusters, self._poses, self._tower = thrusters, poses, tower
-        self._clock, self._config, self._offset = party.clock, config, drift.off
-        self._drift = drift
-        self._mouth = Publisher(party.session, party.keys.of(party.name, "tick"), bulk=True)
-        self._out = Outbox(party.run)
-        self._permit_ear = Subscriber(party.session, party.keys.permit, self._storm.arrival)
-        self._permit: Inbox[Lease] = Inbox(
-            msgspec.msgpack.Decoder(Lease).decode, party.run, party.lab.late_s
-        )
-        self._k = 0
-        self.rows: dict[str, float] = {}  # of the fault table that held, and since when [s]
-        self.responses: dict[str, float] = {}  # and what was done about them
-        self._arrived_ns: dict[int, int] = {}  # the newest pose, by the plan it went into
-        self.fault: str | None = None
-
-    def vehicle(self, name: str, tick: Tick) -> None:
-        """See `Observer`."""
-        self._poses.review()
-        out = tick.outputs
-        for row in out.faults:
-            self.rows.setdefault(row, out.t)
-        if out.response:
-            self.responses.setdefault(out.response, out.t)
-        if self._poses.arrived_ns is not None:
-            self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
-        clock = self._clock
-        edges = tuple(self._thrusters.edges())
-        flown = Flown(self._k, tick, self._pace(tick.inputs.vitals.late_s), edges)
-        self._k += 1
-        self._mouth.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
-
-    def _pace(self, late: float) -> Pace:
-        inbox, poses = self._link.heard.inbox, self._poses
-        heard = inbox.counts[Verdict.TAKEN]
-        return Pace(
-            late, self._pose_to_valve(), inbox.delay, heard, inbox.missed,
-            sum(inbox.counts.values()) - heard, self._drift.trip,
-            str(poses.trouble or ""), poses.lost_frames,
-        )  # fmt: skip
-
-    def _pose_to_valve(self) -> float | None:
-        """Of the newest plan that is known to have gone out [s]."""
-        delay = None
-        while self._thrusters.sent:
-            seq, at_us = self._thrusters.sent.popleft()
-            arrived = self._arrived_ns.pop(seq, None)
-            delay = None if arrived is None else 1e-6 * at_us - 1e-9 * arrived
-        return delay
-
-    def host(self, name: str, tick: HostTick) -> None:
-        """See `Observer`."""
-
-    def done(self, t: float) -> None:
-        """See `Observer`."""
-
-    def vitals(self) -> Vitals:
-        """What this process knows of itself, the network and the operator."""
-        for at, data in self._permit_ear.heard():
-            self._permit.take(data, self._clock.of(at))
-        clock, permit = self._clock, self._permit.newest
-        late = max(0.0, clock.now - self.due)
-        before, self._foreign = self._foreign, self._permit.foreign + self._link.foreign
-        if permit is None:
-            return Vitals(operator_age=max(0.0, clock.now), late_s=late)
-        return Vitals(
-            operator_age=max(0.0, clock.now - self._permit.issued_at),
-            clock_offset=self._offset(),
-            late_s=late,
-            disk_free=permit.disk_free,
-            same_config=permit.config == self._config,
-            fleet=permit.fleet,
-            foreign=self._foreign - before,
-        )
-
-    @property
-    def may_fire(self) -> bool:
-        """Whether the host's supervisor lets this vehicle fire; not before its first word."""
-        return self._permit.newest is not None and self._permit.newest.may_fire
-
-    def over(self) -> bool:
-        """Whether the flight has to end; the valves are closed at once then."""
-        permit = self._permit.newest
-        if self._thrusters.trouble is not None:
-            self.fault = self._thrusters.trouble
-        elif permit is None and self._clock.now > PERMITTED_S:
-            self.fault = "the host has never permitted the flight"
-        elif self._tower.stop_reason is None and (permit is None or permit.may_fire):
-            return False
-        self._thrusters.disarm()
-        return True
-
-
-class Permitted:
-    """A node that is armed only while the host's supervisor says so."""
-
-    def __init__(self, node: VehicleNode, flight: Flight, clock: WallClock) -> None:
-        self.name, self._node, self._flight, self._clock = node.name, node, flight, clock
-
-    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
-        """See `VehicleNode`."""
-        self._flight.due = t
-        self._flight.rehearsal.at_vehicle(self.name, self._clock)
-        return self._node.tick(t, armed and self._flight.may_fire, fleet)
 
 
 def fly_vehicle(
@@ -237,8 +108,10 @@ def fly_vehicle(
         clock = WallClock(monotonic_ns())  # until the run's time 0 is known
         rehearsal = Rehearsal(experiment.inject, lambda: clock.now)
         spoilt = partial(rehearsal.spoilt, name) if experiment.inject else None
+        stack.enter_context(watched(experiment))
         agent = make_agent(experiment, name, spoilt)
-        warm_up(experiment)
+        with patience():
+            warm_up(experiment)
         if child and serial and port is not None:
             await_port(port, gone)
         source = make_source(wires.mocap, session, keys)
@@ -290,26 +163,33 @@ def fly_vehicle(
         )
         if tower.stop_reason is None:
             thrusters.arm()
-        tower.take_off(thrusters.disarm)
+        tower.take_off(thrusters.land)
         port_gate = CommandGuard(thrusters, lambda: clock.now, experiment.flight.jet_period_s)
         node = VehicleNode(name, agent, poses, port_gate, link, flight.vitals)
-        ending = fly(
-            clock, [Permitted(node, flight, clock)], [], experiment.flight.jet_period_s,
-            experiment.ticks, flight, stopped=flight.over,
-        )  # fmt: skip
-        thrusters.disarm()
+        with counted(flight.signals):
+            ending = fly(
+                clock, [Permitted(node, flight, clock)], [], experiment.flight.jet_period_s,
+                experiment.ticks, flight, stopped=flight.over,
+            )  # fmt: skip
+            land(experiment, ending, clock, Permitted(node, flight, clock), flight, thrusters)
         fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
         if poses.trouble is not None and fault is not None:
             fault += f"; its body is {poses.trouble}"
             fault += f": {why}" if (why := getattr(source, "complaint", "")) else ""
         counts = count(link, thrusters, poses, clock_of_host, port_gate.refused)
         out = Outbox(start.session)
-        ended = Ended(ending.t, fault, counts, flight.rows, flight.responses)
+        ended = Ended(
+            ending.t, fault, counts, flight.rows, flight.responses,
+            None if flight.landed_at is None else max(0.0, flight.landed_at - ending.t),
+            "on" if thrusters.floats else "off",
+        )  # fmt: skip
         if report is not None:
             write_atomic(report, msgspec.json.encode(ended))
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
         say(f"ended after {ending.t:.1f} s{f' by a fault: {fault}' if fault else ''}")
         await_end(gone, tower)
+        if flight.signals.times:
+            raise KeyboardInterrupt
 
 
 def await_host(endpoint: str, badge: Path | None, gone: Callable[[], bool]) -> zenoh.Session:

@@ -8,6 +8,7 @@ from typing import Protocol
 import msgspec
 
 from testbed.config import Experiment
+from testbed.core.law import Concern
 from testbed.core.types import (
     Accel,
     Health,
@@ -33,12 +34,15 @@ from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.chain import make_guidance
 from testbed.rig.wired.preflight import order
 from testbed.rig.wired.process_faults import Rehearsal
+from testbed.rig.wired.stop_requests import Asked
 
 PRIORITY = 10  # below the vehicles: they hold the valves
 PERMIT_S = 1.0  # a permit is good for as long as the operator may be gone
 LOST_S = 1.0  # a vehicle that is not heard for so long is gone
-WAIT_S = 3.0  # for the vehicles' last words
+WAIT_S = 4.0  # for the vehicles' last words, besides their longest brake
 LOOK_NS = 20_000_000
+PERMIT_NS = 100_000_000  # between two permits after the end
+WORDS_S = 1.0  # from a vehicle's last tick to its last words
 
 
 class Book(Protocol):
@@ -75,7 +79,7 @@ class RemoteNode:
         self.ended: Ended | None = None
         self.fault: str | None = None
 
-    def tick(self, t: float, armed: bool, fleet: str = "") -> Tick:
+    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
         """What it said last, or what is to be said of one that says nothing any more."""
         self._meet(armed, fleet)
         tick = self._newest(t)
@@ -139,6 +143,7 @@ class HostFlight:
         self._disk_free, self._config = disk_free, config_id(experiment)
         keys = party.keys
         self._names = list(experiment.vehicles)
+        self._at_once = False
         self.truth: Subscriber | None = None
         self.bad_truth = 0  # messages of it that were none
         self._ticks = {n: Subscriber(party.session, keys.of(n, "tick")) for n in self._names}
@@ -156,16 +161,15 @@ class HostFlight:
         states = host_states(party, self._names)
         self._links = {n: ZenohHostLink(party, n, states, self._board) for n in self._names}
         self._observer: Observer | None = None
-        self._stopped, self._fleet, self._armed = False, "", True
-        self._stop_key = on_word(party.session, keys.stop, self._stop)
-
-    def _stop(self) -> None:
-        self._stopped = True
+        self._fleet, self._armed = "", True
+        self._asked = Asked()  # at any terminal
+        self.concerns: list[Concern] = []  # of the laws here, after the flight
+        self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
 
     @property
     def stopped(self) -> bool:
         """Whether an operator said stop, at any terminal."""
-        return self._stopped
+        return self._asked.times > 0
 
     def permit(self) -> None:
         """Let the vehicles go on; what they must know of the host comes along."""
@@ -177,10 +181,10 @@ class HostFlight:
             return
         config = "another" if rehearsed("config_differs") else self._config
         disk_free = 0.0 if rehearsed("disk_full") else self._disk_free()
-        permit = Lease(self._armed, fleet, config, disk_free)
+        permit = Lease(self._armed, fleet, config, disk_free, self._at_once)
         self._permit.say(self._seal.seal(permit, now, now + PERMIT_S))
 
-    def fly(self, observer: Observer, stopped: Callable[[], bool]) -> Ending:
+    def fly(self, observer: Observer, stopped: Callable[[], int]) -> Ending:
         """Fly to the end, to a fault, or until `stopped()`."""
         clock, experiment = self._party.clock, self._experiment
         period = experiment.flight.jet_period_s
@@ -197,16 +201,33 @@ class HostFlight:
         with preferred(PRIORITY):
             ending = fly(
                 clock, nodes, hosts, period, experiment.ticks, self,
-                stopped=lambda: stopped() or self._stopped,
+                stopped=lambda: max(stopped(), self._asked.times),
             )  # fmt: skip
+
+        def asked() -> int:
+            return max(stopped(), self._asked.times)
+
         if ending.t < experiment.end_s:
-            self._stop_all(ending.fault or "the host has ended the flight")
-        self._await_ends()
+            self._armed, self._at_once = False, asked() > 1
+            self.permit()
+            reason = ending.fault or "the host has ended the flight"
+            self._stop_all(reason, at_once=self._at_once)
+        self._await_ends(asked)
         self._book.note_host(
             clock.lateness, sum(link.said.outbox.sent for link in self._links.values())
         )
-        fault = ending.fault or self._late_fault()
-        if fault is None and self._stopped:
+        late = self._late_fault()
+        fault = ending.fault or late
+        if ending.fault and late and "vehicle_silent" in ending.fault:  # why it was
+            fault = f"{fault}; then it said: {late}"
+        self.concerns = [
+            Concern(one.name, f"{host.name}: {one.text}")
+            for host in hosts
+            for one in host.guidance.concerns
+        ]
+        if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
+            fault = fault and f"{fault}; {slow[0]}"  # setpoints that come too late look like a link
+        if fault is None and self._asked.times:
             fault = "stopped by the operator"
         return Ending(ending.t, fault)
 
@@ -275,17 +296,30 @@ class HostFlight:
                     book.note_end(name, end.newest)
                     self._nodes[name].ended = end.newest
 
-    def _stop_all(self, reason: str) -> None:
+    def _stop_all(self, reason: str, *, at_once: bool = False) -> None:
         for name in self._names:
             if self._nodes[name].ended is not None:
                 continue
             try:
-                order(self._party.session, self._party.keys, name, Stop(reason))
+                order(self._party.session, self._party.keys, name, Stop(reason, at_once))
             except NetworkError:
                 continue  # it is gone, and its board's watchdog has closed the valves
 
-    def _await_ends(self) -> None:
-        end = monotonic_ns() + round(1e9 * WAIT_S)
-        while monotonic_ns() < end and any(n.ended is None for n in self._nodes.values()):
+    def _await_ends(self, asked: Callable[[], int]) -> None:
+        """Hear the vehicles come to rest; one that says nothing any more is not waited for."""
+        longest = WAIT_S + self._experiment.flight.ending.brake_s
+        end, permit_at = monotonic_ns() + round(1e9 * longest), monotonic_ns()
+        self._listen()
+        while monotonic_ns() < end and any(map(self._comes_to_rest, self._nodes.values())):
+            if asked() > 1 and not self._at_once:
+                self._at_once = True
+                self.permit()
+                self._stop_all("the operator has said stop twice", at_once=True)
+            if monotonic_ns() >= permit_at:
+                permit_at = monotonic_ns() + PERMIT_NS
+                self.permit()
             sleep_until_ns(monotonic_ns() + LOOK_NS)
             self._listen()
+
+    def _comes_to_rest(self, node: RemoteNode) -> bool:
+        return node.ended is None and self._party.clock.now - node.heard_at <= LOST_S + WORDS_S

@@ -1,0 +1,162 @@
+"""Laws that misbehave, on the twin and on the bench: how does each run end?
+
+    python benchmarks/misbehaving_laws.py [LAW ...] [--rig twin] [--rig bench] [--signals N]
+
+For each: exit code, time of the whole command, the words of the fault or the refusal, whether
+metrics.json and report.html are there, and how many processes are left. Every one but `slow` on the
+twin, which is only warned of, must be named and must not end with exit code 0. Then, on the twin:
+from SIGINT, SIGTERM and SIGHUP to the end of the command, N times each.
+"""
+
+import argparse
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
+
+HEAD = """
+import os, signal, subprocess, sys, threading, time
+import numpy as np
+"""
+BODY = """
+
+class Mine:
+    step_s = 0.05
+
+    def force(self, own, neighbours, world, t):
+        if t > 2.0:
+            {does}
+        return 0.04 * own.mass * (world.goal.p - own.p) - 0.4 * own.mass * own.v
+"""
+IN_FLIGHT = {
+    "hangs": "while True: pass",
+    "sys.exit": "sys.exit(0)",
+    "os._exit": "os._exit(0)",
+    "forks": "os.fork()",
+    "memory": "self.kept = [*getattr(self, 'kept', []), np.ones(4_000_000)]",
+    "nan": "return np.full(2, np.nan)",
+    "slow": "time.sleep(0.15)",  # twice in a jet period of 0.1 s
+    "raises": "return own.p / [][0]",
+    "shape": "return np.zeros(3)",
+    "sleeps": "time.sleep(1000)",
+    "killed": "os.kill(os.getpid(), signal.SIGKILL)",
+    "threads": "threading.Thread(target=time.sleep, args=(1000,)).start()",
+}
+AT_IMPORT = {"exits at import": "os._exit(0)", "hangs at import": "while True: pass"}
+LAWS = [*IN_FLIGHT, *AT_IMPORT]
+PATIENCE_S = 300
+NAMED = "law.py"
+
+
+def command(folder, rig, *words):
+    return [
+        sys.executable, "-m", "testbed.cli.main", "run", "hold", "--rig", rig, "criteria={}",
+        "deploy.law_memory_mb=300", f"--out={folder}/out", *words,
+    ]  # fmt: skip
+
+
+def begin(words, folder):
+    """The command; what it says is in `said`."""
+    env = os.environ | {"TMPDIR": str(folder), "XDG_RUNTIME_DIR": str(folder)}
+    env["XDG_STATE_HOME"] = str(folder / "state")
+    with (folder / "said").open("w") as said:
+        return subprocess.Popen(
+            words, env=env, stdout=said, stderr=subprocess.STDOUT, start_new_session=True
+        )
+
+
+def pause():
+    sleep_until_ns(monotonic_ns() + 20_000_000)
+
+
+def try_law(name, rig, folder):
+    """One run; what is to be told of it."""
+    text = HEAD + BODY.format(does=IN_FLIGHT.get(name, "pass"))
+    (folder / NAMED).write_text(text + AT_IMPORT.get(name, "") + "\n")
+    override = f'controller={{type="python",law="{folder / NAMED}:Mine"}}'
+    began = monotonic_ns()
+    process = begin(command(folder, rig, "duration_s=8", override), folder)
+    seen = {}
+    while process.poll() is None and monotonic_ns() - began < 1e9 * PATIENCE_S:
+        for one in psutil.Process(process.pid).children(recursive=True):
+            seen[one.pid] = one
+        pause()
+    took = 1e-9 * (monotonic_ns() - began)
+    left = [one for one in seen.values() if one.is_running()]
+    for one in (*left, process):
+        one.kill()
+    process.wait()
+    out, metrics = folder / "out", {}
+    if (out / "metrics.json").exists():
+        metrics = json.loads((out / "metrics.json").read_text())
+    fault = metrics.get("fault") or "; ".join(
+        one["text"] for one in metrics.get("warnings", []) if one["name"] == "slow_law"
+    )
+    text = (folder / "said").read_text()
+    if not fault and (found := re.search(r"found +(.*(?:\n    .*)*)", text)):
+        fault = found[1]
+    files = "".join(
+        k for k, f in (("m", "metrics.json"), ("r", "report.html")) if (out / f).exists()
+    )
+    return process.returncode, took, fault, files, len(left), out.exists()
+
+
+def to_the_end(number, folder):
+    """From a signal to the end of the command [s], and whether the folder is whole."""
+    process = begin(command(folder, "twin", "duration_s=4000"), folder)
+    log = folder / "out" / "log.mcap"
+    while not (log.exists() and log.stat().st_size > 200_000):
+        assert process.poll() is None
+        pause()
+    began = monotonic_ns()
+    process.send_signal(number)
+    process.wait()
+    took = 1e-9 * (monotonic_ns() - began)
+    whole = all((folder / "out" / name).exists() for name in ("metrics.json", "report.html"))
+    return took, whole and process.returncode == 130
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("laws", nargs="*", choices=[[], *LAWS], default=[])
+    parser.add_argument("--rig", action="append", choices=["twin", "bench"])
+    parser.add_argument("--signals", type=int, default=5)
+    args = parser.parse_args()
+    bad = 0
+    for rig in args.rig or ["twin", "bench"]:
+        for name in args.laws or LAWS:
+            with tempfile.TemporaryDirectory(prefix="abt-laws-") as folder:
+                code, took, fault, files, left, there = try_law(name, rig, Path(folder))
+            warned = name == "slow" and rig == "twin"
+            whole = not there if name in AT_IMPORT else files == "mr"
+            good = (NAMED in fault) and whole and not left and (code != 0 or warned)
+            bad += not good
+            print(
+                f"{rig:5s} {name:15s} code {code:3d} {took:6.1f} s  files {files:2s}"
+                f"  {left} left  {'ok ' if good else 'BAD'} {fault}", flush=True,
+            )  # fmt: skip
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if args.signals else ():
+        took = []
+        for _ in range(args.signals):
+            with tempfile.TemporaryDirectory(prefix="abt-laws-") as folder:
+                seconds, whole = to_the_end(number, Path(folder))
+            took.append(seconds)
+            bad += not whole
+        print(
+            f"{number.name:8s} to the end: median {np.median(took):.2f} s, worst {max(took):.2f} s"
+        )
+    print(f"{bad} bad")
+    return int(bad > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

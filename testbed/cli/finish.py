@@ -1,0 +1,66 @@
+"""The end of a run whose process did not come to one: judged from its log, and reported.
+
+Nothing of the user's is executed here: the law that ended the run would do it again.
+"""
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+from msgspec.structs import replace
+
+from testbed.cli.refusal import errors
+from testbed.cli.result import print_result
+from testbed.config import Experiment, read_toml
+from testbed.config.guarantee import warnings_of
+from testbed.logs.feed import LogFeed
+from testbed.logs.history import gather
+from testbed.logs.log_reader import LogError, LogReader
+from testbed.metrics.run_metrics import Metrics
+from testbed.report.page import UNCOUNTED
+from testbed.run.folder import write_metrics
+from testbed.run.post_mortem import of_the_log
+from testbed.run.report import write_page
+
+
+def finish_run(folder: Path, rig: str, fault: str | None, *, as_json: bool) -> None:
+    """Write metrics.json and the report, and print the result; `fault` is None if interrupted."""
+    experiment = msgspec.convert(read_toml(folder / "config.toml"), Experiment)
+    metrics = replace(
+        _of_what_is_there(folder / "log.mcap", experiment),
+        rig=rig,
+        fault=fault,
+        phase="FAULT" if fault else "STOPPED",
+        warnings=list(warnings_of(experiment)),
+    )
+    write_metrics(folder, metrics)
+    with suppress(OSError):  # the terminal may be closed; the page is made all the same
+        if as_json:
+            sys.stdout.write((folder / "metrics.json").read_text())
+        else:
+            print_result(metrics, experiment, folder)
+        sys.stdout.flush()
+    write_page(folder, experiment)
+
+
+def _of_what_is_there(log: Path, experiment: Experiment) -> Metrics:
+    """As far as the log can be read; nothing without one."""
+    try:
+        return of_the_log(log, experiment, gather(LogFeed(LogReader(log)).news()))
+    except LogError as error:
+        errors.print(f"warning: {error}", style="yellow", markup=False, soft_wrap=True)
+    return Metrics(
+        experiment=experiment.name,
+        rig="",
+        seed=experiment.seed,
+        completed=False,
+        duration_s=0.0,
+        wall_s=0.0,
+        real_time_factor=None,
+        contacts=UNCOUNTED,
+        min_vehicle_distance_m=None,
+        fault=None,
+        criteria={},
+        vehicles={},
+    )

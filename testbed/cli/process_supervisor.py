@@ -1,0 +1,299 @@
+"""The small process that looks after the one that flies, so that every run has a proper end.
+
+`testbed run` forks before it has imported anything large. The child reads, flies and finishes; the
+parent, which runs nothing of the user's, only looks: a law that hangs where no Python code can
+interrupt it, eats the memory, ends its process or is ended with it cannot keep the run from being
+judged and reported. What the child had started and left behind is ended, too.
+
+    the child has finished            its exit code
+    it died, or had to be ended       the fault names the law; the run folder is finished; 3
+    the same after the operator's     the run was interrupted; the run folder is finished; 130
+      stop
+    the same while a law's file       the file is refused; no run folder; 2
+      was read
+
+Signals to the parent are handed on, unless the terminal, or who sent them, has told both.
+"""
+
+import ctypes
+import mmap
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from time import monotonic
+
+from testbed.realtime.heartbeat import SIZE, Heartbeat, Phase, attach
+
+BAD_INPUT, FAULT, INTERRUPTED = 2, 3, 130
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+HEARD = {*STOPS, signal.SIGCHLD}
+LOOK_S = 0.05
+GRACE_S = 1.0  # more than the child's own limit: it should interrupt its law itself
+READ_S, FIRST_S = 45.0, 60.0  # the same for a law's file, and for calls that may compile
+ASKED_S = 1.0  # for a call of the law, or the compiler, after the operator's stop
+LEAVE_S = 2.0  # a process that has finished may take so long to end
+MUCH = 1.5  # times the memory that the law's calls may add, in one call
+LAST_S = 20.0  # for the log's writer, and for vehicles that brake
+FINISH_S = 60.0  # to judge and report what is left
+SENT_BY_KERNEL = 0x80  # SI_KERNEL: Ctrl-C, which the terminal tells all processes of a command
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
+SHOW_CURSOR = "\x1b[?25h"
+
+
+def supervised() -> int | None:
+    """Fork; the exit code in the parent, None in the child, which goes on as the command."""
+    heart = Heartbeat(mmap.mmap(-1, SIZE))
+    libc = ctypes.CDLL(None)
+    libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # what a dead child leaves becomes ours
+    signal.pthread_sigmask(signal.SIG_BLOCK, HEARD)
+    parent = os.getpid()
+    child = os.fork()
+    if child == 0:
+        _begin(libc, parent)
+        attach(heart, parent)
+        return None
+    return Supervisor(child, heart, libc).watch()
+
+
+def _begin(libc: ctypes.CDLL, parent: int) -> None:
+    """In a new process: end with the parent, hear signals again."""
+    libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(FAULT)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, HEARD)
+
+
+class Supervisor:
+    """Looks after one child."""
+
+    def __init__(self, child: int, heart: Heartbeat, libc: ctypes.CDLL) -> None:
+        self._child, self._heart, self._libc = child, heart, libc
+        self._ended: int | None = None  # what the child ended with, as of waitpid
+        self._asked = 0  # the operator's signal
+        self._to_hand_on: tuple[int, int] | None = None  # a signal, and how many it had noted
+        self._looks, self._beats = 0, -1  # without a beat, since that one
+        self._since_asked = 0
+        self._entered_mb = 0.0
+
+    def watch(self) -> int:
+        """Until the child has ended, and all is finished; the exit code."""
+        fault = ""
+        while self._ended is None:
+            self._hear()
+            if self._ended is None and (why := self._stuck()):
+                fault = why
+                self._end_child()
+        code = self._heart.result
+        strays = [pid for pid in children() if session_of(pid) == os.getsid(0)]
+        for pid in strays:  # of the child's own session: a law has started them
+            kill(pid)
+        if code is not None:
+            return code
+        if sys.stderr.isatty():
+            sys.stderr.write(SHOW_CURSOR)
+        return self._finish(fault or self._words())
+
+    # Looking
+
+    def _hear(self) -> None:
+        """Wait for a signal, or a moment; reap, and hand on what the child has not heard."""
+        if self._to_hand_on is not None:
+            number, noted = self._to_hand_on
+            self._to_hand_on = None
+            if self._heart.signals == noted:
+                kill(self._child, number)
+        info = signal.sigtimedwait(HEARD, LOOK_S)
+        if info is not None and info.si_signo in STOPS:
+            self._asked = self._asked or info.si_signo
+            if (info.si_signo, info.si_code) != (signal.SIGINT, SENT_BY_KERNEL):
+                self._to_hand_on = info.si_signo, self._heart.signals
+                signal.sigtimedwait([signal.SIGCHLD], LOOK_S)
+        self._reap()
+
+    def _reap(self) -> None:
+        with suppress(ChildProcessError):
+            while (found := os.waitpid(-1, os.WNOHANG))[0]:
+                if found[0] == self._child:
+                    self._ended = found[1]
+
+    def _stuck(self) -> str:
+        """Why the child has to be ended now; empty: it need not.
+
+        Looks are counted, not seconds: a suspended command must not look like a hanging law.
+        """
+        heart = self._heart
+        beats, vehicle = heart.beats, heart.inside
+        self._looks = 0 if beats != self._beats else self._looks + 1
+        self._since_asked += bool(self._asked)
+        memory = resident_mb(self._child)
+        if beats != self._beats:
+            self._beats, self._entered_mb = beats, memory
+        still_s = LOOK_S * self._looks
+        if heart.result is not None:
+            return "it has not ended" if still_s > LEAVE_S else ""
+        if self._asked and still_s > ASKED_S and LOOK_S * self._since_asked > ASKED_S:
+            if heart.phase is Phase.COMPILING:
+                return "it was compiling"
+            if vehicle is not None:
+                return self._law(f"did not return after the stop, within {ASKED_S:g} s")
+        if vehicle is None:
+            return ""
+        limit_s, memory_mb = heart.limits
+        limit = limit_s + GRACE_S
+        limit = {Phase.READING: READ_S, Phase.COMPILING: max(FIRST_S, limit)}.get(
+            heart.phase, limit
+        )
+        if still_s > limit:
+            return self._law(f"did not return within {still_s:.0f} s")
+        if (grown := memory - self._entered_mb) > MUCH * memory_mb:
+            return self._law(
+                f"has taken {grown:.0f} MB of memory in one call, more than deploy.law_memory_mb ="
+                f" {memory_mb:g}"
+            )
+        return ""
+
+    def _end_child(self) -> None:
+        kill(self._child)
+        while self._ended is None:
+            signal.sigtimedwait(HEARD, LOOK_S)
+            self._reap()
+
+    # Words
+
+    def _law(self, what: str) -> str:
+        vehicle, law = self._heart.inside, self._heart.law
+        return f"law of {vehicle} ({law}) {what}" if vehicle else f"law {law} {what}"
+
+    def _words(self) -> str:
+        """How the child ended although nothing was finished."""
+        assert self._ended is not None
+        code = os.waitstatus_to_exitcode(self._ended)
+        how = f"with exit code {code}"
+        if code < 0:
+            how = f"by {signal.Signals(-code).name}"
+            if code == -signal.SIGKILL:
+                how += ", as the system does when there is no memory left"
+        if self._heart.inside is not None:
+            return self._law(f"ended its process {how}")
+        return f"the process of the run ended {how} before it had finished"
+
+    # Finishing
+
+    def _finish(self, fault: str) -> int:
+        heart, code = self._heart, os.waitstatus_to_exitcode(self._ended or 0)
+        if heart.inside is None and self._asked and not heart.folder:
+            return INTERRUPTED
+        if heart.phase is Phase.READING and heart.inside is not None:
+            say(
+                f"error: the file of the law\n  expected  one that can be read\n  found     {fault}"
+            )
+            return BAD_INPUT
+        if not heart.folder:  # words of its own, or the operator's signal, have been enough
+            return INTERRUPTED if code in (-n for n in STOPS) else code if code > 0 else FAULT
+        for pid in children():
+            if b"testbed.logs.mcap_writer" in words_of(pid):
+                self._wait([pid], LAST_S)
+        if self._asked and (heart.inside is None or heart.phase is Phase.COMPILING):
+            fault = ""
+        self._judge(fault)
+        self._wait([pid for pid in children() if b"dash" not in words_of(pid)], LAST_S)
+        return FAULT if fault else INTERRUPTED
+
+    def _judge(self, fault: str) -> None:
+        """In a process of its own: the folder, as the run itself would have finished it."""
+        parent = os.getpid()
+        finisher = os.fork()
+        if finisher == 0:
+            _begin(self._libc, parent)
+            for number in STOPS:
+                signal.signal(number, signal.SIG_IGN)  # it is short
+            from testbed.cli.finish import finish_run
+
+            folder, rig = Path(self._heart.folder), self._heart.rig
+            finish_run(folder, rig, fault or None, as_json="--json" in sys.argv)
+            sys.stdout.flush()
+            os._exit(0)
+        if self._wait([finisher], FINISH_S):
+            say(f"warning: the run folder is not finished: {self._heart.folder}")
+
+    def _wait(self, pids: list[int], limit_s: float) -> bool:
+        """Until they have ended; those that have not are killed. Whether there were any."""
+        end, left = monotonic() + limit_s, [pid for pid in pids if not gone(pid)]
+        while left and monotonic() < end:
+            signal.sigtimedwait([signal.SIGCHLD], LOOK_S)
+            left = [pid for pid in left if not gone(pid)]
+        for pid in left:
+            kill(pid)
+            gone(pid)
+        return bool(left)
+
+
+# Processes
+
+
+def say(text: str) -> None:
+    """On stderr, whose terminal may be closed."""
+    with suppress(OSError):
+        sys.stderr.write(text + "\n")
+        sys.stderr.flush()
+
+
+def kill(pid: int, number: int = signal.SIGKILL) -> None:
+    """Send a signal to a child; one that has ended has no use for it."""
+    with suppress(ProcessLookupError):
+        os.kill(pid, number)
+
+
+def gone(pid: int) -> bool:
+    """Whether a child has ended; it is reaped then."""
+    try:
+        return os.waitpid(pid, os.WNOHANG)[0] != 0
+    except ChildProcessError:
+        return True
+
+
+def children() -> Iterator[int]:
+    """This process's, also those that a dead child has left."""
+    me = os.getpid()
+    for found in Path("/proc").iterdir():
+        if found.name.isdigit() and parent_of(int(found.name)) == me:
+            yield int(found.name)
+
+
+def _stat(pid: int) -> list[str]:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return []
+
+
+def parent_of(pid: int) -> int:
+    """Who is told of its end; 0: it has ended."""
+    fields = _stat(pid)
+    return int(fields[1]) if fields else 0
+
+
+def session_of(pid: int) -> int:
+    """Its session; 0: it has ended."""
+    fields = _stat(pid)
+    return int(fields[3]) if fields else 0
+
+
+def words_of(pid: int) -> bytes:
+    """Its command line."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def resident_mb(pid: int) -> float:
+    """Memory in use [MB]."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    except (OSError, IndexError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

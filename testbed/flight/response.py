@@ -1,0 +1,74 @@
+"""How soon the estimate shows a push that it is not told of.
+
+The estimator finds such a push in the poses, later where the cameras are noisier. What it shows of
+one that begins is worked out here from its own gains, without noise, so that suspicions about jets
+can be compared with what the estimate really shows of them.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.compiled import compiled
+from testbed.core.table import Mocap
+from testbed.core.vehicle import Vehicle
+from testbed.flight.estimator import EstimatorParams, correct, predict_covariance
+
+Array = NDArray[np.float64]
+
+LOOKS = 12  # after them it shows all
+FRAMES = 3000  # until the gains are settled
+OUT_OF_STEP = 0.3  # of a frame that the first comes after the push begins: any will do
+
+
+@compiled
+def shown(noise, white, walk, frame, latency, period):
+    """Share of a push that the estimate gains from look to look since it began, shape (LOOKS,).
+
+    Args:
+        noise: variance of a pose.
+        white: see estimator.predict_covariance.
+        walk: the same.
+        frame: time between two poses [s].
+        latency: from a pose to the instant that the estimate is for [s].
+        period: of the looks [s].
+    """
+    cov = np.diag(np.array([noise, 1e-4, 1e-5]))
+    gain = (0.0, 0.0, 0.0)
+    for _ in range(FRAMES):
+        predict_covariance(cov, frame, white, walk)
+        gain = correct(cov, noise)
+    gained = np.zeros(LOOKS)
+    x = v = bias = before = 0.0
+    seen_at, due = 0.0, OUT_OF_STEP * frame
+    for k in range(LOOKS):
+        now = (k + 1) * period
+        while due <= now - latency:
+            h = due - seen_at
+            x += h * (v + 0.5 * h * bias)
+            v += h * bias
+            error = 0.5 * due * due - x  # the push is 1 m/s^2
+            x += gain[0] * error
+            v += gain[1] * error
+            bias += gain[2] * error
+            seen_at, due = due, due + frame
+        speed = v + bias * (now - seen_at) if seen_at > 0.0 else 0.0
+        gained[k] = (speed - before) / period
+        before = speed
+    return gained
+
+
+def response(params: EstimatorParams, vehicle: Vehicle, mocap: Mocap, period: float) -> Array:
+    """What the estimate shows of a short push, look by look, of pushes and of turns: (LOOKS, 2).
+
+    `period` is that of the looks [s].
+    """
+    frame = 1.0 / mocap.rate_hz
+    latency = mocap.latency_s + vehicle.command_delay_s + vehicle.valve.open_delay_s
+    turn = np.radians(mocap.noise_deg)
+    of_push = shown(
+        mocap.noise**2 + 1e-16, params.force_noise**2, params.bias_walk**2, frame, latency, period
+    )
+    of_turn = shown(
+        turn**2 + 1e-16, params.torque_noise**2, params.spin_bias_walk**2, frame, latency, period
+    )
+    return np.diff(np.column_stack((of_push, of_turn)), axis=0, prepend=0.0)

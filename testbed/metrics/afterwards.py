@@ -1,0 +1,107 @@
+"""What became of the vehicles in the minute after a flight."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal, Protocol
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+MINUTE = 60.0  # [s] in which an operator gets to the table
+HARD = 0.02  # [m/s] a slower touch does no harm
+CREEP = 0.001  # [m/s] slower is at rest
+TURN = 0.01  # [rad/s]
+STEP = 0.05  # [s] between two looks at a vehicle
+
+Air = Literal["off", "on"]
+
+
+class Left(Struct, frozen=True):
+    """How one vehicle was left."""
+
+    at_rest_s: float | None  # after the end of the flight; null: it still moved a minute later [s]
+    air: Air  # of its bearings
+
+
+class After(Struct, frozen=True):
+    """How the vehicles were left: `after` of metrics.json."""
+
+    contacts: int | None  # harder than 2 cm/s, in the minute after the end; null: only a twin knows
+    at_rest_s: float | None  # until the last vehicle rests; null: one does not [s]
+    air: Air  # on: of one bearing at least
+    vehicles: dict[str, Left]
+
+
+class Contact(Protocol):
+    """A touch, as the plant notes it."""
+
+    @property
+    def t(self) -> float:
+        """When [s]."""
+        ...
+
+    @property
+    def speed(self) -> float:
+        """Closing [m/s]."""
+        ...
+
+
+def contacts_after(touches: Iterable[Contact], end: float) -> int:
+    """Touches harder than `HARD` in the minute after `end` [s]."""
+    return sum(end < touch.t <= end + MINUTE and touch.speed > HARD for touch in touches)
+
+
+def at_rest_after(t: NDArray[np.float64], twist: NDArray[np.float64], end: float) -> float | None:
+    """How long after `end` a vehicle came to rest for good; None if it did not [s].
+
+    Args:
+        t: times, increasing, shape (n,) [s].
+        twist: vx, vy, omega then, shape (n, 3).
+        end: of the flight [s].
+    """
+    moves = (np.hypot(twist[:, 0], twist[:, 1]) > CREEP) | (np.abs(twist[:, 2]) > TURN)
+    moving = np.flatnonzero(moves & (t >= end))
+    if len(moving) == 0:
+        return 0.0
+    last = int(moving[-1])
+    return float(t[last + 1] - end) if last + 1 < len(t) else None
+
+
+def judge_after(
+    names: Sequence[str],
+    t: NDArray[np.float64],
+    states: NDArray[np.float64],
+    touches: Iterable[Contact],
+    floats: Mapping[str, bool],
+    end: float,
+) -> After:
+    """Judge the minute after a flight.
+
+    Args:
+        names: of the vehicles.
+        t: times, increasing, from the end of the flight on, shape (n,) [s].
+        states: the truth then, shape (n, v, 6).
+        touches: all of the run.
+        floats: whose bearing air is on in the end.
+        end: of the flight [s].
+    """
+    vehicles = {
+        name: Left(at_rest_after(t, states[:, k, 3:], end), "on" if floats[name] else "off")
+        for k, name in enumerate(names)
+    }
+    rests = [left.at_rest_s for left in vehicles.values()]
+    known = [rest for rest in rests if rest is not None]
+    return After(
+        contacts_after(touches, end),
+        max(known, default=0.0) if len(known) == len(rests) else None,
+        "on" if any(floats.values()) else "off",
+        vehicles,
+    )
+
+
+def left_in_words(name: str, left: Left) -> str:
+    """How a vehicle was left, as an operator reads it."""
+    rest = "still moving after a minute" if left.at_rest_s is None else (
+        f"at rest after {left.at_rest_s:.1f} s"
+    )  # fmt: skip
+    return f"{name}: {rest}, bearing air {left.air}"

@@ -1,0 +1,220 @@
+"""The flight as a vehicle's process sees it: what ends it, and how the vehicle lands."""
+
+import math
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+import msgspec
+
+from testbed.config import Experiment
+from testbed.core.types import HostTick, Tick, Vitals
+from testbed.flight.loop import Ending, VehicleNode, come_to_rest
+from testbed.flight.safety import SPARE_S
+from testbed.mocap.poses import MocapPoses
+from testbed.net.clock import HostClock
+from testbed.net.commands import (
+    Flown,
+    Lease,
+    Pace,
+)
+from testbed.net.envelope import Inbox, Outbox, Verdict
+from testbed.net.impairment import NetworkImpairment
+from testbed.net.links import Party, ZenohVehicleLink
+from testbed.net.session import Publisher, Subscriber
+from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
+from testbed.rig.wired.command_server import CommandServer
+from testbed.rig.wired.process_faults import Rehearsal
+from testbed.rig.wired.stop_requests import Asked
+from testbed.rig.wired.thrusters import WiredThrusters
+
+LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
+KEPT_S = 10.0
+AIR_S = 1.0  # for a board to say that its bearing air is off
+PERMITTED_S = 3.0  # a flight that the host has not permitted by then will not be
+
+
+class Flight:
+    """Observer of the flight, and the one who says that it is over."""
+
+    def __init__(
+        self,
+        party: Party,
+        thrusters: WiredThrusters,
+        poses: MocapPoses,
+        tower: CommandServer,
+        config: str,
+        drift: HostClock,
+        link: ZenohVehicleLink,
+        rehearsal: Rehearsal,
+    ) -> None:
+        self._link, self._foreign = link, 0
+        self.rehearsal, self.due = rehearsal, 0.0
+        self._storm = NetworkImpairment(
+            party.lab.weather, party.seed, f"permit to {party.name}", party.worse
+        )
+
+        self._thrusters, self._poses, self._tower = thrusters, poses, tower
+        self._clock, self._config, self._offset = party.clock, config, drift.off
+        self._drift = drift
+        self._mouth = Publisher(party.session, party.keys.of(party.name, "tick"), bulk=True)
+        self._out = Outbox(party.run)
+        self._permit_ear = Subscriber(party.session, party.keys.permit, self._storm.arrival)
+        self._permit: Inbox[Lease] = Inbox(
+            msgspec.msgpack.Decoder(Lease).decode, party.run, party.lab.late_s
+        )
+        self._k = 0
+        self.rows: dict[str, float] = {}  # of the fault table that held, and since when [s]
+        self.responses: dict[str, float] = {}  # and what was done about them
+        self._arrived_ns: dict[int, int] = {}  # the newest pose, by the plan it went into
+        self.fault: str | None = None
+        self.signals = Asked()  # Ctrl-C at this vehicle's terminal
+        self.landed_at: float | None = None  # its air was ordered off [s]
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+        self._poses.review()
+        out = tick.outputs
+        if out.air_off and self.landed_at is None:
+            self.landed_at = out.t
+        if not tick.inputs.vitals.end:
+            for row in out.faults:
+                self.rows.setdefault(row, out.t)
+            if out.response:
+                self.responses.setdefault(out.response, out.t)
+        if self._poses.arrived_ns is not None:
+            self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
+        clock = self._clock
+        edges = tuple(self._thrusters.edges())
+        flown = Flown(self._k, tick, self._pace(tick.inputs.vitals.late_s), edges)
+        self._k += 1
+        self._mouth.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
+
+    def _pace(self, late: float) -> Pace:
+        inbox, poses = self._link.heard.inbox, self._poses
+        heard = inbox.counts[Verdict.TAKEN]
+        return Pace(
+            late, self._pose_to_valve(), inbox.delay, heard, inbox.missed,
+            sum(inbox.counts.values()) - heard, self._drift.trip,
+            str(poses.trouble or ""), poses.lost_frames,
+        )  # fmt: skip
+
+    def _pose_to_valve(self) -> float | None:
+        """Of the newest plan that is known to have gone out [s]."""
+        delay = None
+        while self._thrusters.sent:
+            seq, at_us = self._thrusters.sent.popleft()
+            arrived = self._arrived_ns.pop(seq, None)
+            delay = None if arrived is None else 1e-6 * at_us - 1e-9 * arrived
+        return delay
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
+
+    def vitals(self) -> Vitals:
+        """What this process knows of itself, the network and the operator."""
+        for at, data in self._permit_ear.heard():
+            self._permit.take(data, self._clock.of(at))
+        clock, permit = self._clock, self._permit.newest
+        late = max(0.0, clock.now - self.due)
+        before, self._foreign = self._foreign, self._permit.foreign + self._link.foreign
+        if permit is None:
+            return Vitals(operator_age=max(0.0, clock.now), late_s=late)
+        return Vitals(
+            operator_age=max(0.0, clock.now - self._permit.issued_at),
+            clock_offset=self._offset(),
+            late_s=late,
+            disk_free=permit.disk_free,
+            same_config=permit.config == self._config,
+            fleet=permit.fleet,
+            foreign=self._foreign - before,
+        )
+
+    @property
+    def may_fire(self) -> bool:
+        """Whether the host's supervisor lets this vehicle fire; not before its first word."""
+        return self._permit.newest is not None and self._permit.newest.may_fire
+
+    def over(self) -> int:
+        """How often the flight was asked to end; from 2 on valves and air are shut at once."""
+        times = self._asked()
+        if times > 1:
+            self._thrusters.land()
+        if times:
+            self._tower.obey()
+        return times
+
+    def _asked(self) -> int:
+        permit, tower = self._permit.newest, self._tower
+        if self._thrusters.trouble is not None:  # jets that cannot be trusted
+            if self.fault is None:
+                self.responses.setdefault("land", self._clock.now)
+            self.fault = self.fault or self._thrusters.trouble
+            return 2
+        if permit is None and self._clock.now > PERMITTED_S:
+            self.fault = "the host has never permitted the flight"
+            return 2
+        if permit is not None and permit.at_once:
+            return 2
+        if self.signals.times:
+            self.fault = self.fault or "stopped at the vehicle's own terminal"
+        stopped = tower.stop_reason is not None or (permit is not None and not permit.may_fire)
+        return max(tower.asked.times, self.signals.times, int(stopped))
+
+
+class Permitted:
+    """A node that is armed only while the host's supervisor says so."""
+
+    def __init__(self, node: VehicleNode, flight: Flight, clock: WallClock) -> None:
+        self.name, self._node, self._flight, self._clock = node.name, node, flight, clock
+
+    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
+        """See `VehicleNode`. To come to rest at the end it needs no word of the host."""
+        self._flight.due = t
+        self._flight.rehearsal.at_vehicle(self.name, self._clock)
+        may_fire = self._flight.may_fire or bool(end)
+        return self._node.tick(t, armed and may_fire, fleet, end)
+
+
+@contextmanager
+def counted(asked: Asked) -> Iterator[None]:
+    """Meanwhile Ctrl-C and SIGTERM are stops: counted, and obeyed by the loop."""
+    if threading.current_thread() is not threading.main_thread():  # it gets no signals
+        yield
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM)
+
+    def hear(number: int, frame: FrameType | None) -> None:
+        asked.times += 1
+
+    before = {number: signal.signal(number, hear) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def land(
+    experiment: Experiment, ending: Ending, clock: WallClock, node: Permitted, flight: Flight,
+    thrusters: WiredThrusters,
+) -> None:  # fmt: skip
+    """Come to rest and shut the air off, whatever ended the flight."""
+    params, period = experiment.flight.ending, experiment.flight.jet_period_s
+    # a fault has had its last tick at the very end, every other flight one period before
+    first = round(ending.t / period) + (ending.fault is not None)
+    come_to_rest(
+        clock, [node], period, first, math.ceil((params.brake_s + SPARE_S) / period), flight,
+        ending.fault or flight.fault or "the flight is over", stopped=flight.over,
+    )  # fmt: skip
+    thrusters.land()
+    flight.landed_at = clock.now if flight.landed_at is None else flight.landed_at
+    end = monotonic_ns() + round(1e9 * AIR_S)
+    while thrusters.floats and monotonic_ns() < end:
+        sleep_until_ns(monotonic_ns() + LOOK_NS)
+        thrusters.land()

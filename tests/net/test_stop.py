@@ -1,0 +1,224 @@
+"""`testbed stop`: where it looks, whom it believes, and who has answered."""
+
+import json
+import os
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from ports import free_port
+from testbed.core.lab import Network
+from testbed.net import stop as stopping
+from testbed.net.keys import Keys
+from testbed.net.session import answer_to, listen
+from testbed.net.stop import FAILED, OK, noted, stop_everything
+
+KEYS = Keys("lab")
+WAITS = "import sys; print(flush=True); sys.stdin.read()"
+DEAF = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); {WAITS}"
+
+ONCE_MORE = "  once more shuts valves and air at once"
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """The folder of notes of a machine on which nothing flies."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("SUDO_UID", raising=False)
+    monkeypatch.setattr(stopping, "own_keys", lambda: tmp_path / "home")
+    monkeypatch.setattr(stopping, "DEFAULT", f"tcp/127.0.0.1:{free_port()}")
+    return tmp_path / f"airbearing-testbed-{os.getuid()}"
+
+
+@pytest.fixture
+def process():
+    """Start a program; it waits until it is ended."""
+    started = []
+
+    def start(program: str) -> int:
+        one = subprocess.Popen(
+            [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        started.append(one)
+        one.stdout.readline()
+        return one.pid
+
+    yield start
+    for one in started:
+        one.kill()
+        one.communicate()
+
+
+def host_at(endpoint, shut, flown):
+    """A host's session with vehicles that shut, and an experiment that says who flies."""
+    session = listen(endpoint)
+    kept = [answer_to(session, KEYS.stop, lambda _, n=name: n.encode()) for name in shut]
+    text = json.dumps({"vehicles": {name: {} for name in flown}}).encode()
+    kept.append(answer_to(session, KEYS.experiment, lambda _: text))
+    return session, kept
+
+
+# Notes
+
+
+def test_a_note_is_there_for_as_long_as_the_flight(here):
+    with noted("tcp/127.0.0.1:1", "lab"):
+        assert [path.name for path in here.iterdir()] == [f"{os.getpid()}.json"]
+        assert stat.S_IMODE(here.stat().st_mode) == 0o700
+    assert list(here.iterdir()) == []
+
+
+def refused(here, capsys) -> str:
+    """Neither written nor read: what is said of both."""
+    said = []
+    with noted("tcp/127.0.0.1:1", "lab", say=said.append):
+        pass
+    assert len(said) == 1
+    assert said[0].startswith("warning: no note for `testbed stop`: ")
+    assert "--connect tcp/127.0.0.1:1" in said[0]
+    assert stop_everything(None, "lab") == FAILED
+    heard = capsys.readouterr().err
+    assert "nothing flies on this machine" in heard
+    return said[0] + heard
+
+
+def test_a_folder_that_others_can_write_is_refused(here, capsys):
+    here.mkdir()
+    here.chmod(0o777)
+    (here / "1.json").write_text("[]")
+    assert refused(here, capsys).count("can be written by others (mode 777, expected 700)") == 2
+
+
+def test_a_folder_of_somebody_else_is_refused(here, capsys, monkeypatch):
+    here.mkdir(mode=0o700)
+    folder = stopping._folders()[0][0]
+    monkeypatch.setattr(stopping, "_folders", lambda: [(folder, os.getuid() + 1)])
+    assert refused(here, capsys).count(f"belongs to user {os.getuid()}, expected") == 2
+
+
+def test_a_link_is_no_folder(here, capsys, tmp_path):
+    (tmp_path / "mine").mkdir(mode=0o700)
+    here.symlink_to(tmp_path / "mine")
+    assert refused(here, capsys).count("is not a folder") == 2
+
+
+def test_a_note_that_cannot_be_written_is_said_and_the_flight_goes_on(here, monkeypatch):
+    def full(path, data):
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr(stopping, "write_atomic", full)
+    said, flown = [], False
+    with noted("tcp/127.0.0.1:1", "lab", say=said.append):
+        flown = True
+    assert flown
+    assert "No space left on device" in said[0]
+
+
+def test_notes_are_found_without_the_variable_of_the_login(tmp_path, monkeypatch):
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    monkeypatch.setattr(stopping.tempfile, "tempdir", str(tmp_path))
+    places = [folder for folder, _ in stopping._folders()]
+    assert tmp_path / f"airbearing-testbed-{os.getuid()}" in places
+
+
+# Hosts
+
+
+def test_the_default_place_is_that_of_a_host():
+    assert Network().endpoint == stopping.DEFAULT
+
+
+def test_without_a_note_the_default_place_is_tried(here, capsys):
+    session, kept = host_at(stopping.DEFAULT, ["sat1", "sat2"], ["sat1", "sat2"])
+    with session:
+        assert stop_everything(None, "lab") == OK
+        del kept
+    lines = [stopping.DEFAULT, "  sat1: stops", "  sat2: stops"]
+    assert capsys.readouterr().out.splitlines() == [*lines, ONCE_MORE]
+
+
+def test_a_vehicle_that_does_not_answer_is_named(here, capsys):
+    session, kept = host_at(stopping.DEFAULT, ["sat1"], ["sat1", "sat2"])
+    with session:
+        assert stop_everything(None, "lab") == FAILED
+        del kept
+    said = capsys.readouterr()
+    lines = [stopping.DEFAULT, "  sat1: stops", "  sat2: did not answer"]
+    assert said.out.splitlines() == [*lines, ONCE_MORE]
+    assert "main valve" in said.err
+
+
+def test_a_host_that_hangs_is_said(here, capsys):
+    """The system accepts for a process that is stopped; nothing ever answers."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        with noted(endpoint, "lab", vehicles=["sat1"], name="hold"):
+            assert stop_everything(None, "lab") == FAILED
+    said = capsys.readouterr().err
+    assert f"the host, process {os.getpid()}, did not answer" in said
+    assert "its vehicles brake and shut by themselves" in said
+
+
+def test_a_host_that_was_killed_is_said_once(here, capsys, process):
+    pid = process(WAITS)
+    with noted("tcp/127.0.0.1:1", "lab", name="hold", pid=pid):
+        os.kill(pid, signal.SIGKILL)
+        os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+        assert stop_everything(None, "lab") == FAILED
+        assert f"process {pid}, was killed" in capsys.readouterr().err
+        assert stop_everything(None, "lab") == FAILED
+        assert "nothing flies" in capsys.readouterr().err
+
+
+# Flights on the twin
+
+
+def test_a_flight_on_the_twin_is_ended(here, capsys, process):
+    pid = process(WAITS)
+    with noted("", "", name="hold", pid=pid):
+        assert stop_everything(None, "lab") == OK
+    assert capsys.readouterr().out == f"hold on the twin, process {pid}: ended\n"
+
+
+def test_a_flight_on_the_twin_that_does_not_end_is_said(here, capsys, process, monkeypatch):
+    monkeypatch.setattr(stopping, "END_S", 0.1)
+    pid = process(DEAF)
+    with noted("", "", name="hold", pid=pid):
+        assert stop_everything(None, "lab") == FAILED
+    assert f"hold on the twin, process {pid}: did not answer\n" in capsys.readouterr().out
+
+
+def test_another_process_with_the_same_number_is_left_alone(here, process):
+    pid = process(WAITS)
+    with noted("", "", name="hold", pid=pid):
+        note = next(here.iterdir())
+        note.write_text(note.read_text().replace(stopping._started(pid), "1"))
+        assert stop_everything(None, "lab") == FAILED
+    assert stopping._started(pid)
+
+
+def test_a_run_on_the_twin_is_stopped(here, tmp_path):
+    env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    run = subprocess.Popen(
+        [sys.executable, "-m", "testbed.cli.main", "run", "hold", "duration_s=4000",
+         "--speed", "1", "--out", str(tmp_path / "out")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env,
+    )  # fmt: skip
+    try:
+        log = tmp_path / "out" / "log.mcap"
+        while not (log.exists() and log.stat().st_size > 20_000):
+            assert run.poll() is None, run.communicate()
+            threading.Event().wait(0.05)
+        assert stop_everything(None, "lab") == OK
+        said, errors = run.communicate(timeout=60)
+    finally:
+        run.kill()
+    assert run.returncode == 130, errors
+    assert "interrupted after" in said
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["completed"] is False
