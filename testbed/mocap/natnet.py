@@ -24,7 +24,6 @@ BODY = struct.Struct("<i3f4ffh")
 STAMPS = struct.Struct("<QQQ")
 OFFSET = struct.Struct("<ii3f")
 INFO = struct.Struct("<256s4B4BQHB4B")
-
 Version = tuple[int, int]
 
 
