@@ -49,7 +49,7 @@ def run(way, rng, folder):
     env = os.environ | {"TMPDIR": str(folder), "XDG_RUNTIME_DIR": str(folder)}
     env["XDG_STATE_HOME"] = str(folder / "state")  # a killed run leaves its latch there
     process = subprocess.Popen(
-        [sys.executable, "-m", "testbed.cli.main", "run", "hold", "duration_s=3", "criteria={}",
+        [sys.executable, "-m", "testbed", "run", "hold", "duration_s=3", "criteria={}",
          "--rig", "bench", "--out", str(folder / "out")],
         env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip

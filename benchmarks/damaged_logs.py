@@ -23,7 +23,7 @@ import numpy as np
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.logs.mcap_record import HEAD, Channel, Message, read_chunk
 
-TESTBED = [sys.executable, "-m", "testbed.cli.main"]
+TESTBED = [sys.executable, "-m", "testbed"]
 KINDS = ("zeroed tail", "4 kB zeroed", "one bit flipped")
 VERBS = (
     ["log"], ["log", "--json"], ["replay"], ["report"], ["compare"],

@@ -17,11 +17,11 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from testbed.cli.drill import EXPERIMENTS, NEEDED, SOON, somewhere
 from testbed.faults.drill import NAMES, draw
 from testbed.metrics.afterwards import After
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
+from testbed.run.drill import EXPERIMENTS, NEEDED, SOON, somewhere
 
 WHEN = (2.0, 30.0)  # [s] of an end as planned, and of a stop
 AGAIN = 1.0  # [s] the second stop comes within

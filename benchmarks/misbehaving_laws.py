@@ -59,7 +59,7 @@ NAMED = "law.py"
 
 def command(folder, rig, *words):
     return [
-        sys.executable, "-m", "testbed.cli.main", "run", "hold", "--rig", rig, "criteria={}",
+        sys.executable, "-m", "testbed", "run", "hold", "--rig", rig, "criteria={}",
         "deploy.law_memory_mb=300", f"--out={folder}/out", *words,
     ]  # fmt: skip
 

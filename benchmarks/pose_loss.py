@@ -13,9 +13,9 @@ from multiprocessing import get_context
 import numpy as np
 from msgspec.structs import replace
 
-from testbed.cli.drill import fly_case, shipped
 from testbed.core.fault_injection import Injection
 from testbed.faults.drill import Drilled
+from testbed.run.drill import fly_case, shipped
 
 TABLE = (
     "zhang2023_table", "zhang2023_table_wrench", "zhang2023_table_smc", "gao2022_table",

@@ -82,7 +82,7 @@ def flat(value, at="", *, words=False):
 
 def audit():
     """Numbers of the audit of the papers, by the claim's name."""
-    words = [sys.executable, "-m", "testbed.cli.main", "reproduce", "all", "--quick", "--json"]
+    words = [sys.executable, "-m", "testbed", "reproduce", "all", "--quick", "--json"]
     text = subprocess.run(words, capture_output=True, text=True, check=False).stdout
     return flat(json.loads(text))
 

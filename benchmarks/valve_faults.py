@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from testbed.cli.drill import Notes, shipped
 from testbed.core.fault_injection import Injection
 from testbed.faults.drill import ASKED
 from testbed.rig.twin import make_twin
+from testbed.run.drill import Notes, shipped
 
 VEHICLES = {  # thrust [N], mass [kg], inertia [kg m^2]
     "floater": (0.6, 12.5, 0.20),

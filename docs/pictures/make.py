@@ -32,7 +32,7 @@ PATIENCE_S = 300.0
 def fly(folder: Path, *overrides: str) -> None:
     """Into `folder`; the verdict does not matter here."""
     words = ["run", "zhang2023_table", *overrides, "--out", str(folder)]
-    command = [sys.executable, "-m", "testbed.cli.main", *words]
+    command = [sys.executable, "-m", "testbed", *words]
     subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
 
 

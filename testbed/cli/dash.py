@@ -132,7 +132,7 @@ def beside_run(
 ) -> "subprocess.Popen[bytes]":
     """Open the dashboard beside a run that is about to be flown, and do not wait for it."""
     program()  # or say at once that there is none
-    words = [sys.executable, "-m", "testbed.cli.main", "dash", str(folder), "--bind", bind]
+    words = [sys.executable, "-m", "testbed", "dash", str(folder), "--bind", bind]
     if port is not None:
         words += ["--port", str(port)]
     return subprocess.Popen(

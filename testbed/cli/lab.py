@@ -22,8 +22,6 @@ def word(context: click.Context, option: click.Parameter, given: str | None) -> 
     "  [default: as the table file says; here]",
 )
 @click.option("--local", "here", is_flag=True, help="This machine's addresses, not the lab's.")
-@click.option("--report", type=click.Path(path_type=Path), hidden=True)
-@click.option("--child", is_flag=True, hidden=True)
 @click.pass_context
 def twin(
     context: click.Context,
@@ -31,8 +29,6 @@ def twin(
     overrides: tuple[str, ...],
     ports: Path | None,
     here: bool,
-    report: Path | None,
-    child: bool,
 ) -> None:
     """Serve the table of an EXPERIMENT in real time.
 
@@ -42,7 +38,7 @@ def twin(
     """
     from testbed.cli.wires import serve_twin
 
-    context.exit(serve_twin(experiment, overrides, ports, report, child=child, here=here))
+    context.exit(serve_twin(experiment, overrides, ports, here=here))
 
 
 @click.command()
@@ -53,19 +49,16 @@ def twin(
 )
 @click.option("--serial", help="The board's port.  [default: the table file's]")
 @click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
-@click.option("--report", type=click.Path(path_type=Path), hidden=True)
-@click.option("--heart", type=click.Path(path_type=Path), hidden=True)
-@click.option("--child", is_flag=True, hidden=True)
 @click.pass_context
 def agent(
     context: click.Context, vehicle: str, connect: str | None, lab: str | None,
-    serial: str | None, keys: Path | None, report: Path | None, heart: Path | None, child: bool,
+    serial: str | None, keys: Path | None,
 ) -> None:  # fmt: skip
     """Fly a VEHICLE: on its own computer, beside its valve board."""
     from testbed.cli.wires import fly_agent
+    from testbed.rig.wired.agent_process import Agent
 
-    code = fly_agent(vehicle, connect, lab, serial, keys, child=child, report=report, heart=heart)
-    context.exit(code)
+    context.exit(fly_agent(Agent(vehicle, connect, lab, serial, keys)))
 
 
 @click.command()

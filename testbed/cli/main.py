@@ -347,9 +347,3 @@ def entry() -> None:
 
         code = confess()
     sys.exit(code)
-
-
-if __name__ == "__main__":
-    from testbed.cli.start import entry as begin
-
-    begin()

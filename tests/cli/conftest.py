@@ -54,7 +54,7 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
         *words: str | Path, wrapper: Sequence[str] = (), **env: str
     ) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [*wrapper, sys.executable, "-m", "testbed.cli.main", *map(str, words)],
+            [*wrapper, sys.executable, "-m", "testbed", *map(str, words)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             env=os.environ | {"PYTHONPATH": str(ROOT)} | env,
         )  # fmt: skip

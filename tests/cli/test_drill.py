@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.cli.admit import fly_once, forced, print_admission
-from testbed.cli.drill import EXPERIMENTS, drawn, fly_case, print_drill
+from testbed.cli.drill import print_drill
 from testbed.config import ConfigError, find, load
 from testbed.faults.drill import NAMES, WHEN, Drilled, draw, summarise
 from testbed.metrics.admission import (
@@ -21,6 +21,7 @@ from testbed.metrics.admission import (
 )
 from testbed.metrics.fault_line import mishap
 from testbed.metrics.run_metrics import Track
+from testbed.run.drill import EXPERIMENTS, drawn, fly_case
 
 GOOD = Flown(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
 

@@ -201,7 +201,7 @@ def test_a_terminal_that_is_gone_does_not_keep_the_report_from_being_made(here):
     leader, terminal = os.openpty()
     env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     run = subprocess.Popen(
-        [sys.executable, "-m", "testbed.cli.main", "run", "hold", "duration_s=4000", "--speed", "1",
+        [sys.executable, "-m", "testbed", "run", "hold", "duration_s=4000", "--speed", "1",
          "--out", "out"],
         stdin=terminal, stdout=terminal, stderr=terminal, env=env, start_new_session=True,
         preexec_fn=lambda: __import__("fcntl").ioctl(0, __import__("termios").TIOCSCTTY, 0),

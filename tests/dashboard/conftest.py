@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def testbed(*words: str | Path) -> subprocess.Popen[bytes]:
     """The command, in a process of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "testbed.cli.main", *map(str, words)],
+        [sys.executable, "-m", "testbed", *map(str, words)],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip

@@ -85,7 +85,7 @@ def test_a_run_is_followed_while_it_is_flown(tmp_path, pictures, rig):
 
     folder = tmp_path / "run"
     flight = subprocess.Popen(
-        [sys.executable, "-m", "testbed.cli.main", "run", "zhang2023_table",
+        [sys.executable, "-m", "testbed", "run", "zhang2023_table",
          "--rig", rig, *paced, "--out", str(folder)],
         cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         env=os.environ | {"PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(tmp_path / "state")},
@@ -246,7 +246,7 @@ def test_a_formation_is_shown_with_its_leader_and_without_goals(tmp_path):
     flown = tmp_path / "flown"
     words = ["run", "xue2024_table_constant", "duration_s=2", "--out", str(flown)]
     subprocess.run(
-        [sys.executable, "-m", "testbed.cli.main", *words], cwd=ROOT, check=False,
+        [sys.executable, "-m", "testbed", *words], cwd=ROOT, check=False,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip

@@ -126,7 +126,7 @@ def test_testbed_commands_of_the_readme_run(words, tmp_path):
     if words[:1] == ["run"]:
         words = [*words, "duration_s=2", "--out", str(tmp_path / "run")]
         verdicts = {0, 1}  # 2 s are too short for the criteria of an experiment
-    command = [sys.executable, "-m", "testbed.cli.main", *words]
+    command = [sys.executable, "-m", "testbed", *words]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode in verdicts, result.stdout + result.stderr
     assert "Traceback" not in result.stderr

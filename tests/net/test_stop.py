@@ -206,7 +206,7 @@ def test_another_process_with_the_same_number_is_left_alone(here, process):
 def test_a_run_on_the_twin_is_stopped(here, tmp_path):
     env = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     run = subprocess.Popen(
-        [sys.executable, "-m", "testbed.cli.main", "run", "hold", "duration_s=4000",
+        [sys.executable, "-m", "testbed", "run", "hold", "duration_s=4000",
          "--speed", "1", "--out", str(tmp_path / "out")],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env,
     )  # fmt: skip

@@ -3,10 +3,10 @@
 import pytest
 
 from sim_twin.plant import Touch
-from testbed.cli.drill_wires import Flown, judge, kinds
 from testbed.core.fault_injection import Injection
 from testbed.net.commands import Counts, Ended
 from testbed.rig.wired.table_report import TableReport
+from testbed.run.drill_on_wires import Flown, judge, kinds
 
 COUNTS = Counts({}, {}, {}, 0, 0, None, None)
 EPOCH = 5_000_000_000  # [ns]

@@ -245,7 +245,7 @@ def start(tmp_path):
             "XDG_STATE_HOME": str(tmp_path),
         }
         process = subprocess.Popen(
-            [sys.executable, "-m", "testbed.cli.main", "run", "hold", "--rig", "bench",
+            [sys.executable, "-m", "testbed", "run", "hold", "--rig", "bench",
              "--out", str(tmp_path / "out")],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env,
             start_new_session=True,

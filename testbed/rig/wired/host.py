@@ -34,6 +34,7 @@ from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.boards import LOCKSTEP
 from testbed.rig.fault_latch import FaultLatch
 from testbed.rig.interface import not_armed
+from testbed.rig.wired.agent_process import Agent
 from testbed.rig.wired.local import loopback
 from testbed.rig.wired.preflight import Preflight, order
 from testbed.rig.wired.process_faults import OF_PROCESSES
@@ -202,19 +203,18 @@ class WireRig(RunResults):
         config.write_text(tomli_w.dumps(dump(self.experiment)), encoding="utf-8")
         report = self._keep or children.folder / "report.json"
         network = self.experiment.table.lab.network
-        command = [sys.executable, "-m", "testbed.cli.main"]
-        children.start(
-            "twin",
-            [*command, "twin", str(config), "--report", str(report), "--child"],
-        )
+        python = [sys.executable, "-m"]
+        twin = [*python, "testbed.rig.wired.twin_process", str(config), str(report)]
+        children.start("twin", twin)
         for name in self.experiment.vehicles:
-            where = ["--connect", self.way(network.endpoint), "--lab", network.lab]
-            if network.keys:
-                where += ["--keys", str(neighbour(Path(network.keys), "vehicle", name))]
-            if self._keep is not None:
-                where += ["--report", str(self._keep.with_name(f"{name}.json"))]
-            where += ["--heart", str(children.folder / f"{name}.heart")]
-            children.start(name, [*command, "agent", name, *where, "--child"])
+            agent = Agent(
+                name, self.way(network.endpoint), network.lab,
+                keys=neighbour(Path(network.keys), "vehicle", name) if network.keys else None,
+                report=None if self._keep is None else self._keep.with_name(f"{name}.json"),
+                heart=children.folder / f"{name}.heart",
+            )  # fmt: skip
+            words = msgspec.json.encode(agent, enc_hook=str).decode()
+            children.start(name, [*python, "testbed.rig.wired.agent_process", words])
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
 
     def _blamed(self, children: Children, fault: str | None) -> str | None:

@@ -1,7 +1,8 @@
-"""`testbed drill --rig bench`: the catalogue over real wires, judged by what boards reported."""
+"""The drill on the bench: the catalogue over real wires, judged by what boards reported."""
 
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,10 +13,7 @@ import numpy as np
 import tomli_w
 from msgspec import Struct
 from msgspec.structs import replace
-from rich.console import Console
-from rich.progress import track
 
-from testbed.cli.drill import shipped, somewhere
 from testbed.config import dump
 from testbed.core.error import TestbedError
 from testbed.core.fault_injection import Injection
@@ -26,6 +24,7 @@ from testbed.net.commands import Ended
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.table_report import TableReport
+from testbed.run.drill import shipped, somewhere
 
 EXPERIMENT = "zhang2023_table"
 COUNT = 72
@@ -70,22 +69,17 @@ def kinds() -> list[Any]:
     return [kind for kind in {**NAMES, **ON_THE_WAY} if kind not in TWIN_ONLY]
 
 
-def drill_wires(count: int, seed: int, console: Console) -> list[Drilled]:
-    """Fly them all, one after the other: a bench needs the machine for itself."""
+def drill_wires(count: int, seed: int, say: Callable[[str], None]) -> Iterator[Drilled]:
+    """Fly all cases, one after the other: a bench needs the machine for itself."""
     warm_up(shipped(EXPERIMENT))  # compiles, before four processes do it at once
-    numbers = track(
-        range(count), "drilling", console=console, transient=True, disable=not console.is_terminal
-    )
-    cases = []
-    for number in numbers:
+    for number in range(count):
         try:
-            cases.append(case(number, seed))
+            judged = case(number, seed)
         except DrillError as error:  # once more: a flight that does not begin rehearses nothing
-            console.print(f"case {number}: {error}", markup=False, soft_wrap=True)
-            cases.append(case(number, seed))
-        line = msgspec.json.encode(cases[-1]).decode()
-        console.print(f"{number}: {line}", markup=False, soft_wrap=True)
-    return cases
+            say(f"case {number}: {error}")
+            judged = case(number, seed)
+        say(f"{number}: {msgspec.json.encode(judged).decode()}")
+        yield judged
 
 
 def case(number: int, seed: int) -> Drilled:

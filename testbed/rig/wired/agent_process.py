@@ -1,0 +1,85 @@
+"""A vehicle's process: finds its host, flies when it is told to.
+
+    python -m testbed.rig.wired.agent_process '{"name": "sat1", "endpoint": "tcp/...", ...}'
+
+That is how a host on the bench starts it: it ends when its standard input does.
+"""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from firmware_interface.limits import LimitsError
+from firmware_interface.serial_board import BoardError
+from firmware_interface.serial_thrusters import ThrustersError
+from testbed.core.lab import Network
+from testbed.net.credentials import BadgeError, read_badge, trouble
+from testbed.net.session import NetworkError
+from testbed.realtime.heartbeat import attach, in_file
+from testbed.realtime.processes import end_on_terminate
+from testbed.rig.wired.vehicle import VehicleError, fly_vehicle
+
+FAILURES = (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError)
+
+
+class Agent(Struct, frozen=True):
+    """Which vehicle flies, and where its host and board are."""
+
+    name: str
+    endpoint: str | None = None  # None: as the keys say, or loopback
+    lab: str | None = None  # None: as the keys say, or "lab"
+    port: str | None = None  # of the board; None: the table file's
+    keys: Path | None = None
+    report: Path | None = None  # file for the last words
+    heart: Path | None = None  # file in which the host sees whether the law is being called
+
+
+def fly(agent: Agent, say: Callable[[str], None], *, child: bool) -> None:
+    """Fly one vehicle, until its host or the operator ends it.
+
+    Raises:
+        BadgeError: the keys are not this vehicle's, or do not fit the endpoint.
+        NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError: the host or
+            the board cannot be had.
+    """
+    endpoint, lab = agent.endpoint, agent.lab
+    if agent.keys is not None:
+        badge = read_badge(agent.keys)
+        if (badge.role, badge.name) != ("vehicle", agent.name):
+            raise BadgeError(
+                f"{agent.keys} has the keys of {badge.common_name}, not of {agent.name}"
+            )
+        if badge.ending:
+            say(badge.ending)
+        endpoint, lab = endpoint or badge.endpoint, lab or badge.lab
+    endpoint, lab = endpoint or Network().endpoint, lab or Network().lab
+    if (why := trouble(endpoint, agent.keys)) is not None:
+        raise BadgeError(f"{endpoint} is not opened: {why}")
+    if agent.heart is not None:
+        attach(in_file(agent.heart))
+    say(f"looking for the host at {endpoint}")
+    fly_vehicle(
+        agent.name, endpoint, lab, agent.port, agent.keys, child=child, report=agent.report,
+        say=say,
+    )  # fmt: skip
+
+
+def main() -> int:
+    """Fly as the child of a host; the exit code."""
+    end_on_terminate()
+    try:
+        agent = msgspec.json.decode(sys.argv[1], type=Agent, dec_hook=lambda kind, text: kind(text))
+        fly(agent, lambda text: None, child=True)
+    except (BadgeError, *FAILURES) as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+    except KeyboardInterrupt:
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

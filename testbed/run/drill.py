@@ -1,0 +1,230 @@
+"""The drill on the twin: one injected fault per flight, and what became of it."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from msgspec.structs import replace
+
+from sim_twin.board import last_closing
+from testbed.config import Experiment, find, load
+from testbed.core.fault_injection import Injection
+from testbed.core.types import HostTick, Tick
+from testbed.faults.drill import (
+    ADRIFT,
+    ASKED,
+    DEAD_WITHIN,
+    NAMES,
+    OTHERS,
+    Drilled,
+    answered,
+    deadline,
+    draw,
+)
+from testbed.flight.faults import SEVERITY
+from testbed.flight.loop import complaint
+from testbed.metrics.afterwards import HARD
+from testbed.rig.chain import fence_of
+from testbed.rig.twin import TwinRig, make_twin
+
+EXPERIMENTS = ("zhang2023_table", "zhang2023_table_wrench")
+ROOM = 0.15  # [m] round a start
+# [s] to show itself: a jet must be asked for, a small leak is found by its mean; others: 8 s
+NEEDED = {"stick_closed": 40.0, "leak_valve": 20.0}
+SOON = 8.0
+
+
+class Notes:
+    """Observer: what was said, by whom, when."""
+
+    def __init__(self) -> None:
+        self.rows: list[tuple[float, str, str]] = []  # time, vehicle, row of the fault table
+        self.responses: list[tuple[float, str, str]] = []  # time, vehicle, response
+        self.words: list[tuple[float, str, str]] = []  # time, vehicle, fault
+        self.asked: list[tuple[float, str, tuple[int, ...]]] = []  # time, vehicle, open times
+
+    def vehicle(self, name: str, tick: Tick) -> None:
+        """See `Observer`."""
+        if tick.inputs.vitals.end:
+            return
+        out = tick.outputs
+        self.rows += [(out.t, name, row) for row in out.faults]
+        if out.response:
+            self.responses.append((out.t, name, out.response))
+        if out.fault:
+            self.words.append((out.t, name, out.fault))
+        self.asked.append((out.t, name, out.command.on_us))
+
+    def host(self, name: str, tick: HostTick) -> None:
+        """See `Observer`."""
+        if words := complaint(tick):
+            self.words.append((tick.inputs.t, name, words))
+
+    def done(self, t: float) -> None:
+        """See `Observer`."""
+
+
+def fly_case(experiment: Experiment, what: Injection) -> Drilled:
+    """Fly one injection on the twin and judge it."""
+    rig, notes = make_twin(experiment), Notes()
+    ending = rig.fly(notes)
+    twin, plant = rig.twin, rig.twin.plant
+    last = max(last_closing(board.pulses) for board in plant.boards.values())
+    rest = rig.come_to_rest(ending, notes)
+    assert rest is not None
+    assert twin.sabotage is not None
+    began = twin.sabotage.began()[0]
+    after = [(t, name, one) for t, name, one in notes.responses if t >= began]
+    own = [(t, one) for t, name, one in after if concerned(what, name)]
+    named, found = answered(_named(what, notes, began), own, began)
+    response = max((one for _, one in own), key=SEVERITY.__getitem__, default="")
+    over = ending.fault is not None
+    limits = {name: _limit(name, what, after, began) for name in plant.names}
+    touches = [
+        touch for touch in plant.touches
+        if began <= touch.t and (touch.t <= ending.t or touch.speed > HARD)
+    ]  # fmt: skip
+    helpless = [
+        touch for touch in touches
+        if (what.kind in ADRIFT and what.vehicle in (touch.vehicle, touch.other))
+        or (touch.t > ending.t and _moves(experiment, touch.other))
+    ]  # fmt: skip
+    adrift = len(helpless)
+    early = tuple(sorted({words for t, _, words in notes.words if t < began}))
+    asked = sum(
+        on[what.jet - 1] for t, name, on in notes.asked if name == what.vehicle and t >= began
+    )
+    return Drilled(
+        what.kind,
+        experiment.name,
+        what.vehicle,
+        experiment.seed,
+        began,
+        named,
+        found,
+        response,
+        last - began if over else None,
+        _open_after(rig, limits) if over else 0,
+        len(touches) - adrift,
+        _travelled(rig, began),
+        ending.fault,
+        early,
+        adrift,
+        what.kind == "stick_closed" and found is None and asked < 1e6 * ASKED,
+        sum(touch.t > ending.t and touch not in helpless for touch in touches),
+        rest.at_rest_s,
+        rest.air,
+    )
+
+
+def concerned(what: Injection, name: str) -> bool:
+    """Whether a vehicle is one whose response counts: of a dead one the others'."""
+    if what.kind in OTHERS:
+        return name != what.vehicle
+    return name in (what.vehicle, what.other)
+
+
+def _moves(experiment: Experiment, obstacle: str) -> bool:
+    """Whether an obstacle comes to vehicles that have shut: a stop does not stop it."""
+    rock = experiment.obstacles.get(obstacle)
+    return rock is not None and any(rock.velocity)
+
+
+def _limit(
+    name: str, what: Injection, after: Sequence[tuple[float, str, str]], began: float
+) -> float:
+    """When every valve of a vehicle must be shut: after its severest response, or its death."""
+    if what.kind == "kill_process" and name == what.vehicle:
+        return began + DEAD_WITHIN
+    own = [(t, one) for t, who, one in after if who == name]
+    severest = max((one for _, one in own), key=SEVERITY.__getitem__, default="")
+    return min((t for t, one in own if one == severest), default=0.0) + deadline(severest)
+
+
+def _named(what: Injection, notes: Notes, began: float) -> list[tuple[float, str]]:
+    """When it was rightly named, by whom it concerns."""
+    names = NAMES[what.kind]
+    right = [
+        (t, row) for t, who, row in notes.rows
+        if t >= began and row in names and concerned(what, who)
+    ]  # fmt: skip
+    for t, _, words in notes.words:
+        right += [(t, name) for name in names if name in words and t >= began]
+    return right
+
+
+def _open_after(rig: TwinRig, limits: Mapping[str, float]) -> int:
+    """Valves through which air flows after their limit [s]; of a landed vehicle none does."""
+    plant, count = rig.twin.plant, 0
+    played = plant.played()
+    for k, name in enumerate(plant.names):
+        landed = 1e9 * plant.landed.get(k, math.inf)
+        shut = np.minimum(played.down[k], landed)
+        late = (shut > 1e9 * limits[name]) & (shut > played.up[k])
+        count += int(late.any(axis=1).sum())
+    return count
+
+
+def _travelled(rig: TwinRig, began: float) -> float:
+    """The farthest that any vehicle got from where it was at `began` [m]."""
+    truth = rig.track()
+    since = truth.states[truth.t >= began, :, :2]
+    if len(since) == 0:
+        return 0.0
+    return float(np.hypot(*(since - since[0]).transpose(2, 0, 1)).max())
+
+
+@cache
+def shipped(name: str) -> Experiment:
+    """A shipped experiment, read once."""
+    return load(find(name))
+
+
+def somewhere(name: str, rng: np.random.Generator) -> Experiment:
+    """The experiment with every vehicle started somewhere on the table, clear of everything."""
+    experiment = shipped(name)
+    taken = [(rock.position, rock.radius + ROOM) for rock in experiment.obstacles.values()]
+    vehicles = {}
+    for vehicle, setup in experiment.vehicles.items():
+        half = np.array(fence_of(experiment, vehicle)) - ROOM
+        while True:
+            x, y = (half * rng.uniform(-1.0, 1.0, 2)).tolist()
+            if all(np.hypot(x - px, y - py) > reach for (px, py), reach in taken):
+                break
+        taken.append(((x, y), 2.0 * setup.model.radius + ROOM))
+        start = (x, y, float(rng.uniform(-np.pi, np.pi)))
+        vehicles[vehicle] = replace(setup, start=start)
+    return replace(experiment, vehicles=vehicles)
+
+
+def case(number: int, seed: int) -> Drilled:
+    """Case `number` of a drill: kinds and experiments take turns, the rest is drawn."""
+    kinds, rng = list(NAMES), np.random.default_rng([seed, number])
+    name = EXPERIMENTS[(number // len(kinds)) % len(EXPERIMENTS)]
+    return drawn(kinds[number % len(kinds)], name, rng)
+
+
+def drawn(kind: Any, name: str, rng: np.random.Generator) -> Drilled:
+    """A case of this kind in this experiment."""
+    begun = somewhere(name, rng)
+    jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
+    what = draw(kind, list(begun.vehicles), jets, rng)
+    duration = (what.at_s or 0.0) + NEEDED.get(kind, SOON)
+    experiment = replace(begun, seed=int(rng.integers(2**31)), duration_s=duration, inject=[what])
+    return fly_case(experiment, what)
+
+
+def _one(pair: tuple[int, int]) -> Drilled:
+    return case(*pair)
+
+
+def drill_twin(injections: int, seed: int, jobs: int) -> Iterator[Drilled]:
+    """Fly all cases on the twin; each comes out when it is judged, in their order."""
+    yield case(0, seed)  # compiles, before the others are started
+    # forked, they need not load the compiled code again
+    with ProcessPoolExecutor(jobs, mp_context=get_context("fork")) as pool:
+        yield from pool.map(_one, [(k, seed) for k in range(1, injections)], chunksize=4)
