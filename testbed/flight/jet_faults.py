@@ -56,6 +56,9 @@ HARDEST = 3.0  # jets: more in a look is a shove
 MOST = 1.2  # times its thrust that a jet can leak
 ENOUGH = 0.3  # of its thrust that a jet has to lack,
 TRACE = 0.05  # and to leak: less is no fault
+LATELY = 3  # the last blocks, in which a leak must still be seen
+OVER = 2.0  # e^2 times likelier that it is over
+SURE = 12.5  # 5 sigma, for a push without a command; healthy vehicles have shown 4.3
 CLEAR = 3.0  # the one suspicion is e^3 times likelier than the other
 
 
@@ -179,8 +182,8 @@ def factor(known, heard, look):
 
 
 @compiled
-def suspect(row, least, y, low, high):
-    """Size of a suspicion within its bounds, and its gain; `row` is x'z, x'x, x'e."""
+def evidence(row, least, y):
+    """N and S of a suspicion; `row` is x'z, x'x, x'e."""
     m = y.shape[0]
     own, fits = row[m], row[m + 1]
     root = np.empty(m)
@@ -191,7 +194,14 @@ def suspect(row, least, y, low, high):
         root[i] = total * least[i, i]
         own -= root[i] * root[i]
         fits -= root[i] * y[i]
-    if own <= 1e-6 * row[m] or own < 1e-9:
+    return own, fits
+
+
+@compiled
+def suspect(row, least, y, low, high):
+    """Size of a suspicion within its bounds, and its gain; `row` is x'z, x'x, x'e."""
+    own, fits = evidence(row, least, y)
+    if own <= 1e-6 * row[y.shape[0]] or own < 1e-9:
         return 0.0, 0.0
     size = min(max(fits / own, low), high)
     return size, size * fits - 0.5 * size * size * own
@@ -230,15 +240,21 @@ def weigh(before, now, duty, share, known, heard, look, block, keep, counts):
         blocks[0] = 0.0
     listen(e, x, heard, look, keep)
     least, y = factor(known, heard, look)
-    since = np.zeros(blocks.shape[1:])
+    since, lately = np.zeros(blocks.shape[1:]), np.zeros(blocks.shape[1:])
     for k in range(blocks.shape[0]):
         since += blocks[k]
+        if k == LATELY:
+            lately[:] = since
         if k not in BEGUN:
             continue
         for h in range(2 * n):
             kind = 0 if h >= n else 1
             low, high = (0.0, MOST) if kind == 0 else (-1.0, 0.0)
             b, found = suspect(since[h], least, y, low, high)
+            if kind == 0 and k > LATELY and found > gain[0]:
+                own, fits = evidence(lately[h], least, y)
+                if b * fits - 0.5 * b * b * own < -OVER:
+                    continue  # it was a shove, such as a contact: a leak goes on
             if found > gain[kind]:
                 best[kind], size[kind], gain[kind] = h - n if kind == 0 else h, b, found
     return best[0], size[0], gain[0], best[1], -size[1], gain[1]
@@ -328,7 +344,7 @@ class JetFaultDetector:
     @property
     def open(self) -> Suspicion:
         """Which jet pushes without a command, where nothing else explains it."""
-        sure = self._leak.gain > self._weak.gain + CLEAR
+        sure = self._leak.gain > self._weak.gain + CLEAR and self._leak.gain > SURE
         return self._leak if sure and self._leak.size > TRACE else Suspicion()
 
     @property
