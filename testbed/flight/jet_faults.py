@@ -58,7 +58,7 @@ ENOUGH = 0.3  # of its thrust that a jet has to lack,
 TRACE = 0.05  # and to leak: less is no fault
 LATELY = 3  # the last blocks, in which a leak must still be seen
 OVER = 2.0  # e^2 times likelier that it is over
-SURE = 12.5  # 5 sigma, for a push without a command; healthy vehicles have shown 4.3
+SURE = 18.0  # 6 sigma, for a push without a command; healthy vehicles have shown 5 sigma
 CLEAR = 3.0  # the one suspicion is e^3 times likelier than the other
 
 

@@ -32,7 +32,7 @@ class Shower:
 def flown(console: Console, *overrides: str) -> LiveTable:
     experiment = load(find("zhang2023_table"), ["duration_s=2", *overrides])
     live = LiveTable(experiment, console)
-    with live:
+    with live.showing():
         live.flies()
         make_twin(experiment).fly(Shower(live))
     return live
@@ -102,7 +102,7 @@ def test_a_terminal_sees_it_and_it_goes_away():
 def test_the_error_of_a_formation_is_of_its_edges():
     experiment = load(find("xue2024_table_constant"), ["duration_s=2"])
     live = LiveTable(experiment, Console(file=io.StringIO()))
-    with live:
+    with live.showing():
         live.flies()
         make_twin(experiment).fly(Shower(live))
     rows = {line.split()[0]: line.split() for line in words(live).splitlines() if "flies" in line}
@@ -116,7 +116,7 @@ def test_a_flight_in_a_pipe_says_a_line_now_and_then():
     out = io.StringIO()
     experiment = load(find("zhang2023_table"), ["duration_s=2"])
     live = LiveTable(experiment, Console(file=out), line_s=0.001)
-    with live:
+    with live.showing():
         wait_for(lambda: "zhang2023_table: getting ready" in out.getvalue())
         live.flies()
         wait_for(lambda: "zhang2023_table: waiting for its vehicles" in out.getvalue())
