@@ -1,4 +1,4 @@
-r"""Bifurcating potential field: formations of a cluster that change shape by a few numbers.
+r"""Bifurcating potential field: a few parameters select and change the shape of a cluster.
 
 Source: W. Gao, K. Li, C. Wei, "Satellite cluster formation reconfiguration based on the bifurcating
 potential field", Aerospace 9:137, 2022. Equation numbers are that paper's.
@@ -21,22 +21,24 @@ rho = 0 (mu < 0) or rho = +-mu (mu > 0): on circles, ellipses, lines (b = 0), el
 of a planar formation is x, z in space and x, y on the table. Where q = 0 the direction is undefined
 and the formation force zero.
 
-Corrections to the print, because otherwise its own figures do not come out. Eq. (13): with x_ij as
-defined the sign is the other one; as printed satellites attract each other and the cluster
+Corrections to the print; without them the paper's figures cannot be reproduced. Eq. (13): the sign
+is reversed for x_ij as defined; as printed the satellites attract each other and the cluster
 collapses. Eq. (12): (k_c/2)(s - d)^2 is the potential of that force; the printed one has another
 factor, attracts below s/2 and jumps at s. Eq. (10): v_i is the velocity relative to the centre, not
 the inertial one. Tables 1 and 2: the double ellipse has semi-axes ar +- mu/b and br +- mu/a, the
-double ellipsoid ar +- mu/(bc) and so on: that is where Eqs. (22), (24) have their minima.
+double ellipsoid ar +- mu/(bc) and so on: Eqs. (22), (24) have their minima there.
 
-The paper's numbers are in km, kg, s and do not say the unit of force. `scale = { length = 0.001 }`
-reads it as kN, the only coherent unit; `scale = { length = 0.001, mass = 1e5 }`, for its satellites
-of 100 kg, as N, which gives more of the transients that it describes.
+The paper's numbers are in km, kg, s; it does not state the unit of force.
+`scale = { length = 0.001 }` reads forces as kN, the coherent unit. `scale = { length = 0.001,
+mass = 1e5 }`, for its satellites of 100 kg, reads them as N and reproduces more of the transients
+that it describes.
 
-Differences from the paper: `phases` switch the field at their times. The formation force is cut at
-`cap` and the whole force at own.max_force, direction kept. `wall` pushes back vehicles that leave
-the table: a line is free along itself and the repulsion stretches it. Not only the orbit's
-dynamics but all of own.disturbance is cancelled, and the centre's acceleration is followed. A phase
-may name a shape; `controllers.bifurcating_design` then fills in the numbers that are not given.
+Differences from the paper: `phases` switch the field at their times. The formation force is
+limited to `cap` and the total force to own.max_force, direction kept. `wall` pushes back vehicles
+that leave the table: nothing holds a vehicle along a line and the repulsion stretches it. The law
+cancels all of own.disturbance, not only the orbital dynamics, and follows the centre's
+acceleration. A phase may name a shape; `controllers.bifurcating_design` then fills in the numbers
+not given.
 """
 
 from itertools import pairwise
@@ -59,10 +61,10 @@ Array = NDArray[np.float64]
 
 
 class Phase(Struct, frozen=True, forbid_unknown_fields=True):
-    """A formation and when it begins; without a shape a, b, mu, k_f, k_v must be given."""
+    """A formation and its start time; without a shape a, b, mu, k_f, k_v must be given."""
 
     at: NonNegative = 0.0  # since the start of the run [s]
-    shape: Shape | None = None  # the recipe gives what is not given here
+    shape: Shape | None = None  # the design fills in the numbers not given here
     a: NonNegative | None = None
     b: NonNegative | None = None
     c: Positive | None = None
@@ -84,24 +86,24 @@ class Phase(Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError(f"expected a shape or {', '.join(missing)}, found neither")
 
     def given(self) -> dict[str, float]:
-        """The numbers of the field that are given."""
+        """Numbers of the field that the phase sets explicitly."""
         names = Field.__struct_fields__
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 
 class Wall(Struct, frozen=True, forbid_unknown_fields=True):
-    """A spring that begins at a distance from the frame's origin, on every axis."""
+    """A spring on every axis that acts beyond a distance from the frame's origin."""
 
     at: Positive  # [m]
     stiffness: Positive  # [N/m]
 
 
 class BifurcatingParams(Struct, frozen=True, forbid_unknown_fields=True, tag="bifurcating"):
-    """Which formations, and when."""
+    """The sequence of formations and their centre."""
 
     forms: ClassVar[FormationKind] = "curves"
     phases: tuple[Phase, ...]
-    fleet: Fleet | None = None  # whom the shapes are designed for
+    fleet: Fleet | None = None  # vehicles the shapes are designed for
     centre: tuple[float, ...] | None = None  # of the formation [m]; null: the vehicle's own goal
     wall: Wall | None = None
     scale: Scale = struct_field(default_factory=Scale)
@@ -117,17 +119,17 @@ class BifurcatingParams(Struct, frozen=True, forbid_unknown_fields=True, tag="bi
                     f"expected phases in order of time, found {two.at:g} s after {one.at:g} s"
                 )
         if self.fleet is None and any(phase.shape for phase in self.phases):
-            raise ValueError("expected `fleet`, whom the shapes are designed for, found none")
+            raise ValueError("expected `fleet`, the vehicles to design the shapes for, found none")
 
     def field(self, phase: Phase) -> Field:
-        """All numbers of a phase."""
+        """The field of a phase, designed where the phase gives no numbers."""
         if phase.shape is None or self.fleet is None:
             return Field(**phase.given())
         return msgspec.structs.replace(design(self.fleet, phase.shape), **phase.given())
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code: one row per phase."""
+    """Parameters for compiled code, one row per phase."""
 
     at: Array  # (n,)
     weight: Array  # (n, d) of Eq. (22) or (25), squared: q^2 = sum weight x^2
@@ -139,7 +141,7 @@ class Gains(NamedTuple):
     k_c: Array  # (n,)
     s: Array  # (n,)
     cap: Array  # (n,)
-    fixed: bool  # the centre is `centre` and not the goal
+    fixed: bool  # use `centre` instead of the goal
     centre: Array  # (d,)
     wall_at: float
     wall_stiffness: float
@@ -155,7 +157,7 @@ def formation_force(gains, k, x):
 
 @compiled
 def write_formation_force(gains, k, x, force):
-    """The same into `force`, for inner loops."""
+    """Write `formation_force` to `force`, without allocating."""
     d = x.shape[0]
     square = 0.0
     for i in range(d):
@@ -210,7 +212,7 @@ def rate(gains, law_state, own, neighbours, world, t):
 
 
 def _geometry(field: Field, d: int) -> tuple[Array, float, Array]:
-    """Squared weights of q (d,), its value on the curve, and what holds the plane (d,)."""
+    """Squared weights of q (d,), value of q on the curve, stiffness across the plane (d,)."""
     a, b, c = field.a, field.b, field.c
     if d not in (2, 3):
         raise ValueError(f"expected 2 or 3 dimensions, found {d}")
@@ -219,7 +221,7 @@ def _geometry(field: Field, d: int) -> tuple[Array, float, Array]:
         lift = (0.0, 0.0) if d == 2 else (0.0, field.sigma, 0.0)
         return np.array(plane), a * b * field.r, np.array(lift)
     if d == 2:
-        raise ValueError("expected no c, which makes a surface in space, found one on a table")
+        raise ValueError("expected no c on a table (c defines a surface in space), found one")
     weight = np.array([b * b * c * c, a * a * c * c, a * a * b * b])
     return weight, a * b * c * field.r, np.zeros(3)
 

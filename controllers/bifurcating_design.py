@@ -1,26 +1,26 @@
 r"""Fields of the bifurcating law for a few vehicles on a table, from their number, mass and force.
 
 The paper (see `controllers.bifurcating`) chooses its gains for fifty satellites of 100 kg over
-kilometres and does not say how. What is here is ours, not the paper's: every vehicle may push with
-`force` in its weakest direction and the whole of it is shared out.
+kilometres and does not say how. This design is ours, not the paper's: every vehicle can push with
+`force` F in its weakest direction, and the design divides F between damping and repulsion.
 
-    speed       v*  = sqrt(0.1 D F/m) between 0.04 and 0.15 m/s; D = 2 m is a typical way to go
+    speed       v*  = sqrt(0.1 D F/m), limited to 0.04..0.15 m/s; D = 2 m is a typical distance
     damping     k_v = 0.8 F/v*: at v* the damping takes 0.8 of the force, so the formation force
-                      is cut at k_v v* and nothing goes faster than v* for long
+                      is limited to k_v v* and the speed stays near or below v*
     stiffness   K   = k_v^2/(4 zeta^2 m), normal to the curve, zeta = 0.5, k_f = K/|mu|; on an
                       ellipse, where |grad q| goes from b at the ends of the long axis to a = 1,
                       k_f = K/(b |mu|), which gives b K to K/b
-    repulsion   k_c = 1.2 F/(s - 0.55 m): two vehicles 0.55 m apart push each other away with
-                      more than they have
-    range       s   a little more than the spacing on a circle, so that the ring is spaced (the
-                      paper's s = r is less than the spacing for fewer than seven), a little less
-                      on other curves; more than the spacing on the double line, so that a line
-                      splits in two: without noise or repulsion an exact line would not
-    radius      r   less by what the repulsion pushes outwards, so that the ring has the radius
-                      that is meant
+    repulsion   k_c = 1.2 F/(s - 0.55 m): two vehicles 0.55 m apart repel each other with 1.2 F,
+                      more than their thrusters give
+    range       s   a little more than the spacing on a circle, so that the ring is evenly spaced
+                      (the paper's s = r is less than the spacing for fewer than seven), a little
+                      less on other curves; more than the spacing on the double line, so that a
+                      line splits in two: an exact line has no reason to split without it
+    radius      r   reduced by the offset that the repulsion causes, so that the ring has the
+                      intended radius
 
-Curves fit a table of 6 m x 6 m with vehicles of 0.2 m radius: circle of 1.5 m, line along x, two
-lines 0.75 m either side of it, ellipses of 2.0 m x 1.2 m and (flat) 2.35 m x 0.705 m.
+The curves fit a table of 6 m x 6 m with vehicles of 0.2 m radius: circle of 1.5 m, line along x,
+two lines 0.75 m either side of it, ellipses of 2.0 m x 1.2 m and (flat) 2.35 m x 0.705 m.
 """
 
 import math
@@ -40,12 +40,12 @@ WAY = 2.0  # D [m]
 SLOWEST, FASTEST = 0.04, 0.15  # v* [m/s]
 SHARE = 0.8  # of the force for the formation
 DAMPING = 0.5  # zeta
-DEEP = -3.0  # mu of a single curve: rho |rho| then is small beside mu rho [m]
+DEEP = -3.0  # mu of a single curve, so that rho |rho| is small compared with mu rho [m]
 CLOSEST = 0.55  # two vehicles of 0.2 m radius and 0.15 m between them [m]
 FURTHEST = 1.92  # range of the repulsion on an ellipse [m]
-HALF_LENGTH = 2.55  # of a line: a vehicle's centre comes no closer to the edge than 0.45 m [m]
-CROWD = 6  # from so many on a line needs repulsion over more than the spacing
-RADIUS, OFFSET = 1.5, 0.75  # of the circle; of the double line's rows [m]
+HALF_LENGTH = 2.55  # of a line: vehicle centres stay 0.45 m from the edge [m]
+CROWD = 6  # vehicles from which a line needs a repulsion range above the spacing
+RADIUS, OFFSET = 1.5, 0.75  # radius of the circle; offset of the double line's rows [m]
 AXES = {"ellipse": (1.0, 0.6, 2.0), "flat": (1.0, 0.3, 2.35)}  # a, b, r [m]
 
 
@@ -58,7 +58,7 @@ class Fleet(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Field(Struct, frozen=True):
-    """Numbers of the law while one formation is commanded, see `controllers.bifurcating`."""
+    """Parameters of the law for one formation, see `controllers.bifurcating`."""
 
     a: NonNegative
     b: NonNegative
@@ -68,13 +68,13 @@ class Field(Struct, frozen=True):
     k_c: NonNegative = 0.0  # [N/m]
     s: NonNegative = 0.0  # [m]
     r: NonNegative = 0.0  # [m]
-    c: Positive | None = None  # given: a surface in space
+    c: Positive | None = None  # if given: a surface in space
     sigma: NonNegative = 0.0  # [m]
     cap: Positive | None = None  # on the formation force [N]
 
 
 def cruise(fleet: Fleet) -> float:
-    """v*, the speed that the damping allows [m/s]."""
+    """v*, the speed at which the damping balances the formation force [m/s]."""
     return min(max(math.sqrt(0.1 * WAY * fleet.force / fleet.mass), SLOWEST), FASTEST)
 
 
@@ -96,7 +96,7 @@ def design(fleet: Fleet, shape: Shape) -> Field:
         case "line":
             s = _range_on_line(n)
             k_c = _repulsion(fleet, s)
-            if n >= CROWD:  # not so stiff that the line breaks into two rows
+            if n >= CROWD:  # limit the stiffness: the line would break into two rows
                 k_c = min(k_c, 0.8 * stiffness / (4.0 * (s * (n - 1) / (2.0 * HALF_LENGTH) - 1.0)))
             return field(1.0, 0.0, 1.0, DEEP, s, k_c)
         case "double_line":
@@ -109,12 +109,12 @@ def design(fleet: Fleet, shape: Shape) -> Field:
 
 
 def chord(n: int) -> float:
-    """Distance of two next to each other on the circle [m]."""
+    """Distance of adjacent vehicles on the circle [m]."""
     return 2.0 * RADIUS * math.sin(math.pi / n)
 
 
 def perimeter(a: float, b: float) -> float:
-    """Of an ellipse with these semi-axes (Ramanujan 1914, better than 1e-5 here) [m]."""
+    """Perimeter of an ellipse with these semi-axes (Ramanujan 1914, error < 1e-5 here) [m]."""
     return math.pi * (3.0 * (a + b) - math.sqrt((3.0 * a + b) * (a + 3.0 * b)))
 
 
@@ -125,7 +125,7 @@ def _range_on_line(n: int) -> float:
 
 
 def _repulsion(fleet: Fleet, s: float) -> float:
-    """k_c [N/m]; none for a vehicle on its own."""
+    """k_c [N/m]; 0 for a single vehicle."""
     if s == 0.0:
         return 0.0
     if s <= CLOSEST:
@@ -134,7 +134,7 @@ def _repulsion(fleet: Fleet, s: float) -> float:
 
 
 def _push(n: int, k_c: float, s: float) -> float:
-    """What the others on the circle push a vehicle outwards [N]."""
+    """Outward force on a vehicle by the repulsion of the others on the circle [N]."""
     force = 0.0
     for j in range(1, n):
         d = 2.0 * RADIUS * math.sin(math.pi * j / n)
@@ -143,20 +143,20 @@ def _push(n: int, k_c: float, s: float) -> float:
 
 
 def reaches(field: Field) -> tuple[float, float]:
-    """How far the curve of a planar field goes out along x and y; 0 where it has no end."""
+    """Half extent of a planar field's curve along x and y [m]; 0 where it is unbounded."""
     top = field.a * field.b * field.r + max(field.mu, 0.0)
     return top / field.b if field.b else 0.0, top / field.a if field.a else 0.0
 
 
 def distance_to(shape: Shape, p: Array) -> Array:
-    """How far points are from the curve that `shape` is on the table.
+    """Distance of points from the curve of `shape` on the table.
 
     Args:
         shape: the formation.
-        p: relative to its centre, shape (..., 2) [m].
+        p: points relative to the centre of the formation, shape (..., 2) [m].
 
     Returns:
-        shape (...) [m].
+        distances, shape (...) [m].
     """
     match shape:
         case "circle":

@@ -2,18 +2,18 @@ r"""Formation keeping with bounded forces, without a leader.
 
 Source: X. Xue, X. Yue, J. Yuan, "Connectivity preservation and collision avoidance control for
 spacecraft formation flying with bounded actuation", Advances in Guidance, Navigation and Control
-(ICGNC 2020), Springer 2022, pp. 3685-3697. Equation numbers are that paper's. Symbols that all
-proxies share are in `proxy`.
+(ICGNC 2020), Springer 2022, pp. 3685-3697. Equation numbers are that paper's. `proxy` lists the
+symbols common to all proxy laws.
 
     paper       code             meaning                                                  unit
     beta_i      beta             friction of the proxy                                    N s/m
-    alpha_i     proxy.spring     between satellite and proxy                              N/m
+    alpha_i     proxy.spring     stiffness between satellite and proxy                    N/m
 
-Differences from the paper: m g is own.mass * own.disturbance, whatever the caller puts there. In
-orbit it may or may not contain the Coriolis term, which does no work, so the paper's proof holds
-either way; on the table it is the estimated disturbance.
+Differences from the paper: m g is own.mass * own.disturbance. In orbit the caller may include the
+Coriolis term or not: it does no work, so the paper's proof holds either way. On the table it is the
+estimated disturbance.
 
-Nothing anchors the formation: under a common disturbance it drifts.
+The law does not fix the formation in place: a common disturbance makes it drift.
 """
 
 from collections.abc import Sequence
@@ -50,7 +50,7 @@ class BoundedFormationParams(
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code."""
+    """Parameters for compiled code."""
 
     coupling: Coupling
     beta: float
@@ -58,7 +58,7 @@ class Gains(NamedTuple):
 
 @compiled_rate(Gains)
 def rate(gains, law_state, own, neighbours, world, t):
-    """Force and how the proxy moves, see `testbed.core.law`."""
+    """Force and rate of the proxy's state, see `testbed.core.law`."""
     d = own.p.shape[0]
     c = gains.coupling
     spring = saturated(c.spring * (own.p - law_state[:d]), c.limit)

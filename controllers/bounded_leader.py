@@ -2,26 +2,26 @@ r"""Following a leader of constant velocity with bounded forces.
 
 Source: X. Xue, X. Wang, N. Han, "Leader-following connectivity preservation and collision avoidance
 control for multiple spacecraft with bounded actuation", Aerospace 11:612, 2024. Equation numbers
-are that paper's. Symbols that all proxies share are in `proxy`.
+are that paper's. `proxy` lists the symbols common to all proxy laws.
 
     paper            code                   meaning                                       unit
     p_0, p_0'        world.goal.p, .v       leader                                        m, m/s
     alpha            alpha                  friction between proxies                      N s/m
-    beta             beta                   damping of who hears the leader               N s/m
+    beta             beta                   damping of satellites that hear the leader    N s/m
     s_i              s                      velocity relative to the leader               m/s
     a_i0             the last edge          1 if satellite i hears the leader             -
-    m g + m C p'     own.mass * own.disturbance   Coriolis included: the caller must see to it  N
+    m g + m C p'     own.mass * own.disturbance   the caller must include the Coriolis term     N
 
-Corrections to the print: (4) lost the dots of p_i hat'', (5) those of both velocities; without them
-the derivative of V does not come out.
+Corrections to the print: (4) lost the dots of p_i hat'', (5) those of both velocities; the
+derivative of V requires them.
 
-Who does not hear the leader does not read the goal. The one exception is an addition, the option
-`feed_forward`: m p_0'' joins the force and the proxy's mass times p_0'' the proxy, so that the
-proof holds for a leader that accelerates; for that, everybody must have been told its plan. It is a
-better choice than the law with sgn for time-varying velocity, whose formation locks.
+A satellite that does not hear the leader does not read the goal. The option `feed_forward`, an
+addition, is the only exception: it adds m p_0'' to the force and the proxy's mass times p_0'' to
+the proxy, so that the proof holds for a leader that accelerates. Every satellite must then know
+the leader's plan. Prefer it to the sgn law for time-varying velocity, whose formation locks.
 
-Only who hears the leader is damped by beta; the others' slowest mode takes hundreds of seconds with
-the paper's gains.
+beta damps only satellites that hear the leader; with the paper's gains the slowest mode of the
+others takes hundreds of seconds.
 """
 
 from collections.abc import Sequence
@@ -56,12 +56,12 @@ class BoundedLeaderParams(Struct, frozen=True, forbid_unknown_fields=True, tag="
     proxy: ProxyParams
     alpha: Positive  # [N s/m]
     beta: NonNegative  # [N s/m]
-    feed_forward: bool = False  # of the leader's acceleration, to everybody
+    feed_forward: bool = False  # of the leader's acceleration, to every satellite
     scale: Scale = field(default_factory=Scale)
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code."""
+    """Parameters for compiled code."""
 
     coupling: Coupling
     alpha: float
@@ -84,7 +84,7 @@ def friction(law_state, own, neighbours, world, t):
 
 @compiled_rate(Gains)
 def rate(gains, law_state, own, neighbours, world, t):
-    """Force and how the proxy moves, see `testbed.core.law`."""
+    """Force and rate of the proxy's state, see `testbed.core.law`."""
     d, leader = own.p.shape[0], law_state.shape[0] - 2 * own.p.shape[0] - 1
     c = gains.coupling
     stretch = own.p - law_state[:d]

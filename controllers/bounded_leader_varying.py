@@ -1,25 +1,26 @@
-r"""Following a leader of time-varying velocity, its acceleration unknown, with bounded forces.
+r"""Following a leader of time-varying velocity and unknown acceleration with bounded forces.
 
 Source: X. Xue, X. Wang, N. Han, "Leader-following connectivity preservation and collision avoidance
 control for multiple spacecraft with bounded actuation", Aerospace 11:612, 2024. Equation numbers
-are that paper's. Symbols that all proxies share are in `proxy`.
+are that paper's. `proxy` lists the symbols common to all proxy laws.
 
     paper            code                   meaning                                       unit
     p_0, p_0'        world.goal.p, .v       leader                                        m, m/s
-    alpha            alpha                  sgn between proxies                           N
-    beta             beta                   sgn between satellites                        N
-    -                layer                  sgn is linear inside; 0: true sgn             m/s
+    alpha            alpha                  gain of sgn between proxies                   N
+    beta             beta                   gain of sgn between satellites                N
+    -                layer                  boundary layer of sgn; 0: true sgn            m/s
     a_i0             the last edge          1 if satellite i hears the leader             -
-    m g + m C p'     own.mass * own.disturbance   Coriolis included: the caller must see to it  N
+    m g + m C p'     own.mass * own.disturbance   the caller must include the Coriolis term     N
 
 Corrections to the print: (25) lost the dots of p_i hat'', (26) those of both velocities. Theorem 2
 needs alpha > mass gamma/sqrt(lambda_min), beta > max(m) gamma/sqrt(lambda_min) with the largest
 satellite's mass, gamma >= sqrt(N) |p_0''|; "beta = alpha/m_i" contradicts the paper's own numbers.
 
 Theorem 2 (3), that the distances converge, is wrong. The sgn of a relative velocity is Coulomb
-friction: wherever the potential's forces fit inside it, satellites that move alike stay as they
-are. Velocities do follow the leader, edges hold, nobody collides. A boundary layer lets the
-formation creep on, and leaves a velocity error of about its width.
+friction: where the potential's forces are smaller than it, satellites with equal velocities keep
+their distances. The other claims hold: velocities follow the leader, edges are kept, satellites do
+not collide. A boundary layer lets the formation creep towards its shape and leaves a velocity error
+of about its width.
 """
 
 from collections.abc import Sequence
@@ -61,7 +62,7 @@ class BoundedLeaderVaryingParams(
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code."""
+    """Parameters for compiled code."""
 
     coupling: Coupling
     alpha: float
@@ -71,7 +72,7 @@ class Gains(NamedTuple):
 
 @compiled_rate(Gains)
 def rate(gains, law_state, own, neighbours, world, t):
-    """Force and how the proxy moves, see `testbed.core.law`."""
+    """Force and rate of the proxy's state, see `testbed.core.law`."""
     d, leader = own.p.shape[0], law_state.shape[0] - 2 * own.p.shape[0] - 1
     c, speed = gains.coupling, law_state[d : 2 * d]
     between_proxies, between_satellites = np.zeros(d), np.zeros(d)

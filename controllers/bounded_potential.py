@@ -1,14 +1,15 @@
-r"""Bounded potential between two proxies: finite at both ends, so that finite forces can obey it.
+r"""Bounded potential between two proxies: finite at both ends, so finite forces can follow it.
 
 Source: X. Xue, X. Wang, N. Han, "Leader-following connectivity preservation and collision avoidance
 control for multiple spacecraft with bounded actuation", Aerospace 11:612, 2024, Eqs. (6)-(8); the
-same as (3)-(5) of X. Xue, X. Yue, J. Yuan, ICGNC 2020, Springer 2022. Numbers are those of 2024.
+same as (3)-(5) of X. Xue, X. Yue, J. Yuan, ICGNC 2020, Springer 2022. Equation numbers are those of
+2024.
 
     paper            code              meaning                                          unit
     |p_ij hat|       x                 distance of two proxies                          m
     d_ij             d                 desired distance                                 m
-    delta hat        near              psi = Q here                                     m
-    Delta hat        far               and here                                         m
+    delta hat        near              lower end, psi = Q                               m
+    Delta hat        far               upper end, psi = Q                               m
     Q                height            psi at the ends                                  m^2
     P                -                 the caller's factor in J = P psi                 N/m
 
@@ -16,11 +17,10 @@ psi(d) = psi'(d) = 0. The stiffness at d differs a lot between the two sides, ps
 2 (d - near) / [(far - d) + (d - near) (far - d)^2 / Q] on the far side and
 2 (far - d) / [(d - near) + (d - near)^2 (far - d) / Q] on the near one: put d in the middle.
 
-What the papers leave open: real distances may be as long as Delta and as short as delta, and the
-proxies' with them, so psi must mean something outside [near, far]. There it goes on with the slope
-of its end: zero would give the link away, the formula's denominator changes sign. With d >= far
-only the repulsion exists; it ends at far, where psi = 0 but psi' is not: the force jumps there,
-the energy does not.
+The papers leave psi outside [near, far] open, but real distances, and those of the proxies, reach
+from delta to Delta. Here psi continues with the slope at its end: a zero slope would give up the
+link, and the formula's denominator changes sign. With d >= far only the repulsion exists; it ends
+at far, where psi = 0 but psi' is not: the force jumps there, the energy does not.
 """
 
 from typing import NamedTuple
@@ -29,7 +29,7 @@ from testbed.core.compiled import compiled
 
 
 class BoundedPotential(NamedTuple):
-    """Ends and height."""
+    """Parameters of the potential: its ends and its height there."""
 
     near: float  # [m]
     far: float  # [m]

@@ -1,4 +1,4 @@
-"""Every law that an experiment file can name: the tagged union and who builds what.
+"""All laws that an experiment file can name: the tagged union and the function that builds them.
 
 To add a law: write its file, then add one line to `Controller` and one to `make_law`.
 """
@@ -39,10 +39,10 @@ Controller = (
 
 
 def make_law(params: Controller, names: Sequence[str] = (), d: int = 2) -> Law:
-    """The law that `params` describe, in the units of this world.
+    """The law that `params` describe, in SI units of the table.
 
     Args:
-        params: as an experiment file has them.
+        params: the `[controller]` section of an experiment.
         names: of all satellites, in the order of `Body.vehicle_index`.
         d: positions have shape (d,).
 

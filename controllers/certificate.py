@@ -1,4 +1,4 @@
-r"""Does the proof cover this start? What the bounded laws promise, checked before a flight.
+r"""Checks, before a flight, that its start satisfies the conditions of the bounded laws' proofs.
 
 Sources: X. Xue, X. Yue, J. Yuan, "Connectivity preservation and collision avoidance control for
 spacecraft formation flying with bounded actuation", ICGNC 2020, Springer 2022, Lemma 4; X. Xue,
@@ -10,13 +10,14 @@ multiple spacecraft with bounded actuation", Aerospace 11:612, 2024, Lemma 6, Th
     V_k = sum (m_i |s_i|^2 + mass |p_i hat' - p_0'|^2) / 2
 
 As V does not grow, V(0) <= phi_min keeps every satellite within epsilon/2 of its proxy, and
-V(0) < P Q every edge between its ends. Together: no initial edge is lost, nobody on one collides.
+V(0) < P Q keeps every edge between its ends. Together: no initial edge is lost, and satellites that
+share an edge do not collide.
 
-Corrections to the print: Lemma 6 forgets V_k(0), but followers that start at rest have the velocity
+Corrections to the print: Lemma 6 omits V_k(0), but followers that start at rest have the velocity
 -p_0' relative to the leader. P = phi_min/Q, Eq. (19), is not needed; the two conditions are.
 
-A law that breaks a condition may still be flown, and often does well, so what is found here are
-`Concern`s with names and not errors.
+A law often works well although a condition is violated, so violations are `Concern`s with
+identifiers and not errors.
 """
 
 from collections.abc import Sequence
@@ -41,12 +42,12 @@ class Fleet(NamedTuple):
     v: Array  # (n, d) [m/s]
     proxy_p: Array  # (n, d) [m]
     proxy_v: Array  # (n, d) [m/s]
-    leader_p: Array  # (d,) anything where there is none [m]
-    leader_v: Array  # (d,) zero where there is none [m/s]
+    leader_p: Array  # (d,) arbitrary without a leader [m]
+    leader_v: Array  # (d,) zero without a leader [m/s]
 
 
 def starting(mass: Array, p: Array, v: Array, leader_p: Array, leader_v: Array) -> Fleet:
-    """A fleet at the start, proxies at rest where the satellites are."""
+    """A fleet at the start: each proxy is at rest at its satellite's position."""
     return Fleet(mass, p, v, p, np.zeros_like(v), leader_p, leader_v)
 
 
@@ -119,14 +120,14 @@ def certificate(
     obstacles: Discs | None = None,
     names: Sequence[str] = (),
 ) -> list[Concern]:
-    """What Lemma 6 asks for and this start does not have; an empty list is the guarantee.
+    """Conditions of Lemma 6 that this start violates; empty: the guarantee holds.
 
     Args:
-        c: the law's, with E(0).
+        c: coupling of the law, with E(0).
         fleet: at the start.
-        max_force: weakest of the satellites', norm [N].
-        obstacles: if the proxies avoid any.
-        names: of the satellites, for what is said.
+        max_force: norm of the force of the weakest satellite [N].
+        obstacles: that the proxies avoid, if any.
+        names: of the satellites, for the messages.
     """
     found = _edge_concerns(c, fleet, names)
     v0, least = energy(c, fleet, c.formation.first, obstacles), least_spring_energy(c)
@@ -134,8 +135,8 @@ def certificate(
         found.append(
             Concern(
                 "start-energy",
-                f"V(0) = {v0:.4g} J is more than phi_min = {least:.4g} J: a satellite may come "
-                "further than epsilon/2 from its proxy; start slower or nearer to the desired "
+                f"V(0) = {v0:.4g} J is more than phi_min = {least:.4g} J: a satellite may move "
+                "more than epsilon/2 from its proxy; start slower or nearer to the desired "
                 "distances, lower the weight, or widen the margins",
             )
         )
@@ -153,8 +154,8 @@ def certificate(
         found.append(
             Concern(
                 "limit-beyond-thrust",
-                f"the spring's limit {c.limit:.4g} N is more than a satellite can push along each "
-                f"axis at once, {axis:.4g} N: the force is cut where the proof does not know of it",
+                f"the spring's limit {c.limit:.4g} N exceeds what a satellite can push along all "
+                f"axes at once, {axis:.4g} N: the force is cut, which the proof does not cover",
             )
         )
     return found
@@ -163,13 +164,13 @@ def certificate(
 def sgn_certificate(
     c: Coupling, alpha: float, beta: float, layer: float, mass: Array, leader_accel: float
 ) -> list[Concern]:
-    """What Theorem 2 asks of the gains and these do not have, and what it promises in vain.
+    """Conditions of Theorem 2 that these gains violate, and its claims that do not hold.
 
     Args:
-        c: the law's, with E(0).
-        alpha: [N].
-        beta: [N].
-        layer: [m/s].
+        c: coupling of the law, with E(0).
+        alpha: gain of sgn between proxies [N].
+        beta: gain of sgn between satellites [N].
+        layer: boundary layer of sgn [m/s].
         mass: (n,) [kg].
         leader_accel: largest |p_0''| [m/s^2].
     """
@@ -178,8 +179,8 @@ def sgn_certificate(
     found = [
         Concern(
             f"{name}-too-small",
-            f"{name} = {value:.4g} N is not more than {weight * needed:.4g} N, which the leader's "
-            f"acceleration of {leader_accel:.4g} m/s^2 asks for: velocities may not converge",
+            f"{name} = {value:.4g} N is not more than {weight * needed:.4g} N, required for the "
+            f"leader's acceleration of {leader_accel:.4g} m/s^2: velocities may not converge",
         )
         for name, value, weight in (("alpha", alpha, c.mass), ("beta", beta, float(max(mass))))
         if value <= weight * needed
@@ -195,8 +196,8 @@ def sgn_certificate(
         found.append(
             Concern(
                 "lock-in",
-                "true sgn is dry friction: the formation stops where the potential's forces fit "
-                "inside it, and Theorem 2 (3) does not hold",
+                "true sgn acts as dry friction: the formation stops where the potential's forces "
+                "are smaller than it, and Theorem 2 (3) does not hold",
             )
         )
     return found

@@ -1,4 +1,4 @@
-r"""Sliding mode with collision avoidance and without connectivity: the baseline of xue2021.
+r"""Sliding mode control with collision avoidance, without connectivity: the baseline of xue2021.
 
 Source: Q. Hu, H. Dong, Y. Zhang, G. Ma, "Tracking control of spacecraft formation flying with
 collision avoidance", Aerosp. Sci. Technol. 42, 2015, as X. Xue, X. Yue, J. Yuan, Adv. Space Res.
@@ -7,20 +7,20 @@ collision avoidance", Aerosp. Sci. Technol. 42, 2015, as X. Xue, X. Yue, J. Yuan
     paper        code             meaning                                                  unit
     s_i          s                p' + tau grad J                                          m/s
     tau          tau              velocity per force                                       m/(s N)
-    gamma        gamma            sgn of s                                                 N
-    -            layer            sgn is linear inside; 0: true sgn                        m/s
+    gamma        gamma            gain of sgn of s                                         N
+    -            layer            boundary layer of sgn; 0: true sgn                       m/s
     K_d          k_d              friction of s                                            N s/m
     K_F, K_O     potential        weights of J, each pair counted once                     N
     m_i hat      law_state[0]     estimated mass                                           kg
     F_i          own.disturbance  C p' + g, as on the right-hand side of (1)               m/s^2
 
-Corrections to the print: only with F on the right-hand side of (1) does m hat F cancel it.
+Corrections to the print: m hat F cancels F only if F is on the right-hand side of (1).
 
-What the paper leaves open: its J_ij is not printed. Here it is psi^r of 2021 below the desired
-distance; above, `attract` chooses for every pair: psi^d ("cosine", which lets go at the range: no
-connectivity is the point of the baseline), psi^a ("log") or psi^r continued with the gain of psi^a
-("continued", a well that knows no range). Every neighbour that is heard counts, whatever its
-distance: Hu et al. let everybody know everybody.
+The paper does not print J_ij. Here it is psi^r of 2021 below the desired distance; above it
+`attract` selects psi^d ("cosine": ends at the range, because the baseline does not keep
+connectivity), psi^a ("log") or psi^r continued with the gain of psi^a ("continued": a well without
+a range). Every neighbour that is heard counts, at any distance: in Hu et al. every satellite knows
+all others.
 """
 
 from collections.abc import Sequence
@@ -66,11 +66,11 @@ class CollisionSlidingParams(
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code."""
+    """Parameters for compiled code."""
 
     potential: FormationPotential
-    held: bool  # psi^a for everybody
-    continued: bool  # psi^r beyond d, too, with the gain of psi^a
+    held: bool  # psi^a for every pair
+    continued: bool  # psi^r also beyond d, with the gain of psi^a
     gamma: float
     k_d: float
     tau: float
@@ -118,7 +118,7 @@ def collision_sliding(params: CollisionSlidingParams, names: Sequence[str], d: i
     widest = float(u.formation.desired.max())
     if params.attract == "log" and widest >= params.formation.far:
         raise ValueError(
-            f'attract = "log" holds every pair inside {params.formation.far:g} m, found a desired '
+            f'attract = "log" keeps every pair within {params.formation.far:g} m, found a desired '
             f'distance of {widest:g} m: choose "cosine"'
         )
     gains = Gains(

@@ -5,27 +5,28 @@ spacecraft formation flying in the presence of multiple obstacles", Adv. Space R
 Equation numbers are that paper's.
 
     paper        code             meaning                                                  unit
-    s_i          s                velocity minus v hat; what the law tells the others      m/s
-    v_i hat      velocity         where the potential wants to go, Eq. (16)                m/s
+    s_i          s                velocity minus v hat; broadcast to the others            m/s
+    v_i hat      velocity         velocity the potential asks for, Eq. (16)                m/s
     w_ik         swerve           part of an obstacle's velocity, Eq. (17)                 m/s
     nu           nu               keeps (17) finite, Remark 4                              N
     1            kappa            velocity per force in (16)                               m/(s N)
     K_c, K_s     k_c, k_s         friction between neighbours, and of s                    N s/m
-    beta_i       beta             sgn of s                                                 N
-    -            layer            sgn is linear inside; 0: true sgn                        m/s
+    beta_i       beta             gain of sgn of s                                         N
+    -            layer            boundary layer of sgn; 0: true sgn                       m/s
     m_i hat      law_state[0]     estimated mass                                           kg
     a_ij         law_state[1:]    edges, see `graph`                                       -
     Y_i          -own.disturbance minus the acceleration without control, Eq. (8)          m/s^2
 
-Corrections to the print: the sum in (21) starts at j = 1, there is no leader; the list of gains
-calls K_s K_v. (16) sets a velocity equal to a force: kappa is its factor of 1 m/(s N), which must
-be scaled with the problem.
+Corrections to the print: the sum in (21) starts at j = 1, because there is no leader; the list of
+gains prints K_v for K_s. (16) sets a velocity equal to a force: kappa is the implied factor of
+1 m/(s N), which must be scaled with the problem.
 
 Differences from the paper: w is singular where a component of the gradient of Psi crosses zero and
-then asks for hundreds of newtons. `swerve` chooses: "paper" is (17) with a zero denominator
-replaced by nu, "smooth" is g v_o G/(G^2 + nu^2), "off" leaves w out. The filter (18) is needed for
-the bound of the proof only. The condition beta > gamma cannot be met with small thrusters, the
-force is cut at own.max_force: the proof does not cover a flight of this law.
+then asks for hundreds of newtons. `swerve` selects a version: "paper" is (17) with a zero
+denominator replaced by nu, "smooth" is g v_o G/(G^2 + nu^2), "off" omits w. The filter (18) is
+omitted: only the bound in the proof needs it. Small thrusters cannot meet the condition
+beta > gamma and the force is limited to own.max_force, so the proof does not cover a flight of this
+law.
 """
 
 from collections.abc import Sequence
@@ -76,7 +77,7 @@ class ConnectivityDynamicParams(
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code."""
+    """Parameters for compiled code."""
 
     potential: FormationPotential
     k_c: float
@@ -137,7 +138,7 @@ jump = with_edges(Gains)
 
 @compiled_broadcast(Gains)
 def broadcast(gains, law_state, own, neighbours, world, t):
-    """Its s."""
+    """s, Eq. (15), which the law broadcasts to the others."""
     return sliding(gains, law_state, own, neighbours, world)[0].copy()
 
 

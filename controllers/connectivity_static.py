@@ -13,9 +13,9 @@ Equation numbers are that paper's.
 
 Corrections to the print: (7) lost the dot of m_i hat'.
 
-Differences from the paper: the force is cut at own.max_force, direction kept. The proof does not
-know of that; where it never happens the theorem applies afterwards. On a level table
-own.disturbance is the estimated disturbance or zero, and the mass adapts to little or nothing.
+Differences from the paper: the force is limited to own.max_force, direction kept. The proof does
+not cover this; the theorem applies to a flight that never reaches the limit. On a level table
+own.disturbance is the estimated disturbance or zero, so the mass estimate hardly changes.
 """
 
 from collections.abc import Sequence
@@ -54,7 +54,7 @@ class ConnectivityStaticParams(
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code."""
+    """Parameters for compiled code."""
 
     potential: FormationPotential
     k_c: float

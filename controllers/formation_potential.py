@@ -1,19 +1,19 @@
-r"""Psi: what pulls and pushes a satellite in the laws of xue2021, and its gradient.
+r"""The potential Psi of the laws of xue2021 and its gradient.
 
 Source: X. Xue, X. Yue, J. Yuan, "Connectivity preservation and collision avoidance control for
 spacecraft formation flying in the presence of multiple obstacles", Adv. Space Res. 67:3504, 2021.
-Equation numbers are that paper's. Symbols of the single potentials are in `log_potential`.
+Equation numbers are that paper's. `log_potential` lists the symbols of the single potentials.
 
     paper            code                        meaning                                    unit
     K_f, K_o         pairs, obstacles            weights                                    N
-    d^o - delta^o    obstacle_band               an obstacle is felt from here on; 0: not   m
+    d^o - delta^o    obstacle_band               width of an obstacle's repulsion; 0: none  m
     a_ij             law_state[start:]           edges, see `graph`                         -
-    E(0)             formation.first             edges that are held                        -
+    E(0)             formation.first             edges of the start, which are kept         -
 
-(9) sums over ordered pairs, so each edge counts twice: `pair_count` = 2 is the paper, 1 the single
-count. An obstacle's delta^o is the radius that the caller gives it.
+(9) sums over ordered pairs, so each edge counts twice: `pair_count` = 2 is the paper, 1 counts each
+edge once. An obstacle's delta^o is the radius that the caller gives it.
 
-Differences from the paper: obstacles are felt within d^o, which the paper wants below Delta, so
+Differences from the paper: obstacles act within d^o, which the paper requires to be below Delta, so
 b_ik is not needed.
 """
 
@@ -46,7 +46,7 @@ class FormationPotentialParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FormationPotential(NamedTuple):
-    """The same with the formation, for compiled code."""
+    """Parameters and formation for compiled code."""
 
     formation: Formation
     single: LogPotential
@@ -58,11 +58,11 @@ class FormationPotential(NamedTuple):
 def formation_potential(
     params: FormationPotentialParams, shape: FormationParams, names: Sequence[str]
 ) -> FormationPotential:
-    """Parameters as the compiled code wants them; epsilon is the smaller of the two margins."""
+    """Convert the parameters for compiled code; epsilon is the smaller of the two margins."""
     margin = min(shape.far_margin, shape.near_margin)
     if 0.0 < params.obstacle_band <= margin:
         raise ValueError(
-            f"obstacle_band: expected 0 or more than the margins' {margin:g} m, "
+            f"obstacle_band: expected 0 or more than the smaller margin, {margin:g} m, "
             f"found {params.obstacle_band:g} m"
         )
     return FormationPotential(
@@ -76,7 +76,7 @@ def formation_potential(
 
 @compiled
 def add_gradient(slope, here, there, x, total):
-    """Add `slope` along the line from `there`, `x` away, to `total`."""
+    """Add `slope` along the line from `there` to `here`, of length `x`, to `total`."""
     if x > 0.0:
         for i in range(here.shape[0]):
             total[i] += slope * (here[i] - there[i]) / x
@@ -100,7 +100,7 @@ def pairs_gradient(u, law_state, start, own, neighbours):
 
 @compiled
 def obstacle_gradient(u, own, obstacles, k):
-    """Gradient of one obstacle's share of Eq. (9), shape (d,) [N]."""
+    """Gradient of one obstacle's term of Eq. (9), shape (d,) [N]."""
     total = np.zeros(own.p.shape[0])
     if u.band == 0.0:
         return total
@@ -122,7 +122,7 @@ def gradient(u, law_state, start, own, neighbours, world):
 
 @compiled
 def disagreement(law_state, start, mine, who, theirs):
-    """Sum over the edges of `mine` (d,) minus what each neighbour has, rows of `theirs`."""
+    """Sum over the edges of `mine` (d,) minus each neighbour's row of `theirs`."""
     total = np.zeros(mine.shape[0])
     for k in range(theirs.shape[0]):
         if who[k] >= 0 and law_state[start + who[k]] > 0.5:
@@ -132,10 +132,10 @@ def disagreement(law_state, start, mine, who, theirs):
 
 
 def _jump(gains, law_state, own, neighbours, world, t):
-    """Edges, from real positions."""
+    """Update the edges from real positions."""
     return remember(gains.potential.formation, law_state, 1, own, neighbours, world)
 
 
 def with_edges(gains_type: type) -> Callable:
-    """Jump of a law whose state is a mass and a_ij, and whose gains have a `potential`."""
+    """`jump` of a law whose state is a mass and a_ij, and whose gains have a `potential`."""
     return compiled_jump(gains_type)(_jump)

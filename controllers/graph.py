@@ -1,4 +1,4 @@
-"""Who is tied to whom: a proximity graph with a memory, and what the laws' proofs ask of it.
+"""The proximity graph of the formation laws, with hysteresis, and the properties their proofs use.
 
 Sources: X. Xue, X. Yue, J. Yuan, "Connectivity preservation and collision avoidance control for
 spacecraft formation flying in the presence of multiple obstacles", Adv. Space Res. 67, 2021; the
@@ -7,22 +7,23 @@ same, "... with bounded actuation", ICGNC 2020, Springer 2022; X. Xue, X. Wang, 
 with bounded actuation", Aerospace 11:612, 2024.
 
     paper              code            meaning                                             unit
-    Delta              range           beyond it two satellites do not hear each other     m
-    delta              safe            nearer than this they collide                       m
-    Delta hat          far             Delta - epsilon_1: the potential ends here          m
-    delta hat          near            delta + epsilon_2: and here                         m
+    Delta              range           communication range                                 m
+    delta              safe            collision distance                                  m
+    Delta hat          far             Delta - epsilon_1: upper end of the potential       m
+    delta hat          near            delta + epsilon_2: lower end of the potential       m
     Delta bar          join            Delta - zeta_2: a new edge is added below this      m
     d_ij               desired[i, j]   desired distance                                    m
     E(0)               first[i, j]     1 for an edge of the start                          -
-    a_ij               edge[j]         1 for an edge now, part of the law's state of i     -
+    a_ij               edge[j]         1 for a present edge, part of the law's state of i  -
     H                  pinned          Laplacian of the followers + diag(a_i0)             -
 
-The leader of 2024 is the last row and column of `desired` and `first`, whether there is one or not.
+The leader of 2024 is the last row and column of `desired` and `first`, present even without a
+leader.
 
 Corrections to the print: Eq. (2) of 2022 and 2024 drops an edge as soon as its length leaves
-(delta bar, Delta bar), and with it the force that should have kept it there. Here an edge of E(0)
-is dropped at Delta only, where it cannot be heard any more, any other edge too (hysteresis), and no
-edge is dropped for being short.
+(delta bar, Delta bar), and with it the force that should have kept it there. Here every edge is
+dropped only at Delta, where the neighbour can no longer be heard (hysteresis), and no edge is
+dropped for being short.
 """
 
 from collections.abc import Sequence
@@ -37,26 +38,26 @@ from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
 
-LEADER = "leader"  # how the leader is called in `distances` and `edges`
+LEADER = "leader"  # name of the leader in `distances` and `edges`
 
 
-# What a law's parameters declare as `forms`: desired lengths of the edges of a graph, of a graph
-# with a leader as one more node, or curves to be on. No vehicle of such a law has its own goal.
+# A law's parameters declare as `forms` what the law controls: edge lengths of a graph, edge lengths
+# of a graph that includes a leader, or positions on curves. Its vehicles have no individual goals.
 FormationKind = Literal["graph", "led graph", "curves"]
 
 
 def formation_kind(params: object) -> FormationKind | None:
-    """What the law of these parameters forms; None if each vehicle has its own goal."""
+    """The kind of formation that the law of these parameters controls; None: one goal a vehicle."""
     return getattr(params, "forms", None)
 
 
 class FormationParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Shape and ranges, in the paper's units.
 
-    `distances` has one entry for each pair of satellites, `"a-b" = 1.5`, and one for each that may
-    hear the leader, `"a-leader" = 1.0`. A distance at or beyond the far margin means: not nearer
-    than that. `edges` are those of the start, `["a-b", "a-leader"]`; null: every pair whose desired
-    distance is inside the far margin.
+    `distances` has one entry for each pair of satellites, `"a-b" = 1.5`, and one for each satellite
+    that may hear the leader, `"a-leader" = 1.0`. A pair with a distance at or beyond the far margin
+    is only kept from coming nearer. `edges` are those of the start, `["a-b", "a-leader"]`; null:
+    every pair whose desired distance is inside the far margin.
     """
 
     range: Positive  # Delta [m]
@@ -76,23 +77,23 @@ class FormationParams(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def near(self) -> float:
-        """Shortest distance of an edge that the potential knows [m]."""
+        """Lower end of the potential [m]."""
         return self.safe + self.near_margin
 
     @property
     def far(self) -> float:
-        """Longest [m]."""
+        """Upper end of the potential [m]."""
         return self.range - self.far_margin
 
     @property
     def join(self) -> float:
-        """Below it a pair becomes an edge [m]."""
+        """Distance below which a pair becomes an edge [m]."""
         margin = self.far_margin if self.join_margin is None else self.join_margin
         return self.range - margin
 
 
 class Formation(NamedTuple):
-    """The same, for compiled code; n satellites and, last, the leader."""
+    """Parameters for compiled code; n satellites, then the leader."""
 
     range: float  # [m]
     near: float  # [m]
@@ -111,7 +112,7 @@ def pair(text: str, names: Sequence[str]) -> tuple[int, int]:
     if not found:
         raise ValueError(f'expected a pair "a-b" of {known}, found "{text}"')
     if len(found) > 1:
-        raise ValueError(f'"{text}" can be read as more than one pair of {known}: rename one')
+        raise ValueError(f'"{text}" is ambiguous, it matches several pairs of {known}: rename one')
     a, b = found[0]
     if a == b:
         raise ValueError(f'expected two different names, found "{text}"')
@@ -135,8 +136,8 @@ def _desired(params: FormationParams, names: Sequence[str], led: bool) -> Array:
         for j in range(i):
             if desired[i, j] == 0.0:
                 raise ValueError(
-                    f'no distance for "{names[j]}-{name}": give one; at {params.far:g} m or more '
-                    "it only keeps them from coming nearer"
+                    f'no distance for "{names[j]}-{name}": give one; a distance of '
+                    f"{params.far:g} m or more only keeps them from coming nearer"
                 )
     return desired
 
@@ -159,7 +160,7 @@ def _first(params: FormationParams, names: Sequence[str], desired: Array, led: b
 
 
 def formation(params: FormationParams, names: Sequence[str], led: bool = False) -> Formation:
-    """Parameters as the compiled code wants them.
+    """Convert the parameters for compiled code.
 
     Args:
         params: with pairs by name.
@@ -167,25 +168,25 @@ def formation(params: FormationParams, names: Sequence[str], led: bool = False) 
         led: whether there is a leader.
 
     Raises:
-        ValueError: a name, distance or edge is wrong, or the edges leave somebody alone.
+        ValueError: a name, distance or edge is wrong, or the graph is not connected.
     """
     names = list(names)
     if LEADER in names:
-        raise ValueError(f'a satellite is called "{LEADER}", which means the goal here: rename it')
+        raise ValueError(f'a satellite is called "{LEADER}", the name of the goal here: rename it')
     desired = _desired(params, names, led)
     first = _first(params, names, desired, led)
     alone = unreached(first if led else first[:-1, :-1], len(names) if led else 0)
     if alone:
         whom = ", ".join([*names, LEADER][i] for i in alone)
         raise ValueError(
-            f"the graph of the start is not connected: no path of edges leads from "
+            f"the initial graph is not connected: no path of edges leads from "
             f"{LEADER if led else names[0]} to {whom}; add an edge"
         )
     return Formation(params.range, params.near, params.far, params.join, desired, first)
 
 
 def unreached(adjacency: Array, start: int = 0) -> list[int]:
-    """Vertices that no path of edges joins to `start`."""
+    """Vertices that no path of edges connects to `start`."""
     reached, ahead = {start}, [start]
     while ahead:
         for j in np.flatnonzero(adjacency[ahead.pop()] > 0.0).tolist():
@@ -196,7 +197,7 @@ def unreached(adjacency: Array, start: int = 0) -> list[int]:
 
 
 def laplacian(adjacency: Array) -> Array:
-    """L, shape of `adjacency`."""
+    """The graph Laplacian L, same shape as `adjacency`."""
     return np.diag(adjacency.sum(axis=1)) - adjacency
 
 
@@ -206,19 +207,19 @@ def pinned(adjacency: Array) -> Array:
 
 
 def smallest_eigenvalue(h: Array) -> float:
-    """Of a symmetric matrix; of H it is positive if everybody has a path to the leader."""
+    """Of a symmetric matrix; that of H is positive if all followers have a path to the leader."""
     return float(np.linalg.eigvalsh(h)[0])
 
 
 def proximity(positions: Array, reach: float) -> Array:
-    """Adjacency (n, n) of all pairs nearer than `reach`, for positions (n, d) [m]."""
+    """Adjacency (n, n) of pairs nearer than `reach` [m], for positions (n, d) [m]."""
     gap = np.linalg.norm(positions[:, None] - positions[None], axis=2)
     return np.where((gap < reach) & ~np.eye(len(positions), dtype=bool), 1.0, 0.0)
 
 
 @compiled
 def distance(a, b):
-    """Between two points, shape (d,) [m]."""
+    """Distance between two points of shape (d,) [m]."""
     total = 0.0
     for i in range(a.shape[0]):
         total += (a[i] - b[i]) ** 2
@@ -227,7 +228,7 @@ def distance(a, b):
 
 @compiled
 def edge_after(formation, edge, i, j, gap):
-    """a_ij, that was `edge`, when the distance is `gap`."""
+    """New a_ij at distance `gap`; `edge` is the old value."""
     if formation.desired[i, j] == 0.0 or gap >= formation.range:
         return 0.0
     return 1.0 if gap < formation.join else edge
@@ -235,14 +236,14 @@ def edge_after(formation, edge, i, j, gap):
 
 @compiled
 def remember(formation, law_state, start, own, neighbours, world):
-    """The law's state with a_ij brought up to date, from real positions.
+    """The law's state with a_ij updated from real positions.
 
     Args:
         formation: ranges and desired distances.
         law_state: its elements from `start` on are a_ij of this satellite, leader last.
-        start: where they start.
+        start: index of the first a_ij.
         own: this satellite.
-        neighbours: those heard; an edge to somebody else stays what it was.
+        neighbours: those heard; edges to others do not change.
         world: its goal is the leader.
 
     Returns:

@@ -1,11 +1,11 @@
-"""What the proof of a law asks of an experiment's start, and this one does not have.
+"""Conditions of a law's proof that the start of an experiment violates.
 
-One place for all laws: it brings the start into the paper's units and asks `certificate`; and it
-looks at what every formation law takes for granted: that edges of the start are as long as an edge
-can be, and that the wanted distances exist on a table or in space.
+For all laws: converts the start to the paper's units and calls `certificate`. It also checks what
+every formation law assumes: edges of the start are no longer than the range, and the desired
+distances are geometrically possible.
 
-A law may be flown all the same, so what is found are `Concern`s with names. What cannot be flown at
-all, such as a graph that is not connected by its own list of edges, is an error of `graph`.
+Violations are `Concern`s, because the law can still be flown. What cannot be flown at all, such as
+a list of edges that is not connected, is an error of `graph`.
 """
 
 from collections.abc import Sequence
@@ -34,24 +34,24 @@ Array = NDArray[np.float64]
 
 Bounded = BoundedFormationParams | BoundedLeaderParams | BoundedLeaderVaryingParams
 Unbounded = ConnectivityStaticParams | ConnectivityDynamicParams | CollisionSlidingParams
-REACHED = 1e-3  # of a wanted distance, relative
-TRIES = 8  # starts from which a shape is looked for, the experiment's own first
+REACHED = 1e-3  # relative error at which a desired distance counts as reached
+TRIES = 8  # initial guesses of the search for a shape, first the experiment's own start
 
 
 class Start(NamedTuple):
-    """How an experiment begins; all at rest, rows in the order of `Body.vehicle_index`."""
+    """Start of an experiment, all vehicles at rest; rows in the order of `Body.vehicle_index`."""
 
     mass: Array  # (n,) [kg]
     p: Array  # (n, d) [m]
-    goal_p: Array  # (n, d); the leader's, for those that hear one [m]
+    goal_p: Array  # (n, d); the leader's position for those that hear one [m]
     goal_v: Array  # (n, d) [m/s]
     goal_accel: float  # largest of the run [m/s^2]
-    max_force: float  # weakest of the satellites', norm [N]
+    max_force: float  # norm of the force of the weakest satellite [N]
     obstacles: Discs
 
 
 def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Concern]:
-    """All that the proof asks for and this start does not have; none for laws without a proof."""
+    """All conditions of the proof that this start violates; empty for laws without a proof."""
     if isinstance(params, BifurcatingParams):
         return _field(params)
     if not isinstance(params, Bounded | Unbounded):
@@ -77,14 +77,14 @@ def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Con
 
 
 def _unbounded(params: Unbounded, start: Start) -> list[Concern]:
-    """What the theorems of xue2021 ask of gains and obstacles."""
+    """Conditions of the theorems of xue2021 on gains and obstacles."""
     found = []
     if isinstance(params, ConnectivityStaticParams) and (start.obstacles.v != 0.0).any():
-        found.append(Concern("obstacle-moves", "Theorem 1 is for obstacles that stand still"))
+        found.append(Concern("obstacle-moves", "Theorem 1 requires obstacles that stand still"))
     if isinstance(params, ConnectivityDynamicParams):
         text = (
-            f"Theorem 2 asks beta, {params.beta:.4g} N, to exceed mass times the change of v hat "
-            "wherever the flight goes, which no start can promise"
+            f"Theorem 2 requires beta, {params.beta:.4g} N, to exceed mass times the rate of v hat "
+            "during the entire flight, which cannot be checked at the start"
         )
         found.append(Concern("beta-unproven", text))
         if params.layer > 0.0:
@@ -94,7 +94,7 @@ def _unbounded(params: Unbounded, start: Start) -> list[Concern]:
 
 
 def _demand(params: Unbounded, names: Sequence[str], start: Start) -> list[Concern]:
-    """What the potential asks for at the start; xue2021's theorems know of no bound."""
+    """Force that the potential asks for at the start; xue2021's theorems assume no limit."""
     if isinstance(params, CollisionSlidingParams):
         return []  # its force is not the gradient
     u = formation_potential(params.potential, params.formation, names)
@@ -114,8 +114,8 @@ def _demand(params: Unbounded, names: Sequence[str], start: Start) -> list[Conce
     if most <= start.max_force:
         return []
     text = (
-        f"at the start the potential asks {most:.4g} N of {names[worst]}, which has "
-        f"{start.max_force:.4g} N: the force is cut where the proof does not know of it"
+        f"at the start the potential asks {names[worst]} for {most:.4g} N, the limit is "
+        f"{start.max_force:.4g} N: the force is cut, which the proof does not cover"
     )
     return [Concern("demand-beyond-thrust", text)]
 
@@ -136,11 +136,11 @@ def _push(u: FormationPotential, here: Array, there: Array, safe: float) -> floa
 
 
 def _field(params: BifurcatingParams) -> list[Concern]:
-    """What gao2022's field needs so that the cluster comes to rest."""
+    """Conditions on gao2022's field for the cluster to come to rest."""
     still = [k for k, phase in enumerate(params.phases) if params.field(phase).k_v == 0.0]
     if not still:
         return []
-    text = f"k_v = 0 in phases[{still[0]}]: nothing damps, the cluster swings without end"
+    text = f"k_v = 0 in phases[{still[0]}]: without damping the cluster oscillates forever"
     return [Concern("no-damping", text)]
 
 
@@ -155,7 +155,7 @@ def _bounded(params: Bounded, names: Sequence[str], start: Start) -> list[Concer
         leader_p, leader_v = start.goal_p[hears[0]], start.goal_v[hears[0]]
         if np.ptp(start.goal_p[hears], axis=0).any() or np.ptp(start.goal_v[hears], axis=0).any():
             who = ", ".join(names[k] for k in hears.tolist())
-            text = f"{who} hear the leader, which is their goal, but their goals differ"
+            text = f"{who} hear the leader, which is their common goal, but their goals differ"
             found.append(Concern("several-leaders", text))
     fleet = starting(start.mass, start.p, np.zeros_like(start.p), leader_p, leader_v)
     found += _edges(shape, names, start, params.formation.safe)
@@ -167,12 +167,12 @@ def _bounded(params: Bounded, names: Sequence[str], start: Start) -> list[Concer
         text = f"the proof is for a constant velocity; this leader has {start.goal_accel:.2g} m/s^2"
         found.append(Concern("leader-accelerates", text))
     if c.band > 0.0 and (start.obstacles.v != 0.0).any():
-        found.append(Concern("obstacle-moves", "the proof is for obstacles that stand still"))
+        found.append(Concern("obstacle-moves", "the proof requires obstacles that stand still"))
     return [*found, *_shape(shape, names, start)]
 
 
 def _edges(shape: Formation, names: Sequence[str], start: Start, safe: float) -> list[Concern]:
-    """Edges of the start between two that do not hear each other, or touch."""
+    """Edges of the start that are beyond the range, too short or not connected."""
     n, found, heard = len(names), [], shape.first[:-1, :-1].copy()
     for i, j in np.argwhere(np.triu(heard) > 0.0).tolist():
         x = float(np.linalg.norm(start.p[i] - start.p[j]))
@@ -194,7 +194,7 @@ def _edges(shape: Formation, names: Sequence[str], start: Start, safe: float) ->
 
 
 def _shape(shape: Formation, names: Sequence[str], start: Start) -> list[Concern]:
-    """Wanted distances that cannot all be had at once, those to the leader included."""
+    """Desired distances, including those to the leader, that are geometrically impossible."""
     n, d = len(start.p) + 1, start.p.shape[1]
     wanted = np.triu(shape.desired, 1)
     pairs = np.argwhere((wanted > 0.0) & ((wanted < shape.far) | (shape.first > 0.0)))
@@ -219,7 +219,7 @@ def _shape(shape: Formation, names: Sequence[str], start: Start) -> list[Concern
             return []
     one, two = [*names, LEADER][i[pair]], [*names, LEADER][j[pair]]
     text = (
-        f"no {len(np.unique(pairs))} places have all the wanted distances at once; "
-        f"{one}-{two} = {goal[pair]:.4g} m stays {100.0 * worst:.2g} % off in the best found"
+        f"no {len(np.unique(pairs))} positions satisfy all desired distances; in the best found "
+        f"{one}-{two} = {goal[pair]:.4g} m is {100.0 * worst:.2g} % off"
     )
     return [Concern("unreachable-distances", text)]

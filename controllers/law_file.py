@@ -1,4 +1,4 @@
-"""The file of a law outside the package: found, executed, blamed where it fails."""
+"""Finds, executes and locates errors in the file of a law outside the package."""
 
 import hashlib
 import re
@@ -17,7 +17,7 @@ _IMPORTED: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # digests, 
 
 
 class UnusableLawError(TestbedError, ValueError):
-    """A law cannot be made; `key` is what to mend in [controller]."""
+    """A law cannot be made; `key` is the key of [controller] to correct."""
 
     def __init__(self, key: str, expected: str, found: str) -> None:
         super().__init__(f"expected {expected}, found {found}")
@@ -27,7 +27,7 @@ class UnusableLawError(TestbedError, ValueError):
 class LawStoppedError(BaseException):
     """Raised inside a law to end its call, for instance because it takes too long.
 
-    No `Exception`, so that a law that catches those does not go on.
+    Not an `Exception`, so that a law with `except Exception` does not continue.
     """
 
 
@@ -83,10 +83,10 @@ def _content(path: Path) -> bytes:
 
 
 def maker(law: str, sha256: str | None = None) -> Callable[..., Any]:
-    """What "path.py:Name", or an entry point, stands for.
+    """The class or function named by "path.py:Name" or by an entry point.
 
     Raises:
-        UnusableLawError: there is no such file or name, the file fails, or is not the one meant.
+        UnusableLawError: no such file or name, the file fails, or its SHA-256 differs.
     """
     path = file_of(law)
     if path is None:
@@ -103,7 +103,7 @@ def maker(law: str, sha256: str | None = None) -> Callable[..., Any]:
     made = names.get(name)
     if not callable(made):
         own = [n for n, v in names.items() if getattr(v, "__module__", "") == names["__name__"]]
-        expected = f"a class or function of {path.name}: {', '.join(own) or 'it has none'}"
+        expected = f"a class or function of {path.name}: {', '.join(own) or 'it defines none'}"
         raise UnusableLawError(
             "law", expected, f"`{name}`" + ", which is neither" * (made is not None)
         )
@@ -111,7 +111,7 @@ def maker(law: str, sha256: str | None = None) -> Callable[..., Any]:
 
 
 def _edited(sha256: str | None, found: str) -> UnusableLawError:
-    expected = f"{sha256}, the content that is meant; without the key, any"
+    expected = f"{sha256} (remove the key to accept any content)"
     return UnusableLawError("sha256", expected, f"{found} was edited")
 
 
@@ -134,17 +134,18 @@ def _module(name: str, made: Callable[..., Any]) -> ModuleType:
 
 
 def _executed(path: Path, content: bytes, name: str) -> ModuleType:
-    """The module of a file, executed anew each time: what one law leaves in it no other finds.
+    """The module of a file, executed again for each law, so that laws share no module state.
 
-    With machine code in it, it is executed once per content. Numba knows types by their class, so
-    anew would be compiled anew; and compiled code takes what is in a module for constant.
+    A module with compiled functions is executed once per content: numba identifies types by their
+    class, so executing it again would compile it again, and compiled code treats module globals as
+    constants.
     """
     before = sys.modules.get(name)
     if before is not None and _is_compiled(before):
         return before
     module = ModuleType(name)
     module.__file__ = str(path)
-    sys.modules[name] = module  # where annotations are looked up
+    sys.modules[name] = module  # annotations are looked up here
     try:
         exec(compile(content, str(path), "exec"), vars(module))
     except KeyboardInterrupt:
@@ -158,7 +159,7 @@ def _executed(path: Path, content: bytes, name: str) -> ModuleType:
 
 
 def _is_compiled(module: ModuleType) -> bool:
-    """Whether numba compiles something of a module itself, not only what it imports."""
+    """Whether the module itself, not only its imports, defines functions compiled by numba."""
     own = [v for v in vars(module).values() if getattr(v, "__module__", "") == module.__name__]
     inside = [
         getattr(v, "__func__", v)
@@ -170,7 +171,7 @@ def _is_compiled(module: ModuleType) -> bool:
 
 
 def blame(error: BaseException, path: Path | None) -> str:
-    """Where in a law's file it failed, and why, in one line."""
+    """Line and cause of an error in a law's file, as one line of text."""
     whole = re.sub(r"\x1b\[[\d;]*m", "", str(error))  # numba writes in bold
     reason = next((line for line in whole.splitlines() if _says_something(line)), "")
     text = f"{type(error).__name__}: {reason.strip()}"
@@ -190,5 +191,5 @@ def blame(error: BaseException, path: Path | None) -> str:
 
 
 def _says_something(line: str) -> bool:
-    """Numba says first in which of its steps it failed."""
+    """Whether a line of an error message is informative: numba's first line is not."""
     return bool(line.strip()) and not line.startswith("Failed in nopython mode pipeline")

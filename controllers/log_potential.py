@@ -6,16 +6,16 @@ Equation numbers are that paper's.
 
     paper               code               meaning                                       unit
     |p_ij|              x                  distance                                      m
-    d_ij, d_ik^o        d                  desired distance; where an obstacle begins    m
-    delta_ij, delta^o   safe               collision                                     m
-    Delta               range              out of sight                                  m
+    d_ij, d_ik^o        d                  desired distance; start of obstacle repulsion m
+    delta_ij, delta^o   safe               collision distance                            m
+    Delta               range              communication range                           m
     epsilon             margin             forces stop growing this far from both        m
-    k_r, k_a, k_d       repel, attract, wish    gains; the third in metres               -, -, m
+    k_r, k_a, k_d       repel, attract, wish    gains                                    -, -, m
 
 Corrections to the print: (29) is not the primitive of (30), which is right; the factors in front of
-the logarithms are d - delta and Delta - d. (4) chooses by the distance at the start, so that an
-edge that began shorter than d could be lost; here every edge of E(0) is held by psi^a, every other
-one is drawn by psi^d.
+the logarithms are d - delta and Delta - d. (4) selects the potential by the distance at the start,
+so that an edge that began shorter than d could be lost; here psi^a acts on every edge of E(0) and
+psi^d on every other pair.
 """
 
 from typing import NamedTuple
@@ -60,7 +60,7 @@ def attraction(u, x, d):
 
 @compiled
 def wish(u, x, d):
-    """psi^d [m] and its slope for x > d; level beyond the range."""
+    """psi^d [m] and its slope for x > d; constant beyond the range."""
     if x >= u.range:
         return 2.0 * u.wish, 0.0
     angle = np.pi * (x - d) / (u.range - d)

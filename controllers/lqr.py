@@ -1,21 +1,21 @@
-"""Linear-quadratic regulation to a goal, blind to obstacles: the best that is linear.
+"""Linear-quadratic regulation to a goal without obstacle avoidance: the best linear law.
 
 Source: B. D. O. Anderson, J. B. Moore, "Optimal Control: Linear Quadratic Methods", Prentice-Hall,
 1990, chapter 2; weights by A. E. Bryson, Y.-C. Ho, "Applied Optimal Control", 1975, section 5.2.
 
-    least sum over jet periods of |e|^2/error^2 + |e'|^2/speed^2 + |a|^2/accel^2
+    minimise sum over jet periods of |e|^2/error^2 + |e'|^2/speed^2 + |a|^2/accel^2
 
     textbook    code             meaning                                              unit
     K           feedback         a = -K (e, e'), discrete, for the period it is held  1/s^2, 1/s
-    Q, R        error, speed, accel  what is acceptable; weights are 1/x^2            m, m/s, m/s^2
+    Q, R        error, speed, accel  acceptable values x; weights are 1/x^2           m, m/s, m/s^2
     n           mean_motion      of the orbit, with feed = "orbit"                    rad/s
 
-`feed` says what is done about motion that no jet asked for: "disturbance" cancels own.disturbance,
-whatever it is; "orbit" puts Clohessy-Wiltshire into the model instead, for a goal that may lie
-anywhere; "none" leaves it to the feedback. The gain is designed for the jet period that the force
-is held for.
+`feed` selects the compensation of the acceleration without thrust: "disturbance" cancels
+own.disturbance; "orbit" uses the Clohessy-Wiltshire equations as the model, for a goal anywhere in
+the frame; "none" leaves it to the feedback. The gain is designed for the jet period, during which
+the force is held.
 
-The force is bounded by own.max_force, direction kept, of which the cost knows nothing.
+The force is limited to own.max_force, direction kept; the cost does not include this limit.
 """
 
 from typing import Literal
@@ -34,7 +34,7 @@ Feed = Literal["disturbance", "orbit", "none"]
 
 
 def check_orbit(feed: Feed, mean_motion: float) -> None:
-    """A mean motion is given with feed = "orbit" and only then."""
+    """Raise unless a mean motion is given exactly with feed = "orbit"."""
     if (feed == "orbit") != (mean_motion > 0.0):
         raise ValueError(
             f'expected mean_motion > 0 with feed = "orbit" and 0 otherwise, '
@@ -43,14 +43,14 @@ def check_orbit(feed: Feed, mean_motion: float) -> None:
 
 
 class LqrParams(Struct, frozen=True, forbid_unknown_fields=True, tag="lqr"):
-    """What is acceptable, and the model."""
+    """Acceptable values for Bryson's rule, and the model."""
 
     error: Positive = 1.0  # [m]
     speed: Positive = 0.1  # [m/s]
     accel: Positive = 0.02  # [m/s^2]
     feed: Feed = "disturbance"
     mean_motion: NonNegative = 0.0  # [rad/s]
-    period: Positive = 0.1  # of a force, where nobody says how long it is held [s]
+    period: Positive = 0.1  # hold time of a force if the caller does not give one [s]
     scale: Scale = field(default_factory=Scale)
 
     def __post_init__(self) -> None:
@@ -63,16 +63,16 @@ def steady(generator: Array, state: Array, accel: Array, disturbance: Array, fee
     Args:
         generator: of the model, (2d, 2d).
         state: of the goal, (..., 2d).
-        accel: its acceleration, (..., d).
-        disturbance: of the satellite, (d,).
-        feed: what is done about that.
+        accel: of the goal, (..., d) [m/s^2].
+        drift: acceleration of the satellite without thrust, (d,) [m/s^2].
+        feed: compensation of the drift, see above.
     """
     a = accel - state @ generator[disturbance.shape[0] :].T
     return a - disturbance if feed == "disturbance" else a
 
 
 class Lqr:
-    """The law; it has no state."""
+    """The linear-quadratic regulator; it has no state."""
 
     def __init__(self, params: LqrParams, d: int) -> None:
         self._params, self._d = params, d

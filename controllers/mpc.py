@@ -1,4 +1,4 @@
-r"""Model predictive control to a goal, around obstacles and the others: what one would try today.
+r"""Model predictive control to a goal that avoids obstacles and the other vehicles.
 
 Sources: J. B. Rawlings, D. Q. Mayne, M. M. Diehl, "Model Predictive Control: Theory, Computation,
 and Design", 2nd ed., 2017 (sections 2.3, 8.8: condensing, terminal cost); E. C. Kerrigan, J. M.
@@ -7,31 +7,32 @@ Control 2000; the solver is DAQP: D. Arnstrom, A. Bemporad, D. Axehill, "A dual 
 for embedded quadratic programming using recursive LDL^T updates", IEEE Trans. Automatic Control
 67:4362, 2022.
 
-    least  sum_k |e_k|^2/error^2 + |e'_k|^2/speed^2 + |a_k - a_steady|^2/accel^2 + e_N'P e_N
-           + violation sum_j s_j
-    with   n.a_k <= limit                     for each facet n of what the jets can do
-           n_jk.(p_k - c_jk) >= radius_j + margin - s_j,  s_j >= 0
+    minimise    sum_k |e_k|^2/error^2 + |e'_k|^2/speed^2 + |a_k - a_steady|^2/accel^2 + e_N'P e_N
+                + violation sum_j s_j
+    subject to  n.a_k <= limit                for each facet n of the thrust limit
+                n_jk.(p_k - c_jk) >= radius_j + margin - s_j,  s_j >= 0
 
     symbol      code           meaning                                                 unit
     k           0..steps       of the prediction, step_s apart                         -
     a_k         plan           acceleration from k to k + 1, held                      m/s^2
-    e_k, e'_k                  off the goal, which moves as it says                    m, m/s
-    P                          cost from there on without constraints, see `sampled`
+    e_k, e'_k                  error to the predicted goal and its rate                m, m/s
+    P                          terminal cost without constraints, see `sampled`
     n_jk        normals        from disc j to the predicted path at k                  -
-    c_jk                       where disc j will be, at its present velocity           m
-    s_j         slack          how much of a margin is given up                        m
+    c_jk                       predicted centre of disc j, at constant velocity        m
+    s_j         slack          violation of the margin of disc j                       m
 
-Only the half-plane beyond a disc's tangent is allowed, so what the program allows, the disc does;
-the tangent turns with the path from decision to decision. It is also tilted by at most `TILT`
-towards the side where the way to the goal is shorter, else a vehicle dead in line would stop before
-a disc for good. The others are discs, too, and are passed on the same hand by everybody.
+The allowed half-plane behind a disc's tangent lies outside the disc, so a feasible path is free of
+collisions; the tangent turns with the path from decision to decision. It is also tilted by at most
+`TILT` towards the side with the shorter way to the goal, because otherwise a vehicle exactly in
+line with a disc and its goal would stop in front of the disc for good. Other vehicles are discs,
+too, and all vehicles pass each other on the same side.
 
-When there is no way to keep a margin, it is given up by as little as possible: `violation` is more
-than any constraint can be worth, so no margin is given up that can be kept (exact penalty). When
-the solver fails, the satellite brakes. Both are counted in the law's state and named by `concerns`.
+If a margin cannot be kept, it is violated as little as possible: `violation` exceeds any
+constraint's multiplier, so a margin that can be kept is kept (exact penalty). If the solver fails,
+the satellite brakes. The law's state counts both and `concerns` reports them.
 
-The law decides once per jet period and is deterministic: each program starts from the plan before,
-which is part of the law's state.
+The law decides once per jet period and is deterministic: each program is warm-started with the
+previous plan, which is part of the law's state.
 """
 
 from typing import Annotated, NamedTuple
@@ -51,16 +52,16 @@ Array = NDArray[np.float64]
 
 TILT = 0.1  # [rad]
 FEASIBLE = 1e-5  # a program's solution may violate its constraints by that much [m, m/s^2]
-NOTICED = 1e-3  # a margin given up by less is not worth a word [m]
-BRAKE_S = 0.5  # in which a satellite without a plan would stop, if it can [s]
-SOLVED = 1  # DAQP's word
+NOTICED = 1e-3  # smaller violations of a margin are not reported [m]
+BRAKE_S = 0.5  # stopping time of a satellite without a plan, within its force limit [s]
+SOLVED = 1  # DAQP's exit flag
 FREE = 1e30  # DAQP's infinity
-CURVE = 1e-3  # of the slacks' cost, which DAQP wants strictly convex
-FAILED, SOFTENED, WORST, PLAN = 0, 1, 2, 3  # where the law's state has what
+CURVE = 1e-3  # curvature of the slacks' cost: DAQP requires strict convexity
+FAILED, SOFTENED, WORST, PLAN = 0, 1, 2, 3  # indices into the law's state
 
 
 class MpcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="mpc"):
-    """What is acceptable, how far ahead, and the model."""
+    """Weights by Bryson's rule, horizon, margins and the model."""
 
     error: Positive = 1.0  # [m]
     speed: Positive = 0.1  # [m/s]
@@ -68,10 +69,10 @@ class MpcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="mpc"):
     steps: Annotated[int, Meta(ge=1, le=100)] = 20
     step_s: Positive = 1.0
     margin: NonNegative = 0.05  # beyond the discs' radii [m]
-    violation: Positive = 1e4  # price of giving up a metre of it
+    violation: Positive = 1e4  # cost per metre of violated margin
     feed: Feed = "disturbance"
     mean_motion: NonNegative = 0.0  # [rad/s]
-    period: Positive = 0.1  # of a force, where nobody says how long it is held [s]
+    period: Positive = 0.1  # hold time of a force if the caller does not give one [s]
     scale: Scale = field(default_factory=Scale)
 
     def __post_init__(self) -> None:
@@ -86,7 +87,7 @@ class Horizon(NamedTuple):
     cost: Array  # (n 2d, n 2d)
     accel: Array  # (n d, n d)
     facets: Array  # (n f, n d), unit normals
-    inscribed: float  # the facets' distance of a body inside the unit ball
+    inscribed: float  # distance of the facets from the centre if the body just fits a unit ball
 
 
 def directions(d: int) -> tuple[Array, float]:
@@ -102,7 +103,7 @@ def directions(d: int) -> tuple[Array, float]:
 
 
 def horizon(params: MpcParams, d: int) -> Horizon:
-    """Matrices that do not change."""
+    """Matrices of the prediction, constant over a flight."""
     n, model = params.steps, sampled(params.mean_motion, d, params.step_s)
     cost = weights(params.error, params.speed, params.accel, d)
     powers = [np.eye(2 * d)]
@@ -122,7 +123,7 @@ def horizon(params: MpcParams, d: int) -> Horizon:
 
 
 def repeated(block: Array, n: int) -> Array:
-    """`block` n times along the diagonal."""
+    """Block-diagonal matrix with `block` repeated n times."""
     return np.asarray(np.kron(np.eye(n), block), dtype=np.float64)
 
 
@@ -133,7 +134,7 @@ def tangents(path: Array, centres: Array, goal: Array, others: int = 0) -> Array
         path: predicted, (n, d) [m].
         centres: of the discs at those times, (m, n, d) [m].
         goal: (d,) [m].
-        others: how many of the discs, the last ones, are satellites that avoid us, too.
+        others: number of discs at the end that are satellites, which avoid this one, too.
     """
     normal = _unit(path - centres, np.eye(path.shape[1])[0])
     beyond = _unit(goal - centres, normal)
@@ -147,7 +148,7 @@ def tangents(path: Array, centres: Array, goal: Array, others: int = 0) -> Array
 
 
 def _hand(normal: Array) -> Array:
-    """Unit vectors across `normal`, all to the same hand, so that two who meet pass each other."""
+    """Unit vectors across `normal`, always to the same side, so that two vehicles can pass."""
     if normal.shape[-1] == 2:
         return np.stack((-normal[..., 1], normal[..., 0]), axis=-1)
     up = np.where(np.abs(normal[..., 2:]) < 0.9, np.eye(3)[2], np.eye(3)[0])
@@ -161,7 +162,7 @@ def _unit(vectors: Array, otherwise: Array) -> Array:
 
 
 class Program(NamedTuple):
-    """least z'H z/2 + f.z with A z <= upper and z[:m] >= 0; z: m slacks, then the plan."""
+    """Minimise z'H z/2 + f.z subject to A z <= upper, z[:m] >= 0; z: m slacks, then the plan."""
 
     h: Array
     f: Array
@@ -171,7 +172,7 @@ class Program(NamedTuple):
 
 
 class Mpc:
-    """The law; its state is [failures, margins given up, the worst of them, the plan]."""
+    """The law; its state is [solver failures, margin violations, largest violation [m], plan]."""
 
     def __init__(self, params: MpcParams, d: int) -> None:
         self._params, self._d, self._n = params, d, params.steps
@@ -185,7 +186,7 @@ class Mpc:
         return np.zeros(PLAN + self._n * self._d)
 
     def _goals(self, own: Body, world: World) -> tuple[Array, Array]:
-        """States (n 2d,) of the goal after each step, accelerations (n d,) that keep it there."""
+        """States (n 2d,) of the goal after each step; steady accelerations (n d,) on it."""
         goal, t = world.goal, self._params.step_s * np.arange(self._n + 1)[:, None]
         a, v = goal.a + t * goal.jerk, goal.v + t * goal.a + t**2 / 2.0 * goal.jerk
         p = goal.p + t * goal.v + t**2 / 2.0 * goal.a + t**3 / 6.0 * goal.jerk
@@ -194,7 +195,7 @@ class Mpc:
         return states[1:].ravel(), accels[:-1].ravel()
 
     def program(self, plan: Array, own: Body, neighbours: Neighbours, world: World) -> Program:
-        """The quadratic program, linearised about where `plan` (n d,) leads."""
+        """The quadratic program, linearised about the path of `plan` (n d,)."""
         n, d, ahead, params = self._n, self._d, self._horizon, self._params
         goals, accels = self._goals(own, world)
         free = ahead.from_state @ np.concatenate((own.p, own.v))
@@ -249,19 +250,19 @@ class Mpc:
         """See `Decider`."""
         found = []
         if law_state[FAILED] > 0.0:
-            text = f"no plan in {law_state[FAILED]:.0f} decisions: the solver failed, it braked"
+            text = f"the solver failed in {law_state[FAILED]:.0f} decisions: the vehicle braked"
             found.append(Concern("solver-failed", text))
         if law_state[SOFTENED] > 0.0:
             text = (
-                f"a margin was given up in {law_state[SOFTENED]:.0f} decisions, by "
-                f"{law_state[WORST]:.3f} m at most: there was no way to keep it"
+                f"a margin was violated in {law_state[SOFTENED]:.0f} decisions, by "
+                f"{law_state[WORST]:.3f} m at most: it could not be kept"
             )
             found.append(Concern("margin-given-up", text))
         return found
 
 
 def solved(program: Program, plan: Array) -> Array | None:
-    """The solution z, found from `plan` on; None where the solver fails."""
+    """The solution z, warm-started with `plan`; None if the solver fails."""
     numbers = (program.h, program.f, program.a, program.upper)
     if not all(np.isfinite(part).all() for part in numbers):
         return None

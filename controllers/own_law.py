@@ -1,29 +1,28 @@
-"""A law of one's own: a Python file outside the package, named in the experiment.
+"""User-defined laws: a Python file outside the package, named in the experiment.
 
     [controller]
     type = "python"
     law = "my_law.py:Mine"              # a file, relative to this one, and a name in it
     parameters = { stiffness = 0.2 }
 
-`Mine` is called with the parameters, which must fit its annotations; if it has parameters `names`
-or `d`, it is also told the satellites' names in the order of `Body.vehicle_index`, and how many
-coordinates a position has. What it returns is a law whole, such as a `CompiledLaw`, or an object
-that has
+`Mine` is called with the parameters, which must match its annotations. If it has parameters `names`
+or `d`, it also gets the satellites' names in the order of `Body.vehicle_index` and the number of
+coordinates of a position. It returns a complete law, such as a `CompiledLaw`, or an object that has
 
     force(own, neighbours, world, t)            the force, shape (d,) [N], or
     rate(law_state, own, neighbours, world, t)  the force and the rate of a state (n,) of its own
 
-and, where it needs them, `initial`, `jump`, `broadcast` and `message_size` as in
-`testbed.core.law`. An object in plain Python takes steps of `guidance.step_s`, or of its own
-`step_s` [s] if that is longer.
+and, if needed, `initial`, `jump`, `broadcast` and `message_size` as in `testbed.core.law`. An
+object in plain Python is integrated with steps of `guidance.step_s`, or of its own `step_s` [s] if
+that is longer.
 
 Instead of a file, `law` may name an entry point of an installed package, in the group
 `testbed.laws`.
 
-The file is read and executed anew for each law that is made, so an edit is always noticed, and what
-a law keeps in its module is its own: neither another vehicle nor another run of the same process
-finds it. A file with functions compiled by numba is executed once per content. `sha256` is the
-content that is meant; another is refused.
+The file is read and executed again for each law, so edits always take effect and laws share no
+module state, neither between vehicles nor between runs in the same process. A file with functions
+compiled by numba is executed once per content. `sha256` pins the content; a file with another
+digest is rejected.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,11 +41,11 @@ from testbed.core.law import Body, Discs, Goal, Law, Neighbours, World
 
 
 class OwnLawParams(Struct, frozen=True, forbid_unknown_fields=True, tag="python"):
-    """Where the law is and what it is called with."""
+    """Location of the law and its parameters."""
 
     law: str  # "path.py:Name", or an entry point
     parameters: dict[str, Any] = field(default_factory=dict)
-    sha256: str | None = None  # of the file; null: whatever it holds
+    sha256: str | None = None  # of the file; null: any content
     scale: Scale = field(default_factory=Scale)
 
 
@@ -62,7 +61,7 @@ def own_law(params: OwnLawParams, names: Sequence[str], d: int) -> Law:
     """The law for positions of shape (d,).
 
     Raises:
-        UnusableLawError: see `maker`; or the parameters do not fit, or what is made is no law.
+        UnusableLawError: see `maker`; or the parameters are wrong or the object is not a law.
     """
     made = maker(params.law, params.sha256)
     return law_of(made, params.parameters, names, d, source_of(params.law))
@@ -86,16 +85,16 @@ def law_of(
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # it is the user's code, and may call sys.exit
-        raise UnusableLawError("parameters", "some that it accepts", blame(error, path)) from error
+        raise UnusableLawError("parameters", "values it accepts", blame(error, path)) from error
     whole = callable(getattr(law, "propagate", None))
     return Watched(law if whole else PlainLaw(law, path), path)
 
 
 def try_out(law: Law, satellites: int, d: int = 2) -> None:
-    """Ask a law once what it would do, so that it fails before a flight rather than in one.
+    """Evaluate a law once, so that errors show before a flight and not in it.
 
     Raises:
-        LawError: it fails.
+        LawError: the law fails.
     """
 
     def somewhere(first: float, n: int) -> np.ndarray:
@@ -112,4 +111,4 @@ def try_out(law: Law, satellites: int, d: int = 2) -> None:
     world = World(goal, Discs(somewhere(3.0, 1), np.zeros((1, d)), np.full(1, 0.5)))
     force, _ = law.rate(law.initial(own, others, world), own, others, world, 0.0)
     if not np.isfinite(force).all():
-        raise LawError(f"a force that is no number, {force}, the first time it was asked")
+        raise LawError(f"force is not finite, {force}, in a trial call before the flight")

@@ -1,7 +1,7 @@
-"""Proportional-derivative control to a goal, blind to obstacles: what everybody tries first.
+"""Proportional-derivative control to a goal without obstacle avoidance.
 
 Source: any textbook, for instance K. J. Astrom, R. M. Murray, "Feedback Systems", 2nd ed., 2021,
-chapter 11. It is here as the baseline that shows what avoidance avoids.
+chapter 11. It is the baseline for laws with collision avoidance.
 
     force = m (w^2 (p_goal - p) + 2 z w (v_goal - v) + a_goal - disturbance)
 
@@ -9,8 +9,8 @@ chapter 11. It is here as the baseline that shows what avoidance avoids.
     omega_0      bandwidth    undamped natural frequency w         rad/s
     zeta         damping      z                                    -
 
-The disturbance that the estimator sees, own.disturbance, takes the place of the integral term. The
-force is bounded by own.max_force, direction kept.
+The estimated disturbance, own.disturbance, replaces the integral term. The force is limited to
+own.max_force, direction kept.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 class PdParams(Struct, frozen=True, forbid_unknown_fields=True, tag="pd"):
-    """Gains."""
+    """Parameters of the closed loop as a damped oscillator."""
 
     bandwidth: Positive = 0.1  # [rad/s]
     damping: Positive = 1.0
@@ -35,7 +35,7 @@ class PdParams(Struct, frozen=True, forbid_unknown_fields=True, tag="pd"):
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code."""
+    """Parameters for compiled code."""
 
     stiffness: float  # [1/s^2]
     damping: float  # [1/s]

@@ -1,4 +1,4 @@
-"""A law as somebody writes it in plain Python, completed to a `Law`; and one that is watched."""
+"""Adapters for user-defined laws: plain Python objects as a `Law`, errors with file and line."""
 
 import inspect
 import math
@@ -25,11 +25,11 @@ VERBS = {
 
 
 class LawError(TestbedError):
-    """A law failed in flight; says where in its file."""
+    """A law failed in flight; the message names the line in its file."""
 
 
 class PlainLaw:
-    """An object with `force`, or with `rate` and a state, and what it has of the other verbs."""
+    """A `Law` around an object with `force` or `rate` and, optionally, the other methods."""
 
     def __init__(self, law: Any, path: Path | None) -> None:
         has: dict[str, Any] = {verb: getattr(law, verb, None) for verb in VERBS}
@@ -90,14 +90,14 @@ def _check_signature(verb: str, method: Callable[..., Any], path: Path | None) -
 
 
 class Watched:
-    """Somebody's law: where it fails, it says so."""
+    """Wraps a user-defined law; its errors become `LawError`s with file and line."""
 
     def __init__(self, law: Law, path: Path | None) -> None:
         self._law, self._path = law, path
         self.message_size = law.message_size
 
     def concerns(self, law_state: Array) -> list[Concern]:
-        """What it has to say of the flight, if it says anything."""
+        """Concerns of the law about the flight, if it reports any."""
         say = getattr(self._law, "concerns", None)
         return [] if say is None else list(say(law_state))
 
@@ -127,5 +127,5 @@ class Watched:
         ahead = self._watch("propagate", law_state, own, neighbours, world, t, duration, steps)
         if not np.isfinite(ahead.mean_force).all():
             name = self._path.name if self._path else "the law"
-            raise LawError(f"{name}: a force that is no number, {ahead.mean_force}, at {t:g} s")
+            raise LawError(f"{name}: force is not finite, {ahead.mean_force}, at {t:g} s")
         return ahead

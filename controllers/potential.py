@@ -12,12 +12,12 @@ Electronics 12:3179, 2023. Equation numbers are that paper's.
     N_i, sigma_i   spread, sigma         E_i = exp(-|r_i|^2 / width_i^2)             m
     R              design_radius         danger radius that N_i, sigma_i are for     m
 
-Corrections to the print, because otherwise its own figures do not come out:
+Corrections to the print; without them the paper's figures cannot be reproduced:
 Eq. (14) is a product, U = e'Pe/2 + (e'Me)/2 sum psi_i E_i: only then is U zero at the goal and
 Eq. (16) its gradient. In (16) the first repulsive term carries psi_i, not psi_i/sigma_i. N_i is
 used inverted, width_i^2 = N_i sigma_i, because as printed the repulsion ends 2-3 m from the centre
-of an obstacle of 50 m. Eqs. (18)-(20) inherit the slip in (16), so they are not transcribed: the
-derivatives of the gradient follow from Leibniz' rule on the trajectory.
+of an obstacle of 50 m. Eqs. (18)-(20) inherit the error in (16), so they are not transcribed: the
+derivatives of the gradient follow from the product rule along the trajectory.
 
 Differences from the paper: the width of a disc's potential grows with its danger radius (the paper
 has one radius, 50 m), and `standoff` adds to every radius. It is needed because the repulsion is
@@ -37,7 +37,7 @@ from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
 
-FAR = 80.0  # (|r|/width)^2 where exp(-FAR) = 2e-35 is lost in the rounding of all else
+FAR = 80.0  # (|r|/width)^2 from which exp(-FAR) = 2e-35 is below rounding
 
 Diagonal = Positive | tuple[Positive, ...]  # one number for all axes, or one per axis
 
@@ -48,14 +48,14 @@ class PotentialParams(Struct, frozen=True, forbid_unknown_fields=True):
     attract: Diagonal = 0.012  # P
     repel: Diagonal = (0.8, 0.6, 0.4)  # M
     height: NonNegative = 5e3  # psi
-    spread: Positive = 15.0  # N, inverted as said above
+    spread: Positive = 15.0  # N, used inverted, see above
     sigma: Positive = 10.0
     design_radius: Positive = 50.0  # danger radius that the width is for [m]
     standoff: NonNegative = 0.0  # added to every danger radius [m]
 
 
 class Potential(NamedTuple):
-    """The same, for compiled code."""
+    """Parameters for compiled code."""
 
     attract: Array  # (d,)
     repel: Array  # (d,)
@@ -65,7 +65,7 @@ class Potential(NamedTuple):
 
 
 def diagonal(value: float | tuple[float, ...], d: int) -> Array:
-    """Diagonal of a d x d weight; a longer one is cut."""
+    """Diagonal (d,) of a weight; surplus elements are dropped."""
     if isinstance(value, tuple):
         if len(value) < d:
             raise ValueError(f"expected {d} diagonal elements or one number, found {len(value)}")
@@ -74,7 +74,7 @@ def diagonal(value: float | tuple[float, ...], d: int) -> Array:
 
 
 def potential(params: PotentialParams, d: int) -> Potential:
-    """Parameters as the compiled code wants them, for positions of shape (d,)."""
+    """Convert the parameters for compiled code, for positions of shape (d,)."""
     width = np.sqrt(params.spread * params.sigma)
     return Potential(
         diagonal(params.attract, d),
@@ -87,11 +87,11 @@ def potential(params: PotentialParams, d: int) -> Potential:
 
 @inlined
 def add_repulsion(u, width, offset, error, g):
-    """Add one disc's share of Eq. (16) and of its first two time derivatives to the rows of `g`.
+    """Add one disc's term of Eq. (16) and its first two time derivatives to the rows of `g`.
 
-    With A = e'Me and S = psi exp(-|r|^2/width^2) the share is S M e - A S r/width^2. Every factor
-    is differentiated along the trajectory; velocities of the obstacle and of the goal are inside
-    r' and e', which is all that Eqs. (17)-(20) say.
+    With A = e'Me and S = psi exp(-|r|^2/width^2) the term is S M e - A S r/width^2. Every factor is
+    differentiated along the trajectory, as in Eqs. (17)-(20); r' and e' contain the velocities of
+    the obstacle and of the goal.
 
     Args:
         u: the potential.
@@ -130,7 +130,7 @@ def add_repulsion(u, width, offset, error, g):
 
 @inlined
 def add_repulsions(u, own, discs, offset, error, g):
-    """Add the shares of all `discs`; the rows of `offset` but the last are written to."""
+    """Add the terms of all `discs`; overwrites all rows of `offset` but the last."""
     for n in range(discs.p.shape[0]):
         width = u.width_ratio * (discs.radius[n] + u.standoff)
         distance = 0.0
@@ -144,7 +144,7 @@ def add_repulsions(u, own, discs, offset, error, g):
 
 @inlined
 def gradient(u, own, force, neighbours, world):
-    """Position error and gradient of U where the satellite is, and how they change on the way.
+    """Position error, gradient of U and their time derivatives at the satellite's position.
 
     Args:
         u: the potential.
@@ -159,7 +159,7 @@ def gradient(u, own, force, neighbours, world):
         of Eq. (21), shape (3, d).
     """
     d = own.p.shape[0]
-    work = np.empty((9, d))  # one piece of memory: this is the innermost loop
+    work = np.empty((9, d))  # a single allocation: this is the innermost loop
     error, offset, g = work[:3], work[3:6], work[6:]
     for i in range(d):
         accel = force[i] / own.mass + own.disturbance[i]

@@ -1,12 +1,13 @@
-r"""Proxies: what the laws for bounded actuation share.
+r"""Proxies: the common part of the laws for bounded actuation.
 
 Sources: X. Xue, X. Yue, J. Yuan, "Connectivity preservation and collision avoidance control for
 spacecraft formation flying with bounded actuation", ICGNC 2020, Springer 2022; X. Xue, X. Wang,
 N. Han, "Leader-following connectivity preservation and collision avoidance control for multiple
 spacecraft with bounded actuation", Aerospace 11:612, 2024. Equation numbers are those of 2024.
 
-Each satellite computes a second one, its proxy, that moves under forces as large as the potential
-wants. A spring that saturates ties the satellite to it, so the satellite's force stays bounded.
+Each satellite simulates a virtual satellite, its proxy, on which the full force of the potential
+acts. A spring that saturates couples the satellite to its proxy, so the satellite's force stays
+bounded.
 
     paper                code              meaning                                       unit
     p_i, p_i'            own.p, own.v      the satellite                                 m, m/s
@@ -18,17 +19,18 @@ wants. A spring that saturates ties the satellite to it, so the satellite's forc
     P                    weight            of the potential                              N/m
     Q                    height            of the potential                              m^2
     1                    mass              of the proxy                                  kg
-    m_i g_i (+ m_i C p') own.mass*own.disturbance what moves the satellite without a jet       N
+    m_i g_i (+ m_i C p') own.mass*own.disturbance force on the satellite without thrust        N
 
-A proxy's mass is 1 kg in all three papers without being mentioned: they add a force to an
-acceleration. It is named here because it must be scaled with the rest.
+All three papers imply a proxy mass of 1 kg: they add a force to an acceleration. It is a parameter
+here because it must be scaled with the rest.
 
-Differences from the papers: the others' proxies are what they told, carried forward with their
-velocity to now; without that those of a moving formation seem to lag and pull. `obstacle_band` is
-an addition, 0 as in the papers: the proxy is repelled where it is nearer than that to an obstacle's
-radius. For obstacles that stand still the proofs go through with it, a leader that moves spoils
-them. The spring's bound belongs to an axis, own.max_force to the norm of the whole force, which is
-cut at it last; a limit below own.max_force/sqrt(d) less mass times disturbance is never cut.
+Differences from the papers: the others broadcast their proxies, which are extrapolated to now with
+their velocity; otherwise the proxies of a moving formation would lag and pull. `obstacle_band` is
+an addition, 0 as in the papers: obstacles repel the proxy within this distance of their radius. The
+proofs extend to it for obstacles that stand still, but not together with a moving leader. The
+spring's limit applies to each axis, own.max_force to the norm of the total force, which is limited
+last; that limit never acts if the spring's limit is below own.max_force/sqrt(d) less mass times
+drift.
 """
 
 from collections.abc import Callable, Sequence
@@ -59,7 +61,7 @@ class ProxyParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Coupling(NamedTuple):
-    """The same with the formation, for compiled code."""
+    """Parameters and formation for compiled code."""
 
     formation: Formation
     potential: BoundedPotential
@@ -74,7 +76,7 @@ class Coupling(NamedTuple):
 def coupling(
     params: ProxyParams, shape: FormationParams, names: Sequence[str], led: bool
 ) -> Coupling:
-    """Parameters as the compiled code wants them."""
+    """Convert the parameters for compiled code."""
     if 0.0 < params.obstacle_band <= shape.near_margin:
         raise ValueError(
             f"obstacle_band: expected 0 or more than near_margin = {shape.near_margin:g} m, "
@@ -93,25 +95,25 @@ def coupling(
 
 
 def start(c: Coupling, own: Body) -> Array:
-    """The proxy begins at rest where the satellite is, Eq. (10) of 2022, with the edges of E(0)."""
+    """Initial state: proxy at rest at the satellite, Eq. (10) of 2022, and the edges of E(0)."""
     return np.concatenate((own.p, np.zeros_like(own.p), c.formation.first[own.vehicle_index]))
 
 
 @compiled
 def saturated(x, limit):
-    """Each axis between -limit and limit."""
+    """`x` with each axis limited to [-limit, limit]."""
     return np.minimum(np.maximum(x, -limit), limit)
 
 
 @compiled
 def soft_sign(x, layer):
-    """Of each axis: sgn, or linear inside a boundary layer."""
+    """The sgn of each axis, linear inside the boundary layer."""
     return np.sign(x) if layer == 0.0 else np.minimum(np.maximum(x / layer, -1.0), 1.0)
 
 
 @compiled
 def is_edge(law_state, d, j):
-    """Whether a_ij = 1; j < 0 is somebody who does not belong to the formation."""
+    """Whether a_ij = 1; j < 0 is a vehicle outside the formation."""
     return j >= 0 and law_state[2 * d + j] > 0.5
 
 
@@ -119,7 +121,7 @@ def is_edge(law_state, d, j):
 def heard_proxy(neighbours, k, t, d):
     """Position and velocity of the k-th neighbour's proxy now, shape (2, d).
 
-    Where its law told nothing, the neighbour itself stands for its proxy.
+    If the neighbour's law has sent no message, the neighbour itself is taken as its proxy.
     """
     q = np.empty((2, d))
     told = neighbours.message.shape[1] >= 2 * d
@@ -138,7 +140,7 @@ def descend(potential, weight, here, there, desired, total):
     """Add to `total` the force of one potential on the proxy `here`."""
     x = distance(here, there)
     if x == 0.0:
-        return  # no direction to prefer
+        return  # the direction is undefined
     slope = bounded_potential(potential, x, desired)[1]
     for i in range(here.shape[0]):
         total[i] -= weight * slope * (here[i] - there[i]) / x
@@ -146,7 +148,7 @@ def descend(potential, weight, here, there, desired, total):
 
 @compiled
 def potential_force(c, law_state, own, neighbours, world, t):
-    """- sum_j a_ij grad_i P psi on the proxy, and obstacles, shape (d,) [N]."""
+    """Force on the proxy, -sum_j a_ij grad_i P psi and repulsion of obstacles, (d,) [N]."""
     d = own.p.shape[0]
     here, total = law_state[:d], np.zeros(d)
     me, n = own.vehicle_index, c.formation.desired.shape[0] - 1
@@ -168,15 +170,15 @@ def potential_force(c, law_state, own, neighbours, world, t):
 
 
 def _jump(gains, law_state, own, neighbours, world, t):
-    """Edges, from real positions."""
+    """Update the edges from real positions."""
     return remember(gains.coupling.formation, law_state, 2 * own.p.shape[0], own, neighbours, world)
 
 
 def _broadcast(gains, law_state, own, neighbours, world, t):
-    """Where the proxy is and how fast."""
+    """Broadcast position and velocity of the proxy."""
     return law_state[: 2 * own.p.shape[0]].copy()
 
 
 def with_proxy(gains_type: type) -> tuple[Callable, Callable]:
-    """Jump and tell of a law whose gains have a `coupling`: what all laws with a proxy do."""
+    """`jump` and `tell` of a law with a proxy, whose gains have a `coupling`."""
     return compiled_jump(gains_type)(_jump), compiled_broadcast(gains_type)(_broadcast)

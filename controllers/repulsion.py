@@ -9,24 +9,23 @@ on the Bifurcating Potential Field", Aerospace 9:137, 2022.
     paper        code         meaning                                        unit
     x_i          x            positions, shape (n, 2) or (n, 3)              m
     d            d            distance of i and j                            m
-    s            reach        where repulsion ends                           m
+    s            reach        range of the repulsion                         m
     k_c          stiffness                                                   N/m
 
 Differences from the paper: its Eq. (13) has the opposite sign, which attracts at every d < s, and
-its Eq. (12) is not a primitive of it; above is what its figures need. Where two satellites are at
-the same place (d = 0) no direction is any better than another, and the force between them is zero.
-A satellite that is not at a finite place gets nan for its force and pushes nobody.
+its Eq. (12) is not a primitive of it; the equations above reproduce its figures. For two satellites
+at the same position (d = 0) the direction is undefined and the force zero. A satellite whose
+position is not finite gets a force of nan and pushes no other.
 
-Three ways to the same sum, which differ in rounding only:
+Three algorithms compute the same sum and differ in rounding only:
 
-    `pairs`   every pair once: the fastest for some hundreds
-    `rows`    every satellite asks all others: for many who all see each other
-    `cells`   every satellite asks those in its own and the neighbouring cells of a grid of width s
-              (controllers/repulsion_cells.py): O(n) while s holds few satellites
+    `pairs`   visits every pair once: the fastest for some hundreds of satellites
+    `rows`    visits all others for every satellite: for many satellites, all within reach
+    `cells`   visits the satellite's own and the neighbouring cells of a grid of width s
+              (controllers/repulsion_cells.py): O(n) while few satellites are within s
 
-The last two have a version for all cores. There, too, each satellite sums up its own neighbours in
-the order in which they are stored, so the result is the same, bit for bit, with any number of
-threads and without them.
+The last two have multi-threaded versions. They, too, sum the neighbours of each satellite in the
+order of storage, so the result is bit-identical for any number of threads.
 """
 
 import numpy as np
@@ -40,19 +39,19 @@ from controllers.repulsion_cells import (
     extent_of,
     on_all_cores,
 )
-from testbed.core.compiled import compiled  # says where numba keeps machine code, too
+from testbed.core.compiled import compiled  # also sets numba's cache directory
 
 Array = NDArray[np.float64]
 
 FEW = 256  # satellites up to which `pairs` is the fastest
 MANY_ROWS, MANY_CELLS = 2048, 16384  # satellites from which threads pay
-LANES = 64  # partial sums, so that the sum over all can be vectorised in a fixed order
+LANES = 64  # partial sums, so that the sum can be vectorised in a fixed order
 CROWDED = 0.3  # share of all pairs in neighbouring cells above which `rows` beats `cells`
-NOWHERE = 1e300  # [m] too far from anything to be pushed, yet finite
+NOWHERE = 1e300  # [m] finite, but out of reach of every satellite
 
 
 def repulsion(x: ArrayLike, stiffness: float, reach: float) -> Array:
-    """Force on each satellite, shape (n, d) [N], by the fastest of the three ways.
+    """Force on each satellite, shape (n, d) [N], by the fastest of the three algorithms.
 
     Args:
         x: positions, shape (n, 2) or (n, 3) [m].
@@ -60,7 +59,7 @@ def repulsion(x: ArrayLike, stiffness: float, reach: float) -> Array:
         reach: s [m].
 
     Raises:
-        ValueError: shapes or parameters that make no sense.
+        ValueError: wrong shapes, or parameters that are not finite or negative.
     """
     places = np.ascontiguousarray(x, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] not in (2, 3):
@@ -83,7 +82,7 @@ def repulsion(x: ArrayLike, stiffness: float, reach: float) -> Array:
 
 @compiled
 def nearby_share(x, reach):
-    """Share of all pairs that an even spread over the bounding box puts in neighbouring cells."""
+    """Share of all pairs in neighbouring cells, for a uniform density in the bounding box."""
     share = 1.0
     for a in range(x.shape[1]):
         extent = extent_of(x, a)
@@ -94,11 +93,11 @@ def nearby_share(x, reach):
 
 @compiled
 def pairs(stiffness, reach, x, force):
-    """Write the forces [N]; every pair once. For compiled laws, too: it keeps no memory."""
+    """Write the forces [N], visiting every pair once; allocates nothing, so laws can call it."""
     n, d = x.shape
     for i in range(n):
         for a in range(d):
-            force[i, a] = x[i, a] - x[i, a]  # 0, or nan at no finite place
+            force[i, a] = x[i, a] - x[i, a]  # 0, or nan if the position is not finite
     limit = reach * reach
     for i in range(n):
         px, py, pz = x[i, 0], x[i, 1], x[i, 2] if d == 3 else 0.0
@@ -123,7 +122,7 @@ def pairs(stiffness, reach, x, force):
 
 @compiled
 def spread_nan(force):
-    """A force that is nan along one axis is nan along all."""
+    """Set a force that is nan along one axis to nan along all."""
     total = 0.0
     for a in range(force.shape[0]):
         total += 0.0 * force[a]
@@ -133,13 +132,13 @@ def spread_nan(force):
 
 @compiled
 def rows(stiffness, reach, x, force):
-    """Write the forces [N]; every satellite asks all others."""
+    """Write the forces [N], visiting all others for every satellite."""
     some_rows(stiffness, reach, x, columns(x), 0, x.shape[0], force)
 
 
 @on_all_cores
 def rows_on_all_cores(stiffness, reach, x, force):
-    """The same on all cores."""
+    """`rows` on all cores."""
     n = x.shape[0]
     places = columns(x)
     for c in prange((n + CHUNK - 1) // CHUNK):
@@ -148,7 +147,7 @@ def rows_on_all_cores(stiffness, reach, x, force):
 
 @compiled
 def columns(x):
-    """Coordinates in rows, filled up to whole lanes; who is at no finite place is far away."""
+    """Coordinates in rows, padded to whole lanes; positions not finite become `NOWHERE`."""
     n, d = x.shape
     out = np.full((3, (n + LANES - 1) // LANES * LANES), NOWHERE)
     for i in range(n):
@@ -173,7 +172,7 @@ def some_rows(stiffness, reach, x, places, first, end, force):
                 sums[0], sums[1], sums[2],
             )  # fmt: skip
         for a in range(x.shape[1]):
-            total = x[i, a] - x[i, a]  # 0, or nan at no finite place
+            total = x[i, a] - x[i, a]  # 0, or nan if the position is not finite
             for k in range(LANES):
                 total += sums[a, k]
             force[i, a] = total
@@ -182,7 +181,7 @@ def some_rows(stiffness, reach, x, places, first, end, force):
 
 @compiled
 def add_lanes(stiffness, reach, px, py, pz, xs, ys, zs, fx, fy, fz):
-    """Add what each of `LANES` others does to the one at px, py, pz; without branches."""
+    """Add the force of each of `LANES` others on the satellite at px, py, pz; branch-free."""
     for k in range(LANES):
         dx, dy, dz = px - xs[k], py - ys[k], pz - zs[k]
         d2 = dx * dx + dy * dy + dz * dz

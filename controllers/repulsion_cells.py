@@ -1,8 +1,8 @@
 """The repulsion of `controllers/repulsion.py` over a grid of cells: O(n) while s holds few.
 
-A satellite has partners in its own cell and those around it only. Cells that follow each other
-along x are neighbours in memory, and so are their satellites, sorted by cell: nine short pieces of
-memory hold all partners in space, three in a plane. Empty space costs nothing.
+A satellite interacts only with satellites in its own cell and the adjacent ones. Satellites are
+sorted by cell, and cells consecutive along x are contiguous in memory: nine short blocks of memory
+hold all partners in space, three in a plane. Empty cells cost nothing.
 """
 
 from collections.abc import Callable
@@ -14,9 +14,9 @@ from numba import prange
 from testbed.core.compiled import compiled, inlined
 
 CHUNK = 256  # satellites that a thread takes at a time
-HELD = 256  # places round a cell that there is room for at first
-WIDER = 1.0 + 1e-9  # cells are a hair wider than s, so that rounding puts no partner two cells off
-FAR = 2.0**51  # [cells] beyond it a float does not know its cell
+HELD = 256  # initial capacity for positions around a cell
+WIDER = 1.0 + 1e-9  # cell width over s: above 1, so that rounding puts no partner two cells away
+FAR = 2.0**51  # [cells] beyond it a float cannot resolve a cell
 
 
 def on_all_cores(function: Callable) -> Callable:
@@ -26,7 +26,7 @@ def on_all_cores(function: Callable) -> Callable:
 
 @compiled
 def cells(stiffness, reach, x, force):
-    """Write the forces [N]; every satellite asks those in the cells around it."""
+    """Write the forces [N], visiting the adjacent cells of every satellite."""
     n = x.shape[0]
     grid, start, who = sorted_into_cells(x, reach)
     row, places = np.empty(n, dtype=np.int64), np.zeros((3, n))
@@ -36,7 +36,7 @@ def cells(stiffness, reach, x, force):
 
 @on_all_cores
 def cells_on_all_cores(stiffness, reach, x, force):
-    """The same on all cores."""
+    """`cells` on all cores."""
     n = x.shape[0]
     grid, start, who = sorted_into_cells(x, reach)
     row, places = np.empty(n, dtype=np.int64), np.zeros((3, n))
@@ -49,29 +49,29 @@ def cells_on_all_cores(stiffness, reach, x, force):
 
 @compiled
 def cell_width(reach):
-    """[m]."""
+    """Width of a cell [m]."""
     return reach * WIDER if reach > 0.0 else 1.0
 
 
 @compiled
 def cell_of(coordinate, width):
-    """Number of the cell along one axis; 0 where there is no telling."""
+    """Index of the cell along one axis; 0 if it cannot be resolved."""
     number = np.floor(coordinate / width)
     return np.int64(number) if abs(number) < FAR else np.int64(0)
 
 
 @compiled
 def row_of(cy, cz):
-    """Name of a row of cells along x: unique unless 2^31 cells apart."""
+    """Key of a row of cells along x; unique for rows less than 2^31 cells apart."""
     return (cy & 0x7FFFFFFF) | ((cz & 0x7FFFFFFF) << 32)
 
 
 @compiled
 def grid_of(x, width):
-    """How rows of cells are laid out in memory: number of buckets, steps along y and z, shift.
+    """Memory layout of the rows of cells: number of buckets, strides along y and z, shift.
 
-    In space's own order, if a box round all satellites does not have many more cells than there are
-    satellites: then neighbours are near each other in memory. Else the rows are scattered.
+    The layout follows space if the bounding box has not many more cells than there are satellites:
+    then neighbours are close in memory. Otherwise the rows are hashed.
     """
     n, d = x.shape
     size = 4
@@ -87,17 +87,17 @@ def grid_of(x, width):
 
 @compiled
 def bucket_of(grid, cx, cy, cz):
-    """Where a cell is kept; within a row cells follow each other."""
+    """Bucket of a cell; cells of a row are consecutive."""
     size, along_y, along_z, shift = grid
     return (np.int64(np.uint64(cy * along_y + cz * along_z) >> shift) + cx) & (size - 1)
 
 
 @compiled
 def sorted_into_cells(x, reach):
-    """Counting sort of the satellites by bucket; equals keep their order.
+    """Stable counting sort of the satellites by bucket.
 
     Returns:
-        the grid; where each bucket starts, shape (buckets + 1,); who is in them, one by one.
+        the grid; start of each bucket, shape (buckets + 1,); satellite indices in bucket order.
     """
     n, d = x.shape
     width = cell_width(reach)
@@ -118,7 +118,7 @@ def sorted_into_cells(x, reach):
 
 @compiled
 def some_places(reach, x, who, first, end, row, places):
-    """Write rows' names and places [m] of `first` to `end` in the order of the buckets."""
+    """Write row keys and positions [m] of `first` to `end` in the order of the buckets."""
     width = cell_width(reach)
     for k in range(first, end):
         for a in range(x.shape[1]):
@@ -130,9 +130,9 @@ def some_places(reach, x, who, first, end, row, places):
 def some_cells(stiffness, reach, grid, start, who, row, places, first, end, force):
     """The forces on satellites `first` to `end` in the order of the buckets.
 
-    Those of one cell follow each other. Whoever is near them is looked up once for all of them:
-    near the box round them, which is smaller than their cell. Rounding is monotonous, so nobody is
-    nearer to one of them than to the box.
+    Satellites of one cell are consecutive. Their partners are looked up once per cell: all
+    satellites near the bounding box of the cell's satellites, which is smaller than the cell.
+    Rounding is monotonic, so no partner is nearer to a satellite than to the box.
     """
     d, width, limit = force.shape[1], cell_width(reach), reach * reach
     xs, ys, zs = places[0], places[1], places[2]
@@ -165,13 +165,13 @@ def some_cells(stiffness, reach, grid, start, who, row, places, first, end, forc
 
 @compiled
 def look_up(grid, start, cx, cy, cz, d, pieces):
-    """Where those in and around a cell are kept: row, from, to; how many pieces, and places."""
+    """Blocks of memory of a cell and its neighbours: row, from, to; number of blocks, positions."""
     mask, deep = grid[0] - 1, 1 if d == 3 else 0
     used, most = 0, 0
     for up in range(-deep, deep + 1):
         for side in range(-1, 2):
             low = bucket_of(grid, cx - 1, cy + side, cz + up)
-            together = low + 2 <= mask  # three buckets in one piece, unless round the end
+            together = low + 2 <= mask  # three buckets are one block unless they wrap round
             for part in range(1 if together else 3):
                 b = (low + part) & mask
                 pieces[used, 0] = row_of(cy + side, cz + up)
@@ -183,13 +183,13 @@ def look_up(grid, start, cx, cy, cz, d, pieces):
 
 @compiled
 def gather(scattered, pieces, used, row, places, around):
-    """Write the places in all pieces into `around`; returns how many."""
+    """Copy the positions of all blocks to `around`; returns how many."""
     xs, ys, zs = places[0], places[1], places[2]
     ax, ay, az = around[0], around[1], around[2]
-    n = np.uint64(0)  # unsigned: such an index needs no look at its sign
+    n = np.uint64(0)  # unsigned: saves the check for a negative index
     for p in range(used):
         name, first, count = pieces[p, 0], pieces[p, 1], pieces[p, 2] - pieces[p, 1]
-        if scattered:  # then others can be in the same bucket
+        if scattered:  # then a bucket can hold other rows, too
             for m in range(count):
                 j = np.uint64(first + m)
                 ax[n], ay[n], az[n] = xs[j], ys[j], zs[j]
@@ -204,14 +204,14 @@ def gather(scattered, pieces, used, row, places, around):
 
 @compiled
 def keep_near(box, limit, around, count):
-    """Move those nearer to the box than s to the front of `around`; returns how many."""
+    """Move positions nearer to the box than s to the front of `around`; returns how many."""
     xs, ys, zs, square = around[0], around[1], around[2], around[3]
     x0, x1, y0, y1, z0, z1 = box[0, 0], box[0, 1], box[1, 0], box[1, 1], box[2, 0], box[2, 1]
     for m in range(count):
         dx, dy, dz = outside(xs[m], x0, x1), outside(ys[m], y0, y1), outside(zs[m], z0, z1)
         square[m] = dx * dx + dy * dy + dz * dz
     n = np.uint64(0)
-    for m in range(count):  # no branch, because it would be guessed wrong too often
+    for m in range(count):  # branch-free: a branch would be mispredicted too often
         j = np.uint64(m)
         xs[n], ys[n], zs[n] = xs[j], ys[j], zs[j]
         n += np.uint64(square[j] < limit)
@@ -220,14 +220,14 @@ def keep_near(box, limit, around, count):
 
 @compiled
 def outside(place, low, high):
-    """How far a place is outside of `low` to `high` [m]."""
+    """Distance of a coordinate from the interval `low` to `high` [m]."""
     out = low - place if low - place > place - high else place - high
     return 0.0 if out < 0.0 else out  # nan stays nan
 
 
 @inlined
 def push_on(stiffness, reach, x, y, z, around, count, pushes):
-    """What those `around` do to the one at x, y, z [N]: at first each push, without branches."""
+    """Force of the positions `around` on the satellite at x, y, z [N]; branch-free first loop."""
     xs, ys, zs = around[0], around[1], around[2]
     px, py, pz = pushes[0], pushes[1], pushes[2]
     for m in range(count):
@@ -236,7 +236,7 @@ def push_on(stiffness, reach, x, y, z, around, count, pushes):
         push = stiffness * (reach / np.sqrt(d2) - 1.0)  # Eq. (13)
         push = push if (d2 > 0.0) & (d2 < reach * reach) else 0.0
         px[m], py[m], pz[m] = push * dx, push * dy, push * dz
-    fx, fy, fz = x - x, y - y, z - z  # 0, or nan at no finite place
+    fx, fy, fz = x - x, y - y, z - z  # 0, or nan if the position is not finite
     for m in range(count):
         fx, fy, fz = fx + px[m], fy + py[m], fz + pz[m]
     return fx, fy, fz
@@ -244,7 +244,7 @@ def push_on(stiffness, reach, x, y, z, around, count, pushes):
 
 @compiled
 def extent_of(x, a):
-    """From the first to the last finite place along an axis [m]; -inf without any."""
+    """Extent of the finite positions along an axis [m]; -inf without any."""
     low, high = np.inf, -np.inf
     for i in range(x.shape[0]):
         place = x[i, a]

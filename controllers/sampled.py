@@ -1,9 +1,9 @@
-"""Laws that decide once per jet period and hold their force meanwhile; and their linear model.
+"""Laws that decide once per jet period and hold their force until the next, and their linear model.
 
     x_{k+1} = A x_k + B a_k,  x = (position, velocity), shape (2d,), a: acceleration, shape (d,)
 
-The model is the double integrator or, where a `mean_motion` n is given, that of
-Clohessy-Wiltshire in the axes x radial, y along the orbit, z along its normal:
+The model is the double integrator or, with a `mean_motion` n, the Clohessy-Wiltshire equations with
+x radial, y along the orbit, z along its normal:
 
     x'' = 3 n^2 x + 2 n y' + a_x        y'' = -2 n x' + a_y        z'' = -n^2 z + a_z
 """
@@ -20,27 +20,27 @@ Array = NDArray[np.float64]
 
 
 class Model(NamedTuple):
-    """A satellite over one step."""
+    """The discrete linear model of a satellite."""
 
     a: Array  # (2d, 2d)
     b: Array  # (2d, d)
 
 
 class Weights(NamedTuple):
-    """Of the quadratic cost, by Bryson's rule: 1 over the square of what is acceptable."""
+    """Weights of the quadratic cost by Bryson's rule: 1 over the square of the acceptable value."""
 
     state: Array  # (2d, 2d)
     accel: Array  # (d, d)
 
 
 def weights(error: float, speed: float, accel: float, d: int) -> Weights:
-    """From an acceptable error [m], speed [m/s], acceleration [m/s^2]."""
+    """Weights from acceptable error [m], speed [m/s] and acceleration [m/s^2]."""
     state = np.repeat([error**-2, speed**-2], d)
     return Weights(np.diag(state), np.eye(d) * accel**-2)
 
 
 def generator(mean_motion: float, d: int) -> tuple[Array, Array]:
-    """Matrices of x' = F x + G a, shapes (2d, 2d) and (2d, d)."""
+    """Matrices F (2d, 2d) and G (2d, d) of the continuous model x' = F x + G a."""
     n = mean_motion
     f, g = np.zeros((2 * d, 2 * d)), np.zeros((2 * d, d))
     f[:d, d:], g[d:] = np.eye(d), np.eye(d)
@@ -52,7 +52,7 @@ def generator(mean_motion: float, d: int) -> tuple[Array, Array]:
 
 
 def sampled(mean_motion: float, d: int, step: float) -> Model:
-    """The model over `step` [s] under a constant acceleration, exact."""
+    """Exact discrete model over `step` [s] under constant acceleration."""
     f, g = generator(mean_motion, d)
     whole = np.zeros((3 * d, 3 * d))
     whole[: 2 * d, : 2 * d], whole[: 2 * d, 2 * d :] = f, g
@@ -66,14 +66,14 @@ def cost_to_go(model: Model, cost: Weights) -> Array:
 
 
 def feedback(model: Model, cost: Weights) -> Array:
-    """K of the best a = -K x, shape (d, 2d)."""
+    """K of the optimal a = -K x, shape (d, 2d)."""
     p, b = cost_to_go(model, cost), model.b
     gain = np.linalg.solve(cost.accel + b.T @ p @ b, b.T @ p @ model.a)
     return np.asarray(gain, dtype=np.float64)
 
 
 class Decider(Protocol):
-    """What a sampled law consists of."""
+    """The part of a sampled law that decides the force."""
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """The law's state at the start, shape (n,)."""
@@ -86,17 +86,17 @@ class Decider(Protocol):
         ...
 
     def concerns(self, law_state: Array) -> list[Concern]:
-        """What the law's state says that whoever flies it should know."""
+        """Concerns that the operator should know, from the law's state."""
         ...
 
 
 class Sampled:
-    """A `Law` that holds what it has decided."""
+    """A `Law` that holds the force of its last decision."""
 
     message_size = 0
 
     def __init__(self, decider: Decider, period: float) -> None:
-        """`period` is how long a force is held where nobody says: in `rate` [s]."""
+        """`period` is the hold time assumed in `rate`, which gets none [s]."""
         self._decider, self._period = decider, period
         self.initial = decider.initial
         self.concerns = decider.concerns
@@ -104,7 +104,7 @@ class Sampled:
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
-        """See `Law`; the force that it would decide for now."""
+        """See `Law`; the force of a decision at this time."""
         force, _ = self._decider.decide(law_state, own, neighbours, world, self._period)
         return force, np.zeros_like(law_state)
 
@@ -112,7 +112,7 @@ class Sampled:
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
-        """See `Law`; exact for a constant force, however many steps."""
+        """See `Law`; exact for a constant force, independent of `steps`."""
         force, state = self._decider.decide(law_state, own, neighbours, world, duration)
         h, a = duration, force / own.mass + own.disturbance
         p = own.p + h * own.v + h**2 / 2.0 * a + h**3 / 6.0 * own.disturbance_rate

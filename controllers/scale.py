@@ -1,4 +1,4 @@
-"""From a paper's units to the table's and back: one small adapter round any law.
+"""Conversion between a paper's units and the table's: an adapter around any law.
 
 zhang2023 reuses its space parameters on the table, where 50 m become 0.8 m. With a length scale L
 and a time scale T
@@ -6,7 +6,7 @@ and a time scale T
     position_paper = L position        velocity_paper = L/T velocity
     time_paper     = T time            acceleration   = T^2/L acceleration_paper
 
-and the nominal mass of the paper's satellite stands for the vehicle's.
+and the nominal mass of the paper's satellite replaces the vehicle's.
 """
 
 from functools import lru_cache
@@ -35,15 +35,15 @@ Array = NDArray[np.float64]
 
 
 class Scale(Struct, frozen=True, forbid_unknown_fields=True):
-    """How much larger, slower and heavier the paper's world is; 1, 1: the same."""
+    """Scales from the table to the paper's units; by default the same units."""
 
     length: Positive = 1.0  # L
     time: Positive = 1.0  # T
-    mass: Positive | None = None  # of the paper's satellite; null: as heavy as the vehicle [kg]
+    mass: Positive | None = None  # of the paper's satellite; null: the vehicle's [kg]
 
 
 class Units(NamedTuple):
-    """What one unit of this world is in the paper's."""
+    """One unit of the table in the paper's units."""
 
     length: float
     speed: float
@@ -56,13 +56,13 @@ class Units(NamedTuple):
 
 @compiled
 def discs_in(units, discs):
-    """Discs as the paper sees them."""
+    """Discs in the paper's units."""
     return Discs(discs.p * units.length, discs.v * units.speed, discs.radius * units.length)
 
 
 @compiled
 def scene_in(units, own, neighbours, world):
-    """All that a law sees, as the paper sees it; what the laws tell each other is that already."""
+    """Inputs of a law in the paper's units; the laws' messages already are."""
     goal, heard = world.goal, neighbours
     body = Body(
         own.p * units.length,
@@ -92,7 +92,7 @@ def scene_in(units, own, neighbours, world):
 
 @compiled
 def home(units, ahead):
-    """Where the law takes the satellite, as this world sees it."""
+    """A law's prediction converted back to the table's units."""
     return Ahead(
         ahead.law_state,
         ahead.p / units.length,
@@ -104,14 +104,14 @@ def home(units, ahead):
 
 @compiled
 def fly_scaled(gains, units, law_state, own, neighbours, world, t, duration, steps):
-    """`propagate` in the paper's world: one call, because crossing into compiled code costs."""
+    """`propagate` in the paper's units; one call, because each call of compiled code costs time."""
     body, others, scene = scene_in(units, own, neighbours, world)
     t, duration = t * units.time, duration * units.time
     return home(units, propagate(gains, law_state, body, others, scene, t, duration, steps))
 
 
 class Scaled:
-    """A law of a paper's world, flown in this one."""
+    """A law in a paper's units, flown on the table."""
 
     def __init__(self, law: Law, scale: Scale) -> None:
         self.law, self._mass, self.message_size = law, scale.mass, law.message_size
@@ -127,7 +127,7 @@ class Scaled:
         return Units(length, speed, accel, jerk, time, accel * mass / vehicle, mass)
 
     def concerns(self, law_state: Array) -> list[Concern]:
-        """What the law has to say of the flight, if it says anything."""
+        """Concerns of the law about the flight, if it reports any."""
         say = getattr(self.law, "concerns", None)
         return [] if say is None else say(law_state)
 
@@ -138,7 +138,7 @@ class Scaled:
     def rate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World, t: float
     ) -> tuple[Array, Array]:
-        """See `Law`; force in newtons here, law state in the paper's units per second here."""
+        """See `Law`; force in table newtons, law state in paper units per table second."""
         units = self._units(own.mass)
         body, others, scene = scene_in(units, own, neighbours, world)
         force, change = self.law.rate(law_state, body, others, scene, t * units.time)

@@ -13,7 +13,7 @@ Electronics 12:3179, 2023. Equation numbers are that paper's.
 
 Corrections to the print: the last term of Eq. (44), r_d, is the acceleration of the goal.
 
-Differences from the paper: the force is bounded by own.max_force, direction kept.
+Differences from the paper: the force is limited to own.max_force, direction kept.
 """
 
 from typing import NamedTuple
@@ -49,7 +49,7 @@ class SmcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="smc"):
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code; arrays of shape (d,)."""
+    """Parameters for compiled code; arrays of shape (d,)."""
 
     surface: Array
     linear: Array
@@ -62,7 +62,7 @@ class Gains(NamedTuple):
 def rate(gains, law_state, own, neighbours, world, t):
     """Force, see `testbed.core.law`; the law has no state."""
     d = own.p.shape[0]
-    # Omega needs velocities only, so the force, not known yet, does not matter to it
+    # Omega depends on velocities only, so the force, not known yet, does not affect it
     force = np.zeros(d)
     e, g = gradient(gains.potential, own, force, neighbours, world)
     for i in range(d):

@@ -18,14 +18,14 @@ Electronics 12:3179, 2023. Equation numbers are that paper's.
     M0              own.mass            nominal mass                               kg
     -C0 v - G0      own.disturbance     acceleration without control               m/s^2
 
-Corrections to the print, because with it nothing moves: (15) prints k for the surface's gain while
+Corrections to the print, with which nothing moves: (15) prints k for the surface's gain while
 Table 3 lists both lambda = 1 and k = 1e-3; lambda belongs in (15), k in front of sigma in (28). The
 last nominal term of (28) is s_dot^(2 - p/q), as follows from (25).
 
-Differences from the paper: the force is bounded by own.max_force, and the integral u behind it is
-cut at that bound, slowed down by `bound_change` and pulled back from beyond it, because an integral
-that asks for more than the jets have winds up (the paper's closing remark). s_dot uses the bounded
-force and own.disturbance, which on the table is the estimated disturbance.
+Differences from the paper: the force is limited to own.max_force. The integral u is limited to the
+same bound: `bound_change` limits its rate and pulls it back from beyond the bound, because an
+integral beyond the thrust limit winds up (the paper's closing remark). s_dot uses the limited force
+and own.disturbance, which on the table is the estimated disturbance.
 """
 
 from typing import NamedTuple
@@ -49,8 +49,8 @@ from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
 
-PULL = 10.0  # how fast u returns to the bound from beyond it [1/s]
-SLEW = 100.0  # u may change by at most this many times max_force per second of the paper [1/s]
+PULL = 10.0  # rate at which u returns to the bound from beyond it [1/s]
+SLEW = 100.0  # limit of the rate of u over max_force, in the paper's seconds [1/s]
 
 
 class SotsmcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="sotsmc"):
@@ -72,7 +72,7 @@ class SotsmcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="sotsmc"
 
 
 class Gains(NamedTuple):
-    """The same, for compiled code; arrays of shape (d,)."""
+    """Parameters for compiled code; arrays of shape (d,)."""
 
     surface: Array
     reach: Array
@@ -85,10 +85,10 @@ class Gains(NamedTuple):
 
 @inlined
 def bound_change(u, change, max_force, length, outward):
-    """Keep u within max_force, in place: no rate outwards at the bound, none faster than SLEW.
+    """Keep u within max_force, in place: no outward rate at the bound, no rate above SLEW.
 
-    Deep inside a potential, where only an accident or another vehicle can push a satellite, the
-    gradient is so steep that an unbounded rate leaves all numbers behind within a few steps.
+    Deep inside a potential, where only a collision can push a satellite, the gradient is so steep
+    that an unlimited rate overflows within a few steps.
     """
     d = u.shape[0]
     if length > max_force**2 and outward > 0.0:
@@ -118,7 +118,7 @@ def rate(gains, law_state, own, neighbours, world, t):
         s_dot = gains.surface[i] * g[1, i] + e[2, i]  # Eq. (22)
         sign, size = np.sign(s_dot), abs(s_dot)
         curve = size**power
-        # size^(2 - p/q) and size^(p/q - 1) from the one power: it is a third of the law's time
+        # size^(2 - p/q) and size^(p/q - 1) from one power: a power is a third of the law's time
         back, lever = (size * size / curve, curve / size) if curve > 0.0 else (0.0, 0.0)
         sigma = s + sign * curve / gains.beta[i]  # Eq. (24)
         nominal = (  # Eq. (28)
@@ -136,7 +136,7 @@ def rate(gains, law_state, own, neighbours, world, t):
         steep = max(steep, 1.0 / gains.beta[i])
     change[d] = gains.adapt * power * steep * np.sqrt(slow * spread)  # Eq. (28), last line
     bound_change(u, change, own.max_force, length, outward)
-    if length > own.max_force**2:  # what chattering along the bound has added leaks away
+    if length > own.max_force**2:  # removes what chattering along the bound has added
         leak = PULL * (1.0 - own.max_force / np.sqrt(length))
         for i in range(d):
             change[i] -= leak * u[i]
@@ -144,7 +144,7 @@ def rate(gains, law_state, own, neighbours, world, t):
 
 
 def initial(own: Body) -> Array:
-    """U = 0 and no disturbance known, shape (d + 1,)."""
+    """Initial state: u = 0 and no disturbance known, shape (d + 1,)."""
     return np.zeros(own.p.shape[0] + 1)
 
 

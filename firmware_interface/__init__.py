@@ -1,1 +1,1 @@
-"""Bytes to the boards."""
+"""The valve boards: firmware, serial protocol, sessions and emulators."""

@@ -1,4 +1,4 @@
-"""The board as its host sees it: bytes in, bytes out, and the edges of its valves."""
+"""The interface of a board to its host: bytes in, bytes out, and the edges of its valves."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -9,15 +9,15 @@ from firmware_interface.messages import ResetCause
 class Edge(NamedTuple):
     """The valve outputs from `t_us` on."""
 
-    t_us: int  # since the board got power
+    t_us: int  # since power-on
     mask: int  # V0 is bit 0, 1 is open
 
 
 def settled(edges: Sequence[Edge]) -> list[Edge]:
-    """Edges that last: of several within one microsecond only the last, and only changes.
+    """Edges without glitches: the last of several within one microsecond, and only changes.
 
-    A plan that continues a pulse at the very microsecond it ended closes and opens the output
-    again; no solenoid notices.
+    A plan that continues a pulse in the microsecond in which it ends closes and reopens the output;
+    this has no effect on a solenoid.
     """
     kept: list[Edge] = []
     for edge in edges:
@@ -29,17 +29,17 @@ def settled(edges: Sequence[Edge]) -> list[Edge]:
 
 
 class Board(Protocol):
-    """A board running the firmware, whichever way.
+    """A board that runs the firmware, real or emulated.
 
-    With `virtual_time` the board's clock moves in `run_until` only, and edges are exact. On the
-    wall clock `run_until` waits, and edges are what the board reported of itself by then.
+    With `virtual_time` the board's clock advances only in `run_until`, and edges are exact. On the
+    wall clock `run_until` waits, and edges are those that the board has reported by then.
     """
 
     virtual_time: bool
 
     @property
     def now_us(self) -> int:
-        """Time since the board got power."""
+        """Time since power-on."""
         ...
 
     @property
@@ -48,11 +48,11 @@ class Board(Protocol):
         ...
 
     def feed(self, data: bytes) -> None:
-        """Bytes arrive at the board, now."""
+        """Send bytes to the board now."""
         ...
 
     def run_until(self, t_us: int) -> Sequence[Edge]:
-        """Let time pass up to and with `t_us`; edges since the last call, in order."""
+        """Run up to and including `t_us`; returns edges since the last call, in order."""
         ...
 
     def read(self) -> bytes:
@@ -60,13 +60,13 @@ class Board(Protocol):
         ...
 
     def sense(self, supply_mv: int, supply_pa: int) -> None:
-        """What the board's sensors say from now on."""
+        """Set the readings of the board's sensors from now on."""
         ...
 
     def power_cycle(self, cause: ResetCause) -> None:
-        """Boot again for this reason; time starts at 0, sensors stay as they are."""
+        """Reboot for this cause; time restarts at 0, sensor readings are kept."""
         ...
 
     def close(self) -> None:
-        """Give back what the board holds; nothing may be called afterwards."""
+        """Release all resources; the board cannot be used afterwards."""
         ...

@@ -1,11 +1,11 @@
-"""Build the firmware, for this machine and for the board's chip, once per state of its sources.
+"""Build the firmware for this machine and for the board's chip, once per version of its sources.
 
     python -m firmware_interface.compiler VEHICLE FOLDER
 
-builds the image of a vehicle's board and puts it into a folder, to be flashed.
+builds the image of a vehicle's board and copies it to a folder, for flashing.
 
-What is built is kept under ~/.cache/airbearing-testbed, named by a hash of sources, flags and
-compiler, so that nothing stale is ever loaded and nobody has to clean up.
+Builds are cached under ~/.cache/airbearing-testbed, named by a hash of sources, flags and compiler,
+so a stale build is never loaded and no cleaning is necessary.
 """
 
 import hashlib
@@ -46,7 +46,7 @@ def compiler() -> str:
     """The C compiler: $CC, gcc or cc.
 
     Raises:
-        CompilerError: there is none.
+        CompilerError: no C compiler found.
     """
     for name in (os.environ.get("CC"), "gcc", "cc"):
         if name and (found := shutil.which(name)):
@@ -66,7 +66,7 @@ def firmware_id() -> int:
 
 
 def _named(sources: Sequence[Path], command: Sequence[str], extra: str = "") -> str:
-    """A name for what this compiler makes of these sources with these flags."""
+    """Cache name of a build: a hash of sources, flags and compiler."""
     version = subprocess.run([command[0], "--version"], capture_output=True, check=True).stdout
     digest = hashlib.sha256(repr((version, tuple(command), extra)).encode())
     for path in sorted({*sources, *FIRMWARE.rglob("*.h")}):
@@ -82,10 +82,10 @@ def _run(command: Sequence[str | Path]) -> str:
 
 
 def build(sources: Sequence[Path], flags: Sequence[str], suffix: str) -> Path:
-    """Compile and link `sources` for this machine; the file in the cache.
+    """Compile and link `sources` for this machine; returns the file in the cache.
 
     Raises:
-        CompilerError: no compiler, or it refuses; its words are in the message.
+        CompilerError: no compiler, or it failed; the message contains its output.
     """
     command = [compiler(), *WARNINGS, *flags]
     target = CACHE / f"{_named(sources, command)}{suffix}"
@@ -94,26 +94,26 @@ def build(sources: Sequence[Path], flags: Sequence[str], suffix: str) -> Path:
         with tempfile.TemporaryDirectory(dir=CACHE) as folder:
             built = Path(folder) / "built"
             _run([*command, *sources, "-o", built])
-            built.replace(target)  # atomic: another process may be doing the same
+            built.replace(target)  # atomic: another process may build the same file
     return target
 
 
 def shared_library() -> Path:
-    """The core with its frame for virtual time."""
+    """Build the core as a shared library for virtual time."""
     host = FIRMWARE / "host" / "inproc.c"
     return build((*CORE, host), ("-O2", "-g", "-shared", "-fPIC"), ".so")
 
 
 def host_program() -> Path:
-    """The core as a process on a pseudo-terminal."""
+    """Build the core as a program on a pseudo-terminal."""
     return build((*CORE, FIRMWARE / "host" / "pty.c"), ("-O2", "-g"), "")
 
 
 def cross_compiler() -> str:
-    """The compiler for the board's chip; it needs no C library.
+    """The compiler for the board's chip; no C library needed.
 
     Raises:
-        CompilerError: there is none.
+        CompilerError: no cross-compiler found.
     """
     if found := shutil.which("arm-none-eabi-gcc"):
         return found
@@ -126,15 +126,15 @@ def cross_compiler() -> str:
 def image(config: Config, timer: str = "tim2", flags: Sequence[str] = ()) -> Path:
     """The firmware of a board with these limits, for an STM32F405: an ELF file in the cache.
 
-    Beside it lies the same as .bin, which is what gets flashed.
+    The same image for flashing, a .bin file, is next to it.
 
     Args:
         config: limits, see `limits.limits_of`.
         timer: "tim2", or "systick" for QEMU.
-        flags: more of the compiler's, such as -DCRYSTAL_MHZ=12u.
+        flags: additional compiler flags, such as -DCRYSTAL_MHZ=12u.
 
     Raises:
-        CompilerError: no cross-compiler, or it refuses.
+        CompilerError: no cross-compiler, or it failed.
     """
     chip = FIRMWARE / "stm32f4"
     script = chip / "stm32f405.ld"
@@ -158,7 +158,7 @@ def image(config: Config, timer: str = "tim2", flags: Sequence[str] = ()) -> Pat
 
 
 def _install(vehicle: Path, folder: Path) -> None:
-    """Build for a vehicle file and put the image into `folder`."""
+    """Build for a vehicle file and copy the image to `folder`."""
     config = limits_of(msgspec.toml.decode(vehicle.read_bytes(), type=Vehicle))
     folder.mkdir(parents=True, exist_ok=True)
     built = image(config)

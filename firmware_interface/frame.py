@@ -18,11 +18,11 @@ CODED_MAX = RAW_MAX + 1  # below 255 bytes COBS costs one byte
 WRAP = 1 << 32  # of clocks [us]
 
 
-_LENGTH = [bytes([size + 1]) for size in range(255)]  # what COBS puts before a block
+_LENGTH = [bytes([size + 1]) for size in range(255)]  # COBS code bytes by block length
 
 
 class Frame(NamedTuple):
-    """One frame, whoever sent it."""
+    """One decoded frame, in either direction."""
 
     type: int
     seq: int
@@ -32,12 +32,12 @@ class Frame(NamedTuple):
 
     @property
     def message(self) -> Message:
-        """The payload by its type; KeyError, struct.error or ValueError if it is none of ours."""
+        """The decoded payload; KeyError, struct.error or ValueError if it is invalid."""
         return TYPES[self.type].unpack(self.payload)
 
 
 class BadFrameError(TestbedError):
-    """Bytes between two delimiters that are no frame; the reason is a counter's name."""
+    """Bytes between two delimiters are not a valid frame; the reason is a counter's name."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -45,12 +45,12 @@ class BadFrameError(TestbedError):
 
 
 def stuff(raw: bytes) -> bytes:
-    """COBS without delimiter, below 255 bytes."""
+    """Encode with COBS, without delimiter, below 255 bytes."""
     return b"".join([_LENGTH[len(block)] + block for block in raw.split(b"\0")])
 
 
 def unstuff(coded: bytes) -> bytes:
-    """Undo COBS.
+    """Decode COBS.
 
     Raises:
         BadFrameError: a block reaches beyond the end.
@@ -93,8 +93,8 @@ def decode(coded: bytes) -> Frame:
     """The frame between two delimiters.
 
     Raises:
-        BadFrameError: there is none; judged in the same order as the firmware does, but for the
-            version, which the caller may want to name.
+        BadFrameError: invalid frame; checks have the firmware's order, except for the version,
+            which the caller checks.
     """
     if len(coded) > CODED_MAX:
         raise BadFrameError("bad_length")
@@ -108,7 +108,7 @@ def decode(coded: bytes) -> Frame:
 
 
 class Decoder:
-    """Cuts a stream of bytes into frames; counts what is none."""
+    """Splits a stream of bytes into frames and counts invalid ones."""
 
     def __init__(self) -> None:
         self._rest = b""
@@ -117,7 +117,7 @@ class Decoder:
     def feed(self, data: bytes) -> list[Frame]:
         """Frames completed by these bytes."""
         *coded, rest = (self._rest + data).split(b"\0")
-        self._rest = rest[: CODED_MAX + 1]  # one too many: too long, however much more comes
+        self._rest = rest[: CODED_MAX + 1]  # one byte too many marks the frame as too long
         frames = []
         for one in filter(None, coded):
             try:

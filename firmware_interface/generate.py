@@ -1,8 +1,8 @@
-"""Write the C header and the Python structs from messages.toml.
+"""Generate the C header and the Python structs from messages.toml.
 
     python -m firmware_interface.generate
 
-A test regenerates and compares, so both sides always speak what messages.toml says.
+A test regenerates and compares them, so both sides always match messages.toml.
 """
 
 import shutil
@@ -20,7 +20,7 @@ NOTE = "Written by `python -m firmware_interface.generate` from messages.toml: c
 
 
 def header(schema: Schema) -> str:
-    """The C side."""
+    """The C header."""
     lines = [
         f"/* {NOTE} */",
         "#ifndef ABT_MESSAGES_H",
@@ -141,7 +141,7 @@ def _c_lengths(schema: Schema) -> list[str]:
 
 
 def module(schema: Schema) -> str:
-    """The Python side, before formatting."""
+    """The Python module, before formatting."""
     lines = [
         '"""What host and board say to each other.',
         "",
@@ -210,7 +210,7 @@ def _py_message(message: Message) -> list[str]:
 
 
 def formatted(text: str) -> str:
-    """In the house format; ruff is one of the tools for development."""
+    """`text` formatted by ruff, one of the development tools."""
     beside = Path(sys.executable).with_name("ruff")
     ruff = str(beside) if beside.exists() else shutil.which("ruff")
     if ruff is None:
@@ -220,7 +220,7 @@ def formatted(text: str) -> str:
 
 
 def main() -> None:
-    """Write both files."""
+    """Generate both files."""
     schema = read(SOURCE.read_text())
     published.check(schema)
     HEADER.write_text(header(schema))

@@ -1,4 +1,4 @@
-"""The firmware as a process on a pseudo-terminal, in real time, behind the same port as a board."""
+"""The firmware as a process on a pseudo-terminal, in real time, with the interface of a board."""
 
 import contextlib
 import subprocess
@@ -27,13 +27,13 @@ def bury(process: subprocess.Popen, grace_s: float) -> None:
 
 
 class HostPtyBoard(SerialBoard):
-    """A `Board` on the wall clock. Its process ends with it, and with this process in any case.
+    """A `Board` on the wall clock. Its process ends on `close`, or with this process.
 
     Args:
         config: limits, see `limits.limits_of`.
         boot_nonce: of the first boot; every power cycle adds one.
-        link: becomes a symbolic link to the terminal, for others to open; by default in a folder
-            that is removed in the end.
+        link: path of a symbolic link to the terminal, for other programs; by default in a folder
+            that `close` removes.
     """
 
     def __init__(self, config: Config, boot_nonce: int = 1, link: Path | None = None) -> None:
@@ -47,7 +47,7 @@ class HostPtyBoard(SerialBoard):
                 stdout=subprocess.PIPE,
                 text=True,
                 bufsize=1,
-                start_new_session=True,  # Ctrl-C is for the operator's program, which disarms first
+                start_new_session=True,  # Ctrl-C is for the operator's program, which disarms
             )
             stack.callback(self._stop)
             self._confirm()
@@ -56,7 +56,7 @@ class HostPtyBoard(SerialBoard):
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id of the firmware."""
         return self._process.pid
 
     def _confirm(self) -> None:
@@ -71,11 +71,11 @@ class HostPtyBoard(SerialBoard):
         self._confirm()
 
     def sense(self, supply_mv: int, supply_pa: int) -> None:
-        """What the board's sensors say from now on."""
+        """Set the readings of the board's sensors from now on."""
         self._order(f"sense {supply_mv} {supply_pa}")
 
     def power_cycle(self, cause: ResetCause) -> None:
-        """Boot again for this reason; time starts at 0, sensors stay as they are."""
+        """Reboot for this cause; time restarts at 0, sensor readings are kept."""
         self._order("down")
         with self._changed:
             self._waiting.clear()
@@ -88,6 +88,6 @@ class HostPtyBoard(SerialBoard):
         bury(self._process, GRACE_S)
 
     def close(self) -> None:
-        """End the process and give everything back."""
+        """End the process and release all resources."""
         super().close()
         self._rest.close()

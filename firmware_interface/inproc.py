@@ -9,7 +9,7 @@ from firmware_interface.board import Edge
 from firmware_interface.compiler import firmware_id, shared_library
 from firmware_interface.messages import Config, ResetCause
 
-ROOM = 65536  # bytes and edges fetched at once
+ROOM = 65536  # capacity for bytes and edges per call
 
 
 class _Edge(ctypes.Structure):
@@ -18,7 +18,7 @@ class _Edge(ctypes.Structure):
 
 @cache
 def library(path: Path) -> ctypes.CDLL:
-    """Load the shared library and say what its functions take."""
+    """Load the shared library and declare the argument types of its functions."""
     lib = ctypes.CDLL(str(path))
     board, u32, u64 = ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint64
     for name, result, *arguments in (
@@ -48,8 +48,8 @@ class InprocBoard:
         config: limits, see `limits.limits_of`.
         boot_nonce: of the first boot; every power cycle adds one.
         clock_us: the board's own clock at power-on.
-        supply_mv, supply_pa: what the sensors say at first.
-        path: the shared library; built when not given.
+        supply_mv, supply_pa: initial readings of the sensors.
+        path: the shared library; built if not given.
     """
 
     virtual_time = True
@@ -83,7 +83,7 @@ class InprocBoard:
 
     @property
     def now_us(self) -> int:
-        """Time since the board got power."""
+        """Time since power-on."""
         return self._now_us
 
     @property
@@ -93,17 +93,17 @@ class InprocBoard:
 
     @property
     def entered(self) -> int:
-        """How deep inside critical sections the firmware is; 0 whenever it can be asked."""
+        """Nesting depth of critical sections; must be 0 between calls."""
         return int(self.lib.board_entered(self.handle))
 
     def feed(self, data: bytes) -> None:
-        """Bytes arrive at the board, now."""
+        """Send bytes to the board now."""
         self.lib.board_feed(self.handle, data, len(data))
 
     def run_until(self, t_us: int) -> Sequence[Edge]:
-        """Let time pass up to and with `t_us`; edges since the last call, in order."""
+        """Run up to and including `t_us`; returns edges since the last call, in order."""
         if t_us < self._now_us:
-            raise ValueError(f"the board is at {self._now_us} us already, asked for {t_us} us")
+            raise ValueError(f"the board is already at {self._now_us} us, requested {t_us} us")
         self._now_us = t_us
         self.lib.board_run_until(self.handle, t_us)
         count = self.lib.board_take_edges(self.handle, self._edges, len(self._edges))
@@ -115,22 +115,22 @@ class InprocBoard:
         return self._bytes.raw[:count]
 
     def sense(self, supply_mv: int, supply_pa: int) -> None:
-        """What the board's sensors say from now on."""
+        """Set the readings of the board's sensors from now on."""
         self._sensed = (supply_mv, supply_pa)
         self.lib.board_sense(self.handle, supply_mv, supply_pa)
 
     def skip(self, us: int) -> None:
-        """Fault injection: time passes and no alarm comes; only what is fed makes it run."""
+        """Fault injection: advance time without alarms; only received bytes run the firmware."""
         self._now_us += us
         self.lib.board_skip(self.handle, us)
 
     def power_cycle(self, cause: ResetCause) -> None:
-        """Boot again for this reason; time starts at 0, sensors stay as they are."""
+        """Reboot for this cause; time restarts at 0, sensor readings are kept."""
         self.close()
         self._nonce += 1
         self._boot(cause)
 
     def close(self) -> None:
-        """Give the memory back."""
+        """Free the firmware's memory."""
         self.lib.board_free(self.handle)
         self.handle = None

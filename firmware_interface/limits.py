@@ -1,4 +1,4 @@
-"""The board's limits, from the vehicle file and what protects the vehicle besides."""
+"""The board's limits, from the vehicle file and from additional protection parameters."""
 
 import zlib
 
@@ -11,10 +11,10 @@ from testbed.core.vehicle import Positive, Valve, Vehicle
 
 
 class Protection(Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits that do not follow from the vehicle. Defaults are assumptions unless they say more.
+    """Limits that do not follow from the vehicle. Defaults without a comment are assumptions.
 
-    Bearing air stays on when the board trips: the jets are off then, but a vehicle that still
-    moves and loses its film of air grinds to a halt on the granite, which harms both.
+    Bearing air stays on when the board trips: the jets are off, but a moving vehicle that loses its
+    air film would scrape on the granite and damage both.
     """
 
     watchdog_s: Positive = 0.15  # seven frames of a sender that repeats at 50 Hz
@@ -22,27 +22,27 @@ class Protection(Struct, frozen=True, forbid_unknown_fields=True):
     max_on_s: Positive = 5.0
     duty_window_s: Positive = 16.0
     duty_budget_s: Positive = 12.0  # of each valve in any window
-    undervoltage_s: Positive = 0.002  # coils that pull in make the supply dip
+    undervoltage_s: Positive = 0.002  # the supply dips when valves switch on
     status_period_s: Positive = 0.05
     drop_bearing_on_trip: bool = False
 
 
 class LimitsError(TestbedError, ValueError):
-    """This vehicle does not fit the board."""
+    """The board cannot drive this vehicle."""
 
 
 def micro(value: float) -> int:
-    """Seconds to us, volts to uV: the nearest whole millionth."""
+    """Convert seconds to us or volts to uV, rounded to the nearest integer."""
     return round(value * 1e6)
 
 
 def dead_time_s(valve: Valve) -> float:
-    """From closing a jet to opening its opposite, so that their flows never overlap [s]."""
+    """Time from closing a jet to opening its opposite without overlapping flows [s]."""
     return max(0.0, valve.close_delay_s + valve.close_ramp_s - valve.open_delay_s)
 
 
 def limits_of(vehicle: Vehicle, protection: Protection | None = None) -> Config:
-    """What the firmware of this vehicle's board is built with.
+    """The limits that the firmware of this vehicle's board is built with.
 
     Raises:
         LimitsError: more jets than the board has outputs.
@@ -78,15 +78,15 @@ def limits_of(vehicle: Vehicle, protection: Protection | None = None) -> Config:
 
 
 def check(config: Config) -> None:
-    """Refuse limits that the firmware would refuse; it would stay in BOOT.
+    """Reject limits with which the firmware would stay in BOOT.
 
     Raises:
-        LimitsError: which one, what was found and what was expected.
+        LimitsError: names the limit, the value found and the expected values.
     """
     for name, (least, most) in Config.LIMITS.items():
         value = getattr(config, name)
         if not least <= value <= most:
-            raise LimitsError(f"{name} is {value}, the board takes {least} to {most}")
+            raise LimitsError(f"{name} is {value}, the board accepts {least} to {most}")
     if not config.min_on_us <= config.max_on_us:
         raise LimitsError(f"min_on_us {config.min_on_us} is above max_on_us {config.max_on_us}")
     if not config.min_on_us <= config.duty_budget_us <= config.duty_window_us:
@@ -107,7 +107,7 @@ def check(config: Config) -> None:
 
 
 def config_hash(config: Config) -> int:
-    """What HELLO_ACK must carry."""
+    """CRC-32 of the limits, which HELLO_ACK must contain."""
     return zlib.crc32(config.pack())
 
 

@@ -1,16 +1,16 @@
-"""The firmware on this machine, on a serial line that a twin listens in on.
+"""Runs the firmware on this machine, on a serial line that the twin monitors.
 
-    whoever flies -- pty with a stable name -- tap -- socket -- firmware
+    flight program -- pty with a stable name -- tap -- socket -- firmware
 
-Bytes of a pty are moved by a thread of the kernel that has no priority, and whoever looks at a pty,
-even without waiting, waits for that thread (n_tty_poll flushes the buffer's work): tens of
-milliseconds on a busy machine (`benchmarks/pty_stall.py`). So the firmware is not behind a second
-one, and `listen` gives the first one a thread of its own, so that nobody else waits.
+A kernel thread without priority moves the bytes of a pty, and every access to a pty, even a
+non-blocking poll, waits for that thread (n_tty_poll flushes the buffer's work): tens of
+milliseconds on a busy machine (`benchmarks/pty_stall.py`). So the firmware uses a socket instead of
+a second pty, and `listen` serves the first pty in a thread of its own, so that nothing else waits.
 
-The tap passes bytes on as they come and reads what the board reports: its valves' edges, in the
-host's time. It stands where the cable is, so it can also be cut.
+The tap forwards bytes as they arrive and decodes the board's reports: its valves' edges, in the
+host's time. It replaces the cable, so it can also interrupt the connection.
 
-The board's clock against the host's: of all frames the one that was quickest tells it best.
+The frame with the shortest delay gives the best estimate of the board's clock.
 """
 
 import os
@@ -35,9 +35,9 @@ from firmware_interface.serial_board import monotonic_us
 from testbed.core.error import TestbedError
 
 CHUNK = 4096
-REMEMBERED = 64  # frames that tell the clock; a board's clock may drift
+REMEMBERED = 64  # newest frames used for the clock, because a board's clock may drift
 GRACE_S = 2.0
-LOOK_S = 0.1  # between two looks whether it is over
+LOOK_S = 0.1  # between two checks for the end
 
 
 class TapError(TestbedError):
@@ -45,16 +45,16 @@ class TapError(TestbedError):
 
 
 class LineTap:
-    """One board and its cable; a context manager. It does nothing until `serve` is called.
+    """One board and its cable; a context manager. Bytes are forwarded only by `serve`.
 
     Args:
         config: limits, see `limits.limits_of`.
-        boot_nonce: tells this board from others.
-        link: becomes a symbolic link to the terminal that stands for the vehicle's serial port.
-        chip: run the image for the board's chip in QEMU, not the core on this machine.
+        boot_nonce: distinguishes this board from others.
+        link: path of a symbolic link to the terminal that represents the vehicle's serial port.
+        chip: run the image for the board's chip in QEMU instead of the core on this machine.
 
     Raises:
-        TapError, BoardError: the firmware's process did not start as it should.
+        TapError, BoardError: the firmware's process did not start correctly.
         CompilerError: the firmware cannot be built here.
     """
 
@@ -67,8 +67,8 @@ class LineTap:
         where = "an STM32F405 in QEMU" if chip else "this machine"
         self.board_name = f"firmware {firmware_id():08x} on {where}, behind a pty"
         self.cut = False
-        self.spoken_us = 0  # when whoever flies said something last
-        self.silence_us = 0  # the longest time of an armed board without a word
+        self.spoken_us = 0  # time of the last bytes from the flight program
+        self.silence_us = 0  # longest time that an armed board received nothing
         self._listener: threading.Thread | None = None
         self._over = False
 
@@ -111,14 +111,14 @@ class LineTap:
         return [str(host_program()), self._config.pack().hex(), *identity, f"fd:{line}"]
 
     def _open_port(self, stack: ExitStack) -> None:
-        if _is_taken(self.link):  # on a lab's machine it may be the board itself
+        if _is_taken(self.link):  # on a lab machine it may be a real board
             raise TapError(
-                f"{self.link} is there already, and no twin has made it: expected a free name;"
-                " [lab.serial] ports or --ports gives another"
+                f"{self.link} exists and was not created by a twin: expected an unused path;"
+                " set another one with [lab.serial] ports or --ports"
             )
         self.port_fd, other = pty.openpty()
         stack.callback(os.close, self.port_fd)
-        stack.callback(os.close, other)  # held open: or reading fails while nobody has the port
+        stack.callback(os.close, other)  # held open: reads fail while no program uses the port
         tty.setraw(other)
         os.set_blocking(self.port_fd, False)
         fresh = self.link.with_name(f".{self.link.name}-fresh")
@@ -127,7 +127,7 @@ class LineTap:
         stack.callback(self._give_back, os.ttyname(other))
 
     def _give_back(self, terminal: str) -> None:
-        """Take the link away, if it is still the own one."""
+        """Remove the link if it still points to this terminal."""
         with suppress(OSError):
             if str(self.link.readlink()) == terminal:
                 self.link.unlink()
@@ -139,7 +139,7 @@ class LineTap:
         self._rest.close()
 
     def listen(self) -> None:
-        """Pass on what whoever flies says in a thread of its own; `serve` does the rest."""
+        """Forward bytes of the flight program in a thread of its own; `serve` does the rest."""
         self._listener = threading.Thread(target=self._listen, name="line", daemon=True)
         self._listener.start()
 
@@ -151,14 +151,14 @@ class LineTap:
     def _stop(self) -> None:
         process = self._process
         if self._chip and process.stdin is not None:
-            process.stdin.close()  # its guard waits for that
+            process.stdin.close()  # ends its guard process
         else:
             process.terminate()
         bury(process, GRACE_S)
 
     @property
     def pid(self) -> int:
-        """Of the firmware's process."""
+        """Process id of the firmware."""
         return self._process.pid
 
     @property
@@ -167,7 +167,7 @@ class LineTap:
         return self._reports.bearing
 
     def sense(self, supply_mv: int, supply_pa: int) -> None:
-        """What the board's sensors say from now on; QEMU has none."""
+        """Set the readings of the board's sensors from now on; no effect on QEMU."""
         if self._chip:
             return
         assert self._process.stdin is not None
@@ -175,22 +175,22 @@ class LineTap:
         with suppress(BlockingIOError, BrokenPipeError):
             os.write(self._process.stdin.fileno(), f"sense {supply_mv} {supply_pa}\n".encode())
         with suppress(BlockingIOError):
-            os.read(self._process.stdout.fileno(), CHUNK)  # its answers
+            os.read(self._process.stdout.fileno(), CHUNK)  # discard its answers
 
     def power(self, *, on: bool) -> None:
-        """Take the board's power away, or give it back; QEMU's stays."""
+        """Switch the board's power; no effect on QEMU."""
         if self._chip:
             return
         assert self._process.stdin is not None
         os.set_blocking(self._process.stdin.fileno(), True)
         os.write(self._process.stdin.fileno(), b"up 2\n" if on else b"down\n")
         os.set_blocking(self._process.stdin.fileno(), False)
-        if on:  # its clock starts again
+        if on:  # its clock restarts
             self._reports = Reports()
             self._offsets.clear()
 
     def serve(self) -> None:
-        """Pass on what is there; does not wait."""
+        """Forward available bytes without waiting."""
         if self._listener is None:
             self._from_port()
         now = monotonic_us()
@@ -214,11 +214,11 @@ class LineTap:
 
     @property
     def fds(self) -> list[int]:
-        """What `serve` waits for."""
+        """File descriptors to poll before calling `serve`."""
         return [self.board_fd] if self._listener is not None else [self.port_fd, self.board_fd]
 
     def edges(self) -> list[Edge]:
-        """What the valves did since the last call, on this machine's monotonic clock [us]."""
+        """Valve edges since the last call, on this machine's monotonic clock [us]."""
         edges = self._reports.take_edges()
         if not edges:
             return []
@@ -227,7 +227,7 @@ class LineTap:
 
 
 def _is_taken(link: Path) -> bool:
-    """Whether something else than a twin's port is there; a twin that was killed leaves its own."""
+    """Whether the path exists and is not a twin's link; a killed twin leaves its link behind."""
     if not link.is_symlink():
         return link.exists()
     return not str(link.readlink()).startswith("/dev/pts/")
@@ -241,5 +241,5 @@ def _read(fd: int) -> bytes:
 
 
 def _write(fd: int, data: bytes) -> None:
-    with suppress(BlockingIOError, OSError):  # full, because nobody reads: it is lost, as on a wire
+    with suppress(BlockingIOError, OSError):  # full, no program reads: bytes are lost, as on a wire
         os.write(fd, data)

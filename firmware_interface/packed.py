@@ -1,4 +1,4 @@
-"""A message as a struct that knows its bytes; the generated ones in `messages` are of this kind."""
+"""Base of the generated message structs in `messages`: packing and unpacking."""
 
 import struct
 from typing import Any, ClassVar, Self
@@ -7,7 +7,7 @@ from msgspec import Struct
 
 
 class Packed(Struct, frozen=True, gc=False):
-    """Fields in the order of the line."""
+    """A message; its fields have the order of the bytes on the line."""
 
     LAYOUT: ClassVar[struct.Struct]
     COUNTS: ClassVar[tuple[int, ...]]  # elements of each field; 0: not an array
@@ -15,7 +15,7 @@ class Packed(Struct, frozen=True, gc=False):
     LIMITS: ClassVar[dict[str, tuple[int, int]]]
 
     def pack(self) -> bytes:
-        """The payload."""
+        """The payload as bytes."""
         values: list[int] = []
         for name, count in zip(self.__struct_fields__, self.COUNTS, strict=True):
             value = getattr(self, name)
@@ -24,7 +24,7 @@ class Packed(Struct, frozen=True, gc=False):
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
-        """From a payload; struct.error or ValueError if it is none."""
+        """Decode a payload; struct.error or ValueError if it is invalid."""
         found = cls.LAYOUT.unpack(payload)
         values: list[Any] = []
         at = 0

@@ -1,11 +1,11 @@
-"""What each version of the messages means: written once, when it is published, and never again.
+"""Published versions of the messages: written once and never changed.
 
     python -m firmware_interface.published
 
-writes golden/version_<n>.json for the `version` in messages.toml: every field, code and limit in
-words, and golden frames. Boards in the field speak what it says. Each file carries the hash of the
-one before, messages.toml that of the newest (`sealed`), so that none changes without a trace; and
-git must know each as added only.
+writes golden/version_<n>.json for the `version` in messages.toml: every field, code and limit as
+text, and golden frames. Boards in the field use these versions. Each file contains the hash of the
+previous one and messages.toml that of the newest (`sealed`), so every change is detected; in git
+each file may only have been added.
 """
 
 import hashlib
@@ -23,15 +23,15 @@ HINT = "Boards in the field speak the old one: raise `version` in messages.toml 
 
 
 def path_of(version: int, folder: Path = GOLDEN) -> Path:
-    """Where a version is written down."""
+    """Path of a published version."""
     return folder / f"version_{version}.json"
 
 
 def seal(version: int, folder: Path = GOLDEN) -> str:
-    """Hash of a published version's file; of version 0 nothing is known.
+    """Hash of a published version's file; empty for version 0.
 
     Raises:
-        SchemaError: there is no such file.
+        SchemaError: the file does not exist.
     """
     if version == 0:
         return ""
@@ -45,16 +45,16 @@ def seal(version: int, folder: Path = GOLDEN) -> str:
 
 
 def check(schema: Schema, folder: Path = GOLDEN) -> None:
-    """Refuse messages that differ from what was published, and a record that was edited.
+    """Reject messages that differ from the published version, and edited published files.
 
     Raises:
-        SchemaError: what differs, and what to do about it.
+        SchemaError: names the difference and what to do.
     """
     expected = schema.sealed
     for version in range(schema.version, 0, -1):
         if seal(version, folder) != expected:
             raise SchemaError(
-                f"{path_of(version, folder).name} is not what was published (its hash is not"
+                f"{path_of(version, folder).name} differs from what was published (its hash is not"
                 f" {expected[:12]}...): restore it. {HINT}"
             )
         expected = json.loads(path_of(version, folder).read_text())["before"]
@@ -67,7 +67,7 @@ def check(schema: Schema, folder: Path = GOLDEN) -> None:
 
 
 def frames(schema: Schema) -> Iterator[dict]:
-    """Golden frames: each message with its least, its greatest and with uneven values."""
+    """Golden frames: each message with minimum, maximum and irregular values."""
     known = [message for message in schema.messages if message.code]
     for number, message in enumerate(m for m in known for _ in range(3)):
         fields = {f.name: _value(schema, f, number % 3, at) for at, f in enumerate(message.fields)}
@@ -105,14 +105,14 @@ def _bytes(message: Message, fields: dict[str, int | list[int]]) -> bytes:
 
 
 def publish(schema: Schema, folder: Path = GOLDEN) -> str:
-    """Write a version down, for good; what `sealed` in messages.toml must say.
+    """Write a version's file; returns the value for `sealed` in messages.toml.
 
     Raises:
-        SchemaError: it is written down already.
+        SchemaError: the version is already published.
     """
     path = path_of(schema.version, folder)
     if path.exists():
-        raise SchemaError(f"version {schema.version} is published already. {HINT}")
+        raise SchemaError(f"version {schema.version} is already published. {HINT}")
     before = seal(schema.version - 1, folder)
     parts = {
         "version": f"{schema.version}",

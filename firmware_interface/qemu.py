@@ -1,8 +1,8 @@
 """The board's image on QEMU's STM32F405, on the wall clock: a smoke test of start and interrupts.
 
-QEMU models neither GPIO nor TIM2's alarm nor the reset flags, so this image keeps time by SysTick,
-in milliseconds, and only the serial line leads anywhere. The process stands behind a shell that
-waits for the end of its input, so that it cannot outlive whoever started it.
+QEMU models neither GPIO nor TIM2's alarm nor the reset flags, so this image uses SysTick for time,
+in milliseconds, and only the serial line works. The process is the child of a shell that waits for
+the end of its input, so that it cannot outlive the process that started it.
 """
 
 import contextlib
@@ -20,10 +20,10 @@ ANNOUNCED = re.compile(r"redirected to (/dev/\S+)")
 
 
 def emulator() -> str:
-    """The program.
+    """Path of QEMU.
 
     Raises:
-        BoardError: it is not installed.
+        BoardError: QEMU is not installed.
     """
     if found := shutil.which(QEMU):
         return found
@@ -34,7 +34,7 @@ def emulator() -> str:
 
 
 def qemu_command(config: Config) -> list[str]:
-    """What starts it."""
+    """The command line of QEMU."""
     return [
         *("sh", "-c", GUARD, "guard"),
         *(emulator(), "-M", "netduinoplus2", "-kernel", str(image(config, "systick"))),
@@ -43,10 +43,10 @@ def qemu_command(config: Config) -> list[str]:
 
 
 def terminal_of(said: str) -> str:
-    """The terminal that its first line announces.
+    """The terminal announced by the first line of QEMU's output.
 
     Raises:
-        BoardError: it announces none.
+        BoardError: the line names no terminal.
     """
     if found := ANNOUNCED.search(said):
         return found[1]
@@ -79,7 +79,7 @@ class QemuBoard(SerialBoard):
         return terminal_of(self._process.stdout.readline())
 
     def _stop(self) -> None:
-        """An emulator whose line is full ignores SIGTERM: the guard kills it."""
+        """End QEMU through its guard, because QEMU ignores SIGTERM while its line is full."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()
@@ -87,6 +87,6 @@ class QemuBoard(SerialBoard):
         self._process.stdout.close()
 
     def close(self) -> None:
-        """End the process and give everything back."""
+        """End the process and release all resources."""
         super().close()
         self._rest.close()

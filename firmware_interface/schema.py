@@ -1,4 +1,4 @@
-"""What messages.toml says, as structs; `generate` writes both languages from it."""
+"""The contents of messages.toml as structs, from which `generate` writes both languages."""
 
 import tomllib
 from pathlib import Path
@@ -69,7 +69,7 @@ class Schema(Struct, frozen=True):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Everything that matters on the line; not the documentation."""
+        """Everything that affects bytes on the line, without documentation."""
         lines = [f"{name} {size}" for name, size in self.sizes.items()]
         for enum in self.enums:
             lines += [f"{enum.name}.{name} {code}" for name, (code, _) in enum.names.items()]

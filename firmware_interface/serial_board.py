@@ -1,9 +1,9 @@
 """The board on a serial port.
 
-One thread owns the port: it reads from the first moment on, writes what is due, and opens the
-port again when it was lost. `feed` never waits; while nothing is under way it writes at once, which
-saves waking the thread. Of plans not yet written only the newest counts, and what was meant for a
-line that is gone is dropped: a valve command is worth nothing late.
+One thread owns the port: it reads continuously, writes queued frames, and reopens the port after a
+loss. `feed` never waits; if the queue is empty it writes directly, which saves waking the thread.
+Of queued plans only the newest is kept, and frames for a lost line are dropped, because late valve
+commands are useless.
 """
 
 import contextlib
@@ -24,21 +24,21 @@ from testbed.core.error import TestbedError
 
 BAUD = 460_800  # 8N1: a plan of 94 bytes takes 2.0 ms
 RETRY_S = 0.2  # between attempts to open a lost port
-SILENCE_S = 5.0  # a board sends STATUS at 20 Hz: it is gone
-WAITING_MAX = 64  # frames not yet written; more are not worth sending
+SILENCE_S = 5.0  # timeout: a board sends STATUS at 20 Hz
+WAITING_MAX = 64  # limit of queued frames
 
 
 class BoardError(TestbedError):
-    """The board cannot be reached, or cannot do that."""
+    """The board cannot be reached, or does not support the operation."""
 
 
 def monotonic_us() -> int:
-    """The host's clock."""
+    """The host's monotonic clock [us]."""
     return time.monotonic_ns() // 1000
 
 
 def is_plan(coded: bytes) -> bool:
-    """Whether these bytes of a line are a CMD."""
+    """Whether an encoded frame is a CMD."""
     try:
         return decode(coded).type == Cmd.CODE
     except BadFrameError:
@@ -50,10 +50,10 @@ class SerialBoard:
 
     Args:
         port: device, such as /dev/ttyUSB0 or a link to it.
-        baud: the firmware's, see the port's board file.
+        baud: the firmware's baud rate, see its board file.
 
     Raises:
-        BoardError: the port cannot be opened, or somebody else has it.
+        BoardError: the port cannot be opened, or another program has it open.
     """
 
     virtual_time = False
@@ -64,12 +64,12 @@ class SerialBoard:
         self._reports = Reports()
         self._received = bytearray()
         self._waiting: deque[bytes] = deque()
-        self._unsent = b""  # of what is being written
+        self._unsent = b""  # rest of the frame being written
         self._port: serial.Serial | None = None  # while bytes can be exchanged
         self._closing = False
         self.connected = True
         self.reconnects = 0
-        self.superseded = 0  # plans never written because a newer one came
+        self.superseded = 0  # plans dropped for a newer one
         try:
             opened = self._open()
         except (serial.SerialException, OSError) as error:
@@ -87,7 +87,7 @@ class SerialBoard:
     def _open(self) -> serial.Serial:
         port = serial.Serial(self._port_name, self._baud, timeout=0, exclusive=True)
         with contextlib.suppress(ValueError, OSError, NotImplementedError):
-            port.set_low_latency_mode(True)  # FTDI's adapters hold bytes back for 16 ms otherwise
+            port.set_low_latency_mode(True)  # otherwise FTDI adapters delay bytes by 16 ms
         return port
 
     def _serve(self, opened: serial.Serial | None) -> None:
@@ -113,17 +113,17 @@ class SerialBoard:
         self._calm()
 
     def _calm(self) -> None:
-        """Forget why the thread was woken."""
+        """Empty the pipe that wakes the thread."""
         while select.select([self._wake_read], [], [], 0)[0]:
             os.read(self._wake_read, 4096)
 
     def _exchange(self, port: serial.Serial) -> None:
         line = port.fileno()
         with self._changed:
-            self._unsent = b"\0"  # ends whatever half a frame the board has heard
+            self._unsent = b"\0"  # terminates a partial frame at the board
             self._port = port
         while not self._closing:
-            # At most about a frame in the driver: what is in there cannot be taken back.
+            # Keep at most about one frame in the driver, where it cannot be withdrawn.
             free = port.out_waiting <= CODED_MAX
             rest = self._next(free=free)
             wait = 0.001 if not free else 0.1
@@ -147,7 +147,7 @@ class SerialBoard:
             return self._unsent
 
     def _write_now(self, data: bytes) -> bool:
-        """Write whole frames, if nothing is before them; the thread writes what does not fit."""
+        """Write complete frames if nothing is queued; the thread writes the rest."""
         port = self._port
         if port is None or self._unsent or self._waiting or not data.endswith(b"\0"):
             return False
@@ -155,16 +155,16 @@ class SerialBoard:
             if port.out_waiting > CODED_MAX:
                 return False
             self._unsent = data[os.write(port.fileno(), data) :]
-        except OSError:  # the thread finds out what is the matter
+        except OSError:  # the thread handles the error
             return False
         return True
 
     def _hear(self, data: bytes) -> None:
         if not data:
-            raise serial.SerialException("the port is gone")
+            raise serial.SerialException("the port has disappeared")
         with self._changed:
             self._received += data
-            del self._received[:-65536]  # nobody reads: keep the newest
+            del self._received[:-65536]  # not read: keep the newest
             if self._reports.hear(data, monotonic_us()):
                 self._changed.notify_all()
 
@@ -172,7 +172,7 @@ class SerialBoard:
 
     @property
     def now_us(self) -> int:
-        """Time since the board got power, modulo 71.6 minutes when it was first heard."""
+        """Time since power-on; modulo 71.6 minutes at the first frame received."""
         with self._changed:
             return self._reports.now_us(monotonic_us())
 
@@ -183,7 +183,7 @@ class SerialBoard:
             return self._reports.bearing
 
     def feed(self, data: bytes) -> None:
-        """Bytes for the board, as soon as the line is free; nothing if there is no line."""
+        """Send bytes as soon as the line is free; drops them if the line is lost."""
         with self._changed:
             if not self.connected:
                 return
@@ -195,7 +195,7 @@ class SerialBoard:
                     self._put(coded + b"\0")
                 if not data.endswith(b"\0"):
                     self._put(data.rpartition(b"\0")[2])
-        with contextlib.suppress(BlockingIOError):  # a full pipe wakes as well
+        with contextlib.suppress(BlockingIOError):  # a full pipe also wakes the thread
             os.write(self._wake_write, b"x")
 
     def _put(self, coded: bytes) -> None:
@@ -208,10 +208,10 @@ class SerialBoard:
         self._waiting.append(coded)
 
     def run_until(self, t_us: int) -> Sequence[Edge]:
-        """Wait until the board has said that `t_us` is past; edges it reported since the last call.
+        """Wait until the board reports a time after `t_us`; returns edges since the last call.
 
         Raises:
-            BoardError: it says nothing any more.
+            BoardError: the board has stopped sending.
         """
         with self._changed:
             while self._reports.board_us < t_us:
@@ -231,15 +231,15 @@ class SerialBoard:
             return data
 
     def sense(self, supply_mv: int, supply_pa: int) -> None:
-        """Not here: a real board measures."""
-        raise BoardError("the sensors of a board on a serial port measure; they cannot be told")
+        """Not supported: a real board measures."""
+        raise BoardError("cannot set the sensors of a board on a serial port: they measure")
 
     def power_cycle(self, cause: ResetCause) -> None:
-        """Not here: somebody has to pull the plug."""
-        raise BoardError("a board on a serial port cannot be power-cycled from here")
+        """Not supported: a real board must be power-cycled by hand."""
+        raise BoardError("a board on a serial port cannot be power-cycled by software")
 
     def close(self) -> None:
-        """Give the port back."""
+        """Stop the thread and close the port."""
         self._closing = True
         with contextlib.suppress(BlockingIOError):
             os.write(self._wake_write, b"x")

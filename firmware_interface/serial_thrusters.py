@@ -1,11 +1,11 @@
-"""`Thrusters` on a serial line: plans go out as frames, and again at 50 Hz until the next one.
+"""`Thrusters` on a serial line: sends plans as frames and repeats them at 50 Hz until the next one.
 
-A plan starts `command_delay_s` after it was issued, as the estimator believes: one that is ready
-earlier waits here, because what the board is told starts when it is told. One that is ready later
-is told how old it is, and what is left of it is played.
+A plan starts `command_delay_s` after it was issued, as the estimator assumes. A plan that is ready
+earlier waits here, because the board starts plans on reception. A plan that is ready later is sent
+with its age, and the board plays the rest of it.
 
-The time to live of a plan is that of the command: when the sender hangs, the plan runs out, what
-repeats it stops, and the board's watchdog closes everything and latches SAFE.
+The time to live of a plan is that of the command: if the sender hangs, the plan expires, its
+repetition stops, and the board's watchdog closes all valves and latches SAFE.
 """
 
 import threading
@@ -21,11 +21,11 @@ from testbed.core.error import TestbedError
 from testbed.core.types import Health, ValveCommand
 from testbed.core.vehicle import Gauges
 
-KEEP_US = 4_000  # between two looks at what time alone asks for
-ANSWER_US = 3_000_000  # longest wait for a board's first words
-UNKNOWN_V = 12.0  # what a vehicle without a voltmeter is believed to have
+KEEP_US = 4_000  # longest time between two checks for due frames
+ANSWER_US = 3_000_000  # longest wait for a board's first answer
+UNKNOWN_V = 12.0  # assumed supply of a vehicle without a voltmeter
 ALL_GAUGES = Gauges()
-REPEAT_US = 30_000  # an order that is not obeyed by then is given again
+REPEAT_US = 30_000  # time after which a command without effect is repeated
 
 
 class ThrustersError(TestbedError):
@@ -33,15 +33,15 @@ class ThrustersError(TestbedError):
 
 
 class SerialThrusters:
-    """See `Thrusters`. Between `__enter__` and `__exit__` one thread looks after the session.
+    """See `Thrusters`. Between `__enter__` and `__exit__` a thread maintains the session.
 
     Args:
         port: the board's device.
         config: limits, see `limits.limits_of`.
         delay_s: from issuing a plan to its start, `Vehicle.command_delay_s`.
-        nonce: tells this program from others.
-        set_pressure: what a vehicle without a gauge is believed to have [Pa].
-        gauges: what the board measures, as the vehicle file says.
+        nonce: distinguishes this program from others.
+        set_pressure: assumed supply pressure of a vehicle without a gauge [Pa].
+        gauges: quantities that the board measures, from the vehicle file.
         epoch_us: the run's time 0 on the monotonic clock; set it before the first plan.
 
     Raises:
@@ -62,10 +62,10 @@ class SerialThrusters:
         self._config, self._nonce, self._baud = config, nonce, baud
         self._set_pressure, self._gauges = set_pressure, gauges
         self.epoch_us = 0
-        self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plans' numbers, and when [us]
+        self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plan numbers and times [us]
         self.trouble: str | None = None  # latched
         self._armed = False
-        self._heard_us = 0  # when the board said something last
+        self._heard_us = 0  # time of the last frame from the board
 
     def __enter__(self) -> "SerialThrusters":
         self._board = SerialBoard(self._port_name, self._baud)
@@ -86,7 +86,7 @@ class SerialThrusters:
     def __exit__(self, *_: object) -> None:
         self.disarm()
         end = monotonic_us() + REPEAT_US
-        with self._lock:  # the line must have taken it before it is given back
+        with self._lock:  # the frame must be written before the port is closed
             while self._session.state is State.ARMED and monotonic_us() < end:
                 self._lock.wait(0.001)
         self._end()
@@ -106,7 +106,7 @@ class SerialThrusters:
                 self._lock.wait(self._look(monotonic_us()) * 1e-6)
 
     def _look(self, now: int) -> int:
-        """Do what is due; how long there is nothing to do [us]."""
+        """Do what is due; returns the time until the next action [us]."""
         try:
             if self._session.receive(self._board.read(), now):
                 self._heard_us = now
@@ -123,7 +123,7 @@ class SerialThrusters:
         return KEEP_US
 
     def _judge(self) -> None:
-        """Whether a board that was armed still is."""
+        """Detect that the line was lost or an armed board has left ARMED."""
         session = self._session
         if self.trouble is not None or not self._armed:
             return
@@ -132,8 +132,8 @@ class SerialThrusters:
         elif session.state is not State.ARMED and session.status is not None:
             status = session.status
             if status.state is State.ARMED:
-                return  # the answer that says so is ahead of the report that says why
-            why = ", ".join(f.name or "" for f in status.faults) or "no fault, somebody disarmed it"
+                return  # the report with the reason follows the answer with the state
+            why = ", ".join(f.name or "" for f in status.faults) or "no fault, it was disarmed"
             self.trouble = f"the board has left ARMED: {why.lower()}"
 
     def _feed(self, data: bytes) -> None:
@@ -154,30 +154,30 @@ class SerialThrusters:
                     )
                 self._lock.wait(0.005)
 
-    # What the vehicle says
+    # Interface of the vehicle
 
     @property
     def board(self) -> str:
-        """What the valves hang on."""
+        """Description of the board that drives the valves."""
         hello = self._session.board
         assert hello is not None
         return f"firmware {hello.firmware_id:08x} at {self._port_name}"
 
     @property
     def reconnects(self) -> int:
-        """How often the line was lost and came back."""
+        """Number of times the line was lost and restored."""
         return self._board.reconnects
 
     @property
     def refusals(self) -> dict[str, int]:
-        """Frames that the board refused, by its own word."""
+        """Number of frames that the board refused, by result."""
         return {result.name.lower(): count for result, count in self._session.refusals.items()}
 
     def bearing(self, *, on: bool) -> None:
-        """Bearing air on or off.
+        """Switch bearing air on or off.
 
         Raises:
-            ThrustersError: the board does not say that it has done it.
+            ThrustersError: the board does not confirm it.
         """
         self._insist(
             lambda now: self._session.bearing(on, now),
@@ -187,7 +187,7 @@ class SerialThrusters:
 
     @property
     def floats(self) -> bool:
-        """Whether bearing air is on, by the board's newest report."""
+        """Whether bearing air is on, from the board's newest report."""
         status = self._session.status
         return status is not None and status.bearing == 1
 
@@ -215,20 +215,20 @@ class SerialThrusters:
         self._await(obeyed, what)
 
     def _greet_again(self, now: int) -> bytes:
-        """HELLO, if the board takes us for somebody else: it answered two of them in a row."""
+        """A new HELLO if the board uses another session, after two HELLO in a row."""
         foreign = self._session.refusals.pop(Result.FOREIGN_SESSION, 0)
         if foreign == 0 and self._session.greeted:
             return b""
         return self._session.hello(now) if foreign else b"\0"
 
     def disarm(self) -> None:
-        """Close everything, now."""
+        """Close all valves now and leave ARMED."""
         with self._lock:
             self._armed, self._waiting = False, None
             self._feed(self._session.disarm(monotonic_us()))
 
     def land(self) -> None:
-        """Close everything and take bearing air away; may be said again and again."""
+        """Close all valves and shut off bearing air; can be called repeatedly."""
         self.disarm()
         with self._lock:
             if self._session.greeted:
@@ -272,7 +272,7 @@ class SerialThrusters:
             return Health(1e-6 * (now - self.epoch_us), pressure, 0.0, battery, silent)
 
     def edges(self) -> list[tuple[float, int]]:
-        """What the board has reported of its valves since the last call: the run's time, mask."""
+        """Valve edges reported since the last call: time of the run [s], mask."""
         with self._lock:
             new, self._session.edges = self._session.edges, []
             clock, now = self._session.clock, monotonic_us()
@@ -281,13 +281,13 @@ class SerialThrusters:
         found = []
         for board_us, mask in new:
             ago = (now + clock.offset_us - board_us) % WRAP
-            if ago > WRAP / 2:  # the board's clock is read to some microseconds
+            if ago > WRAP / 2:  # the board's clock is known to some microseconds
                 ago -= WRAP
             found.append((1e-6 * (now - ago - self.epoch_us), mask))
         return found
 
     @property
     def shut(self) -> bool:
-        """Whether every valve is closed, by the board's newest report."""
+        """Whether every valve is closed, from the board's newest report."""
         status = self._session.status
         return status is not None and status.mask == 0

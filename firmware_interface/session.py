@@ -1,7 +1,7 @@
-"""The sender's side of a session with the board: says hello, arms, sends plans and repeats them.
+"""The host's side of a session with the board: HELLO, arming, sending and repeating plans.
 
-A pure state machine: it is handed time and bytes and gives bytes; who moves them is not its
-business. Times are the host's clock in whole microseconds.
+A pure state machine: its inputs are times and bytes, its output bytes; the caller does the I/O.
+Times are the host's clock in integer microseconds.
 
 Clock offset and delay as in NTP: D. L. Mills, "Internet time synchronization: the network time
 protocol", IEEE Transactions on Communications 39(10), 1991. T1 sent by the host, T2 received and T3
@@ -10,11 +10,11 @@ answered by the board, T4 received by the host:
     offset = ((T2 - T1) + (T3 - T4)) / 2        board's clock minus host's
     delay  = (T4 - T1) - (T3 - T2)              on the line, both ways
 
-A pulse that lasts to the end of its plan is meant to go on into the next plan, if that says so,
-and plans never come exactly on time. Were it sent as it is, the board would close the valve, and
-rest it for its minimum off-time, whenever the next plan comes a microsecond late. The board cannot
-know what the sender will want next and must not guess; so the sender carries such a pulse on by
-`CARRY_US`. The next plan cuts it or continues it when it comes; the board's limits hold.
+A pulse that lasts to the end of its plan may continue in the next plan, but plans never arrive
+exactly on time. Sent unchanged, the board would close the valve for its minimum off-time whenever
+the next plan arrives a microsecond late. The board cannot know the next plan and must not guess, so
+the sender extends such a pulse by `CARRY_US`. The next plan ends or continues it on arrival; the
+board's limits hold.
 """
 
 import struct
@@ -44,10 +44,10 @@ from firmware_interface.messages import (
 from testbed.core.error import TestbedError
 from testbed.core.types import ValveCommand
 
-REFRESH_US = 20_000  # 50 Hz: six frames in a row may be lost before the watchdog bites
+REFRESH_US = 20_000  # 50 Hz: six frames in a row may be lost before the watchdog trips
 HELLO_RETRY_US = 100_000
 CARRY_US = 2 * REFRESH_US  # one frame lost, and as much again for a host that wakes late [assumed]
-EDGES_KEPT = 4096  # if nobody takes them, the oldest go
+EDGES_KEPT = 4096  # if not taken, the oldest are dropped
 EXCHANGES = 16  # clock exchanges remembered; the one with the shortest delay counts
 
 
@@ -63,7 +63,7 @@ class Exchange(NamedTuple):
 
 
 def exchange(t1_us: int, t2_us: int, t3_us: int, t4_us: int) -> Exchange:
-    """Offset and delay from four stamps; all wrap."""
+    """Offset and delay from four timestamps, all of which wrap."""
     there = (t2_us - t1_us) % WRAP
     back = (t3_us - t4_us) % WRAP
     apart = (back - there + WRAP // 2) % WRAP - WRAP // 2  # is minus the delay
@@ -71,7 +71,7 @@ def exchange(t1_us: int, t2_us: int, t3_us: int, t4_us: int) -> Exchange:
 
 
 def carried(plan: Cmd, carry_us: int, config: Config) -> Cmd:
-    """The plan, with its pulses that last to its end carried on, and so the plan itself."""
+    """The plan with pulses that last to its end, and so its time to live, extended."""
     last = plan.ttl_us - 1  # times in seconds are rounded to the nearest microsecond
     pulses = tuple(zip(plan.on_us, plan.offset_us, strict=True))
     lasting = [on > 0 and offset + on >= last for on, offset in pulses]
@@ -86,11 +86,11 @@ def carried(plan: Cmd, carry_us: int, config: Config) -> Cmd:
 
 
 class Session:
-    """One host and one board.
+    """The session of one host with one board.
 
     Args:
         config: the limits that the board must have been built with.
-        nonce: tells this program's HELLO from others'.
+        nonce: distinguishes this program's HELLO from others'.
         carry_us: see `carried`.
     """
 
@@ -105,16 +105,16 @@ class Session:
         self._hello_due_us: int | None = None
         self._plan: Cmd | None = None
         self._plan_issued_us = 0
-        self._plan_ends_us = 0  # without what is carried on
+        self._plan_ends_us = 0  # without the extension
         self._refresh_due_us = 0
         self.board: HelloAck | None = None
         self.status: Status | None = None
         self.ack: Ack | None = None
-        self.state: State | None = None  # by the newest frame of the board
+        self.state: State | None = None  # from the newest frame of the board
         self.edges: list[tuple[int, int]] = []  # (board's clock [us], mask), until taken
         self.refusals: dict[Result, int] = {}
 
-    # What is known of the board
+    # State of the board
 
     @property
     def greeted(self) -> bool:
@@ -128,10 +128,10 @@ class Session:
 
     @property
     def bad_frames(self) -> dict[str, int]:
-        """Of the board's frames, by reason."""
+        """Number of invalid frames from the board, by reason."""
         return self._decoder.bad
 
-    # What to send
+    # Frames to the board
 
     def _send(self, message: Message, now_us: int) -> bytes:
         self._seq = (self._seq + 1) & 0xFFFF
@@ -143,28 +143,28 @@ class Session:
         return self._session
 
     def hello(self, now_us: int) -> bytes:
-        """Start a session. The board closes everything and forgets the one before."""
+        """Start a session. The board closes all valves and ends the previous session."""
         self._session = None
         self._plan = None
         self._hello_due_us = now_us + HELLO_RETRY_US
         return self._send(Hello(self._nonce), now_us)
 
     def arm(self, now_us: int) -> bytes:
-        """Ask for ARMED; plans must follow before the watchdog bites."""
+        """Request ARMED; plans must follow before the watchdog trips."""
         self._plan = None  # a plan from before is not resumed
         return self._send(Arm(self._need_session()), now_us)
 
     def disarm(self, now_us: int) -> bytes:
-        """Close everything; needs no session."""
+        """Close all valves; needs no session."""
         self._plan = None
         return self._send(Disarm(), now_us)
 
     def bearing(self, on: bool, now_us: int) -> bytes:
-        """Bearing air on or off."""
+        """Switch bearing air on or off."""
         return self._send(Bearing(self._need_session(), int(on)), now_us)
 
     def ping(self, now_us: int) -> bytes:
-        """Ask for an ACK."""
+        """Request an ACK."""
         return self._send(Ping(), now_us)
 
     def apply(self, command: ValveCommand, now_us: int) -> bytes:
@@ -187,7 +187,7 @@ class Session:
     def _repeat(self, plan: Cmd, now_us: int) -> bytes:
         self._refresh_due_us = now_us + REFRESH_US
         age_us = max(0, now_us - self._plan_issued_us)
-        if now_us >= self._plan_ends_us:  # worth nothing any more: let the watchdog see that
+        if now_us >= self._plan_ends_us:  # expired: stop repeating, so that the watchdog trips
             self._plan = None
             return b""
         if age_us:
@@ -196,23 +196,23 @@ class Session:
 
     @property
     def due_us(self) -> int | None:
-        """When `due` has something to send next; None: nothing to come."""
+        """Time at which `due` has the next frame; None: nothing scheduled."""
         if self._hello_due_us is not None:
             return self._hello_due_us
         return None if self._plan is None else self._refresh_due_us
 
     def due(self, now_us: int) -> bytes:
-        """What time alone asks for: HELLO again, or the plan again. Call it often."""
+        """Frames due at this time: a repeated HELLO or plan. Call it often."""
         if self._hello_due_us is not None and now_us >= self._hello_due_us:
             return self.hello(now_us)
         if self._plan is not None and now_us >= self._refresh_due_us:
             return self._repeat(self._plan, now_us)
         return b""
 
-    # What the board says
+    # Frames from the board
 
     def receive(self, data: bytes, now_us: int) -> list[Message]:
-        """Bytes from the board, heard at `now_us`; the messages in them.
+        """Decode bytes received from the board at `now_us`; returns their messages.
 
         Raises:
             SessionError: the board speaks another protocol, or was built for other limits.
@@ -254,7 +254,7 @@ class Session:
 
     def _take_hello(self, message: HelloAck, frame: Frame, now_us: int) -> None:
         if message.host_nonce != self._nonce:
-            return  # somebody else's
+            return  # answer to another program
         if message.config_hash != self._hash:
             raise SessionError(
                 f"the board was built with limits {message.config_hash:08x}, the vehicle file gives"

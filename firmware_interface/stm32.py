@@ -1,16 +1,15 @@
 """An STM32F405 in this process: the unmodified image on Unicorn's Cortex-M4, in virtual time.
 
-Instructions take no time; time passes only while the program sleeps (WFI), from one event to the
-next. So everything is exact and the same every time: alarms come at their microsecond, bytes when
-they are fed, and what the program stores into GPIO registers is noted with the time.
+Instructions take no time; time passes only while the program sleeps (WFI). So runs are exact and
+reproducible: alarms occur at their microsecond, and stores to GPIO are recorded with their time.
 
 Modelled as in ST's RM0090, as far as the image uses it: clocks and reset flags (RCC), GPIOC, TIM2,
 USART1, ADC1's injected channels, the independent watchdog, the random generator; and the interrupts
-of TIM2 and USART1, which do not nest. Everything else that is touched is listed in `unknown`. Not
+of TIM2 and USART1, which do not nest. Accesses to anything else are listed in `unknown`. Not
 modelled: cycles, baud rate, interrupt priorities, floating point.
 
-Unicorn has no exceptions of its own for M-profile interrupts: the handler is called with a return
-address that ends the emulation, and what the core would stack is kept here.
+Unicorn lacks M-profile interrupts: the handler is called with a return address that ends the
+emulation, and the registers that the core would stack are kept here.
 """
 
 import copy
@@ -38,7 +37,7 @@ USART1_SR, USART1_DR, USART1_CR1 = 0x4001_1000, 0x4001_1004, 0x4001_100C
 ADC1_JDR1, ADC1_JDR2 = 0x4001_203C, 0x4001_2040
 RNG_SR, RNG_DR = 0x5006_0804, 0x5006_0808
 NVIC_ISER0, NVIC_ISER1, NVIC_ISPR0 = 0xE000_E100, 0xE000_E104, 0xE000_E200
-PLAIN = frozenset({  # stored and read back, without effect here
+PLAIN = frozenset({  # registers stored and read back, without effect here
     RCC_CR, RCC_CFGR, 0x4002_3804, 0x4002_3830, 0x4002_3834, 0x4002_3840, 0x4002_3844,
     0x4002_3C00,  # FLASH_ACR
     0x4002_0000, 0x4002_000C, 0x4002_0024,  # GPIOA
@@ -60,14 +59,14 @@ CAUSES = {  # flags in RCC_CSR; power-on sets all of a reset's, RM0090 7.3.21
     ResetCause.SOFTWARE: 0x1400_0000,
     ResetCause.WATCHDOG: 0x2400_0000,
 }
-BUDGET = 10_000_000  # instructions without a pause; the longest way, a boot, takes 30 000
+BUDGET = 10_000_000  # limit of instructions without sleep; a boot, the longest, takes 30 000
 NEVER = 1 << 62
 WRAP = 1 << 32
 WFI, CPSIE_I, ISB = b"\x30\xbf", b"\x62\xb6", b"\xbf\xf3\x6f\x8f"
 
 
 class Store(NamedTuple):
-    """The program wrote to a GPIO register of the valves."""
+    """A write of the program to a GPIO register of the valves."""
 
     t_us: int
     register: int
@@ -75,17 +74,17 @@ class Store(NamedTuple):
 
 
 class MachineError(TestbedError):
-    """The image does something that this machine does not model, or never sleeps again."""
+    """The image uses something that is not modelled, or does not sleep again."""
 
 
 class Machine:
     """The chip with an image in its flash.
 
     Args:
-        image: the .bin that gets flashed.
+        image: the .bin file for flashing.
         cause: of the first boot.
-        random: what the random generator gives first; it counts up.
-        clock_us: what TIM2 starts to count from, to be near its wrap.
+        random: first value of the random generator, which counts up.
+        clock_us: initial count of TIM2, for tests near its wrap.
         adc: supply and pressure [counts].
     """
 
@@ -97,7 +96,7 @@ class Machine:
         clock_us: int = 0,
         adc: tuple[int, int] = (0, 0),
     ) -> None:
-        self.now_us = 0  # since power came
+        self.now_us = 0  # since power-on
         self.adc = adc
         self.sent = bytearray()
         self.outputs: list[tuple[int, int]] = []  # changes of the pins of port C (time, pins)
@@ -136,7 +135,7 @@ class Machine:
         return uc
 
     def _behind_barrier(self, uc: unicorn.Uc, address: int, size: int, _: None) -> None:
-        """What the program has made pending is taken here at the latest."""
+        """Stop at a barrier, where pending interrupts are taken at the latest."""
         if self._pending() is not None:
             self._stopped = True
             uc.emu_stop()
@@ -144,7 +143,7 @@ class Machine:
     # Reset
 
     def reset(self, cause: ResetCause) -> None:
-        """Registers as after a reset, RAM as it is, and the program up to its first sleep."""
+        """Reset the registers, keep the RAM, and run the program to its first sleep."""
         self._reg: dict[int, int] = {}
         self._csr = CAUSES[cause]
         self._driven = self._odr = 0
@@ -163,12 +162,12 @@ class Machine:
         self.settle()
 
     def save(self) -> tuple[Any, ...]:
-        """Everything that moves, for `restore`."""
+        """The complete state, for `restore`."""
         context, ram = self._uc.context_save(), bytes(self._uc.mem_read(RAM, RAM_SIZE))
         return context, ram, copy.deepcopy({k: self.__dict__[k] for k in self._moving})
 
     def restore(self, saved: tuple[Any, ...]) -> None:
-        """As it was."""
+        """Restore a state of `save`."""
         context, ram, moving = saved
         self._uc.context_restore(context)
         self._uc.mem_write(RAM, ram)
@@ -177,7 +176,7 @@ class Machine:
     # Time
 
     def run_until(self, t_us: int) -> None:
-        """Let time pass up to and with `t_us`."""
+        """Run up to and including `t_us`."""
         while (event := min(self._alarm_at, self._bite_at)) <= t_us:
             self.now_us = event
             if event == self._bite_at:
@@ -194,7 +193,7 @@ class Machine:
         return (self._clock_us + self.now_us - self._counting_from) % WRAP
 
     def _set_alarm(self) -> None:
-        """The next instant at which the counter comes to the compare register."""
+        """Set the next time at which the counter reaches the compare register."""
         if self._counting_from != NEVER:
             ahead = (self._reg.get(TIM2_CCR1, 0) - self._count()) % WRAP
             self._alarm_at = self.now_us + (ahead or WRAP)
@@ -202,19 +201,19 @@ class Machine:
     # The program
 
     def feed(self, data: bytes) -> None:
-        """Bytes arrive on the serial line, now."""
+        """Receive bytes on the serial line now."""
         self._receive += data
         self.settle()
 
     def feed_preempted(self, data: bytes, after: int) -> bool:
-        """As `feed`, but TIM2's interrupt becomes pending in the middle of what that causes.
+        """Like `feed`, but TIM2's interrupt becomes pending while the bytes are processed.
 
         Args:
-            data: what arrives.
-            after: so many instructions of the main program later; interrupts' do not count.
+            data: received bytes.
+            after: number of main program instructions before it, without those of interrupts.
 
         Returns:
-            whether there were so many; if not, no interrupt was added.
+            whether the program executed that many; if not, no interrupt was added.
         """
         self._receive += data
         self._countdown, self._block = after, 0
@@ -228,9 +227,9 @@ class Machine:
         return self._countdown < 0
 
     def _count_down(self, uc: unicorn.Uc, address: int, size: int, _: None) -> None:
-        """Before every instruction."""
+        """Hook before every instruction, which counts down to the added interrupt."""
         if self._in_handler or address == self._stopped_at:
-            self._stopped_at = -1  # the one after a stop comes twice
+            self._stopped_at = -1  # the instruction after a stop is reported twice
             return
         in_block, self._block = self._block > 0, max(0, self._block - 1)
         code = self._code(address)
@@ -246,12 +245,12 @@ class Machine:
             uc.emu_stop()
 
     def settle(self) -> None:
-        """Interrupts and main program until it sleeps and nothing is pending."""
+        """Run interrupts and main program until it sleeps and nothing is pending."""
         while True:
             irq = self._pending()
             if irq is not None and self._interruptible():
                 self._interrupt(irq)
-            elif self._asleep:  # with nothing to do, or with interrupts off for good
+            elif self._asleep:  # nothing pending, or interrupts disabled permanently
                 return
             else:
                 self._main()
@@ -267,7 +266,7 @@ class Machine:
         return None
 
     def _interruptible(self) -> bool:
-        """Whether an interrupt would be taken here; a sleeper wakes and goes on until it is."""
+        """Whether an interrupt is taken here; a sleeping program wakes and runs until it is."""
         if self._asleep and self._code(self._pc) == CPSIE_I:
             self._uc.reg_write(arm.UC_ARM_REG_PRIMASK, 0)
             self._pc += 2
@@ -298,11 +297,11 @@ class Machine:
 
     def _endless(self) -> MachineError:
         at = f"{self.now_us} us without sleep, now at {self._uc.reg_read(arm.UC_ARM_REG_PC):#x}"
-        which = "the image does not come out of a loop (arm-none-eabi-addr2line says which)"
+        which = "the image does not leave a loop (arm-none-eabi-addr2line shows which)"
         return MachineError(f"{BUDGET} instructions at {at}: {which}")
 
     def _code(self, address: int) -> bytes:
-        """The halfword of the program there."""
+        """The halfword of the program at `address`."""
         at = (address & ~1) - FLASH
         return self._image[at : at + 2]
 
@@ -384,7 +383,7 @@ class Machine:
         self._update_pins()
 
     def _update_pins(self) -> None:
-        """A pin is high if it is an output and driven so; else the pull-down has it."""
+        """Compute the pins: high if an output drives them, otherwise low by the pull-down."""
         if (pins := self._odr & self._driven) != self.pins:
             self.pins = pins
             self.outputs.append((self.now_us, pins))

@@ -1,4 +1,4 @@
-"""The board's unmodified image in virtual time: what gets flashed, in lock-step with its host."""
+"""The board's unmodified image in virtual time, in lockstep with its host."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,10 +18,10 @@ class UnicornBoard:
 
     Args:
         config: limits, see `limits.limits_of`.
-        random: what the chip's random generator gives; the boot nonce follows from it.
+        random: value of the chip's random generator, from which the boot nonce follows.
         clock_us: the board's own clock at power-on.
-        supply_mv, supply_pa: what the sensors say at first; the converter has steps of 8 mV.
-        path: the image (.bin); built when not given.
+        supply_mv, supply_pa: initial readings of the sensors; the converter has steps of 8 mV.
+        path: the image (.bin); built if not given.
     """
 
     virtual_time = True
@@ -45,13 +45,13 @@ class UnicornBoard:
         self.machine = Machine(self._path, cause, self._random, self._clock_us, self._counts())
 
     def _counts(self) -> tuple[int, int]:
-        """What the converter makes of the sensors: the least that reads as no less."""
+        """Converter counts of the sensors: the least counts that read as at least the values."""
         supply, pressure = self._sensed
         return -(-supply * FULL // SUPPLY_FULL_MV), -(-pressure * FULL // PRESSURE_FULL_PA)
 
     @property
     def now_us(self) -> int:
-        """Time since the board got power."""
+        """Time since power-on."""
         return self.machine.now_us
 
     @property
@@ -60,13 +60,13 @@ class UnicornBoard:
         return bool(self.machine.pins & BEARING_PIN)
 
     def feed(self, data: bytes) -> None:
-        """Bytes arrive at the board, now."""
+        """Send bytes to the board now."""
         self.machine.feed(data)
 
     def run_until(self, t_us: int) -> Sequence[Edge]:
-        """Let time pass up to and with `t_us`; edges since the last call, in order."""
+        """Run up to and including `t_us`; returns edges since the last call, in order."""
         if t_us < self.now_us:
-            raise ValueError(f"the board is at {self.now_us} us already, asked for {t_us} us")
+            raise ValueError(f"the board is already at {self.now_us} us, requested {t_us} us")
         self.machine.run_until(t_us)
         edges = []
         for at, pins in self.machine.outputs:
@@ -83,14 +83,14 @@ class UnicornBoard:
         return data
 
     def sense(self, supply_mv: int, supply_pa: int) -> None:
-        """What the board's sensors say from now on; looked at with the next alarm."""
+        """Set the readings of the board's sensors, which are read at the next alarm."""
         self._sensed = (supply_mv, supply_pa)
         self.machine.adc = self._counts()
 
     def power_cycle(self, cause: ResetCause) -> None:
-        """Boot again for this reason; time starts at 0, sensors stay as they are."""
+        """Reboot for this cause; time restarts at 0, sensor readings are kept."""
         self._random += 1
         self._boot(cause)
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Nothing to release."""

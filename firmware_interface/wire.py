@@ -1,11 +1,11 @@
-"""A sender, a board in virtual time, and a serial line between them, for the twin.
+"""A sender and a board in virtual time, connected by a serial line, for the twin.
 
-The line carries the frames that a real one does, one after the other, ten bits a byte; a frame
-arrives with its last bit. What the valves do is what the board reports of itself in EDGES frames,
-read as they leave the board; the board's pins must say the same.
+The line carries the same frames as a real one, one after the other, with ten bits per byte; a frame
+arrives with its last bit. The valves follow the board's EDGES frames, read as they leave the board;
+they must agree with the board's pins.
 
-The host's clock is the run's; the board got power `HEAD_START_US` before the run began, and is
-armed when it begins.
+The host's clock is the run's; the board is powered on `HEAD_START_US` before the run begins, and is
+armed at its start.
 """
 
 from collections import deque
@@ -20,18 +20,18 @@ from firmware_interface.session import Session
 from testbed.core.error import TestbedError
 from testbed.core.types import ValveCommand
 
-BAUD = 460_800  # of the firmware's board file
+BAUD = 460_800  # as in the firmware's board file
 BITS = 10  # 8N1
 HEAD_START_US = 200_000
-PATIENCE_US = 100_000  # for answers on a line that loses nothing
+PATIENCE_US = 100_000  # longest wait for an answer; the line is lossless
 
 
 class WireError(TestbedError):
-    """The board does not do what the run relies on."""
+    """The board does not behave as the run requires."""
 
 
 class Line:
-    """One direction."""
+    """One direction of the serial line."""
 
     def __init__(self, baud: int) -> None:
         self._baud = baud
@@ -39,7 +39,7 @@ class Line:
         self._on_the_way: deque[tuple[int, bytes]] = deque()
 
     def send(self, t_us: int, data: bytes) -> None:
-        """Put bytes on the line, behind what is on it."""
+        """Queue bytes on the line."""
         if data:
             took_us = -(-len(data) * BITS * 1_000_000 // self._baud)
             self._free_us = max(t_us, self._free_us) + took_us
@@ -47,11 +47,11 @@ class Line:
 
     @property
     def next_us(self) -> int | None:
-        """When something arrives next."""
+        """Time of the next arrival; None if the line is empty."""
         return self._on_the_way[0][0] if self._on_the_way else None
 
     def arrived(self, t_us: int) -> Sequence[tuple[int, bytes]]:
-        """What has arrived by then, with its time."""
+        """Bytes that have arrived by `t_us`, with their times."""
         came = []
         while self._on_the_way and self._on_the_way[0][0] <= t_us:
             came.append(self._on_the_way.popleft())
@@ -59,7 +59,7 @@ class Line:
 
 
 class WiredBoard:
-    """Plans in, edges out; times are the run's, in microseconds.
+    """Converts plans to valve edges; times are the run's, in microseconds.
 
     Args:
         board: in virtual time, fresh.
@@ -67,7 +67,7 @@ class WiredBoard:
         baud: of the line.
 
     Raises:
-        WireError: it cannot be armed.
+        WireError: the board cannot be armed.
     """
 
     def __init__(self, board: Board, config: Config, baud: int = BAUD) -> None:
@@ -75,7 +75,7 @@ class WiredBoard:
         self.board = board
         self._there, self._back = Line(baud), Line(baud)
         self._reports = Reports()
-        self._now_us = 0  # since power came, as all times inside
+        self._now_us = 0  # since power-on, like all internal times
         self._new: list[Edge] = []
         self._mask = self._before = 0  # after the newest edge, and before it
         self._landed = False
@@ -102,7 +102,7 @@ class WiredBoard:
 
     @property
     def trouble(self) -> str | None:
-        """Why the board does not play plans any more; None while it does."""
+        """Reason why the board no longer plays plans; None while it does."""
         session = self.session
         if self._landed or (session.state == State.ARMED and not session.refusals):
             return None
@@ -113,7 +113,7 @@ class WiredBoard:
         )
 
     def apply(self, command: ValveCommand) -> None:
-        """Send a plan, now."""
+        """Send a plan now."""
         if self._landed:
             return
         shift = HEAD_START_US * 1e-6
@@ -125,7 +125,7 @@ class WiredBoard:
         self._there.send(self._now_us, self.session.apply(shifted, self._now_us))
 
     def land(self) -> None:
-        """Disarm and take the bearing air away, for good: no plan is sent any more."""
+        """Disarm and shut off bearing air permanently; no more plans are sent."""
         if self._landed:
             return
         self._landed = True
@@ -133,13 +133,13 @@ class WiredBoard:
         self._there.send(self._now_us, self.session.bearing(False, self._now_us))
 
     def run_until(self, t_us: int) -> list[Edge]:
-        """Let time pass; what the valves did since the last call."""
+        """Run to `t_us`; returns valve edges since the last call."""
         self._pass(HEAD_START_US + t_us)
         edges, self._new = self._new, []
         return [Edge(edge.t_us - HEAD_START_US, edge.mask) for edge in edges]
 
     def _pass(self, until_us: int) -> None:
-        """Up to and with an instant; but what the sender repeats then comes after a new plan."""
+        """Run up to and including `until_us`; frames repeated then follow a new plan."""
         while True:
             arrival, due = self._there.next_us, self.session.due_us
             events = [t for t in (arrival, due if due != until_us else None) if t is not None]
@@ -154,7 +154,7 @@ class WiredBoard:
         self._let_board_run(until_us)
         for t_us, data in self._back.arrived(until_us):
             self.session.receive(data, t_us)
-        self.session.edges.clear()  # the twin has them already
+        self.session.edges.clear()  # the twin already has them
 
     def _let_board_run(self, until_us: int) -> None:
         driven = list(self.board.run_until(until_us))
@@ -169,7 +169,7 @@ class WiredBoard:
             self._take(edge)
 
     def _take(self, edge: Edge) -> None:
-        """Of several edges within one microsecond the last; no solenoid notices the others."""
+        """Keep the last of several edges within one microsecond; the others have no effect."""
         if self._new and self._new[-1].t_us == edge.t_us:
             self._new.pop()
             self._mask = self._before

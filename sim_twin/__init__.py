@@ -1,1 +1,1 @@
-"""The table in software: plant, cameras, boards and air waves behind the core Protocols."""
+"""The simulated table: plant, cameras, boards and radio behind the core Protocols."""

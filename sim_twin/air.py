@@ -1,4 +1,4 @@
-"""What leaving gas changes: supply pressure, mass, centre of mass, inertia."""
+"""Effects of gas consumption: supply pressure, mass, centre of mass, inertia."""
 
 from sim_twin.body import CX, CY, FX, INERTIA, MASS, A, B, C
 from testbed.core.compiled import inlined
@@ -9,7 +9,7 @@ FLOW, SHARE = range(2)  # columns of `Stages.gas`
 
 @inlined
 def supply_share(parameters, v, used):
-    """Supply pressure over set pressure of vehicle `v` with `used` kg gone, isothermal tank."""
+    """Supply pressure over set pressure of vehicle `v` after `used` kg of gas, isothermal tank."""
     left = max(0.0, parameters.gas[v] - used)
     tank = parameters.tank_pressure[v] * left / parameters.gas[v]
     supply = max(0.0, min(parameters.set_pressure[v], tank - parameters.dropout[v]))
@@ -18,9 +18,9 @@ def supply_share(parameters, v, used):
 
 @inlined
 def body_now(parameters, v, used):
-    """Mass, inertia about the centre of mass, and centre of mass (x, y) with `used` kg gone.
+    """Mass, inertia about the centre of mass, and centre of mass (x, y) after `used` kg of gas.
 
-    The gas is a point mass at the tank: it takes its share of the moments with it.
+    The gas is modelled as a point mass at the tank.
     """
     mass = parameters.mass[v] - used
     share = used / mass
@@ -35,22 +35,22 @@ def body_now(parameters, v, used):
 
 @inlined
 def breathe(stages, now, rate, h, parameters, v, used):
-    """What vehicle `v` is at the three Gauss points of a step, see `body.step`.
+    """Wrench, mass properties and gas flow of vehicle `v` at the Gauss points, see `body.step`.
 
-    The gas that has left by then is a state of the same collocation step: flow depends on the
-    supply pressure, and that on the gas that is left.
+    The consumed gas is a state of the same collocation step: the flow depends on the supply
+    pressure, which depends on the remaining gas.
 
     Args:
         stages: `body` and `gas` are written to.
         now: fx, fy, tau and sum of thrust magnitudes at the start, at set pressure.
         rate: their slopes.
-        h: [s].
+        h: step [s].
         parameters: the true vehicles.
-        v: number of the vehicle.
-        used: gas gone at the start [kg].
+        v: index of the vehicle.
+        used: gas consumed at the start [kg].
 
     Returns:
-        gas gone at the end [kg], impulse of all jets together [N s].
+        gas consumed at the end [kg], total impulse of all jets [N s].
     """
     body, gas = stages.body, stages.gas
     gas[:] = 0.0

@@ -1,15 +1,14 @@
 """A modelled driver board: plans in, opening and closing commands to the solenoids out.
 
-Or a real one outside of the twin, whose edges are the commands (`FirmwareBoard`).
+`FirmwareBoard` replaces it by real firmware, whose output edges are the commands.
 
-Command times are whole nanoseconds, so that what the board does can be said exactly. Rules, the
-same as the firmware's:
+Command times are integer nanoseconds, so the behaviour is exact. Rules, the same as the firmware's:
 
-* a plan starts `command_delay_s` after it was issued, replaces the one before at once, and is
-  played once: nothing stays open after its pulses or its time to live, whichever ends first;
+* a plan starts `command_delay_s` after it was issued, replaces the previous one at once, and is
+  played once: no valve stays open after its pulses or its time to live, whichever ends first;
 * a pulse shorter than the minimum on-time is not played;
-* a valve that has just closed opens again only after the minimum off-time; what is left of the
-  pulse then is played if it is still long enough. A pulse that continues one of the plan before
+* a valve that has just closed opens again only after the minimum off-time; the rest of the pulse
+  is then played if it is still long enough. A pulse that continues one of the previous plan
   without a gap is the same opening.
 """
 
@@ -25,13 +24,13 @@ from testbed.core.compiled import compiled, settled
 from testbed.core.types import ValveCommand
 from testbed.core.vehicle import Vehicle
 
-SLOTS = 4  # pulses remembered per jet: the one that closes, the one that flows, and spares
-LONG_AGO = -(10**15)  # [ns]
-LONG_AFTER = 10**15  # when a valve closes that is open [ns]
+SLOTS = 4  # pulses stored per jet: the one that closes, the one that flows, and spares
+LONG_AGO = -(10**15)  # time of unused slots [ns]
+LONG_AFTER = 10**15  # closing time of a valve not yet closed [ns]
 
 
 class Pulses(NamedTuple):
-    """Opening and closing commands of one vehicle, oldest first; unused slots are long ago."""
+    """Opening and closing commands of one vehicle, oldest first; unused slots are `LONG_AGO`."""
 
     up: NDArray[np.int64]  # (jets, SLOTS) [ns]
     down: NDArray[np.int64]  # (jets, SLOTS) [ns]
@@ -39,24 +38,24 @@ class Pulses(NamedTuple):
 
 
 def no_pulses(*shape: int) -> Pulses:
-    """Boards at rest; `shape` is (jets,), or (vehicles, jets) for a fleet."""
+    """Empty pulse tables; `shape` is (jets,), or (vehicles, jets) for a fleet."""
     never = np.full((*shape, SLOTS), LONG_AGO, dtype=np.int64)
     return Pulses(never, never.copy(), np.ones((*shape, SLOTS)))
 
 
 @compiled
 def play(pulses, issued, valid_until, delay, times_us, min_on, min_off, spread, luck):
-    """Add a plan to `pulses`, in place; times in ns where nothing else is said.
+    """Add a plan to `pulses`, in place; times in ns unless stated.
 
     Args:
         pulses: of this board.
-        issued: when the plan was made [s].
-        valid_until: when it is worth nothing any more [s].
-        delay: of both.
-        times_us: on, then offsets, shape (2 jets,) [us].
+        issued: time at which the plan was made [s].
+        valid_until: time at which it expires [s].
+        delay: added to both.
+        times_us: on-times, then offsets, shape (2 jets,) [us].
         min_on: shortest pulse.
         min_off: shortest gap.
-        spread: of the relative thrust of a pulse.
+        spread: standard deviation of the relative thrust of a pulse.
         luck: standard normal, shape (jets,).
 
     Returns:
@@ -68,12 +67,12 @@ def play(pulses, issued, valid_until, delay, times_us, min_on, min_off, spread, 
         up, down, on = pulses.up[j], pulses.down[j], 1000 * times_us[j]
         up_at = start + 1000 * times_us[jets + j]
         down_at = min(up_at + on, end)
-        if up[-1] >= start:  # of the old plan and not begun: it never happens
+        if up[-1] >= start:  # of the old plan and not begun: cancelled
             up[1:], down[1:] = up[:-1].copy(), down[:-1].copy()
             pulses.strength[j, 1:] = pulses.strength[j, :-1].copy()
             up[0] = down[0] = LONG_AGO
             openings -= 1
-        if down[-1] >= start:  # still open, or closing this very instant
+        if down[-1] >= start:  # still open, or closing at this instant
             if on > 0 and up_at <= start:
                 down[-1] = max(down_at, start)
                 continue
@@ -90,7 +89,7 @@ def play(pulses, issued, valid_until, delay, times_us, min_on, min_off, spread, 
 
 
 def last_closing(pulses: Pulses) -> float:
-    """When the last commanded pulse ends or ended [s]."""
+    """End of the last commanded pulse, in the past or future [s]."""
     return 1e-9 * float(pulses.down.max())
 
 
@@ -100,7 +99,7 @@ def nanoseconds(seconds: float) -> int:
 
 
 class Board:
-    """One vehicle's modelled board. It keeps what it opened and how often."""
+    """One vehicle's modelled board; records its pulses and counts openings."""
 
     def __init__(self, vehicle: Vehicle, pulses: Pulses, rng: np.random.Generator) -> None:
         self._delay = nanoseconds(vehicle.command_delay_s)
@@ -111,10 +110,10 @@ class Board:
         self.pulses = pulses
         self.openings = 0
         self._play = settled(play)
-        self._down = (math.inf, math.inf)  # without power from .. to [s]
+        self._down = (math.inf, math.inf)  # interval without power [s]
 
     def lose_power(self, since: float, until: float) -> None:
-        """Without power from `since` to `until` [s]: every valve falls shut, no plan is heard."""
+        """Cut the power from `since` to `until` [s]: all valves close, plans are ignored."""
         if self._down == (since, until):
             return
         self._down, at = (since, until), nanoseconds(since)
@@ -136,27 +135,27 @@ class Board:
         """Nothing to do: the plant shuts the air off."""
 
     def run_until(self, t: float) -> None:
-        """Nothing happens here by itself: plans are played ahead."""
+        """Nothing to do: plans are played ahead."""
 
 
 class Driver(Protocol):
-    """Whoever drives the solenoids instead: a firmware."""
+    """Firmware that drives the solenoids in place of the modelled board."""
 
     def apply(self, command: ValveCommand) -> None:
         """Take a plan."""
         ...
 
     def land(self) -> None:
-        """Shut valves and bearing air, for good."""
+        """Shut valves and bearing air permanently."""
         ...
 
     def run_until(self, t_us: int) -> Sequence[tuple[int, int]]:
-        """Let time pass; edges of the outputs, each (time [us], mask), jet 0 being bit 0."""
+        """Run until `t_us` and return edges of the outputs (time [us], mask); jet 0 is bit 0."""
         ...
 
 
 class FirmwareBoard:
-    """One vehicle's solenoids behind somebody else's board."""
+    """One vehicle's solenoids, driven by a `Driver`."""
 
     def __init__(
         self, vehicle: Vehicle, pulses: Pulses, rng: np.random.Generator, driver: Driver
@@ -173,11 +172,11 @@ class FirmwareBoard:
         self._driver.apply(command)
 
     def land(self) -> None:
-        """Pass it on."""
+        """Pass the landing on."""
         self._driver.land()
 
     def run_until(self, t: float) -> None:
-        """Know what the valves do up to time `t` [s]."""
+        """Fetch the valve edges up to time `t` [s]."""
         for at_us, mask in self._driver.run_until(round(t * 1e6)):
             for jet in range(len(self.pulses.up)):
                 if (mask ^ self._mask) >> jet & 1:

@@ -1,4 +1,4 @@
-r"""A planar rigid body under a body wrench that changes in time: one exact-enough step.
+r"""One integration step of a planar rigid body under a time-varying body wrench.
 
 State: position and velocity of the body's origin and heading, x = (x, y, theta, vx, vy, omega) in
 W. Newton and Euler hold for the centre of mass, at c in the body, r = R(theta) c from the origin:
@@ -7,8 +7,9 @@ W. Newton and Euler hold for the centre of mass, at c in the body, r = R(theta) 
     a     = a_c - theta'' x r + theta'^2 r             v_c = v + theta' x r
 
 and c, m and I change as gas leaves. The step is the 3-stage Gauss collocation method (order 6). Its
-stage equations are solved by iteration: thrust, by far the largest term, depends on time and
-heading only and is exact in the first pass; tilt and drag contract by about drag h / m per pass.
+stage equations are solved by fixed-point iteration: thrust, by far the largest term, depends only
+on time and heading and is exact in the first pass; tilt and drag contract by about drag h / m per
+pass.
 With constant torque and no drag the heading is the exact parabola.
 """
 
@@ -36,25 +37,25 @@ _BB = tuple(_B[i] * (1.0 - _C[i]) for i in range(3))
 C, A, B = np.array(_C), np.array(_A), np.array(_B)
 AA, BB = np.array(_AA), np.array(_BB)
 PASSES = 12
-SMALL = 1e-10  # [m/s^2] a pass that changes less leaves a thousandth of it
+SMALL = 1e-10  # [m/s^2] end of the iteration: the remaining error is a thousandth of this
 FX, FY, TAU, MASS, INERTIA, CX, CY = range(7)  # columns of `Stages.body`
 
 
 class Stages(NamedTuple):
-    """A step at its three Gauss points; memory that steps share, what is in it before is lost."""
+    """A step at its three Gauss points; work memory that every step overwrites."""
 
-    # what the body is: wrench about the origin, mass, inertia about the centre of mass, which is
-    # where in B; shape (3, 7)
+    # wrench about the origin, mass, inertia about the centre of mass, centre of mass in B;
+    # shape (3, 7)
     body: Array
     gas: Array  # (3, 2) flow [kg/s] and supply pressure over set pressure
     spin: Array  # (3,) angular acceleration [rad/s^2]
     accel: Array  # (3, 2) of the origin [m/s^2]
-    still: Array  # (3, 6) what no pass of the iteration changes
+    still: Array  # (3, 6) terms constant during the iteration
 
 
 @compiled
 def new_stages():
-    """Memory for `step`."""
+    """Allocate the work memory of `step`."""
     return Stages(
         np.empty((3, 7)), np.empty((3, 2)), np.empty(3), np.empty((3, 2)), np.empty((3, 6))
     )
@@ -65,9 +66,9 @@ def step(x, h, stages, drag, spin_drag, ground):
     """Advance `x`, shape (6,), by `h` in place.
 
     Args:
-        x: see the module's first lines.
-        h: [s].
-        stages: with what the body is; the rest is written to.
+        x: state, see the module docstring.
+        h: step [s].
+        stages: `body` is read; the rest is written to.
         drag: [N s/m].
         spin_drag: [N m s/rad].
         ground: the table.
@@ -133,15 +134,15 @@ def step(x, h, stages, drag, spin_drag, ground):
 
 @inlined
 def slide(x, h, grip):
-    """Advance `x`, shape (6,), by `h` in place: on the stone, without air, by dry friction.
+    """Advance `x`, shape (6,), by `h` in place: without bearing air, under dry friction.
 
-    The table's slope is far too small to move what stands. Sliding and turning do not share the
-    friction: a body that does both stops a little later than here.
+    The table's slope is far too small to move a standing vehicle. Friction is applied to sliding
+    and turning independently; a real body that does both stops a little later.
 
     Args:
-        x: see the module's first lines.
-        h: [s].
-        grip: how fast sliding and turning slow down, shape (2,) [m/s^2, rad/s^2].
+        x: state, see the module docstring.
+        h: step [s].
+        grip: deceleration of sliding and turning, shape (2,) [m/s^2, rad/s^2].
     """
     speed = np.sqrt(x[3] * x[3] + x[4] * x[4])
     if speed > 0.0:

@@ -1,4 +1,4 @@
-"""Motion capture: true states in, late and noisy poses out."""
+"""Motion capture model: turns true states into delayed, noisy poses."""
 
 from bisect import bisect_right
 from operator import itemgetter
@@ -17,30 +17,30 @@ Array = NDArray[np.float64]
 
 
 class Optics(NamedTuple):
-    """The camera system in numbers for compiled code."""
+    """Parameters of the camera system for compiled code."""
 
     noise: float  # [m]
     spin_noise: float  # [rad]
     latency: float  # [s]
     jitter: float  # [s]
-    losing: float  # chance of a frame to begin a loss
+    losing: float  # probability that a loss begins, per frame
     lost: float  # mean length of a loss [s]
 
 
 @compiled
 def photograph(times, states, noise, luck, optics, lost_until):
-    """Take pictures of one body.
+    """Measure the pose of one body at each exposure.
 
     Args:
         times: of the exposures, shape (n,) [s].
-        states: true x, y, theta, ... then, shape (n, 6).
+        states: true x, y, theta, ... at these times, shape (n, 6).
         noise: standard normal, shape (n, 4).
         luck: uniform in [0, 1), shape (n, 2).
         optics: the cameras.
-        lost_until: end of the loss that began last [s].
+        lost_until: end of the last loss [s].
 
     Returns:
-        rows (arrival, time of exposure, x, y, theta) of those that show the body, shape (m, 5), and
+        rows (arrival, time of exposure, x, y, theta) of frames that see the body, shape (m, 5), and
         the new `lost_until`.
     """
     rows = np.empty((times.shape[0], 5))
@@ -62,10 +62,10 @@ def photograph(times, states, noise, luck, optics, lost_until):
 
 
 class Camera:
-    """What the camera system reports of one body."""
+    """The poses that the camera system reports for one body."""
 
     def __init__(self, mocap: Mocap, rng: np.random.Generator) -> None:
-        # a fixed number of draws per exposure: what is seen does not depend on how often one looks
+        # a fixed number of draws per exposure: results do not depend on how often poses are read
         noise_rng, loss_rng = rng.spawn(2)
         self._noise, self._luck = Draws(noise_rng.standard_normal, 4), Draws(loss_rng.random, 2)
         self._optics = Optics(
@@ -81,11 +81,11 @@ class Camera:
         self._on_the_way: list[list[float]] = []  # (arrival, capture, x, y, theta), sorted
 
     def expose(self, times: Array, states: Array) -> None:
-        """Take pictures.
+        """Take the exposures at `times`.
 
         Args:
             times: of the exposures, shape (n,) [s].
-            states: true x, y, theta, ... then, shape (n, 6).
+            states: true x, y, theta, ... at these times, shape (n, 6).
         """
         n = len(times)
         rows, self._lost_until = self._photograph(
@@ -100,7 +100,7 @@ class Camera:
         self._on_the_way.sort()
 
     def arrived(self, now: float) -> list[PoseSample]:
-        """Poses that have arrived by `now` and were not asked for yet, in order of arrival."""
+        """Poses that have arrived by `now` since the last call, in order of arrival."""
         count = bisect_right(self._on_the_way, now, key=itemgetter(0))
         here, self._on_the_way = self._on_the_way[:count], self._on_the_way[count:]
         return [PoseSample(t, x, y, theta) for _, t, x, y, theta in here]

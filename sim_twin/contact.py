@@ -1,7 +1,7 @@
-"""Touches: disc against disc, disc against the table's edge, disc against an obstacle's solid core.
+"""Contacts: disc against disc, the table's edge, or an obstacle's solid core.
 
-Frictionless impulses with restitution at the instant of first touch. Every touch is recorded: on
-granite it would be an accident.
+Frictionless impulses with restitution at the instant of first touch. Every contact is recorded: on
+the real table it would be an accident.
 """
 
 from typing import NamedTuple
@@ -14,8 +14,8 @@ from testbed.core.compiled import compiled
 
 Array = NDArray[np.float64]
 
-SOFT = 1e-3  # [m/s] slower touches do not bounce
-SAME_TOUCH = 0.5  # [s] touches of the same pair within this are one
+SOFT = 1e-3  # [m/s] slower contacts do not bounce
+SAME_TOUCH = 0.5  # [s] contacts of the same pair within this time count as one
 EDGES = 4
 
 
@@ -31,11 +31,11 @@ class Solids(NamedTuple):
 def candidate(x, parameters, ground, solids, t, i, key):
     """Gap and normal of one possible contact of vehicle `i`.
 
-    `key` counts the other vehicles first, then the right, left, upper and lower edge, then the
+    `key` numbers the other vehicles first, then the right, left, upper and lower edge, then the
     solids.
 
     Returns:
-        (gap [m], normal x, normal y towards vehicle i, normal velocity [m/s], negative: closing).
+        (gap [m], normal x, y towards vehicle i, normal velocity [m/s], negative if closing).
     """
     vehicles = x.shape[0]
     if key < vehicles:
@@ -63,7 +63,7 @@ def candidate(x, parameters, ground, solids, t, i, key):
 
 @compiled
 def keys(vehicles, solids):
-    """How many candidates a vehicle has."""
+    """Number of possible contacts of a vehicle."""
     return vehicles + EDGES + solids
 
 
@@ -83,10 +83,10 @@ def closing(x, parameters, ground, solids, t):
 
 @compiled
 def yielding(x, parameters, used, i, nx, ny):
-    """What an impulse along the normal does to vehicle `i`.
+    """Response of vehicle `i` to an impulse along the normal.
 
     Returns:
-        (1/effective mass, 1/mass, arm / inertia, and the centre of mass from the origin in W x, y).
+        (1/effective mass, 1/mass, arm / inertia, centre of mass from the origin in W: x, y).
     """
     mass, inertia, cx, cy = body_now(parameters, i, used[i])
     c, s = np.cos(x[i, 2]), np.sin(x[i, 2])
@@ -107,21 +107,21 @@ def push(x, parameters, used, i, nx, ny, impulse):
 
 @compiled
 def resolve(x, parameters, used, ground, solids, t, last_touch, touches, count):
-    """Impulses for everything that overlaps and approaches, and the overlap taken out, in place.
+    """Apply impulses to all pairs that overlap and approach, and remove the overlap, in place.
 
     Args:
         x: states, shape (v, 6).
         parameters: the true vehicles.
-        used: gas gone, shape (v,) [kg].
+        used: gas consumed, shape (v,) [kg].
         ground: the table.
-        solids: what stands on it.
+        solids: obstacles on it.
         t: time of the run [s].
-        last_touch: time of the last touch of each candidate, shape (v, keys), written to.
+        last_touch: time of the last contact of each candidate, shape (v, keys), written to.
         touches: rows (time, vehicle, key, closing speed), shape (n, 4), written to.
         count: rows already used.
 
     Returns:
-        rows used now.
+        number of rows used after the call.
     """
     vehicles = x.shape[0]
     for i in range(vehicles):

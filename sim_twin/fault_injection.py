@@ -1,8 +1,8 @@
-"""Injected faults at work in the twin: what cameras, air, board and process suffer.
+"""Injected faults in the twin: their effect on cameras, radio, board and process.
 
-`Sabotage` says what is broken now; the twin's parts ask it. Camera faults begin with the first
-frame exposed after their time, those of board and valves at their very instant, those of a process
-with its next tick.
+The parts of the twin query `Sabotage` for active faults. Camera faults begin with the first frame
+exposed after their time, those of board and valves at exactly their time, those of a process with
+its next tick.
 """
 
 import math
@@ -20,12 +20,12 @@ from testbed.core.types import ALL_WELL, PoseSample, Vitals
 
 Array = NDArray[np.float64]
 
-DEAD_BATTERY = 7.0  # [V] what a board in a brown-out reports when it can
+DEAD_BATTERY = 7.0  # [V] battery voltage that a board reports during a brown-out
 NEVER = math.inf
 
 
 class Active:
-    """An injection and when it began."""
+    """An injection and its start time."""
 
     def __init__(self, what: Injection) -> None:
         self.what = what
@@ -37,7 +37,7 @@ class Active:
 
 
 class Sabotage:
-    """All injections of a run."""
+    """All injected faults of a run and their state."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class Sabotage:
         *,
         boards: bool = True,
     ) -> None:
-        """`boards` are modelled, and lose their power here; real ones lose it elsewhere."""
+        """With `boards` the boards are modelled and power loss is injected here, not by the rig."""
         self._boards = boards
         self._plant, self._half = plant, half
         self._obstacles = [
@@ -61,18 +61,18 @@ class Sabotage:
         self._now = 0.0
 
     def began(self) -> list[float]:
-        """When each injection began, in order; infinite: not yet [s]."""
+        """Start time of each injection, in order; infinite: not yet begun [s]."""
         return [one.since for one in self._active]
 
     def look(self, t: float) -> None:
-        """Time is `t` now: begin what waits for an event."""
+        """Start injections whose event has occurred by time `t`."""
         self._now = t
         for one in self._active:
             if one.since == NEVER and self._happens(one.what, t):
                 one.since = t
 
     def before(self, until: float) -> None:
-        """The plant is about to move on to `until`: break what breaks meanwhile."""
+        """Apply to the plant the faults that begin before `until`, to which it advances next."""
         for one in self._active:
             what = one.what
             if not one.since < until:
@@ -95,7 +95,7 @@ class Sabotage:
                     self._plant.leak(k, what.size * max(0.0, span))
 
     def found(self, vehicle: str, *kinds: str) -> Injection | None:
-        """The first injection of these kinds that this vehicle suffers now."""
+        """The first active injection of these kinds on this vehicle."""
         for one in self._active:
             what = one.what
             if what.kind in kinds and what.vehicle == vehicle and one.holds(self._now):
@@ -103,7 +103,7 @@ class Sabotage:
         return None
 
     def sources(self, names: Sequence[str], times: Array) -> list[list[int]] | None:
-        """For each exposure, whose body each name shows; None: everybody its own."""
+        """For each exposure, the body that each name shows; None: each name its own body."""
         swaps = [one for one in self._active if one.what.kind == "swap_bodies"]
         if not any(one.holds(t) for one in swaps for t in times.tolist()):
             return None
@@ -118,7 +118,7 @@ class Sabotage:
         return rows
 
     def poses(self, name: str, samples: list[PoseSample]) -> list[PoseSample]:
-        """What is left of a vehicle's poses."""
+        """A vehicle's poses after camera faults."""
         seen = samples
         for one in self._active:
             what = one.what
@@ -153,28 +153,28 @@ class Sabotage:
         return PoseSample(sample.captured_at, last.x, last.y, last.theta)
 
     def air(self, receiver: str) -> tuple[float, float]:
-        """What messages to a vehicle suffer now: extra delay [s], probability of loss."""
+        """Injected delay [s] and loss probability of messages to a vehicle."""
         late, lost = self.found(receiver, "delay_link"), self.found(receiver, "lose_link")
         return late.size if late else 0.0, lost.size if lost else 0.0
 
     def dead(self, name: str) -> bool:
-        """Whether the vehicle's process is gone."""
+        """Whether the vehicle's process has ended."""
         return self.found(name, "kill_process") is not None
 
     def spoilt(self, name: str) -> str:
-        """What is wrong with the law: "nan", "raise" or nothing."""
+        """Injected fault of the law: "nan", "raise" or empty."""
         what = self.found(name, "nan_law", "raise_law")
         return what.kind.removesuffix("_law") if what else ""
 
     def power(self, name: str) -> tuple[float, float]:
-        """Battery [V] and for how long the board has been silent [s]."""
+        """Battery voltage [V] and time since the board's last message [s]."""
         for one in self._active:
             if one.what.kind == "brown_out" and one.what.vehicle == name and one.holds(self._now):
                 return DEAD_BATTERY, self._now - one.since
         return 12.0, 0.0
 
     def vitals(self, name: str) -> Vitals:
-        """What the process round the vehicle's chain knows."""
+        """Health of the vehicle's process."""
         clock, late = self.found(name, "clock_step"), self.found(name, "overrun")
         absent = [
             self._now - one.since for one in self._active

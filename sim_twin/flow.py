@@ -1,4 +1,4 @@
-"""From pulses to forces: between two corners of the flow the body wrench is linear in time."""
+"""Converts valve pulses to body wrenches, which are piecewise linear in time."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ def pieces(pulses, timing, effect, thrust, droop, origin, span):
         effect: wrench of each fully open jet, shape (3, jets).
         thrust: its magnitude, shape (jets,) [N].
         droop: k of vehicle.Air.
-        origin: the time that is 0 here [ns].
+        origin: time of the run at which the window starts [ns].
         span: length of the window [s].
 
     Returns:
@@ -26,7 +26,7 @@ def pieces(pulses, timing, effect, thrust, droop, origin, span):
     """
     valve = Timing(timing[0], timing[1], timing[2], timing[3])
     jets = pulses.up.shape[0]
-    shape = np.empty((jets * SLOTS, 5))  # corners and peak of each pulse that matters here
+    shape = np.empty((jets * SLOTS, 5))  # corners and peak of each pulse in the window
     owner = np.empty(jets * SLOTS, dtype=np.int64)
     strength = np.empty(jets * SLOTS)
     cuts = np.empty(4 * jets * SLOTS + 2)

@@ -1,4 +1,4 @@
-"""The surface: how much the table is out of level, and where it ends."""
+"""The table's surface: tilt and edges."""
 
 from typing import NamedTuple
 
@@ -12,16 +12,16 @@ Array = NDArray[np.float64]
 
 
 class Ground(NamedTuple):
-    """The table in numbers for compiled code."""
+    """Parameters of the table for compiled code."""
 
     half: Array  # (2,) half of the size [m]
     uniform: Array  # (2,) tilt acceleration [m/s^2]
-    map: Array  # (rows, columns, 2) added to it, nodes on an even grid; empty: none [m/s^2]
+    map: Array  # (rows, columns, 2) added to `uniform`, on a regular grid; empty: none [m/s^2]
     restitution: float
 
 
 def lay(table: Table) -> Ground:
-    """The table of a table file."""
+    """Convert the table of a table file."""
     grid = np.array(table.tilt.map, dtype=float)
     return Ground(
         np.array(table.size) / 2.0,

@@ -1,8 +1,8 @@
-"""The fleet on the table, from one valve edge to the next.
+"""The true motion of the fleet on the table, integrated from valve edge to valve edge.
 
 Between two corners of any jet's flow the body wrench is linear in time (flow.py), so the plant
-steps from corner to corner, not on a grid: pulse lengths are exact, whatever the step. Longer
-pieces are cut at `MAX_STEP` because the tilt map and contacts have to be looked at.
+steps from corner to corner, not on a grid: pulse lengths are exact for any step. Steps are at most
+`MAX_STEP` because of the tilt map and contact detection.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,12 +36,12 @@ from testbed.core.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 MAX_STEP = 0.01  # [s]
-HAIR = 1e-9  # [s] a piece shorter than this, left by rounding, joins the one before it
-REST = 0.002  # [s] between two looks at a contact that persists
-BISECTIONS = 40  # of MAX_STEP: 1e-14 s
+HAIR = 1e-9  # [s] shorter pieces, left by rounding, join the previous one
+REST = 0.002  # [s] between two checks of a persistent contact
+BISECTIONS = 40  # of MAX_STEP, resolves 1e-14 s
 FAR_AHEAD = 10**15  # [ns]
-# A vehicle without bearing air stands on the stone: graphite pads on polished granite. Of the 0.1
-# to 0.2 that such pairs have, the lower end: it slides farther. It takes hold at once. [assumed]
+# A vehicle without bearing air stands on the table: graphite pads on polished granite. Friction
+# coefficients are 0.1 to 0.2; the lower value slides farther. Friction acts at once. [assumed]
 FRICTION = 0.1
 GRAVITY = 9.81  # [m/s^2]
 PADS = 0.5  # the pads' distance from the middle over the radius of the vehicle [assumed]
@@ -49,7 +49,7 @@ PADS = 0.5  # the pads' distance from the middle over the radius of the vehicle 
 
 @inlined
 def drift(x, spent, stages, parameters, ground, windows, start, end):
-    """Move every vehicle from `start` to `end` of the window without looking at contacts."""
+    """Move every vehicle from `start` to `end` of the window, ignoring contacts."""
     cuts, value, slope, count = windows
     used, impulse = spent
     for v in range(x.shape[0]):
@@ -70,10 +70,10 @@ def drift(x, spent, stages, parameters, ground, windows, start, end):
 
 @compiled
 def cut_windows(pulses, parameters, origin, span):
-    """flow.pieces for every vehicle, padded to the longest."""
+    """`flow.pieces` of every vehicle, padded to the longest."""
     vehicles, jets = pulses.up.shape[0], pulses.up.shape[1]
     room = 4 * jets * SLOTS + 1
-    cuts = np.empty((vehicles, room + 1))  # most of it is never used
+    cuts = np.empty((vehicles, room + 1))  # upper bound, mostly unused
     value, slope = np.empty((vehicles, room, 4)), np.empty((vehicles, room, 4))
     count = np.empty(vehicles, dtype=np.int64)
     for v in range(vehicles):
@@ -101,19 +101,19 @@ def advance(x, spent, parameters, ground, solids, pulses, origin, span, marks, l
 
     Args:
         x: states, shape (v, 6), see body.py.
-        spent: gas gone [kg] and impulse of all jets together [N s], both of shape (v,).
+        spent: gas consumed [kg] and total impulse of all jets [N s], both of shape (v,).
         parameters: the true vehicles.
         ground: the table.
-        solids: what can be hit.
+        solids: obstacles that can be hit.
         pulses: board.Pulses with a leading vehicle axis.
         origin: start of the window in the run [ns].
-        span: its length [s].
-        marks: increasing times of the run at which to note the states, shape (n,) [s].
+        span: length of the window [s].
+        marks: increasing times of the run at which to record the states, shape (n,) [s].
         last_touch: see contact.resolve.
         touches: see contact.resolve.
 
     Returns:
-        states at the marks (n, v, 6), and rows used in `touches`.
+        states at the marks (n, v, 6), and number of rows used in `touches`.
     """
     x, parameters, ground, solids = (
         borrowed(x),
@@ -125,7 +125,7 @@ def advance(x, spent, parameters, ground, solids, pulses, origin, span, marks, l
     own_windows, own_stages = cut_windows(borrowed(pulses), parameters, origin, span), new_stages()
     windows, stages = borrowed(own_windows), borrowed(own_stages)
     seen = np.empty((marks.shape[0], x.shape[0], 6))
-    start = x.copy(), used.copy(), impulse.copy()  # of a step that may have to be cut short
+    start = x.copy(), used.copy(), impulse.copy()  # restored if a contact cuts the step short
     before = borrowed(start)
     count, t = 0, 0.0
     resting = False
@@ -167,7 +167,7 @@ def advance(x, spent, parameters, ground, solids, pulses, origin, span, marks, l
 
 
 class Touch(Struct, frozen=True):
-    """A contact that should not have happened."""
+    """A recorded contact, a collision on the real table."""
 
     t: float  # [s]
     vehicle: str
@@ -176,7 +176,7 @@ class Touch(Struct, frozen=True):
 
 
 class Plant:
-    """The true state of the table."""
+    """The true state of the vehicles on the table, and its integration."""
 
     def __init__(
         self,
@@ -200,8 +200,8 @@ class Plant:
         count = len(self.names)
         self.x = np.zeros((count, 6))
         self.x[:, :3] = [(starts[n].x, starts[n].y, starts[n].theta) for n in self.names]
-        self.used = np.zeros(count)  # gas [kg]
-        self.impulse = np.zeros(count)  # of all jets together [N s]
+        self.used = np.zeros(count)  # gas consumed [kg]
+        self.impulse = np.zeros(count)  # total of all jets [N s]
         self._pulses = no_pulses(count, self.parameters.thrust.shape[1])
         self.boards: dict[str, Board | FirmwareBoard] = {}
         for k, (name, vehicle) in enumerate(vehicles.items()):
@@ -212,28 +212,28 @@ class Plant:
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
-        self.landed: dict[int, float] = {}  # whose air is off, and since when [s]
+        self.landed: dict[int, float] = {}  # vehicles without air: time of the shut-off [s]
         self._advance = settled(advance)
 
     def _pulses_of(self, k: int) -> Pulses:
         return Pulses(self._pulses.up[k], self._pulses.down[k], self._pulses.strength[k])
 
     def stick(self, k: int, jet: int, is_open: bool, since: float, until: float) -> None:
-        """Valve number `jet` of vehicle number `k` stays open or shut from `since` to `until`."""
+        """Hold valve `jet` of vehicle `k` open or shut from `since` to `until`."""
         span = nanoseconds(since), min(FAR_AHEAD, nanoseconds(until))
         self._stuck[k, jet] = (is_open, *span)
 
     def leak_valve(self, k: int, jet: int, share: float, since: float, until: float) -> None:
-        """Valve number `jet` of vehicle number `k` lets a share of its flow through when shut."""
+        """Let valve `jet` of vehicle `k` pass a share of its flow when shut."""
         span = nanoseconds(since), min(FAR_AHEAD, nanoseconds(until))
         self._leaky[k, jet] = (share, *span)
 
     def leak(self, k: int, gas: float) -> None:
-        """Vehicle number `k` loses `gas` [kg]."""
+        """Remove `gas` [kg] from the tank of vehicle `k`."""
         self.used[k] = min(self.used[k] + gas, self.parameters.gas[k])
 
     def land(self, k: int) -> None:
-        """Shut the air of vehicle number `k` off at the tank: no jet, and no bearing."""
+        """Shut off the air of vehicle `k` at the tank: jets and bearing air."""
         self.parameters.effect[k] = self.parameters.thrust[k] = 0.0
         self.parameters.bearing_flow[k] = 0.0
         self.landed.setdefault(k, self.t)
@@ -242,7 +242,7 @@ class Plant:
         parameters.grip[k] = slows, turns
 
     def played(self) -> Pulses:
-        """What the valves do: what the boards say, but for those that are stuck or leak."""
+        """Actual valve pulses: the boards' commands, modified by stuck or leaking valves."""
         if not self._stuck and not self._leaky:
             return self._pulses
         ours = self._pulses
@@ -253,21 +253,21 @@ class Plant:
             up[inside] = down[inside] = LONG_AGO
             across = (up < since) & (down > since)
             down[across] = since
-            if is_open:  # the oldest pulse gives its place
+            if is_open:  # overwrites the oldest pulse
                 up[0], down[0], played.strength[k, jet, 0] = since, until, 1.0
         for (k, jet), (share, since, until) in self._leaky.items():
             up, down, strength = played.up[k, jet], played.down[k, jet], played.strength[k, jet]
-            strength[(up >= since) & (up < until)] *= 1.0 - share  # open, it is no more than open
+            strength[(up >= since) & (up < until)] *= 1.0 - share  # the total is at most fully open
             up[0], down[0], strength[0] = since, until, share
         return played
 
     def floats(self, k: int) -> bool:
-        """Whether the bearing air of vehicle number `k` is on."""
+        """Whether the bearing air of vehicle `k` is on."""
         return k not in self.landed
 
     @property
     def stands(self) -> bool:
-        """Whether nothing moves any more: all vehicles stand on the stone, no obstacle comes."""
+        """Whether all motion has ended: all vehicles stand without air, no obstacle moves."""
         return bool(
             self.parameters.grip.all() and not self.x[:, 3:].any() and not self._solids.v.any()
         )
@@ -275,9 +275,10 @@ class Plant:
     def advance(
         self, t: float, marks: Array | Sequence[float] = (), *, boards: bool = True
     ) -> Array:
-        """Move on to time `t` and give the states at the `marks` on the way, (n, v, 6).
+        """Advance to time `t` and return the states at the `marks`, (n, v, 6).
 
-        Without `boards` their valves stay as they are: firmware takes its time, also to do nothing.
+        Without `boards` the boards do not run and valves keep their state: firmware costs time even
+        when idle.
         """
         for board in self.boards.values() if boards else ():
             board.run_until(t)

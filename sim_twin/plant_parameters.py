@@ -1,4 +1,4 @@
-"""The true vehicles: the vehicle file plus what its tolerances let happen, drawn from the seed."""
+"""The true vehicles: the vehicle file's values, varied within its tolerances by the seed."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 
 
 class Metal(NamedTuple):
-    """Fleet of v true vehicles with up to j jets, in numbers for compiled code.
+    """True parameters of a fleet of v vehicles with up to j jets, for compiled code.
 
-    Torques and positions are about the body's origin, in B; missing jets have no thrust.
+    Torques and positions are about the body's origin, in B; unused columns have no thrust.
     """
 
     mass: Array  # (v,) with a full tank [kg]
@@ -24,7 +24,7 @@ class Metal(NamedTuple):
     radius: Array  # (v,) [m]
     drag: Array  # (v,) [N s/m]
     spin_drag: Array  # (v,) [N m s/rad]
-    grip: Array  # (v, 2) dry friction of one that stands: [m/s^2], [rad/s^2]; 0: it floats
+    grip: Array  # (v, 2) dry friction without bearing air: [m/s^2], [rad/s^2]; 0: it floats
     effect: Array  # (v, 3, j) wrench of a fully open jet at set pressure
     thrust: Array  # (v, j) its magnitude [N]
     gas: Array  # (v,) in the full tank [kg]
@@ -39,7 +39,7 @@ class Metal(NamedTuple):
 
 
 def sample_plant(vehicles: Mapping[str, Vehicle], seed: int) -> Metal:
-    """Draw the true vehicles."""
+    """Sample the true parameters of all vehicles."""
     jets = max(len(v.jets) for v in vehicles.values())
     drawn = [
         _sample_one(vehicle, stream(seed, name, "metal"), jets)

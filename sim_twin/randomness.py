@@ -1,6 +1,6 @@
-"""All chance in the twin comes from one seed; every part draws from a stream of its own.
+"""Random number streams of the twin: one seed, one independent stream for each part.
 
-A stream is known by its name, so adding a vehicle or a camera does not change what the others draw.
+Streams are derived from names, so adding a vehicle or a camera does not change the others' numbers.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,24 +11,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-AT_ONCE = 256  # rows: a call for each would cost more than the rows
-A_FEW = 16  # the same for what there are many of: they would fill the cache
+AT_ONCE = 256  # rows drawn per call: one call per row would dominate the cost
+A_FEW = 16  # rows drawn per call for parts with many instances, to save CPU cache
 
 
 def stream(seed: int, *name: str) -> np.random.Generator:
-    """The generator of the part called `name`, for instance ("sat1", "camera")."""
+    """The generator of the part `name`, for instance ("sat1", "camera")."""
     key = tuple("/".join(name).encode())
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 class Draws:
-    """Rows of random numbers, taken a few at a time and drawn many at a time.
+    """A buffer of rows of random numbers, drawn many at a time.
 
-    What is taken does not depend on how it is taken: a generator gives the same numbers one by one.
+    The numbers do not depend on the size of the blocks taken.
     """
 
     def __init__(self, draw: Callable[[tuple[int, int]], Array], width: int) -> None:
-        """Rows of `width` numbers by `draw`, a method of a generator."""
+        """`draw`, a method of a generator, draws rows of `width` numbers."""
         self._draw, self._width = draw, width
         self._rows, self._count, self._next = np.empty((0, width)), 0, 0
 
@@ -44,6 +44,6 @@ class Draws:
 
 
 def rows(draw: Callable[[tuple[int, int]], Array], width: int) -> Iterator[list[float]]:
-    """The same one row at a time, as plain numbers; for parts of which there are many."""
+    """Like `Draws`, one row at a time as a list; for parts with many instances."""
     blocks = iter(lambda: draw((A_FEW, width)).tolist(), None)
     return chain.from_iterable(blocks)

@@ -1,8 +1,8 @@
-"""A board that is not modelled: real firmware says what its outputs did, and the plant follows.
+"""Valves driven by real firmware, which reports its output edges to the plant.
 
-The report comes after the edge, so the plant must run behind by as much. What flows because of an
-edge begins a valve's dead time later, which is the slack. An edge that is reported after the plant
-has gone past it is still taken, and counted: the flow then differs from what the firmware did.
+The report arrives after the edge, so the plant must lag behind. Flow starts a valve's dead time
+after the edge, which is the allowed lag. An edge reported after the plant has passed it is still
+applied, and counted: the simulated flow then differs from the firmware's output.
 """
 
 import numpy as np
@@ -10,11 +10,11 @@ import numpy as np
 from sim_twin.board import Pulses, nanoseconds
 from testbed.core.vehicle import Vehicle
 
-NOT_YET = 10**15  # [ns] a valve that is open has not been closed yet
+NOT_YET = 10**15  # [ns] closing time of a valve that is open
 
 
 class ReportedValves:
-    """One vehicle's valves, as its firmware drives them; times are of the plant [ns]."""
+    """One vehicle's valves, driven by its firmware; times are plant times [ns]."""
 
     def __init__(self, vehicle: Vehicle, pulses: Pulses, rng: np.random.Generator) -> None:
         self._jets = len(vehicle.jets)
@@ -24,10 +24,10 @@ class ReportedValves:
         self.pulses = pulses
         self.mask = 0
         self.openings = 0
-        self.late = 0  # edges that came after the plant had gone past what they do
+        self.late = 0  # edges reported after the plant had passed their effect
 
     def edge(self, t: int, mask: int, plant_t: float) -> None:
-        """From `t` on these valves are open; the plant is at `plant_t` [s]."""
+        """Set the open valves to `mask` from `t` on; the plant is at `plant_t` [s]."""
         if t + self._dead < nanoseconds(plant_t):
             self.late += 1
         changed, self.mask = mask ^ self.mask, mask
@@ -46,6 +46,6 @@ class ReportedValves:
             self.openings += 1
 
     def close_all(self, t: int) -> None:
-        """The board is gone."""
+        """Close all valves at `t`, because the board is gone."""
         self.pulses.down[self.pulses.down == NOT_YET] = t
         self.mask = 0

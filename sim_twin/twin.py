@@ -1,6 +1,6 @@
-"""The twin: plant, cameras, boards and air waves behind the Protocols of `testbed.core.ports`.
+"""The twin: plant, cameras, boards and radio behind the Protocols of `testbed.core.ports`.
 
-Time is virtual and moves only when the loop waits: lockstep, deterministic, as fast as the CPU.
+Time is virtual and advances only when the loop waits: lockstep, deterministic, as fast as the CPU.
 """
 
 import math
@@ -34,10 +34,10 @@ Array = NDArray[np.float64]
 
 
 class Twin:
-    """One table with its vehicles. It is the run's Clock; the ports below are its other faces.
+    """One table with its vehicles. It is the run's Clock; the classes below are its other ports.
 
-    `listeners` are the vehicles that subscribe to their neighbours' states. `drivers` play the
-    plans of each vehicle instead of the modelled boards.
+    `listeners` are the vehicles that subscribe to their neighbours' states. `drivers` replace the
+    modelled boards and play the vehicles' plans.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Twin:
         self._phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))
         self._frame = 0
         self.seen_at: list[float] = []  # of every camera frame so far [s]
-        self.seen: list[Array] = []  # true states then, each (n, v, 6)
+        self.seen: list[Array] = []  # true states at these times, each (n, v, 6)
         link = table.link
 
         def channel(sender: str, receiver: str) -> Channel:
@@ -86,7 +86,7 @@ class Twin:
         ] = {}  # of laws on the host
 
     def wait_until(self, t: float) -> None:
-        """Let the world move on to `t`."""
+        """Advance the simulation to `t` [s]."""
         if t <= self.now:
             return
         last = math.floor(t * self._rate - self._phase)
@@ -109,7 +109,7 @@ class Twin:
             self.cameras[name].expose(times, shown[:, k])
 
     def near(self, name: str) -> list[str]:
-        """The others that `name` hears now, and that hear it."""
+        """The other vehicles in range of `name`."""
         if self._reach is not None and self._near_at != self.now:
             p, self._near_at = self.plant.x[:, :2], self.now
             apart = np.linalg.norm(p[:, None] - p[None], axis=2)
@@ -123,15 +123,15 @@ class Twin:
         return self._near[name]
 
     def trouble(self, receiver: str) -> tuple[float, float]:
-        """Injected delay and loss of messages to a vehicle."""
+        """Injected delay [s] and loss probability of messages to a vehicle."""
         return (0.0, 0.0) if self.sabotage is None else self.sabotage.air(receiver)
 
     def vitals(self, name: str) -> Vitals:
-        """What the process round a vehicle's chain knows; all is well in a twin, but for faults."""
+        """Health of a vehicle's process; good unless a fault is injected."""
         return ALL_WELL if self.sabotage is None else self.sabotage.vitals(name)
 
     def health(self, name: str) -> Health:
-        """What the board's sensors read."""
+        """Readings of the board's sensors."""
         k = self._rows[name]
         air = self.vehicles[name].air
         left = air.gas - float(self.plant.used[k])
@@ -233,7 +233,7 @@ class TwinHostLink:
         twin.setpoints[self._name].send(twin.now, setpoint, twin.trouble(self._name))
 
     def messages(self) -> dict[str, LawMessage]:
-        """See `HostLink`. The laws share a computer, and hear what was said before this tick."""
+        """See `HostLink`. The laws share a computer and receive messages of earlier ticks."""
         messages = {}
         for name, (said_at, newest, before) in self._twin.blackboard.items():
             message = newest if said_at < self._twin.now else before

@@ -4,9 +4,9 @@ Source: E. Hairer, S. P. Norsett, G. Wanner, "Solving Ordinary Differential Equa
 1993, section II.5 and II.4 (first step); the coefficients are those of `scipy.integrate.DOP853`,
 and so is the step control: between the same two times both take the same steps.
 
-Differences from scipy: sample times are hit by shortening a step instead of interpolating, and the
-absolute tolerance is given per component; one with `atol = inf` is integrated but has no say in the
-size of the step (integrals of |u|, which are not smooth).
+Differences from scipy: steps are shortened to end at the sample times instead of interpolating, and
+the absolute tolerance is given per component; components with `atol = inf` are excluded from the
+step control (integrals of |u|, which are not smooth).
 """
 
 from typing import Any, NamedTuple
@@ -32,9 +32,9 @@ DONE, STUCK, TIRED = range(3)
 
 
 class Solution(NamedTuple):
-    """Where a system went, and what it cost."""
+    """Samples of the state and the cost of the integration."""
 
-    y: Array  # (m, n) at the m times asked for
+    y: Array  # (m, n) at the m requested times
     steps: int
     rejected: int
     evaluations: int
@@ -53,10 +53,10 @@ def solve(
         rtol: relative tolerance per step.
         atol: absolute tolerance per step, a number or one per component, in the state's units.
         inputs: size of the system's input.
-        max_steps: accepted and rejected together.
+        max_steps: limit of accepted and rejected steps together.
 
     Raises:
-        ValueError: a start or times that make no sense.
+        ValueError: invalid initial state, times or tolerances.
         RuntimeError: the step became too small, or there were too many.
     """
     start = np.array(y0, dtype=float)
@@ -73,14 +73,14 @@ def solve(
         cause = "the step became too small" if state == STUCK else f"{max_steps} steps taken"
         raise RuntimeError(
             f"integration stopped at t = {t:.6g} s of {at[-1]:.6g} s: {cause}; "
-            "is a force infinite, or not smooth enough for a method with step control?"
+            "check for forces that are infinite or too discontinuous for step size control"
         )
     return Solution(y, int(counts[0]), int(counts[1]), int(counts[2]))
 
 
 @compiled
 def size(y, scale, counted):
-    """Root mean square of y / scale over the components that count."""
+    """Root mean square of y / scale over the components selected by `counted`."""
     total = 0.0
     for k in range(y.shape[0]):
         total += (y[k] / scale[k]) ** 2
@@ -89,21 +89,21 @@ def size(y, scale, counted):
 
 @compiled
 def copy(x, out):
-    """Write x; a loop, because numba compiles `out[:] = x` with its complaint about shapes."""
+    """Copy x to `out`; a loop compiles faster than `out[:] = x`, which checks shapes."""
     for k in range(x.shape[0]):
         out[k] = x[k]
 
 
 @generic
 def rate_at(system, t, y, u, out):
-    """The derivative, with the input of that very instant."""
+    """The derivative, with the input evaluated at the same time."""
     input_of(system, t, y, u)
     derivative_of(system, t, y, u, out)
 
 
 @generic
 def first_step(system, t, y, f, span, rtol, atol, counted, u):
-    """Hairer's guess for the first step [s]."""
+    """Initial step size by Hairer's estimate [s]."""
     scale = atol + np.abs(y) * rtol
     d0, d1 = size(y, scale, counted), size(f, scale, counted)
     h0 = 1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1
@@ -123,7 +123,7 @@ def attempt(system, t, y, h, k, u, new, rtol, atol, counted):
     """One step into `new`; k[0] is the derivative at `y`, k[12] becomes the one at `new`.
 
     Returns:
-        the error, in units of the tolerance.
+        the error relative to the tolerance.
     """
     n = y.shape[0]
     for s in range(1, STAGES):
@@ -157,7 +157,7 @@ def attempt(system, t, y, h, k, u, new, rtol, atol, counted):
 
 @Integrator
 def run(system, y0, times, rtol, atol, inputs, max_steps):
-    """See `solve`; returns samples, (steps, rejected, evaluations), time reached, how it ended."""
+    """See `solve`; returns samples, (steps, rejected, evaluations), time reached, exit state."""
     n = y0.shape[0]
     u, k, new = np.zeros(inputs), np.empty((STAGES + 1, n)), np.empty(n)
     samples = np.full((times.shape[0], n), np.nan)

@@ -1,8 +1,7 @@
 r"""Compiled Runge-Kutta of order 4 with a fixed step, for systems of `sim_twin.orbit.system`.
 
-For laws with sgn: step control would chase their switching for ever. `hold = False` evaluates the
-input in every stage; `hold = True` evaluates it once and keeps it over the step, as a computer
-with that period would.
+For laws with sgn, whose switching makes step size control fail. `hold = False` evaluates the input
+in every stage; `hold = True` evaluates it once per step and holds it, like a sampled controller.
 """
 
 from typing import Any
@@ -24,10 +23,10 @@ def solve(
     Args:
         system: a named tuple with compiled input and derivative.
         y0: state at `start`, shape (n,).
-        start: [s].
-        step: [s].
-        steps: how many.
-        every: keep one state in so many; must divide `steps`.
+        start: initial time [s].
+        step: step size [s].
+        steps: number of steps.
+        every: keep every n-th state; must divide `steps`.
         hold: whether the input is held over a step.
         inputs: size of the system's input.
 
@@ -39,7 +38,7 @@ def solve(
         raise ValueError(f"expected a finite state of shape (n,), found shape {y.shape}")
     if not step > 0.0 or every < 1 or steps < 0 or steps % every:
         raise ValueError(
-            f"expected step > 0 and a number of steps that `every` divides, "
+            f"expected step > 0 and a number of steps divisible by `every`, "
             f"found step = {step} s, steps = {steps}, every = {every}"
         )
     return run(system, y, float(start), float(step), steps, every, hold, inputs)
@@ -47,7 +46,7 @@ def solve(
 
 @generic
 def stage(system, t, y, u, hold, rate):
-    """One evaluation."""
+    """Evaluate the derivative for one stage, and the input unless it is held."""
     if not hold:
         input_of(system, t, y, u)
     derivative_of(system, t, y, u, rate)
@@ -62,7 +61,7 @@ def run(system, y, start, h, steps, every, hold, inputs):
     samples = np.empty((steps // every + 1, n))
     samples[0] = y
     for m in range(steps):
-        t = start + m * h  # not summed up: no drift
+        t = start + m * h  # not accumulated, to avoid rounding drift
         if hold:
             input_of(system, t, y, u)
         stage(system, t, y, u, hold, k1)

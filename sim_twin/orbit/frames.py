@@ -4,7 +4,7 @@ The radial frame has x away from the Earth, y along-track, z along the orbit's n
 
     omega = (r . a_n / h) x + (h / r^2) z,      a_n = the part of the centre's acceleration along z
 
-where the first term is the turning of the orbital plane: it is J2's, and zero for two bodies.
+where the first term is the rotation of the orbital plane, caused by J2 and zero for two bodies.
 Other axes are given by a rotation whose rows are those axes in the radial frame:
 `RADIAL` is the frame itself, `NADIR` that of gao2022 (x forward, y against the normal, z down).
 """
@@ -22,10 +22,10 @@ NADIR = np.array(((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0)))
 class Moving(NamedTuple):
     """A frame that moves with a satellite, at one instant."""
 
-    r: np.ndarray  # of its origin in ECI, shape (3,) [m]
-    v: np.ndarray  # [m/s]
+    r: np.ndarray  # position of its origin in ECI, shape (3,) [m]
+    v: np.ndarray  # velocity of its origin in ECI, shape (3,) [m/s]
     axes: np.ndarray  # its axes in ECI, as rows (3, 3)
-    omega: np.ndarray  # how it turns, in its own axes [rad/s]
+    omega: np.ndarray  # angular velocity, in its own axes [rad/s]
 
 
 @compiled
@@ -89,7 +89,7 @@ def to_eci(frame, p, q, r, v):
 
 @compiled
 def turned_to_eci(frame, u, out):
-    """Write vectors `u` of the moving frame (thrust, say) in ECI, without its motion; (n, 3)."""
+    """Rotate vectors `u` (n, 3), such as thrust, from the moving frame to ECI; no translation."""
     axes = frame.axes
     for i in range(u.shape[0]):
         for k in range(3):

@@ -1,4 +1,4 @@
-r"""Kepler's orbits: elements, position on the orbit at any time, elements <-> ECI.
+r"""Keplerian orbits: elements, position at any time, elements <-> ECI.
 
 Source: D. A. Vallado, "Fundamentals of Astrodynamics and Applications", 4th ed., 2013, chapter 2.
 
@@ -7,8 +7,8 @@ Source: D. A. Vallado, "Fundamentals of Astrodynamics and Applications", 4th ed.
     i, Omega     i, node        inclination, right ascension of the ascending node  rad
     omega, nu    perigee, theta argument of perigee, true anomaly                   rad
 
-Where an angle has no meaning (node of an equatorial orbit, perigee of a circular one) it is zero
-and the next angle counts from there: on a circular orbit `theta` is the argument of latitude.
+An undefined angle (node of an equatorial orbit, perigee of a circular one) is zero and the next
+angle counts from there: on a circular orbit `theta` is the argument of latitude.
 """
 
 import math
@@ -23,11 +23,11 @@ from testbed.core.compiled import compiled
 Array = NDArray[np.float64]
 
 TURN = 2.0 * math.pi
-FLAT = 1e-11  # [-] below this sine or eccentricity an angle has no meaning
+FLAT = 1e-11  # [-] below this sine or eccentricity an angle is undefined
 
 
 class Orbit(Struct, frozen=True, forbid_unknown_fields=True):
-    """An elliptic orbit and where on it the satellite is at time 0."""
+    """An elliptic orbit and the satellite's position on it at time 0."""
 
     a: float  # semi-major axis [m]
     e: float = 0.0  # eccentricity [-]
@@ -47,7 +47,7 @@ class Orbit(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def mean_motion(self) -> float:
-        """[rad/s]."""
+        """Mean motion n [rad/s]."""
         return math.sqrt(self.mu / self.a**3)
 
     @property
@@ -56,7 +56,7 @@ class Orbit(Struct, frozen=True, forbid_unknown_fields=True):
         return math.sqrt(self.mu * self.a * (1.0 - self.e * self.e))
 
     def theta_at(self, t: float) -> float:
-        """True anomaly at time `t` [rad]; it counts on, from one turn to the next."""
+        """True anomaly at time `t` [rad], continuous over revolutions."""
         start = mean_of_true(self.theta, self.e)
         return true_of_mean(start + self.mean_motion * t, self.e)
 
@@ -75,7 +75,7 @@ class Orbit(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def one_turn(angle: float) -> float:
-    """The same direction in [0, 2 pi) [rad]."""
+    """`angle` wrapped to [0, 2 pi) [rad]."""
     inside = angle % TURN
     return inside if inside < TURN else 0.0  # a tiny negative angle is rounded to 2 pi
 
@@ -141,7 +141,7 @@ def eccentric_of_mean(mean, e):
 
 @compiled
 def true_of_mean(mean, e):
-    """True anomaly of a mean anomaly [rad]; both count on over the turns."""
+    """True anomaly of a mean anomaly [rad]; both continuous over revolutions."""
     x = eccentric_of_mean(mean, e)
     beta = e / (1.0 + np.sqrt(1.0 - e * e))
     return x + 2.0 * np.arctan(beta * np.sin(x) / (1.0 - beta * np.cos(x)))
@@ -149,7 +149,7 @@ def true_of_mean(mean, e):
 
 @compiled
 def mean_of_true(theta, e):
-    """Mean anomaly of a true anomaly [rad]; both count on over the turns."""
+    """Mean anomaly of a true anomaly [rad]; both continuous over revolutions."""
     beta = e / (1.0 + np.sqrt(1.0 - e * e))
     x = theta - 2.0 * np.arctan(beta * np.sin(theta) / (1.0 + beta * np.cos(theta)))
     return x - e * np.sin(x)

@@ -15,9 +15,9 @@ Y. Wang, et al., Electronics 12:3179, 2023, are the same motion.
     rc, rc'      radius, climb        the chief's distance from the centre           m, m/s
     th', th''    spin, spin_rate      turn rate of the frame, its derivatives        rad/s, ...
 
-Differences from the papers: both papers of Xue print g with the opposite sign, which belongs on the
-left-hand side (tests/orbit compares with inertial motion); the difference of the two large terms
-is taken in Encke's form, so that nothing cancels.
+Differences from the papers: both papers of Xue print g with the opposite sign, valid on the
+left-hand side (tests/orbit compares with inertial motion). The difference of the two large terms
+is computed in Encke's form, which avoids cancellation.
 """
 
 from typing import NamedTuple
@@ -50,7 +50,7 @@ class Frame(NamedTuple):
 
 
 def chief_on(orbit: Orbit) -> Chief:
-    """The chief that is on `orbit`."""
+    """The chief on `orbit`."""
     start = mean_of_true(orbit.theta, orbit.e)
     return Chief(orbit.mu, orbit.momentum, orbit.e, orbit.mean_motion, start)
 
@@ -79,7 +79,7 @@ def frame_at(chief, t):
 
 @compiled
 def field(frame, p):
-    """The part g of Eq. (1) that depends on the position `p`, shape (3,) [m/s^2]."""
+    """The term g of Eq. (1), which depends on the position `p`, shape (3,) [m/s^2]."""
     x, y, z = p[0], p[1], p[2]
     rc, mu = frame.radius, frame.mu
     q = (2.0 * rc * x + x * x + y * y + z * z) / (rc * rc)  # (r / rc)^2 - 1
@@ -95,7 +95,7 @@ def field(frame, p):
 
 @compiled
 def coriolis(frame, v):
-    """The part C p' of Eq. (1), shape (3,) [m/s^2]."""
+    """The term C p' of Eq. (1), shape (3,) [m/s^2]."""
     out = np.zeros(3)
     out[0] = 2.0 * frame.spin * v[1]
     out[1] = -2.0 * frame.spin * v[0]
@@ -110,7 +110,7 @@ def drift(frame, p, v):
 
 @compiled
 def drift_rate(frame, p, v, a):
-    """Time derivative of the drift along a motion, shape (3,) [m/s^3].
+    """Time derivative of the drift along a trajectory, shape (3,) [m/s^3].
 
     Args:
         frame: at that time.

@@ -1,4 +1,4 @@
-"""Smooth right-hand sides in plain Python, by scipy's DOP853 with stated tolerances."""
+"""Integrates smooth right-hand sides in plain Python with scipy's DOP853."""
 
 from collections.abc import Callable
 
@@ -23,7 +23,7 @@ def solve(
     """States at `times` (increasing, the first is the start) [s], shape (m, n).
 
     Raises:
-        RuntimeError: scipy gave up; a law with sgn wants a fixed step.
+        RuntimeError: scipy failed; a law with sgn needs a fixed step.
     """
     at = np.array(times, dtype=float)
     if at.ndim != 1 or at.size < 2 or not np.all(np.diff(at) > 0.0):

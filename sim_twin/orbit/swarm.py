@@ -3,8 +3,8 @@ r"""Many satellites at once under a common control: in ECI with J2, or relative 
 State of `Swarm` (ECI): r (n + 1, 3) [m], v (n + 1, 3) [m/s], spent (n, 3) [m/s], flattened in that
 order. The first r and v are those of the formation's centre, a satellite that is not controlled.
 State of `Deputies` (radial frame of a chief on Kepler's orbit): p (n, 3), v (n, 3), spent (n, 3).
-The control sees positions and velocities in the relative frame and answers with accelerations in
-it, which are bounded axis by axis; `spent` sums up their absolute values.
+The control gets positions and velocities in the relative frame and returns accelerations in it,
+which are limited on each axis; `spent` integrates their absolute values.
 """
 
 from typing import NamedTuple
@@ -45,12 +45,12 @@ class Deputies(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """Where a swarm went, at m times."""
+    """Trajectory of a swarm at m times."""
 
     r: Array  # (m, n, 3) in ECI [m]
     v: Array  # (m, n, 3) [m/s]
     p: Array  # (m, n, 3) in the control's frame [m]
-    q: Array  # (m, n, 3) velocity there [m/s]
+    q: Array  # (m, n, 3) velocity in the control's frame [m/s]
     spent: Array  # (m, n, 3) integral of |u| per axis of that frame [m/s]
     centre: Array  # (m, 6) position and velocity of the centre in ECI
     steps: int
@@ -67,7 +67,7 @@ def centre_frame(planet, r, v, axes):
 
 @compiled_input(Swarm)
 def ask(system, t, y, u):
-    """Accelerations in the control's frame."""
+    """Write the control's accelerations, in the control's frame."""
     system, y, u = borrowed((system, y, u))
     n = u.shape[0] // 3
     m = 3 * (n + 1)
@@ -80,7 +80,7 @@ def ask(system, t, y, u):
 
 @compiled_derivative(Swarm)
 def move(system, t, y, u, rate):
-    """Gravity and thrust."""
+    """Write the state's derivative: gravity and thrust."""
     system, y, u, rate = borrowed((system, y, u, rate))
     n = u.shape[0] // 3
     m = 3 * (n + 1)
@@ -100,7 +100,7 @@ def move(system, t, y, u, rate):
 
 @compiled_input(Deputies)
 def ask_deputies(system, t, y, u):
-    """Accelerations in the chief's frame."""
+    """Write the control's accelerations, in the chief's frame."""
     n = u.shape[0] // 3
     p, v = y[: 3 * n].reshape(n, 3), y[3 * n : 6 * n].reshape(n, 3)
     control_of(system.control, t, p, v, u.reshape(n, 3))
@@ -109,7 +109,7 @@ def ask_deputies(system, t, y, u):
 
 @compiled_derivative(Deputies)
 def move_deputies(system, t, y, u, rate):
-    """Relative motion and thrust."""
+    """Write the state's derivative: relative motion and thrust."""
     n = u.shape[0] // 3
     p, v = y[: 3 * n].reshape(n, 3), y[3 * n : 6 * n].reshape(n, 3)
     frame = frame_at(system.chief, t)
@@ -127,23 +127,23 @@ def fly(
     axes: Array, planet: Planet = EARTH, limit: float = np.inf,
     rtol: float = 1e-10, atol: float = 1e-6,
 ) -> Flight:  # fmt: skip
-    """Fly satellites in ECI from where they are in the centre's frame.
+    """Integrate satellites in ECI from initial states in the centre's frame.
 
     Args:
         control: a named tuple with a compiled control; `Coast()` for none.
         centre: position [m] and velocity [m/s] of the centre in ECI, shape (6,).
         p: positions in the centre's frame at `times[0]`, shape (n, 3) [m].
-        q: velocities there, shape (n, 3) [m/s].
+        q: velocities in the centre's frame, shape (n, 3) [m/s].
         times: increasing, at least two [s].
         axes: the frame's axes: `frames.RADIAL`, `frames.NADIR`, ...
-        planet: what pulls.
+        planet: gravity model.
         limit: of the acceleration on each axis of the frame [m/s^2].
         rtol: relative tolerance per step.
         atol: absolute tolerance per step, in m; a thousandth of it in m/s.
 
     Raises:
-        ValueError: shapes that do not fit.
-        RuntimeError: the integration did not get to the end.
+        ValueError: wrong shapes.
+        RuntimeError: the integration stopped early.
     """
     hub, p, q = np.array(centre, dtype=float), np.array(p, dtype=float), np.array(q, dtype=float)
     if hub.shape != (6,) or p.ndim != 2 or p.shape[1] != 3 or q.shape != p.shape:

@@ -1,19 +1,19 @@
-"""What an integrator needs of a system: how it is steered and how it moves.
+"""The interface between integrators and systems: input and derivative.
 
-A system is a named tuple; its state `y` and its input `u` (thrust, say) are flat arrays.
+A system is a named tuple; its state `y` and its input `u`, such as thrust, are flat arrays.
 
-    input_of(system, t, y, u)              writes u: what the control asks for
-    derivative_of(system, t, y, u, rate)   writes y': how the state moves under that u
+    input_of(system, t, y, u)              writes u, the control's output
+    derivative_of(system, t, y, u, rate)   writes y', the state's derivative under u
     control_of(control, t, p, v, u)        writes u, shape (n, 3) [m/s^2], from positions and
                                            velocities in a relative frame, shape (n, 3)
 
-Two steps, so that an integrator may hold `u` over a step. Compiled code picks the function by the
-type of the tuple, as `testbed.core.law` does.
+They are separate so that an integrator can hold `u` over a step. Compiled code selects the function
+by the type of the tuple, as `testbed.core.law` does.
 
-What is compiled for a type of someone else's must not be kept on disk: numba would not notice that
-their file has changed, and could not even read its list of kept code where their module is not
-imported. So everything here that depends on a system's type is compiled anew in each process,
-except the integrators, each of which is kept once per system made of our own types only.
+Code compiled for a type from outside the package must not be cached on disk: numba would not notice
+changes of that file and cannot read its cache index unless that module is imported. So everything
+here that depends on a system's type is compiled again in each process, except the integrators,
+which are cached for systems composed of types of this package only.
 """
 
 import hashlib
@@ -27,12 +27,12 @@ from numba.extending import overload
 
 from testbed.core.compiled import LEAN, compiled
 
-# `compiled` notices when these change
+# `compiled` detects changes of these
 OURS = ("testbed.core.", "testbed.reproduction.kernel.", "controllers.", "sim_twin.")
 
 
 def generic(function: Callable) -> Callable:
-    """Compile a function that is handed a system; see above why it is not kept on disk."""
+    """Compile a function that takes a system; not cached on disk, see above."""
     return numba.njit(**LEAN)(function)
 
 
@@ -48,20 +48,20 @@ class Integrator:
         return self.version(tuple(composition(system)))(system, *arguments)
 
     def version(self, parts: tuple[type, ...]) -> Callable:
-        """The one for systems made of these types."""
+        """The version for systems composed of these types."""
         if parts not in self._versions:
             f = self._function
             twin = FunctionType(f.__code__, f.__globals__, f.__name__, f.__defaults__)
             names = "+".join(f"{part.__module__}.{part.__qualname__}" for part in parts)
             digest = hashlib.blake2b(names.encode(), digest_size=8).hexdigest()
-            twin.__qualname__ = f"{f.__qualname__}_{digest}"  # numba keeps one list per name
+            twin.__qualname__ = f"{f.__qualname__}_{digest}"  # numba has one cache index per name
             kept = all(part.__module__.startswith(OURS) for part in parts)
             self._versions[parts] = numba.njit(cache=kept, **LEAN)(twin)
         return self._versions[parts]
 
 
 def composition(system: Any) -> Iterator[type]:
-    """The types of a named tuple and of the named tuples inside it."""
+    """The types of a named tuple and, recursively, of the named tuples in it."""
     if isinstance(system, tuple):
         yield type(system)
         for value in system:
@@ -79,7 +79,7 @@ def derivative_of(system, t, y, u, rate):
 
 
 def control_of(control, t, p, v, u):
-    """Write the accelerations that a control asks for, see above; compiled code only."""
+    """Write the accelerations of a control, see above; compiled code only."""
     raise TypeError(f"no compiled control {type(control).__name__}")
 
 
@@ -141,18 +141,18 @@ def compiled_control(control_type: type) -> Callable[[Callable], Callable]:
 class Coast(NamedTuple):
     """No thrust."""
 
-    unused: float = 0.0  # numba knows no empty tuple's fields
+    unused: float = 0.0  # numba does not support fields of an empty tuple
 
 
 @compiled_control(Coast)
 def coast(control, t, p, v, u):
-    """Nothing is asked for."""
+    """Write zero acceleration."""
     u[:] = 0.0
 
 
 @compiled
 def clip_each(u, limit):
-    """Bound every component of `u` by `limit`, in place; inf leaves it as it is."""
+    """Limit every component of `u` to [-limit, limit], in place; inf: no limit."""
     flat = u.reshape(-1)
     for k in range(flat.shape[0]):
         flat[k] = min(max(flat[k], -limit), limit)

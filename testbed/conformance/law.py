@@ -52,7 +52,7 @@ class LawConformance:
     def _asked(self) -> Iterator[tuple[Law, Scene]]:
         for d in self.dimensions:
             law = self._law(d)
-            for scene in scenes(d, law.words):
+            for scene in scenes(d, law.message_size):
                 yield law, scene
 
     def test_shapes(self) -> None:
@@ -67,7 +67,7 @@ class LawConformance:
             ahead = _ahead(law, state, scene)
             for name, shape in (
                 ("law_state", state.shape), ("p", (d,)), ("v", (d,)),
-                ("mean_force", (d,)), ("told", (law.words,)),
+                ("mean_force", (d,)), ("told", (law.message_size,)),
             ):  # fmt: skip
                 found = np.shape(getattr(ahead, name))
                 must(found == shape, f"{name} of propagate {here}", f"shape {shape}", found)
@@ -99,7 +99,7 @@ class LawConformance:
         """Asked again, with other questions between, it says the same to the last bit."""
         for d in self.dimensions:
             law = self._law(d)
-            asked = list(scenes(d, law.words))
+            asked = list(scenes(d, law.message_size))
             first = [_answer(law, scene) for scene in asked]
             again = [_answer(law, scene) for scene in reversed(asked)][::-1]
             for scene, one, other in zip(asked, first, again, strict=True):
@@ -110,10 +110,10 @@ class LawConformance:
         """One made later, for another vehicle or another run, says what the first one said."""
         for d in self.dimensions:
             law = self._law(d)
-            first = [_answer(law, scene) for scene in scenes(d, law.words)]
+            first = [_answer(law, scene) for scene in scenes(d, law.message_size)]
             for k in range(2):
                 other = self._law(d)
-                for scene, one in zip(scenes(d, law.words), first, strict=True):
+                for scene, one in zip(scenes(d, law.message_size), first, strict=True):
                     what = f"law number {k + 2} of the same parameters {_at(scene)}"
                     expected = "the answer of the first: nothing outside it is kept or drawn"
                     must(_same(one, _answer(other, scene)), what, expected, "another")

@@ -1,1 +1,1 @@
-"""The live picture: rerun scene, viewer, feeder."""
+"""The live dashboard: rerun scene, viewer, feeder."""

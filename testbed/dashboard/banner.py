@@ -1,7 +1,7 @@
-"""The dashboard's headline, as a picture: rerun's texts have no colours.
+"""The dashboard's headline, drawn as an image because rerun's text has no colours.
 
-One line and one colour: red for a fault, amber while somebody waits, green in flight, grey when it
-is over.
+One line and one colour: red for a fault, amber while a vehicle waits, green in flight, grey after
+the flight.
 """
 
 from io import BytesIO
@@ -10,21 +10,21 @@ from typing import NamedTuple
 from PIL import Image, ImageDraw, ImageFont
 
 WIDTH, HEIGHT, MARGIN = 1600, 88, 22  # [pixels]
-SIZES = (46, 40, 34, 28, 23)  # of letters [pixels]: the largest with which the line fits
+SIZES = (46, 40, 34, 28, 23)  # of letters [pixels]: the largest that fits is used
 RED, AMBER, GREEN, GREY = (200, 30, 38), (168, 101, 0), (24, 92, 62), (44, 52, 64)
 
 Colour = tuple[int, int, int]
 
 
 class Banner(NamedTuple):
-    """What state everybody is in."""
+    """Text and background colour of the headline."""
 
     words: str
     colour: Colour
 
 
 def picture(banner: Banner) -> bytes:
-    """As PNG."""
+    """The banner as PNG."""
     image = Image.new("RGB", (WIDTH, HEIGHT), banner.colour)
     pen, words = ImageDraw.Draw(image), banner.words
     for size in SIZES:

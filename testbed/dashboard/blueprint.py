@@ -1,4 +1,4 @@
-"""How the dashboard is laid out: the table on the left, numbers on the right."""
+"""The layout of the dashboard: the table on the left, plots on the right."""
 
 import math
 
@@ -20,7 +20,7 @@ VALVES_S = 10.0
 
 
 def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
-    """Views, and a time panel that follows a flight or waits to be played."""
+    """The views, and a time panel that follows a live flight or is paused for replay."""
     half = max(scenario.table.size) / 2
     height = 1.08 * half / math.tan(math.radians(FIELD / 2))
     top = rrb.Spatial3DView(
@@ -39,7 +39,7 @@ def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
         _plot("force", "Force demanded and delivered, mean over 1 s [N] over time [s]"),
         rrb.TimeSeriesView(
             origin="/plot/valve",
-            name="Valves: a row per jet, height is its share of the jet period, over time [s]",
+            name="Valves: a row per jet, height is its duty cycle, over time [s]",
             time_ranges=_window(WINDOW_S),
             plot_legend=rrb.PlotLegend(visible=False),
         ),
@@ -55,8 +55,8 @@ def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
     )
     timing = rrb.Vertical(
         _plot("pose_age", "Age of the newest pose [ms] over time [s]"),
-        _plot("link", "Link delay: age of what the host has heard [ms] over time [s]"),
-        _plot("loss", "Link loss: ticks without news [%] over time [s]"),
+        _plot("link", "Link delay: age of the newest state at the host [ms] over time [s]"),
+        _plot("loss", "Link loss: ticks without a new message [%] over time [s]"),
         _plot("loop", "Loop lateness [ms] over time [s]"),
         name="Timing",
     )

@@ -1,6 +1,6 @@
-"""What is drawn over time, gathered by entity and sent to rerun many rows at once.
+"""Buffers rows by entity and sends them to rerun in batches.
 
-That costs a hundredth of logging the rows one by one. When it is sent changes nothing: the same
+This costs a hundredth of logging single rows. The batch size does not affect the result: the same
 rows arrive at the same entities with the same times.
 """
 
@@ -14,15 +14,15 @@ from numpy.typing import ArrayLike
 
 
 class Lines(NamedTuple):
-    """Lines of one entity at one time; none hides those of before."""
+    """Lines of one entity at one time; an empty list clears the previous ones."""
 
     strips: Sequence[ArrayLike] = ()
-    colours: Sequence[Sequence[int]] | None = None  # None: as the stage says
+    colours: Sequence[Sequence[int]] | None = None  # None: those of the static scene
     labels: Sequence[str] | None = None
 
 
 class Label(NamedTuple):
-    """A name at a place."""
+    """A text at a position."""
 
     x: float  # [m]
     y: float  # [m]
@@ -32,7 +32,7 @@ class Label(NamedTuple):
 
 
 def _transforms(rows: list[Any]) -> Any:
-    """Of (x, y, theta)."""
+    """Columns of transforms from rows (x, y, theta)."""
     turns = [(0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2)) for _, _, theta in rows]
     return rr.Transform3D.columns(translation=[(x, y, 0.0) for x, y, _ in rows], quaternion=turns)
 
@@ -74,20 +74,20 @@ MAKE: dict[str, Callable[[list[Any]], Any]] = {
 
 
 class Columns:
-    """Rows that are not sent yet."""
+    """A buffer of rows not yet sent."""
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._rec = recording
         self._rows: dict[tuple[str, str], tuple[list[float], list[Any]]] = {}
 
     def add(self, kind: str, path: str, t: float, value: Any) -> None:
-        """One more row of an entity."""
+        """Add a row of an entity."""
         times, values = self._rows.setdefault((path, kind), ([], []))
         times.append(t)
         values.append(value)
 
     def send(self) -> None:
-        """All of them."""
+        """Send all rows and empty the buffer."""
         for (path, kind), (times, values) in self._rows.items():
             columns = [rr.TimeColumn("t", duration=times)]
             self._rec.send_columns(path, columns, MAKE[kind](values))

@@ -1,9 +1,9 @@
-"""The dashboard's own process: follows a run's log and tells a viewer.
+"""The dashboard's own process: follows a run's log and sends it to a viewer.
 
     python -m testbed.dashboard.feeder RUN URL
 
-It is started and watched by `testbed dash`. A viewer that does not answer blocks this process and
-no other: the flight has nothing to do with it, and its log is what keeps the news meanwhile.
+`testbed dash` starts and supervises it. A viewer that does not respond blocks only this process:
+the flight does not depend on it, and the log keeps all data meanwhile.
 """
 
 import os
@@ -20,13 +20,13 @@ from testbed.dashboard.scene import Scene
 from testbed.logs.feed import Feed, LogFeed
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 
-PERIOD_S = 0.04  # between two pictures: 25 Hz
-NOTHING, SEVERED = 1, 2  # exit codes: there is nothing to tell; nobody to tell it
-BATCH = 5000  # messages at once, when there is something to catch up with
+PERIOD_S = 0.04  # between two updates: 25 Hz
+NOTHING, SEVERED = 1, 2  # exit codes: no log to show; viewer disconnected
+BATCH = 5000  # messages per update when catching up
 
 
 def tell(run: Path, url: str) -> None:
-    """Show a run from its beginning until it ends."""
+    """Send a run to the viewer, from its beginning until it ends."""
     scenario = load(config_of(run))
     recording = rr.RecordingStream("airbearing-testbed", recording_id=f"{run.name}-{os.getpid()}")
     plan = blueprint(scenario, live=True)
@@ -39,13 +39,13 @@ def tell(run: Path, url: str) -> None:
 
 
 def follow(feed: Feed, scene: Scene, recording: rr.RecordingStream, batch: int = BATCH) -> None:
-    """Draw what comes until nothing will come any more."""
+    """Draw new messages until the log is complete."""
     pause = Event()
     while True:
         ended, news = feed.ended, feed.news()
         while some := list(islice(news, batch)):
             scene.draw(some)
-            recording.flush()  # waits for a viewer that is stopped: rerun would gather 300 MB
+            recording.flush()  # waits for a stopped viewer: rerun would buffer 300 MB
         if ended:
             break
         pause.wait(PERIOD_S)
@@ -54,7 +54,7 @@ def follow(feed: Feed, scene: Scene, recording: rr.RecordingStream, batch: int =
 
 
 def wait_for(path: Path) -> LogReader:
-    """The log, as soon as the run has begun it."""
+    """The log, as soon as the run has created it."""
     pause = Event()
     while True:
         if path.exists() and path.stat().st_size > 8:
@@ -63,20 +63,20 @@ def wait_for(path: Path) -> LogReader:
 
 
 def main() -> int:
-    """The exit code, and a line on stderr if there is nothing to tell."""
+    """Run the feeder; returns the exit code and writes errors to stderr."""
     try:
         tell(Path(sys.argv[1]), sys.argv[2])
     except (LogError, ConfigError) as error:
         sys.stderr.write(f"dashboard: {error}\n")
         return NOTHING
     except RuntimeError as error:
-        if "gRPC" not in str(error):  # rerun has no class for it
+        if "gRPC" not in str(error):  # rerun has no exception class for a lost connection
             raise
-        return SEVERED  # whoever has started us starts the viewer and us again
+        return SEVERED  # the parent process restarts the viewer and this process
     return 0
 
 
 if __name__ == "__main__":
     code = main()
     sys.stderr.flush()
-    os._exit(code)  # rerun's exit may wait for a viewer that is gone
+    os._exit(code)  # a normal exit may wait in rerun for a viewer that is gone

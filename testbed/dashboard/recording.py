@@ -1,4 +1,4 @@
-"""A run for the rerun viewer: the log as its recording."""
+"""Converts a run's log to a recording for the rerun viewer."""
 
 from collections.abc import Callable
 from itertools import islice
@@ -14,13 +14,13 @@ from testbed.logs.export import refuse_older
 from testbed.logs.feed import LogFeed
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 
-BATCH = 5000  # messages at once; what is drawn does not depend on it
+BATCH = 5000  # messages at once; does not affect the result
 
 
 def write_recording(
     run: Path, out: Path, warn: Callable[[list[str]], None] = lambda lines: None
 ) -> Path:
-    """Draw a whole run into a file; `warn` is handed a line for each damaged place of its log."""
+    """Write a complete run to `out`; `warn` gets a line for each damaged part of its log."""
     refuse_older(out)
     try:
         scenario = load(config_of(run))

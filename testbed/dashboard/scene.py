@@ -1,11 +1,11 @@
-"""The dashboard's picture: the table from above, drawn with rerun in its own process.
+"""The dashboard's scene: the table from above, drawn with rerun in its own process.
 
 Entities:  world/...  the table, to scale in metres;  plot/...  scalars;  valve/...  on and off;
-event  text;  banner  what state everybody is in. One timeline, `t`, the time of the run.
+event  text;  banner  state of all vehicles. One timeline, `t`, the time of the run.
 
-What is shown at a time is a function of the log up to there. Plots, jets and valves have the times
-of their messages; everything else is drawn once a frame of flight time (`dashboard/frame.py`). So
-a flight that is followed and the same one replayed show the same at the same time.
+The scene at a time is a function of the log up to that time. Plots, jets and valves have the times
+of their messages; everything else is drawn once per frame of flight time (`dashboard/frame.py`). So
+a live flight and its replay look the same at the same time.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from testbed.report.scenario import Scenario
 
 
 class Scene:
-    """What has been drawn so far of one run."""
+    """Draws the log of one run."""
 
     def __init__(self, scenario: Scenario, recording: rr.RecordingStream) -> None:
         setting(recording, scenario)
@@ -33,15 +33,15 @@ class Scene:
         self._table = TableScene(scenario, self._columns)
 
     def draw(self, news: Sequence[News]) -> None:
-        """Take in what has come, however much it is."""
+        """Draw any number of new messages."""
         for frame in self._frames.cut(news):
             self._table.draw(frame)
-        self._columns.send()  # first what is looked at first
+        self._columns.send()  # the table first, because it is watched most
         self._plots.draw(news)
         self._wires.draw(news)
 
     def finish(self) -> None:
-        """The log has come to its end."""
+        """Draw the last frame, at the end of the log."""
         for frame in self._frames.rest():
             self._table.draw(frame)
         self._columns.send()

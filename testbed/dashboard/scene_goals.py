@@ -1,4 +1,4 @@
-"""The part of the dashboard's picture that shows what is asked for: goals that move, and errors."""
+"""The part of the dashboard's scene that shows moving goals and position errors."""
 
 from collections.abc import Mapping
 
@@ -12,14 +12,14 @@ from testbed.report.scenario import Scenario
 
 
 class AimScene:
-    """What is asked of a flight."""
+    """Draws moving goals and the errors to what the experiment asks for."""
 
     def __init__(self, scenario: Scenario, columns: Columns) -> None:
         self._scenario, self._columns = scenario, columns
         self._goal_error = GoalError(scenario)
 
     def draw(self, newest: Mapping[str, SeenTick], t: float) -> None:
-        """Of a frame, with the newest tick of each vehicle."""
+        """Draw the frame at `t`, from the newest tick of each vehicle."""
         states = {n: s for n, tick in newest.items() if (s := tick.outputs.state) is not None}
         if states:
             at = np.array([max(state.t for state in states.values())])
@@ -37,6 +37,6 @@ class AimScene:
                 self._columns.add("transform", f"world/goal/{plain(name)}", t, place)
 
     def matters(self, a: str, b: str) -> bool:
-        """Whether two have to stay within the range: the edges of a formation, if there is one."""
+        """Whether two vehicles must stay in range: formation edges, or all without a formation."""
         edges = self._goal_error.edges
         return not edges or any({a, b} == {e.a, e.b} for e in edges)

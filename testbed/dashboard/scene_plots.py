@@ -1,6 +1,6 @@
-"""The dashboard's plots, jets and valves: what each message says by itself, with its own time.
+"""The dashboard's plots, jets and valves, each with the time of its message.
 
-Nothing here depends on how many messages come at once.
+The result does not depend on how many messages are drawn at once.
 """
 
 import math
@@ -15,22 +15,22 @@ from testbed.dashboard.static_scene import FLAME, LAYER, PLUME
 from testbed.logs.feed import Loop, News, SeenHost, SeenTick
 from testbed.report.scenario import Scenario
 
-MEAN_S = 1.0  # of forces: pulses of milliseconds say little by themselves
+MEAN_S = 1.0  # averaging time of forces: single pulses last milliseconds
 
 
 class PlotScene:
-    """What has been drawn of it so far."""
+    """Draws plots, jets and valves of one run."""
 
     def __init__(self, scenario: Scenario, recording: rr.RecordingStream) -> None:
         self._scenario, self._rec = scenario, recording
         self._names = list(scenario.vehicles)
         self._open: dict[tuple[str, int], bool] = {}
-        self._lit: set[str] = set()  # whose jets have a shape
+        self._lit: set[str] = set()  # vehicles whose plume geometry is drawn
         self._renewed: dict[str, tuple[float, float]] = {}
         self._means: dict[str, tuple[float, float]] = {}
 
     def draw(self, news: Sequence[News]) -> None:
-        """Take in what has come."""
+        """Draw new messages."""
         ticks: dict[str, list[SeenTick]] = {}
         hosts: dict[str, list[SeenHost]] = {}
         loops: list[Loop] = []
@@ -57,7 +57,7 @@ class PlotScene:
         )
 
     def _ticks(self, name: str, flown: list[SeenTick]) -> None:
-        """Everything that one vehicle's ticks say."""
+        """Draw all plots of one vehicle's ticks."""
         setup, t = self._scenario.vehicles[name], [tick.inputs.t for tick in flown]
         period = self._scenario.flight.jet_period_s
         outs = [tick.outputs for tick in flown]
@@ -94,7 +94,7 @@ class PlotScene:
         self._valves(name, flown, setup.model.command_delay_s)
 
     def _mean(self, path: str, forces: list[tuple[float, float]], period: float) -> list[float]:
-        """Size of a force, averaged over the last MEAN_S or so."""
+        """Magnitude of a force, averaged over about the last MEAN_S."""
         weight = min(1.0, period / MEAN_S)
         x, y = self._means.get(path, forces[0])
         out = []
@@ -123,7 +123,7 @@ class PlotScene:
         self._column("plot/clearance/limit", [t for t, _ in seen], [0.0] * len(seen))
 
     def _jets(self, name: str, flown: list[SeenTick], period: float) -> None:
-        """Plumes, as long as the jet is open in the period."""
+        """Draw plumes, with a length proportional to the jet's duty cycle."""
         jets = self._scenario.vehicles[name].model.jets
         if not jets:
             return
@@ -160,7 +160,7 @@ class PlotScene:
         )
 
     def _valves(self, name: str, flown: list[SeenTick], delay: float) -> None:
-        """When each valve opened and shut."""
+        """Draw the opening and closing of each valve."""
         for jet in range(len(self._scenario.vehicles[name].model.jets)):
             times, states = [], []
             for tick in flown:
@@ -181,7 +181,7 @@ class PlotScene:
                 )
 
     def _heard(self, name: str, told: list[SeenHost]) -> None:
-        """How old what the host has heard of a vehicle is, and how much of it was lost."""
+        """Draw age and loss of the states that the host receives from a vehicle."""
         rows = [(h.inputs.t, h.inputs.own) for h in told if h.inputs.own is not None]
         if rows:
             t = [at for at, _ in rows]
@@ -190,7 +190,7 @@ class PlotScene:
             self._column(f"plot/loss/{name}", t, lost)
 
     def _lost(self, name: str, heard: list[tuple[float, float]]) -> list[float]:
-        """Share of ticks without anything new, over some seconds [%]."""
+        """Share of ticks without a new message, over some seconds [%]."""
         share, newest = self._renewed.get(name, (0.0, -1.0))
         out = []
         for _, stamp in heard:

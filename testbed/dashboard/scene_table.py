@@ -1,4 +1,4 @@
-"""The dashboard's table from above, its headline and its events: one frame after the other."""
+"""The dashboard's table from above, its headline and its events, drawn frame by frame."""
 
 import math
 from collections.abc import Mapping
@@ -27,15 +27,15 @@ from testbed.logs.recorder import Truth
 from testbed.report.fault_story import OVER, SUPERVISOR, Story, Trouble
 from testbed.report.scenario import Scenario, law_of, range_of
 
-STALE_S = 1.0  # what a vehicle said before says nothing of its links now
-TRAIL_S = 0.5  # between two trails: each is drawn whole
-CROSS = 0.04  # [m] of a stopping point
+STALE_S = 1.0  # links of a vehicle are not drawn from messages older than this
+TRAIL_S = 0.5  # between two updates of a trail, which is redrawn completely
+CROSS = 0.04  # [m] size of a stopping point
 
 Place = tuple[float, float, float]  # x, y [m], theta [rad]
 
 
 def grouped(states: Mapping[str, str]) -> list[str]:
-    """Those who are in the same state together, so that a banner is one line."""
+    """Names of vehicles grouped by state, so that a banner is one line."""
     names: dict[str, list[str]] = {}
     for name, words in states.items():
         names.setdefault(words, []).append(name)
@@ -43,7 +43,7 @@ def grouped(states: Mapping[str, str]) -> list[str]:
 
 
 class TableScene:
-    """What is known of the flight at the newest frame."""
+    """Draws the table, the headline and the events of one run."""
 
     def __init__(self, scenario: Scenario, columns: Columns) -> None:
         self._scenario, self._columns = scenario, columns
@@ -64,7 +64,7 @@ class TableScene:
             columns.add("colour", f"world/vehicle/{name}/body", 0.0, (*hue(k), 255))
 
     def draw(self, frame: Frame) -> None:
-        """One more frame."""
+        """Draw the next frame."""
         t = frame.t
         ticks, truths, said = self._take(frame)
         self._trouble.see(self._newest)
@@ -97,7 +97,7 @@ class TableScene:
     def _take(
         self, frame: Frame
     ) -> tuple[dict[str, list[SeenTick]], list[Truth], list[tuple[float, str, str]]]:
-        """Ticks by vehicle, truths, and what was said; the newest of all is remembered."""
+        """Ticks by vehicle, truths and events of a frame; stores the newest of each."""
         ticks: dict[str, list[SeenTick]] = {}
         truths: list[Truth] = []
         said: list[tuple[float, str, str]] = []
@@ -126,7 +126,7 @@ class TableScene:
     # Vehicles
 
     def _mark(self, t: float) -> None:
-        """Whoever has a fault of his own is red, with a cross."""
+        """Mark vehicles with a fault of their own red, with a cross."""
         culprits = self._trouble.culprits(self._newest)
         for k, name in enumerate(self._names):
             faulty = name in culprits
@@ -141,7 +141,7 @@ class TableScene:
         self._culprits = culprits
 
     def _poses(self, k: int, name: str, flown: list[SeenTick], truths: list[Truth]) -> None:
-        """The truth where anybody knows it, else the estimate."""
+        """Draw the true pose if the rig knows it, otherwise the estimate."""
         rows = [
             (one.t, m.x, m.y, m.theta) for one in truths if (m := one.vehicles.get(name))
         ] or [
@@ -169,7 +169,7 @@ class TableScene:
                 )
 
     def _aim(self, name: str, t: float) -> None:
-        """Reference and stopping point."""
+        """Draw reference and stopping point."""
         out, z = self._newest[name].outputs, LAYER["top"]
         asked, lines = pose_of(out.active_setpoint), []
         ring = [] if asked is None else [circle(asked.x, asked.y, 0.035, z)[::3]]
@@ -184,10 +184,10 @@ class TableScene:
                 ]
         self._columns.add("lines", f"world/stop/{name}", t, Lines(lines))
 
-    # Between them
+    # Links
 
     def _links(self, t: float) -> None:
-        """Who hears whom, with distances."""
+        """Draw the links between vehicles, with distances."""
         pairs = {
             tuple(sorted((name, other)))
             for told in (self._newest, self._heard)
@@ -211,10 +211,10 @@ class TableScene:
             self._columns.add("lines", "world/link", t, Lines(lines, colours, labels))
         self._linked = bool(lines)
 
-    # In words
+    # Headline
 
     def _headline(self) -> Banner:
-        """The state of all, the culprit of a fault first."""
+        """The state of all vehicles, or the fault with its origin first."""
         name, phase = self._scenario.name, self._phase.phase
         if fault := self._trouble.banner(self._newest):
             return Banner(plain(fault), ALARM)

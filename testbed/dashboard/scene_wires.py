@@ -1,4 +1,4 @@
-"""What the dashboard shows of wires and boards: only a rig that has some says anything of them."""
+"""The dashboard's plots of network and boards, for rigs that have them."""
 
 from collections.abc import Sequence
 
@@ -14,14 +14,14 @@ VALVE_STATES = rr.StateConfiguration(
 
 
 class WireScene:
-    """What has been drawn so far of one run."""
+    """Draws network and board messages of one run."""
 
     def __init__(self, scenario: Scenario, recording: rr.RecordingStream) -> None:
         self._scenario, self._rec = scenario, recording
         self._open: dict[tuple[str, int], bool] = {}
 
     def draw(self, news: Sequence[News]) -> None:
-        """Take in what has come."""
+        """Draw new messages."""
         paces: dict[str, list[tuple[float, SeenPace]]] = {}
         edges: dict[str, list[SeenValves]] = {}
         for one in news:
@@ -37,7 +37,7 @@ class WireScene:
                 self._driven(name, driven)
 
     def _wires(self, name: str, seen: list[tuple[float, SeenPace]]) -> None:
-        """How a vehicle's wires are: lateness, delay and loss of its setpoints, its cameras."""
+        """Draw loop lateness, delay and loss of a vehicle's setpoints."""
         self._column(f"plot/loop/{name}", [(t, 1e3 * p.late_s) for t, p in seen])
         delays = [(t, p) for t, p in seen if p.setpoint_delay_s is not None]
         if delays:
@@ -47,7 +47,7 @@ class WireScene:
             self._column(f"plot/loss/to {name}", lost)
 
     def _driven(self, name: str, driven: list[SeenValves]) -> None:
-        """When each valve opened and shut, as the board says."""
+        """Draw the opening and closing of each valve as reported by the board."""
         for jet in range(len(self._scenario.vehicles[name].model.jets)):
             path, times, states = f"valve/{name}/jet_{jet + 1}_board", [], []
             for one in driven:

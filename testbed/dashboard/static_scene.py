@@ -1,4 +1,4 @@
-"""The dashboard's stage: what stands still, and the shapes that everything is made of."""
+"""The static part of the dashboard's scene, and the shapes of moving objects."""
 
 import math
 from collections.abc import Sequence
@@ -25,9 +25,9 @@ HUES = (
 FAULTY = (225, 38, 48)  # a vehicle with a fault of its own
 GREY, RED, WHITE, FLAME = (120, 130, 145), (255, 107, 107), (240, 244, 248), (255, 214, 102)
 AROUND = np.linspace(0.0, 2.0 * math.pi, 73)
-PLUME = 0.26  # [m] as drawn, of a jet that is open all the period
+PLUME = 0.26  # [m] drawn length for a jet that is open for the entire period
 TRAIL = 600  # points
-LEADER_M = 0.12  # radius of a leader as drawn: nobody is there
+LEADER_M = 0.12  # drawn radius of a leader, which is only a point
 LAYER = {
     "table": -0.02,
     "danger": 0.0,
@@ -37,7 +37,7 @@ LAYER = {
     "jet": 0.03,
     "top": 0.04,
     "cross": 0.05,
-}  # [m] what is drawn over what
+}  # [m] height, which sets the drawing order
 
 
 PLOTS = (
@@ -55,7 +55,7 @@ PLOTS = (
 
 
 def plain(text: str) -> str:
-    """Only what every viewer's font has: rerun 0.41 ends itself over a missing letter."""
+    """`text` without characters missing in the viewer's font: rerun 0.41 crashes on them."""
     return text.encode("ascii", "replace").decode()
 
 
@@ -65,14 +65,14 @@ def hue(k: int) -> tuple[int, int, int]:
 
 
 def circle(x: float, y: float, radius: float, z: float) -> Array:
-    """As a closed line."""
+    """A circle as a closed line."""
     return np.stack(
         [x + radius * np.cos(AROUND), y + radius * np.sin(AROUND), np.full(len(AROUND), z)], axis=1
     )
 
 
 def disc(x: float, y: float, radius: float, z: float, colour: Sequence[int]) -> rr.Mesh3D:
-    """Filled."""
+    """A filled circle."""
     rim = circle(x, y, radius, z)[:-1]
     n = len(rim)
     fan = [(n, k, (k + 1) % n) for k in range(n)]
@@ -84,7 +84,7 @@ def disc(x: float, y: float, radius: float, z: float, colour: Sequence[int]) -> 
 
 
 def dashes(line: Array, length: float) -> list[Array]:
-    """A line as strokes of about `length` [m]."""
+    """A dashed line with strokes of about `length` [m]."""
     out = []
     for a, b in pairwise(line):
         n = max(1, round(float(np.linalg.norm(b - a)) / length))
@@ -97,7 +97,7 @@ def dashes(line: Array, length: float) -> list[Array]:
 
 
 def setting(rec: rr.RecordingStream, scenario: Scenario) -> None:
-    """Table, fence, obstacles, goals, and each vehicle's shape."""
+    """Draw table, fence, obstacles, goals, and each vehicle's shape."""
     log = rec.log
     half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
     log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -164,7 +164,7 @@ def setting(rec: rr.RecordingStream, scenario: Scenario) -> None:
 
 
 def vehicle(rec: rr.RecordingStream, scenario: Scenario, k: int, name: str) -> None:
-    """One vehicle to scale: body, heading, nozzles, rim; and its goal."""
+    """Draw one vehicle to scale: body, heading, nozzles, rim; and its goal."""
     setup, log = scenario.vehicles[name], rec.log
     model, colour = setup.model, hue(k)
     body = np.array([[j.position[0], j.position[1], 0.0] for j in model.jets] or [[0.1, 0.1, 0.0]])
@@ -229,7 +229,7 @@ def goal(
     radius: float,
     colour: tuple[int, int, int],
 ) -> None:
-    """Where somebody is sent: a ring with a cross and an arrow."""
+    """Draw a goal: a ring with a cross and an arrow."""
     x, y, theta = pose
     z = LAYER["trail"]
     tip = [[x, y, z], [x + 1.5 * radius * math.cos(theta), y + 1.5 * radius * math.sin(theta), z]]
@@ -248,7 +248,7 @@ def goal(
 
 
 def moving_goals(rec: rr.RecordingStream, scenario: Scenario) -> None:
-    """Shapes of goals that move and of a formation's leader, about their own centres."""
+    """Draw the shapes of moving goals and of a formation's leader, about their own centres."""
     goal_error = GoalError(scenario)
     if goal_error.led:
         goal(rec, "leader", (0.0, 0.0, 0.0), LEADER_M, WHITE)
@@ -258,12 +258,12 @@ def moving_goals(rec: rr.RecordingStream, scenario: Scenario) -> None:
 
 
 def is_moving(rock: Obstacle) -> bool:
-    """Whether it has to be drawn anew in every frame."""
+    """Whether the obstacle moves, so that every frame redraws it."""
     return rock.velocity != (0.0, 0.0)
 
 
 def obstacle(rec: rr.RecordingStream, name: str, rock: Obstacle) -> None:
-    """Danger zone and solid core; of one that moves about its own centre, which is moved."""
+    """Draw danger zone and solid core; a moving obstacle about its own centre."""
     path, z = f"world/obstacle/{name}", LAYER["danger"]
     x, y = (0.0, 0.0) if is_moving(rock) else rock.position
     if is_moving(rock):

@@ -1,7 +1,7 @@
-"""Viewer processes: rerun's own program, on loopback unless told otherwise, with a memory cap.
+"""Viewer processes: rerun's own program, by default on loopback, with a memory limit.
 
-The `rerun` command that pip installs is a wrapper, and ending it would leave the viewer behind; so
-the program itself is started. Left to itself it would listen on every interface.
+The `rerun` command that pip installs is a wrapper, and ending it leaves the viewer running; so the
+program itself is started. By default that would listen on every interface.
 """
 
 import os
@@ -27,11 +27,11 @@ Kind = Literal["window", "web", "headless"]
 
 
 class ViewerError(TestbedError):
-    """There is no viewer to be had."""
+    """No viewer can be started."""
 
 
 class Address(Struct, frozen=True):
-    """Where a viewer listens."""
+    """Host and ports of a viewer."""
 
     bind: str
     port: int  # for data
@@ -39,12 +39,12 @@ class Address(Struct, frozen=True):
 
     @property
     def data(self) -> str:
-        """For those who have something to show."""
+        """URL for sending data."""
         return f"rerun+http://{_reachable(self.bind)}:{self.port}/proxy"
 
     @property
     def page(self) -> str:
-        """For browsers."""
+        """URL for browsers."""
         host = _reachable(self.bind)
         source = f"rerun%2Bhttp%3A%2F%2F{host}%3A{self.port}%2Fproxy"
         return f"http://{host}:{self.web_port}/?url={source}&theme=dark&hide_welcome_screen"
@@ -55,14 +55,14 @@ def _reachable(bind: str) -> str:
 
 
 def free_port(bind: str = LOOPBACK) -> int:
-    """A port that nobody listens on."""
+    """A free TCP port."""
     with socket.socket() as one:
         one.bind((bind, 0))
         return int(one.getsockname()[1])
 
 
 def program() -> Path:
-    """Rerun's viewer.
+    """Path of rerun's viewer program.
 
     Raises:
         ViewerError: it is not installed.
@@ -90,10 +90,10 @@ def command(kind: Kind, address: Address, files: Sequence[Path] = ()) -> list[st
 
 
 def start(kind: Kind, address: Address, files: Sequence[Path] = ()) -> "subprocess.Popen[bytes]":
-    """Start a viewer; what it says is of no interest to the operator."""
+    """Start a viewer; its output is discarded."""
     if kind == "window" and sys.platform.startswith("linux"):
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            raise ViewerError("there is no screen here for a window; try --web")
+            raise ViewerError("no display for a window; try --web")
     viewer = subprocess.Popen(
         command(kind, address, files),
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -104,13 +104,13 @@ def start(kind: Kind, address: Address, files: Sequence[Path] = ()) -> "subproce
 
 
 def step_back(process: "subprocess.Popen[bytes]") -> None:
-    """Whoever looks on runs when the flight does not need the processor."""
+    """Lower a process's priority so that it does not disturb the flight."""
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, process.pid, BEHIND)
 
 
 def listens(address: Address) -> bool:
-    """Whether it is ready for data."""
+    """Whether the viewer accepts connections."""
     with socket.socket() as one:
         one.settimeout(0.2)
         return one.connect_ex((_reachable(address.bind), address.port)) == 0

@@ -1,8 +1,8 @@
-"""Figures as SVG, drawn here: no plotting library in the runtime, and colours follow the page.
+"""Draws figures as SVG without a plotting library.
 
-A chart is axes with units and a list of things in them. Every colour is a class of the style sheet
-below, so the same figure is right on light and on dark; a file of its own carries the light one.
-Long series are thinned to the largest and smallest value per pixel column, which draws the same.
+A chart has axes with units and a list of items. Every colour is a class of the style sheet below,
+so a figure follows the light or dark theme of its page; a stand-alone file includes the light one.
+Long series are reduced to the largest and smallest value per pixel column, which looks the same.
 """
 
 import math
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 WIDTH = 600  # of a figure; it scales with the page
 HUES = 6
-APART = 14.0  # between two names of limits, baseline to baseline
-THINNEST = 0.7  # of a bar, so that a pulse of milliseconds is seen in a run of minutes
+APART = 14.0  # least distance of two limits' names, baseline to baseline
+THINNEST = 0.7  # width of a bar, so that a pulse of milliseconds is visible in a run of minutes
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 44
 LETTER, ROW = 7.2, 18  # of a legend: width of a letter, height of a row
 
@@ -48,7 +48,7 @@ text { font: 12px system-ui, 'Helvetica Neue', Arial, sans-serif; fill: var(--so
 
 
 class Line(Struct, frozen=True):
-    """A series; NaN interrupts it."""
+    """A series of points; NaN interrupts the line."""
 
     x: Array
     y: Array
@@ -58,14 +58,14 @@ class Line(Struct, frozen=True):
 
 
 class Limit(Struct, frozen=True):
-    """A value that must not be crossed."""
+    """A horizontal line at a limit of y."""
 
     y: float
     name: str
 
 
 class Moment(Struct, frozen=True):
-    """A time at which something happened."""
+    """A vertical line at the time of an event."""
 
     x: float
     name: str
@@ -82,14 +82,14 @@ class Disc(Struct, frozen=True):
 
 
 class Point(Struct, frozen=True):
-    """A place."""
+    """A marker with a name."""
 
     x: float
     y: float
     hue: int
     shape: str  # ring: a start; cross: a goal; hit: a contact
     name: str = ""
-    room: float = 0.0  # radius of what is there: the name stands outside
+    room: float = 0.0  # radius of the object, which the name stays outside of
 
 
 class Raster(Struct, frozen=True):
@@ -106,17 +106,17 @@ Item = Line | Limit | Moment | Disc | Point | Raster
 
 
 class Chart(Struct, frozen=True):
-    """Axes and what is in them."""
+    """A figure: axes and items."""
 
-    key: str  # its file's name
+    key: str  # name of its file
     title: str
     x_label: str
     y_label: str
     items: Sequence[Item]
     x_range: tuple[float, float]
-    y_range: tuple[float, float] | None = None  # from the items
+    y_range: tuple[float, float] | None = None  # None: from the items
     log: bool = False  # y
-    equal: bool = False  # one unit is as long along x as along y; the range is a table
+    equal: bool = False  # equal scales of x and y; the range is a table
     height: int = 210
     width: int = WIDTH
     note: str = ""  # below the figure
@@ -133,12 +133,12 @@ def draw(chart: Chart) -> str:
 
 
 def alone(chart: Chart) -> str:
-    """The figure as a file of its own, on white."""
+    """The figure as a stand-alone file, on white."""
     svg = draw(chart)
     head, _, rest = svg.partition(">")
     height = head.split()[4].rstrip('"')
     style = STYLE
-    for name, colour in LIGHT.items():  # drawing programs do not know var()
+    for name, colour in LIGHT.items():  # drawing programs do not support var()
         style = style.replace(f"var(--{name})", colour)
     return (
         f'{head} width="{chart.width}" height="{height}"><style>{style}</style>'
@@ -172,12 +172,12 @@ def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
 
 
 def number(value: float) -> str:
-    """A tick's label."""
+    """Label of a tick."""
     return f"{0.0 if abs(value) < 1e-12 else value:.10g}".replace("-", "\N{MINUS SIGN}")
 
 
 class _Frame:
-    """Where things are."""
+    """Converts data to positions in the figure and draws its parts."""
 
     def __init__(self, chart: Chart) -> None:
         self.chart = chart
@@ -197,7 +197,7 @@ class _Frame:
         self._name_at = self._names_of_limits()
 
     def _names_of_limits(self) -> dict[str, float]:
-        """Where each is written: above its line, or below it if there is no room."""
+        """Height of each limit's name: above its line, or below it if there is no room."""
         limits = [(self.y(i.y), i.name) for i in self.chart.items if isinstance(i, Limit)]
         found: dict[str, float] = {}
         last = -math.inf
@@ -333,7 +333,7 @@ class _Frame:
         return out
 
     def _placed(self) -> list[tuple[Line, float, int]]:
-        """Everything in the legend, how far along and in which row."""
+        """Entries of the legend, each with its position along x and its row."""
         out, at, row = [], float(self.left), 0
         for item in self.chart.items:
             if not isinstance(item, Line) or not item.name:
@@ -347,7 +347,7 @@ class _Frame:
 
 
 def _range(chart: Chart) -> tuple[float, float]:
-    """Of y, with a little air, limits included."""
+    """Range of y with a margin, limits included."""
     values: list[float] = []
     for item in chart.items:
         match item:

@@ -1,4 +1,4 @@
-"""A report's list of what happened: contacts, faults, interventions, each said once."""
+"""The report's list of events: contacts, faults, interventions, without repetition."""
 
 from html import escape
 
@@ -8,13 +8,13 @@ from testbed.report.fault_story import RANK, SUPERVISOR, Said, Story
 from testbed.report.scenario import Scenario
 from testbed.report.verdict import hit
 
-SHOWN = 40  # lines
-REPEATED = 3  # times, from which on they are one line
+SHOWN = 40  # most lines in the list
+REPEATED = 3  # repetitions from which an event becomes one line
 LOOKS = {"CRITICAL": "not", "ERROR": "not", "WARN": "warn", "INFO": ""}
 
 
 def lines(scenario: Scenario, history: History, metrics: Metrics) -> list[Said]:
-    """In order of time, what was said again and again in one line."""
+    """Events in order of time; repeated ones are merged."""
     rows = [
         (t, name, words)
         for name, vehicle in history.vehicles.items()
@@ -27,7 +27,7 @@ def lines(scenario: Scenario, history: History, metrics: Metrics) -> list[Said]:
 
 
 def gathered(told: list[Said]) -> list[Said]:
-    """What is said often becomes one line, at its first time."""
+    """Merge repeated events into one line, at the time of the first."""
     often: dict[tuple[str, str], list[Said]] = {}
     for one in told:
         often.setdefault((one.level, one.words), []).append(one)
@@ -45,17 +45,17 @@ def gathered(told: list[Said]) -> list[Said]:
 
 
 def happened(scenario: Scenario, history: History, metrics: Metrics) -> str:
-    """The section."""
+    """The report's section of faults and interventions, as HTML."""
     rows = [_row(one) for one in lines(scenario, history, metrics)]
     if not rows:
         return "<h2>Faults and interventions</h2><p>None.</p>"
-    if (more := len(rows) - SHOWN) > 0:  # how it began, and how it came to its end
+    if (more := len(rows) - SHOWN) > 0:  # keep the first and the last lines
         half = SHOWN // 2
         rest = f'<td></td><td></td><td class="words soft">{more} more, in the log</td>'
         rows = [*rows[:half], f"<tr>{rest}</tr>", *rows[-half:]]
     return (
         '<h2>Faults and interventions</h2><div class="wide"><table><tr>'
-        '<th>time [s]</th><th class="words">who</th><th class="words">what</th></tr>'
+        '<th>time [s]</th><th class="words">vehicle</th><th class="words">event</th></tr>'
         f"{''.join(rows)}</table></div>"
     )
 

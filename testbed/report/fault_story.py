@@ -1,7 +1,7 @@
-"""A fault in words: whose it is, what it is, and who stops because of it.
+"""Describes a fault for the operator: its origin, its cause, and the vehicles that stop with it.
 
-A fault of one vehicle stops all, so every vehicle says that it has one. What an operator has to
-know first is where it began: the culprit. The others follow.
+A fault of one vehicle stops all vehicles, so every vehicle reports one. The operator must first
+know its origin, the culprit; the other vehicles follow.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,10 +11,10 @@ from testbed.logs.feed import SeenTick
 from testbed.report.scenario import Scenario
 
 Level = Literal["INFO", "WARN", "ERROR", "CRITICAL"]
-SHORT = 44  # letters of a fault in the banner
-OVER = ("DISARMED", "STOPPED", "FAULT")  # phases of the supervisor in which nobody flies any more
+SHORT = 44  # most letters of a fault in the banner
+OVER = ("DISARMED", "STOPPED", "FAULT")  # phases of the supervisor after the flight
 SUPERVISOR = "supervisor"
-STATES = {  # of a response: while valves may open, and afterwards
+STATES = {  # by response: text while valves may open, and afterwards
     "hold": ("holding", "holding"),
     "brake": ("braking", "stopped"),
     "coast": ("drifting", "drifting"),
@@ -26,15 +26,15 @@ RANK: tuple[Level, ...] = ("CRITICAL", "ERROR", "WARN", "INFO")
 
 
 def follows(scenario: Scenario, fault: str) -> bool:
-    """Whether a fault is only that another vehicle has one."""
+    """Whether a fault only reports the fault of another vehicle."""
     row = scenario.faults.get(fault.partition(":")[0])
     return row is not None and row.detector == "fleet"
 
 
 def short(fault: str) -> str:
-    """A fault without its row, its numbers and its reasons, for a banner."""
+    """A fault without its identifier, numbers and reasons, for a banner."""
     row, _, text = fault.partition(": ")
-    words = text if text and " " not in row else fault  # the gate's words have no row
+    words = text if text and " " not in row else fault  # the gate's faults have no identifier
     words = words.partition(": ")[0].partition(" (")[0]
     if len(words) > SHORT and "? " in words:
         return words.partition("? ")[0] + "?"
@@ -44,21 +44,21 @@ def short(fault: str) -> str:
 
 
 def _state(tick: SeenTick) -> str:
-    """What became of a vehicle with a fault."""
+    """State of a vehicle with a fault, for the banner."""
     out = tick.outputs
     flying, over = STATES.get(out.response, (out.response, out.response or "stopped"))
     return over if out.inhibit_reason else flying
 
 
 class Trouble:
-    """Who has a fault of his own, in the order in which they came, and who follows."""
+    """Vehicles with faults, in order of time, and which of these faults are their own."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
         self._since: dict[str, float] = {}
 
     def see(self, newest: Mapping[str, SeenTick]) -> None:
-        """The newest tick of each vehicle."""
+        """Update with the newest tick of each vehicle."""
         for name, tick in newest.items():
             if tick.outputs.fault is not None:
                 self._since.setdefault(name, tick.inputs.t)
@@ -66,7 +66,7 @@ class Trouble:
                 self._since.pop(name, None)
 
     def culprits(self, newest: Mapping[str, SeenTick]) -> dict[str, str]:
-        """Who has a fault of his own, or is said to have one, and which in short words."""
+        """Vehicles with a fault of their own, also as reported by others, with a short text."""
         found: dict[str, str] = {}
         said = ""
         for name in sorted(self._since, key=self._since.__getitem__):
@@ -76,14 +76,14 @@ class Trouble:
             else:
                 found[name] = short(fault)
         if not found and said:
-            for name in self._scenario.vehicles:  # a vehicle that is silent, or its law on the host
+            for name in self._scenario.vehicles:  # for a silent vehicle, or its law on the host
                 before, found_it, words = said.partition(f" {name}: ")
                 if found_it and before:
                     return {name: short(words)}
         return found
 
     def banner(self, newest: Mapping[str, SeenTick]) -> str:
-        """The culprit first, then who follows; empty: no fault."""
+        """Text of the banner, the culprit first, then the others; empty: no fault."""
         culprits = self.culprits(newest)
         if not self._since:
             return ""
@@ -101,7 +101,7 @@ class Trouble:
 
 
 class Said(NamedTuple):
-    """One line of what happened."""
+    """One line of the list of events."""
 
     t: float  # [s]
     who: tuple[str, ...]
@@ -110,19 +110,19 @@ class Said(NamedTuple):
 
 
 class Story:
-    """What vehicles and supervisor say, as lines: each fault's sentence once, the culprit first."""
+    """Converts events of vehicles and supervisor to lines: each fault once, the culprit first."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        self._known: set[str] = set()  # faults whose sentence has been said
+        self._known: set[str] = set()  # faults already reported
 
     def tell(self, rows: Iterable[tuple[float, str, str]]) -> list[Said]:
-        """Lines of (time, who, words); what comes with the next call is of later."""
+        """Lines of rows (time, who, words); each call must be later than the previous one."""
         ordered = sorted(rows, key=lambda row: row[0])
         for _, _, words in ordered:
             kind, _, fault = words.partition(": ")
             if kind == "fault" and not follows(self._scenario, fault):
-                self._known.add(fault)  # "valves shut" comes with it, or before
+                self._known.add(fault)  # "valves shut" arrives with it, or before
         lines: dict[tuple[float, Level, str], list[str]] = {}
         for t, who, words in ordered:
             if (line := self._line(t, who, words)) is not None:
@@ -131,7 +131,7 @@ class Story:
         return sorted(said, key=lambda one: (one.t, RANK.index(one.level)))
 
     def _line(self, t: float, who: str, words: str) -> tuple[Level, str] | None:
-        """Level and words; None if it says nothing new."""
+        """Level and text of a line; None if it repeats known information."""
         kind, _, rest = words.partition(": ")
         if who == SUPERVISOR:
             culprit, _, fault = rest.partition(": ")
@@ -143,7 +143,7 @@ class Story:
                 return "CRITICAL", words
             if any(fault in rest for fault in self._known):
                 return "ERROR", STOPPING_TOO
-            self._known.add(rest)  # whose it is, no vehicle has said
+            self._known.add(rest)  # no vehicle has reported it as its own
             return "CRITICAL", words
         if kind == "valves shut":
             if rest in self._known or follows(self._scenario, rest):
@@ -152,6 +152,6 @@ class Story:
         if kind in STOPPING:
             asked = [row for row in rest.split(", ") if row and not follows(self._scenario, row)]
             if rest and not asked:
-                return None  # it stops with the others, and says so
+                return None  # its fault line already reports that it stops with the others
             return "ERROR", ": ".join(filter(None, (kind, ", ".join(asked))))
         return ("WARN" if kind in ("warn", "hold", "cameras") else "INFO"), words

@@ -1,4 +1,4 @@
-"""The figures of a run, and what they are called in the paper that it repeats."""
+"""The figures of a run, and the corresponding figures of the paper."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,10 +15,10 @@ from testbed.report.scenario import Scenario
 
 Array = NDArray[np.float64]
 
-MOST_PAIRS = 6  # that get a line each
+MOST_PAIRS = 6  # of vehicles drawn as one line per pair
 GHOSTS = 9  # instants at which the vehicles are drawn along their tracks
 WITH_TOUCHES = ("error", "obstacles", "separation", "speed")  # figures over time
-PAPERS = {  # what a figure is the analogue of
+PAPERS = {  # corresponding figures of the papers
     "zhang2023": {
         "trajectory": "Figure 15", "error_xy": "Figure 16", "error": "Figure 16",
         "tracking": "Figure 18",
@@ -27,7 +27,7 @@ PAPERS = {  # what a figure is the analogue of
 
 
 def figures(scenario: Scenario, history: History, touches: Sequence[Touch] = ()) -> list[Chart]:
-    """All that apply, in the order of a report, with the contacts marked."""
+    """All applicable figures, in the order of the report, with contacts marked."""
     makers = (
         _trajectory, _error, _error_xy, _tracking, _heading, _distances, _separations, _speed,
         _force, _valves, _air, _timing, _filter,
@@ -38,7 +38,7 @@ def figures(scenario: Scenario, history: History, touches: Sequence[Touch] = ())
 
 
 def _with_touches(chart: Chart, history: History, touches: Sequence[Touch]) -> Chart:
-    """Where and when vehicles hit something."""
+    """Add markers of contacts to a figure."""
     marks: list[Item] = []
     if chart.key == "trajectory":
         for one in touches:
@@ -47,7 +47,7 @@ def _with_touches(chart: Chart, history: History, touches: Sequence[Touch]) -> C
             marks.append(Point(x, y, 0, "hit"))
     elif chart.key in WITH_TOUCHES:
         times: dict[float, str] = {}
-        for one in touches:  # two at a glance are one line
+        for one in touches:  # simultaneous contacts share one line
             if all(abs(one.t - t) > 0.01 * history.end for t in times):
                 times[one.t] = f"{one.vehicle} hits {one.other}"
         marks += [Moment(t, words) for t, words in times.items()]
@@ -56,7 +56,7 @@ def _with_touches(chart: Chart, history: History, touches: Sequence[Touch]) -> C
 
 
 def _shows(item: Item) -> bool:
-    """Whether there is anything to see; a limit alone is not."""
+    """Whether an item shows data: a limit alone does not."""
     match item:
         case Line(_, y):
             return bool(np.isfinite(y).any())
@@ -66,7 +66,7 @@ def _shows(item: Item) -> bool:
 
 
 def analogue(scenario: Scenario, key: str) -> str:
-    """The paper's figure that this one repeats, in words; empty if there is none."""
+    """Text naming the paper's figure that this one corresponds to; empty if there is none."""
     paper = scenario.name.partition("_")[0]
     figure = PAPERS.get(paper, {}).get(key)
     return f"the analogue of {figure} in {paper}" if figure else ""
@@ -124,15 +124,15 @@ def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
             items.append(Line(x, y, 0, "", "edge"))
     half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
     note = "Rings are starts"
-    note += ", crosses goals" * has_goals + ", the cross is the leader" * goal_error.led
+    note += ", crosses are goals" * has_goals + ", the cross is the leader" * goal_error.led
     note += "; grey lines are the formation's edges at the end" * bool(goal_error.edges)
-    note += f"; circles are the vehicles to scale at {GHOSTS} instants"
+    note += f"; circles are the vehicles to scale at {GHOSTS} times"
     if not all(np.isnan(v.reference).all() for v in history.vehicles.values()):
         note += "; thin dashed lines are the references"
     if any(obstacle.velocity != (0.0, 0.0) for obstacle in scenario.obstacles.values()):
-        note += "; an obstacle is drawn where it starts, and its way as a dashed red line"
+        note += "; obstacles are drawn at their start, their paths as dashed red lines"
     if scenario.obstacles:
-        note += "; dashed red is a danger radius, for the vehicle's centre"
+        note += "; dashed red circles are danger radii for the vehicle's centre"
     note += "."
     yield Chart("trajectory", "Trajectories on the table", "x [m]", "y [m]", items,
                 (-half_x, half_x), (-half_y, half_y), equal=True, note=note)  # fmt: skip
@@ -157,7 +157,7 @@ def _error(scenario: Scenario, history: History) -> Iterator[Chart]:
 def _error_xy(scenario: Scenario, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     if GoalError(scenario).forms:
-        return  # nobody has a goal of his own
+        return  # vehicles have no individual goals
     for k, name, _ in _vehicles(history):
         t, state = history.where(name)
         off = state[:, :2] - goal_at(scenario.vehicles[name], t)
@@ -167,7 +167,7 @@ def _error_xy(scenario: Scenario, history: History) -> Iterator[Chart]:
 
 
 def _interpolated(history: History, name: str) -> tuple[Array, Array, Array]:
-    """Times, true poses there, and the references for these times."""
+    """Times, and the true poses and references at these times."""
     vehicle = history.vehicles[name]
     t, state = history.where(name)
     known = ~np.isnan(vehicle.at) & ~np.isnan(vehicle.reference[:, 2])
@@ -191,12 +191,12 @@ def _tracking(scenario: Scenario, history: History) -> Iterator[Chart]:
     limit = scenario.criteria.track_rms_m
     for k, name, vehicle in _vehicles(history):
         if not np.isnan(vehicle.force_asked).all():
-            continue  # nobody asked it to be anywhere
+            continue  # commanded by force, without a reference
         at, pose, asked = _interpolated(history, name)
         items.append(Line(at, 1e3 * np.hypot(*(pose - asked)[:, :2].T), k, name))
     if items and limit is not None:
         items.append(Limit(1e3 * limit, f"RMS limit {1e3 * limit:g} mm"))
-    yield Chart("tracking", "Tracking error: where it was against where it was sent", "time [s]",
+    yield Chart("tracking", "Tracking error: distance to the reference", "time [s]",
                 "error [mm]", items, _time(history))  # fmt: skip
 
 
@@ -206,7 +206,7 @@ def _heading(scenario: Scenario, history: History) -> Iterator[Chart]:
         t, state = history.where(name)
         off = np.angle(np.exp(1j * (state[:, 2] - scenario.vehicles[name].goal[2])))
         items.append(Line(t, np.degrees(off), k, name))
-    yield Chart("heading", "Heading against the goal's", "time [s]", "angle [deg]", items,
+    yield Chart("heading", "Heading error to the goal", "time [s]", "angle [deg]", items,
                 _time(history), height=170)  # fmt: skip
 
 
@@ -251,7 +251,7 @@ def _touch(scenario: Scenario) -> Limit:
 
 
 def _nearest(scenario: Scenario, history: History) -> Chart:
-    """Of many vehicles, one line for each and not for each pair."""
+    """Separation of many vehicles: one line per vehicle instead of per pair."""
     t, places = history.together()
     items: list[Item] = [
         Line(t, np.min([np.hypot(*(place - other).T) for whose, other in places.items()
@@ -295,12 +295,12 @@ def _force(scenario: Scenario, history: History) -> Iterator[Chart]:
         items.append(Line(v.t, given, k, "", "thin dashed"))
         items.append(Line(v.t, commanded, k, f"{name} demanded"))
     yield Chart("force", "Force demanded and delivered", "time [s]", "force [N]", items,
-                _time(history), note="Means over 1 s. Delivered, thin and dashed: by the jet "
-                "table, of the pulses.")  # fmt: skip
+                _time(history), note="Means over 1 s. Delivered (thin, dashed): computed "
+                "from the pulses and the jet table.")  # fmt: skip
 
 
 def openings(edges: Array, jet: int) -> tuple[Array, Array]:
-    """When a jet was opened and for how long [s], of its board's edges (t, mask)."""
+    """Times and durations [s] of a jet's openings, from its board's edges (t, mask)."""
     is_open = (edges[:, 1].astype(int) >> jet) & 1
     before = np.concatenate([[0], is_open[:-1]])
     starts = edges[(is_open == 1) & (before == 0), 0]
@@ -314,7 +314,7 @@ def _valves(scenario: Scenario, history: History) -> Iterator[Chart]:
         delay = scenario.vehicles[name].model.command_delay_s
         for jet in range(v.on.shape[1]):
             row = -(k * (v.on.shape[1] + 1) + jet)
-            if len(v.edges):  # its board has said what it drove
+            if len(v.edges):  # its board reports output edges
                 starts, lengths = openings(v.edges, jet)
                 rows.append(Raster(row, starts, lengths, k, f"{name} {jet + 1}"))
                 continue
@@ -329,11 +329,11 @@ def _air(scenario: Scenario, history: History) -> Iterator[Chart]:
     tank: list[Item] = []
     supply: list[Item] = []
     for k, name, v in _vehicles(history):
-        if np.any(v.tank > 0.0):  # else it has no gauge
+        if np.any(v.tank > 0.0):  # otherwise it has no pressure gauge
             tank.append(Line(v.t, v.tank / 1e6, k, name))
         if np.any(v.supply > 0.0):
             supply.append(Line(v.t, v.supply / 1e3, k, name))
-    yield Chart("tank", "Gas left: tank pressure", "time [s]", "pressure [MPa]", tank,
+    yield Chart("tank", "Tank pressure", "time [s]", "pressure [MPa]", tank,
                 _time(history), height=160)  # fmt: skip
     yield Chart("supply", "Supply pressure behind the regulator", "time [s]", "pressure [kPa]",
                 supply, _time(history), height=140)  # fmt: skip
@@ -354,7 +354,7 @@ def _timing(scenario: Scenario, history: History) -> Iterator[Chart]:
     for k, name, v in _vehicles(history):
         if len(v.wires):
             heard.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 2], k, f"to {name}", "thin dashed"))
-    yield Chart("link", "Link: age of the newest state that the host has heard", "time [s]",
+    yield Chart("link", "Link: age of the newest state at the host", "time [s]",
                 "age [ms]", heard, _time(history), height=150)  # fmt: skip
     loop: list[Item] = []
     if len(history.loop):
@@ -363,7 +363,7 @@ def _timing(scenario: Scenario, history: History) -> Iterator[Chart]:
     for k, name, v in _vehicles(history):
         if len(v.wires):
             loop.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 1], k, name, "thin"))
-    yield Chart("loop", "The loop's lateness", "time [s]", "time [ms]", loop, _time(history),
+    yield Chart("loop", "Lateness of the loop", "time [s]", "time [ms]", loop, _time(history),
                 height=150)  # fmt: skip
 
 
@@ -373,5 +373,5 @@ def _filter(scenario: Scenario, history: History) -> Iterator[Chart]:
         for k, name, v in _vehicles(history)
         if np.any(v.filtered)
     ]
-    yield Chart("filter", "What the safety filter changed", "time [s]", "force [N]", items,
+    yield Chart("filter", "Force change by the safety filter", "time [s]", "force [N]", items,
                 _time(history), height=150)  # fmt: skip

@@ -1,8 +1,8 @@
-"""How far everybody is from what is asked of him, moment by moment.
+"""Errors of vehicles over time, for figures and the dashboard.
 
-Most laws send a vehicle to a goal, which may move along a path. A formation's law has none: there
-it is the lengths of the graph's edges, or the distance to a phase's curve. What came of it in the
-end is `testbed.metrics.formation`'s; here is the way there, for figures and for those who look on.
+With most laws each vehicle has a goal, which may move along a path. With a formation law the error
+is that of the graph's edge lengths, or the distance to a phase's curve. `testbed.metrics.formation`
+computes the final values.
 """
 
 from collections.abc import Mapping
@@ -22,15 +22,15 @@ Array = NDArray[np.float64]
 
 
 class Edge(NamedTuple):
-    """Two who keep a distance."""
+    """Two vehicles, or a vehicle and the leader, and their desired distance."""
 
     a: str
-    b: str  # LEADER: the goal that moves
+    b: str  # LEADER: the moving goal
     length: float  # [m]
 
 
 def goal_at(setup: Setup, t: Array) -> Array:
-    """Where a vehicle is sent, shape (len(t), 2) [m]."""
+    """Goal position of a vehicle, shape (len(t), 2) [m]."""
     start = np.tile(np.array(setup.goal[:2]), (len(t), 1))
     if setup.path is None or len(t) == 0:
         return start
@@ -38,18 +38,18 @@ def goal_at(setup: Setup, t: Array) -> Array:
 
 
 class GoalError:
-    """What a scenario asks for."""
+    """The goals, edges or curves of a scenario, and errors to them."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario, self._law = scenario, cast(Any, scenario.controller)
         kind = formation_kind(self._law)
-        self.forms = kind is not None  # no vehicle has a goal of its own
+        self.forms = kind is not None  # vehicles have no individual goals
         self.led = kind == "led graph"
         self.edges: list[Edge] = self._edges() if kind in ("graph", "led graph") else []
         self.settled_m = SETTLED_M
         self.title = "Distance to the goal"
         if self.edges:
-            self.title, self.settled_m = "Edges of the formation: off their wanted length", EDGE_M
+            self.title, self.settled_m = "Formation edges: length error", EDGE_M
         elif self.forms:
             self.title, self.settled_m = "Distance to the formation's curve", CURVE_M
 
@@ -68,7 +68,7 @@ class GoalError:
         return goal_at(next((s for s in setups if s.path is not None), setups[0]), t)
 
     def parts(self, t: Array, places: Mapping[str, Array]) -> dict[str, Array]:
-        """By vehicle, or by edge, how far it is off [m]; `places` are of shape (len(t), 2)."""
+        """Error by vehicle, or by edge [m]; `places` are of shape (len(t), 2)."""
         if self.edges:
             everybody = {**places, LEADER: self.leader_at(t)} if self.led else places
             return {
@@ -85,7 +85,7 @@ class GoalError:
         }
 
     def _to_curve(self, law: BifurcatingParams, t: Array, place: Array) -> Array:
-        """NaN in phases without a curve."""
+        """Distance to the phase's curve [m]; NaN in phases without a curve."""
         off = np.full(len(t), np.nan)
         centre = np.zeros(2) if law.centre is None else np.array(law.centre)
         ends = [*(phase.at for phase in law.phases[1:]), np.inf]
@@ -96,7 +96,7 @@ class GoalError:
         return off
 
     def by_vehicle(self, t: Array, places: Mapping[str, Array]) -> dict[str, Array]:
-        """By vehicle; of its edges the one that is furthest off [m]."""
+        """Error by vehicle; with edges, the largest error of its edges [m]."""
         parts = self.parts(t, places)
         if not self.edges:
             return parts

@@ -1,4 +1,4 @@
-"""report.html: a run as a page that needs nothing else, to read, to print and to show."""
+"""report.html: a run as a self-contained page."""
 
 import math
 from collections.abc import Iterable
@@ -20,8 +20,8 @@ from testbed.report.verdict import CRITERIA, UNCOUNTED, missed, reasons, verdict
 
 CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
 NOT_A_TABLE = {
-    "twin": "A result of the twin, not of a table.",
-    "bench": "A result of the bench: the wires are real, the table is the twin. Not of a table.",
+    "twin": "Simulated on the twin, not flown on a table.",
+    "bench": "Flown on the bench: the network is real, the table is simulated by the twin.",
 }
 FIRST = ("trajectory", "error", "error_xy")  # figures before the numbers
 
@@ -44,13 +44,13 @@ OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
 
 
 class ReportError(TestbedError):
-    """It cannot be made."""
+    """The report cannot be written, or its data cannot be read."""
 
 
 def write_report(
     folder: Path, scenario: Scenario, history: History, metrics: Metrics, config: str
 ) -> list[Path]:
-    """Write report.html and figures/*.svg into a run folder; the files, the report first."""
+    """Write report.html and figures/*.svg to a run folder; returns the files, the report first."""
     charts = figures(scenario, history, metrics.touches)
     try:
         drawings = folder / "figures"
@@ -63,7 +63,7 @@ def write_report(
         paths[0].write_text(text, encoding="utf-8")
     except OSError as error:
         raise ReportError(
-            f"{error.filename or paths[-1]}\n  expected  a place that can be written\n"
+            f"{error.filename or paths[-1]}\n  expected  a writable path\n"
             f"  found     {error.strerror}"
         ) from None
     return paths
@@ -72,7 +72,7 @@ def write_report(
 def render(
     scenario: Scenario, history: History, metrics: Metrics, config: str, charts: Iterable[Chart]
 ) -> str:
-    """The page."""
+    """The page as HTML."""
     drawn = list(charts)
     first = FIRST if any(c.key == "error_xy" for c in drawn) else (*FIRST, "separation")
     sections = [
@@ -80,7 +80,7 @@ def render(
         _tiles(scenario, metrics),
         _flown(scenario),
         _warnings(metrics),
-        "<h2>Where they went</h2>", _figures(scenario, [c for c in drawn if c.key in first]),
+        "<h2>Trajectories</h2>", _figures(scenario, [c for c in drawn if c.key in first]),
         _criteria(scenario, metrics),
         _results(scenario, metrics),
         "<h2>Figures</h2>", _figures(scenario, [c for c in drawn if c.key not in first]),
@@ -92,7 +92,7 @@ def render(
 
 
 def page(title: str, body: str) -> str:
-    """A whole page around `body`."""
+    """A complete HTML page around `body`."""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -114,14 +114,14 @@ def _header(scenario: Scenario, metrics: Metrics) -> str:
 
 
 def together_of(scenario: Scenario, metrics: Metrics) -> FormationMetrics | None:
-    """What the vehicles were worth together, where the law is for that."""
+    """Metrics of the formation; None if the law controls no formation."""
     if metrics.formation is None or not has_formation(scenario.controller):
         return None
     return msgspec.convert(metrics.formation, FormationMetrics, from_attributes=True)
 
 
 def known(scenario: Scenario, metrics: Metrics, name: str, key: str) -> float | None:
-    """A vehicle's number; null where it is of the place at which a moving goal had started."""
+    """A vehicle's metric; None where it refers to the start of a moving goal."""
     if key in TO_THE_START and scenario.vehicles[name].path is not None:
         return None
     found: float | None = getattr(metrics.vehicles[name], key)
@@ -137,7 +137,7 @@ def _tiles(scenario: Scenario, metrics: Metrics) -> str:
     near = [v for v in nearest if v is not None]
     gas = [v.gas_g for v in metrics.vehicles.values() if v.gas_g is not None]
     of_goals: tuple[tuple[str, str, str], ...] = (
-        ("settled, the last one", _number(worst("settle_s"), 1.0, 1), "s"),
+        ("settled, last vehicle", _number(worst("settle_s"), 1.0, 1), "s"),
         ("hold RMS, worst", _number(worst("hold_rms_m"), 1e3, 2), "mm"),
         ("tracking RMS, worst", _number(worst("track_rms_m"), 1e3, 2), "mm"),
     )
@@ -152,9 +152,9 @@ def _tiles(scenario: Scenario, metrics: Metrics) -> str:
         ("flown", _number(metrics.duration_s, 1.0, 0 if metrics.duration_s >= 10.0 else 1), "s"),
         *of_goals,
         ("nearest obstacle, centres", _number(min(near) if near else None, 1.0, 2), "m"),
-        ("nearest two, centres", _number(metrics.min_vehicle_distance_m, 1.0, 2), "m"),
+        ("nearest vehicles, centres", _number(metrics.min_vehicle_distance_m, 1.0, 2), "m"),
         ("contacts", DASH if metrics.contacts == UNCOUNTED else str(metrics.contacts), ""),
-        ("gas, all together", _number(sum(gas) if gas else None, 1.0, 0), "g"),
+        ("gas, total", _number(sum(gas) if gas else None, 1.0, 0), "g"),
     )
     judged = metrics.criteria or {}
     bad = {name for name, key in TILES_JUDGED.items() if judged.get(key) is False}
@@ -175,7 +175,7 @@ def _number(value: float | None, scale: float, digits: int) -> str:
 
 
 def _signed(text: str) -> str:
-    """Numbers with a minus as long as a plus."""
+    """`text` with typographic minus signs."""
     return text.replace("-", "\N{MINUS SIGN}")
 
 
@@ -208,7 +208,7 @@ def _flown(scenario: Scenario) -> str:
         for k, (name, s) in enumerate(scenario.vehicles.items())
     )
     return (
-        f"<h2>What was flown</h2><p>{words}</p>"
+        f"<h2>Experiment</h2><p>{words}</p>"
         '<div class="wide"><table><tr><th>vehicle</th><th>start</th>'
         f"{'<th>goal</th>' * has_goals}<th>mass [kg]</th><th>radius [m]</th><th>jets</th></tr>"
         f"{rows}</table></div>"
@@ -216,7 +216,7 @@ def _flown(scenario: Scenario) -> str:
 
 
 def _warnings(metrics: Metrics) -> str:
-    """What a law's proof asks for and the run did not have."""
+    """Warnings of the run, such as violated conditions of the law's proof, as HTML."""
     rows = "".join(
         f"<li><b>{escape(one.name)}</b>: {escape(one.text)}</li>" for one in metrics.warnings
     )
@@ -225,7 +225,7 @@ def _warnings(metrics: Metrics) -> str:
 
 def _criteria(scenario: Scenario, metrics: Metrics) -> str:
     if metrics.criteria is None:
-        why = "The flight did not come to its end, so no criterion is judged."
+        why = "The flight was not completed, so no criterion is judged."
         if metrics.red:
             why = "There was no flight, so no criterion is judged."
         return f"<h2>Criteria</h2><p>{why}</p>"
@@ -292,7 +292,7 @@ def _figures(scenario: Scenario, charts: Iterable[Chart]) -> str:
 
 
 def figure(chart: Chart, paper: str = "") -> str:
-    """One figure of a page."""
+    """A figure with caption, as HTML."""
     looks = {"valves": ' class="full"', "trajectory": ' class="tall"'}
     full = looks.get(chart.key, "")
     also = f' <span class="soft">({escape(paper)})</span>' if paper else ""
@@ -304,10 +304,10 @@ def figure(chart: Chart, paper: str = "") -> str:
 
 
 def read_metrics(folder: Path) -> Metrics:
-    """metrics.json of a run.
+    """Read metrics.json of a run.
 
     Raises:
-        ReportError: it is not there or not of this version.
+        ReportError: the file is missing or of another version.
     """
     path = folder / "metrics.json"
     try:

@@ -1,4 +1,4 @@
-"""The end of a report: when what came, how the run was made, and how to repeat it."""
+"""The end of a report: timing, versions, and how to reproduce the run."""
 
 import platform
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ PACKAGES = ("airbearing-testbed", "numpy", "numba", "scipy", "msgspec", "mcap")
 
 
 def versions() -> Mapping[str, str]:
-    """What this process runs on."""
+    """Versions of Python, the system and the packages of this process."""
     found = {"Python": platform.python_version(), "system": platform.platform(terse=True)}
     for name in PACKAGES:
         try:
@@ -22,7 +22,7 @@ def versions() -> Mapping[str, str]:
 
 
 def timing(metrics: Metrics) -> str:
-    """The section on a flight by the wall clock: what came when."""
+    """The section on the timing of a flight by the wall clock."""
     late, half, most = (
         metrics.lateness_p99_ms, metrics.pose_to_valve_p50_ms, metrics.pose_to_valve_p99_ms
     )  # fmt: skip
@@ -39,7 +39,7 @@ def timing(metrics: Metrics) -> str:
 
 
 def sentence(pieces: list[str]) -> str:
-    """Pieces as one, with a capital and a full stop."""
+    """Join pieces to one sentence, with a capital and a full stop."""
     words = "; ".join(pieces)
     return f"{words[:1].upper()}{words[1:]}."
 
@@ -54,11 +54,11 @@ def colophon(metrics: Metrics, config: str) -> str:
             f"{metrics.real_time_factor:.1f} times real time.</p>"
         )
     return (
-        f"<h2>How to repeat it</h2>{pace}<p>In this folder:</p>"
-        "<pre>testbed run config.toml           # the same flight, to the last bit on the twin\n"
-        "testbed replay .                  # the log through today's code\n"
+        f"<h2>How to reproduce the run</h2>{pace}<p>In this folder:</p>"
+        "<pre>testbed run config.toml           # the same flight, bit-identical on the twin\n"
+        "testbed replay .                  # the log through the current code\n"
         "testbed export . --to parquet     # the log as tables</pre>"
-        f'<p class="soft">Made with {used}. Figures as files of their own: figures/*.svg.</p>'
-        "<details><summary>The whole configuration (config.toml)</summary>"
+        f'<p class="soft">Made with {used}. The figures are also in figures/*.svg.</p>'
+        "<details><summary>Complete configuration (config.toml)</summary>"
         f"<pre>{escape(config)}</pre></details>"
     )

@@ -1,6 +1,7 @@
-"""An experiment as those who look on need it.
+"""The interface of an experiment for reports and the dashboard.
 
-`testbed.config.Experiment` is one. What looks on lies below the configuration and may not know it.
+`testbed.config.Experiment` implements it. Reports and the dashboard are below the configuration in
+the import order and cannot import it.
 """
 
 from collections.abc import Mapping
@@ -19,65 +20,65 @@ from testbed.metrics.run_metrics import Criteria
 
 
 class Setup(Protocol):
-    """One vehicle of it."""
+    """One vehicle of a scenario."""
 
     @property
     def model(self) -> Vehicle:
-        """What it is."""
+        """The vehicle's parameters."""
         ...
 
     @property
     def start(self) -> tuple[float, float, float]:
-        """Where it starts: x, y [m], theta [rad]."""
+        """Start pose: x, y [m], theta [rad]."""
         ...
 
     @property
     def goal(self) -> tuple[float, float, float]:
-        """Where it is sent: x, y [m], theta [rad]."""
+        """Goal pose: x, y [m], theta [rad]."""
         ...
 
     @property
     def path(self) -> Path | None:
-        """How the goal moves; null: not at all."""
+        """Path of the goal; None: the goal is fixed."""
         ...
 
 
 class Scenario(Protocol):
-    """What is flown, and where."""
+    """An experiment: vehicles, table, law and criteria."""
 
     @property
     def name(self) -> str:
-        """Of the experiment."""
+        """Name of the experiment."""
         ...
 
     @property
     def description(self) -> str:
-        """In one line."""
+        """Description in one line."""
         ...
 
     @property
     def duration_s(self) -> float:
-        """Planned."""
+        """Planned duration [s]."""
         ...
 
     @property
     def seed(self) -> int:
-        """Of all chance."""
+        """Random seed of the twin."""
         ...
 
     @property
     def table(self) -> Table:
-        """What they fly on."""
+        """The table."""
         ...
 
     @property
     def obstacles(self) -> Mapping[str, Obstacle]:
-        """What stands there."""
+        """Obstacles by name."""
         ...
 
     @property
     def vehicles(self) -> Mapping[str, Setup]:
-        """Who flies."""
+        """Vehicles by name."""
         ...
 
     @property
@@ -87,27 +88,27 @@ class Scenario(Protocol):
 
     @property
     def flight(self) -> FlightParams:
-        """The chain on board."""
+        """Parameters of the control chain on board."""
         ...
 
     @property
     def guidance(self) -> GuidanceParams:
-        """How the law is flown."""
+        """Parameters of the guidance, which runs the law."""
         ...
 
     @property
     def faults(self) -> FaultTable:
-        """What is watched, and what is done about it."""
+        """Detected faults and the responses to them."""
         ...
 
     @property
     def criteria(self) -> Criteria:
-        """When it counts as passed."""
+        """Criteria of a passed run."""
         ...
 
 
 def law_of(scenario: Scenario) -> str:
-    """The law's name in an experiment file; of somebody's own, its file and name in there."""
+    """The law's name in an experiment file; for a user-defined law, its file and name."""
     own = getattr(scenario.controller, "law", None)
     if isinstance(own, str):
         return PurePath(own).name
@@ -115,7 +116,7 @@ def law_of(scenario: Scenario) -> str:
 
 
 def range_of(scenario: Scenario) -> float | None:
-    """How far vehicles hear each other by the law's own account; None where it has no say [m]."""
+    """Communication range that the law assumes [m]; None if it assumes none."""
     formation = getattr(scenario.controller, "formation", scenario.controller)
     found = getattr(formation, "range", None)
     scale = getattr(scenario.controller, "scale", None)

@@ -1,4 +1,4 @@
-"""A run in a sentence: what is said of it first, in which colour, and which numbers are to blame.
+"""The verdict on a run: a sentence, its colour, and the metrics that failed.
 
 Green: all criteria met. Amber: a criterion missed, or not started. Red: a fault ended it, or there
 was a contact. Grey: not judged, because an operator interrupted it or it was killed.
@@ -11,9 +11,9 @@ from testbed.metrics.run_metrics import Metrics, Touch
 from testbed.report.fault_story import short
 from testbed.report.scenario import Scenario
 
-UNCOUNTED = -1  # contacts of a run that was killed before anybody counted them
+UNCOUNTED = -1  # contacts of a run that was killed before they were counted
 SHOWN_TOUCHES = 3
-CRITERIA = {  # unit, scale from the file's
+CRITERIA = {  # name, unit, scale from the unit of the file
     "max_contacts": ("contacts", "", 1.0), "clear_of_obstacles": ("danger radii kept", "", 1.0),
     "final_error_m": ("final error", "mm", 1e3), "settle_s": ("settled", "s", 1.0),
     "hold_rms_m": ("hold RMS, last 30 s", "mm", 1e3),
@@ -28,19 +28,19 @@ Look = Literal["passed", "failed", "fault", "unjudged"]
 
 
 class Verdict(NamedTuple):
-    """What is said first."""
+    """Text of the verdict and its colour."""
 
     look: Look
     words: str
 
 
 def verdict(scenario: Scenario, metrics: Metrics) -> Verdict:
-    """Of a run."""
+    """The verdict on a run."""
     end = f"{metrics.duration_s:.1f} s"
     if metrics.contacts == UNCOUNTED:
         return Verdict("unjudged", f"not judged, {end} in the log")
     if metrics.red:
-        return Verdict("failed", "not started: a check is red")
+        return Verdict("failed", "not started: a check failed")
     hits = touched(scenario, metrics.touches[:1])
     if metrics.fault:
         return Verdict("fault", "; ".join([*hits, f"aborted by a fault after {end}"]))
@@ -63,7 +63,7 @@ def touched(scenario: Scenario, touches: Sequence[Touch]) -> list[str]:
 
 
 def hit(scenario: Scenario, touch: Touch) -> str:
-    """What a vehicle hit, and how fast."""
+    """Object and speed of a contact, as text."""
     return f"hit {_other(scenario, touch)}, {_speed(touch)}"
 
 
@@ -78,7 +78,7 @@ def _speed(touch: Touch) -> str:
 
 
 def reasons(scenario: Scenario, metrics: Metrics) -> list[str]:
-    """Why it did not go well, the first thing first, each in short words."""
+    """Short reasons why the run did not pass, the most important first."""
     found = touched(scenario, metrics.touches[:SHOWN_TOUCHES])
     if (more := len(metrics.touches) - SHOWN_TOUCHES) > 0:
         found.append(f"{more} more {'contacts' if more > 1 else 'contact'}")
@@ -90,12 +90,12 @@ def reasons(scenario: Scenario, metrics: Metrics) -> list[str]:
 
 
 def missed(scenario: Scenario, metrics: Metrics, name: str, key: str, criterion: str) -> bool:
-    """Whether it is this vehicle's number for which a criterion is not met."""
+    """Whether this vehicle's metric violates a criterion."""
     if (metrics.criteria or {}).get(criterion) is not False:
         return False
     value = getattr(metrics.vehicles[name], key)
     if criterion == "clear_of_obstacles":
-        # of several radii, only the smallest says for certain that one was not kept
+        # with several radii, only a distance below the smallest certainly violates one
         return value is not None and value < min(o.radius for o in scenario.obstacles.values())
     limit = getattr(scenario.criteria, criterion)
     return value is None or limit is None or value > limit

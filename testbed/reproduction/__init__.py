@@ -1,1 +1,1 @@
-"""What of the papers' claims comes out: their own simulations, flown again and measured."""
+"""Reproduces the papers' simulations and checks their claims."""

@@ -1,4 +1,4 @@
-"""Make all runs of some papers, on all cores, and judge their claims."""
+"""Executes all runs of the given papers in parallel and judges their claims."""
 
 import contextlib
 import multiprocessing
@@ -16,11 +16,11 @@ from testbed.reproduction.claim import Paper, Row, Values, judge, needed
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.run import Run, execute
 
-CORES = 2  # at most: more do not help, the longest run decides
+CORES = 2  # upper limit: more do not help, because the longest run dominates
 
 
 class Made(Struct, frozen=True):
-    """A run that is done."""
+    """The result of a run."""
 
     paper: str
     run: str
@@ -30,7 +30,7 @@ class Made(Struct, frozen=True):
 
 
 class Task(Struct, frozen=True):
-    """A run to be made."""
+    """A run to execute."""
 
     paper: str
     name: str
@@ -39,14 +39,14 @@ class Task(Struct, frozen=True):
 
 
 class RunError(TestbedError):
-    """A run could not be made; says which, and why."""
+    """A run failed; the message names the run and the cause."""
 
 
 def make(task: Task) -> Made:
-    """Make one run.
+    """Execute one run.
 
     Raises:
-        RunError: its parameters make no sense, or the integration stopped.
+        RunError: invalid parameters, or the integration stopped early.
     """
     began = time.perf_counter()
     try:
@@ -57,9 +57,9 @@ def make(task: Task) -> Made:
 
 
 def tasks_of(papers: Mapping[str, Paper], *, quick: bool) -> list[Task]:
-    """The runs that a claim asks for, those of one kind and law apart from each other.
+    """The runs that claims need, grouped by kind and law.
 
-    Whoever flies a law first compiles it; two processes at the same law would both do so.
+    The first run of a law compiles it; two processes would both compile the same law.
     """
     tasks = [
         Task(key, name, run, quick)
@@ -75,7 +75,7 @@ def _kind(run: Run) -> str:
 
 
 def _ignore_interrupt() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who waits
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
 
 
 @contextlib.contextmanager
@@ -89,7 +89,7 @@ def _pool(size: int) -> Iterator[Pool]:
 
 
 def grouped(tasks: Sequence[Task]) -> list[list[Task]]:
-    """Tasks of the same kind together, those with the most work first."""
+    """Groups of tasks of the same kind, those with the most work first."""
     groups: dict[str, list[Task]] = {}
     for task in tasks:
         groups.setdefault(_kind(task.run), []).append(task)
@@ -97,9 +97,9 @@ def grouped(tasks: Sequence[Task]) -> list[list[Task]]:
 
 
 def made(tasks: Sequence[Task], cores: int | None = None) -> Iterator[Made]:
-    """Make runs, in whatever order they get done; the caller may stop listening at any time.
+    """Execute runs and yield results as they complete; the caller may stop at any time.
 
-    The first of each kind compiles what the others use, so those wait for it.
+    The first run of each kind compiles code for the others, which wait for it.
     """
     size = min(cores or os.cpu_count() or 1, CORES, len(tasks))
     if size <= 1:
@@ -125,7 +125,7 @@ def made(tasks: Sequence[Task], cores: int | None = None) -> Iterator[Made]:
 def rows_of(
     key: str, paper: Paper, values: Mapping[str, Values], *, quick: bool
 ) -> tuple[list[Row], list[str]]:
-    """The rows of a paper, and the ids of the claims whose run was not made."""
+    """The rows of a paper, and the ids of claims whose runs were not executed."""
     rows, missing = [], []
     for claim in paper.claims:
         if any(name not in values for name in needed(claim)):

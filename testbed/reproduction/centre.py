@@ -27,7 +27,7 @@ class Centre(Struct, frozen=True, forbid_unknown_fields=True, tag="centre"):
 
 
 def run_centre(run: Centre, *, quick: bool) -> tuple[Measures, list[Figure]]:
-    """How far the centre is from each column: "gap_km at 1000" and so on."""
+    """Distance of the centre from each column of the table: "gap_km at 1000" and so on."""
     hub = 1e3 * np.concatenate([run.positions[0], run.velocities[0]])
     planet = EARTH if run.j2 else POINT_EARTH
     nobody = np.zeros((1, 3))

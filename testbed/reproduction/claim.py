@@ -1,9 +1,9 @@
-"""A paper, what it claims, and what is to be done to see whether that holds.
+"""A paper, its claims, and the checks of these claims.
 
-`configs/papers/<key>.toml` has all of it: how the print has to be read (`corrections`), what it
-does not say (`assumptions`), the simulations (`runs`) and one entry per claim. What is measured is
-compared here with what is claimed; no verdict stands in a file. `expected` is the outcome of the
-day the entry was written, so that a change of it is noticed.
+`configs/papers/<key>.toml` contains the corrections of the print (`corrections`), what the paper
+does not state (`assumptions`), the simulations (`runs`) and one entry per claim. This module
+compares measured with claimed values; the files contain no verdicts. `expected` is the outcome when
+the entry was written, so that changes are detected.
 """
 
 import math
@@ -25,11 +25,11 @@ CHECK: Literal["input check"] = "input check"
 Kind = Literal["claim", "input check"]
 
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9_.]+$")]
-Values = Mapping[str, Sequence[float | None]]  # by measure: one value per seed, null: there is none
+Values = Mapping[str, Sequence[float | None]]  # by measure: one value per seed, None: undefined
 
 
 class Correction(Struct, frozen=True, forbid_unknown_fields=True):
-    """How something printed has to be read."""
+    """A correction of the print."""
 
     at: str  # equation, table
     printed: str
@@ -38,32 +38,32 @@ class Correction(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Assumption(Struct, frozen=True, forbid_unknown_fields=True):
-    """Something that a paper does not say."""
+    """An assumption about something that the paper does not state."""
 
     what: str
     why: str
 
 
 class Claim(Struct, frozen=True, forbid_unknown_fields=True):
-    """One sentence of a paper that can be held against a number.
+    """One statement of a paper that can be compared with a number.
 
-    An "input check" is one about this software instead: it refuses, or names a concern, where an
-    assumption of the paper is broken. It is counted apart.
+    An "input check" is a statement about this software instead: it rejects input, or raises a
+    concern, if an assumption of the paper is violated. It is counted separately.
     """
 
     id: Name  # without the paper's key
     source: str  # figure, table, theorem, page
     claim: str
-    paper: float | str  # what it says; words where it gives no number
+    paper: float | str  # claimed value; text if the paper gives no number
     unit: str
     must: Literal["equal", "at most", "at least"] = "equal"
-    limit: float | None = None  # what is compared with; null: `paper`
+    limit: float | None = None  # value for the comparison; null: `paper`
     tolerance: NonNegative = 0.0
     kind: Kind = CLAIM
     run: str | None = None
     measure: str | None = None
-    over: str | None = None  # measured is the ratio to what this run measures
-    corrections: tuple[str, ...] = ()  # besides the run's
+    over: str | None = None  # compare the ratio to this run's value of the measure
+    corrections: tuple[str, ...] = ()  # in addition to the run's
     assumptions: tuple[str, ...] = ()
     note: str = ""
     untestable: str | None = None  # why it cannot be tested
@@ -73,7 +73,7 @@ class Claim(Struct, frozen=True, forbid_unknown_fields=True):
         if self.untestable is None and (self.run is None or self.measure is None):
             raise ValueError("expected a run and a measure, or a reason in `untestable`")
         if self.untestable is None and self.limit is None and isinstance(self.paper, str):
-            raise ValueError("expected a `limit`, because `paper` is in words, found none")
+            raise ValueError("expected a `limit`, because `paper` is text, found none")
 
 
 class Paper(Struct, frozen=True, forbid_unknown_fields=True):
@@ -111,12 +111,12 @@ class Paper(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def needed(claim: Claim) -> list[str]:
-    """The runs that a claim wants."""
+    """The runs that a claim needs."""
     return [] if claim.untestable else [name for name in (claim.run, claim.over) if name]
 
 
 class Row(Struct, frozen=True):
-    """A claim and what came out; the first eight are what a reader needs."""
+    """A claim and its outcome; the first eight fields are for the reader."""
 
     id: str
     source: str
@@ -125,29 +125,29 @@ class Row(Struct, frozen=True):
     measured: float | None
     unit: str
     verdict: str
-    assumption: str  # what had to be read differently or assumed; empty: nothing
+    assumption: str  # corrections and assumptions used; empty: none
     outcome: Outcome
     expected: Outcome
-    must: str  # how measured and limit are compared
+    must: str  # comparison of measured value and limit
     limit: float | None
     tolerance: float
-    seeds: int  # the worst of so many runs is measured
+    seeds: int  # number of runs, the worst of which is measured
     quick: bool  # measured with fewer seeds and coarser steps
     note: str
     kind: Kind
 
     @property
     def as_expected(self) -> bool:
-        """Whether the outcome is that of the file."""
+        """Whether the outcome is the one in the file."""
         return self.outcome == self.expected
 
 
 class MeasureError(TestbedError):
-    """A claim asks for something that its run does not measure."""
+    """A claim uses a measure that its run does not have."""
 
 
 def worst(claim: Claim, values: Sequence[float | None]) -> float | None:
-    """The value that speaks most against the claim; null if there is one that does not exist."""
+    """The value least favourable to the claim; None if a value is undefined."""
     known = [float(v) for v in values if v is not None and not math.isnan(v)]  # numpy's, too
     if len(known) < len(values) or not known:
         return None
@@ -160,12 +160,12 @@ def worst(claim: Claim, values: Sequence[float | None]) -> float | None:
 
 
 def limit_of(claim: Claim) -> float:
-    """What the measured value is compared with."""
+    """The value that the measured value is compared with."""
     return claim.limit if claim.limit is not None else float(claim.paper)
 
 
 def met(claim: Claim, value: float | None) -> bool:
-    """Whether a measured value is what the claim says."""
+    """Whether a measured value satisfies the claim."""
     if value is None:
         return False
     off = value - limit_of(claim)
@@ -174,10 +174,10 @@ def met(claim: Claim, value: float | None) -> bool:
 
 
 def values_of(key: str, claim: Claim, made: Mapping[str, Values]) -> list[float | None]:
-    """One value per seed.
+    """Measured values of a claim, one per seed.
 
     Raises:
-        MeasureError: a run does not measure that.
+        MeasureError: a run does not have the measure.
     """
     found = []
     for run in needed(claim):
@@ -197,18 +197,18 @@ def judge(key: str, paper: Paper, claim: Claim, made: Mapping[str, Values], *, q
 
     Args:
         key: of the paper.
-        paper: it.
-        claim: one of its.
-        made: what the runs measured, those of the claim at least.
-        quick: how the run was made.
+        paper: the paper.
+        claim: one of its claims.
+        made: results of the runs, at least those of the claim.
+        quick: whether the runs were quick.
 
     Raises:
-        MeasureError: a run does not measure that.
+        MeasureError: a run does not have the measure.
     """
     runs = [paper.runs[name] for name in needed(claim)]
     readings = [*(name for run in runs for name in run.corrections), *claim.corrections]
     guesses = [*(name for run in runs for name in run.assumptions), *claim.assumptions]
-    if claim.kind == CHECK:  # of this software, which reads nothing differently
+    if claim.kind == CHECK:  # about this software, so no corrections apply
         readings, guesses = [], []
     notes = [f"{paper.corrections[n].at} read as {paper.corrections[n].read}" for n in readings]
     notes += [paper.assumptions[n].what for n in guesses]
@@ -229,7 +229,7 @@ def judge(key: str, paper: Paper, claim: Claim, made: Mapping[str, Values], *, q
 
 
 def verdict(claim: Claim, outcome: str, measured: float | None, assumption: str) -> str:
-    """The outcome as a sentence that can be quoted."""
+    """The outcome as a sentence."""
     if claim.kind == CHECK:
         return "input check passed" if outcome == HOLDS else "input check failed"
     if outcome == HOLDS:
@@ -244,7 +244,7 @@ def verdict(claim: Claim, outcome: str, measured: float | None, assumption: str)
 
 
 def claimed(row: Row) -> str:
-    """What the paper says, with its unit; for words, with the limit that stands for them."""
+    """The claimed value with its unit; a text with the limit used for it."""
     sign = {"at most": "<= ", "at least": ">= ", "equal": ""}[row.must]
     slack = f" (+- {row.tolerance:g})" if row.tolerance and row.must == "equal" else ""
     if isinstance(row.paper, float | int):
@@ -255,7 +255,7 @@ def claimed(row: Row) -> str:
 
 
 def _names(words: str, limit: float) -> bool:
-    """Whether words such as "> 1" are the limit itself."""
+    """Whether a text such as "> 1" already states the limit."""
     sign, _, number = words.partition(" ")
     try:
         return sign in ("<", ">", "<=", ">=") and float(number) == limit
@@ -264,13 +264,13 @@ def _names(words: str, limit: float) -> bool:
 
 
 class Counts(Struct, frozen=True):
-    """How many of each outcome; input checks are not claims."""
+    """Number of claims by outcome; input checks are counted separately."""
 
     claims: dict[str, int]
     input_checks: dict[str, int]
 
     def __str__(self) -> str:
-        """In one line."""
+        """Summary in one line."""
         said = ", ".join(f"{n} {kind}" for kind, n in self.claims.items())
         total, checks = sum(self.claims.values()), sum(self.input_checks.values())
         failed = checks - self.input_checks["passed"]
@@ -280,7 +280,7 @@ class Counts(Struct, frozen=True):
 
 
 def counts(rows: Iterable[Row]) -> Counts:
-    """The rows counted."""
+    """Count the outcomes of rows."""
     claims = dict.fromkeys((HOLDS, CORRECTED, FAILS, UNTESTABLE), 0)
     checks = {"passed": 0, "failed": 0}
     for row in rows:

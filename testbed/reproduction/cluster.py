@@ -1,4 +1,4 @@
-"""gao2022: fifty satellites in ECI under J2 that take up formations.
+"""gao2022: formation flying of fifty satellites in ECI under J2.
 
 Measures, one value per seed; "at T" is for every time T of `times` [s] (whole seconds):
 
@@ -7,16 +7,16 @@ Measures, one value per seed; "at T" is for every time T of `times` [s] (whole s
     radius_m at T       mean distance from the centre in the plane
     plane_m at T        largest distance from the plane
     outer_m, inner_m, uniformity at T   of the five elements
-    inside, outside at T    how many are within, beyond a b r
+    inside, outside at T    number of satellites within, beyond a b r
     depth at T          mean distance from the middle over the largest: full ball 3/4, shell 1
     arrived_s           when the mean distance to it first is below `formed_m`
     formed_s            after which the mean distance to it stays below `formed_m`
-    spent_ms            velocity increment per axis, the most any satellite used up, in all
-    window_ms           the same, the most within any 10 s
-    inner_ever_m        nearest two ever come
-    overshoot_m         how far the mean radius went past its last value
-    switched_rank       only with two or more phases: of those who are outside in the last phase the
-                        share that was further out than the median before it began
+    spent_ms            total velocity increment per axis, largest of all satellites
+    window_ms           velocity increment per axis within any 10 s, largest of all satellites
+    inner_ever_m        smallest distance between two satellites
+    overshoot_m         overshoot of the mean radius beyond its last value
+    switched_rank       only with two or more phases: of the satellites outside in the last phase,
+                        the share that was further out than the median before that phase began
 """
 
 import math
@@ -58,13 +58,13 @@ class Swarming(Struct, frozen=True, forbid_unknown_fields=True, tag="swarming"):
     """A simulation of section 3; lengths of `phases` in km as in the paper."""
 
     phases: tuple[Phase, ...]
-    newtons: Literal[1, 1000]  # the paper's unit of force
+    newtons: Literal[1, 1000]  # the paper's unit of force [N]
     duration_s: Positive = 2000.0
     sample_s: Positive = 10.0
     times: tuple[int, ...] = (2000,)  # [s]
     seeds: int = 3
     quick_seeds: int = 1
-    airspace_m: Positive = 100.0  # radius of the ball of the start
+    airspace_m: Positive = 100.0  # radius of the ball of initial positions
     formed_m: Positive = 25.0
     uncorrected: Literal["nothing", "13", "12", "10"] = "nothing"
     corrections: tuple[str, ...] = ()
@@ -72,7 +72,7 @@ class Swarming(Struct, frozen=True, forbid_unknown_fields=True, tag="swarming"):
 
 
 def ball(radius: float, seed: int, count: int = COUNT) -> Array:
-    """Places in a ball, even at random, (count, 3) [m]."""
+    """Uniformly random positions in a ball, (count, 3) [m]."""
     rng = np.random.default_rng([seed, 2022])
     p = rng.normal(size=(count, 3))
     return p * (
@@ -89,7 +89,7 @@ def control_of(run: Swarming) -> Cluster:
 
 
 def fly_seed(run: Swarming, seed: int) -> Flight:
-    """From rest in a ball, relative to the centre."""
+    """Fly from rest at random positions in a ball, relative to the centre."""
     p = ball(run.airspace_m, seed)
     times = np.arange(0.0, run.duration_s + 0.5 * run.sample_s, run.sample_s)
     hub = np.concatenate(CENTRE.eci())
@@ -120,7 +120,7 @@ def level_of(phase: Phase, p: Array) -> Array:
 
 
 def snapshot(phase: Phase, p: Array, v: Array) -> dict[str, float]:
-    """What one instant shows."""
+    """Measures at one time."""
     error, level = distance_to(phase, p), level_of(phase, p)
     five = characterise(p, v)
     return {
@@ -138,7 +138,7 @@ def snapshot(phase: Phase, p: Array, v: Array) -> dict[str, float]:
 
 
 def measure(run: Swarming, f: Flight) -> dict[str, float | None]:
-    """What one flight shows."""
+    """Measures of one flight."""
     t: Array = run.sample_s * np.arange(len(f.p), dtype=float)
     last = run.phases[-1]
     since = t >= last.at
@@ -174,7 +174,7 @@ def _inner(p: Array) -> float:
 
 
 def run_swarming(run: Swarming, *, quick: bool) -> tuple[Measures, list[Figure]]:
-    """Fly all seeds; a swarm that the integrator cannot follow measures nothing."""
+    """Fly all seeds; measures are undefined if the integration fails."""
     seeds = run.quick_seeds if quick else run.seeds
     flights = [fly_seed(run, seed) for seed in range(seeds)]
     rows = [measure(run, f) for f in flights]
@@ -182,7 +182,7 @@ def run_swarming(run: Swarming, *, quick: bool) -> tuple[Measures, list[Figure]]
 
 
 def figures(run: Swarming, f: Flight) -> list[Figure]:
-    """Where they went, and how even they are."""
+    """Figures of trajectories, uniformity and velocity increments."""
     t: Array = run.sample_s * np.arange(len(f.p), dtype=float)
     ways = {f"{i + 1}": (f.p[:, i, 0] / 1e3, f.p[:, i, 2] / 1e3) for i in range(f.p.shape[1])}
     even = np.array([characterise(p).uniformity or 0.0 for p in f.p])

@@ -1,4 +1,4 @@
-"""A law of the catalogue with its compiled gains bare, for flights in a paper's own units."""
+"""Laws of the catalogue with access to their compiled gains, for flights in a paper's units."""
 
 from collections.abc import Sequence
 
@@ -8,10 +8,10 @@ from testbed.core.law import CompiledLaw
 
 
 def gains_of(controller: Controller, names: Sequence[str], d: int) -> CompiledLaw:
-    """The law, unscaled.
+    """The law without scaling.
 
     Raises:
-        ValueError: it is scaled, or not compiled, or its parameters are wrong.
+        ValueError: the law is scaled or not compiled, or its parameters are wrong.
     """
     if controller.scale != Scale():
         raise ValueError(f"expected a law in the paper's units, found {controller.scale}")

@@ -1,4 +1,4 @@
-"""What a run draws: curves over an axis, as a paper's figure has them."""
+"""Figures of a run: curves over an axis, like the paper's figures."""
 
 import numpy as np
 from msgspec import Struct
@@ -6,19 +6,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-POINTS = 2000  # of a curve are enough
+POINTS = 2000  # points of a curve
 
 
 class Figure(Struct, frozen=True):
-    """One picture; curves by name: x and y."""
+    """One figure; curves by name: x and y."""
 
     name: str
     x: str
     y: str
     curves: dict[str, tuple[Array, Array]]
-    dots: bool = False  # places, not curves over time: same scale on both axes
+    dots: bool = False  # positions instead of curves over time: equal scales of both axes
 
 
 def thinned(values: Array) -> Array:
-    """At most about POINTS of them."""
+    """Every n-th value, about POINTS in total."""
     return values[:: max(1, len(values) // POINTS)]

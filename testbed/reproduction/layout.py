@@ -1,9 +1,9 @@
-"""gao2022, Table 3: L of formations that are as even as they get, without a simulation.
+"""gao2022, Table 3: L of formations that are as uniform as possible, without a simulation.
 
-Curves: equal arcs. Areas and solids: the densest lattice (hexagonal, face-centred cubic), cut so
-that exactly so many are inside, from the centre and in the direction that give the largest L.
-Surfaces: a Fibonacci spiral round the axis that gives the largest L; beside it, points that push
-each other apart until they rest.
+Curves: equal arcs. Areas and solids: the densest lattice (hexagonal, face-centred cubic), cut to
+contain the exact number of points, with the centre and direction that give the largest L.
+Surfaces: a Fibonacci spiral around the axis that gives the largest L, and points that repel each
+other until they rest.
 """
 
 from collections.abc import Iterator
@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 
 REACH = 6.0  # of the lattice [spacings]
 SHIFTS = 12  # of the centre along each edge of the lattice's cell
-TURNED_SHIFTS = {2: 12, 3: 4}  # the same for each way to turn it
-TURNS = {2: 24, 3: 200}  # ways to turn it, where that matters
-PUSHES = 400  # of the points of a surface
-DENSEST = float(np.pi / np.sqrt(18.0))  # share of space that equal balls can fill (Hales 2005)
+TURNED_SHIFTS = {2: 12, 3: 4}  # the same for each rotation of the lattice
+TURNS = {2: 24, 3: 200}  # number of rotations of the lattice
+PUSHES = 400  # iterations of the repulsion on a surface
+DENSEST = float(np.pi / np.sqrt(18.0))  # density of the densest packing of balls (Hales 2005)
 
 
 class Layouts(Struct, frozen=True, forbid_unknown_fields=True, tag="layouts"):
-    """Which; the numbers are Table 3's."""
+    """Parameters of the formations; defaults are those of Table 3."""
 
     count: int = 50
     corrections: tuple[str, ...] = ()
@@ -37,7 +37,7 @@ class Layouts(Struct, frozen=True, forbid_unknown_fields=True, tag="layouts"):
 
 
 def ellipse(count: int, a: float, b: float) -> Array:
-    """Equal arcs, (count, 2)."""
+    """Points at equal arcs of an ellipse, (count, 2)."""
     angle = np.linspace(0.0, 2.0 * np.pi, 100_001)
     x = np.c_[a * np.cos(angle), b * np.sin(angle)]
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
@@ -46,13 +46,13 @@ def ellipse(count: int, a: float, b: float) -> Array:
 
 
 def double_circle(count: int, inner: float, outer: float) -> Array:
-    """As many on each as give the same spacing."""
+    """Points on two circles with the same spacing on both."""
     few = round(count * inner / (inner + outer))
     return np.concatenate([ellipse(few, inner, inner), ellipse(count - few, outer, outer)])
 
 
 def lattice(d: int) -> tuple[Array, Array]:
-    """Points of the densest lattice with spacing 1, and its basis, rows."""
+    """Points of the densest lattice with spacing 1, and its basis as rows."""
     n = np.arange(-9, 10)
     if d == 2:
         basis = np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
@@ -64,7 +64,7 @@ def lattice(d: int) -> tuple[Array, Array]:
 
 
 def turns(d: int) -> Iterator[Array]:
-    """Ways to turn the lattice, the first one not at all."""
+    """Rotations of the lattice, the first one the identity."""
     yield np.eye(d)
     if d == 2:
         for angle in np.linspace(0.0, np.pi / 3.0, TURNS[d], endpoint=False)[1:]:
@@ -73,7 +73,7 @@ def turns(d: int) -> Iterator[Array]:
     else:
         yield from Rotation.from_quat(
             np.random.default_rng(0).normal(size=(TURNS[d], 4))
-        ).as_matrix()  # evenly at random
+        ).as_matrix()  # uniformly random
 
 
 def cuts(count: int, axes: Array) -> Iterator[Array]:
@@ -90,12 +90,12 @@ def cuts(count: int, axes: Array) -> Iterator[Array]:
             x = turned - centre
             size = ((x / axes) ** 2).sum(axis=1)
             inner = np.argpartition(size, [count - 1, count])
-            if size[inner[count]] - size[inner[count - 1]] > 1e-9:  # else they are cut together
+            if size[inner[count]] - size[inner[count - 1]] > 1e-9:  # else both are on the cut
                 yield x[inner[:count]]
 
 
 def densest(count: int, axes: tuple[float, ...]) -> float | None:
-    """Largest L of such a cut, as the smallest extent has it; null if there is no cut."""
+    """Largest L of such a cut, over its smallest extent; None if there is no cut."""
     best = min(cuts(count, np.array(axes)), key=lambda x: float(pdist(x).max()), default=None)
     return None if best is None else characterise(best).uniformity
 
@@ -108,13 +108,13 @@ def spiral(count: int) -> Array:
 
 
 def spirals(count: int, axes: tuple[float, float, float]) -> Iterator[Array]:
-    """The same on an ellipsoid, round each of its axes."""
+    """Fibonacci spirals on an ellipsoid, around each of its axes."""
     for turn in range(3):
         yield np.roll(spiral(count), turn, axis=1) * np.array(axes)
 
 
 def rested(count: int, axes: tuple[float, float, float]) -> Array:
-    """Points on an ellipsoid that have pushed each other apart, (count, 3)."""
+    """Points on an ellipsoid after mutual repulsion, (count, 3)."""
     shape = np.array(axes)
     x = spiral(count) * shape
     for push in range(PUSHES):
@@ -128,7 +128,7 @@ def rested(count: int, axes: tuple[float, float, float]) -> Array:
 
 
 def run_layouts(run: Layouts, *, quick: bool) -> tuple[Measures, list[Figure]]:
-    """L of the nine formations, and of a ring by the closed forms; nothing is random."""
+    """L of the nine formations, and of a ring in closed form; deterministic."""
     n = run.count
 
     def even(x: Array) -> float:

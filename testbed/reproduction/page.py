@@ -1,4 +1,4 @@
-"""A paper's page for the docs: what was claimed, what we found, how to repeat it."""
+"""A paper's page for the docs: claims, results, how to reproduce them."""
 
 from testbed.reproduction.claim import CHECK, CLAIM, UNTESTABLE, Paper, Row, claimed, counts
 
@@ -6,7 +6,7 @@ QUICK = " These numbers are of `--quick`: fewer seeds, coarser steps."
 
 
 def page(key: str, paper: Paper, rows: list[Row]) -> str:
-    """Markdown."""
+    """The page as Markdown."""
     lines = [
         f"# {key}: {paper.title}", "", paper.source, "", paper.remark.strip(), "",
         f"Repeat: `testbed reproduce {key}`; this page is `testbed reproduce {key} --markdown`. "

@@ -1,6 +1,6 @@
-"""The shipped papers: find one, read it.
+"""Finds and reads the shipped papers.
 
-A run may be `like` another one of the file: it has all of that run's keys, and its own on top.
+A run with `like` inherits all keys of another run in the same file; its own keys override them.
 """
 
 from collections.abc import Sequence
@@ -21,15 +21,15 @@ EVERY = "all"
 
 
 def keys() -> list[str]:
-    """Of all papers."""
+    """Keys of all papers."""
     return sorted(path.stem for path in PAPERS.glob("*.toml"))
 
 
 def chosen(key: str) -> list[str]:
-    """The papers that `key` means.
+    """The papers selected by `key`.
 
     Raises:
-        ConfigError: none.
+        ConfigError: no paper has this key.
     """
     known = keys()
     if key == EVERY:
@@ -41,10 +41,10 @@ def chosen(key: str) -> list[str]:
 
 
 def read_paper(path: Path) -> Paper:
-    """A paper's file.
+    """Read a paper's file.
 
     Raises:
-        ConfigError: something in it is wrong.
+        ConfigError: the file is invalid.
     """
     tree = read_toml(path)
     try:
@@ -59,10 +59,10 @@ def read_paper(path: Path) -> Paper:
 
 
 def complete_runs(runs: Any) -> None:
-    """Fill in, in place, what runs take from others.
+    """Fill in, in place, the keys that runs inherit from others.
 
     Raises:
-        ValueError: there is no such run.
+        ValueError: `like` names an unknown run, or is circular.
     """
     if not isinstance(runs, dict):
         return
@@ -78,7 +78,7 @@ def complete_runs(runs: Any) -> None:
 
 
 def merged(under: Any, over: Any) -> Any:
-    """Tables are put together, everything else of `over` replaces what is under it."""
+    """Merge tables recursively; other values of `over` replace those of `under`."""
     if not (isinstance(under, dict) and isinstance(over, dict)):
         return deepcopy(over)
     names = dict.fromkeys([*under, *over])

@@ -1,4 +1,4 @@
-"""Figures as files; matplotlib is imported here and nowhere else."""
+"""Writes figures to files; the only module that imports matplotlib."""
 
 from pathlib import Path
 
@@ -6,11 +6,11 @@ from matplotlib.figure import Figure as Sheet
 
 from testbed.reproduction.figure import Figure
 
-MOST = 12  # curves that a legend can name
+MOST = 12  # most curves in a legend
 
 
 def draw(path: Path, title: str, figure: Figure) -> None:
-    """Draw one figure into a PNG."""
+    """Draw one figure to a PNG file."""
     sheet = Sheet(figsize=(7.0, 4.5), layout="constrained")
     axes = sheet.subplots()
     for name, (x, y) in figure.curves.items():

@@ -1,4 +1,4 @@
-"""Parameters that a paper's assumptions rule out: does the law say so?"""
+"""Checks that laws reject parameters that violate a paper's assumptions."""
 
 from msgspec import Struct
 
@@ -8,7 +8,7 @@ from testbed.reproduction.targets import Measures
 
 
 class Refusal(Struct, frozen=True, forbid_unknown_fields=True, tag="refusal"):
-    """A law with something wrong, and words that its complaint must have."""
+    """A law with invalid parameters, and text that its error must contain."""
 
     controller: Controller
     names: tuple[str, ...]
@@ -18,7 +18,7 @@ class Refusal(Struct, frozen=True, forbid_unknown_fields=True, tag="refusal"):
 
 
 def run_refusal(run: Refusal, *, quick: bool) -> tuple[Measures, list[Figure]]:
-    """`refused` is 1 if the law refuses, and says why."""
+    """`refused` is 1 if the law raises the expected error."""
     try:
         make_law(run.controller, list(run.names), 3)
     except ValueError as error:

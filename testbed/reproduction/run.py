@@ -1,4 +1,4 @@
-"""Every kind of run that a paper's file can ask for, and who makes it."""
+"""All kinds of runs in a paper's file, and the functions that execute them."""
 
 from testbed.reproduction.centre import Centre, run_centre
 from testbed.reproduction.cluster import Swarming, run_swarming
@@ -13,7 +13,7 @@ Run = Targets | Together | Swarming | Layouts | Centre | Table | Refusal
 
 
 def execute(run: Run, *, quick: bool) -> tuple[Measures, list[Figure]]:
-    """Make a run: what it measures, one value per seed, and its figures."""
+    """Execute a run: its measures, one value per seed, and its figures."""
     match run:
         case Targets():
             return run_targets(run, quick=quick)

@@ -1,4 +1,4 @@
-"""Where the papers' satellites fly: orbits, leaders, obstacles, disturbances, as files say."""
+"""Environments of the papers' simulations: orbits, leaders, obstacles, disturbances."""
 
 import math
 
@@ -29,19 +29,19 @@ class OrbitParams(Struct, frozen=True, forbid_unknown_fields=True):
     mu: Positive = 3.986e14  # [m^3/s^2]
 
     def orbit(self) -> Orbit:
-        """The orbit."""
+        """The orbit, in SI units and radians."""
         return Orbit(
             1e3 * self.a_km, self.e, math.radians(self.i_deg), math.radians(self.node_deg),
             math.radians(self.perigee_deg), math.radians(self.theta_deg), self.mu,
         )  # fmt: skip
 
     def chief(self) -> Chief:
-        """Whoever flies there."""
+        """The chief on this orbit."""
         return chief_on(self.orbit())
 
 
 class WaveParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """mean + sine sin(w t) + cosine cos(w t)."""
+    """A vector over time: mean + sine sin(w t) + cosine cos(w t)."""
 
     mean: Vector = ZERO
     sine: Vector = ZERO
@@ -49,7 +49,7 @@ class WaveParams(Struct, frozen=True, forbid_unknown_fields=True):
     w: Positive = 1.0  # [rad/s]
 
     def wave(self) -> Wave:
-        """For compiled code."""
+        """The wave for compiled code."""
         return Wave(np.array(self.mean), np.array(self.sine), np.array(self.cosine), self.w)
 
 
@@ -57,7 +57,7 @@ STILL = WaveParams()
 
 
 class Leader(Struct, frozen=True, forbid_unknown_fields=True):
-    """A point that is followed."""
+    """A leader: a moving point."""
 
     start: Vector  # [m]
     velocity: WaveParams  # [m/s]
@@ -98,7 +98,7 @@ def place(
     edges_at: int = 0,
     max_axis: float = math.inf,
 ) -> Place:
-    """For compiled code, see `Place`; without an orbit nothing but `push` moves a satellite."""
+    """The `Place` for compiled code; without an orbit the drift consists of `push` only."""
     chief = (orbit or OrbitParams(7000.0, 0.0)).chief()
     centres = np.array(obstacles.start, dtype=float).reshape(-1, 3)
     return Place(

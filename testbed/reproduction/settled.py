@@ -1,4 +1,4 @@
-"""When something is over for good."""
+"""Settling times of sampled conditions."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def settled_after(t: Array, off: NDArray[Any]) -> float | None:
-    """First time after which nothing is `off`; null if the end is."""
+    """First time after which no sample is `off`; None if the last one is."""
     late = np.flatnonzero(off)
     if len(late) == 0:
         return float(t[0])
@@ -17,6 +17,6 @@ def settled_after(t: Array, off: NDArray[Any]) -> float | None:
 
 
 def reached(t: Array, off: NDArray[Any]) -> float | None:
-    """First time when nothing is `off`, whatever comes later; null if there is none."""
+    """First time at which a sample is not `off`; None if there is none."""
     there = np.flatnonzero(~off)
     return float(t[there[0]]) if len(there) else None

@@ -1,12 +1,12 @@
-r"""zhang2023: s and sigma along a flight, and how fast they vanish.
+r"""zhang2023: s and sigma along a flight, and their rates of convergence.
 
     s     = lambda nabla U + e'                     Eq. (15)
     sigma = s + beta^-1 s'^(p/q)                    Eq. (24)
 
-What vanishes in finite time takes less time for each further decade; what falls exponentially
-takes the same for all.
+With convergence in finite time each further decade takes less time; with exponential convergence
+all decades take the same time.
 
-Written with arrays, apart from `controllers.potential`, so that a slip there does not hide here.
+Implemented with arrays, independently of `controllers.potential`, so that errors there show here.
 """
 
 from typing import NamedTuple
@@ -20,16 +20,16 @@ from testbed.reproduction.settled import settled_after
 
 Array = NDArray[np.float64]
 
-TOP_SPEED = 0.1  # where the first decade of s and sigma begins; both end far above the step's [m/s]
-TOP_ERROR = 10.0  # of e: past the obstacles [m]
-HOP = 1e-3  # to differentiate along the way [s]
+TOP_SPEED = 0.1  # start of the first decade of s, sigma; far above the step's error [m/s]
+TOP_ERROR = 10.0  # the same for e: past the obstacles [m]
+HOP = 1e-3  # step of the numerical derivative along the trajectory [s]
 
 
 class Motion(NamedTuple):
-    """A satellite's way; arrays of shape (m, d), obstacles stand still."""
+    """A satellite's trajectory; arrays of shape (m, d), obstacles stand still."""
 
     t: Array  # (m,) [s]
-    e: Array  # to the goal [m]
+    e: Array  # position error [m]
     p: Array  # [m]
     v: Array  # [m/s]
     a: Array  # [m/s^2]
@@ -38,7 +38,7 @@ class Motion(NamedTuple):
 
 
 def slope(u: Potential, way: Motion, hop: float = 0.0) -> Array:
-    """Nabla U, Eq. (16), `hop` seconds on at the velocity of the moment; shape (m, d) [m]."""
+    """Nabla U, Eq. (16), after `hop` seconds at the present velocity; shape (m, d) [m]."""
     step = hop * way.v
     e, p = way.e + step, way.p + step
     total = u.attract * e
@@ -62,7 +62,7 @@ def surfaces(params: SotsmcParams, way: Motion) -> tuple[Array, Array]:
 
 
 def decades(t: Array, x: Array, top: float) -> float | None:
-    """Time from top/10 to top/100 over that from `top` to top/10, each left for good."""
+    """Time from top/10 to top/100 over that from `top` to top/10, by the last crossings."""
     ends = [settled_after(t, x > level) for level in (top, top / 10.0, top / 100.0)]
     if None in ends:
         return None
@@ -71,7 +71,7 @@ def decades(t: Array, x: Array, top: float) -> float | None:
 
 
 def vanishing(params: SotsmcParams, way: Motion) -> dict[str, float | None]:
-    """How sigma, s and e vanish."""
+    """Convergence of sigma, s and e, see `decades`."""
     s, sigma = surfaces(params, way)
     return {
         "sigma_decades": decades(way.t, np.linalg.norm(sigma, axis=1), TOP_SPEED),

@@ -1,8 +1,8 @@
-"""A paper's experiment on the table, on the twin: the whole chain, seed after seed.
+"""A paper's experiment on the twin of the table, with the complete control chain.
 
-Measures are the worst vehicle's, one value per seed: those of `VehicleMetrics` in
-`testbed.metrics.run_metrics`, and `contacts`, `fault` (1 if there was one), `vehicles_m` (nearest
-two).
+Measures are those of the worst vehicle, one value per seed: those of `VehicleMetrics` in
+`testbed.metrics.run_metrics`, and `contacts`, `fault` (1 if there was one), `vehicles_m` (least
+distance of two vehicles).
 """
 
 from msgspec import Struct
@@ -19,11 +19,11 @@ from testbed.reproduction.targets import Measures
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin
 
-SMALLEST = ("min_obstacle_distance_m",)  # the worst is the smallest
+SMALLEST = ("min_obstacle_distance_m",)  # measures whose worst value is the smallest
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True, tag="table"):
-    """An experiment and what is changed in it."""
+    """An experiment with overrides."""
 
     experiment: str
     overrides: tuple[str, ...] = ()
@@ -34,8 +34,8 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True, tag="table"):
 
 
 def fly_seed(run: Table, seed: int) -> tuple[dict[str, float | None], list[Figure]]:
-    """One flight: its measures, and where the vehicles went."""
-    alone = "flight.barrier.on=false"  # it is the law that is on trial, not the safety filter
+    """Fly once; returns measures and figures."""
+    alone = "flight.barrier.on=false"  # tests the law without the safety filter
     experiment = load(find(run.experiment), [*run.overrides, alone, f"seed={seed}"])
     rig, judge = make_twin(experiment), MetricsObserver(experiment.vehicles)
     ending = rig.fly(judge)

@@ -1,4 +1,4 @@
-"""zhang2023 in space: each satellite goes to a place of its own, round obstacles of its own."""
+"""zhang2023 in space: each satellite flies to its own goal, around its own obstacles."""
 
 import numpy as np
 from msgspec import Struct
@@ -18,14 +18,14 @@ from testbed.reproduction.sliding import Motion, vanishing
 Array = NDArray[np.float64]
 Measures = dict[str, list[float | None]]
 
-SETTLED = 0.1  # "reached": closer than this for good [m]
-REST = 100.0  # of the end of a run count as steady [s]
-BUSY = 3e-3  # control that more than cancels disturbance and orbit [m/s^2]
-NEAR = 75.0  # "close to the obstacle": half as far again as its danger radius [m]
+SETTLED = 0.1  # "reached": error that is not exceeded again [m]
+REST = 100.0  # length of the steady phase at the end of a run [s]
+BUSY = 3e-3  # control beyond the compensation of disturbance and orbit [m/s^2]
+NEAR = 75.0  # "close to the obstacle": 1.5 times its danger radius [m]
 
 
 class Satellite(Struct, frozen=True, forbid_unknown_fields=True):
-    """Table 1."""
+    """One satellite of Table 1."""
 
     start: Vector  # [m]
     goal: Vector  # [m]
@@ -43,14 +43,14 @@ class Targets(Struct, frozen=True, forbid_unknown_fields=True, tag="targets"):
     step_s: Positive
     quick_step_s: Positive
     disturbance: WaveParams = STILL  # [m/s^2]
-    told_disturbance: bool = False  # the law's acceleration is the true one, not the nominal
+    told_disturbance: bool = False  # the drift given to the law includes the disturbance
     mass: Positive = 1.0  # [kg]
     corrections: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
 
 
 def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
-    """One satellite; the others do not matter to it."""
+    """Fly one satellite; the others do not affect it."""
     law = gains_of(run.controller, ["sat"], 3)
     obstacles = Obstacles(satellite.obstacles, run.radius)
     where = place(
@@ -67,7 +67,7 @@ def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
 
 
 def motion_of(run: Targets, satellite: Satellite, flight: Flight) -> Motion:
-    """The flight with its accelerations, as the law knows them."""
+    """The trajectory with the accelerations known to the law."""
     chief, push = run.orbit.chief(), run.disturbance.wave()
     p, v = flight.p[:, 0], flight.v[:, 0]
     a = flight.wanted[:, 0] / run.mass
@@ -80,7 +80,7 @@ def motion_of(run: Targets, satellite: Satellite, flight: Flight) -> Motion:
 
 
 def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str, float | None]:
-    """What one flight shows."""
+    """Measures of one flight."""
     t, p = flight.t, flight.p[:, 0]
     error = np.linalg.norm(p - np.array(satellite.goal), axis=1)
     u = flight.wanted[:, 0] / run.mass

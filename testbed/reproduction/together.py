@@ -1,4 +1,4 @@
-"""xue2021, xue2022, xue2024: a few satellites that must not lose each other, in orbit.
+"""xue2021, xue2022, xue2024: formations in orbit that must keep their connectivity.
 
 Measures of a run, where "i-j" is a pair of names and `leader` may be one of them:
 
@@ -6,15 +6,15 @@ Measures of a run, where "i-j" is a pair of names and `leader` may be one of the
     edges_off_m                             largest gap between an edge and its desired length, end
     edges_settle_s                          after which all edges stay within `settle_m` of it
     edges_longest_m, closest_m              over the run; any pair, the leader's included
-    obstacle_m                              nearest anybody comes to an obstacle's centre
-    lost_edges                              edges of the start that were out of range or given up
-    obstacle_felt_s                         last time when an obstacle is near enough to push
-    raw_n                                   largest force on any axis, before the thruster's bound
+    obstacle_m                              smallest distance to an obstacle's centre
+    lost_edges                              edges of the start that were out of range or dropped
+    obstacle_felt_s                         last time at which an obstacle repels a satellite
+    raw_n                                   largest force on any axis, before the thruster's limit
     speed_end                               largest |v - v_leader| in the last hundredth [m/s]
     proxy_m, proxy_end_m, proxy_speed_end   satellite against its proxy
     v0, phi_min, pq, height_needed_m        the certificate; eps/2 with which phi_min = P Q [J, m]
     longer_than_bar_m                       longest first edge less Delta bar
-    gravity_n                               largest m |g| on the way
+    gravity_n                               largest m |g| during the flight
     v_rise, v_end                           largest rise of V between samples; V at the end / V(0)
     concern <name>                          1 if the certificate raises it, else 0
 """
@@ -48,8 +48,8 @@ from testbed.reproduction.targets import Measures
 
 Array = NDArray[np.float64]
 
-SAMPLES = 2000  # of a run that are kept
-END = 0.01  # of a run counts as its end
+SAMPLES = 2000  # samples kept of a run
+END = 0.01  # share of a run that counts as its end
 KINDS = (
     "edge-outside-potential", "start-energy", "barrier-height", "limit-beyond-thrust",
     "alpha-too-small", "beta-too-small", "boundary-layer", "lock-in",
@@ -69,22 +69,22 @@ class Together(Struct, frozen=True, forbid_unknown_fields=True, tag="together"):
     velocity: tuple[Vector, ...] | None = None  # null: at rest [m/s]
     leader: Leader | None = None
     obstacles: Obstacles = NO_OBSTACLES
-    max_axis_n: Positive = 1e9  # of the thrusters
+    max_axis_n: Positive = 1e9  # force limit of the thrusters on each axis [N]
     settle_m: Positive = 1.0
-    literal_graph: tuple[NonNegative, Positive] | None = None  # an edge only inside [m]
-    told_sign: float = 1.0  # of g in the feed-forward; -1: as printed
+    literal_graph: tuple[NonNegative, Positive] | None = None  # range of edges [m]
+    told_sign: float = 1.0  # sign of g in the feed-forward; -1: as printed
     told_coriolis: bool = True
     corrections: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:
-        """The paper's numbers."""
+        """Names of the satellites: their numbers in the paper."""
         return [str(k + 1) for k in range(len(self.mass))]
 
 
 class Tracks(Struct, frozen=True):
-    """A flight with its leader as the last satellite."""
+    """A flight with the leader as the last satellite."""
 
     t: Array
     p: Array  # (m, n + 1, 3)
@@ -93,7 +93,7 @@ class Tracks(Struct, frozen=True):
 
 
 def formation_of(controller: Controller, law: CompiledLaw) -> tuple[Formation, int]:
-    """Who is tied to whom, and where in the law's state a_ij begins, if it has them."""
+    """The law's formation, and the index of the first a_ij in its state, if it has them."""
     gains: Any = law.gains
     if isinstance(controller, Bounded):
         return gains.coupling.formation, 6
@@ -101,13 +101,13 @@ def formation_of(controller: Controller, law: CompiledLaw) -> tuple[Formation, i
 
 
 def band_of(law: CompiledLaw) -> float:
-    """How far from its danger area the law feels an obstacle [m]."""
+    """Width of an obstacle's repulsion beyond its danger radius [m]."""
     gains: Any = law.gains
     return float(getattr(gains.potential, "band", 0.0)) if hasattr(gains, "potential") else 0.0
 
 
 def scene_of(run: Together, edges_at: int) -> Place:
-    """Where it flies."""
+    """The environment of the run."""
     near, far = run.literal_graph or (0.0, 0.0)
     leader = run.leader
     return place(
@@ -136,7 +136,7 @@ def tracks_of(run: Together, where: Place, shape: Formation, edges_at: int, f: F
 
 
 def distances(run: Together, shape: Formation, track: Tracks) -> Measures:
-    """What the distances show."""
+    """Measures of distances and edges."""
     names = [*run.names, "leader"]
     found: Measures = {}
     last = track.t >= (1.0 - END) * track.t[-1]
@@ -162,7 +162,7 @@ def distances(run: Together, shape: Formation, track: Tracks) -> Measures:
 
 
 def obstacles(where: Place, track: Tracks, band: float) -> Measures:
-    """How near they come, and the last time they are within `band` of a danger area."""
+    """Smallest distance to obstacles, and the last time within `band` of a danger area."""
     if len(where.obstacles) == 0:
         return {}
     gaps = np.empty(len(track.t))
@@ -177,7 +177,7 @@ def obstacles(where: Place, track: Tracks, band: float) -> Measures:
 
 
 def efforts(run: Together, track: Tracks, f: Flight) -> Measures:
-    """Forces and velocities."""
+    """Measures of forces and velocities."""
     last = track.t >= (1.0 - END) * track.t[-1]
     relative = track.v[:, :-1] - (track.v[:, -1:] if run.leader else 0.0)
     return {
@@ -188,7 +188,7 @@ def efforts(run: Together, track: Tracks, f: Flight) -> Measures:
 
 
 def proxies(track: Tracks, f: Flight) -> Measures:
-    """Satellite against proxy."""
+    """Differences of position and velocity between satellites and proxies."""
     last = track.t >= (1.0 - END) * track.t[-1]
     gap = np.linalg.norm(f.p - f.z[:, :, :3], axis=2)
     slip = np.linalg.norm(f.v - f.z[:, :, 3:6], axis=2)
@@ -200,7 +200,7 @@ def proxies(track: Tracks, f: Flight) -> Measures:
 
 
 def energies(run: Together, c: Coupling, track: Tracks, f: Flight) -> Array:
-    """V over a flight, with the edges of the moment."""
+    """V over a flight, with the edges at each time."""
     mass, still = np.array(run.mass), np.zeros(3)
     led = run.leader is not None
     return np.array(
@@ -224,7 +224,7 @@ def energies(run: Together, c: Coupling, track: Tracks, f: Flight) -> Array:
 
 
 def certificates(run: Together, law: CompiledLaw, params: Bounded) -> Measures:
-    """What the proof asks for."""
+    """Measures of the proof's conditions."""
     gains: Any = law.gains
     c: Coupling = gains.coupling
     mass, p = np.array(run.mass), np.array(run.start)
@@ -233,7 +233,7 @@ def certificates(run: Together, law: CompiledLaw, params: Bounded) -> Measures:
     at = np.array(leader.start) if leader else np.zeros(3)
     moving = wave_at(leader.velocity.wave(), 0.0) if leader else np.zeros(3)
     fleet = proof.starting(mass, p, v, at, moving)
-    # the papers' thrusters have their bound on each axis
+    # the papers' thrusters have a limit on each axis
     concerns = proof.certificate(c, fleet, run.max_axis_n * np.sqrt(3.0))
     least, height = proof.least_spring_energy(c), c.weight * c.potential.height
     corner = c.limit / c.spring
@@ -257,7 +257,7 @@ def certificates(run: Together, law: CompiledLaw, params: Bounded) -> Measures:
 
 
 def bars(c: Coupling, fleet: proof.Fleet) -> Measures:
-    """Delta bar of xue2022, Eq. (18): there the edges of the start together have potential Q."""
+    """Delta bar of xue2022, Eq. (18), at which the potentials of initial edges add up to Q."""
     p = np.vstack([fleet.p, fleet.leader_p])
     pairs = np.argwhere(np.triu(c.formation.first) > 0.0)
     beyond = -np.inf
@@ -273,7 +273,7 @@ def bars(c: Coupling, fleet: proof.Fleet) -> Measures:
 
 
 def gravity(run: Together, where: Place, f: Flight) -> Measures:
-    """Of Assumption 3."""
+    """Largest gravity force, for Assumption 3."""
     frames = [frame_at(where.chief, t) for t in f.t]
     pulls = [
         m * np.linalg.norm(field(frame, p))
@@ -284,7 +284,7 @@ def gravity(run: Together, where: Place, f: Flight) -> Measures:
 
 
 def static_energy(run: Together, law: CompiledLaw, track: Tracks, f: Flight) -> Array:
-    """V_1 of xue2021, Eq. (10), over a flight; a pair out of range has psi^d's level."""
+    """V_1 of xue2021, Eq. (10), over a flight; psi^d is constant for pairs out of range."""
     gains: Any = law.gains
     u: FormationPotential = gains.potential
     mass, total = np.array(run.mass), np.zeros(len(f.t))
@@ -305,7 +305,7 @@ def static_energy(run: Together, law: CompiledLaw, track: Tracks, f: Flight) -> 
 
 
 def rises(v: Array) -> Measures:
-    """Whether V falls."""
+    """Rise of V between samples and its value at the end."""
     return {
         "v_rise": [float(np.diff(v).max(initial=0.0))],
         "v_rise_total": [float(np.maximum(np.diff(v), 0.0).sum())],
@@ -315,7 +315,7 @@ def rises(v: Array) -> Measures:
 
 
 def run_together(run: Together, *, quick: bool) -> tuple[Measures, list[Figure]]:
-    """Fly and measure."""
+    """Fly once and compute all measures."""
     law = gains_of(run.controller, run.names, 3)
     shape, edges_at = formation_of(run.controller, law)
     where = scene_of(run, edges_at)
@@ -341,7 +341,7 @@ def run_together(run: Together, *, quick: bool) -> tuple[Measures, list[Figure]]
 
 
 def figures(run: Together, track: Tracks, f: Flight) -> list[Figure]:
-    """Distances, velocities, forces."""
+    """Figures of distances, velocities and forces."""
     names = [*run.names, "leader"] if run.leader else run.names
     t = thinned(track.t)
     gaps = {

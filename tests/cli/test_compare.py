@@ -52,10 +52,7 @@ def test_a_formation_beside_a_flight_to_a_goal(testbed):
     assert found["together"]["final_error_m"] is None  # nobody has a goal of his own
     assert found["alone"]["formation_error_m"] is None
     testbed("compare", "together", "alone", "--out", "both.html")
-    assert (
-        "Edges of the formation: off their wanted length; Distance to the goal"
-        in Path("both.html").read_text()
-    )
+    assert "Formation edges: length error; Distance to the goal" in Path("both.html").read_text()
 
 
 def test_a_goal_that_moves_is_followed(testbed):

@@ -84,7 +84,7 @@ def test_an_edited_copy_is_not_the_run_that_was(testbed, mine):
     Path("out/law_of_mine.py").write_text(SPRING.format(factor=2.0))
     key, expected, found = refusal(testbed("check", "out/config.toml"))
     assert key == "controller.sha256"
-    assert "without the key, any" in expected
+    assert "remove the key to accept any content" in expected
     assert found.endswith("law_of_mine.py was edited")
 
 
@@ -186,7 +186,7 @@ BAD = {  # name: (content of my_law.py, [controller] law, parameters, key, expec
         "class Mine:\n    pass\n", NAMED, "{}", "law", "a class or function of my_law.py: Mine",
         "`Law`",
     ),
-    "an empty file": ("", NAMED, "{}", "law", "it has none", "`Law`"),
+    "an empty file": ("", NAMED, "{}", "law", "it defines none", "`Law`"),
     "no law": ("Law = 3\n", NAMED, "{}", "law", "class or function", "`Law`, which is neither"),
     "syntax": ("x = 1\nclass Law\n", NAMED, "{}", "law", "can be executed", "my_law.py:2: Synt"),
     "import": (
@@ -222,7 +222,7 @@ BAD = {  # name: (content of my_law.py, [controller] law, parameters, key, expec
     ),
     "refused parameter": (
         PARAMETERS + "        if gain < 0:\n            raise ValueError('gain < 0')\n", NAMED,
-        "{gain=-1}", "parameters", "some that it accepts",
+        "{gain=-1}", "parameters", "values it accepts",
         "my_law.py:4, in __init__: ValueError: gain < 0",
     ),
     "shape": (
@@ -276,7 +276,7 @@ def test_a_law_that_gives_nan_at_once_is_refused_before_a_flight(testbed, here):
     for verb in ("check", "run"):
         result = testbed(verb, "hold", 'controller={type="python", law="nan.py:Law"}')
         assert result.exit_code == 2
-        assert "a force that is no number, [nan nan], the first time it was asked" in result.stderr
+        assert "force is not finite, [nan nan], in a trial call before the flight" in result.stderr
 
 
 LATE = """
@@ -292,7 +292,7 @@ class Law:
     ("what", "reason"),
     [
         ("1.0 / 0.0", "my_law.py:5, in force: ZeroDivisionError: "),
-        ("return float('nan') * own.p", "my_law.py: a force that is no number, "),
+        ("return float('nan') * own.p", "my_law.py: force is not finite, "),
     ],
 )
 def test_a_law_that_fails_in_flight_ends_the_run_as_a_fault(testbed, here, what, reason):
@@ -319,7 +319,7 @@ def test_a_law_that_fails_is_replayed_to_the_last_bit_and_named_in_the_report(te
     assert found["first_difference"] is None
     page = Path("out/report.html").read_text()
     assert "Law <b>sick.py:Sick</b>" in page
-    assert "sick.py: a force that is no number" in page
+    assert "sick.py: force is not finite" in page
 
 
 # Heard

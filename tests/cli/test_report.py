@@ -193,4 +193,4 @@ def test_a_criterion_that_is_missed_is_amber_and_marks_its_cells_only(testbed):
 
 def test_every_page_of_a_twin_says_so(testbed):
     testbed("run", "hold", "duration_s=1", "--out", "out")  # fails: nothing settles in a second
-    assert "A result of the twin, not of a table." in read()[1]
+    assert "Simulated on the twin, not flown on a table." in read()[1]

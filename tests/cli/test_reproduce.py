@@ -209,7 +209,7 @@ def test_2_when_a_run_cannot_be_made(testbed, small):
     small.write_text(text.replace('says = "not connected"', ""))
     result = testbed("reproduce", "small")
     assert result.exit_code == 2
-    assert "error: run layouts of small: the graph of the start is not connected" in result.stderr
+    assert "error: run layouts of small: the initial graph is not connected" in result.stderr
 
 
 def test_130_and_the_rows_so_far_when_interrupted(testbed, small, monkeypatch):

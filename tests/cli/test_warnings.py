@@ -35,7 +35,7 @@ WARNED = {  # experiment, what is changed: what is said
     "a boundary layer is always said": ("xue2024_table_varying", [], ["boundary-layer"]),
     "true sgn": ("xue2024_table_varying", ["controller.layer=0.0"], ["lock-in"]),
     "as shipped, static obstacle": ("xue2021_table_static", [], []),
-    "Theorem 2 asks what nobody can promise": (
+    "Theorem 2 has an unverifiable condition": (
         "xue2021_table_dynamic", [], ["beta-unproven", "boundary-layer"],
     ),
     "the same with true sgn": (
@@ -144,7 +144,7 @@ FOLLOWING = f"{SHAPE}.edges=['sat1-sat2','sat2-sat3','sat3-leader']"
 ERRORS = {
     "not connected by its own edges": (
         "xue2022_table", [f'{SHAPE}.edges=["sat1-sat2"]'],
-        "found     the graph of the start is not connected", "sat3",
+        "found     the initial graph is not connected", "sat3",
     ),
     "a distance that the range does not reach": (
         "xue2022_table", [f'{SHAPE}.edges=["sat1-sat2","sat1-sat3"]'], "less than range", "2.5 m",

@@ -162,7 +162,7 @@ TWO_LOOPS = b"\x00\xbf\xbf\xf3\x6f\x8f\xfb\xe7"  # nop; isb; b to the nop
 def test_an_image_that_never_sleeps_is_named(tmp_path, program):
     vectors = (0x2000_2000).to_bytes(4, "little") + (0x0800_0201).to_bytes(4, "little")
     (tmp_path / "endless.bin").write_bytes(vectors.ljust(0x200, b"\0") + program)
-    with pytest.raises(MachineError, match="does not come out of a loop"):
+    with pytest.raises(MachineError, match="does not leave a loop"):
         Machine(tmp_path / "endless.bin")
 
 

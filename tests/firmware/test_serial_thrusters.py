@@ -191,7 +191,7 @@ def test_a_twin_does_not_take_the_place_of_what_is_there(limits, tmp_path):
     board.write_text("what a lab has")
     link.symlink_to(board)
     for place in (board, link):
-        with pytest.raises(TapError, match="is there already"), LineTap(limits, 1, place):
+        with pytest.raises(TapError, match="not created by a twin"), LineTap(limits, 1, place):
             pass
     assert board.read_text() == "what a lab has"
     assert link.readlink() == board

@@ -218,7 +218,7 @@ def test_nonsense_is_refused_by_the_adaptive_one(changes, message):
     ("changes", "message"),
     [
         ({"step": 0.0}, "step > 0"),
-        ({"every": 3}, "that `every` divides"),
+        ({"every": 3}, "divisible by `every`"),
         ({"y0": [np.inf, 0.0, 0.0]}, "expected a finite state"),
     ],
 )

@@ -71,7 +71,7 @@ def test_the_colour_of_a_verdict():
         (flown(completed=False, duration_s=12.3, criteria=None),
          ("unjudged", "interrupted at 12.3 s: not judged")),
         (flown(completed=False, red=["sat1: no pose"], fault="not started"),
-         ("failed", "not started: a check is red")),
+         ("failed", "not started: a check failed")),
         (flown(completed=False, duration_s=9.0, contacts=-1, fault="killed", criteria=None),
          ("unjudged", "not judged, 9.0 s in the log")),
     ]  # fmt: skip

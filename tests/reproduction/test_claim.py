@@ -82,7 +82,7 @@ def test_a_seed_without_a_value_is_the_worst():
 
 
 def test_words_need_a_limit():
-    with pytest.raises(ValueError, match="expected a `limit`, because `paper` is in words"):
+    with pytest.raises(ValueError, match="expected a `limit`, because `paper` is text"):
         claim(paper="small")
     assert row(claim(paper="small", must="at most", limit=3.0), 2.0).outcome == HOLDS
 

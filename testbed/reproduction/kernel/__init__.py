@@ -1,1 +1,1 @@
-"""The compiled part: what is here is kept on disk, see `testbed.core.compiled`."""
+"""Compiled code, cached on disk, see `testbed.core.compiled`."""

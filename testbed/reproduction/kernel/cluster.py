@@ -1,14 +1,14 @@
 r"""gao2022's law for a whole cluster at once, as `sim_twin.orbit.swarm` flies it.
 
-The same field and the same repulsion as `controllers.bifurcating`; only that each pair is looked at
-once and not twice. Drift is that of Clohessy and Wiltshire, as in the paper, and the axes are its:
-x forward, y against the normal, z down.
+The same field and repulsion as `controllers.bifurcating`, but each pair is evaluated once instead
+of twice. Drift is that of Clohessy and Wiltshire, with the axes of the paper: x forward, y against
+the normal, z down.
 
-    as_printed    what of the print is left uncorrected, to see what comes of it
-    RIGHT         nothing
-    ATTRACT       Eq. (13) with its sign
-    POTENTIAL     Eq. (12) with its factor, U = -k_c (d^2 - s d): its own force takes (13)'s place
-    INERTIAL      Eq. (10) with the velocity in ECI, of which the centre's is most
+    as_printed    selects an error of the print to keep, to show its effect
+    RIGHT         none
+    ATTRACT       Eq. (13) with the printed sign
+    POTENTIAL     Eq. (12) with the printed factor, U = -k_c (d^2 - s d), whose force replaces (13)
+    INERTIAL      Eq. (10) with the velocity in ECI, mostly that of the centre
 """
 
 from typing import NamedTuple
@@ -34,7 +34,7 @@ RIGHT, ATTRACT, INERTIAL, POTENTIAL = range(4)
 
 
 class Cluster(NamedTuple):
-    """The law and what it needs to know of the satellites."""
+    """The law and the parameters of the satellites."""
 
     gains: Gains
     mass: float  # of each [kg]
@@ -62,7 +62,7 @@ def printed_potential(stiffness, reach, x, force):
 
 @compiled_control(Cluster)
 def cluster_control(control, t, p, v, u):
-    """Accelerations asked of n satellites, (n, 3)."""
+    """Write the commanded accelerations of n satellites, (n, 3)."""
     control, p, v, u = borrowed((control, p, v, u))  # counting references took half the time
     g, k = control.gains, 0
     while k + 1 < g.at.shape[0] and g.at[k + 1] <= t:
@@ -96,7 +96,7 @@ def in_metres(phase: Phase, newtons: float) -> Phase:
 
     Args:
         phase: as printed; `at` is in seconds already.
-        newtons: what the paper's unit of force is: 1000 if it is coherent, 1 if it is newton.
+        newtons: the paper's unit of force [N]: 1000 if coherent (kN), 1 for newtons.
     """
     length = {n: None if (x := getattr(phase, n)) is None else 1e3 * x for n in _LENGTHS}
     return Phase(

@@ -1,9 +1,8 @@
-r"""Some satellites under one law, in orbit or nowhere, hearing each other at once: compiled RK4.
+r"""Satellites under one law, in orbit or free space, with ideal communication: compiled RK4.
 
-The papers' simulations know no radio, no estimator and no jets. Every satellite's law is asked in
-every stage; it sees its own state and what the others are and tell at that instant. What is not
-continuous (who is whose neighbour) changes between steps. The step is fixed because some of the
-laws have sgn in them.
+The papers' simulations include no radio, estimator or jets. Every stage evaluates the law of every
+satellite with its own state and the present states and messages of the others. Discontinuous
+states, such as edges, change between steps. The step is fixed because some laws contain sgn.
 """
 
 from typing import Any, NamedTuple
@@ -17,8 +16,8 @@ from testbed.core.law import Body, Discs, Goal, Neighbours, World, broadcast_of,
 
 Array = NDArray[np.float64]
 
-BEFORE = (0.0, 0.5, 0.5, 1.0, 0.0)  # Runge and Kutta's: when a stage is, in steps
-SHARE = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # of a stage in the step
+BEFORE = (0.0, 0.5, 0.5, 1.0, 0.0)  # times of the Runge-Kutta stages [steps]
+SHARE = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)  # weights of the stages
 
 
 class Wave(NamedTuple):
@@ -31,53 +30,53 @@ class Wave(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Everything round the satellites that is not one of them."""
+    """The environment of the satellites, for compiled code."""
 
     orbiting: bool
     chief: Chief  # of the frame, if orbiting
-    goal: Array  # (d,) where the goal, or the leader, is at time 0 [m]
+    goal: Array  # (d,) position of the goal, or the leader, at time 0 [m]
     goal_v: Wave  # its velocity [m/s]
     obstacles: Array  # (k, d) obstacles at time 0 [m]
     obstacles_v: Wave  # the velocity of all of them [m/s]
     radius: Array  # (k,) of them [m]
-    push: Wave  # acceleration besides the orbit's [m/s^2]
-    told_sign: float  # of g as the laws believe it to be; 1: as it is
-    told_coriolis: float  # 1: what a law calls drift has C p' in it, 0: not
-    told_rate: bool  # laws are told how their drift changes
-    told_push: bool  # what laws call drift has `push` in it
-    near: float  # Eq. (2) of xue2022 to the letter: an edge between two satellites
-    far: float  # is there in (near, far) and nowhere else; far = 0: the laws' own graph [m]
-    edges_at: int  # where in a law's state a_ij begins
-    max_axis: float  # what a thruster can do on each axis [N]
+    push: Wave  # acceleration in addition to the orbit's [m/s^2]
+    told_sign: float  # sign of g in the drift given to the laws; 1: correct
+    told_coriolis: float  # 1: the drift given to the laws includes C p', 0: it does not
+    told_rate: bool  # laws get the rate of their drift
+    told_push: bool  # the drift given to the laws includes `push`
+    near: float  # Eq. (2) of xue2022 as printed: two satellites have an edge
+    far: float  # exactly if their distance is in (near, far); far = 0: the laws' own graph [m]
+    edges_at: int  # index of the first a_ij in a law's state
+    max_axis: float  # force limit on each axis [N]
 
 
 class Flight(NamedTuple):
-    """At m times, for n satellites in d dimensions."""
+    """A flight at m times, for n satellites in d dimensions."""
 
     t: Array  # (m,) [s]
     p: Array  # (m, n, d) [m]
     v: Array  # (m, n, d) [m/s]
     z: Array  # (m, n, k) the laws' states
-    wanted: Array  # (m, n, d) force, before the thrusters' bound [N]
+    wanted: Array  # (m, n, d) force, before the thrusters' limit [N]
     peak: Array  # (n, d) largest |wanted| of all steps [N]
-    travel: Array  # (n, d) how much the applied force went up and down in all [N]
+    travel: Array  # (n, d) total variation of the applied force [N]
 
 
 class Sight(NamedTuple):
-    """What laws are handed at one instant, and room to work in."""
+    """Inputs of the laws at one time, and work memory."""
 
     world: World
-    others: Neighbours  # of whoever is asked
-    unheard: Neighbours  # the same before they told anything
+    others: Neighbours  # of the satellite being evaluated
+    unheard: Neighbours  # the same without messages
     drift: Array  # (n, d) acceleration without thrust [m/s^2]
-    told: Array  # (n, d) the same as the laws are told [m/s^2]
+    told: Array  # (n, d) the drift given to the laws [m/s^2]
     still: Array  # (d,) zeros
-    jolt: Array  # (d,) how the told drift of whoever is asked changes [m/s^3]
+    jolt: Array  # (d,) rate of the given drift of the satellite being evaluated [m/s^3]
 
 
 @compiled
 def wave_at(wave, t):
-    """Value, shape (d,)."""
+    """Value of a wave at time `t`, shape (d,)."""
     out = np.empty(wave.mean.shape[0])
     write_wave(wave, t, out)
     return out
@@ -85,7 +84,7 @@ def wave_at(wave, t):
 
 @compiled
 def write_wave(wave, t, out):
-    """The same, into `out`."""
+    """Write the value of a wave to `out`."""
     s, c = np.sin(wave.w * t), np.cos(wave.w * t)
     for a in range(out.shape[0]):
         out[a] = wave.mean[a] + wave.sine[a] * s + wave.cosine[a] * c
@@ -93,7 +92,7 @@ def write_wave(wave, t, out):
 
 @compiled
 def wave_integral(wave, t):
-    """Integral from 0 to t, shape (d,)."""
+    """Integral of a wave from 0 to t, shape (d,)."""
     out = np.empty(wave.mean.shape[0])
     write_integral(wave, t, out)
     return out
@@ -101,7 +100,7 @@ def wave_integral(wave, t):
 
 @compiled
 def write_integral(wave, t, out):
-    """The same, into `out`."""
+    """Write the integral of a wave to `out`."""
     s, c = np.sin(wave.w * t), np.cos(wave.w * t)
     for a in range(out.shape[0]):
         swing = wave.sine[a] * (1.0 - c) + wave.cosine[a] * s
@@ -110,7 +109,7 @@ def write_integral(wave, t, out):
 
 @compiled
 def goal_at(place, t):
-    """Where goal or leader is at time `t`, and its derivatives."""
+    """Position of goal or leader at time `t`, and its derivatives."""
     d = place.goal.shape[0]
     goal = Goal(np.empty(d), np.empty(d), np.empty(d), np.empty(d))
     write_goal(place, t, goal)
@@ -119,7 +118,7 @@ def goal_at(place, t):
 
 @compiled
 def write_goal(place, t, goal):
-    """The same, into `goal`."""
+    """Write `goal_at` to `goal`."""
     wave = place.goal_v
     write_integral(wave, t, goal.p)
     write_wave(wave, t, goal.v)
@@ -132,7 +131,7 @@ def write_goal(place, t, goal):
 
 @compiled
 def empty_sight(place, n, words):
-    """Room for what a law is handed, to be written before each call of one."""
+    """Allocate the inputs of a law, which are written before each call."""
     d, k = place.goal.shape[0], place.obstacles.shape[0]
     goal = Goal(np.empty(d), np.empty(d), np.empty(d), np.empty(d))
     world = World(goal, Discs(np.empty((k, d)), np.empty((k, d)), place.radius))
@@ -148,7 +147,7 @@ def empty_sight(place, n, words):
 
 @compiled
 def look_round(place, t, sight):
-    """Write the world that all laws see."""
+    """Write the environment, common to all laws."""
     goal, obstacles = sight.world.goal, sight.world.obstacles
     write_goal(place, t, goal)
     for k in range(obstacles.p.shape[0]):
@@ -160,7 +159,7 @@ def look_round(place, t, sight):
 
 @compiled
 def look_at_others(i, t, p, v, said, others):
-    """Write where everybody but the i-th is, and what they said."""
+    """Write states and messages of all satellites except the i-th."""
     for k in range(others.vehicle_index.shape[0]):
         j = k if k < i else k + 1
         others.vehicle_index[k], others.message_t[k] = j, t
@@ -172,7 +171,7 @@ def look_at_others(i, t, p, v, said, others):
 
 @compiled
 def drifts(place, t, p, v, true, told):
-    """Write the acceleration without thrust, as it is and as the laws are told; all (n, d)."""
+    """Write the acceleration without thrust, true and as given to the laws; all (n, d)."""
     true[:] = 0.0
     told[:] = 0.0
     if place.orbiting:
@@ -192,7 +191,7 @@ def drifts(place, t, p, v, true, told):
 
 @compiled
 def jolt(place, t, p, v, told, force, mass, out):
-    """Write how the drift of one satellite changes, shape (d,) [m/s^3]."""
+    """Write the rate of the drift of one satellite, shape (d,) [m/s^3]."""
     accel = np.empty(p.shape[0])
     for a in range(p.shape[0]):
         accel[a] = told[a] + force[a] / mass
@@ -203,7 +202,7 @@ def jolt(place, t, p, v, told, force, mass, out):
 
 @pasted
 def flow(law, place, mass, t, p, v, z, said, sight, a, z_rate, wanted):
-    """Write accelerations, rates of the laws' states and forces at one instant."""
+    """Write accelerations, rates of the laws' states and forces at one time."""
     law, place, sight = borrowed(law), borrowed(place), borrowed(sight)
     mass, p, v, z, said = borrowed((mass, p, v, z, said))
     told, still = sight.told, sight.still
@@ -220,14 +219,14 @@ def flow(law, place, mass, t, p, v, z, said, sight, a, z_rate, wanted):
     for i in range(n):
         look_at_others(i, t, p, v, said, sight.others)
         sight.jolt[:] = 0.0
-        for _ in range(2 if place.told_rate else 1):  # one call in the text: half to compile
+        for _ in range(2 if place.told_rate else 1):  # one call site halves compile time
             own = Body(p[i], v[i], mass[i], told[i], sight.jolt, np.inf, i)
             force, change = rate_of(law, z[i], own, sight.others, sight.world, t)
             for k in range(d):
                 wanted[i, k] = force[k]
             for k in range(z.shape[1]):
                 z_rate[i, k] = change[k]
-            if place.told_rate:  # needs the force, which in these laws does not need it
+            if place.told_rate:  # depends on the force, which in these laws does not depend on it
                 jolt(place, t, p[i], v[i], told[i], wanted[i], mass[i], sight.jolt)
         for k in range(d):
             applied = within(wanted[i, k], place.max_axis)
@@ -236,13 +235,13 @@ def flow(law, place, mass, t, p, v, z, said, sight, a, z_rate, wanted):
 
 @compiled
 def within(force, limit):
-    """What a thruster makes of it [N]."""
+    """Force limited to the thrusters' range [N]."""
     return min(max(force, -limit), limit)
 
 
 @pasted
 def jump(law, place, mass, t, p, v, z, sight, after):
-    """Write the laws' states after what changes at once."""
+    """Write the laws' states after discontinuous changes."""
     law, place, sight = borrowed(law), borrowed(place), borrowed(sight)
     mass, p, v, z = borrowed((mass, p, v, z))
     look_round(place, t, sight)
@@ -258,7 +257,7 @@ def jump(law, place, mass, t, p, v, z, sight, after):
 
 @compiled
 def edges_as_printed(place, i, p, z):
-    """Write the i-th's edges, Eq. (2) of xue2022 to the letter."""
+    """Write the edges of the i-th satellite, Eq. (2) of xue2022 as printed."""
     for j in range(p.shape[0]):
         square = 0.0
         for a in range(p.shape[1]):
@@ -269,7 +268,7 @@ def edges_as_printed(place, i, p, z):
 
 @compiled
 def copy(x, out):
-    """Write x; a loop, because numba compiles `out[:] = x` with its complaint about shapes."""
+    """Copy x to `out`; a loop compiles faster than `out[:] = x`, which checks shapes."""
     for i in range(x.shape[0]):
         for k in range(x.shape[1]):
             out[i, k] = x[i, k]
@@ -277,7 +276,7 @@ def copy(x, out):
 
 @compiled
 def add(total, share, rate):
-    """Add share rate to `total`, both (n, k)."""
+    """Add `share` times `rate` to `total`, both (n, k)."""
     for i in range(total.shape[0]):
         for k in range(total.shape[1]):
             total[i, k] += share * rate[i, k]
@@ -293,7 +292,7 @@ def ahead(x, h, rate, out):
 
 @compiled
 def keep_score(limit, wanted, first, last, peak, travel):
-    """Largest force, and how far what is applied, `last`, has gone up and down."""
+    """Update the largest force and the total variation of the applied force, `last`."""
     for i in range(wanted.shape[0]):
         for k in range(wanted.shape[1]):
             now = within(wanted[i, k], limit)
@@ -305,7 +304,7 @@ def keep_score(limit, wanted, first, last, peak, travel):
 
 @compiled
 def run(law, place, mass, p, v, z, words, h, steps, every):
-    """See `fly`; everything but the law's verbs is in functions that all laws share."""
+    """See `fly`; only calls of the law are compiled per law, other functions are shared."""
     n, d = p.shape
     m = steps // every + 1
     ts, ps, vs = np.empty(m), np.empty((m, n, d)), np.empty((m, n, d))
@@ -317,7 +316,7 @@ def run(law, place, mass, p, v, z, words, h, steps, every):
     dp, dv, dz = np.empty((n, d)), np.empty((n, d)), np.empty(z.shape)
     p, v, z = p.copy(), v.copy(), z.copy()
     for step in range(steps + 1):
-        t = step * h  # not summed up: no drift
+        t = step * h  # not accumulated, to avoid rounding drift
         jump(law, place, mass, t, p, v, z, sight, z1)
         copy(z1, z)
         copy(p, p1)
@@ -358,13 +357,13 @@ def fly(
 
     Args:
         law: with compiled gains, see `testbed.core.law.CompiledLaw`.
-        place: where.
+        place: the environment.
         mass: (n,) [kg].
-        p: (n, d) at the start [m].
-        v: (n, d) [m/s].
-        step: [s].
-        steps: how many; `every` divides it.
-        every: one in so many is kept.
+        p: initial positions, (n, d) [m].
+        v: initial velocities, (n, d) [m/s].
+        step: step size [s].
+        steps: number of steps, a multiple of `every`.
+        every: keep every n-th state.
     """
     still = np.zeros(p.shape[1])
     bodies = [Body(p[i], v[i], float(mass[i]), still, still, np.inf, i) for i in range(len(p))]
