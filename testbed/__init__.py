@@ -6,7 +6,7 @@
     run.passed, run["sat1"].pose
 
 `load` an experiment, `fly` it, `open_run` a folder, `replay` a run, `sweep` a parameter, or drive
-the `Twin` tick by tick. Everything is imported when it is first used.
+the `Twin` tick by tick. Names are imported on first use.
 """
 
 from importlib import import_module

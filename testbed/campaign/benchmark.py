@@ -1,8 +1,8 @@
-"""The benchmark of record: standard scenarios under all laws, scored the same for everybody.
+"""The benchmark of record: standard scenarios under all laws, all scored the same way.
 
-A benchmark file says which laws fly which scenarios, with which gains, and what counts. Every
-scenario is a campaign over its laws, once with the vehicles as their file describes them and once
-with `trouble`, which the laws are not told about.
+A benchmark file lists the laws, their gains, the scenarios and the limits. Every scenario is a
+campaign over its laws, once with the vehicles as their file describes them and once with
+`trouble`, which the laws do not know.
 """
 
 import math
@@ -32,28 +32,28 @@ SHIPPED, OFF = "as its file", "off"
 
 
 class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
-    """An experiment, and who flies it."""
+    """An experiment and the laws that fly it."""
 
     experiment: str
     laws: Annotated[list[str], Meta(min_length=1)]
     set: list[str] = []
-    description: str = ""  # the experiment's if not given
-    hardware: str = ""  # how a lab brings about what `set` sets on the twin
+    description: str = ""  # default: the experiment's
+    hardware: str = ""  # how a lab reproduces what `set` does on the twin
     most: dict[str, float] = {}
     least: dict[str, float] = {}
 
 
 class BenchmarkFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """A benchmark as its file says it."""
+    """Content of a benchmark file."""
 
     name: str
-    laws: dict[str, list[str]]  # "key=value" that put a law and its gains into an experiment
+    laws: dict[str, list[str]]  # "key=value" overrides that select a law and its gains
     scenarios: Annotated[dict[str, Scenario], Meta(min_length=1)]
     samples: Annotated[int, Meta(ge=1, le=10_000)] = 4
     seed: Seed = 0
     trouble: list[str] = field(default_factory=list)
-    trouble_hardware: str = ""  # how a lab brings it about, or that it cannot
-    notes: list[str] = []  # what a reader of the scores should know
+    trouble_hardware: str = ""  # how a lab reproduces it, or that it cannot
+    notes: list[str] = []  # notes for readers of the scores
 
 
 class Score(Struct, frozen=True):
@@ -66,8 +66,8 @@ class Score(Struct, frozen=True):
     error_m: float | None  # median over the runs
     worst_error_m: float | None
     settle_s: float | None  # median; null if a run never settled
-    clearance_m: float | None  # to an obstacle's danger radius, smallest
-    vehicle_distance_m: float | None  # centre to centre, smallest
+    clearance_m: float | None  # smallest, to an obstacle's danger radius
+    vehicle_distance_m: float | None  # smallest, centre to centre
     contacts: int
     gas_g: float | None  # median, all vehicles together
     valve_pulses: float | None
@@ -84,15 +84,15 @@ class PassedOver(Struct, frozen=True):
 
 
 class Record(Struct, frozen=True):
-    """A benchmark that was flown: what `--json` prints."""
+    """The scores of a benchmark, and what `--json` prints."""
 
     benchmark: str
     version: str  # of the program that flew
     scores: list[Score]
-    code: str | None = None  # digest of it; not known of run folders
+    code: str | None = None  # digest of the code; unknown for run folders
     passed_over: list[PassedOver] = []
     not_flown: list[str] = []  # "scenario: laws", or "scenario: law, seeds"
-    own: list[str] = []  # what of the runs is a lab's own
+    own: list[str] = []  # settings of the runs that are a lab's own
 
 
 def load_benchmark(path: Path) -> BenchmarkFile:
@@ -119,7 +119,7 @@ def scenario_campaign(path: Path, file: BenchmarkFile, name: str) -> Campaign:
     """One scenario as a campaign over its laws.
 
     Raises:
-        ConfigError: the experiment is not there, or a law does not fit it.
+        ConfigError: the experiment does not exist, or a law does not fit it.
     """
     scenario = file.scenarios[name]
     states = {SHIPPED: [], OFF: file.trouble} if file.trouble else {SHIPPED: []}
@@ -144,7 +144,7 @@ def scenario_campaign(path: Path, file: BenchmarkFile, name: str) -> Campaign:
 
 
 def scores(campaign: Campaign, scenario: str, runs: Sequence[Flown]) -> list[Score]:
-    """Every law of a scenario."""
+    """Score every law of a scenario."""
     by_law: dict[str, tuple[list[Flown], list[Flown]]] = {}
     for run in runs:
         parameters = campaign.parameters(run.k)
@@ -154,10 +154,10 @@ def scores(campaign: Campaign, scenario: str, runs: Sequence[Flown]) -> list[Sco
 
 
 def score(scenario: str, law: str, runs: Sequence[Flown], off: Sequence[Flown] = ()) -> Score:
-    """One law in one scenario.
+    """Score one law in one scenario.
 
-    A run that ended early has not the small error or the little gas of its first seconds: it is
-    worse than any.
+    A run that ended early counts as infinitely bad, not with the small error or gas of its first
+    seconds.
     """
 
     def numbers(name: str) -> list[float]:
@@ -192,5 +192,5 @@ def score(scenario: str, law: str, runs: Sequence[Flown], off: Sequence[Flown] =
 
 
 def known(value: float) -> float | None:
-    """A number, if it is one."""
+    """The number, or None if it is not finite."""
     return value if math.isfinite(value) else None

@@ -1,8 +1,8 @@
-"""Charts as SVG text, drawn with the colours of the page they stand on.
+"""Charts as SVG text, in the colours of the surrounding page.
 
-One size of type, thin axes, a grid one can look through. A point that passed is a disc, one that
-did not is a cross; with several cases each has a colour and a mark, hollow where it did not pass.
-So colour is never all there is.
+One font size, thin axes, a faint grid. A run that passed is a disc, a failed run a cross. With
+several cases each has a colour and a mark, hollow for failed runs, so that colour is never the only
+cue.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ class Point(NamedTuple):
     y: float
     passed: bool
     hint: str
-    case: int = 0  # which colour and mark it has, where there are several
+    case: int = 0  # index of colour and mark if there are several cases
 
 
 def wide(low: float, high: float, title: str, log: bool = False) -> Axis:
@@ -60,7 +60,7 @@ def page(parts: Sequence[str], label: str, height: float = HEIGHT) -> str:
 
 
 def text(x: float, y: float, words: str, kind: str = "label", extra: str = "") -> str:
-    """Words on the page."""
+    """A text element."""
     return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" {extra}>{escape(words)}</text>'
 
 
@@ -86,7 +86,7 @@ def frame(x: Axis, y: Axis, x_ticks: bool = True, y_ticks: bool = True) -> list[
 
 
 def histogram(passed: Sequence[float], others: Sequence[float], title: str) -> str:
-    """How often a number lies where; those that did not pass on top."""
+    """A histogram; runs that did not pass are stacked on top."""
     x = along([*passed, *others], title)
     good, bad = counts(x, passed), counts(x, others)
     highest = max(g + b for g, b in zip(good, bad, strict=True))
@@ -95,13 +95,13 @@ def histogram(passed: Sequence[float], others: Sequence[float], title: str) -> s
 
 
 def along(values: Sequence[float], title: str) -> Axis:
-    """The axis of a histogram of some numbers, without room at its ends."""
+    """The horizontal axis of a histogram, without margins."""
     log = wants_log(values)
     return wide(*(log_span(values, 0.0) if log else span(values, 0.0)), title, log)
 
 
 def counts(x: Axis, values: Sequence[float]) -> list[int]:
-    """How many of the numbers are in each bin."""
+    """Number of values in each bin."""
     found = [0] * BINS
     for value in values:
         share = (x.at(value) - x.start) / (x.end - x.start)
@@ -112,7 +112,7 @@ def counts(x: Axis, values: Sequence[float]) -> list[int]:
 def bars(
     x: Axis, y: Axis, good: Sequence[int], bad: Sequence[int], kinds: Sequence[str] = GOOD_BAD
 ) -> list[str]:
-    """Those that passed, and on top those that did not."""
+    """Bars of the passed runs, with the others stacked on top."""
     parts, width = [], (x.end - x.start) / BINS
     for k, (g, b) in enumerate(zip(good, bad, strict=True)):
         left = x.start + k * width + 0.75
@@ -134,12 +134,12 @@ class Strip(NamedTuple):
     name: str
     passed: Sequence[float]
     others: Sequence[float]
-    median: float | None  # none where no run has the number
+    median: float | None  # None if no run has the number
     words: str
 
 
 def strips(rows: Sequence[Strip], title: str) -> str:
-    """Histograms one below the other, on one axis and of one scale."""
+    """Histograms below each other, with a common axis and scale."""
     x = along([value for row in rows for value in (*row.passed, *row.others)], title)
     found = [(counts(x, row.passed), counts(x, row.others)) for row in rows]
     highest = max(g + b for good, bad in found for g, b in zip(good, bad, strict=True))
@@ -162,7 +162,7 @@ def strips(rows: Sequence[Strip], title: str) -> str:
 
 
 def cut(words: str, most: int) -> str:
-    """No longer than there is room for."""
+    """The text, truncated to `most` characters."""
     return words if len(words) <= most else words[: max(1, most - 1)] + "\N{HORIZONTAL ELLIPSIS}"
 
 
@@ -181,7 +181,7 @@ def case_mark(
 
 
 def legend(names: Sequence[str], top: float, hollow: bool) -> tuple[list[str], float]:
-    """The cases' marks with their names, in as many lines as they need, and where those end."""
+    """The legend of the cases, in as many lines as needed, and its lower end."""
     parts, at, y = [], LEFT, top
     for k, name in enumerate([*names, HOLLOW] if hollow else names):
         words = cut(name, int((WIDTH - LEFT - RIGHT - 14) / LETTER))
@@ -198,7 +198,7 @@ def legend(names: Sequence[str], top: float, hollow: bool) -> tuple[list[str], f
 
 
 def mark(x: float, y: float, point: Point, kind: str = "") -> str:
-    """One run."""
+    """The mark of one run."""
     hint = f"<title>{escape(point.hint)}</title>"
     if point.passed:
         return f'<circle class="good {kind}" cx="{x:.1f}" cy="{y:.1f}" r="3">{hint}</circle>'
@@ -213,7 +213,7 @@ def scatter(
     fronts: Sequence[Sequence[Point]] = (),
     names: Sequence[str] = (),
 ) -> str:
-    """Runs by two numbers, of several cases if they have names; a front is a line through some."""
+    """Scatter plot of runs, by case if `names` are given, with fronts as lines."""
     x_log, y_log = wants_log([p.x for p in points]), wants_log([p.y for p in points])
     x = wide(*(log_span if x_log else span)([p.x for p in points]), x_title, x_log)
     y = tall(*(log_span if y_log else span)([p.y for p in points]), y_title, y_log)
@@ -248,7 +248,7 @@ class Cell(NamedTuple):
 
     column: int
     row: int
-    share: float  # 0 to 1: how dark
+    share: float  # darkness, 0 to 1
     words: str
     hint: str
 
@@ -256,7 +256,7 @@ class Cell(NamedTuple):
 def heat(
     cells: Sequence[Cell], columns: Sequence[str], rows: Sequence[str], x_title: str, y_title: str
 ) -> str:
-    """Numbers on a grid of two axes."""
+    """A heat map."""
     left = max(LEFT, 28.0 + 6.4 * max(len(name) for name in rows))
     x, y = wide(0, len(columns), x_title)._replace(start=left), tall(0, len(rows), y_title)
     parts = frame(x, y, x_ticks=False, y_ticks=False)
@@ -287,11 +287,11 @@ class Whisker(NamedTuple):
     rate: float
     high: float
     words: str
-    case: int | None = None  # whose colour and mark it has
+    case: int | None = None  # index of its colour and mark
 
 
 def whiskers(rows: Sequence[Whisker]) -> str:
-    """Rates one below the other, from 0 to 100 %."""
+    """Success rates with intervals, from 0 to 100 %."""
     longest = max(len(row.name) for row in rows)
     left = min(200.0, 16.0 + 6.2 * longest)
     height = 30.0 + 22.0 * len(rows) + 12.0

@@ -1,4 +1,4 @@
-"""Which code flies: a digest, so that runs of two versions are never mixed."""
+"""A digest of the code, so that runs of two versions are never mixed."""
 
 import hashlib
 from functools import cache
@@ -6,11 +6,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = (  # what flies, and what judges it
+FOLDERS = (  # code that flies and judges
     "testbed/core", "testbed/flight", "testbed/config", "testbed/faults", "testbed/metrics",
     "testbed/rig", "controllers", "sim_twin", "firmware_interface",
 )  # fmt: skip
-FILES = (  # which runs there are, and what a flight's numbers are
+FILES = (  # code that plans runs and computes their numbers
     "testbed/campaign/sweep.py", "testbed/campaign/row.py", "testbed/campaign/score.py",
     "testbed/campaign/trial.py", "testbed/run/fly.py", "testbed/run/judge.py",
 )  # fmt: skip
@@ -19,7 +19,7 @@ LIBRARIES = ("numba", "numpy", "scipy")
 
 @cache
 def code_digest() -> str:
-    """Of all sources on which a run's numbers depend, and the libraries that compute them."""
+    """Digest of all sources and library versions that determine a run's numbers."""
     digest = hashlib.blake2b(digest_size=8)
     for name in LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
@@ -31,5 +31,5 @@ def code_digest() -> str:
 
 
 def digest_of(data: bytes) -> str:
-    """Of anything."""
+    """Digest of some bytes, as hex."""
     return hashlib.blake2b(data, digest_size=8).hexdigest()

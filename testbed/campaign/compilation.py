@@ -1,6 +1,6 @@
-"""Machine code is made once, in a process of its own, before workers start.
+"""Compiles machine code once, in a separate process, before workers start.
 
-A compiler takes 300 MB that a worker would keep to its end, and each worker would compile the same.
+The compiler takes 300 MB, which a worker would keep, and each worker would compile the same code.
 """
 
 import os
@@ -20,14 +20,14 @@ Read = Callable[[str, Sequence[str]], Experiment]
 
 
 def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm, limit_s: float) -> None:
-    """Have on disk what these tasks need compiled; at once if it is there.
+    """Compile what these tasks need into the cache on disk; returns at once if it is there.
 
     Args:
         base: the experiment.
-        tasks: some of each law and mode.
-        read: what a task flies.
-        warm: flies a moment of each.
-        limit_s: what takes longer is left to the workers [s].
+        tasks: some tasks of each law and mode.
+        read: makes the experiment of a task.
+        warm: flies each task for a moment.
+        limit_s: time limit; what takes longer is compiled by the workers [s].
     """
     folder = vars(config)["CACHE_DIR"]
     marks: dict[Path, Task] = {}
@@ -43,7 +43,7 @@ def compile_first(base: str, tasks: Sequence[Task], read: Read, warm: Warm, limi
     try:
         process.join(limit_s)
     finally:
-        process.kill()  # of use only when interrupted, or when a law never ends
+        process.kill()  # needed only after an interrupt, or if a law never returns
     if folder and process.exitcode == 0:
         for mark in marks:
             mark.parent.mkdir(parents=True, exist_ok=True)
@@ -60,6 +60,6 @@ def kind_of(experiment: Experiment) -> str:
 
 
 def _run(warm: Warm, base: str, tasks: Sequence[Task]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # go without a word
-    os.dup2(2, 1)  # what a law prints is not what the campaign says
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # end silently
+    os.dup2(2, 1)  # keeps a law's prints out of the result
     warm(base, tasks)

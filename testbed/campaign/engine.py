@@ -1,10 +1,10 @@
-"""Who flies the runs: Dask, on this machine or on a cluster.
+"""Distributes runs over Dask workers, on this machine or on a cluster.
 
-Here there is only what is particular to a campaign: a worker has one thread, because a flight holds
-the interpreter; runs travel in batches of about a second, because a scheduler does some thousand
-tasks a second and no more; a few batches per worker are under way, so that ten thousand runs take
-no more memory than ten; a batch whose workers die is taken apart to find the run that kills them;
-a worker that a run keeps for longer than the limit is one that dies.
+Campaign-specific choices on top of Dask: a worker has one thread, because a flight holds the
+interpreter lock. Runs travel in batches of about one second, because a scheduler handles about a
+thousand tasks per second. Only a few batches per worker are under way, so ten thousand runs take no
+more memory than ten. A batch whose workers die is split to find the run that kills them. A worker
+that takes longer than the limit for a batch is killed.
 """
 
 import faulthandler
@@ -27,15 +27,15 @@ from testbed.core.error import TestbedError
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-BATCH_S = 1.0  # of flying in one message [s]
+BATCH_S = 1.0  # computing time of one batch [s]
 LARGEST_BATCH = 100
-AHEAD = 2  # batches per worker under way
-ASK_S = 2.0  # between looks at how many workers there are [s]
+AHEAD = 2  # batches under way per worker
+ASK_S = 2.0  # interval of counting workers [s]
 WORKER_GB = 0.3  # [GB] measured 0.22 to 0.27 (docs/performance.md)
 LOOP = "tornado.application"
-TRIES = 2  # workers that a batch may take with it before it is given up
+TRIES = 2  # workers that may die on a batch before it is given up
 
-WORKER_ENVIRONMENT = {  # one thread each: runs are what is parallel
+WORKER_ENVIRONMENT = {  # one thread each, because runs are parallel
     "NUMBA_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
@@ -44,21 +44,21 @@ WORKER_ENVIRONMENT = {  # one thread each: runs are what is parallel
 
 
 class EngineError(TestbedError):
-    """There is nobody to fly the runs, and why."""
+    """No workers can fly the runs."""
 
 
 def most_workers() -> int:
-    """As many as this machine's memory holds."""
+    """Number of workers that fit into this machine's memory."""
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return max(os.cpu_count() or 1, int(memory / (1e9 * WORKER_GB)))
 
 
 @contextmanager
 def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
-    """A Dask client: of `jobs` processes of this machine, or of the cluster at `scheduler`.
+    """A Dask client with `jobs` processes on this machine, or of the cluster at `scheduler`.
 
     Raises:
-        EngineError: the cluster does not answer, or flies other code.
+        EngineError: the cluster does not answer, or has other code.
     """
     if scheduler is None and jobs > (most := most_workers()):
         raise EngineError(
@@ -89,7 +89,7 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
                     client = stack.enter_context(Client(stack.enter_context(cluster)))
                 except (OSError, RuntimeError) as error:
                     raise EngineError(
-                        f"--jobs {jobs}\n  expected  to start as many processes, of some ten open "
+                        f"--jobs {jobs}\n  expected  to start {jobs} processes with about ten open "
                         f"files each\n  found     {error}"
                     ) from None
                 yield client
@@ -110,7 +110,9 @@ def workers(jobs: int, scheduler: str | None) -> Iterator[Any]:
 def _same_code(client: Any, scheduler: str) -> None:
     digests = client.run(code_digest, on_error="return")
     if not digests:
-        raise EngineError(f"{scheduler}\n  expected  workers\n  found     a scheduler without any")
+        raise EngineError(
+            f"{scheduler}\n  expected  workers\n  found     a scheduler without workers"
+        )
     for address, digest in digests.items():
         if digest != code_digest():
             raise EngineError(
@@ -121,9 +123,9 @@ def _same_code(client: Any, scheduler: str) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What Dask tells its logs when a worker goes is said by the campaign itself.
+    """Silence Dask's logs; the campaign itself reports lost workers.
 
-    Its event loop, tornado's, would tell of callbacks that an interrupt came in the middle of.
+    Its event loop, tornado's, would log callbacks that an interrupt broke off.
     """
     before = {name: logging.getLogger(name).level for name in ("distributed", LOOP)}
     for name in before:
@@ -136,20 +138,20 @@ def _quiet() -> Iterator[None]:
 
 
 def count_workers(client: Any) -> int:
-    """How many a client has now; none is no error to Dask, which waits for the next."""
+    """Number of workers of a client; Dask waits for workers if it is zero."""
     return len(client.nthreads())
 
 
 class OtherCodeError(TestbedError):
-    """A worker, one that joined late, has other code."""
+    """A worker that joined late has other code."""
 
 
 def _fly_here(
     fly: Callable[[list[Task]], list[Result]], digest: str, limit_s: float, batch: list[Task]
 ) -> list[Result]:
-    """In the worker: a batch, if the code is the one that the campaign began with.
+    """In the worker: fly a batch if the code is the campaign's.
 
-    What hangs, in Python or in machine code, can only be ended with its process.
+    A flight that hangs, in Python or in machine code, can only be ended with its process.
     """
     if code_digest() != digest:
         raise OtherCodeError(f"{code_digest()} on {socket.gethostname()}, process {os.getpid()}")
@@ -166,10 +168,10 @@ class Fleet(Generic[Task, Result]):
 
     Args:
         client: from `workers`.
-        fly: takes a list of tasks to the list of their results; in the worker.
-        lost: the result of a task that took its workers with it.
-        took: how long a result's task took [s].
-        limit_s: a worker that has not done a batch after this is ended [s].
+        fly: maps a list of tasks to the list of their results; runs in the worker.
+        lost: the result of a task whose workers died.
+        took: computing time of a result's task [s].
+        limit_s: time limit of a batch; then the worker is killed [s].
     """
 
     def __init__(
@@ -183,17 +185,17 @@ class Fleet(Generic[Task, Result]):
         self._client, self._fly, self._lost, self._took = client, fly, lost, took
         self._limit_s = limit_s
         self._count, self._asked = 1, -math.inf
-        self._pace = 0.0  # mean of what a task takes [s]
+        self._pace = 0.0  # mean computing time of a task [s]
 
     def results(self, tasks: Sequence[Task]) -> Iterator[Result]:
-        """Results as they come, in any order."""
+        """Yield results in order of completion."""
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
 
         waiting = list(reversed(tasks))
         under_way: dict[Any, list[Task]] = {}
-        suspects: list[Task] = []  # their worker died, more than once
-        alone = False  # nothing but one suspect is under way
+        suspects: list[Task] = []  # their workers died more than once
+        alone = False  # only one suspect is under way
         done = as_completed()
 
         def submit(batch: list[Task]) -> None:
@@ -205,7 +207,7 @@ class Fleet(Generic[Task, Result]):
         def fill() -> None:
             most = AHEAD * self._workers()
             while waiting and len(under_way) < most:
-                share = -(-len(waiting) // most)  # the last ones are spread over all workers
+                share = -(-len(waiting) // most)  # spreads the last tasks over all workers
                 size = max(1, min(self._batch(), share))
                 submit([waiting.pop() for _ in range(min(size, len(waiting)))])
 
@@ -218,10 +220,10 @@ class Fleet(Generic[Task, Result]):
             except (OSError, CancelledError, FutureCancelled) as error:
                 raise EngineError(
                     f"the cluster is gone\n  expected  workers until the end\n"
-                    f"  found     {error or type(error).__name__}; the same command goes on"
+                    f"  found     {error or type(error).__name__}; the same command resumes"
                 ) from None
             except KilledWorker:
-                if not alone:  # one of them did it, or one that stood beside them in the queue
+                if not alone:  # the culprit is in this batch, or was queued beside it
                     suspects += reversed(batch)
                     fill()
                     alone = not under_way
@@ -229,23 +231,23 @@ class Fleet(Generic[Task, Result]):
                         submit([suspects.pop()])
                     continue
                 results = [self._lost(batch[0])]
-            except Exception as error:  # whatever a run does is in its result: it is the worker
+            except Exception as error:  # errors of a run are in its result, so the worker failed
                 raise EngineError(
                     "a worker cannot fly\n"
                     f"  expected  workers with the code of this machine, {code_digest()}\n"
                     f"  found     {type(error).__name__}: {error}; without it, the same command "
-                    "goes on"
+                    "resumes"
                 ) from None
             for result in results:
                 self._pace += 0.3 * (self._took(result) - self._pace)
                 yield result
             fill()
-            if not under_way and suspects:  # the others have flown: now one by one, to be sure
+            if not under_way and suspects:  # all others have flown: now the suspects one by one
                 alone = True
                 submit([suspects.pop()])
 
     def _workers(self) -> int:
-        """How many there are; asked now and then, for it is a round trip."""
+        """Number of workers, asked every ASK_S because it is a round trip."""
         if time.monotonic() - self._asked > ASK_S:
             self._count = max(1, count_workers(self._client))
             self._asked = time.monotonic()

@@ -1,7 +1,7 @@
-"""Run folders of a rig, scored like runs of a campaign: how a table gets into the benchmark.
+"""Reads run folders as runs of a campaign, so that table flights can enter the benchmark.
 
-The place of a vehicle is what its estimator said at every tick, for on a table nobody knows better.
-On the twin that is the truth within the estimator's error.
+The position of a vehicle is its estimate at every tick, because a table has no ground truth. On the
+twin it equals the truth within the estimator's error.
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ NEEDED = ("config.toml", "log.mcap", "metrics.json")
 
 
 def track_of(folder: Path, experiment: Experiment) -> Track:
-    """Where the vehicles thought they were, at every tick at which all of them knew.
+    """Estimated states of all vehicles, at every tick at which all have an estimate.
 
     Raises:
         LogError: a part of the log is missing.
@@ -39,14 +39,14 @@ def track_of(folder: Path, experiment: Experiment) -> Track:
         ]
         seen.setdefault(stamp * 1e-9, {})[topics[topic]] = row
     if not book.complete():
-        raise LogError("; ".join(book.said()) or "it has no end")
+        raise LogError("; ".join(book.said()) or "the log is incomplete")
     whole = {t: rows for t, rows in sorted(seen.items()) if len(rows) == len(names)}
     states = [[rows[name] for name in names] for rows in whole.values()]
     return Track(np.array(list(whole)), np.array(states).reshape(-1, len(names), 6))
 
 
 def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, float]) -> Flown:
-    """One run folder as a run.
+    """Read a run folder as a run of a campaign.
 
     Raises:
         ConfigError: it is not a run folder.
@@ -67,7 +67,7 @@ def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, floa
         track = track_of(folder, experiment)
     except (LogError, *UNREADABLE) as error:
         where = str(folder / "log.mcap")
-        raise ConfigError(where, "", "the whole log of a run", str(error)) from None
+        raise ConfigError(where, "", "the complete log of a run", str(error)) from None
     extra = beside_metrics(experiment, track)
     outcome, reason = outcome_of(metrics)
     columns = columns_of(metrics, experiment, extra)

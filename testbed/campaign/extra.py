@@ -1,4 +1,4 @@
-"""Packages that only some verbs need."""
+"""Optional packages that only some verbs need."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,10 +13,10 @@ class MissingExtraError(TestbedError):
 
 @contextmanager
 def needs_extra(name: str) -> Iterator[None]:
-    """Import what the extra `name` brings.
+    """Context for imports from the extra `name`.
 
     Raises:
-        MissingExtraError: it is not installed; says how to.
+        MissingExtraError: it is not installed; the message has the command to install it.
     """
     try:
         yield

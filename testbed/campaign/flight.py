@@ -1,12 +1,12 @@
-"""A campaign from its file to its folder.
+"""Flies a campaign file into its folder.
 
-campaign.toml    the file as it was
-base.toml        the resolved experiment; a run is `testbed run base.toml` with some key=value
-journal.jsonl    every run that is over, as it ended (`journal.py`)
-failures/        run folders of runs that did not pass, as many as the file wants to keep
-results.parquet  all runs as one table; the same bytes whoever flew them
+campaign.toml    copy of the campaign file
+base.toml        the resolved experiment; a run is `testbed run base.toml` with key=value overrides
+journal.jsonl    the result of every finished run (`journal.py`)
+failures/        run folders of failed runs, at most `keep` of the file
+results.parquet  all runs as one table; the same bytes on any number of workers
 summary.json     what `--json` prints
-report.html      the same to look at
+report.html      the summary with figures
 """
 
 import shlex
@@ -31,24 +31,24 @@ from testbed.campaign.sweep import Campaign, CampaignFile, deciding, difference,
 from testbed.config import ConfigError, read_toml
 from testbed.files import named, write_atomic
 
-UNLIKE = "unlike.txt"  # in a run's folder: what was not the same the second time
-MOST_WARMED = 20  # combinations of a grid; others are compiled by their worker
+UNLIKE = "unlike.txt"  # in a run's folder: columns that differed in the second flight
+MOST_WARMED = 20  # combinations compiled in advance; workers compile the others
 
 
 class Fliers(Struct, frozen=True):
-    """How runs are flown, handed in from above: both run in a worker."""
+    """Functions that fly runs, given by the caller; they run in a worker."""
 
     fly: Callable[[str, Sequence[Task]], list[Flown]]
     fly_with_log: Callable[[str, Sequence[Task]], list[Kept]]
-    warm: Warm  # a moment of each, so that all is compiled
-    read: Read  # what a task flies
+    warm: Warm  # flies each for a moment, to compile the code
+    read: Read  # makes the experiment of a task
     jobs: int = 1
     scheduler: str | None = None
-    client: Any = None  # workers that are there already
+    client: Any = None  # existing workers
 
     @contextmanager
     def workers(self, tasks: int) -> Iterator[Any]:
-        """Those who fly so many tasks."""
+        """Workers for a number of tasks."""
         if self.client is not None:
             yield self.client
             return
@@ -57,60 +57,60 @@ class Fliers(Struct, frozen=True):
 
 
 class CampaignObserver:
-    """Whoever watches a campaign; this one does not."""
+    """Observer of a campaign; this one does nothing."""
 
     def begun(self, total: int, runs: Sequence[Flown]) -> None:
-        """So many runs there are, and these were flown before."""
+        """The campaign begins: number of runs, and the runs flown before."""
 
     def flying(self, count_workers: Callable[[], int]) -> None:
-        """All is compiled; this asks how many workers there are, in any thread."""
+        """The flights begin; `count_workers` may be called in any thread."""
 
     def flown(self, run: Flown) -> None:
-        """One more is over."""
+        """A run is finished."""
 
     def keeping(self, count: int) -> None:
-        """So many are flown once more for their logs."""
+        """`count` failures are flown again for their logs."""
 
 
 class Ended(Struct, frozen=True):
-    """A campaign that is through."""
+    """A finished campaign."""
 
     runs: list[Flown]
-    resumed: int  # of these, flown by an earlier call
-    wall_s: float  # of flying the others
-    unlike: list[int]  # runs that were not the same the second time
+    resumed: int  # number of runs flown by an earlier call
+    wall_s: float  # wall time of the others
+    unlike: list[int]  # runs whose second flight differed
 
 
 def head_of(campaign: Campaign) -> Head:
-    """What its journal belongs to."""
+    """The head of the campaign's journal."""
     return Head(digest_of(campaign.payload()), code_digest())
 
 
 def make_folder(folder: Path) -> None:
-    """Of a campaign or a tuning; it may be there.
+    """Make the folder of a campaign or a tuning; it may exist.
 
     Raises:
-        JournalError: it cannot be.
+        JournalError: it cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         found = "a file" if folder.is_file() else error.strerror
         raise JournalError(
-            f"{folder}\n  expected  a folder that can be written; --out names another\n"
+            f"{folder}\n  expected  a writable folder; choose another with --out\n"
             f"  found     {found}"
         ) from None
 
 
 def open_journal(campaign: Campaign, folder: Path) -> Journal[Flown]:
-    """The campaign's journal in its folder."""
+    """The journal in the campaign's folder."""
     make_folder(folder)
     words = partial(what_changed, campaign, folder)
     return Journal(folder / "journal.jsonl", head_of(campaign), Flown, words)
 
 
 def what_changed(campaign: Campaign, folder: Path) -> str:
-    """What a folder's campaign had otherwise, as far as its files say."""
+    """The first difference between a folder's campaign and this one, from its files."""
     with suppress(ConfigError):
         old = deciding(read_file(folder / "campaign.toml", CampaignFile))
         pairs = (
@@ -124,9 +124,10 @@ def what_changed(campaign: Campaign, folder: Path) -> str:
 
 
 def flown_before(campaign: Campaign, found: Sequence[Flown]) -> dict[int, Flown]:
-    """The runs of a journal that count, by number; of one that is there twice, the later.
+    """The valid runs of a journal by number; of duplicates, the later one.
 
-    Not those behind the last sample, if the file has fewer now; nor what was lost to another limit.
+    Leaves out runs beyond the last sample, if the file has fewer now, and runs lost to another
+    `limit_s`.
     """
     limit_s = campaign.file.limit_s
     return {
@@ -144,19 +145,19 @@ def fly_campaign(
     watch: CampaignObserver,
     finish: Callable[[Ended], object] = lambda ended: None,
 ) -> Ended:
-    """Fly what the journal does not have yet, and keep what failed.
+    """Fly the runs that the journal does not have yet, and keep logs of failures.
 
     Args:
-        campaign: to fly.
-        text: of its file.
-        folder: of the campaign; it may hold the beginning of the same one.
-        fliers: who flies.
-        watch: who is told.
-        finish: writes the results, while nobody else may write there.
+        campaign: the campaign to fly.
+        text: content of its file.
+        folder: the campaign's folder; it may hold an unfinished flight of the same campaign.
+        crew: functions that fly.
+        watch: observer of the progress.
+        finish: writes the results, while the journal is locked.
 
     Raises:
-        JournalError: the folder holds something else, or somebody else writes there.
-        EngineError: nobody is there to fly.
+        JournalError: the folder holds another campaign, or another process writes there.
+        EngineError: there are no workers.
     """
     with open_journal(campaign, folder) as journal:
         write_atomic(folder / "campaign.toml", text)
@@ -197,30 +198,30 @@ def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> Fleet[Task, Flown
 
 
 def gone(limit_s: float, task: Task) -> Flown:
-    """A run that took its workers with it."""
+    """The result of a run whose workers died."""
     words = f"its workers died while flying it, or it took longer than {limit_s:g} s (limit_s)"
     return Flown(task[0], "lost", words)
 
 
 def failure_folder(folder: Path, k: int) -> Path:
-    """Where run k is kept when it did not pass."""
+    """Folder of run k if it failed."""
     return folder / "failures" / f"run_{k:06d}"
 
 
 def kept_runs(campaign: Campaign, runs: dict[int, Flown]) -> list[int]:
-    """Runs that have a folder in the end: the first ones that did not pass."""
+    """Runs that get a folder: the first ones that did not pass."""
     failed = [k for k in sorted(runs) if runs[k].outcome not in ("passed", "lost")]
     return failed[: campaign.file.keep]
 
 
 def missing_folders(campaign: Campaign, runs: dict[int, Flown], folder: Path) -> list[int]:
-    """Those of them whose folder is still to be made."""
+    """Kept runs whose folder does not exist yet."""
     return [k for k in kept_runs(campaign, runs) if not failure_folder(folder, k).exists()]
 
 
 def differences(first: Flown, again: Kept) -> list[str]:
-    """What a run did otherwise the second time."""
-    if bool(first.columns) != bool(again.columns):  # one of them was ended by an exception
+    """Columns that differ between two flights of a run."""
+    if bool(first.columns) != bool(again.columns):  # an exception ended one of them
         return ["how it ended"]
     known = {name: value for name, value in again.columns.items() if value is not None}
     return [name for name, value in known.items() if first.columns.get(name) != value]
@@ -234,7 +235,7 @@ def keep_failures(
     fliers: Fliers,
     watch: CampaignObserver,
 ) -> None:
-    """Fly failures once more, with a log."""
+    """Fly failures again, with a log."""
     missing = missing_folders(campaign, runs, folder)
     if not missing:
         return
@@ -249,7 +250,7 @@ def keep_failures(
     for kept in fleet.results([(k, campaign.overrides(k)) for k in missing]):
         place = failure_folder(folder, kept.k)
         part = place.with_suffix(".part")
-        shutil.rmtree(part, ignore_errors=True)  # of an earlier call that was killed
+        shutil.rmtree(part, ignore_errors=True)  # left by an earlier call that was killed
         part.mkdir(parents=True)
         for name, data in kept.files.items():
             with named(part / name):
@@ -261,6 +262,6 @@ def keep_failures(
 
 
 def replay_command(campaign: Campaign, folder: Path, k: int) -> str:
-    """The command that flies run k alone."""
+    """The command that flies only run k."""
     words = ["testbed", "run", str(folder / "base.toml"), *campaign.overrides(k)]
     return shlex.join(words)

@@ -1,14 +1,14 @@
-"""Run folders in FOLDER/scenario/law/, scored as the benchmark's: how a lab's table gets into it.
+"""Scores the run folders in FOLDER/scenario/law/ for the benchmark, e.g. those of a lab's table.
 
-A folder's name says what somebody meant to fly, its config.toml what was flown. A run is scored if
-the two agree but for what a lab has of its own:
+The folder's path says which run was intended, its config.toml what was flown. A run is scored if
+the two agree, except for settings that a lab may have of its own:
 
-    table, vehicles.*.model, board, names    not compared; but on the twin and the bench, which play
-                                             what a scenario sets, a scenario's values must be there
-    faults, arming, flight.estimator         compared, scored, and named
-    the rig                                  named
+    table, vehicles.*.model, board, names    not compared; but on twin and bench, which simulate the
+                                             scenario, the values that a scenario sets must match
+    faults, arming, flight.estimator         may differ; differences are listed
+    the rig                                  may differ; it is listed
 
-All else is the benchmark's, the seed too, each once. What is not scored is named with the reason.
+Everything else must match, and each seed is scored once. Skipped folders are listed with reasons.
 """
 
 import re
@@ -36,21 +36,21 @@ ABSENT = object()
 
 
 def score_folders(path: Path, whole: BenchmarkFile, file: BenchmarkFile, runs: Path) -> Record:
-    """Score what is in `runs`.
+    """Score the run folders in `runs`.
 
     Args:
-        path: of the benchmark.
-        whole: all of it; what is in `runs` and not in it is named.
+        path: path of the benchmark file.
+        whole: the complete benchmark; folders that are not in it are listed as skipped.
         file: the part that is scored.
-        runs: the folder.
+        runs: the folder with the runs.
 
     Raises:
-        ConfigError: there is nothing to score.
+        ConfigError: no run can be scored.
     """
     pile = Pile(path, file, runs)
     for folder in below(runs):
         if folder.name not in whole.scenarios:
-            found = f"no scenario of the benchmark{did_you_mean(folder.name, whole.scenarios)}"
+            found = f"not a scenario of the benchmark{did_you_mean(folder.name, whole.scenarios)}"
             pile.pass_over(folder, found)
     table = []
     not_flown: list[str] = []
@@ -58,7 +58,7 @@ def score_folders(path: Path, whole: BenchmarkFile, file: BenchmarkFile, runs: P
         for folder in below(runs / name):
             if folder.name not in scenario.laws:
                 hint = did_you_mean(folder.name, scenario.laws)
-                pile.pass_over(folder, f"no law of this scenario{hint}")
+                pile.pass_over(folder, f"not a law of this scenario{hint}")
         nobody: list[str] = []
         for law in scenario.laws:
             flown, rigs, left = pile.cell(name, law)
@@ -75,7 +75,7 @@ def score_folders(path: Path, whole: BenchmarkFile, file: BenchmarkFile, runs: P
         elif nobody:
             not_flown.append(f"{name}: {', '.join(nobody)}")
     if not table:
-        expected = "run folders in SCENARIO/LAW/: `testbed bench --commands` says how to make them"
+        expected = "run folders in SCENARIO/LAW/: `testbed bench --commands` prints the commands"
         first = [f"{one.folder}: {one.reason}" for one in pile.passed_over[:5]]
         raise ConfigError(str(runs), "", expected, "; ".join(first) or "none")
     return Record(
@@ -89,7 +89,7 @@ def score_folders(path: Path, whole: BenchmarkFile, file: BenchmarkFile, runs: P
 
 
 class Pile:
-    """The folders, and what is noticed about them."""
+    """Collects runs from folders, and the findings about them."""
 
     def __init__(self, path: Path, file: BenchmarkFile, runs: Path) -> None:
         self._path, self._file, self._runs = path, file, runs
@@ -98,12 +98,12 @@ class Pile:
         self.versions: set[str] = set()
 
     def pass_over(self, folder: Path, reason: str) -> None:
-        """Do not score a folder, and say so."""
+        """Record a folder as skipped."""
         place = folder.relative_to(self._runs).as_posix()
         self.passed_over.append(PassedOver(printable(place), printable(reason)))
 
     def cell(self, name: str, law: str) -> tuple[list[Flown], set[str], list[int]]:
-        """The runs of a law in a scenario, the rigs that flew them, and the seeds nobody flew."""
+        """The runs of a law in a scenario, their rigs, and the missing seeds."""
         scenario, place = self._file.scenarios[name], self._runs / name / law
         texts = [*scenario.set, *self._file.laws[law]]
         wanted = load(experiment_path(self._path, scenario.experiment), texts)
@@ -126,7 +126,7 @@ class Pile:
             if not reason and found.seed not in left:
                 scored = first <= found.seed < first + self._file.samples
                 reason = f"seed {found.seed} is " + (
-                    "scored from another folder" if scored else "none of the benchmark's"
+                    "scored from another folder" if scored else "not in the benchmark"
                 )
             if reason:
                 self.pass_over(folder, reason)
@@ -144,7 +144,7 @@ class Pile:
 def compare(
     wanted: Experiment, found: Experiment, rig: str, played: list[Key]
 ) -> tuple[str, set[str]]:
-    """Why a run is not the benchmark's, empty if it is; and what it has of its own."""
+    """The reason why a run does not match, or an empty string; and its own settings."""
     own: set[str] = set()
     for key, here, there in differences(dump(wanted), dump(found)):
         by_twin = plays(rig, key) and any(covers(one, key) or covers(key, one) for one in played)
@@ -156,23 +156,23 @@ def compare(
         elif any(covers(one, key) for one in NAMED):
             own.add(f"{spell(key)} = {shown(there)} (benchmark: {shown(here)})")
         else:
-            return f"{spell(key)} is {shown(there)}, the benchmark's is {shown(here)}", own
+            return f"{spell(key)} is {shown(there)}, the benchmark has {shown(here)}", own
     return "", own
 
 
 def plays(rig: str, key: Key) -> bool:
-    """Whether a rig does itself what the experiment says of the table and the vehicles."""
+    """Whether a rig simulates what the experiment says about the table and the vehicles."""
     return rig == "twin" or (rig == "bench" and not covers(LINK, key))
 
 
 def same_law(key: Key, here: Any, there: Any) -> bool:
-    """Whether it is only the path of an own law's file that differs: its digest is compared."""
+    """Whether only the path of a user's law file differs; its digest is compared separately."""
     laws = [str(text).rpartition(":")[2] for text in (here, there)]
     return key == ("controller", "law") and laws[0] == laws[1]
 
 
 def differences(here: Any, there: Any, key: Key = ()) -> Iterator[tuple[Key, Any, Any]]:
-    """Where two trees differ, and their values there."""
+    """Keys at which two trees differ, with both values."""
     if isinstance(here, dict) and isinstance(there, dict):
         for name in dict.fromkeys([*here, *there]):
             pair = here.get(name, ABSENT), there.get(name, ABSENT)
@@ -182,10 +182,10 @@ def differences(here: Any, there: Any, key: Key = ()) -> Iterator[tuple[Key, Any
 
 
 def shown(value: Any) -> str:
-    """A value of a file, or that there is none."""
+    """A value as text; "not there" if the key is missing."""
     return "not there" if value is ABSENT else show(value)
 
 
 def below(folder: Path) -> list[Path]:
-    """The folders in a folder; none if it is not there."""
+    """Subfolders, sorted; empty if the folder does not exist."""
     return sorted(one for one in folder.iterdir() if one.is_dir()) if folder.is_dir() else []

@@ -1,4 +1,4 @@
-"""Runs put together: by two parameters for a map, and the best ones for a front."""
+"""Groups runs by two parameters for a heat map, and finds the Pareto front."""
 
 from collections.abc import Sequence
 
@@ -7,12 +7,12 @@ import numpy as np
 from testbed.campaign.axis import number, wants_log
 from testbed.campaign.chart import Point
 
-FEW = 12  # values of a parameter that get a field each
+FEW = 12  # distinct values up to which each gets its own field
 BINS = 6
 
 
 def best_front(points: Sequence[Point]) -> list[Point]:
-    """Of the points that passed, those that no other beats in both numbers, from left to right."""
+    """The Pareto front of the points that passed, from left to right."""
     front: list[Point] = []
     for point in sorted((p for p in points if p.passed), key=lambda p: (p.x, p.y)):
         if not front or point.y < front[-1].y:
@@ -21,7 +21,7 @@ def best_front(points: Sequence[Point]) -> list[Point]:
 
 
 def fields(values: Sequence[float]) -> tuple[list[int], list[str]]:
-    """Which field of an axis each value belongs to, and what the fields are called."""
+    """The field index of each value along an axis, and the labels of the fields."""
     distinct = sorted(set(values))
     if len(distinct) <= FEW:
         return [distinct.index(value) for value in values], [

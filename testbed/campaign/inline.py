@@ -1,4 +1,4 @@
-"""A value as TOML on one line, so that it can stand in "key=value"."""
+"""Writes a value as TOML on one line, for "key=value"."""
 
 import re
 from typing import Any
@@ -7,7 +7,7 @@ from testbed.config.key import quoted
 
 
 def inline(value: Any) -> str:
-    """The value; a number reads back as the same number."""
+    """The value as TOML; a number reads back as the same number."""
     match value:
         case bool():
             return str(value).lower()
@@ -19,7 +19,7 @@ def inline(value: Any) -> str:
             return f"[{', '.join(inline(item) for item in value)}]"
         case dict():
             return f"{{{', '.join(f'{_name(k)} = {inline(v)}' for k, v in value.items())}}}"
-    return quoted(str(value))  # a date: no key takes one, and the error will say so
+    return quoted(str(value))  # a date: no key accepts one, and the error says so
 
 
 def _name(key: str) -> str:

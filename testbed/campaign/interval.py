@@ -1,4 +1,4 @@
-"""How sure a success rate is.
+"""Confidence interval of a success rate.
 
 Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference",
 Journal of the American Statistical Association 22, 1927; as scipy computes it. Its coverage is near
@@ -21,7 +21,7 @@ class Rate(Struct, frozen=True):
 
 
 def success_rate(succeeded: int, runs: int, confidence: float) -> Rate:
-    """Wilson's interval; without runs everything is possible."""
+    """Wilson's interval; 0 to 1 without runs."""
     if runs == 0:
         return Rate(0, 0, None, 0.0, 1.0, confidence)
     found = binomtest(succeeded, runs).proportion_ci(confidence, method="wilson")

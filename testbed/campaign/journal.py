@@ -1,8 +1,8 @@
-"""Append-only record of a campaign: what is in it survives a kill.
+"""Append-only record of a campaign that survives a kill.
 
-One line is one JSON message with a checksum in front. It is written by one call, so a kill leaves
-whole lines and at most one torn at the end, which is cut off when the journal is opened again. One
-process at a time may write; the head says for which campaign and which code.
+Each line is one JSON message after its checksum. One system call writes a line, so a kill leaves
+complete lines and at most one torn line at the end, which is cut off at the next start. Only one
+process may write at a time. The head identifies the campaign and the code.
 """
 
 import errno
@@ -21,23 +21,23 @@ from testbed.core.error import TestbedError
 
 Message = TypeVar("Message", bound=Struct)
 
-SYNC_S = 1.0  # what a power cut may cost [s]
+SYNC_S = 1.0  # a power cut loses at most the runs of this time [s]
 
 
 class JournalError(TestbedError):
-    """The journal cannot be used, and why."""
+    """The journal cannot be used."""
 
 
 class Head(Struct, frozen=True):
-    """First line: what the other lines belong to."""
+    """First line: identifies the campaign and the code of the other lines."""
 
-    campaign: str  # digest of everything that decides what is flown
+    campaign: str  # digest of everything that determines what is flown
     code: str  # digest of the code that flies it
     version: int = 1
 
 
 class Journal(Generic[Message]):
-    """The journal at `path`; a context manager that holds it alone."""
+    """The journal at `path`; a context manager with an exclusive lock."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class Journal(Generic[Message]):
         difference: Callable[[], str] = lambda: "another",
     ) -> None:
         self._path, self._head, self._kind = path, head, kind
-        self._difference = difference  # what another campaign has otherwise, in words
+        self._difference = difference  # describes how another campaign differs
         self._synced = 0.0
 
     def __enter__(self) -> "Journal[Message]":
@@ -71,7 +71,7 @@ class Journal(Generic[Message]):
         os.close(self._file)
 
     def _open(self) -> Iterator[Message]:
-        """What is in it already; afterwards it ends with a whole line."""
+        """Read the existing messages; cuts off a torn last line."""
         data = self._path.read_bytes()
         whole = data.rfind(b"\n") + 1
         if whole < len(data):
@@ -90,7 +90,7 @@ class Journal(Generic[Message]):
             if not is_so:
                 raise JournalError(
                     f"{self._path}: the {what} changed since these {len(lines) - 1} runs were "
-                    f"flown\n  expected  the same as then, or another folder (--out)\n"
+                    f"flown\n  expected  no change, or another folder (--out)\n"
                     f"  found     {found()}: runs of both would be mixed"
                 )
         for number, line in enumerate(lines[1:], 2):
@@ -103,11 +103,11 @@ class Journal(Generic[Message]):
                 return msgspec.json.decode(text, type=kind)
         except (ValueError, msgspec.DecodeError):
             pass
-        cure = "take the line out to fly what it was again, or fly all anew"
+        cure = "delete the line to fly its run again, or start anew"
         if kind is Head:
-            cure = "fly all anew"
+            cure = "start anew"
         raise JournalError(
-            f"{self._path}: line {number} is damaged\n  expected  a journal as it was written\n"
+            f"{self._path}: line {number} is damaged\n  expected  an undamaged journal\n"
             f"  found     {line[:60].decode(errors='replace')!r}; {cure} (--out)"
         )
 
@@ -127,5 +127,5 @@ class Journal(Generic[Message]):
             raise JournalError(f"{self._path}: {error.strerror}") from None
 
     def append(self, message: Message) -> None:
-        """Add one message; after this returns, a kill does not take it away."""
+        """Append one message; after this returns, it survives a kill."""
         self._append(message)

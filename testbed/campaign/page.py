@@ -1,4 +1,4 @@
-"""The benchmark as a page of the documentation: all that is on it comes from files and runs."""
+"""The benchmark as a page of the documentation, made from files and runs only."""
 
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -12,8 +12,8 @@ from testbed.campaign.sweep import base_experiment
 from testbed.config import SHIPPED, Experiment, dump
 from testbed.config.key import assignment
 
-WIDTH = 100  # characters of a line
-WEAK = 0.9  # an interval that goes further down says little
+WIDTH = 100  # characters per line
+WEAK = 0.9  # a lower end of the interval below this is weak evidence
 
 COLUMNS = (  # heading, key, scale, format
     ("error [mm]", "error_m", 1e3, "{:.3g}"),
@@ -60,20 +60,20 @@ MEANING = (
 
 
 def page(record: Record, path: Path, file: BenchmarkFile, options: str) -> str:
-    """The scores with what they mean.
+    """The page with the scores and their explanation.
 
-    There is no date on it: the same program gives the same page, on whatever day.
+    It has no date, because the same program writes the same page on any day.
 
     Args:
-        record: what was flown.
-        path: of the benchmark's file.
-        file: what it says, as far as it was flown.
-        options: of `testbed bench`.
+        record: the scores.
+        path: path of the benchmark file.
+        file: its content, reduced to what was flown.
+        options: options of `testbed bench`.
     """
     meaning = list(MEANING)
     if file.trouble and any(row.robust_runs for row in record.scores):
         meaning.append(
-            "**robust**: passed with the same seeds when, and the laws are not told, "
+            "**robust**: passed with the same seeds and with changes that the laws do not know: "
             f"{'; '.join(f'`{text}`' for text in file.trouble)}."
         )
     return PAGE.format(
@@ -88,7 +88,7 @@ def page(record: Record, path: Path, file: BenchmarkFile, options: str) -> str:
 
 
 def head(record: Record, path: Path, options: str) -> str:
-    """Who flew what with which program."""
+    """The introduction: runs, rigs, seeds, program version."""
     rigs = " and ".join(
         sorted({f"the {rig}" for row in record.scores for rig in row.rig.split(" + ")})
     )
@@ -101,17 +101,17 @@ def head(record: Record, path: Path, options: str) -> str:
     except ValueError:
         name = path.name
     return (
-        "Standard scenarios under all laws, scored the same for everybody. This page was written "
+        "Standard scenarios under all laws, all scored the same way. This page was written "
         f"by `testbed bench{options}`: {plural(runs, 'run')} on {rigs}, {seeds} "
         f"per cell, flown by airbearing-testbed {record.version}{code}. "
-        f"`{name}` has the scenarios and the laws' gains, which nobody tuned for it; "
-        "[campaigns.md](campaigns.md) says how to fly it on a table. A date is not on it, for the "
-        "same program writes the same page on any day."
+        f"`{name}` has the scenarios and the laws' gains, which were not tuned for it; "
+        "[campaigns.md](campaigns.md) says how to fly it on a table. The page has no date, "
+        "because the same program writes the same page on any day."
     )
 
 
 def scenarios(path: Path, file: BenchmarkFile) -> Iterator[str]:
-    """One sentence for each scenario: what is flown, and the limits."""
+    """One sentence per scenario: what is flown, and the limits."""
     for name, scenario in file.scenarios.items():
         flown = base_experiment(path, scenario.experiment, scenario.set)
         what = scenario.description or flown.description
@@ -144,7 +144,7 @@ def limits_of(above: str, criteria: dict[str, Any], *, obstacles: bool) -> Itera
 
 
 def evidence(table: Sequence[Score]) -> str:
-    """What the number of runs can say and what not."""
+    """How much evidence the number of runs gives."""
     runs = max(row.runs for row in table)
     all_of, none_of = (success_rate(passed, runs, 0.95) for passed in (runs, 0))
     weak = "is weak evidence: " if all_of.low < WEAK else "is no proof: "
@@ -159,21 +159,21 @@ def evidence(table: Sequence[Score]) -> str:
 
 
 def lab(record: Record, file: BenchmarkFile) -> str:
-    """What is a lab's own, and what was not scored; nothing of the twin's benchmark."""
+    """Own settings of a lab, and what was not scored; empty for the twin's benchmark."""
     text = ""
     disturbed = [row.scenario for row in record.scores if unseen(row, file.scenarios[row.scenario])]
     if disturbed:
         names = ", ".join(f"`{name}`" for name in dict.fromkeys(disturbed))
         text += wrapped(
-            f"The disturbances of {names} are brought about by the lab's own means: the run "
-            "folders do not show whether they were."
+            f"The lab makes the disturbances of {names} itself; the run folders do not show "
+            "whether it did."
         )
         text = f"\n{text}\n"
     passed_over = [f"`{one.folder}`: {one.reason}" for one in record.passed_over]
     for heading, lines in (
-        ("Not as the benchmark has it, yet scored", [f"`{one}`" for one in record.own]),
+        ("Different from the benchmark, but scored", [f"`{one}`" for one in record.own]),
         ("Not flown", record.not_flown),
-        ("Passed over, not scored", passed_over),
+        ("Skipped, not scored", passed_over),
     ):
         if lines:
             text += f"\n## {heading}\n\n{bullets(lines)}\n"
@@ -181,31 +181,31 @@ def lab(record: Record, file: BenchmarkFile) -> str:
 
 
 def unseen(row: Score, scenario: Scenario) -> bool:
-    """Whether a row's disturbance was not played by its rig but made by somebody."""
+    """Whether a row's disturbance was made by people instead of its rig."""
     keys = [assignment(text)[0] for text in scenario.set]
     rigs = row.rig.split(" + ")
     return bool(scenario.hardware) and any(not plays(rig, key) for rig in rigs for key in keys)
 
 
 def plural(count: int, noun: str) -> str:
-    """So many of them."""
+    """Count and noun, as in "2 runs"."""
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def wrapped(text: str, indent: str = "") -> str:
-    """A paragraph."""
+    """The text as a wrapped paragraph."""
     return textwrap.fill(
         text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
 
 
 def bullets(lines: Sequence[str] | Iterator[str]) -> str:
-    """A list."""
+    """The lines as a bulleted list."""
     return "\n".join(wrapped(f"* {line}", "  ") for line in lines)
 
 
 def markdown(table: Sequence[Score]) -> str:
-    """The table as it is published."""
+    """The table in Markdown."""
     rigs = any(row.rig != "twin" for row in table)
     headings = ["scenario", "law", "passed", *(h for h, *_ in COLUMNS), "robust"]
     headings += ["rig"] * rigs

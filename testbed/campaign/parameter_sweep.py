@@ -62,7 +62,7 @@ def sweep(
 
 
 def _fly_beside(base: str, tasks: Sequence[Task], jobs: int) -> list[Flown]:
-    """Fly in worker processes; each takes the next task when it is through."""
+    """Fly in worker processes; each takes the next task when it is done."""
     waiting: SimpleQueue[Task] = SimpleQueue()
     for task in tasks:
         waiting.put(task)
@@ -87,7 +87,7 @@ def _fly_beside(base: str, tasks: Sequence[Task], jobs: int) -> list[Flown]:
             if not line:
                 raise SweepError(
                     where=f"run {task[0]} ({', '.join(task[1])})", expected="a result",
-                    found="a process that died while flying it",
+                    found="the process died during the flight",
                 )  # fmt: skip
             runs[task[0]] = msgspec.json.decode(line, type=Flown)
 
@@ -96,7 +96,7 @@ def _fly_beside(base: str, tasks: Sequence[Task], jobs: int) -> list[Flown]:
             try:
                 for done in [threads.submit(feed, worker) for worker in workers]:
                     done.result()
-            except BaseException:  # one died, or Ctrl-C: the others fly nothing more
+            except BaseException:  # a worker died, or Ctrl-C: the others get no more tasks
                 while not waiting.empty():
                     waiting.get()
                 for worker in workers:

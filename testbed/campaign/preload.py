@@ -1,6 +1,6 @@
-"""What every worker of this machine does first: be quiet, and leave Ctrl-C to the campaign.
+"""Setup of each worker on this machine: silence its logs and ignore Ctrl-C.
 
-What a law prints goes where errors go: the output is the campaign's, which may be JSON.
+A law's prints go to standard error, because standard output is the campaign's, which may be JSON.
 """
 
 import logging
@@ -13,4 +13,4 @@ def dask_setup(worker: Any) -> None:
     """Called by Dask in the worker's main thread."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.dup2(2, 1)
-    logging.disable(logging.CRITICAL)  # a run that fails says so in its result
+    logging.disable(logging.CRITICAL)  # a failed run is reported in its result

@@ -1,4 +1,4 @@
-"""Report of a campaign: one page that stands alone, without a network."""
+"""Report of a campaign: one self-contained HTML page."""
 
 from collections.abc import Sequence
 from html import escape
@@ -29,15 +29,15 @@ from testbed.campaign.summary import (
 )
 from testbed.campaign.sweep import Campaign
 
-MOST_POINTS = 1500  # in one scatter; more are no clearer and make a page of megabytes
+MOST_POINTS = 1500  # points of a scatter plot; more make the page large but not clearer
 MOST_CASES = 40
-MOST_MAPS = 18  # of one kind; six pairs of parameters at most
+MOST_MAPS = 18  # heat maps of one quantity; at most six pairs of parameters
 
 
 def html_report(
     campaign: Campaign, summary: Summary, runs: Sequence[Flown], table: Table, folder: Path
 ) -> str:
-    """The page."""
+    """The report as HTML."""
     error = main_error(summary, table)
     apart = groups(campaign, runs)
     sections = [
@@ -93,7 +93,7 @@ def _head(campaign: Campaign, summary: Summary, apart: Groups) -> str:
 
 
 def _median(quantity: Quantity, of_all: float, apart: Groups) -> tuple[str, str]:
-    """Words and number of a tile: of several cases the least and the largest."""
+    """Title and number of a tile; for several cases, the smallest and the largest median."""
     found = [(one.median, g.name) for g in apart.shown if (one := spread(quantity, g.runs))]
     if not found:
         return f"median {quantity.title}", f"{number(of_all)} {quantity.unit}"
@@ -116,7 +116,7 @@ def _key(apart: Groups) -> str:
 
 
 def swatch(apart: Groups, name: str) -> str:
-    """The mark of a group; nothing for one that has none."""
+    """The mark of a group; empty if it has none."""
     if (place := apart.place(name)) is None:
         return ""
     return f'<svg class="swatch" viewBox="0 0 12 12">{chart.case_mark(place, 6, 6, 4)}</svg>'
@@ -137,13 +137,13 @@ def _cases(summary: Summary, apart: Groups) -> str:
     note = f" The first {len(rows)} of {len(summary.cases)} are shown." if more else ""
     axes = escape(", ".join(summary.cases[0].name))
     return (
-        f'<h2>Success by case</h2><p class="soft">{axes}. The bar is the interval.{note}</p>'
+        f'<h2>Success by case</h2><p class="soft">{axes}. Bars are confidence intervals.{note}</p>'
         f'<div class="charts"><figure>{chart.whiskers(rows)}</figure></div>'
     )
 
 
 def _medians(campaign: Campaign, summary: Summary, runs: Sequence[Flown], apart: Groups) -> str:
-    """Of each combination of the grid, what its runs had in the middle."""
+    """Medians for each combination of the grid."""
     if not summary.cases:
         return ""
     axes = [axis.label for axis in campaign.file.grid]
@@ -170,7 +170,7 @@ def _distributions(summary: Summary, table: Table, apart: Groups) -> str:
         if apart.shown:
             rows = [_strip(quantity, group) for group in apart.shown]
             if any(row.median is not None for row in rows):
-                words = f"The line is the median. Worst of all, in run {one.worst_run}: "
+                words = f"The line is the median. The worst is in run {one.worst_run}: "
                 words += f"{number(one.worst)} {quantity.unit}".strip()
                 picture = chart.strips(rows, quantity.titled)
                 figures.append(f"<figure>{picture}<figcaption>{words}</figcaption></figure>")
@@ -189,8 +189,8 @@ def _distributions(summary: Summary, table: Table, apart: Groups) -> str:
     if not figures:
         return ""
     return (
-        '<h2>Distributions</h2><p class="soft">Of a run with several vehicles, the worst of them; '
-        f"of what is used up, their sum.{apart.rest}</p>"
+        '<h2>Distributions</h2><p class="soft">For several vehicles, the worst of them; '
+        f"consumption is their sum.{apart.rest}</p>"
         f'<div class="charts">{"".join(figures)}</div>'
     )
 
@@ -211,8 +211,8 @@ def _strip(quantity: Quantity, group: Group) -> Strip:
 def points_of(
     table: Table, x: str, y: str, scales: tuple[float, float], apart: Groups
 ) -> list[Point]:
-    """One point per run that has both numbers and is drawn."""
-    if x not in table or y not in table:  # no run got so far as to have numbers
+    """One point per drawn run that has both numbers."""
+    if x not in table or y not in table:  # no run lasted long enough to have numbers
         return []
     case = {run.k: place for place, group in enumerate(apart.shown) for run in group.runs}
     return [
@@ -229,7 +229,7 @@ def points_of(
 
 
 def thinned(points: list[Point]) -> list[Point]:
-    """As many points as a picture shows, as many of each case; those that did not pass first."""
+    """At most MOST_POINTS points, evenly from all cases; failed runs have priority."""
     if len(points) <= MOST_POINTS:
         return points
     cases = {point.case for point in points}
@@ -242,7 +242,9 @@ def thinned(points: list[Point]) -> list[Point]:
     if len(cases) == 1:
         return kept
     drawn = set(kept)
-    return [point for point in points if point in drawn]  # no case lies on top of another
+    return [
+        point for point in points if point in drawn
+    ]  # the original order: no case covers another
 
 
 def _influences(campaign: Campaign, table: Table, error: Quantity, apart: Groups) -> str:
@@ -263,7 +265,7 @@ def _influences(campaign: Campaign, table: Table, error: Quantity, apart: Groups
 def _maps(
     campaign: Campaign, runs: Sequence[Flown], table: Table, error: Quantity, told: Groups
 ) -> str:
-    """Over two numbers; one panel for each case of what is no number."""
+    """Heat maps over pairs of numeric parameters; one panel per non-numeric case."""
     names = numeric_parameters(campaign, table)
     apart = groups_by(campaign, runs, named_axes(campaign))
     panels = apart.shown or [Group("", list(runs))]
@@ -272,7 +274,7 @@ def _maps(
     rows = []
     for a, b in pairs:
         for what in (None, error):
-            words = "share that passed [%]" if what is None else f"median {what.titled}"
+            words = "passed [%]" if what is None else f"median {what.titled}"
             figures = [
                 f"<figure>{picture}<figcaption>{swatch(told, panel.name)}"
                 f"{escape(': '.join(filter(None, (panel.name, words))))}</figcaption></figure>"
@@ -285,7 +287,7 @@ def _maps(
     if not apart.shown:
         return f'<h2>Two at a time</h2><div class="charts">{"".join(rows)}</div>'
     cut = f" The first {len(pairs)} of {len(every)} pairs." if len(pairs) < len(every) else ""
-    words = f"For each {' and '.join(apart.axes)}; the shades of a row are of one scale."
+    words = f"For each {' and '.join(apart.axes)}; all maps of a row share one scale."
     return f'<h2>Two at a time</h2><p class="soft">{escape(words)}{cut}{apart.rest}</p>' + "".join(
         f'<div class="charts">{row}</div>' for row in rows
     )
@@ -294,7 +296,7 @@ def _maps(
 def heat_maps(
     table: Table, a: str, b: str, what: Quantity | None, panels: Sequence[Group]
 ) -> list[str]:
-    """Share that passed, or a number's median, over two parameters; empty if nothing is known.
+    """Success rate, or a number's median, over two parameters; empty without data.
 
     All panels have the same fields and the same scale.
     """
@@ -331,7 +333,7 @@ def _front(table: Table, error: Quantity, apart: Groups) -> str:
         return ""
     names = [group.name for group in apart.shown]
     every = [
-        best_front([point for point in points if point.case == case])  # also of those left out
+        best_front([point for point in points if point.case == case])  # also of undrawn points
         for case in range(max(1, len(names)))
     ]
     fronts = [front for front in every if front]
@@ -340,12 +342,12 @@ def _front(table: Table, error: Quantity, apart: Groups) -> str:
     words = "No run passed: there is no Pareto front."
     if fronts and names:
         none = [name for name, front in zip(names, every, strict=True) if not front]
-        words = "A line is the Pareto front of the runs of one colour that passed: none of them "
-        words += "has less error for less gas."
-        words += f" None passed of: {escape(', '.join(none))}." if none else ""
+        words = "Each line is the Pareto front of the passed runs of one colour: no other run has "
+        words += "both less error and less gas."
+        words += f" No run passed of: {escape(', '.join(none))}." if none else ""
     elif fronts:
-        words = "The line is the Pareto front of the runs that passed: no run has less error for "
-        words += "less gas."
+        words = "The line is the Pareto front of the passed runs: no other run has both less error "
+        words += "and less gas."
     return (
         f'<h2>Error against gas</h2><p class="soft">{words}{apart.rest}</p>'
         f'<div class="charts"><figure>{picture}</figure></div>'
@@ -380,8 +382,8 @@ def _worst(campaign: Campaign, runs: Sequence[Flown], error: Quantity, folder: P
             f'<td class="wide"><code>{command}</code><button>copy</button></td></tr>'
         )
     return (
-        '<h2>Look at these first</h2><p class="soft">The worst runs, and the command that flies '
-        'each again, bit for bit.</p><div class="card"><table><tr><th class="n">run</th>'
+        '<h2>Worst runs</h2><p class="soft">The command repeats a run bit '
+        'for bit.</p><div class="card"><table><tr><th class="n">run</th>'
         f'<th>ended</th><th class="n">{escape(error.titled)}</th><th>why</th><th>replay</th></tr>'
         f"{''.join(rows)}</table></div>"
     )
@@ -390,8 +392,8 @@ def _worst(campaign: Campaign, runs: Sequence[Flown], error: Quantity, folder: P
 def _again(campaign: Campaign, folder: Path) -> str:
     place = escape(str(folder))
     return (
-        "<h2>The same again</h2><p>Every number of every run is in "
-        f"<code>{place}/results.parquet</code>; the file of the campaign is "
+        "<h2>Data</h2><p>All numbers of all runs are in "
+        f"<code>{place}/results.parquet</code>; the campaign file is "
         f"<code>{place}/campaign.toml</code>. Seeds "
         f"{campaign.file.seed} to {campaign.file.seed + campaign.file.samples - 1}.</p>"
     )

@@ -15,8 +15,8 @@ Table = dict[str, list[Any]]
 def table_of(campaign: Campaign, runs: Sequence[Flown]) -> Table:
     """Columns of equal length, one entry per run, in the order of the runs.
 
-    What was set and drawn comes first, under the names of the campaign file; then how the run
-    ended; then its numbers. Times of computing are not in it: the table depends on the file alone.
+    First the parameters that were set and drawn, named as in the campaign file; then the outcome;
+    then the numbers. Computing times are left out, so the table depends only on the file.
     """
     ordered = sorted(runs, key=lambda run: run.k)
     parameters = [campaign.parameters(run.k) for run in ordered]
@@ -36,14 +36,14 @@ def table_of(campaign: Campaign, runs: Sequence[Flown]) -> Table:
 
 
 def write_parquet(path: Path, table: Table, facts: dict[str, str]) -> None:
-    """The table as a Parquet file, whole or not at all."""
+    """Write the table as a Parquet file, atomically."""
     with needs_extra("campaign"):
         import pyarrow
         from pyarrow import parquet
     numbers = {
         name: pyarrow.array(column, pyarrow.float64())
         if any(isinstance(value, float) for value in column)
-        or all(value is None for value in column)  # a column of no type fits no other campaign's
+        or all(value is None for value in column)  # an untyped column matches no other campaign's
         else pyarrow.array(column)
         for name, column in table.items()
     }

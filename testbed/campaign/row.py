@@ -1,7 +1,7 @@
-"""What is kept of a run: flat columns, the same for every run of a campaign.
+"""The stored result of a run: flat columns, the same for every run of a campaign.
 
-Vehicles are told apart as in "sat1.settle_s"; without a name it is all of them together: the worst
-of an error or a distance, the sum of what was used up.
+"sat1.settle_s" is a vehicle's column. Without a name, a column is for all vehicles: the worst error
+or distance, the sum of a consumption.
 """
 
 import math
@@ -25,8 +25,8 @@ OUTCOMES = {
     "failed": "flown to the end, a criterion missed",
     "fault": "ended early, by a fault or an operator",
     "error": "ended by an exception",
-    "refused": "its configuration is not possible",
-    "lost": "its worker died or did not return, again and again",
+    "refused": "its configuration is invalid",
+    "lost": "its workers died or did not return, repeatedly",
 }
 
 TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
@@ -45,48 +45,48 @@ TOGETHER: dict[str, Callable[[Iterable[float]], float]] = {
     "filtered_ns": sum,
     "max_force_n": max,
 }
-SINGLE = ("duration_s", "contacts", "min_vehicle_distance_m")  # of a run as a whole
+SINGLE = ("duration_s", "contacts", "min_vehicle_distance_m")  # of the whole run
 BESIDE = ("goal_rms_m", "shape_rms_m", "clearance_m")  # not among a vehicle's metrics
 OF_A_VEHICLE = (*VehicleMetrics.__struct_fields__, *BESIDE)
-COLUMNS = ("run", "outcome", "reason", *SINGLE, *OF_A_VEHICLE)  # of the results, beside the file's
+COLUMNS = ("run", "outcome", "reason", *SINGLE, *OF_A_VEHICLE)  # beside the file's parameters
 
 
 class Flown(Struct, frozen=True):
-    """One run that is over."""
+    """A finished run."""
 
     k: int
     outcome: Outcome
     reason: str = ""  # why it did not pass
     columns: dict[str, Number] = {}
     criteria: dict[str, bool] = {}
-    wall_s: float = 0.0  # not among the columns: they are the same on every machine
-    memory_mb: float = 0.0  # of the worker, at most so far
-    seed: int | None = None  # None: it could not be read
-    fault_t: float | None = None  # when the fault that ended it was found [s]
+    wall_s: float = 0.0  # not a column: columns are the same on every machine
+    memory_mb: float = 0.0  # peak of the worker so far
+    seed: int | None = None  # None: the experiment could not be read
+    fault_t: float | None = None  # detection time of the fault that ended the flight [s]
 
     def told(self, reason: str) -> str:
-        """What is wrong with it, and by which seed it is flown again; a fault, with its time."""
+        """The reason with the seed that repeats the run, and the time of a fault."""
         if self.outcome == "fault":
             return mishap(self.seed, self.reason, self.fault_t)
         return f"seed {self.seed}: {reason}" if self.seed is not None else reason
 
 
 class Kept(Struct, frozen=True):
-    """A run flown once more for its log."""
+    """A run that was flown again for its log."""
 
     k: int
     files: dict[str, bytes]
     columns: dict[str, Number]
 
 
-FLOWN = ("passed", "failed")  # to the end
+FLOWN = ("passed", "failed")  # outcomes of runs that reached their end
 
 
 def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
-    """How a flight ended, and why it did not pass."""
+    """The outcome of a flight, and the reason if it did not pass."""
     if metrics.fault:
         return "fault", metrics.fault
-    if not metrics.completed:  # an operator ended it, or kept it from starting
+    if not metrics.completed:  # an operator ended it or prevented its start
         return "fault", "not flown to its end"
     flown = metrics.vehicles.values()
     failed = [
@@ -100,7 +100,7 @@ def outcome_of(metrics: Metrics) -> tuple[Outcome, str]:
 def broken_bound(
     columns: Mapping[str, Number], most: Mapping[str, float], least: Mapping[str, float]
 ) -> str:
-    """The first bound that a run does not keep, in words; empty if it keeps all.
+    """The first bound that a run breaks, as text; empty if it keeps all.
 
     Raises:
         ConfigError: there is no such column.
@@ -116,10 +116,10 @@ def broken_bound(
 
 
 def check_columns(where: str, key: str, bounds: Mapping[str, float]) -> None:
-    """Refuse a bound that is none, or on a number that no run has.
+    """Refuse a bound that is not finite, or on a column that does not exist.
 
     Raises:
-        ConfigError: there is no such column, or the bound is no number, which all would keep.
+        ConfigError: there is no such column, or the bound is NaN or infinite.
     """
     known = [*SINGLE, *OF_A_VEHICLE]
     for name, bound in bounds.items():
@@ -132,10 +132,10 @@ def check_columns(where: str, key: str, bounds: Mapping[str, float]) -> None:
 
 
 def check_vehicles(where: str, key: str, bounds: Iterable[str], names: Iterable[str]) -> None:
-    """Refuse a bound on a vehicle that is not there.
+    """Refuse a bound on a vehicle that does not exist.
 
     Raises:
-        ConfigError: none is called so.
+        ConfigError: there is no such vehicle.
     """
     for bound in bounds:
         vehicle = bound.rpartition(".")[0]
@@ -145,7 +145,7 @@ def check_vehicles(where: str, key: str, bounds: Iterable[str], names: Iterable[
 
 
 def column(columns: Mapping[str, Number], name: str) -> Number:
-    """A number of a run.
+    """The number in a column of a run.
 
     Raises:
         ConfigError: there is no such column.
@@ -157,7 +157,7 @@ def column(columns: Mapping[str, Number], name: str) -> Number:
 
 
 def within(run: Flown, most: Mapping[str, float], least: Mapping[str, float]) -> Flown:
-    """The run as it counts: one that passed and breaks a bound has failed."""
+    """The run; changed to failed if it passed but breaks a bound."""
     reason = broken_bound(run.columns, most, least) if run.outcome == "passed" else ""
     return replace(run, outcome="failed", reason=reason) if reason else run
 
@@ -165,12 +165,12 @@ def within(run: Flown, most: Mapping[str, float], least: Mapping[str, float]) ->
 def columns_of(
     metrics: Metrics, experiment: Experiment, extra: dict[str, dict[str, Number]]
 ) -> dict[str, Number]:
-    """All numbers of a flight.
+    """All columns of a flight.
 
     Args:
-        metrics: of the flight.
-        experiment: that was flown.
-        extra: by vehicle, what is not among its metrics.
+        metrics: metrics of the flight.
+        experiment: the experiment that was flown.
+        extra: by vehicle, numbers that are not among its metrics.
     """
     columns: dict[str, Number] = {
         "duration_s": metrics.duration_s,
@@ -189,8 +189,8 @@ def columns_of(
     for name in OF_A_VEHICLE:
         values = [numbers[name] for numbers in each.values()]
         known = [value for value in values if value is not None]
-        unsettled = name == "settle_s" and len(known) < len(values)  # somebody never did
-        lost = any(math.isnan(value) for value in known)  # `max` and `min` may pass it over
+        unsettled = name == "settle_s" and len(known) < len(values)  # a vehicle never settled
+        lost = any(math.isnan(value) for value in known)  # `max` and `min` may skip NaN
         columns[name] = TOGETHER[name](known) if known and not unsettled and not lost else None
     if len(experiment.vehicles) > 1:
         for vehicle, numbers in each.items():
@@ -199,5 +199,5 @@ def columns_of(
 
 
 def _finite(value: Number) -> Number:
-    """JSON has no infinity; a number that is none does not apply."""
+    """None for NaN and infinity, which JSON does not have."""
     return value if value is not None and math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Numbers that a campaign compares and a single run does not print.
+"""Numbers for campaigns that a single run does not print.
 
 goal_rms_m    true position against the goal: in the last 30 s, or in the second half of the run
               where that is shorter or the goal moves
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 def beside_metrics(
     experiment: Experiment, track: Track
 ) -> dict[str, dict[str, float | int | None]]:
-    """By vehicle, the numbers above."""
+    """The numbers above, by vehicle."""
     if len(track.t) == 0:
         return {}
     late = track.t >= 0.5 * experiment.duration_s
@@ -47,7 +47,7 @@ def beside_metrics(
 
 
 def goal_at(setup: VehicleSetup, times: Array) -> Array:
-    """Where a vehicle's goal is, shape (len(times), 2) [m]."""
+    """A vehicle's goal over time, shape (len(times), 2) [m]."""
     start = np.array(setup.goal[:2])
     if setup.path is None:
         return np.broadcast_to(start, (len(times), 2))
@@ -55,7 +55,7 @@ def goal_at(setup: VehicleSetup, times: Array) -> Array:
 
 
 def wanted_distances(experiment: Experiment) -> dict[tuple[str, str], float]:
-    """Pairs that the law's formation keeps together, and how far apart [m]; may be none."""
+    """Desired distances of the formation's pairs [m]; empty without a formation."""
     formation = getattr(experiment.controller, "formation", None)
     distances: Mapping[str, float] = getattr(formation, "distances", {})
     reach = getattr(formation, "far", np.inf)
@@ -73,7 +73,7 @@ def shape_errors(
     name: str,
     wanted: Mapping[tuple[str, str], float],
 ) -> Array:
-    """One vehicle's distances to its partners less the wanted ones, all times together [m]."""
+    """Errors of a vehicle's distances to its partners, at all times [m]."""
     names = list(experiment.vehicles)
     errors = [np.zeros(0)]
     for (a, b), distance in wanted.items():

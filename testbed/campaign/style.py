@@ -1,4 +1,4 @@
-"""How a page looks, light and dark; nothing is fetched from anywhere."""
+"""Style and script of a page, light and dark, without external resources."""
 
 STYLE = """
 :root { color-scheme: light dark;

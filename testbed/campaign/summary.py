@@ -1,4 +1,4 @@
-"""What a campaign says: how often it succeeds, where its numbers lie, which runs are worst."""
+"""Summary of a campaign: success rate, distributions of numbers, worst runs."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,22 +12,22 @@ from testbed.campaign.result import Table
 from testbed.campaign.row import Flown
 from testbed.campaign.sweep import Campaign
 
-FAULTS = 100  # flights whose fault a summary names; results.parquet has all
-MOST_GROUPS = 6  # as many colours and marks as one tells apart
+FAULTS = 100  # faults that a summary lists; results.parquet has all
+MOST_GROUPS = 6  # distinguishable colours and marks
 
 
 class Quantity(Struct, frozen=True):
-    """A number worth showing."""
+    """A number that summaries and reports show."""
 
     column: str
     title: str
     unit: str
-    scale: float = 1.0  # from the column to the unit
+    scale: float = 1.0  # factor from the column to the unit
     largest_is_worst: bool = True
 
     @property
     def titled(self) -> str:
-        """With its unit."""
+        """Title with unit."""
         return f"{self.title} [{self.unit}]" if self.unit else self.title
 
 
@@ -49,7 +49,7 @@ ERRORS = ("shape_rms_m", "goal_rms_m", "track_rms_m", "final_error_m")
 
 
 class Spread(Struct, frozen=True):
-    """Where a number lies, in its unit."""
+    """Distribution of a number over the runs, in its unit."""
 
     quantity: Quantity
     runs: int
@@ -68,31 +68,31 @@ class Case(Struct, frozen=True):
 
 
 class Group(Struct, frozen=True):
-    """Runs of one colour and one mark."""
+    """Runs with the same colour and mark."""
 
     name: str
     runs: list[Flown]
 
 
 class Groups(Struct, frozen=True):
-    """What the pictures tell apart; nothing is shown where all runs are of one kind."""
+    """Groups of runs that the figures distinguish; empty if all runs are of one kind."""
 
     axes: list[str]  # of the grid
     shown: list[Group]
-    left_out: int = 0  # groups beyond those
-    pooled: list[str] = []  # axes of the grid that a group has several values of
+    left_out: int = 0  # number of groups that are not shown
+    pooled: list[str] = []  # axes of the grid that vary within a group
 
     def name_of(self, case: Mapping[str, str]) -> str:
-        """Which group a combination of the grid belongs to."""
+        """Name of the group of a combination of the grid."""
         return ", ".join(case[axis] for axis in self.axes)
 
     def place(self, name: str) -> int | None:
-        """Which colour and mark a group has; none if it is not shown."""
+        """Index of a group's colour and mark; None if it is not shown."""
         return next((k for k, group in enumerate(self.shown) if group.name == name), None)
 
     @property
     def rest(self) -> str:
-        """How many are drawn, where not all are."""
+        """A sentence on groups that are not drawn, or an empty string."""
         count = len(self.shown)
         words = (
             f" The first {count} of {count + self.left_out} are drawn, {self.left_out} left out."
@@ -100,13 +100,13 @@ class Groups(Struct, frozen=True):
         return words if self.left_out else ""
 
     def told(self, combinations: int) -> str:
-        """What the pictures show together, and what not at all."""
+        """A sentence on how the figures distinguish the cases."""
         if not self.shown:
-            return "The figures below are of all cases together."
+            return "The figures below pool all cases."
         words = "Below, each case has a colour and a mark of its own."
         if self.pooled:
             words = (
-                f"{combinations} cases are more than one tells apart: below, each "
+                f"{combinations} cases are too many to distinguish: below, each "
                 f"{' and '.join(self.axes)} has a colour and a mark of its own, whatever its "
                 f"{' and '.join(self.pooled)} is."
             )
@@ -133,11 +133,11 @@ class Summary(Struct, frozen=True):
     not_repeatable: list[int]
     cases: list[Case]
     spreads: list[Spread]
-    faults: list[str] = []  # of the first flights that ended in one: run, seed, fault, when
+    faults: list[str] = []  # of the first flights with a fault: run, seed, fault, time
 
 
 def summarise(campaign: Campaign, experiment: str, ended: Ended) -> Summary:
-    """The summary of the runs that are over."""
+    """Summarise the finished runs."""
     runs, file = ended.runs, campaign.file
     passed = sum(run.outcome == "passed" for run in runs)
     rate = success_rate(passed, len(runs), file.confidence)
@@ -168,14 +168,14 @@ def summarise(campaign: Campaign, experiment: str, ended: Ended) -> Summary:
 
 
 def short_reason(run: Flown) -> str:
-    """Why it did not pass, in the words that many runs share."""
+    """The reason without numbers, so that equal reasons can be counted."""
     text = run.reason.strip().splitlines()[-1] if run.reason.strip() else run.outcome
     words = ["#" if any(c.isdigit() for c in word) else word for word in text.split()]
     return f"{run.outcome}: {' '.join(words)}"[:120]
 
 
 def cases(campaign: Campaign, runs: Sequence[Flown]) -> list[Case]:
-    """Success of each combination of the grid; none where there is but one."""
+    """Success rate of each combination of the grid; empty if there is only one."""
     axes = [axis.label for axis in campaign.file.grid]
     found = by_axes(campaign, runs, axes)
     if len(found) < 2:
@@ -194,7 +194,7 @@ def cases(campaign: Campaign, runs: Sequence[Flown]) -> list[Case]:
 def by_axes(
     campaign: Campaign, runs: Sequence[Flown], axes: Sequence[str]
 ) -> dict[tuple[str, ...], list[Flown]]:
-    """The runs by what some axes of the grid were, in the order of the grid."""
+    """The runs by their values on some axes, in the order of the grid."""
     points: dict[int, tuple[str, ...]] = {}
     found: dict[tuple[str, ...], list[Flown]] = {}
     for run in sorted(runs, key=lambda run: run.k % campaign.combinations):
@@ -207,7 +207,7 @@ def by_axes(
 
 
 def named_axes(campaign: Campaign) -> list[str]:
-    """Axes of the grid that no axis of a picture can have, because they are no numbers."""
+    """Axes of the grid with non-numeric values."""
     return [
         axis.label
         for axis in campaign.file.grid
@@ -216,7 +216,7 @@ def named_axes(campaign: Campaign) -> list[str]:
 
 
 def numeric_parameters(campaign: Campaign, table: Table) -> list[str]:
-    """Columns that were set or drawn, are numbers and differ."""
+    """Parameters that were set or drawn, are numeric and vary."""
     names = [axis.label for axis in campaign.file.grid] + [d.label for d in campaign.file.draw]
     return [
         name
@@ -227,7 +227,7 @@ def numeric_parameters(campaign: Campaign, table: Table) -> list[str]:
 
 
 def groups(campaign: Campaign, runs: Sequence[Flown]) -> Groups:
-    """The cases, or if those are too many to tell apart, by the axes that are no numbers."""
+    """The runs by case, or by the non-numeric axes if there are too many cases."""
     axes = [axis.label for axis in campaign.file.grid]
     if len(by_axes(campaign, runs, axes)) > MOST_GROUPS:
         axes = named_axes(campaign)
@@ -235,7 +235,7 @@ def groups(campaign: Campaign, runs: Sequence[Flown]) -> Groups:
 
 
 def groups_by(campaign: Campaign, runs: Sequence[Flown], axes: list[str]) -> Groups:
-    """The runs by some axes of the grid."""
+    """The runs grouped by some axes of the grid."""
     found = by_axes(campaign, runs, axes)
     if len(found) < 2:
         return Groups(axes, [])
@@ -245,7 +245,7 @@ def groups_by(campaign: Campaign, runs: Sequence[Flown], axes: list[str]) -> Gro
 
 
 def spread(quantity: Quantity, runs: Sequence[Flown]) -> Spread | None:
-    """Where a number lies among the runs that have it."""
+    """Distribution of a number over the runs that have it."""
     have = [(run.columns.get(quantity.column), run.k) for run in runs]
     known = [(float(value) * quantity.scale, k) for value, k in have if value is not None]
     if not known:
@@ -260,7 +260,7 @@ def spread(quantity: Quantity, runs: Sequence[Flown]) -> Spread | None:
 
 
 def in_field(runs: Sequence[Flown], what: Quantity | None) -> tuple[float, int] | None:
-    """The number of a field of a map, and of how many runs it is."""
+    """The value of a field of a heat map, and its number of runs."""
     if what is None:
         return 100.0 * sum(run.outcome == "passed" for run in runs) / len(runs), len(runs)
     one = spread(what, runs)
@@ -268,7 +268,7 @@ def in_field(runs: Sequence[Flown], what: Quantity | None) -> tuple[float, int] 
 
 
 def main_error(summary: Summary, table: Table) -> Quantity:
-    """The error that the campaign is about: of the formation, if there is one, or to the goal."""
+    """The main error of the campaign: of the formation if there is one, else to the goal."""
     known = {one.quantity.column: one.quantity for one in summary.spreads}
     names = [name for name in ERRORS if name in known]
     law_has_formation = any(value is not None for value in table.get("shape_rms_m", ()))
@@ -278,7 +278,7 @@ def main_error(summary: Summary, table: Table) -> Quantity:
 
 
 def worst_runs(runs: Sequence[Flown], quantity: Quantity, count: int = 10) -> list[Flown]:
-    """The runs to look at first: those that ended badly, then the worst numbers."""
+    """The worst runs: first by outcome, then by the number."""
     order = {"lost": 0, "error": 1, "refused": 2, "fault": 3, "failed": 4, "passed": 5}
     sign = -1.0 if quantity.largest_is_worst else 1.0
 

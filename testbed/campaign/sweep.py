@@ -1,8 +1,8 @@
-"""A campaign file, and the runs it stands for.
+"""A campaign file and its list of runs.
 
     name = "margins"
-    experiment = "zhang2023_table"        # a shipped one, or a path relative to this file
-    set = ["duration_s=100"]              # on top of every run, as on the command line
+    experiment = "zhang2023_table"        # shipped, or a path relative to this file
+    set = ["duration_s=100"]              # overrides for every run
     samples = 200                         # runs for each combination of the grid
     seed = 0                              # sample j flies with seed + j and has its own draws
 
@@ -10,7 +10,7 @@
     key = "table.mocap.latency_s"
     values = [0.02, 0.05, 0.1]
 
-    [[grid]]                              # several keys that go together
+    [[grid]]                              # several keys that change together
     name = "law"
     cases.paper = []
     cases.naive = ["controller={type='pd'}", "guidance.mode=wrench"]
@@ -20,9 +20,9 @@
     low = 11.0
     high = 14.0
 
-Run k is sample k // G on the combination k % G of the grid's G: what it flies depends on the file
-and on k alone, every combination sees the same seeds and draws, and a campaign that is stopped has
-flown all combinations equally often.
+The grid has G combinations; run k is sample k // G on combination k % G. So a run depends only on
+the file and on k, every combination gets the same seeds and draws, and a stopped campaign has flown
+all combinations equally often.
 """
 
 import math
@@ -52,9 +52,9 @@ from testbed.core.table import Probability
 from testbed.core.vehicle import Positive
 
 MOST_RUNS = 1_000_000
-MOST_CHECKED = 200  # combinations, before the first run
+MOST_CHECKED = 200  # combinations that are checked before the first run
 SEED: Key = ("seed",)
-MAY_CHANGE = ("description", "keep", "confidence", "success", "limit_s")  # of a file half flown
+MAY_CHANGE = ("description", "keep", "confidence", "success", "limit_s")  # during a campaign
 
 Count = Annotated[int, Meta(ge=1, le=MOST_RUNS)]
 Limit = Annotated[float, Meta(gt=0.0, le=604_800.0)]
@@ -66,7 +66,7 @@ class Axis(Struct, frozen=True, forbid_unknown_fields=True):
     """One axis of the grid: the values of a key, or named cases of several keys."""
 
     key: str = ""
-    name: str = ""  # of a column; the key if not given
+    name: str = ""  # column name; default: the key
     values: list[Any] = []
     cases: dict[str, list[str]] = {}
 
@@ -86,14 +86,14 @@ class Axis(Struct, frozen=True, forbid_unknown_fields=True):
         return self.name or self.key
 
     def points(self) -> list[tuple[float | int | bool | str, Overrides]]:
-        """Each value as it is shown, and what it puts on top."""
+        """Each value as it is shown, with its overrides."""
         if self.cases:
             return [(name, tuple(texts)) for name, texts in self.cases.items()]
         return [(_shown(value), (f"{self.key}={inline(value)}",)) for value in self.values]
 
 
 class Draw(Struct, frozen=True, forbid_unknown_fields=True):
-    """A number drawn anew for each sample: even between two ends, or normal."""
+    """A random number for each sample: uniform between two ends, or normal."""
 
     key: str
     name: str = ""
@@ -101,8 +101,8 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
     high: float | None = None
     mean: float | None = None
     sd: Positive | None = None
-    log: bool = False  # even in the logarithm
-    whole: bool = False  # a whole number, each of an even draw as often
+    log: bool = False  # uniform in the logarithm
+    whole: bool = False  # whole numbers, all equally likely if uniform
 
     def __post_init__(self) -> None:
         ends, bell = (self.low, self.high), (self.mean, self.sd)
@@ -125,13 +125,13 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
         return self.name or self.key
 
     def at(self, share: float) -> float | int:
-        """The value below which this `share` of all draws are."""
+        """The quantile: the value below which this `share` of all draws lies."""
         if self.mean is not None and self.sd is not None:
             value = float(norm.ppf(share, self.mean, self.sd))
             return round(value) if self.whole else value
         assert self.low is not None
         assert self.high is not None
-        room = 0.5 if self.whole else 0.0  # or the ends would be rounded to half as often
+        room = 0.5 if self.whole else 0.0  # else rounding would make the ends half as likely
         low, high = self.low - room, self.high + room
         if self.log:
             value = low * math.exp(share * math.log(high / low))
@@ -141,9 +141,9 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """A campaign as its file says it."""
+    """Content of a campaign file."""
 
-    name: str  # of its folder
+    name: str  # also the name of the folder
     experiment: str
     description: str = ""
     set: list[str] = []
@@ -152,16 +152,16 @@ class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
     design: Literal["random", "latin_hypercube"] = "random"
     grid: list[Axis] = []
     draw: list[Draw] = []
-    most: dict[str, float] = {}  # a run of which a column is more has not passed
-    least: dict[str, float] = {}  # ... or less
+    most: dict[str, float] = {}  # upper bounds of columns; a run above one has failed
+    least: dict[str, float] = {}  # lower bounds
     keep: Annotated[int, Meta(ge=0, le=1000)] = 20  # failures whose log is kept
     confidence: Annotated[float, Meta(gt=0.5, lt=1.0)] = 0.95  # of the interval
-    success: Probability | None = None  # what the interval's lower end must reach
-    limit_s: Limit = 3600.0  # of computing a run; one that takes longer is lost [s]
+    success: Probability | None = None  # required lower end of the interval
+    limit_s: Limit = 3600.0  # computing time after which a run is lost [s]
 
 
 class Campaign:
-    """A campaign file with the experiment it is about."""
+    """A campaign file with its base experiment."""
 
     def __init__(self, file: CampaignFile, base: str) -> None:
         self.file = file
@@ -176,11 +176,11 @@ class Campaign:
 
     @property
     def combinations(self) -> int:
-        """Of the grid."""
+        """Number of combinations of the grid."""
         return len(self._grid)
 
     def parameters(self, k: int) -> Parameters:
-        """What is particular to run k, by column."""
+        """The parameters of run k, by column."""
         sample, point = divmod(k, len(self._grid))
         named = {
             axis.label: shown
@@ -190,7 +190,7 @@ class Campaign:
         return {**named, **drawn, "seed": self.file.seed + sample}
 
     def overrides(self, k: int) -> Overrides:
-        """What run k puts on top of the base experiment."""
+        """The overrides of run k."""
         sample, point = divmod(k, len(self._grid))
         texts = [text for _, texts in self._grid[point] for text in texts]
         texts += [f"{draw.key}={value!r}" for draw, value in self._drawn(sample)]
@@ -201,14 +201,14 @@ class Campaign:
         return [(draw, draw.at(float(u))) for draw, u in zip(self.file.draw, row, strict=True)]
 
     def payload(self) -> bytes:
-        """Everything that decides what a run of this number flies, and whether it passes."""
+        """Everything that determines what a run flies, and whether it passes."""
         return msgspec.json.encode((deciding(self.file), self.base))
 
 
 def deciding(file: CampaignFile) -> CampaignFile:
-    """The file without what may change while it is flown: no run would have been another.
+    """The file without the keys that may change during a campaign, as they affect no run.
 
-    More samples are more runs behind those there are, unless the draws are made as a whole.
+    More samples append runs and change none, except with a Latin hypercube.
     """
     plain = CampaignFile(name=file.name, experiment=file.experiment)
     whole = file.design == "latin_hypercube" and bool(file.draw)
@@ -217,7 +217,7 @@ def deciding(file: CampaignFile) -> CampaignFile:
 
 
 def difference(old: Any, new: Any) -> str:
-    """The first key that two trees do not share, in words; empty if there is none."""
+    """The first difference between two trees, as text; empty if there is none."""
     before, now = ({spell(k): v for k, v in leaves(tree)} for tree in (old, new))
     for key in (*before, *now):
         if (a := before.get(key)) != (b := now.get(key)):
@@ -227,10 +227,10 @@ def difference(old: Any, new: Any) -> str:
 
 
 def shares(file: CampaignFile) -> NDArray[np.float64]:
-    """Where each sample's draws stand between 0 and 1, shape (samples, draws).
+    """Uniform numbers from 0 to 1 for each sample's draws, shape (samples, draws).
 
-    A random one has a stream of its own for each key, so more samples or another key change none of
-    the draws there are; a Latin hypercube is made as a whole.
+    In a random design each key has its own stream, so more samples or another key change no
+    existing draw. A Latin hypercube changes as a whole.
     """
     if not file.draw:
         return np.zeros((file.samples, 0))
@@ -256,7 +256,7 @@ def load_campaign(path: Path) -> Campaign:
     """Read and check a campaign file and the experiment it names.
 
     Raises:
-        ConfigError: something is wrong, in either, or in a corner of the sweep.
+        ConfigError: the file, the experiment, or a corner of the sweep is invalid.
     """
     file = read_file(path, CampaignFile)
     check_name(path, file.name)
@@ -264,15 +264,15 @@ def load_campaign(path: Path) -> Campaign:
     names = [axis.label for axis in file.grid] + [draw.label for draw in file.draw]
     for name in names:
         if names.count(name) > 1 or name == "seed":
-            raise ConfigError(str(path), "", "each column once, none called seed", show(name))
+            raise ConfigError(str(path), "", "each column once, and none called seed", show(name))
         if name in COLUMNS or name.startswith("met."):
-            expected = "a `name` that no result has"
+            expected = "another `name`"
             raise ConfigError(str(path), "", expected, f"{show(name)}, a column of the results")
     for axis in file.grid:
         shown = [show(value) for value in axis.values]
         if twice := [value for value in shown if shown.count(value) > 1]:
             raise ConfigError(
-                str(path), axis.key, "each value once: the same run twice is no evidence", twice[0]
+                str(path), axis.key, "each value once: repeated runs add no evidence", twice[0]
             )
     for key, bounds in (("most", file.most), ("least", file.least)):
         check_columns(str(path), key, bounds)
@@ -288,13 +288,13 @@ def load_campaign(path: Path) -> Campaign:
 
 
 def seed_error(path: Path, where: str) -> ConfigError:
-    """Somebody sets the seed of every run."""
+    """The error for a file that sets the seed of every run."""
     expected = "`seed` and `samples` of the campaign: sample j flies with seed + j"
     return ConfigError(str(path), where, expected, "the key `seed`")
 
 
 def check_replaced(path: Path, file: CampaignFile) -> None:
-    """Refuse a key of which another one leaves nothing: its column would say what was not flown."""
+    """Refuse a key that another one overwrites, because its column would be wrong."""
     settings = [
         (axis.label, text) for axis in file.grid for _, texts in axis.points() for text in texts
     ] + [(draw.label, f"{draw.key}=0") for draw in file.draw]
@@ -304,14 +304,14 @@ def check_replaced(path: Path, file: CampaignFile) -> None:
             raise seed_error(path, label)
         for other, later in list(keys)[place + 1 :]:
             if other != label and covers(later, key):
-                expected = f"`{spell(key)}` as it was set, in every run"
-                cure = "keep one" if later == key else "put it into cases, behind what replaces it"
+                expected = f"a `{spell(key)}` that no other setting replaces"
+                cure = "keep one" if later == key else "put it into cases, after its replacement"
                 found = f"`{spell(later)}` of {other}, which replaces it; {cure}"
                 raise ConfigError(str(path), label, expected, found)
 
 
 def key_of(path: Path, label: str, text: str) -> Key:
-    """What an axis or a draw sets."""
+    """The key that an axis or a draw sets."""
     try:
         return assignment(text)[0]
     except ValueError:
@@ -319,13 +319,13 @@ def key_of(path: Path, label: str, text: str) -> Key:
 
 
 def covers(key: Key, other: Key) -> bool:
-    """Whether setting `key` leaves nothing of `other`."""
+    """Whether setting `key` overwrites all of `other`."""
     pairs = zip(key, other, strict=False)
     return len(key) <= len(other) and all(a in (b, ANY) for a, b in pairs)
 
 
 def check_corners(path: Path, campaign: Campaign) -> None:
-    """Refuse a campaign of which a combination, an end of a draw or a bound is not possible."""
+    """Refuse a campaign with an invalid combination, end of a draw, or bound."""
     names: dict[str, None] = {}  # of vehicles
     for texts in corners(campaign):
         try:
@@ -338,10 +338,10 @@ def check_corners(path: Path, campaign: Campaign) -> None:
 
 
 def read_file(path: Path, kind: type[Any]) -> Any:
-    """A TOML file as a struct.
+    """Read a TOML file as a struct.
 
     Raises:
-        ConfigError: it is not one.
+        ConfigError: the file is invalid.
     """
     tree = read_toml(path)
     try:
@@ -353,24 +353,24 @@ def read_file(path: Path, kind: type[Any]) -> Any:
 
 
 def check_name(path: Path, name: str) -> None:
-    """Refuse a name that cannot be part of a folder's."""
+    """Refuse a name that cannot be part of a folder name."""
     if not re.fullmatch(r"[A-Za-z0-9][\w.-]{0,63}", name, re.ASCII):
         expected = "at most 64 letters, digits, `_`, `-`, `.`, the first a letter or digit"
         raise ConfigError(str(path), "name", expected, show(name))
 
 
 def experiment_path(path: Path, name: str) -> Path:
-    """The experiment that the file at `path` names."""
+    """Path of the experiment that the file at `path` names."""
     beside = path.parent / name
     return beside if beside.is_file() else find(name)
 
 
 def base_experiment(path: Path, name: str, overrides: list[str]) -> Experiment:
-    """The experiment that the file at `path` names, with what is set for all runs."""
+    """The experiment that the file at `path` names, with the overrides for all runs."""
     try:
         return load(experiment_path(path, name), overrides)
     except ConfigError as error:
-        if error.where == name:  # nothing is called so
+        if error.where == name:  # there is no such experiment
             raise ConfigError(str(path), "experiment", error.expected, error.found) from None
         if error.where.startswith("command line"):
             where = f"{path}, set{error.where.removeprefix('command line')}"

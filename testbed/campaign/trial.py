@@ -1,4 +1,4 @@
-"""One run of a campaign, flown in a worker: no screen, no file, no signal."""
+"""Flies one run of a campaign in a worker, without screen, files or signals."""
 
 import resource
 import tempfile
@@ -22,7 +22,7 @@ from testbed.run.judge import measure
 
 
 def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
-    """Fly run k: the base experiment with these on top. Whatever happens is in the result."""
+    """Fly run k, the base experiment with overrides; errors are returned in the result."""
     began = time.perf_counter()
     columns: dict[str, Number] = {}
     criteria: dict[str, bool] = {}
@@ -43,29 +43,31 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
         reason = f"{error.key}: expected {error.expected}, found {error.found}"
     except KeyboardInterrupt:
         raise
-    except BaseException:  # whatever a law does, even to exit: the campaign goes on and shows it
+    except BaseException:  # even if a law exits, the campaign continues and shows it
         outcome, reason = "error", traceback.format_exc(limit=-4)
-    reason = reason.encode(errors="backslashreplace").decode()  # half a character is no UTF-8
+    reason = reason.encode(
+        errors="backslashreplace"
+    ).decode()  # lone surrogates are not valid UTF-8
     wall = time.perf_counter() - began
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return Flown(k, outcome, reason, columns, criteria, wall, memory_mb, seed, fault_t)
 
 
 def fly_batch(base: str, batch: Sequence[Task]) -> list[Flown]:
-    """Fly some runs, one after the other."""
+    """Fly some runs in sequence."""
     return [fly(base, *task) for task in batch]
 
 
 def warm(base: str, batch: Sequence[Task]) -> None:
-    """Fly a moment of some runs, so that all they need is compiled and on disk."""
+    """Fly some runs for a moment, so that their code is compiled to disk."""
     for _, overrides in batch:
-        with suppress(Exception, SystemExit):  # what is wrong is said when it is flown
+        with suppress(Exception, SystemExit):  # errors are reported when the run flies
             warm_up(read(base, overrides), lambda: False)
     settle()
 
 
 def fly_with_log(base: str, batch: Sequence[Task]) -> list[Kept]:
-    """Fly some runs once more, now with their logs."""
+    """Fly some runs again, with logs."""
     return [_keep(base, *task) for task in batch]
 
 
@@ -76,13 +78,13 @@ def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
         try:
             experiment = read(base, overrides)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
-            with redirect_stderr(StringIO()):  # the screen is the campaign's
+            with redirect_stderr(StringIO()):  # standard error belongs to the campaign
                 metrics = fly_and_judge(experiment, folder)
             write_metrics(folder, metrics)
             columns = columns_of(metrics, experiment, {})
         except KeyboardInterrupt:
             raise
-        except BaseException:  # the same that ended the first flight
+        except BaseException:  # the same error that ended the first flight
             text = traceback.format_exc().encode(errors="backslashreplace")
             (folder / "error.txt").write_bytes(text)
         files = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
@@ -90,5 +92,5 @@ def _keep(base: str, k: int, overrides: Sequence[str]) -> Kept:
 
 
 def read(base: str, overrides: Sequence[str]) -> Experiment:
-    """The base experiment with these on top."""
+    """The base experiment with overrides."""
     return loads(base, overrides)

@@ -1,12 +1,12 @@
-"""Tuning: an optimiser chooses gains, every choice is flown over the same seeds, the best is kept.
+"""Tuning: an optimiser chooses gains, and every choice is flown with the same seeds.
 
     name = "hold_pd"
     experiment = "hold"
     set = ["duration_s=60"]
-    trials = 40                           # choices
-    samples = 3                           # runs of each, seeds seed, seed + 1, ...
+    trials = 40                           # number of choices
+    samples = 3                           # runs per choice, with seeds seed, seed + 1, ...
     sampler = "tpe"                       # or "cmaes"
-    cost = { goal_rms_m = 1000.0, gas_g = 0.02 }      # weights; the mean over the samples counts
+    cost = { goal_rms_m = 1000.0, gas_g = 0.02 }      # weights; mean over the samples
     most = { max_force_n = 0.8 }          # safety: no run may exceed it
     least = { clearance_m = 0.02 }        # safety: no run may fall below it
 
@@ -16,13 +16,12 @@
     high = 0.6
     log = true
 
-Columns are those of a campaign's results. Safety is also the experiment's own criteria: a choice of
-which any run ends by a fault, misses a criterion or breaks a bound loses to every choice that keeps
-all. The first choice is the experiment as it is.
+Columns are those of a campaign's results. A choice is unsafe if any of its runs ends by a fault,
+misses a criterion of the experiment or breaks a bound; it loses to every safe choice. The first
+choice is the original gains of the experiment.
 
-The optimiser is asked for `together` choices at a time, whatever the number of workers, and a
-journal keeps what each cost; a tuning that was stopped asks again, gets the same choices, and goes
-on.
+The optimiser proposes `together` choices at a time, independent of the number of workers, and a
+journal stores their costs. A restarted tuning gets the same proposals and so resumes.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -49,14 +48,14 @@ from testbed.config.experiment import Seed
 from testbed.config.key import assignment
 from testbed.core.vehicle import Positive
 
-BROKEN = 1e6  # what breaking the safety bounds costs, for each of the runs that do
-PROOF_SEEDS = 1_000_000  # further on: seeds that were not tuned on
+BROKEN = 1e6  # cost of each run that breaks a safety bound
+PROOF_SEEDS = 1_000_000  # offset of the seeds that the tuning does not use
 
 Fly = Callable[[Sequence[Task]], Iterator[Flown]]
 
 
 class Gain(Struct, frozen=True, forbid_unknown_fields=True):
-    """A number to choose, and between what."""
+    """A number to choose, and its range."""
 
     key: str
     low: float
@@ -72,7 +71,7 @@ class Gain(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TuningFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """A tuning as its file says it."""
+    """Content of a tuning file."""
 
     name: str
     experiment: str
@@ -88,34 +87,34 @@ class TuningFile(Struct, frozen=True, forbid_unknown_fields=True):
     sampler: Literal["tpe", "cmaes"] = "tpe"
     together: Annotated[int, Meta(ge=1, le=1000)] = 4
     proof: Annotated[int, Meta(ge=0, le=10_000)] = 10  # seeds of the comparison at the end
-    limit_s: Limit = 3600.0  # of computing a run; one that takes longer is lost [s]
+    limit_s: Limit = 3600.0  # computing time after which a run is lost [s]
 
 
 class Trial(Struct, frozen=True):
-    """One choice and what it was worth."""
+    """One choice of gains and its cost."""
 
     number: int
     gains: list[float]
     cost: float
-    broken: int  # runs that were not within the bounds
-    reason: str = ""  # of the first of these
-    reasons: list[str] = []  # of each of them, with its seed
+    broken: int  # number of runs that broke a bound
+    reason: str = ""  # why the first of them did
+    reasons: list[str] = []  # why each of them did, with its seed
 
 
 class Tuning:
-    """A tuning file with the experiment it is about."""
+    """A tuning file with its experiment."""
 
     def __init__(self, file: TuningFile, base: str, now: list[float]) -> None:
         self.file = file
         self.base = base  # the resolved experiment, as TOML
-        self.now = now  # its gains
+        self.now = now  # the original gains
 
     def payload(self) -> bytes:
-        """Everything that decides what is flown."""
+        """Everything that determines what is flown."""
         return msgspec.json.encode((self.file, self.base))
 
     def overrides(self, gains: Sequence[float]) -> tuple[str, ...]:
-        """What a choice puts on top of the base experiment."""
+        """The overrides of a choice."""
         pairs = zip(self.file.gain, gains, strict=True)
         return tuple(f"{gain.key}={value!r}" for gain, value in pairs)
 
@@ -129,7 +128,7 @@ def load_tuning(path: Path) -> Tuning:
     """Read and check a tuning file and the experiment it names.
 
     Raises:
-        ConfigError: something is wrong, in either, or at an end of a gain.
+        ConfigError: the file, the experiment, or an end of a gain is invalid.
     """
     file = read_file(path, TuningFile)
     check_name(path, file.name)
@@ -154,7 +153,7 @@ def load_tuning(path: Path) -> Tuning:
 
 
 def _value(path: Path, tree: Any, gain: Gain) -> float:
-    """What the experiment has for a gain now, brought within its ends."""
+    """The original value of a gain, clipped to its range."""
     value = tree
     for part in assignment(f"{gain.key}=0")[0]:
         if part == "*":
@@ -167,7 +166,7 @@ def _value(path: Path, tree: Any, gain: Gain) -> float:
 
 
 def judged(tuning: Tuning, number: int, gains: list[float], runs: Sequence[Flown]) -> Trial:
-    """What a choice was worth.
+    """The cost of a choice.
 
     Raises:
         ConfigError: a column of the costs or bounds does not exist.
@@ -184,7 +183,7 @@ def judged(tuning: Tuning, number: int, gains: list[float], runs: Sequence[Flown
 
 
 def broken(file: TuningFile, run: Flown) -> str:
-    """Why a run is not within the bounds; empty if it is."""
+    """Why a run is unsafe; empty if it is safe."""
     if run.outcome != "passed":
         return f"{run.outcome}: {run.reason}"
     for name in file.cost:
@@ -194,14 +193,14 @@ def broken(file: TuningFile, run: Flown) -> str:
 
 
 class Optimiser(Protocol):
-    """Proposes gains, and is told what they cost."""
+    """Proposes gains, and learns their costs."""
 
     def ask(self) -> list[float]:
         """The next choice."""
         ...
 
     def tell(self, cost: float) -> None:
-        """The cost of the first choice that has none yet."""
+        """Report the cost of the oldest choice without one."""
         ...
 
 
@@ -244,14 +243,14 @@ def tune(
     fly: Fly,
     done: Callable[[Trial], None],
 ) -> list[Trial]:
-    """All trials: the known ones, and the others flown.
+    """Fly the trials that are not known, and return all.
 
     Args:
-        tuning: what is chosen and what counts.
-        optimiser: who chooses.
+        tuning: gains, costs and bounds.
+        optimiser: proposes the choices.
         known: trials of an earlier call, from the first one on.
-        fly: runs in, how they ended out.
-        done: is told each new trial.
+        fly: maps tasks to their results.
+        done: called with each new trial.
     """
     file = tuning.file
     seeds = range(file.seed, file.seed + file.samples)
@@ -262,7 +261,7 @@ def tune(
         choices = {number: optimiser.ask() for number in numbers}
         found = {t.number: t for t in known if t.number in choices}
         if any(found[n].gains != choices[n] for n in found):
-            words = "the optimiser's version has changed: it no longer chooses the same"
+            words = "other choices: the version of the optimiser has changed"
             raise ConfigError(file.name, "", "the choices of the journal", words)
         tasks = [
             task
@@ -284,6 +283,6 @@ def tune(
 
 
 def best_of(trials: Sequence[Trial]) -> Trial | None:
-    """The cheapest trial within the bounds, the earlier of equals; None if none is within them."""
+    """The safe trial with the lowest cost, the earlier of equals; None if no trial is safe."""
     inside = [trial for trial in trials if trial.broken == 0]
     return min(inside, key=lambda trial: (trial.cost, trial.number)) if inside else None

@@ -1,1 +1,1 @@
-"""The operator's verbs."""
+"""Command-line verbs of `testbed`."""

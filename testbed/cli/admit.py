@@ -1,6 +1,6 @@
 """`testbed admit`: fly an experiment in the twin before it is flown on hardware.
 
-A refused experiment can be forced, by somebody who types its name: not by a habit of saying yes.
+A refused experiment can be forced. The operator types its name, because `y` is typed by habit.
 """
 
 import sys
@@ -57,25 +57,25 @@ def fly_once(experiment: Experiment, seed: int) -> Flown:
 
 
 def admit(experiment: Experiment, flights: int, limits: AdmissionParams | None = None) -> Admission:
-    """Fly seeds experiment.seed, +1, ... and judge."""
+    """Fly the seeds experiment.seed, experiment.seed + 1, ... and judge the flights."""
     flown = [fly_once(experiment, experiment.seed + k) for k in range(flights)]
     return judge_flights(experiment.name, flown, limits or AdmissionParams())
 
 
 def forced(name: str, asked: Callable[[str], str]) -> bool:
-    """Whether somebody types the experiment's name to fly it against the judgement."""
+    """Whether the operator overrides the refusal by typing the experiment's name."""
     try:
-        return asked(f"Type the name of the experiment to fly it all the same [{name}]: ") == name
-    except EOFError:  # nobody is there
+        return asked(f"To override, type the name of the experiment [{name}]: ") == name
+    except EOFError:  # no operator at the terminal
         return False
 
 
 def run_admission(
     name: str, overrides: Sequence[str], flights: int, *, force: bool, as_json: bool
 ) -> int:
-    """Judge, print, return the exit code."""
+    """Fly, judge and print; return the exit code."""
     try:
-        with redirect_stdout(sys.stderr):  # what a law prints is not the result
+        with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             experiment = load(find(name), overrides)
     except ConfigError as error:
         return refuse(error)
@@ -90,13 +90,13 @@ def run_admission(
     if admission.admitted:
         return OK
     if force and forced(experiment.name, errors.input):
-        errors.print("forced: the numbers above are yours now", style="yellow")
+        errors.print("refusal overridden", style="yellow")
         return OK
     return FAILED
 
 
 def print_admission(admission: Admission) -> None:
-    """The numbers, and the verdict."""
+    """Print the worst value of each limit and the verdict."""
     out = Console(highlight=False)
     flights = "1 flight" if admission.flights == 1 else f"{admission.flights} flights"
     title = f"{admission.experiment}, {flights} in the twin"

@@ -1,4 +1,4 @@
-"""`testbed bench`: fly the benchmark of record on the twin, or score what flew on a table."""
+"""`testbed bench`: fly the benchmark of record on the twin, or score runs of a table."""
 
 import shlex
 import sys
@@ -34,18 +34,18 @@ from testbed.config import SHIPPED, ConfigError, find
 from testbed.files import write_atomic
 from testbed.run.interrupt import Interrupt
 
-WIDEST = 500  # characters of a line
-BEFORE = (  # the commands
-    "One command a run, for any rig: on a table with `--rig table` behind each. Type one, look, "
-    "type the next: a shell script of all would not carry the vehicles back to their starts.",
-    "Your own table and vehicle: in each command, in front of the first KEY=VALUE, "
+WIDEST = 500  # characters per line
+BEFORE = (  # comment above the commands
+    "One command per run, for any rig; on a table append `--rig table` to each. Run them one by "
+    "one and return the vehicles to their starts in between, so do not run them as a script.",
+    "For your own table and vehicle, insert before the first KEY=VALUE of each command: "
     "table=lab/table.toml 'vehicles.*.model=lab/sat1.toml' (or vehicles.sat1.model=... for each). "
-    "The law's gains stay.",
-    "To go on after a fault or a refill: type the commands whose folders are not there yet; one "
-    "whose folder is there is refused and overwrites nothing. A run that a fault ended counts: "
-    "keep it, look at the vehicles, and put `--reset` behind the next one. A run that never armed, "
-    "or that somebody ended for a reason that is not the law's: remove its folder, type its "
-    "command again, and say so where you publish.",
+    "Keep the law's gains.",
+    "To resume after a fault or a refill, run the commands whose folders do not exist yet; an "
+    "existing folder is refused and never overwritten. A run that a fault ended counts: keep it, "
+    "inspect the vehicles, and append `--reset` to the next command. If a run never armed, or was "
+    "stopped for a reason other than the law, remove its folder, repeat its command, and report "
+    "that with the results.",
     "Afterwards: testbed bench --from {runs}",
 )
 
@@ -54,7 +54,7 @@ def run_benchmark(
     name: str | None, out: Path | None, jobs: int, scheduler: str | None, as_json: bool,
     samples: int | None, only: tuple[str, ...], runs: Path | None, commands: bool,
 ) -> int:  # fmt: skip
-    """Fly or score, and return the exit code."""
+    """Fly or score; return the exit code."""
     interrupt, table = Interrupt(), None
     try:
         path = find_campaign(name or str(SHIPPED / "benchmark.toml"))
@@ -78,7 +78,7 @@ def run_benchmark(
                 table = fly_benchmark(path, file, folder, jobs, scheduler)
             if table is None:
                 errors.print(
-                    f"interrupted: what was flown is kept in {folder}; the same command goes on",
+                    f"interrupted: finished runs are kept in {folder}; the same command resumes",
                     style="yellow", markup=False, soft_wrap=True,
                 )  # fmt: skip
                 return INTERRUPTED
@@ -98,7 +98,7 @@ def run_benchmark(
 
 
 def chosen(file: BenchmarkFile, only: tuple[str, ...]) -> BenchmarkFile:
-    """The benchmark with some of its scenarios."""
+    """The benchmark, reduced to the scenarios of `--only`."""
     for name in only:
         if name not in file.scenarios:
             raise ConfigError("--only", "", f"one of: {', '.join(file.scenarios)}", name)
@@ -128,7 +128,7 @@ def not_the_twins(folder: Path, file: BenchmarkFile) -> None:
     """Refuse to write a lab's scores over the twin's."""
     for name in file.scenarios:
         if (folder / name / "journal.jsonl").exists():
-            expected = "--out with another folder: the twin's benchmark is in this one"
+            expected = "--out with another folder: this one holds the twin's benchmark"
             raise ConfigError(str(folder), "", expected, f"{name}/journal.jsonl")
 
 
@@ -137,7 +137,7 @@ def print_commands(path: Path, file: BenchmarkFile, runs: Path) -> None:
     where = shlex.quote(str(runs))
     lines = [line for text in BEFORE for line in comment(text.format(runs=where))]
     if file.trouble:
-        how = file.trouble_hardware or "not said in the benchmark's file"
+        how = file.trouble_hardware or "the benchmark's file does not say how"
         lines += comment(f"The robustness runs (`robust`) are not among these: {how}")
     for name, scenario in file.scenarios.items():
         lines += ["", f"# {name}"]
@@ -154,20 +154,20 @@ def print_commands(path: Path, file: BenchmarkFile, runs: Path) -> None:
 
 
 def shown_experiment(path: Path) -> str:
-    """An experiment as it is best typed: its name, or its path from here if it is below."""
+    """The shortest way to type an experiment: its name, or its path relative to here."""
     whole, here, shelf = path.resolve(), Path.cwd(), SHIPPED.resolve()
     names = [whole.stem]
     if whole.is_relative_to(shelf):
         names.append(whole.relative_to(shelf).with_suffix("").as_posix())
     for name in names:
-        with suppress(ConfigError):  # no shipped one is called so
+        with suppress(ConfigError):  # no shipped experiment has this name
             if find(name).resolve() == whole:
                 return name
     return str(whole.relative_to(here) if whole.is_relative_to(here) else path)
 
 
 def comment(text: str) -> list[str]:
-    """Lines for a shell to pass over."""
+    """The text as wrapped shell comments."""
     return textwrap.wrap(
         text, 98, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False,
         break_long_words=False,
@@ -175,16 +175,16 @@ def comment(text: str) -> list[str]:
 
 
 def print_concerns(record: Record) -> None:
-    """Say what a reader of the scores has to know, on standard error."""
-    lines = [f"passed over: {one.folder}: {one.reason}" for one in record.passed_over]
+    """Print on standard error which runs are skipped, missing or different."""
+    lines = [f"skipped: {one.folder}: {one.reason}" for one in record.passed_over]
     lines += [f"not flown: {one}" for one in record.not_flown]
-    lines += [f"not as the benchmark has it: {one}" for one in record.own]
+    lines += [f"differs from the benchmark: {one}" for one in record.own]
     for line in lines:
         errors.print(line, style="yellow", markup=False, soft_wrap=True)
 
 
 def print_scores(table: list[Score]) -> None:
-    """Print the table; no number is cut, in however narrow a window."""
+    """Print the table; numbers are never truncated, even in a narrow window."""
     grid = Grid(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("scenario", "law"):
         grid.add_column(heading, no_wrap=True)

@@ -1,4 +1,4 @@
-"""`testbed campaign`: fly a sweep, watch it, keep it, sum it up."""
+"""`testbed campaign`: fly a sweep, store its runs and summarise them."""
 
 import sys
 from collections.abc import Sequence
@@ -35,19 +35,19 @@ from testbed.config.tree import trouble_at
 from testbed.files import write_atomic
 from testbed.run.interrupt import Interrupt
 
-SHOWN = 10  # flights that ended in a fault, at the terminal
+SHOWN = 10  # flights with a fault that the terminal lists
 TROUBLE = (ConfigError, JournalError, EngineError, MissingExtraError, OSError)
 
 
 def run_campaign(
     name: str, out: Path | None, jobs: int, scheduler: str | None, as_json: bool
 ) -> int:
-    """Fly and return the exit code."""
+    """Fly the campaign; return the exit code."""
     interrupt, ended, watch = Interrupt(), None, Bar()
     summaries: list[Summary] = []
     try:
         path = find_campaign(name)
-        with redirect_stdout(sys.stderr):  # what a law prints is not what the campaign says
+        with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             campaign = load_campaign(path)
         folder = out or Path("runs") / f"campaign_{campaign.file.name}"
         fliers = Fliers(fly_batch, fly_with_log, warm, read, jobs, scheduler)
@@ -71,7 +71,7 @@ def run_campaign(
 
 
 def find_campaign(name: str) -> Path:
-    """The file of a campaign."""
+    """The path of a campaign file that exists."""
     path = Path(name)
     if trouble := trouble_at(path):
         raise ConfigError(name, "", "a campaign file", trouble)
@@ -79,18 +79,18 @@ def find_campaign(name: str) -> Path:
 
 
 def say_interrupted(campaign: Campaign, folder: Path) -> None:
-    """Tell the operator how far it got."""
+    """Print how many runs are finished."""
     with open_journal(campaign, folder) as journal:
         count = len(flown_before(campaign, journal.found))
     errors.print(
         f"interrupted: {count} of {campaign.count} runs are kept in {folder}; "
-        "the same command goes on from there",
+        "the same command resumes there",
         style="yellow", markup=False, soft_wrap=True,
     )  # fmt: skip
 
 
 def write_results(campaign: Campaign, ended: Ended, folder: Path) -> Summary:
-    """Write Parquet, summary and report; by who holds the journal, so one at a time."""
+    """Write Parquet, summary and report. The caller holds the journal, so no two write at once."""
     summary = summarise(campaign, experiment_name(campaign), ended)
     table = table_of(campaign, ended.runs)
     facts = {"campaign": campaign.file.name, "description": campaign.file.description}
@@ -114,7 +114,7 @@ def experiment_name(campaign: Campaign) -> str:
 def print_summary(
     summary: Summary, campaign: Campaign, runs: Sequence[Flown], folder: Path
 ) -> None:
-    """Print what the campaign says."""
+    """Print the success rate, the faults, the spreads and the worst runs."""
     out = Console(highlight=False)
     low, high = summary.confidence_interval
     title = f"[bold]{summary.campaign}[/]: {summary.runs} runs of {escape(summary.experiment)}"
@@ -141,11 +141,14 @@ def print_summary(
     if summary.runs_per_second:
         out.print(
             f"\n{summary.runs - summary.resumed} runs in {summary.wall_s:.1f} s, "
-            f"{summary.runs_per_second:.2f} a second; "
-            f"a worker had at most {summary.worker_memory_mb:.0f} MB"
+            f"{summary.runs_per_second:.2f} per second; "
+            f"at most {summary.worker_memory_mb:.0f} MB per worker"
         )
     if summary.not_repeatable:
-        out.print(f"NOT THE SAME when flown again: runs {summary.not_repeatable}", style="bold red")
+        out.print(
+            f"NOT REPEATABLE: another flight gave another result: runs {summary.not_repeatable}",
+            style="bold red",
+        )
     out.print(f"report: {folder / 'report.html'}", markup=False, soft_wrap=True)
 
 

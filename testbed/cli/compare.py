@@ -41,12 +41,12 @@ FORMATION_ROWS = (
     ("formation settled [s]", "formation_settled_s", 1.0, 1, ""),
     ("longest edge [m]", "longest_edge_m", 1.0, 2, ""),
 )
-STYLES = ("", "dashed", "dotted")  # runs that did the same are seen through one another
-FIRST_COLUMN = 25  # characters of the table's first column, with its frame
+STYLES = ("", "dashed", "dotted")  # keeps identical curves visible
+FIRST_COLUMN = 25  # width of the first column and its frame [characters]
 
 
 class Run(msgspec.Struct, frozen=True):
-    """One of the runs."""
+    """A run to compare."""
 
     label: str
     experiment: Experiment
@@ -80,7 +80,7 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
 
 
 def read_run(folder: Path, label: str) -> Run:
-    """A run, whole."""
+    """Read a run folder."""
     log, experiment = log_of(folder), load(config_of(folder))
     book = LogReader(log)
     history = gather(LogFeed(book).news())
@@ -89,13 +89,13 @@ def read_run(folder: Path, label: str) -> Run:
 
 
 def rows_for(runs: Sequence[Run]) -> Sequence[tuple[str, str, float, int, str]]:
-    """Those of a formation only where there is one."""
+    """Rows of the table; formation rows only if a run flies a formation."""
     some = any(has_formation(run.experiment.controller) for run in runs)
     return (*FORMATION_ROWS, *ROWS) if some else ROWS
 
 
 def worst(run: Run, key: str) -> float | None:
-    """Of all vehicles; for a distance the smallest. Of a formation what it was worth together."""
+    """The worst value of all vehicles (the smallest distance), or the formation's own value."""
     if key in TOGETHER:
         return getattr(together_of(run.experiment, run.metrics), TOGETHER[key], None)
     if key in OF_A_GOAL and has_formation(run.experiment.controller):
@@ -108,7 +108,7 @@ def worst(run: Run, key: str) -> float | None:
 
 
 def print_table(runs: Sequence[Run]) -> None:
-    """One column per run, the worst vehicle in each row; numbers for names that are too long."""
+    """Print one column per run, the worst vehicle in each row; long names become numbers."""
     out = Console(highlight=False)
     fits = FIRST_COLUMN + sum(len(run.label) + 3 for run in runs) <= out.width
     if not fits:
@@ -127,7 +127,7 @@ def print_table(runs: Sequence[Run]) -> None:
 
 
 def verdict(metrics: Metrics) -> str:
-    """In one word."""
+    """The verdict as one short phrase."""
     if metrics.contacts == UNCOUNTED:
         return "not judged"
     if metrics.red:
@@ -140,7 +140,7 @@ def verdict(metrics: Metrics) -> str:
 
 
 def render(runs: Sequence[Run]) -> str:
-    """The page: a table, then every figure with all runs in it, one colour per run."""
+    """The page: a table, then the figures with all runs overlaid, one colour per run."""
     heads = "".join(
         f'<th><span class="dot" style="background:var(--h{k % HUES})"></span>'
         f"{escape(run.label)}</th>"
@@ -166,7 +166,7 @@ def render(runs: Sequence[Run]) -> str:
 
 
 def charts(runs: Sequence[Run]) -> list[Chart]:
-    """Overlays; the table and its obstacles are those of the first run."""
+    """Figures with all runs overlaid; the table and obstacles are those of the first run."""
     first = runs[0].experiment
     half_x, half_y = first.table.size[0] / 2, first.table.size[1] / 2
     tracks: list[Item] = [

@@ -1,4 +1,4 @@
-"""`testbed dash`: a viewer and the process that tells it, both kept alive."""
+"""`testbed dash`: starts the viewer and its feeder process, and restarts either if it dies."""
 
 import os
 import signal
@@ -29,11 +29,11 @@ from testbed.dashboard.viewer import (
 from testbed.logs.log_reader import LogError, log_of
 
 PERIOD_S = 0.2
-PATIENCE = 150  # periods until a viewer must listen
+PATIENCE = 150  # periods until the viewer must accept connections
 
 
 class Dashboard:
-    """Two processes: the viewer, and the one that tells it. Whoever dies is started again."""
+    """The viewer process and the feeder process; each is restarted if it dies."""
 
     def __init__(self, run: Path, kind: Kind, address: Address) -> None:
         self._run, self._kind, self.address = run, kind, address
@@ -42,32 +42,32 @@ class Dashboard:
         self.restarts = 0
 
     def open(self, waited: Callable[[float], bool]) -> None:
-        """Start both.
+        """Start both processes.
 
         Raises:
-            ViewerError: there is no viewer here, or it does not come up.
+            ViewerError: the viewer is not installed or does not start.
         """
         self.viewer = start(self._kind, self.address)
         for _ in range(PATIENCE):
             if listens(self.address):
                 break
             if self.viewer.poll() is not None or waited(PERIOD_S):
-                raise ViewerError(f"the viewer ended with {self.viewer.poll()}")
+                raise ViewerError(f"the viewer ended with exit code {self.viewer.poll()}")
         else:
             self.viewer.kill()
-            raise ViewerError("the viewer does not listen")
+            raise ViewerError(f"the viewer accepts no connections after {PATIENCE * PERIOD_S:g} s")
         self._tell()
 
     def _tell(self) -> None:
         self.feeder = subprocess.Popen(
             [sys.executable, "-m", "testbed.dashboard.feeder", str(self._run), self.address.data],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            env={"RUST_LOG": "off"} | os.environ,  # rerun would write into the operator's table
+            env={"RUST_LOG": "off"} | os.environ,  # else rerun logs over the operator's table
         )  # fmt: skip
         step_back(self.feeder)
 
     def keep(self, waited: Callable[[float], bool]) -> bool:
-        """Look after both; false when the operator has closed the viewer."""
+        """Restart processes that died; False when the operator has closed the viewer."""
         assert self.viewer is not None
         assert self.feeder is not None
         if (code := self.viewer.poll()) is not None:
@@ -77,13 +77,13 @@ class Dashboard:
             self.feeder.wait()
             self.restarts += 1
             self.open(waited)
-        elif self.feeder.poll() not in (None, OK, 1):  # 1: it said why there is nothing to tell
+        elif self.feeder.poll() not in (None, OK, 1):  # 1: it has printed why it has no data
             self.restarts += 1
             self._tell()
         return True
 
     def close(self) -> None:
-        """End both; neither has anything to lose."""
+        """Kill both; neither has data to save."""
         for process in (self.feeder, self.viewer):
             if process is not None:
                 process.kill()
@@ -91,7 +91,7 @@ class Dashboard:
 
 
 def address_for(bind: str = LOOPBACK, port: int | None = None) -> Address:
-    """Ports that are free, or the one asked for and the next."""
+    """The given port and the next one, or two free ports."""
     if port is None:
         return Address(bind, free_port(bind), free_port(bind))
     return Address(bind, port, port + 1)
@@ -116,7 +116,7 @@ def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:
         board.open(stop.wait)
         if kind == "web":
             out.print(f"dashboard: {board.address.page}", markup=False, soft_wrap=True)
-        out.print("Ctrl-C ends it" if kind == "web" else "close the window to end it")
+        out.print("press Ctrl-C to end it" if kind == "web" else "close the window to end it")
         sys.stdout.flush()
         while not stop.wait(PERIOD_S) and board.keep(stop.wait):
             pass
@@ -130,8 +130,8 @@ def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:
 def beside_run(
     folder: Path, kind: str, bind: str = LOOPBACK, port: int | None = None
 ) -> "subprocess.Popen[bytes]":
-    """Open the dashboard beside a run that is about to be flown, and do not wait for it."""
-    program()  # or say at once that there is none
+    """Start the dashboard of a run that is about to fly, without waiting for it."""
+    program()  # raises at once if the viewer is not installed
     words = [sys.executable, "-m", "testbed", "dash", str(folder), "--bind", bind]
     if port is not None:
         words += ["--port", str(port)]
@@ -142,7 +142,7 @@ def beside_run(
 
 
 def leave(board: "subprocess.Popen[bytes]") -> None:
-    """The flight is over: at a terminal the page stays until Ctrl-C, elsewhere it ends at once."""
+    """After the flight, keep the page until Ctrl-C at a terminal; else end it at once."""
     if sys.stdin.isatty() and sys.stderr.isatty():
         errors.print("the dashboard stays until Ctrl-C")
         with suppress(KeyboardInterrupt):
@@ -152,7 +152,7 @@ def leave(board: "subprocess.Popen[bytes]") -> None:
 
 
 def play_run(run: Path) -> None:
-    """A recorded run in a window, with time control; returns when it is closed."""
+    """Play a recorded run in a window with time control, until the window is closed."""
     from testbed.dashboard.recording import write_recording
 
     with TemporaryDirectory() as folder:

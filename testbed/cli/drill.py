@@ -1,4 +1,4 @@
-"""`testbed drill`: rehearse the whole catalogue of faults and print what became of each."""
+"""`testbed drill`: inject every kind of fault and print the outcomes."""
 
 import sys
 from collections.abc import Iterable, Sequence
@@ -19,14 +19,14 @@ from testbed.faults.drill import (
 )
 from testbed.run.drill import drill_twin
 
-HEADINGS = (  # of numbers: narrow, so that the table fits into 80 columns
+HEADINGS = (  # numeric columns, narrow so that the table fits into 80 columns
     "n", "not\nfound", "dor-\nmant", "does\n[s]", "worst\n[s]", "shut\n[s]", "moved\n[m]",
     "con-\ntacts", "after", "a-\ndrift", "mov-\ning", "air\non", "open\nlate",
 )  # fmt: skip
 
 
 def run_drill(rig: str, injections: int | None, seed: int, jobs: int, as_json: bool) -> int:
-    """Fly the drill, print the table, return the exit code."""
+    """Fly the drill and print the table; return the exit code."""
     try:
         if rig == "bench":
             from testbed.run.drill_on_wires import COUNT, drill_wires
@@ -48,12 +48,12 @@ def run_drill(rig: str, injections: int | None, seed: int, jobs: int, as_json: b
 
 
 def say(line: str) -> None:
-    """A line for whoever looks on; standard output is for the result."""
+    """Print progress on standard error; standard output is for the result."""
     errors.print(line, markup=False, soft_wrap=True)
 
 
 def progress(cases: Iterable[Drilled], count: int) -> list[Drilled]:
-    """All cases, with a bar at a terminal meanwhile."""
+    """Collect all cases; shows a progress bar at a terminal."""
     return list(
         track(
             cases, "drilling", count, console=errors, transient=True,
@@ -63,7 +63,7 @@ def progress(cases: Iterable[Drilled], count: int) -> list[Drilled]:
 
 
 def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
-    """The table, and every case that went wrong."""
+    """Print the table and every failed case."""
     out = Console(highlight=False)
     title = f"{drill.injections} injected faults on the {drill.rig}"
     grid = Grid(
@@ -87,7 +87,7 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
         f"undetected: {drill.undetected}, dormant: {drill.dormant}, "
         f"valves open after the deadline: {drill.valves_open_after_deadline}, "
         f"contacts: {drill.contacts}, {drill.contacts_after} of them in the minute after the end "
-        f"(and {drill.contacts_adrift} of a vehicle adrift), "
+        f"(plus {drill.contacts_adrift} by a vehicle adrift), "
         f"false alarms before the fault: {drill.false_alarms}"
     )
     for one in cases:

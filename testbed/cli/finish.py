@@ -1,6 +1,6 @@
-"""The end of a run whose process did not come to one: judged from its log, and reported.
+"""Judges and reports a run whose process died, from its log.
 
-Nothing of the user's is executed here: the law that ended the run would do it again.
+No user code runs here: the law that ended the run would do it again.
 """
 
 import sys
@@ -35,7 +35,7 @@ def finish_run(folder: Path, rig: str, fault: str | None, *, as_json: bool) -> N
         warnings=list(warnings_of(experiment)),
     )
     write_metrics(folder, metrics)
-    with suppress(OSError):  # the terminal may be closed; the page is made all the same
+    with suppress(OSError):  # the terminal may be closed; the page is still written
         if as_json:
             sys.stdout.write((folder / "metrics.json").read_text())
         else:
@@ -45,7 +45,7 @@ def finish_run(folder: Path, rig: str, fault: str | None, *, as_json: bool) -> N
 
 
 def _of_what_is_there(log: Path, experiment: Experiment) -> Metrics:
-    """As far as the log can be read; nothing without one."""
+    """Metrics from the readable part of the log; empty metrics without a log."""
     try:
         return of_the_log(log, experiment, gather(LogFeed(LogReader(log)).news()))
     except LogError as error:

@@ -1,4 +1,4 @@
-"""`testbed lab-keys`: the lab's keys and the list of who may do what, in one command."""
+"""`testbed lab-keys`: make the lab's keys and the list of permissions in one command."""
 
 import sys
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ WORD = r"[A-Za-z0-9_-]{1,32}"
 
 
 def words(context: click.Context, option: click.Parameter, given: Sequence[str]) -> tuple[str, ...]:
-    """Names that can be part of a key expression and of a folder's name."""
+    """Validate names that become parts of key expressions and folder names."""
     import re
 
     for name in given:
@@ -25,7 +25,7 @@ def words(context: click.Context, option: click.Parameter, given: Sequence[str])
 
 
 def hosts(context: click.Context, option: click.Parameter, given: Sequence[str]) -> tuple[str, ...]:
-    """Names and addresses that a certificate can be for."""
+    """Validate host names and IP addresses for a certificate."""
     import ipaddress
     import re
 
@@ -36,38 +36,45 @@ def hosts(context: click.Context, option: click.Parameter, given: Sequence[str])
             label = r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
             if len(name) > 253 or not re.fullmatch(rf"{label}(\.{label})*", name):
                 raise click.BadParameter(
-                    f"{name!r}; expected the name or the address of a machine"
+                    f"{name!r}; expected a host name or an IP address"
                 ) from None
     return tuple(dict.fromkeys(given))
 
 
 @click.command(name="lab-keys")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--host", multiple=True, callback=hosts, help="Names and addresses of the host.")
-@click.option("--vehicle", multiple=True, callback=words, help="May fly as this vehicle.")
-@click.option("--operator", multiple=True, callback=words, help="May command, stop and watch.")
-@click.option("--watcher", multiple=True, callback=words, help="May only watch.")
+@click.option(
+    "--host",
+    multiple=True,
+    callback=hosts,
+    help="Name or address of the host; the first is the endpoint.",
+)
+@click.option("--vehicle", multiple=True, callback=words, help="Vehicle; may fly under this name.")
+@click.option(
+    "--operator", multiple=True, callback=words, help="Operator; may command, stop and watch."
+)
+@click.option("--watcher", multiple=True, callback=words, help="Watcher; may only watch.")
 @click.option("--lab", callback=lambda c, o, v: words(c, o, [v])[0] if v else None,
-              help="First part of all keys.  [default: lab]")  # fmt: skip
-@click.option("--port", type=click.IntRange(1, 65535), help=f"Of the host.  [default: {PORT}]")
+              help="Name of the lab on the network.  [default: lab]")  # fmt: skip
+@click.option("--port", type=click.IntRange(1, 65535), help=f"Port of the host.  [default: {PORT}]")
 @click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True,
-              help="That keys are good for.")  # fmt: skip
-@click.option("--force", is_flag=True, help="Make keys anew that are there already.")
-@click.option("--renew", is_flag=True, help="Make everybody's keys anew; the authority stays.")
+              help="Days until the keys expire.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace the named keys if they exist.")
+@click.option("--renew", is_flag=True, help="Replace all keys; keep the certificate authority.")
 @click.pass_context
 def lab_keys(
     context: click.Context, folder: Path, host: tuple[str, ...], vehicle: tuple[str, ...],
     operator: tuple[str, ...], watcher: tuple[str, ...], lab: str | None, port: int | None,
     days: int, force: bool, renew: bool,
 ) -> None:  # fmt: skip
-    """Make the lab's keys in FOLDER, or show what is there.
+    """Make the lab's keys in FOLDER, or list the existing ones.
 
-    See docs/lab_keys.md. Options for a name may be repeated.
+    See docs/lab_keys.md. Options that take a name may be repeated.
 
     \b
       testbed lab-keys keys --host 192.168.1.2 --vehicle sat1 --operator anna
-      testbed lab-keys keys --watcher screen    later: one more
-      testbed lab-keys keys                     who is there, and until when
+      testbed lab-keys keys --watcher screen    adds one more later
+      testbed lab-keys keys                     lists keys and expiry dates
     """  # noqa: D301
     from testbed.cli.exit_code import BAD_INPUT, OK
     from testbed.net.credentials import BadgeError
@@ -87,8 +94,8 @@ def lab_keys(
         from testbed.core.extra import pip_install
 
         sys.stderr.write(
-            "error: keys are made with the package cryptography, which is not there:"
-            f" {pip_install('keys')}; only the machine that makes them needs it\n"
+            "error: making keys needs the package cryptography, which is not installed:"
+            f" {pip_install('keys')}; only the machine that makes keys needs it\n"
         )
     context.exit(BAD_INPUT)
 
@@ -115,12 +122,12 @@ def _make(
         wanted = [("host", "host"), ("table", "table"), *wanted]
     else:
         if lab not in (None, there.lab):
-            raise BadgeError(f"{folder} is of the lab {there.lab!r}, not {lab!r}")
+            raise BadgeError(f"the keys in {folder} are for the lab {there.lab!r}, not {lab!r}")
         addresses, endpoint = list(host) or addresses_of(folder), there.endpoint
         if host or port:
             if not renew:
                 raise BadgeError(
-                    "the host has keys already; another address goes into everybody's folder,"
+                    "the host has keys already; a new address changes every key folder,"
                     " so it needs --renew"
                 )
             old_host, _, old_port = endpoint.removeprefix("tls/").rpartition(":")
@@ -137,10 +144,12 @@ def _make(
             _explain(folder, endpoint, name)
         elif renew:
             sys.stdout.write(
-                "\nCarry every folder to its machine again; the old keys end by themselves.\n"
+                "\nCopy every folder to its machine again; old keys stay valid until they expire.\n"
             )
         else:
-            sys.stdout.write(f"\nCarry {folder / 'host'} to the host again: its list has grown.\n")
+            sys.stdout.write(
+                f"\nCopy {folder / 'host'} to the host again: its list of names has changed.\n"
+            )
     else:
         _show(folder, before)
 
@@ -162,7 +171,7 @@ def _explain(folder: Path, endpoint: str, lab: str) -> None:
         "\nIn the table file:\n\n  [lab.network]\n"
         + (f'  lab = "{lab}"\n' if lab != "lab" else "")
         + f'  endpoint = "{endpoint}"\n  keys = "{(folder / "host").absolute()}"\n\n'
-        "Take each folder to where it belongs and leave the authority's where nobody flies:\n"
+        "Copy each folder to its machine; keep the authority's folder off all machines that fly:\n"
         "  vehicle-*    testbed agent NAME --keys FOLDER\n"
-        "  operator-*   ~/.airbearing-testbed, and then: testbed stop\n"
+        "  operator-*   ~/.airbearing-testbed, for: testbed stop\n"
     )

@@ -1,4 +1,4 @@
-"""The verbs of a lab: their arguments. What they do is imported when it is needed."""
+"""Arguments of the lab verbs; the implementation is imported when a verb runs."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from testbed.cli.keys import words
 
 
 def word(context: click.Context, option: click.Parameter, given: str | None) -> str | None:
-    """A name that can be part of a key of the network."""
+    """Validate a name that becomes part of a network key."""
     return None if given is None else words(context, option, [given])[0]
 
 
@@ -18,10 +18,10 @@ def word(context: click.Context, option: click.Parameter, given: str | None) -> 
 @click.option(
     "--ports",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="Folder in which the vehicles' serial ports appear, whatever the table file says."
-    "  [default: as the table file says; here]",
+    help="Folder for the vehicles' serial ports; overrides the table file."
+    "  [default: the ports in the table file]",
 )
-@click.option("--local", "here", is_flag=True, help="This machine's addresses, not the lab's.")
+@click.option("--local", "here", is_flag=True, help="Use loopback addresses instead of the lab's.")
 @click.pass_context
 def twin(
     context: click.Context,
@@ -30,11 +30,11 @@ def twin(
     ports: Path | None,
     here: bool,
 ) -> None:
-    """Serve the table of an EXPERIMENT in real time.
+    """Simulate the table of an EXPERIMENT in real time.
 
-    It has cameras, serial ports with firmware behind them, and the truth, for `testbed agent` and
-    `testbed run --rig table` to try a lab's wiring without a lab. With `--local` here and there the
-    table file may name the lab's own addresses already.
+    Serves motion capture, serial ports with the valve-board firmware, and the true states. Connect
+    `testbed agent` and `testbed run --rig table` to test a lab's wiring without the lab. With
+    `--local` in all of them, the table file can keep the lab's addresses.
     """
     from testbed.cli.wires import serve_twin
 
@@ -43,18 +43,22 @@ def twin(
 
 @click.command()
 @click.argument("vehicle", callback=word)
-@click.option("--connect", help="Where the host listens.  [default: as the keys say; loopback]")
+@click.option("--connect", help="Endpoint of the host.  [default: from the keys; else loopback]")
 @click.option(
-    "--lab", callback=word, help="First part of all keys.  [default: as the keys say; lab]"
+    "--lab",
+    callback=word,
+    help="Name of the lab on the network.  [default: from the keys; else lab]",
 )
-@click.option("--serial", help="The board's port.  [default: the table file's]")
-@click.option("--keys", type=click.Path(path_type=Path), help="Its folder of `testbed lab-keys`.")
+@click.option("--serial", help="Serial port of the valve board.  [default: from the table file]")
+@click.option(
+    "--keys", type=click.Path(path_type=Path), help="The vehicle's key folder (`testbed lab-keys`)."
+)
 @click.pass_context
 def agent(
     context: click.Context, vehicle: str, connect: str | None, lab: str | None,
     serial: str | None, keys: Path | None,
 ) -> None:  # fmt: skip
-    """Fly a VEHICLE: on its own computer, beside its valve board."""
+    """Run the agent of a VEHICLE on its on-board computer."""
     from testbed.cli.wires import fly_agent
     from testbed.rig.wired.agent_process import Agent
 
@@ -66,16 +70,16 @@ def agent(
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
 @click.option(
     "--for", "seconds", type=click.FloatRange(min=0.0, min_open=True),
-    help="How long to look [s].  [default: until Ctrl-C]",
+    help="Duration [s].  [default: until Ctrl-C]",
 )  # fmt: skip
 @click.pass_context
 def poses(
     context: click.Context, experiment: str, overrides: tuple[str, ...], seconds: float | None
 ) -> None:
-    """Show where the cameras see the bodies of an EXPERIMENT.
+    """Show the poses that motion capture measures for an EXPERIMENT.
 
-    In the table's frame, with rates and latencies; nothing is commanded. The exit code is 1 if one
-    of its vehicles is not seen.
+    Prints each body in the table's frame with its rate and latency, and sends no commands. The
+    exit code is 1 if a vehicle is not tracked.
     """
     from testbed.cli.poses import watch_poses
 
@@ -83,20 +87,24 @@ def poses(
 
 
 @click.command()
-@click.option("--connect", help="Where the host listens.  [default: every flight on this machine]")
+@click.option("--connect", help="Endpoint of the host.  [default: every flight on this machine]")
 @click.option(
-    "--lab", callback=word, default="lab", show_default=True, help="First part of all keys."
+    "--lab",
+    callback=word,
+    default="lab",
+    show_default=True,
+    help="Name of the lab on the network.",
 )
 @click.option(
     "--keys",
     type=click.Path(path_type=Path),
-    help="The operator's folder of `testbed lab-keys`.  [default: ~/.airbearing-testbed]",
+    help="The operator's key folder (`testbed lab-keys`).  [default: ~/.airbearing-testbed]",
 )
 @click.pass_context
 def stop(context: click.Context, connect: str | None, lab: str, keys: Path | None) -> None:
-    """Stop whatever flies: the vehicles brake, and at rest shut their air off.
+    """Stop all flights: vehicles brake, then turn bearing air off.
 
-    Said again, they shut valves and air at once.
+    A second `testbed stop` closes valves and air at once.
     """
     from testbed.net.stop import stop_everything
 

@@ -1,6 +1,6 @@
-"""What an operator at a terminal sees while it flies; in a pipe a line now and then, or nothing.
+"""The live table at a terminal during a flight; without a terminal, a status line at intervals.
 
-The flight only leaves its newest tick here; a thread of the terminal's draws a few times a second.
+The flight only stores its newest tick here; a display thread redraws a few times per second.
 """
 
 import math
@@ -25,12 +25,12 @@ REFRESH_HZ = 8
 
 
 class LiveTable(FlightScreen):
-    """The state of every vehicle in one table, and how far the flight is.
+    """The state of every vehicle in one table, and the progress of the flight.
 
     Args:
-        experiment: that is flown.
-        console: where to.
-        line_s: between two lines where there is no terminal; None: there are none [s].
+        experiment: the experiment that flies.
+        console: where to print.
+        line_s: interval of status lines without a terminal; None: no lines [s].
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class LiveTable(FlightScreen):
             self._console.print(self.line(), markup=False, highlight=False, soft_wrap=True)
 
     def line(self) -> str:
-        """How far the flight is, and which vehicles do not fly."""
+        """The status line: time, phase, errors, and the vehicles that do not fly."""
         if not self._ticks:
             return f"{self._experiment.name}: {self._words}, {self.phase}"
         parts = [f"{self._t:.0f} of {self._experiment.duration_s:g} s", self.phase]
@@ -90,7 +90,7 @@ class LiveTable(FlightScreen):
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Leave the terminal to a question meanwhile."""
+        """Suspend the live table while a question is open."""
         if self._live is not None:
             self._live.stop()
         try:
@@ -100,20 +100,20 @@ class LiveTable(FlightScreen):
                 self._live.start()
 
     def flies(self) -> None:
-        """It is ready and takes off."""
+        """See `FlightScreen`."""
         self._words = "waiting for its vehicles" if self._line_s else self._experiment.name
         self._progress.update(self._bar, total=self._experiment.duration_s)
 
     def vehicle(self, name: str, tick: Tick) -> None:
-        """The newest of a vehicle."""
+        """See `Observer`."""
         self._ticks[name] = tick
 
     def done(self, t: float) -> None:
-        """The newest time."""
+        """See `Observer`."""
         self._t = t
 
     def picture(self) -> RenderableType:
-        """The table as it is now."""
+        """The current table."""
         words = f"{self._words} [bold]{self.phase}[/]"
         self._progress.update(self._bar, completed=self._t, description=words)
         if not self._ticks:
@@ -128,7 +128,7 @@ class LiveTable(FlightScreen):
         return Group(self._progress, grid)
 
     def _off(self, t: float) -> dict[str, float]:
-        """How far each is from what is asked of him [m]."""
+        """Distance of each vehicle from its reference [m]."""
         places = {
             name: np.array([[tick.outputs.state.pose.x, tick.outputs.state.pose.y]])
             for name, tick in list(self._ticks.items())
@@ -140,7 +140,7 @@ class LiveTable(FlightScreen):
     def _row(self, name: str, tick: Tick) -> tuple[str, ...]:
         setup, out = self._experiment.vehicles[name], tick.outputs
         left = tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
-        gas = f"{100.0 * left:.0f}" if left > 0.0 else "-"  # no gauge
+        gas = f"{100.0 * left:.0f}" if left > 0.0 else "-"  # no pressure gauge
         state = f"[yellow]{escape(out.inhibit_reason)}[/]" if out.inhibit_reason else "flies"
         if out.fault and follows(self._experiment, out.fault):
             state = f"[red]{STOPPING_TOO}[/]"

@@ -1,4 +1,4 @@
-"""`testbed log` and `testbed export`: what is in a log, and the same for other programs."""
+"""`testbed log` and `testbed export`: list the topics of a log, and convert it."""
 
 import sys
 from pathlib import Path
@@ -15,7 +15,7 @@ from testbed.logs.topics import Contents, survey
 
 
 def show_log(run: Path, as_json: bool) -> int:
-    """Print what is in a log."""
+    """Print the topics of a log."""
     try:
         book = LogReader(log_of(run))
         topics = survey(book.read(), book.kinds)
@@ -41,12 +41,12 @@ def show_log(run: Path, as_json: bool) -> int:
         )  # fmt: skip
     out.print(grid)
     if not book.finished:
-        out.print("the log was not ended: its writer was killed or is still at work")
+        out.print("the log is incomplete: its writer was killed or is still running")
     return OK
 
 
 def export_run(run: Path, kind: str, out: Path | None) -> int:
-    """Write the log in another form."""
+    """Convert the log to another format."""
     try:
         folder = out or log_of(run).parent / "export"
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Verbs that only look: `check`, `list`, `schema`."""
+"""Read-only verbs: `check`, `list`, `schema`."""
 
 import sys
 from collections.abc import Sequence, Sized
@@ -23,7 +23,7 @@ from testbed.metrics.formation import has_formation
 
 
 def check_experiment(name: str, overrides: Sequence[str]) -> int:
-    """Say what is in an experiment, or what is wrong with it."""
+    """Print the content of an experiment, or the first error in it."""
     try:
         path = find(name)
         experiment = load(path, overrides)
@@ -49,7 +49,7 @@ def check_experiment(name: str, overrides: Sequence[str]) -> int:
 
 
 def abilities(experiment: Experiment, setup: VehicleSetup) -> str:
-    """What the jets of a vehicle can do, and how soon it can be where it is to go."""
+    """Force, torque and acceleration of a vehicle, and its shortest time to the goal."""
     model, can = setup.model, strength(setup.model)
     force, torque = min(can[way] for way in WAYS[:4]), min(can[way] for way in WAYS[4:])
     words = (
@@ -62,7 +62,7 @@ def abilities(experiment: Experiment, setup: VehicleSetup) -> str:
 
 
 def counted(things: Sized, word: str) -> str:
-    """One vehicle, two vehicles."""
+    """Count and noun, as in "1 vehicle" and "2 vehicles"."""
     return f"{len(things)} {word}{'s' * (len(things) != 1)}"
 
 
@@ -72,7 +72,7 @@ def _first_comment(path: Path) -> str:
 
 
 def list_everything(as_json: bool) -> None:
-    """Print what can be flown."""
+    """Print shipped experiments, laws and vehicles."""
     experiments = {
         path.stem: str(read_toml(path).get("description", ""))
         for path in sorted((SHIPPED / "experiments").glob("*.toml"))

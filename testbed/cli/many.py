@@ -1,4 +1,4 @@
-"""The verbs that fly many runs: their arguments. What they do is imported when it is needed."""
+"""Arguments of the verbs that fly many runs; the implementation is imported when a verb runs."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,18 +8,18 @@ import click
 
 
 def flown_into(default: str, result: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Options of all of them: where to, who flies, and the file that `--json` prints."""
+    """Options that all of them have: output folder, workers, and the file that `--json` prints."""
     options = [
         click.option(
             "--out",
             type=click.Path(path_type=Path),
-            help=f"Folder; one begun before is gone on with.  [default: {default}_<name>]",
+            help=f"Output folder; resumes an unfinished one.  [default: {default}_<name>]",
         ),
         click.option(
             "--jobs", type=click.IntRange(1, 1024), default=1, show_default=True,
-            help="Processes on this machine.",
+            help="Worker processes on this machine.",
         ),
-        click.option("--scheduler", metavar="ADDRESS", help="Dask cluster that flies instead."),
+        click.option("--scheduler", metavar="ADDRESS", help="Fly on this Dask cluster instead."),
         click.option("--json", "as_json", is_flag=True, help=f"Print {result} and nothing else."),
     ]  # fmt: skip
 
@@ -39,7 +39,7 @@ def campaign(
     context: click.Context, file: str, out: Path | None, jobs: int, scheduler: str | None,
     as_json: bool,
 ) -> None:  # fmt: skip
-    """Fly the many runs of a campaign FILE (docs/campaigns.md)."""
+    """Fly all runs of a campaign FILE (docs/campaigns.md)."""
     from testbed.cli.campaign import run_campaign
 
     context.exit(run_campaign(file, out, jobs, scheduler, as_json))
@@ -53,9 +53,9 @@ def tune(
     context: click.Context, file: str, out: Path | None, jobs: int, scheduler: str | None,
     as_json: bool,
 ) -> None:  # fmt: skip
-    """Choose gains within the bounds of a tuning FILE.
+    """Optimise gains within the bounds of a tuning FILE.
 
-    The best are written as an experiment (docs/campaigns.md).
+    Writes the best gains as an experiment (docs/campaigns.md).
     """
     from testbed.cli.tune import run_tuning
 
@@ -65,12 +65,18 @@ def tune(
 @click.command()
 @click.argument("file", required=False)
 @flown_into("runs/benchmark", "scores.json")
-@click.option("--samples", type=click.IntRange(1, 10_000), help="Seeds; the file says how many.")
-@click.option("--only", multiple=True, metavar="SCENARIO", help="Some scenarios; may be repeated.")
+@click.option(
+    "--samples", type=click.IntRange(1, 10_000), help="Number of seeds.  [default: from FILE]"
+)
+@click.option(
+    "--only", multiple=True, metavar="SCENARIO", help="Fly only this scenario; repeatable."
+)
 @click.option("--from", "runs", metavar="FOLDER",
               type=click.Path(path_type=Path, exists=True, file_okay=False),
               help="Score run folders in FOLDER/scenario/law/ instead of flying.")  # fmt: skip
-@click.option("--commands", is_flag=True, help="Print the commands that fly it run by run.")
+@click.option(
+    "--commands", is_flag=True, help="Print one `testbed run` command per run instead of flying."
+)
 @click.pass_context
 def bench(
     context: click.Context,
@@ -86,7 +92,7 @@ def bench(
 ) -> None:
     """Fly the benchmark of record (docs/benchmark.md).
 
-    Standard scenarios under all laws; FILE, if given, is another benchmark than the shipped one.
+    Flies the standard scenarios with all laws. FILE replaces the shipped benchmark.
     """
     from testbed.cli.benchmark import run_benchmark
 

@@ -1,4 +1,4 @@
-"""The operator at the terminal: says yes to arming, and that a fault was looked at."""
+"""Questions to the operator at the terminal: confirm arming, confirm a fault reset."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -13,12 +13,12 @@ from testbed.rig.fault_latch import FaultLatch
 
 
 class Operator:
-    """Asked where somebody may be hurt; flags answer for scripts.
+    """Asks the operator before actions that can hurt people; flags answer in scripts.
 
     Args:
-        arm: `--arm`, yes to arming.
-        reset: `--reset`, the fault of the run before was looked at.
-        at_once: while a question is open Ctrl-C is an answer to it.
+        arm: `--arm` was given: arming is confirmed.
+        reset: `--reset` was given: the previous fault was inspected.
+        at_once: context in which Ctrl-C answers the open question with no.
     """
 
     def __init__(
@@ -29,29 +29,29 @@ class Operator:
         at_once: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         self._arm, self._reset, self._at_once = arm, reset, at_once
-        self.live: LiveTable | None = None  # what has to step aside for a question
+        self.live: LiveTable | None = None  # suspended while a question is open
 
     def must_be_there(self, rig: str) -> None:
-        """On the table somebody is asked.
+        """Check that a question can be asked on the table.
 
         Raises:
-            ConfigError: nobody can be.
+            ConfigError: there is no terminal, and `--arm` is not given.
         """
         if rig == "table" and not self._arm and not sys.stdin.isatty():
             raise ConfigError(
-                "command line", "--arm", "somebody at a terminal who is asked, or --arm", "neither"
+                "command line", "--arm", "a terminal, to ask the operator, or --arm", "neither"
             )
 
     def latched(
         self, rig: str, experiment: Experiment, folder: str
     ) -> tuple[FaultLatch, str | None]:
-        """The lab's latch, and the fault in it that the operator wants to be reset.
+        """The lab's fault latch, and its fault, which the operator has confirmed to reset.
 
-        On the bench it is said and reset: the vehicles are put back to their starts, and nobody is
-        there who could look.
+        On the bench the fault is printed and reset without a question: the vehicles are simulated
+        and start from their start poses again.
 
         Raises:
-            ConfigError: nobody has looked at it.
+            ConfigError: the operator has not confirmed the reset.
         """
         latch = FaultLatch(rig, experiment.table.lab.network.lab, folder)
         fault = latch.fault
@@ -59,15 +59,15 @@ class Operator:
             return latch, fault
         errors.print(f"latched: {fault}", style="red", markup=False, soft_wrap=True)
         if rig != "table":
-            errors.print("on the table it would take --reset", style="yellow")
+            errors.print("on the table a reset needs --reset", style="yellow")
             return latch, fault
-        if not self._says_yes("Have you looked at every vehicle, and may the fault be reset?"):
-            expected = "somebody who has looked at the vehicles and says so, or --reset"
+        if not self._says_yes("Have you inspected every vehicle, and may the fault be reset?"):
+            expected = "confirmation that the vehicles were inspected, or --reset"
             raise ConfigError("the run before", "--reset", expected, fault)
         return latch, fault
 
     def agree(self, names: Sequence[str]) -> bool:
-        """Whether these vehicles may be armed."""
+        """Ask whether these vehicles may be armed."""
         vehicles = ", ".join(names)
         return self._arm or self._says_yes(
             f"All checks are green. Is everybody clear of the table, and may {vehicles} be armed?"

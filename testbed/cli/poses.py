@@ -1,7 +1,7 @@
-"""`testbed poses`: where the cameras of a lab see every body, in the table's frame.
+"""`testbed poses`: the poses that motion capture measures, in the table's frame.
 
-For the first day with a table: carry a vehicle along the table's x axis and x must grow; turn it
-counter-clockwise and the heading must. Nothing is commanded and no host is needed.
+Use it to set up a table: move a vehicle along the table's x axis and x must grow; turn it
+counter-clockwise and the heading must grow. It sends no commands and needs no host.
 """
 
 from collections import deque
@@ -26,28 +26,28 @@ from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, NobodyError, dial
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 
-LOOK_NS = 100_000_000  # between two looks at the sockets, and two pictures
+LOOK_NS = 100_000_000  # period of polling the sockets and of redrawing
 SECOND_NS = 1_000_000_000
-HOST_S = 0.5  # for a host to answer, where poses come by it
+HOST_S = 0.5  # timeout for the host's answer, if poses come through it
 
 
 class Seen:
-    """One body: its newest pose, and the last second of it."""
+    """One body: its newest pose, and the frames of the last second."""
 
     def __init__(self) -> None:
         self.pose: Pose | None = None
         self.latency_ms = 0.0  # exposure to arrival
-        self.arrived_ns: deque[int] = deque()  # of the frames of the last second that track it
+        self.arrived_ns: deque[int] = deque()  # frames of the last second that track the body
 
     def rate(self, now_ns: int) -> int:
-        """Frames of the last second that track it [Hz]."""
+        """Frames of the last second that track the body [Hz]."""
         while self.arrived_ns and self.arrived_ns[0] <= now_ns - SECOND_NS:
             self.arrived_ns.popleft()
         return len(self.arrived_ns)
 
 
 class Room:
-    """All that the cameras see, by the names that they have for it."""
+    """All bodies that motion capture reports, by their motion-capture names."""
 
     def __init__(self, wire: MocapWire, vehicles: Iterable[str]) -> None:
         self._axes = Axes(wire)
@@ -55,7 +55,7 @@ class Room:
         self.seen: dict[str, Seen] = {}
 
     def take(self, exposures: Sequence[Exposure]) -> None:
-        """What has come in."""
+        """Store new exposures."""
         for exposure in exposures:
             for body, sighting in exposure.bodies.items():
                 one = self.seen.setdefault(body, Seen())
@@ -65,7 +65,7 @@ class Room:
                     one.arrived_ns.append(exposure.arrived_ns)
 
     def picture(self, now_ns: int) -> Grid:
-        """One row per body."""
+        """The table, one row per body."""
         vehicle_of = {body: name for name, body in self.bodies.items()}
         grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
         for heading in ("body", "vehicle"):
@@ -82,16 +82,16 @@ class Room:
         return grid
 
     def missing(self) -> Mapping[str, str]:
-        """Vehicles whose body was never tracked, and its name."""
+        """Vehicles whose body was never tracked, with the body's name."""
         tracked = {body for body, one in self.seen.items() if one.pose is not None}
         return {name: body for name, body in self.bodies.items() if body not in tracked}
 
 
 def cameras(experiment: Experiment, stack: ExitStack) -> MocapSource:
-    """Connect to the cameras; with Zenoh by the host, or in its place where none is there.
+    """Connect to motion capture; over Zenoh through the host, or in its place if no host runs.
 
     Raises:
-        OSError, NetworkError: it cannot be done.
+        OSError, NetworkError: the connection failed.
     """
     lab = experiment.table.lab
     if lab.mocap.system != "zenoh":
@@ -106,7 +106,7 @@ def cameras(experiment: Experiment, stack: ExitStack) -> MocapSource:
 
 
 def where(experiment: Experiment) -> tuple[str, str]:
-    """Where poses should come from, and where they should arrive."""
+    """The sender of the poses, and the address where they should arrive."""
     lab = experiment.table.lab
     if lab.mocap.system == "zenoh":
         return f"zenoh on {Keys(lab.network.lab).pose}", lab.network.endpoint
@@ -114,7 +114,7 @@ def where(experiment: Experiment) -> tuple[str, str]:
 
 
 def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> int:
-    """Look until Ctrl-C, or for so long [s]; 1 if a vehicle of the experiment is not seen."""
+    """Show poses until Ctrl-C, or for some seconds; 1 if a vehicle was never tracked."""
     out = Console(highlight=False)
     with ExitStack() as stack:
         try:
@@ -138,11 +138,11 @@ def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> i
     if not room.seen:
         sender, address = where(experiment)
         found = getattr(source, "complaint", "")  # not every system can tell
-        found = found or "none: is it streaming, to this address, and through the firewall?"
+        found = found or "no poses: check that it streams to this address and passes the firewall"
         return refuse(
             f"{sender}\n  expected  poses that arrive at {address}\n  found     {found}", FAILED
         )
-    out.print(room.picture(looked))  # what has come since then is not in it
+    out.print(room.picture(looked))  # as of the last poll
     for vehicle, body in room.missing().items():
         errors.print(
             f"{vehicle}: the cameras do not track {body!r}; [lab.mocap] bodies maps its name",

@@ -1,18 +1,19 @@
-"""The small process that looks after the one that flies, so that every run has a proper end.
+"""A small supervisor process that finishes a run even if the flying process dies or hangs.
 
-`testbed run` forks before it has imported anything large. The child reads, flies and finishes; the
-parent, which runs nothing of the user's, only looks: a law that hangs where no Python code can
-interrupt it, eats the memory, ends its process or is ended with it cannot keep the run from being
-judged and reported. What the child had started and left behind is ended, too.
+`testbed run` forks before it imports large packages. The child reads, flies and finishes. The
+parent runs no user code and only watches: if a law hangs where Python cannot interrupt it, uses up
+the memory or ends its process, the run is still judged and reported. The parent also ends processes
+that the child started and left behind.
 
-    the child has finished            its exit code
-    it died, or had to be ended       the fault names the law; the run folder is finished; 3
-    the same after the operator's     the run was interrupted; the run folder is finished; 130
+    child                             exit code of the parent
+    finished                          the child's exit code
+    died or was killed                3; the fault names the law; the run folder is finished
+    the same after the operator's     130, interrupted; the run folder is finished
       stop
-    the same while a law's file       the file is refused; no run folder; 2
-      was read
+    the same while reading a law's    2; the file is refused; no run folder
+      file
 
-Signals to the parent are handed on, unless the terminal, or who sent them, has told both.
+Signals to the parent are forwarded, unless the child has received them too.
 """
 
 import ctypes
@@ -31,23 +32,23 @@ BAD_INPUT, FAULT, INTERRUPTED = 2, 3, 130
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 HEARD = {*STOPS, signal.SIGCHLD}
 LOOK_S = 0.05
-GRACE_S = 1.0  # more than the child's own limit: it should interrupt its law itself
-READ_S, FIRST_S = 45.0, 60.0  # the same for a law's file, and for calls that may compile
-ASKED_S = 1.0  # for a call of the law, or the compiler, after the operator's stop
-LEAVE_S = 2.0  # a process that has finished may take so long to end
-MUCH = 1.5  # times the memory that the law's calls may add, in one call
-LAST_S = 20.0  # for the log's writer, and for vehicles that brake
-FINISH_S = 60.0  # to judge and report what is left
-SENT_BY_KERNEL = 0x80  # SI_KERNEL: Ctrl-C, which the terminal tells all processes of a command
+GRACE_S = 1.0  # on top of the child's own limit, so that it can interrupt its law itself
+READ_S, FIRST_S = 45.0, 60.0  # limits for reading a law's file, and for calls that may compile
+ASKED_S = 1.0  # limit of a law's call, or of the compiler, after the operator's stop
+LEAVE_S = 2.0  # time for a finished process to exit
+MUCH = 1.5  # one call may add this multiple of deploy.law_memory_mb
+LAST_S = 20.0  # time for the log writer, and for vehicles that brake
+FINISH_S = 60.0  # time to judge and report the run
+SENT_BY_KERNEL = 0x80  # SI_KERNEL: Ctrl-C, which the terminal sends to all processes of a command
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
 SHOW_CURSOR = "\x1b[?25h"
 
 
 def supervised() -> int | None:
-    """Fork; the exit code in the parent, None in the child, which goes on as the command."""
+    """Fork. Returns the exit code in the parent, None in the child, which runs the command."""
     heart = Heartbeat(mmap.mmap(-1, SIZE))
     libc = ctypes.CDLL(None)
-    libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # what a dead child leaves becomes ours
+    libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # orphans of a dead child become our children
     signal.pthread_sigmask(signal.SIG_BLOCK, HEARD)
     parent = os.getpid()
     child = os.fork()
@@ -59,7 +60,7 @@ def supervised() -> int | None:
 
 
 def _begin(libc: ctypes.CDLL, parent: int) -> None:
-    """In a new process: end with the parent, hear signals again."""
+    """In a new process: die with the parent, and unblock signals."""
     libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(FAULT)
@@ -67,19 +68,21 @@ def _begin(libc: ctypes.CDLL, parent: int) -> None:
 
 
 class Supervisor:
-    """Looks after one child."""
+    """Watches one child process and finishes its run."""
 
     def __init__(self, child: int, heart: Heartbeat, libc: ctypes.CDLL) -> None:
         self._child, self._heart, self._libc = child, heart, libc
-        self._ended: int | None = None  # what the child ended with, as of waitpid
-        self._asked = 0  # the operator's signal
-        self._to_hand_on: tuple[int, int] | None = None  # a signal, and how many it had noted
-        self._looks, self._beats = 0, -1  # without a beat, since that one
+        self._ended: int | None = None  # wait status of the child
+        self._asked = 0  # the operator's stop signal
+        self._to_hand_on: tuple[int, int] | None = (
+            None  # signal, and the child's count of signals before it
+        )
+        self._looks, self._beats = 0, -1  # looks since the last heartbeat, and its count
         self._since_asked = 0
         self._entered_mb = 0.0
 
     def watch(self) -> int:
-        """Until the child has ended, and all is finished; the exit code."""
+        """Wait until the child has ended and the run is finished; returns the exit code."""
         fault = ""
         while self._ended is None:
             self._hear()
@@ -88,7 +91,7 @@ class Supervisor:
                 self._end_child()
         code = self._heart.result
         strays = [pid for pid in children() if session_of(pid) == os.getsid(0)]
-        for pid in strays:  # of the child's own session: a law has started them
+        for pid in strays:  # in the child's session: started by a law
             kill(pid)
         if code is not None:
             return code
@@ -99,7 +102,7 @@ class Supervisor:
     # Looking
 
     def _hear(self) -> None:
-        """Wait for a signal, or a moment; reap, and hand on what the child has not heard."""
+        """Wait for a signal, at most LOOK_S; reap, and forward what the child did not get."""
         if self._to_hand_on is not None:
             number, noted = self._to_hand_on
             self._to_hand_on = None
@@ -120,7 +123,7 @@ class Supervisor:
                     self._ended = found[1]
 
     def _stuck(self) -> str:
-        """Why the child has to be ended now; empty: it need not.
+        """The reason to kill the child now, or an empty string.
 
         Looks are counted, not seconds: a suspended command must not look like a hanging law.
         """
@@ -133,10 +136,10 @@ class Supervisor:
             self._beats, self._entered_mb = beats, memory
         still_s = LOOK_S * self._looks
         if heart.result is not None:
-            return "it has not ended" if still_s > LEAVE_S else ""
+            return "it did not exit" if still_s > LEAVE_S else ""
         if self._asked and still_s > ASKED_S and LOOK_S * self._since_asked > ASKED_S:
             if heart.phase is Phase.COMPILING:
-                return "it was compiling"
+                return "it was still compiling"
             if vehicle is not None:
                 return self._law(f"did not return after the stop, within {ASKED_S:g} s")
         if vehicle is None:
@@ -150,8 +153,8 @@ class Supervisor:
             return self._law(f"did not return within {still_s:.0f} s")
         if (grown := memory - self._entered_mb) > MUCH * memory_mb:
             return self._law(
-                f"has taken {grown:.0f} MB of memory in one call, more than deploy.law_memory_mb ="
-                f" {memory_mb:g}"
+                f"took {grown:.0f} MB of memory in one call, more than {MUCH:g} times"
+                f" deploy.law_memory_mb = {memory_mb:g}"
             )
         return ""
 
@@ -168,14 +171,14 @@ class Supervisor:
         return f"law of {vehicle} ({law}) {what}" if vehicle else f"law {law} {what}"
 
     def _words(self) -> str:
-        """How the child ended although nothing was finished."""
+        """How the child ended before it finished the run."""
         assert self._ended is not None
         code = os.waitstatus_to_exitcode(self._ended)
         how = f"with exit code {code}"
         if code < 0:
             how = f"by {signal.Signals(-code).name}"
             if code == -signal.SIGKILL:
-                how += ", as the system does when there is no memory left"
+                how += ", as the system does when memory runs out"
         if self._heart.inside is not None:
             return self._law(f"ended its process {how}")
         return f"the process of the run ended {how} before it had finished"
@@ -187,11 +190,9 @@ class Supervisor:
         if heart.inside is None and self._asked and not heart.folder:
             return INTERRUPTED
         if heart.phase is Phase.READING and heart.inside is not None:
-            say(
-                f"error: the file of the law\n  expected  one that can be read\n  found     {fault}"
-            )
+            say(f"error: the file of the law\n  expected  a readable law\n  found     {fault}")
             return BAD_INPUT
-        if not heart.folder:  # words of its own, or the operator's signal, have been enough
+        if not heart.folder:  # the child has printed its error, or the operator stopped it
             return INTERRUPTED if code in (-n for n in STOPS) else code if code > 0 else FAULT
         for pid in children():
             if b"testbed.logs.mcap_writer" in words_of(pid):
@@ -203,13 +204,13 @@ class Supervisor:
         return FAULT if fault else INTERRUPTED
 
     def _judge(self, fault: str) -> None:
-        """In a process of its own: the folder, as the run itself would have finished it."""
+        """Finish the run folder in a separate process, as the run itself would have."""
         parent = os.getpid()
         finisher = os.fork()
         if finisher == 0:
             _begin(self._libc, parent)
             for number in STOPS:
-                signal.signal(number, signal.SIG_IGN)  # it is short
+                signal.signal(number, signal.SIG_IGN)  # it takes a moment only
             from testbed.cli.finish import finish_run
 
             folder, rig = Path(self._heart.folder), self._heart.rig
@@ -217,10 +218,10 @@ class Supervisor:
             sys.stdout.flush()
             os._exit(0)
         if self._wait([finisher], FINISH_S):
-            say(f"warning: the run folder is not finished: {self._heart.folder}")
+            say(f"warning: the run folder is incomplete: {self._heart.folder}")
 
     def _wait(self, pids: list[int], limit_s: float) -> bool:
-        """Until they have ended; those that have not are killed. Whether there were any."""
+        """Wait for processes to end and kill the rest; returns whether any was killed."""
         end, left = monotonic() + limit_s, [pid for pid in pids if not gone(pid)]
         while left and monotonic() < end:
             signal.sigtimedwait([signal.SIGCHLD], LOOK_S)
@@ -235,20 +236,20 @@ class Supervisor:
 
 
 def say(text: str) -> None:
-    """On stderr, whose terminal may be closed."""
+    """Print on stderr; its terminal may be closed."""
     with suppress(OSError):
         sys.stderr.write(text + "\n")
         sys.stderr.flush()
 
 
 def kill(pid: int, number: int = signal.SIGKILL) -> None:
-    """Send a signal to a child; one that has ended has no use for it."""
+    """Send a signal to a child, unless it has ended."""
     with suppress(ProcessLookupError):
         os.kill(pid, number)
 
 
 def gone(pid: int) -> bool:
-    """Whether a child has ended; it is reaped then."""
+    """Whether a child has ended; reaps it."""
     try:
         return os.waitpid(pid, os.WNOHANG)[0] != 0
     except ChildProcessError:
@@ -256,7 +257,7 @@ def gone(pid: int) -> bool:
 
 
 def children() -> Iterator[int]:
-    """This process's, also those that a dead child has left."""
+    """PIDs of this process's children, including orphans of a dead child."""
     me = os.getpid()
     for found in Path("/proc").iterdir():
         if found.name.isdigit() and parent_of(int(found.name)) == me:
@@ -271,19 +272,19 @@ def _stat(pid: int) -> list[str]:
 
 
 def parent_of(pid: int) -> int:
-    """Who is told of its end; 0: it has ended."""
+    """PID of its parent; 0: the process has ended."""
     fields = _stat(pid)
     return int(fields[1]) if fields else 0
 
 
 def session_of(pid: int) -> int:
-    """Its session; 0: it has ended."""
+    """Its session id; 0: the process has ended."""
     fields = _stat(pid)
     return int(fields[3]) if fields else 0
 
 
 def words_of(pid: int) -> bytes:
-    """Its command line."""
+    """Its command line, from /proc."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
@@ -291,7 +292,7 @@ def words_of(pid: int) -> bytes:
 
 
 def resident_mb(pid: int) -> float:
-    """Memory in use [MB]."""
+    """Its resident memory [MB]."""
     try:
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     except (OSError, IndexError):

@@ -1,7 +1,7 @@
-"""How far a campaign is: a bar at a terminal, a line a minute in a log.
+"""Progress of a campaign: a bar at a terminal, one line per minute without a terminal.
 
-A batch system's log and CI have no terminal. A line goes to standard error, also with `--json`, of
-which standard output is the result.
+Batch systems and CI have no terminal. The lines go to standard error, also with `--json`, because
+standard output is for the result.
 """
 
 import time
@@ -23,9 +23,9 @@ from testbed.campaign.flight import CampaignObserver
 from testbed.campaign.row import Flown
 from testbed.cli.refusal import errors
 
-LINE_S = 60.0  # between two lines of a log [s]
-LOOK_S = 5.0  # between two looks for workers, at a terminal [s]
-NOBODY = "no workers: waiting for some"
+LINE_S = 60.0  # interval of lines without a terminal [s]
+LOOK_S = 5.0  # interval of counting workers, at a terminal [s]
+NOBODY = "no workers yet; waiting"
 
 
 class Bar(CampaignObserver):
@@ -40,7 +40,7 @@ class Bar(CampaignObserver):
         )  # fmt: skip
         self._words = "getting ready (compiles on the first run)"
         self._total = self._passed = self._over = self._here = 0
-        self._began = 0.0  # when the first run of this call was over [s]
+        self._began = 0.0  # end of the first run of this call [s]
         self._count_workers: Callable[[], int] | None = None
         self._every_s = LOOK_S if errors.is_terminal else line_s
         self._end = Event()
@@ -54,7 +54,7 @@ class Bar(CampaignObserver):
 
     def __exit__(self, *_: object) -> None:
         self._end.set()
-        self._teller.join(1.0)  # a cluster that is gone may keep it
+        self._teller.join(1.0)  # a lost cluster may block the thread
         self._progress.stop()
 
     def begun(self, total: int, runs: Sequence[Flown]) -> None:
@@ -87,7 +87,7 @@ class Bar(CampaignObserver):
         self._progress.update(self._bar, description=f"{self._name} {words}")
 
     def _tell(self) -> None:
-        """What takes long is said by a thread of its own: the others wait for the workers."""
+        """Thread that prints progress, because the main thread waits for the workers."""
         while not self._end.wait(self._every_s):
             nobody = self._is_nobody_there()
             if self._end.is_set():
@@ -101,15 +101,15 @@ class Bar(CampaignObserver):
     def _is_nobody_there(self) -> bool:
         try:
             return self._count_workers is not None and self._count_workers() == 0
-        except Exception:  # a cluster that is gone is said by who flies
+        except Exception:  # the main thread reports a lost cluster
             return False
 
     def line(self, now: float, nobody: bool) -> str:
-        """The state in one line, at a time [s], and whether there are no workers."""
+        """The progress line at time `now` [s]; `nobody`: there are no workers."""
         parts = [f"{self._name} {self._over} of {self._total} runs".strip()] if self._total else []
         parts.append(NOBODY if nobody else self._words)
         if self._here > 1 and now > self._began:
             rate = (self._here - 1) / (now - self._began)
             left = timedelta(seconds=round((self._total - self._over) / rate))
-            parts += [f"{rate:.3g} a second", f"{left} left"]
+            parts += [f"{rate:.3g} per second", f"{left} left"]
         return ", ".join(parts)

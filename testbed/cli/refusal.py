@@ -1,4 +1,4 @@
-"""What a verb says when it cannot go on: where, what was expected, what was found."""
+"""Error messages of the verbs: where, what was expected, what was found."""
 
 import errno
 import textwrap
@@ -15,8 +15,8 @@ errors = Console(stderr=True, highlight=False)
 
 
 def refuse(error: Exception | str, code: int = BAD_INPUT) -> int:
-    """Tell the operator what is wrong; the exit code."""
-    if isinstance(error, BrokenPipeError):  # nobody reads any more: click ends the program
+    """Print an error; returns the exit code."""
+    if isinstance(error, BrokenPipeError):  # the reader of the pipe has ended: click exits
         raise error
     text = of_the_disk(error) if isinstance(error, OSError) else error
     errors.print(laid_out(f"error: {text}"), style="red", markup=False, soft_wrap=True)
@@ -24,25 +24,25 @@ def refuse(error: Exception | str, code: int = BAD_INPUT) -> int:
 
 
 def warn(lines: Iterable[str]) -> None:
-    """Tell the operator what is not as it should be, and go on."""
+    """Print warnings."""
     for line in lines:
         errors.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
 
 
 def confess() -> int:
-    """Tell the operator where this software has failed; the exit code."""
+    """Print the traceback of an internal error; returns the exit code."""
     errors.print(traceback.format_exc().rstrip(), markup=False, soft_wrap=True)
     text = (
-        "error: this software has failed, not your files\n"
-        "  expected  to fly, or to say what is wrong\n"
-        "  found     what is above; please report it, with the command and `testbed --version`"
+        "error: internal error; your files are not the cause\n"
+        "  expected  no exception\n"
+        "  found     the traceback above; please report it with the command and `testbed --version`"
     )
     errors.print(laid_out(text), style="red", markup=False, soft_wrap=True)
     return OUR_FAULT
 
 
 def laid_out(text: str) -> str:
-    """At a terminal, long lines of a message broken between words, under their beginning."""
+    """The message, its long lines wrapped and indented at a terminal."""
     if not errors.is_terminal:
         return text
     lines = []
@@ -56,12 +56,14 @@ def laid_out(text: str) -> str:
 
 
 def of_the_disk(error: OSError) -> str:
-    """What the system says of a file, in the form of every other message."""
-    place, expected = error.filename2 or error.filename, "a file or folder that can be used"
+    """An OSError as where, expected and found."""
+    place, expected = error.filename2 or error.filename, "a usable file or folder"
     if place is None and error.errno == errno.ENOSPC:
-        place, expected = "standard output", "room for what is printed"
+        place, expected = "standard output", "free space on its disk"
     elif place is None:  # of a socket, for instance
         return str(error)
     elif isinstance(error, FileExistsError):
-        expected = "a new file: nothing is written over; remove it, or name another with --out"
+        expected = (
+            "a new file, because nothing is overwritten; remove it, or name another with --out"
+        )
     return f"{place}\n  expected  {expected}\n  found     {error.strerror}"

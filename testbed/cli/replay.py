@@ -1,4 +1,4 @@
-"""`testbed replay`: does today's code do what the log says was done?"""
+"""`testbed replay`: compare the outputs of the current code with those in a log."""
 
 import sys
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ from testbed.run.replay import replay_experiment
 
 
 def replay_run(run: Path, overrides: Sequence[str], as_json: bool) -> int:
-    """Replay, say what came of it, and return the exit code."""
+    """Replay and print the verdict; return the exit code."""
     try:
         log = log_of(run)
-        with redirect_stdout(sys.stderr):  # what a law prints is not the result
+        with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             verdict = replay_experiment(load(config_of(run), overrides), log, warn)
     except (ConfigError, LogError) as error:
         return refuse(error)
@@ -42,4 +42,4 @@ def _print(verdict: Replay) -> None:
         f"{first.tick}, t = {first.t:.3f} s, {first.topic}"
     )
     size = "" if first.size is None else f", off by {first.size:.3g}"
-    out.print(f"  {first.field}: {first.logged!r} then, {first.now!r} now{size}", markup=False)
+    out.print(f"  {first.field}: logged {first.logged!r}, now {first.now!r}{size}", markup=False)

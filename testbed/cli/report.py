@@ -1,4 +1,4 @@
-"""`testbed report`: the page of a run, made from its folder."""
+"""`testbed report`: regenerate the report page of a run folder."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from testbed.run.report import make_pictures, make_report
 
 
 def report_run(folder: Path, png: bool = False) -> int:
-    """Make the page and say where it is."""
+    """Write the page and print its path."""
     try:
         paths = make_report(folder, warn)
         if png:

@@ -1,4 +1,4 @@
-"""`testbed reproduce`: make the papers' simulations again and say which of their claims hold."""
+"""`testbed reproduce`: repeat the papers' simulations and check their claims."""
 
 import sys
 import time
@@ -38,7 +38,7 @@ STYLES = {HOLDS: "green", CORRECTED: "cyan", FAILS: "red", UNTESTABLE: "yellow"}
 def reproduce_papers(
     key: str, *, quick: bool, as_json: bool, as_markdown: bool, plots: Path | None
 ) -> int:
-    """Make the runs, print the rows, return the exit code."""
+    """Run the simulations and print the verdicts; return the exit code."""
     try:
         papers = read_papers(chosen(key))
         if plots is not None:
@@ -68,20 +68,20 @@ def reproduce_papers(
 
 
 class Results(dict[str, dict[str, Any]]):
-    """Measures by paper and run, and the figures beside them."""
+    """Measured values by paper and run, and the finished runs with their figures."""
 
     def __init__(self, names: Mapping[str, Paper]) -> None:
         super().__init__({name: {} for name in names})
         self.made: list[Made] = []
 
     def add(self, done: Made) -> None:
-        """Keep a run."""
+        """Add a finished run."""
         self[done.paper][done.run] = done.values
         self.made.append(done)
 
 
 def make_all(papers: Mapping[str, Paper], *, quick: bool) -> tuple[Results, bool, float]:
-    """All runs with a progress bar on a terminal: results, whether interrupted, wall time [s]."""
+    """Make all runs; returns the results, whether interrupted, and the wall time [s]."""
     tasks, found = tasks_of(papers, quick=quick), Results(papers)
     began = time.perf_counter()
     progress = Progress(
@@ -101,7 +101,7 @@ def make_all(papers: Mapping[str, Paper], *, quick: bool) -> tuple[Results, bool
 
 
 def print_json(rows: Mapping[str, list[Row]], *, as_list: bool) -> None:
-    """One object per paper; a list of them for all."""
+    """Print one object per paper; a list of objects for `all`."""
     papers = [
         {
             "paper": name,
@@ -115,7 +115,7 @@ def print_json(rows: Mapping[str, list[Row]], *, as_list: bool) -> None:
 
 
 def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
-    """A table for people."""
+    """Print the verdicts as a table."""
     grid = Grid(title=f"{name}: {paper.title}", title_justify="left", title_style="bold",
                 show_lines=False, expand=True)  # fmt: skip
     grid.add_column("where", ratio=2)
@@ -134,7 +134,7 @@ def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
 
 
 def measured(row: Row) -> str:
-    """What came out, with its unit."""
+    """The measured value with its unit."""
     if row.measured is None:
         return "-" if row.outcome == UNTESTABLE else "never"
     return f"{row.measured:.4g} {row.unit}".strip()
@@ -143,7 +143,7 @@ def measured(row: Row) -> str:
 def say_how_it_went(
     rows: Mapping[str, list[Row]], surprises: list[Row], missing: list[str], wall: float
 ) -> None:
-    """A line on the counts, and one per surprise, beside the output."""
+    """Print the counts and each unexpected verdict on standard error."""
     every = [row for some in rows.values() for row in some]
     seeds = ", quick: fewer seeds, coarser steps" if any(row.quick for row in every) else ""
     errors.print(f"{counts(every)} (in {wall:.0f} s{seeds})", soft_wrap=True)
@@ -161,10 +161,10 @@ def say_how_it_went(
 
 
 def ready_for_plots(folder: Path) -> None:
-    """Find out before the runs whether there will be plots.
+    """Check before the runs that plots can be written.
 
     Raises:
-        ConfigError: there is nothing to draw with, or nowhere to put it.
+        ConfigError: matplotlib is not installed, or the folder cannot be made.
     """
     try:
         import matplotlib  # noqa: F401
@@ -178,7 +178,7 @@ def ready_for_plots(folder: Path) -> None:
 
 
 def draw_all(folder: Path, papers: Mapping[str, Paper], found: Results) -> None:
-    """One file per figure of each run."""
+    """Write one file per figure of each run."""
     from testbed.reproduction.plot import draw
 
     for done in found.made:

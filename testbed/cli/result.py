@@ -1,4 +1,4 @@
-"""The result of a run as an operator reads it."""
+"""The result of a run, printed at the terminal."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ ROWS = (  # heading, key, scale, format, criterion
 
 
 def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None:
-    """Print a table, the verdict and where the run is."""
+    """Print a table, the verdict and the path of the run folder."""
     out = Console(highlight=False)
     if metrics.red:
         out.print(f"[bold red]not started[/]: {metrics.experiment} on the {metrics.rig}")
@@ -84,7 +84,7 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
 
 
 def print_formation(out: Console, f: FormationMetrics, experiment: Experiment) -> None:
-    """How good the formation was, and what its law's proof has against the start."""
+    """Print the errors of the formation and their limits."""
     limits = experiment.criteria.formation or FormationCriteria()
     pieces = [
         f"{what} {value:.3g} {unit}" + (f" (<= {limit:g})" if limit is not None else "")
@@ -116,7 +116,7 @@ def _limit(experiment: Experiment, criterion: str | None, scale: float) -> str:
 
 
 def _unmeasured(metrics: Metrics, criterion: str) -> bool:
-    """Such as what is said of the last 30 s of a run of 20 s; "never settled" is a measurement."""
+    """Whether a criterion has no value, as hold RMS in a 20 s run. "never settled" is a value."""
     if criterion in ("settle_s", "clear_of_obstacles"):
         return False
     return any(getattr(m, criterion, 0.0) is None for m in metrics.vehicles.values())

@@ -1,4 +1,4 @@
-"""`testbed run`: fly an experiment, watch it, keep it, judge it."""
+"""`testbed run`: fly an experiment, log it and judge it."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ from testbed.run.folder import FolderError, new_folder, take_back, write_config,
 from testbed.run.interrupt import Interrupt
 from testbed.run.report import write_page
 
-LINE_S = 10.0  # between two lines where there is no terminal [s]
+LINE_S = 10.0  # interval of status lines without a terminal [s]
 
 
 def run_experiment(
@@ -46,13 +46,13 @@ def run_experiment(
     bind: str | None = None,
     port: int | None = None,
 ) -> int:
-    """Fly and return the exit code."""
+    """Fly an experiment; return the exit code."""
     interrupt, board, folder = Interrupt(), None, None
     operator = Operator(arm=arm, reset=reset, at_once=interrupt.at_once)
     if view is not None and speed is None:
-        speed = 1.0  # to be looked at
+        speed = 1.0  # real time, for the viewer
     try:
-        with redirect_stdout(sys.stderr):  # what a law prints is not the result
+        with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             experiment = load(find(name), overrides)
         if here:
             experiment = on_this_machine(experiment, rig)
@@ -61,7 +61,7 @@ def run_experiment(
         operator.must_be_there(rig)
         if view is None and (bind or port):
             found = f"--bind {bind}" if bind else f"--port {port}"
-            raise ConfigError("command line", "", "--web or --view with it", found)
+            raise ConfigError("command line", "", "--web or --view, which it belongs to", found)
         with interrupt.caught(), watched(experiment):
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
@@ -72,7 +72,7 @@ def run_experiment(
 
                 board = beside_run(folder, view, bind or "127.0.0.1", port)
             make = maker(rig, experiment, folder, operator)
-            # a flight in real time says in a pipe or a log how far it is
+            # without a terminal, a flight in real time prints status lines
             operator.live = LiveTable(experiment, errors, None if rig == "twin" else LINE_S)
             with redirect_stdout(sys.stderr), noted_on_twin(rig, experiment):
                 metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator.live)
@@ -107,7 +107,7 @@ def run_experiment(
 
 
 def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
-    """For `--local`: a table whose cameras and boards are those of `testbed twin --local`."""
+    """For `--local`: the addresses of `testbed twin --local` instead of the lab's."""
     if rig != "table":
         raise ConfigError("command line", "--local", "--rig table", f"--rig {rig}")
     from testbed.rig.wired.local import local
@@ -116,7 +116,7 @@ def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
 
 
 def noted_on_twin(rig: str, experiment: Experiment) -> AbstractContextManager[None]:
-    """A note for `testbed stop`; a host on wires leaves its own."""
+    """Registers the flight for `testbed stop`; a host on bench or table does that itself."""
     if rig != "twin":
         return nullcontext()
     return noted(
@@ -126,7 +126,7 @@ def noted_on_twin(rig: str, experiment: Experiment) -> AbstractContextManager[No
 
 
 def report(folder: Path, experiment: Experiment) -> None:
-    """Make the page; the verdict on the flight stands without it."""
+    """Write the report page; a failure is only a warning and keeps the verdict."""
     try:
         write_page(folder, experiment, warn)
     except (ReportError, LogError) as error:
@@ -139,7 +139,7 @@ def report(folder: Path, experiment: Experiment) -> None:
 def maker(
     rig: str, experiment: Experiment, folder: Path, operator: Operator
 ) -> Callable[[Experiment], Rig]:
-    """What builds this rig."""
+    """The function that builds this rig."""
     if rig == "twin":
         return make_twin
     from testbed.rig.wired.host import WireRig, anybody

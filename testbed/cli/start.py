@@ -1,6 +1,6 @@
-"""Where the command begins: a stop does not wait until everything else is imported.
+"""Entry point of the command. `testbed stop` runs before anything large is imported.
 
-What reads or flies a law of the user's own has a second process that looks after it.
+Verbs that execute a user's law run under a supervisor process.
 """
 
 import atexit
@@ -14,7 +14,7 @@ PRIORITY = 90  # above hosts, vehicles and the twin
 
 
 def entry() -> None:
-    """`testbed`; a bare `testbed stop` before all else, also before what flies on this machine."""
+    """Run `testbed`; a bare `testbed stop` gets priority over all flights on this machine."""
     if sys.argv[1:] == ["stop"]:
         from testbed.net.stop import stop_everything
         from testbed.realtime.scheduling import realtime_priority
@@ -39,14 +39,14 @@ def entry() -> None:
 
 
 def _leave(code: int) -> NoReturn:
-    """End at once: Python would wait for threads of a law, and take large packages apart first."""
+    """Exit at once: Python would wait for a law's threads and tear down large packages first."""
     from testbed.realtime.heartbeat import heartbeat
 
     with suppress(OSError):
         sys.stdout.flush()
         sys.stderr.flush()
     heartbeat().finished(code)
-    atexit._run_exitfuncs()  # noqa: SLF001  (it has no public door)
+    atexit._run_exitfuncs()  # noqa: SLF001  (there is no public function)
     os._exit(code)
 
 

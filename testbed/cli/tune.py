@@ -1,4 +1,4 @@
-"""`testbed tune`: choose gains, fly every choice, write the best as an experiment."""
+"""`testbed tune`: optimise gains in flights, and write the best as an experiment."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -48,19 +48,19 @@ class TuningResult(Struct, frozen=True):
     best: Trial | None
     start: Trial
     proof_seeds: int
-    start_proof: float | None  # mean cost over seeds that were not tuned on
+    start_proof: float | None  # mean cost over seeds that the tuning did not use
     start_proof_broken: int
     best_proof: float | None
     best_proof_broken: int
     gains: dict[str, float]
-    best_proof_reasons: list[str] = []  # why a run of the best was not within the bounds
+    best_proof_reasons: list[str] = []  # reasons why runs of the best gains broke a bound
 
 
 def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as_json: bool) -> int:
-    """Tune and return the exit code."""
+    """Tune; return the exit code."""
     interrupt, result = Interrupt(), None
     try:
-        with redirect_stdout(sys.stderr):  # what a law prints is not what the tuning says
+        with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             tuning = load_tuning(find_campaign(name))
         folder = out or Path("runs") / f"tuning_{tuning.file.name}"
         make_folder(folder)
@@ -68,7 +68,7 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
             result = fly_tuning(tuning, folder, jobs, scheduler)
         if result is None:
             errors.print(
-                f"interrupted: the trials so far are kept in {folder}; the same command goes on",
+                f"interrupted: finished trials are kept in {folder}; the same command resumes",
                 style="yellow", markup=False, soft_wrap=True,
             )  # fmt: skip
             return INTERRUPTED
@@ -86,7 +86,7 @@ def run_tuning(name: str, out: Path | None, jobs: int, scheduler: str | None, as
 
 
 def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -> TuningResult:
-    """All trials, and the comparison on other seeds."""
+    """Fly all trials, then compare the best with the start on other seeds."""
     head = Head(digest_of(tuning.payload()), code_digest())
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
@@ -123,7 +123,7 @@ def _fleet(client: object, tuning: Tuning) -> Fleet[Task, Flown]:
 
 
 def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResult:
-    """The best choice against the experiment as it was, on seeds that were not tuned on."""
+    """Compare the best gains with the original ones, on seeds that the tuning did not use."""
     assert callable(fly)
     best, file = best_of(trials), tuning.file
     seeds = range(file.seed + PROOF_SEEDS, file.seed + PROOF_SEEDS + file.proof)
@@ -149,30 +149,28 @@ def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResul
 
 
 def write_experiment(tuning: Tuning, best: Trial, folder: Path) -> None:
-    """The experiment with the best gains, everything in place."""
+    """Write the experiment with the best gains as one complete file."""
     experiment = load(folder / "base.toml", tuning.overrides(best.gains))
     head = f"# Tuned by `testbed tune`: trial {best.number}, cost {best.cost:g}.\n\n"
     write_atomic(folder / "tuned.toml", (head + tomli_w.dumps(dump(experiment))).encode())
 
 
 def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
-    """Print gains before and after, and what they cost."""
+    """Print gains and costs before and after."""
     out = Console(highlight=False)
     kept = f"{result.within_bounds} of {result.trials} trials within the bounds"
     if result.best is None:
         first = escape((result.start.reasons or [result.start.reason])[0])
-        out.print(f"[bold red]no choice is safe[/]: {kept}; the first one: {first}")
+        out.print(f"[bold red]no safe gains found[/]: {kept}; the first trial: {first}")
         return
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for heading in ("", "as it was", "tuned", "between"):
+    for heading in ("", "original", "tuned", "range"):
         grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     for gain, old, new in zip(tuning.file.gain, result.start.gains, result.best.gains, strict=True):
-        grid.add_row(
-            escape(gain.key), f"{old:.4g}", f"{new:.4g}", f"{gain.low:g} and {gain.high:g}"
-        )
+        grid.add_row(escape(gain.key), f"{old:.4g}", f"{new:.4g}", f"{gain.low:g} to {gain.high:g}")
     before, after = result.start, result.best
     costs = _cost(before.cost, before.broken), _cost(after.cost, after.broken)
-    grid.add_row("cost, tuned on", *costs, "")
+    grid.add_row("cost, tuning seeds", *costs, "")
     if result.start_proof is not None and result.best_proof is not None:
         words = f"cost, {result.proof_seeds} other seeds"
         costs = (
@@ -184,7 +182,8 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
     out.print(grid)
     if result.best_proof_broken:
         out.print(
-            f"[bold red]not safe on {result.best_proof_broken} of the other seeds[/]: more samples"
+            f"[bold red]not safe on {result.best_proof_broken} of the other seeds[/];"
+            " increase `samples`"
         )
         for words in result.best_proof_reasons:
             out.print(f"  {words}", markup=False, style="red", soft_wrap=True)

@@ -1,4 +1,4 @@
-"""Verbs of the processes on the wires: `twin` and `agent`."""
+"""Verbs of the networked processes: `twin` and `agent`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ from testbed.rig.wired.local import local
 
 
 def serve_twin(name: str, overrides: Sequence[str], ports: Path | None, *, here: bool) -> int:
-    """Serve until told to end; the exit code."""
+    """Run the twin until it is terminated; returns the exit code."""
     end_on_terminate()
     try:
         experiment = load(find(name), overrides)
@@ -32,7 +32,7 @@ def serve_twin(name: str, overrides: Sequence[str], ports: Path | None, *, here:
 
 
 def fly_agent(agent: Agent) -> int:
-    """Fly one vehicle; the exit code."""
+    """Run the agent of one vehicle; returns the exit code."""
     end_on_terminate()
 
     def say(text: str) -> None:

@@ -1,10 +1,10 @@
-"""An experiment file and all it refers to, read into typed frozen structs.
+"""Reads an experiment file and the files it refers to into typed, frozen structs.
 
-One TOML per experiment, vehicle and table. A `table` or a vehicle's `model` is a path, relative to
-the file that says so, or the table itself written in place; the resolved experiment has everything
-in place and is a file of the same form. `key=value` overrides are TOML too.
+There is one TOML file per experiment, vehicle and table. `table` and a vehicle's `model` are paths,
+relative to the referring file, or inline tables. The resolved experiment has everything inline and
+is a file of the same form. `key=value` overrides are TOML, too.
 
-Whatever is wrong is one `ConfigError` that says where, what was expected and what was found.
+Every error is a `ConfigError` that says where, what was expected and what was found.
 """
 
 from testbed.config.error import ConfigError

@@ -1,4 +1,4 @@
-"""What firmware in the loop cannot drive."""
+"""Validates an experiment for firmware in the loop."""
 
 from collections.abc import Iterator
 
@@ -8,7 +8,7 @@ from testbed.config.experiment import Experiment
 
 
 def bad_board(experiment: Experiment) -> Iterator[Mistake]:
-    """All that is wrong for the board that plays the plans; the model plays anything."""
+    """Errors for the firmware of the board; the model has no limits."""
     if experiment.board == "model":
         return
     period = experiment.flight.jet_period_s
@@ -21,5 +21,5 @@ def bad_board(experiment: Experiment) -> Iterator[Mistake]:
             continue
         longest = min(limits.max_ttl_us, limits.max_on_us) * 1e-6
         if period > longest:
-            expected = f"at most {longest:g} s, what the firmware plays in one plan"
+            expected = f"at most {longest:g} s, the longest plan of the firmware"
             yield Mistake(("flight", "jet_period_s"), expected, f"{period:g} s")

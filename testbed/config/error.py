@@ -1,4 +1,4 @@
-"""What is wrong in an input, in words an operator can act on."""
+"""Errors in inputs, with text that an operator can act on."""
 
 from typing import NamedTuple
 
@@ -6,11 +6,11 @@ from testbed.config.key import Key, printable, quoted, spell
 from testbed.core.error import TestbedError
 from testbed.core.spelling import did_you_mean as did_you_mean
 
-LONGEST = 72  # characters of a value that are shown
+LONGEST = 72  # shown characters of a value
 
 
 class Mistake(NamedTuple):
-    """Something at `key` is not as it should be."""
+    """An error at `key`."""
 
     key: Key
     expected: str
@@ -18,7 +18,7 @@ class Mistake(NamedTuple):
 
 
 class ConfigError(TestbedError):
-    """Something in the input is wrong; says where, what was expected and what was found."""
+    """An invalid input: where, what was expected and what was found."""
 
     def __init__(self, where: str, key: str, expected: str, found: str) -> None:
         lines = [cut(printable(where), 300)] + [f"  key       {key}"] * bool(key)
@@ -27,7 +27,7 @@ class ConfigError(TestbedError):
 
 
 def refused(key: Key, error: Exception) -> Mistake:
-    """What a struct or a law has against its values: "expected this, found that", or a sentence."""
+    """The error of a struct or law as a Mistake; parses "expected ..., found ..." if present."""
     about, wanted, wish = str(error).partition("expected ")
     if not wanted:
         return Mistake(key, "values that fit together", about)
@@ -37,12 +37,12 @@ def refused(key: Key, error: Exception) -> Mistake:
 
 
 def show(value: object) -> str:
-    """A value as it would stand in a TOML file, cut when it is long."""
+    """A value as TOML, truncated if long."""
     return cut(_toml(value), LONGEST)
 
 
 def cut(text: str, length: int) -> str:
-    """The text, its end left out when it is long."""
+    """The text, truncated to `length` characters."""
     return text if len(text) <= length else text[: length - 3] + "..."
 
 

@@ -1,4 +1,4 @@
-"""What an experiment is made of."""
+"""The structs of an experiment."""
 
 from typing import Annotated, Literal
 
@@ -16,7 +16,7 @@ from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import GuidanceParams
 from testbed.metrics.run_metrics import Criteria
 
-Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]  # what TOML promises to keep exactly
+Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]  # the range of integers in TOML
 
 
 BoardKind = Literal["model", "inproc", "unicorn", "host", "qemu"]
@@ -28,18 +28,20 @@ class VehicleSetup(Struct, frozen=True, forbid_unknown_fields=True):
     model: Vehicle
     start: tuple[float, float, float]  # x, y [m], theta [rad]
     goal: tuple[float, float, float]  # at the start of the run
-    path: Path | None = None  # along which the goal moves
+    path: Path | None = None  # motion of the goal
 
 
 class Deploy(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the halves run."""
+    """Where the law runs, and its limits."""
 
     law: Literal["host", "vehicle"] = "host"
-    law_limit_s: Positive | None = None  # of one call of a law in a file; null: see below [s]
-    law_memory_mb: Positive = 4000.0  # that the calls of such a law may add to the process [MB]
+    law_limit_s: Positive | None = (
+        None  # limit of one call of a user's law; null: see call_limit [s]
+    )
+    law_memory_mb: Positive = 4000.0  # memory that calls of a user's law may add [MB]
 
     def call_limit(self, jet_period_s: float) -> float:
-        """How long one call of a law may take before it counts as hanging [s]."""
+        """Time after which a call of a law counts as hanging [s]."""
         return self.law_limit_s or max(2.0, 20.0 * jet_period_s)
 
 
@@ -59,16 +61,16 @@ class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
     deploy: Deploy = field(default_factory=Deploy)
     criteria: Criteria = field(default_factory=Criteria)
     arming: ArmingParams = field(default_factory=ArmingParams)
-    board: BoardKind = "model"  # who plays the plans, see boards.py
+    board: BoardKind = "model"  # what executes the valve plans, see rig/boards.py
     faults: FaultTable = field(default_factory=shipped_faults)
     inject: list[Injection] = []
 
     @property
     def ticks(self) -> int:
-        """Jet periods in the run."""
+        """Number of jet periods of the run."""
         return max(1, round(self.duration_s / self.flight.jet_period_s))
 
     @property
     def end_s(self) -> float:
-        """When the run is over, in whole jet periods [s]."""
+        """Duration of the run in whole jet periods [s]."""
         return self.ticks * self.flight.jet_period_s

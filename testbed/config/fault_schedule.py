@@ -1,4 +1,4 @@
-"""What cannot be about injected faults: of vehicles, valves and events that are not there."""
+"""Validates injected faults: vehicles, jets and events must exist."""
 
 from collections.abc import Iterator
 
@@ -7,7 +7,7 @@ from testbed.config.experiment import Experiment
 
 
 def bad_injections(experiment: Experiment) -> Iterator[Mistake]:
-    """All that is wrong with `[[inject]]`."""
+    """Errors in `[[inject]]`."""
     names = ", ".join(experiment.vehicles)
     for k, what in enumerate(experiment.inject):
         key = ("inject", k)

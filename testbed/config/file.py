@@ -1,4 +1,4 @@
-"""Experiment files: find one, load it, and the tree to write one."""
+"""Finds, loads and dumps experiment files."""
 
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -25,7 +25,7 @@ from testbed.config.timing import bad_timing
 from testbed.config.tree import read_text, read_toml, trouble_at
 from testbed.config.validation import first_misfit
 
-OTHER_KINDS = {  # by their first key that no experiment has
+OTHER_KINDS = {  # by a first key that experiments do not have
     "mass": "a vehicle, which `vehicles.NAME.model` of an experiment names",
     "size": "a table, which `table` of an experiment names",
     "experiment": "a campaign (`testbed campaign`), or of tuning (`testbed tune`)",
@@ -53,20 +53,20 @@ def find(name: str) -> Path:
 
 
 def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
-    """Read, complete and check an experiment.
+    """Load and validate an experiment.
 
     Args:
-        path: of the experiment's TOML.
+        path: path of the experiment's TOML.
         overrides: "key=value", applied in order.
 
     Raises:
-        ConfigError: something is wrong.
+        ConfigError: a file or an override is invalid.
     """
     return _checked(Source(read_toml(path), str(path), path.parent), overrides)
 
 
 def loads(text: str, overrides: Sequence[str] = ()) -> Experiment:
-    """The same for the text of a resolved experiment, which needs no file and no folder."""
+    """The same for the text of a resolved experiment, without a file."""
     where = "the resolved experiment"
     return _checked(Source(read_text(text.encode(), where), where, Path()), overrides)
 
@@ -89,7 +89,7 @@ def _checked(source: Source, overrides: Sequence[str]) -> Experiment:
 
 
 def mistakes(experiment: Experiment) -> Iterator[Mistake]:
-    """What the types cannot say."""
+    """Errors that the types do not exclude."""
     yield from chain(bad_layout(experiment), bad_hardware(experiment), bad_timing(experiment))
     yield from bad_own_law(experiment)
     yield from bad_board(experiment)
@@ -97,7 +97,7 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     yield from bad_network(experiment)
     yield from bad_plugins(experiment)
     if isinstance(experiment.controller, OwnLawParams):
-        return  # it was made and asked above
+        return  # checked by bad_own_law
     try:
         make_law(experiment.controller, list(experiment.vehicles))
     except ValueError as error:
@@ -112,7 +112,7 @@ def dump(experiment: Experiment) -> dict[str, Any]:
 
 
 def _without_none(value: Any) -> Any:
-    """TOML has no null; a key that may be null is left out."""
+    """The tree without null values, which TOML does not have."""
     if isinstance(value, dict):
         return {name: _without_none(v) for name, v in value.items() if v is not None}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""What the laws' proofs ask of an experiment and it does not have: warnings, not mistakes."""
+"""Warns if an experiment violates the assumptions of its law's proof."""
 
 import math
 
@@ -12,12 +12,12 @@ from testbed.core.law import Concern, Discs
 from testbed.flight.allocation import weakest_force
 from testbed.flight.faults import DETECTORS
 
-SPARE = 1.1  # mass and force of a vehicle may be that far from those of a design
-LOOKS = 200  # at a goal's path, for its largest acceleration
+SPARE = 1.1  # allowed ratio of mass and force to the design values
+LOOKS = 200  # samples of a goal's path, for its largest acceleration
 
 
 def warnings_of(experiment: Experiment) -> list[Concern]:
-    """All that whoever flies it should know beforehand."""
+    """Warnings before a flight."""
     setups, obstacles = list(experiment.vehicles.values()), list(experiment.obstacles.values())
     times = np.linspace(0.0, experiment.duration_s, LOOKS).tolist()
     moves = [s.path.at(0.0).v if s.path else (0.0, 0.0) for s in setups]
@@ -42,7 +42,7 @@ def warnings_of(experiment: Experiment) -> list[Concern]:
 
 
 def _unseen(experiment: Experiment) -> list[Concern]:
-    """Obstacles that a law with a proof for a formation does not know, or does not mind."""
+    """Warn about obstacles that a formation law ignores."""
     params = experiment.controller
     blind = (
         isinstance(params, BifurcatingParams)
@@ -56,7 +56,7 @@ def _unseen(experiment: Experiment) -> list[Concern]:
 
 
 def _unwatched(experiment: Experiment) -> list[Concern]:
-    """Detectors that no row of the fault table asks: the file of one's own may have lost some."""
+    """Warn about detectors without a row in the fault table, e.g. in a user's own file."""
     asked = {row.detector for row in experiment.faults.values()}
     blind = [name for name in DETECTORS if name not in asked]
     if not blind:
@@ -65,7 +65,7 @@ def _unwatched(experiment: Experiment) -> list[Concern]:
 
 
 def _field(experiment: Experiment, force: float) -> list[Concern]:
-    """What gao2022's field is designed for, and this experiment is not."""
+    """Warn about differences from the design of gao2022's field."""
     params = experiment.controller
     if not isinstance(params, BifurcatingParams):
         return []
@@ -89,7 +89,7 @@ def _field(experiment: Experiment, force: float) -> list[Concern]:
 
 
 def _off_the_table(experiment: Experiment, params: BifurcatingParams) -> list[Concern]:
-    """Curves that no table of this size holds, or the law's own wall; a line has no end."""
+    """Warn about curves that do not fit on the table or inside the law's wall."""
     rim = max(setup.model.radius for setup in experiment.vehicles.values())
     middle = params.centre or (0.0, 0.0)
     for k, phase in enumerate(params.phases):

@@ -1,4 +1,4 @@
-"""What cannot be about a vehicle: its jets, its body, its air."""
+"""Validates a vehicle: its jets, body, air and gauges."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -13,15 +13,15 @@ from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Jet, Point, Vehicle
 
 MOST_JETS = 32
-DENSEST = 0.01  # radius of gyration over radius
-QUICKEST_STOP = 0.1  # [s] by drag alone; what stops faster does not float
-HIGHEST_V = 60.0  # what the valve board can be set to
-NEAR = 1e-6  # a wrench that is missed by less is met
-WEAK = 1e-3  # a push or a lever below this share of the largest thrust and the radius is none
+DENSEST = 0.01  # smallest ratio of radius of gyration to radius
+QUICKEST_STOP = 0.1  # [s] time constant of drag; a vehicle that stops faster does not float
+HIGHEST_V = 60.0  # highest setting of the valve board
+NEAR = 1e-6  # tolerance of a wrench
+WEAK = 1e-3  # pushes and levers below this share of thrust and radius count as zero
 
 
 def bad_hardware(experiment: Experiment) -> Iterator[Mistake]:
-    """All that is wrong with the vehicles."""
+    """Errors in the vehicles."""
     for name, setup in experiment.vehicles.items():
         model = setup.model
         parts = (_jets(model), _body(model), _air(model), _gauges(model), _spread(model))
@@ -53,9 +53,9 @@ WAYS = ("towards +x", "towards -x", "towards +y", "towards -y", "turning left", 
 
 
 def strength(vehicle: Vehicle) -> dict[str, float]:
-    """What all jets together can do each way of the body, each jet counted where it helps.
+    """Largest force [N] and torque [N m] of all helpful jets together, in each direction.
 
-    Forces in N, torques in N m.
+    Directions are those of the body.
     """
     effect = effect_matrix(vehicle.jets, about=vehicle.com)
     both = [(effect[k].clip(min=0.0).sum(), -effect[k].clip(max=0.0).sum()) for k in range(3)]
@@ -63,7 +63,7 @@ def strength(vehicle: Vehicle) -> dict[str, float]:
 
 
 def missing_ways(vehicle: Vehicle) -> list[str]:
-    """Ways of the body that no combination of its jets pushes or turns it, and nothing else."""
+    """Directions in which no combination of jets gives a pure force or torque."""
     thrust = max((jet.thrust for jet in vehicle.jets), default=1.0)
     scale = thrust * np.array([1.0, 1.0, vehicle.radius])
     effect = effect_matrix(vehicle.jets, about=vehicle.com) / scale[:, None]
@@ -74,10 +74,9 @@ def missing_ways(vehicle: Vehicle) -> list[str]:
 
 
 def push_everywhere(jets: Sequence[Jet], com: Point, radius: float) -> bool:
-    """Whether the jets, which only push, can give every wrench: no half-space holds them all.
+    """Whether the jets, which only push, can give every wrench: no half-space contains them all.
 
-    A half-space that does can be turned until two jets lie in its boundary, so it is enough to try
-    those.
+    Any such half-space can be rotated until two jets lie in its boundary, so only those are tested.
     """
     thrust = max((jet.thrust for jet in jets), default=1.0)
     effect = effect_matrix(jets, about=com).T / (thrust * np.array([1.0, 1.0, radius]))
@@ -112,7 +111,7 @@ def _air(vehicle: Vehicle) -> Iterator[Mistake]:
         expected = f"less than half of the mass, {0.5 * vehicle.mass:g} kg"
         yield Mistake(("air", "gas"), expected, f"{air.gas:g} kg")
     arm = math.dist(air.tank_position, vehicle.com)
-    if air.gas * arm**2 > 0.25 * vehicle.inertia:  # it leaves, and takes its inertia with it
+    if air.gas * arm**2 > 0.25 * vehicle.inertia:  # the gas is used up, and its inertia with it
         furthest = math.sqrt(0.25 * vehicle.inertia / air.gas)
         expected = f"at most {furthest:g} m from `com`, or the gas has the vehicle's inertia"
         yield Mistake(("air", "tank_position"), expected, show(list(air.tank_position)))

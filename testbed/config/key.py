@@ -1,4 +1,4 @@
-"""Where a value stands in a tree of tables and lists, and how that is written.
+"""Keys: the place of a value in a tree of tables and lists, and its spelling.
 
 ("vehicles", "sat1", "start", 0) is `vehicles.sat1.start[0]`, in error messages as on the command
 line. A name that is not a bare TOML key is quoted.
@@ -10,8 +10,8 @@ import tomllib
 Key = tuple[str | int, ...]
 
 ANY = "*"  # every entry of a table or list
-DEEPEST = 32  # tables and lists in each other; an experiment has 7
-LONGEST = 64  # characters of a name that are shown
+DEEPEST = 32  # nesting depth; experiments have 7
+LONGEST = 64  # shown characters of a name
 
 _NAME = r"""[\w-]+|\*|"(?:[^"\\]|\\.)*"|'[^']*'"""
 _INDEX = r"\[\s*(?:\d{1,6}|\*)\s*\]"
@@ -40,7 +40,7 @@ def quoted(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    """The text with nothing in it that a terminal would obey."""
+    """The text with control characters escaped."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -48,7 +48,7 @@ def assignment(text: str) -> tuple[Key, str]:
     """Key and value of "key = value".
 
     Raises:
-        ValueError: it has not that form.
+        ValueError: the text does not have this form.
     """
     match = _ASSIGNMENT.fullmatch(text)
     if match is None:

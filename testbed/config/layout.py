@@ -1,4 +1,4 @@
-"""What cannot be about names and places: where things stand on the table, and at the goals."""
+"""Validates names, the table, and the places of vehicles, goals and obstacles."""
 
 import math
 import re
@@ -11,14 +11,14 @@ from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Point
 
-TAKEN = ("host", "operator", "table", "truth")  # names on the network and in the log
+TAKEN = ("host", "operator", "table", "truth")  # reserved names on the network and in the log
 LARGEST_TABLE = 100.0  # [m]
 STEEPEST = 1.0  # tilt, 6 degrees [m/s^2]
 PATH_LOOKS = 1000
 
 
 def bad_layout(experiment: Experiment) -> Iterator[Mistake]:
-    """All that is wrong with names and places."""
+    """Errors in names and places."""
     yield from _names(experiment)
     yield from _ground(experiment.table)
     for name, obstacle in experiment.obstacles.items():
@@ -96,7 +96,7 @@ def _poses(name: str, setup: VehicleSetup, experiment: Experiment) -> Iterator[M
 def _path(
     name: str, goal: tuple[float, ...], path: Path, duration: float, half: Point
 ) -> Iterator[Mistake]:
-    """A goal must not lead off the table; looked at PATH_LOOKS times on the way."""
+    """A goal's path must stay on the table; checked at PATH_LOOKS + 1 times."""
     for k in range(PATH_LOOKS + 1):
         t = k * duration / PATH_LOOKS
         x, y = (a + b for a, b in zip(goal[:2], path.at(t).p, strict=True))

@@ -1,6 +1,6 @@
-"""What cannot be about a lab's wires: addresses that are none, one body or port for two vehicles.
+"""Validates a lab's network: addresses, and one body and port per vehicle.
 
-An address for everybody without keys and keys without use are none either.
+A public address without keys and unused keys are errors, too.
 """
 
 import ipaddress
@@ -18,7 +18,7 @@ NAME = r"(?=.*[A-Za-z])[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"  # of a m
 
 
 def bad_network(experiment: Experiment) -> Iterator[Mistake]:
-    """All that is wrong with `[lab]`."""
+    """Errors in `[lab]`."""
     yield from _mocap(experiment)
     yield from _shared(experiment)
     network = experiment.table.lab.network
@@ -55,7 +55,7 @@ def _ipv4(text: str) -> IPv4Address | None:
 
 
 def _shared(experiment: Experiment) -> Iterator[Mistake]:
-    """Vehicles of the experiment that the table file takes for one another."""
+    """Vehicles that share a body or a serial port in the table file."""
     lab = experiment.table.lab
     for a, b in combinations(experiment.vehicles, 2):
         if lab.mocap.bodies.get(a, a) == lab.mocap.bodies.get(b, b):

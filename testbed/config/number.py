@@ -1,4 +1,4 @@
-"""Numbers that nobody can mean, wherever they stand."""
+"""Validates the range of all numbers."""
 
 import math
 from collections.abc import Iterator
@@ -7,11 +7,11 @@ from typing import Any
 from testbed.config.error import Mistake, show
 from testbed.config.tree import leaves
 
-LARGEST = 1e9  # in SI units: ten thousand bar, thirty years
+LARGEST = 1e9  # in SI units: 10 000 bar, 30 years
 
 
 def bad_numbers(tree: dict[str, Any]) -> Iterator[Mistake]:
-    """Numbers that are not finite, or too large to be meant."""
+    """Numbers that are not finite, or implausibly large."""
     for key, value in leaves(tree):
         if isinstance(value, float) and not math.isfinite(value):
             yield Mistake(key, "a finite number", show(value))

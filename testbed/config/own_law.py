@@ -1,4 +1,4 @@
-"""What can be wrong with a law of the user's own, and which content of its file is meant."""
+"""Validates a user's own law, and records the content of its file."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +17,7 @@ from testbed.realtime.law_watch import reading
 
 
 def place_law(tree: Any, folder: Path) -> None:
-    """Make the path of a law's file, which is relative to `folder`, absolute."""
+    """Make the path of a law's file absolute; it is relative to `folder`."""
     controller = tree.get("controller")
     if isinstance(controller, dict) and controller.get("type") == "python":
         law = controller.get("law")
@@ -27,7 +27,7 @@ def place_law(tree: Any, folder: Path) -> None:
 
 
 def bad_own_law(experiment: Experiment) -> Iterator[Mistake]:
-    """All that is wrong with a law of one's own."""
+    """Errors in a user's own law."""
     params = experiment.controller
     if not isinstance(params, OwnLawParams):
         return
@@ -40,7 +40,7 @@ def bad_own_law(experiment: Experiment) -> Iterator[Mistake]:
 
 
 def _tried(params: OwnLawParams, names: list[str]) -> list[Mistake]:
-    """Read the file, make the law, ask it once."""
+    """Read the file, make the law and call it once."""
     kind = parameter_type(maker(params.law, params.sha256))
     try:
         msgspec.convert(params.parameters, kind)
@@ -55,7 +55,7 @@ def _tried(params: OwnLawParams, names: list[str]) -> list[Mistake]:
 
 
 def with_content(experiment: Experiment) -> Experiment:
-    """The experiment, with the content of its law's file as it is now."""
+    """The experiment with the current digest of its law's file."""
     params = experiment.controller
     if not isinstance(params, OwnLawParams) or params.sha256 is not None:
         return experiment

@@ -1,7 +1,7 @@
-"""What is possible in an experiment but improbable: a wrong unit, a forgotten jet, a typing error.
+"""Warns about implausible values: a wrong unit, a missing jet, a typing error.
 
-Said by `testbed check` only. The ranges are wide: they hold every published vehicle and table that
-the survey of configs/vehicles/floater.toml names, with a factor of ten to spare.
+Only `testbed check` prints these. The ranges are wide: they contain every published vehicle and
+table that the survey in configs/vehicles/floater.toml names, with a factor of ten to spare.
 """
 
 import math
@@ -20,14 +20,14 @@ from testbed.core.se2 import wrap
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
 
-BLIND = (PdParams, LqrParams)  # laws that know no obstacle
-UNEQUAL = 0.8  # of the opposite way, what the jets can do one way
-FAST = 1.0  # acceleration [m/s^2]
-SLOW = 0.003  # [m/s^2]
+BLIND = (PdParams, LqrParams)  # laws that ignore obstacles
+UNEQUAL = 0.8  # smallest plausible ratio of force between opposite directions
+FAST = 1.0  # largest plausible acceleration [m/s^2]
+SLOW = 0.003  # smallest plausible acceleration [m/s^2]
 
 
 def doubts_of(experiment: Experiment) -> list[Concern]:
-    """All that is improbable."""
+    """Warnings about implausible values."""
     found: list[Concern] = []
     for name, setup in experiment.vehicles.items():
         found += [Concern(one, f"{name}: {text}") for one, text in _vehicle(setup.model)]
@@ -96,18 +96,18 @@ def _flight(experiment: Experiment, setup: VehicleSetup) -> Iterator[tuple[str, 
 
 
 def quickest_s(experiment: Experiment, setup: VehicleSetup) -> float:
-    """No law flies from start to goal in less time: full thrust both ways, and the turn [s]."""
+    """Lower bound of the time from start to goal: full thrust both ways, and the turn [s]."""
     params = experiment.guidance
     accel = params.force_share * weakest_force(setup.model) / setup.model.mass
     move = 2.0 * math.sqrt(math.dist(setup.start[:2], setup.goal[:2]) / accel)
     angle = abs(wrap(setup.goal[2] - setup.start[2]))
-    # a quintic's, as guidance plans it
+    # a quintic polynomial, as guidance plans it
     turn = math.sqrt(10.0 / math.sqrt(3.0) * angle / params.heading_accel)
     return max(move, turn)
 
 
 def _gap(start: tuple[float, ...], end: tuple[float, ...], point: tuple[float, ...]) -> float:
-    """From a point to the straight line between two others [m]."""
+    """Distance of a point from the segment between two others [m]."""
     a, b, p = np.array(start), np.array(end), np.array(point)
     along = b - a
     share = np.clip((p - a) @ along / max(along @ along, 1e-12), 0.0, 1.0)
@@ -123,7 +123,7 @@ def _cameras(experiment: Experiment) -> Iterator[str]:
 
 
 def _wires(experiment: Experiment) -> Iterator[Concern]:
-    """Entries of the lab that a vehicle is not among, where others are."""
+    """Warn if [lab] lists some vehicles but not all."""
     lab, names = experiment.table.lab, list(experiment.vehicles)
     for name in _unnamed(names, lab.mocap.bodies):
         hint = _misspelt(name, names, lab.mocap.bodies)

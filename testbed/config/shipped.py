@@ -1,4 +1,4 @@
-"""What ships with the testbed: where it is, and the fault table if no other is given."""
+"""The shipped configuration files, and the default fault table."""
 
 from functools import cache
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The tree of an experiment while it is put together, and where each part of it came from."""
+"""Assembles the tree of an experiment, and records the origin of each part."""
 
 import re
 from copy import deepcopy
@@ -22,7 +22,7 @@ class Origin(NamedTuple):
 
 
 class Source:
-    """A tree from `where`, what it includes, relative to `folder`, and overrides put on top."""
+    """A tree from `where`, with included files, relative to `folder`, and overrides."""
 
     def __init__(self, tree: dict[str, Any], where: str, folder: Path) -> None:
         self.tree = tree
@@ -32,7 +32,7 @@ class Source:
         self._include(folder)
 
     def error(self, mistake: Mistake) -> ConfigError:
-        """The mistake, and the file or override to mend."""
+        """The mistake as an error that names its file or override."""
         key, expected, found = mistake
         above = (key[:n] for n in range(len(key), -1, -1))
         origin = next(self._origins[part] for part in above if part in self._origins)
@@ -43,12 +43,12 @@ class Source:
         return ConfigError(where, spell(key[len(origin.key) :]), expected, found)
 
     def override(self, text: str) -> None:
-        """Put "key=value" on top.
+        """Apply "key=value".
 
-        `*` in the key is every entry; a path in the value is relative to the current folder.
+        `*` in the key matches every entry; a path in the value is relative to the current folder.
         """
         try:
-            text.encode()  # a shell may hand over bytes that are not text
+            text.encode()  # a shell may pass bytes that are not text
             key, raw = assignment(text)
         except ValueError:
             raise ConfigError("command line", "", "key=value", show(text)) from None
@@ -69,7 +69,7 @@ class Source:
         self._include(Path())
 
     def _unknown(self, origin: Origin, key: Key) -> ConfigError:
-        """`*` of a table that an override has only just made: its name is wrong."""
+        """The error for `*` in a table that does not exist: its name is wrong."""
         parent: Any = self.tree
         for part in key[:-1]:
             parent = parent[part]
@@ -78,19 +78,19 @@ class Source:
         return ConfigError(origin.where, spell(key), f"one of: {', '.join(known)}", found)
 
     def _enter(self, origin: Origin, key: Key, parent: Any) -> tuple[Key, Any]:
-        """The entry `key` of its parent, made if it is not there."""
+        """The entry `key` of its parent, made if missing."""
         if isinstance(parent, dict) and key[-1] not in parent:
             parent[key[-1]] = {}
             self._note(key, origin)
         return key, parent[key[-1]]
 
     def _note(self, key: Key, origin: Origin) -> None:
-        """Remember that everything from `key` down is of `origin` now."""
+        """Record `origin` for `key` and everything below."""
         kept = {k: o for k, o in self._origins.items() if k[: len(key)] != key}
         self._origins = kept | {key: origin}
 
     def _include(self, folder: Path) -> None:
-        """Put the content of files in the place of their paths."""
+        """Replace paths by the content of their files."""
         place_law(self.tree, folder)
         slots: list[tuple[Key, Any]] = [(("table",), self.tree), (("faults",), self.tree)]
         vehicles = self.tree.get("vehicles")
@@ -108,7 +108,7 @@ class Source:
 
 
 def _parse(origin: Origin, key: Key, raw: str) -> Any:
-    """The value of an override: TOML, or a bare word, which is a string."""
+    """Parse the value of an override: TOML, or a bare word as a string."""
     try:
         tree = parse(f"value = {raw}".encode())
         if len(tree) == 1:  # more: there was a second line
@@ -121,7 +121,7 @@ def _parse(origin: Origin, key: Key, raw: str) -> Any:
 
 
 def _meant(origin: Origin, key: Key, parent: Any, part: str | int) -> list[tuple[Key, Any]]:
-    """The entries of `parent` that `part` of an override means: their keys, each with `parent`."""
+    """The entries of `parent` that `part` of a key matches: their keys, each with `parent`."""
     names: list[Any] = []
     found = ""
     match parent, part:

@@ -1,4 +1,4 @@
-"""What cannot be about times and rates: how long, how often, how late."""
+"""Validates times and rates."""
 
 from collections.abc import Iterator
 
@@ -6,18 +6,18 @@ from testbed.config.error import Mistake
 from testbed.config.experiment import Experiment
 from testbed.core.vehicle import Vehicle
 
-SHORTEST_PERIOD = 0.001  # [s] boards count microseconds, hosts wake up to a fraction of this
-MOST_TICKS = 10**6  # each vehicle's are kept until the run is judged
-MOST_FRAMES = 10**7  # so are the camera's
+SHORTEST_PERIOD = 0.001  # [s] boards count microseconds; hosts wake up with an error below this
+MOST_TICKS = 10**6  # per vehicle; they stay in memory until the run is judged
+MOST_FRAMES = 10**7  # of motion capture; they stay in memory, too
 FASTEST_CAMERA = 10_000.0  # [Hz]
-MOST_STEPS = 10_000  # of a law in one jet period
-MOST_REFERENCES = 100  # in one message
-MOST_DELAY = 2.0  # jet periods that a valve may be late: boards remember four pulses
-HAIR = 1e-9  # [s] sums of decimal fractions are off by less
+MOST_STEPS = 10_000  # steps of a law per jet period
+MOST_REFERENCES = 100  # per message
+MOST_DELAY = 2.0  # largest valve delay in jet periods; boards remember four pulses
+HAIR = 1e-9  # [s] tolerance for rounding errors
 
 
 def bad_timing(experiment: Experiment) -> Iterator[Mistake]:
-    """All that is wrong with times and rates."""
+    """Errors in times and rates."""
     yield from _run(experiment)
     yield from _camera(experiment)
     yield from _guidance(experiment)

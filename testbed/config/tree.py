@@ -1,4 +1,4 @@
-"""TOML text read into a tree of tables, lists and values."""
+"""Reads TOML text into a tree of tables, lists and values."""
 
 import re
 import tomllib
@@ -11,7 +11,7 @@ from typing import Any
 from testbed.config.error import ConfigError
 from testbed.config.key import DEEPEST, Key
 
-LARGEST = 1_000_000  # [bytes] of a file; the shipped ones have 3000
+LARGEST = 1_000_000  # size of a file [bytes]; the shipped ones have 3000
 
 # tomllib's memory grows with the square of the parts of a dotted key: 100 000 of them are 40 GB.
 _LONG_KEY = re.compile(rf"(?<![^\s.=,\[\]{{}}#])(?:[^\s.=,\[\]{{}}#]++\s*+\.\s*+){{{DEEPEST}}}")
@@ -22,14 +22,14 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST + 1)
-    except (OSError, ValueError) as error:  # ValueError: a path that no file can have
+    except (OSError, ValueError) as error:  # ValueError: an invalid path
         reason = error.strerror if isinstance(error, OSError) else None
         raise ConfigError(str(path), "", "a readable file", reason or str(error)) from None
     return read_text(data, str(path))
 
 
 def read_text(data: bytes, where: str) -> dict[str, Any]:
-    """TOML text as a tree of tables; `where` it is from."""
+    """TOML text as a tree of tables; `where` names its source."""
     try:
         return deepcopy(_parsed(data))
     except ValueError as error:
@@ -40,11 +40,11 @@ def parse(data: bytes) -> dict[str, Any]:
     """TOML text as a tree of tables.
 
     Raises:
-        ValueError: it is not TOML, or not what a person would write.
+        ValueError: it is not TOML, or too large or too deeply nested.
     """
     if len(data) > LARGEST:
         raise ValueError(f"more than {LARGEST / 1e6:g} MB")
-    text = data.decode("utf-8-sig")  # editors of Windows put a mark in front
+    text = data.decode("utf-8-sig")  # Windows editors write a byte order mark
     if _LONG_KEY.search(text):
         raise ValueError(f"a key of more than {DEEPEST} parts")
     try:
@@ -82,7 +82,7 @@ def leaves(node: Any, key: Key = ()) -> Iterator[tuple[Key, Any]]:
 
 
 def trouble_at(path: Path) -> str | None:
-    """Why there is no file at `path`; None if there is."""
+    """Why there is no file at `path`; None if it exists."""
     try:
         if path.is_file():
             return None

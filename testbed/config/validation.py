@@ -1,7 +1,7 @@
-"""Where a tree does not fit a struct, in the words of a TOML file.
+"""Finds where a tree does not match a struct, with messages in terms of the TOML file.
 
-msgspec decides whether it fits; its message does not name the entry of a table, so the tree is
-walked once more beside the types to find the first misfit.
+msgspec decides whether it matches, but its message does not name the entry of a table. So the tree
+and the types are walked again to find the first mismatch.
 """
 
 from collections.abc import Sequence
@@ -16,17 +16,17 @@ from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 
 MISSING = "nothing: the key is missing"
-INCLUDED = (Table, Vehicle)  # may be a file of their own
+INCLUDED = (Table, Vehicle)  # may be separate files
 
 
 def first_misfit(tree: Any, struct: type[Struct]) -> Mistake:
-    """The first misfit of a tree that msgspec could not convert to `struct`."""
+    """The first mismatch of a tree that msgspec could not convert to `struct`."""
     kind = inspect.type_info(struct)
     return _misfit((), tree, kind) or Mistake((), describe(kind), show(tree))
 
 
 def describe(kind: inspect.Type) -> str:
-    """What a value of this type is, for a person who edits TOML."""
+    """A type in words, for a person who edits TOML."""
     match kind:
         case inspect.FloatType():
             return "a number" + _bounds(kind)
@@ -63,13 +63,13 @@ def _bounds(kind: inspect.FloatType | inspect.IntType) -> str:
 
 
 def _tagged(kind: inspect.UnionType) -> dict[str, inspect.StructType]:
-    """The structs of which a table's `type` picks one."""
+    """The structs among which a table's `type` selects."""
     structs = (t for t in kind.types if isinstance(t, inspect.StructType))
     return {str(t.tag): t for t in structs if t.tag_field == "type"}
 
 
 def _misfit(key: Key, value: Any, kind: inspect.Type) -> Mistake | None:
-    """The first misfit of `value`, which stands at `key`."""
+    """The first mismatch of `value` at `key`."""
     match kind, value:
         case inspect.StructType(), dict():
             return _struct_misfit(key, value, kind)
@@ -132,7 +132,7 @@ def _struct_misfit(key: Key, table: dict[str, Any], kind: inspect.StructType) ->
 
 
 def _refusal(key: Key, table: dict[str, Any], cls: type) -> Mistake | None:
-    """What the struct itself has against values that are right one by one."""
+    """The error of the struct's own check on values that are valid one by one."""
     try:
         msgspec.convert(table, cls)
     except msgspec.ValidationError as error:
@@ -154,7 +154,7 @@ def _union_misfit(key: Key, value: Any, kind: inspect.UnionType) -> Mistake | No
 def _tagged_misfit(
     key: Key, table: dict[str, Any], options: dict[str, inspect.StructType]
 ) -> Mistake | None:
-    """The misfit of a table whose `type` picks the struct."""
+    """The mismatch of a table whose `type` selects the struct."""
     found = MISSING
     if "type" in table:
         tag = table["type"]

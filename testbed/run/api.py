@@ -46,14 +46,14 @@ def fly(
             table itself is flown with `testbed run --rig table`, beside an operator.
         log: a new or empty folder for the run (config.toml, log.mcap, metrics.json); None: the run
             is in memory only.
-        progress: show how far the flight is, on stderr.
+        progress: show the progress on stderr.
 
     Returns:
         The run: `run.passed`, `run.metrics`, `run["sat1"].pose`.
 
     Raises:
         TestbedError: the experiment cannot fly on this rig, or the folder cannot be written. A
-            fault in flight is no exception: see `run.fault`.
+            fault in flight raises no exception: see `run.fault`.
         InterruptedFlight: Ctrl-C; a KeyboardInterrupt. The flight was ended and its files were
             finished first.
     """

@@ -1,4 +1,4 @@
-"""The drill on the twin: one injected fault per flight, and what became of it."""
+"""The drill on the twin: one injected fault per flight, and its outcome."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,14 +32,14 @@ from testbed.rig.chain import fence_of
 from testbed.rig.twin import TwinRig, make_twin
 
 EXPERIMENTS = ("zhang2023_table", "zhang2023_table_wrench")
-ROOM = 0.15  # [m] round a start
-# [s] to show itself: a jet must be asked for, a small leak is found by its mean; others: 8 s
+ROOM = 0.15  # clearance around a start [m]
+# [s] of flight after the fault: a jet must be commanded, a small leak needs a mean; others: SOON
 NEEDED = {"stick_closed": 40.0, "leak_valve": 20.0}
 SOON = 8.0
 
 
 class Notes:
-    """Observer: what was said, by whom, when."""
+    """Observer: records faults, responses and valve commands with times."""
 
     def __init__(self) -> None:
         self.rows: list[tuple[float, str, str]] = []  # time, vehicle, row of the fault table
@@ -122,14 +122,14 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
 
 
 def concerned(what: Injection, name: str) -> bool:
-    """Whether a vehicle is one whose response counts: of a dead one the others'."""
+    """Whether a vehicle's response counts; if the injected vehicle is dead, the others' count."""
     if what.kind in OTHERS:
         return name != what.vehicle
     return name in (what.vehicle, what.other)
 
 
 def _moves(experiment: Experiment, obstacle: str) -> bool:
-    """Whether an obstacle comes to vehicles that have shut: a stop does not stop it."""
+    """Whether an obstacle moves, and so can hit vehicles that have stopped."""
     rock = experiment.obstacles.get(obstacle)
     return rock is not None and any(rock.velocity)
 
@@ -137,7 +137,7 @@ def _moves(experiment: Experiment, obstacle: str) -> bool:
 def _limit(
     name: str, what: Injection, after: Sequence[tuple[float, str, str]], began: float
 ) -> float:
-    """When every valve of a vehicle must be shut: after its severest response, or its death."""
+    """Deadline for closing a vehicle's valves, from its severest response or its death [s]."""
     if what.kind == "kill_process" and name == what.vehicle:
         return began + DEAD_WITHIN
     own = [(t, one) for t, who, one in after if who == name]
@@ -146,7 +146,7 @@ def _limit(
 
 
 def _named(what: Injection, notes: Notes, began: float) -> list[tuple[float, str]]:
-    """When it was rightly named, by whom it concerns."""
+    """Times and names of correct detections by the vehicles concerned."""
     names = NAMES[what.kind]
     right = [
         (t, row) for t, who, row in notes.rows
@@ -158,7 +158,7 @@ def _named(what: Injection, notes: Notes, began: float) -> list[tuple[float, str
 
 
 def _open_after(rig: TwinRig, limits: Mapping[str, float]) -> int:
-    """Valves through which air flows after their limit [s]; of a landed vehicle none does."""
+    """Number of valves with flow after their limit; a landed vehicle has none."""
     plant, count = rig.twin.plant, 0
     played = plant.played()
     for k, name in enumerate(plant.names):
@@ -170,7 +170,7 @@ def _open_after(rig: TwinRig, limits: Mapping[str, float]) -> int:
 
 
 def _travelled(rig: TwinRig, began: float) -> float:
-    """The farthest that any vehicle got from where it was at `began` [m]."""
+    """Largest distance of any vehicle from its position at `began` [m]."""
     truth = rig.track()
     since = truth.states[truth.t >= began, :, :2]
     if len(since) == 0:
@@ -180,12 +180,12 @@ def _travelled(rig: TwinRig, began: float) -> float:
 
 @cache
 def shipped(name: str) -> Experiment:
-    """A shipped experiment, read once."""
+    """A shipped experiment, cached."""
     return load(find(name))
 
 
 def somewhere(name: str, rng: np.random.Generator) -> Experiment:
-    """The experiment with every vehicle started somewhere on the table, clear of everything."""
+    """The experiment with random starts, clear of obstacles and other vehicles."""
     experiment = shipped(name)
     taken = [(rock.position, rock.radius + ROOM) for rock in experiment.obstacles.values()]
     vehicles = {}
@@ -202,14 +202,14 @@ def somewhere(name: str, rng: np.random.Generator) -> Experiment:
 
 
 def case(number: int, seed: int) -> Drilled:
-    """Case `number` of a drill: kinds and experiments take turns, the rest is drawn."""
+    """Fly case `number` of a drill: kinds and experiments alternate, the rest is random."""
     kinds, rng = list(NAMES), np.random.default_rng([seed, number])
     name = EXPERIMENTS[(number // len(kinds)) % len(EXPERIMENTS)]
     return drawn(kinds[number % len(kinds)], name, rng)
 
 
 def drawn(kind: Any, name: str, rng: np.random.Generator) -> Drilled:
-    """A case of this kind in this experiment."""
+    """Fly a random case of this kind in this experiment."""
     begun = somewhere(name, rng)
     jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
     what = draw(kind, list(begun.vehicles), jets, rng)
@@ -223,8 +223,8 @@ def _one(pair: tuple[int, int]) -> Drilled:
 
 
 def drill_twin(injections: int, seed: int, jobs: int) -> Iterator[Drilled]:
-    """Fly all cases on the twin; each comes out when it is judged, in their order."""
-    yield case(0, seed)  # compiles, before the others are started
-    # forked, they need not load the compiled code again
+    """Fly all cases on the twin; yields the judged cases in order."""
+    yield case(0, seed)  # compiles before the worker processes start
+    # forked workers share the compiled code
     with ProcessPoolExecutor(jobs, mp_context=get_context("fork")) as pool:
         yield from pool.map(_one, [(k, seed) for k in range(1, injections)], chunksize=4)

@@ -1,4 +1,4 @@
-"""The drill on the bench: the catalogue over real wires, judged by what boards reported."""
+"""The drill on the bench: all faults over real wires, judged from the boards' reports."""
 
 import subprocess
 import sys
@@ -29,10 +29,10 @@ from testbed.run.drill import shipped, somewhere
 EXPERIMENT = "zhang2023_table"
 COUNT = 72
 WHEN = (1.5, 4.0)  # [s]
-LASTS = 6.0  # [s] after an injection, if nothing ends the flight before
+LASTS = 6.0  # [s] of flight after an injection
 LONGER = {"leak": 12.0, "stick_open": 10.0, "leak_valve": 20.0}
-TWIN_ONLY = ("stick_closed",)  # takes a flight of a minute to show itself
-# names that only wires can give; the others are those of the twin
+TWIN_ONLY = ("stick_closed",)  # needs a flight of a minute to show
+# names that only occur on wires; the others are the twin's
 ON_THE_WAY: dict[str, tuple[str, ...]] = {
     "drop_mocap": NAMES["drop_mocap"],
     "brown_out": ("board_silent", "battery_low", "the serial line"),
@@ -48,34 +48,34 @@ ON_THE_WAY: dict[str, tuple[str, ...]] = {
     "kill_host": ("operator_gone", "link_late", "link_out", "link_lost"),
     "stop_host": ("operator_gone", "link_late", "link_out", "link_lost"),
 }
-# whose own process or board cannot say or do anything more
+# kinds after which the vehicle's own process or board cannot act or report
 MUTE = ("kill_process", "stop_process", "cut_serial", "brown_out")
-SILENT = ("kill_process", "stop_process")  # of these the others' response counts
+SILENT = ("kill_process", "stop_process")  # kinds for which the other vehicles' response counts
 GRACE_S = 180.0
 LONGEST_END = 8.0  # [s] for the vehicles to come to rest after the planned end
 
 
 class Flown(Struct, frozen=True):
-    """What is left of a flight."""
+    """The files that a flight left."""
 
     epoch_ns: int
     report: TableReport
     ended: dict[str, Ended]
-    fault: str | None  # as the host saw it
+    fault: str | None  # as reported by the host
 
 
 def kinds() -> list[Any]:
-    """What is rehearsed here."""
+    """The kinds of faults that are injected on the bench."""
     return [kind for kind in {**NAMES, **ON_THE_WAY} if kind not in TWIN_ONLY]
 
 
 def drill_wires(count: int, seed: int, say: Callable[[str], None]) -> Iterator[Drilled]:
-    """Fly all cases, one after the other: a bench needs the machine for itself."""
-    warm_up(shipped(EXPERIMENT))  # compiles, before four processes do it at once
+    """Fly all cases in sequence, because a bench needs the whole machine."""
+    warm_up(shipped(EXPERIMENT))  # compiles once, before four processes would
     for number in range(count):
         try:
             judged = case(number, seed)
-        except DrillError as error:  # once more: a flight that does not begin rehearses nothing
+        except DrillError as error:  # try again: a flight that did not begin tests nothing
             say(f"case {number}: {error}")
             judged = case(number, seed)
         say(f"{number}: {msgspec.json.encode(judged).decode()}")
@@ -83,7 +83,7 @@ def drill_wires(count: int, seed: int, say: Callable[[str], None]) -> Iterator[D
 
 
 def case(number: int, seed: int) -> Drilled:
-    """Case `number`: kinds take turns, the rest is drawn."""
+    """Fly case `number`: kinds alternate, the rest is random."""
     rng = np.random.default_rng([seed, number])
     catalogue = kinds()
     kind = catalogue[number % len(catalogue)]
@@ -110,7 +110,7 @@ class DrillError(TestbedError):
 
 
 def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
-    """One flight, whatever becomes of its host."""
+    """Fly once; works even if the host dies or hangs."""
     words = [sys.executable, "-m", "testbed.rig.wired.fault_flight", str(file), str(folder)]
     host = subprocess.Popen(words, start_new_session=True, stderr=subprocess.PIPE)
     start, report = folder / "start.json", folder / "report.json"
@@ -123,7 +123,7 @@ def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
         if start.exists() and over is None:
             epoch_ns = msgspec.json.decode(start.read_bytes())[0]
             over = epoch_ns + round(1e9 * (duration_s + LONGEST_END))
-        if over is not None and monotonic_ns() > over:  # a host that is stopped ends nothing
+        if over is not None and monotonic_ns() > over:  # a stopped host does not end the flight
             with suppress(ProcessLookupError):
                 host.kill()
     with suppress(subprocess.TimeoutExpired):
@@ -149,7 +149,7 @@ def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
 
 
 def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: Flown) -> Drilled:
-    """What became of an injection."""
+    """Judge the outcome of an injection."""
     began, report = what.at_s or 0.0, flown.report
     wanted = ON_THE_WAY.get(what.kind) or NAMES[what.kind]
     right = [
@@ -203,13 +203,13 @@ def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: 
 
 
 def _said_at(flown: Flown, fault: str) -> float:
-    """When a vehicle's flight ended with these words [s]; the end of the run if it was the host."""
+    """When a vehicle's flight ended with this fault [s]; the end of the run for the host's."""
     at = [one.t for one in flown.ended.values() if one.fault == fault]
     return min(at, default=max((one.t for one in flown.ended.values()), default=0.0))
 
 
 def _closing(edges: list[tuple[int, int]], epoch_ns: int, limit: float) -> tuple[float, int]:
-    """When a board's last valve closed [s], and how many were open after the limit."""
+    """When a board's last valve closed [s], and the number of valves open after the limit."""
     closed, mask, late = 0.0, 0, 0
     for at_us, new in edges:
         t = 1e-9 * (1000 * at_us - epoch_ns)
@@ -222,7 +222,7 @@ def _closing(edges: list[tuple[int, int]], epoch_ns: int, limit: float) -> tuple
 
 
 def _travelled(flown: Flown, began: float) -> float:
-    """The farthest that any vehicle got from where it was when it began [m]."""
+    """Largest distance of any vehicle from its position at `began` [m]."""
     report = flown.report
     t = np.array(report.t) + 1e-9 * ((report.released_ns or 0) - flown.epoch_ns)
     since = np.array(report.states)[t >= began, :, :2]

@@ -1,4 +1,4 @@
-"""An experiment as Python code holds it: loaded, and changed by key."""
+"""An experiment in Python: load it, and change it by key."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from testbed import config
 
 
 class Experiment(config.Experiment, frozen=True, forbid_unknown_fields=True):
-    """An experiment with everything in place; it never changes, `with_` makes another one."""
+    """A complete experiment; immutable, `with_` makes a changed copy."""
 
     def with_(self, changes: Mapping[str, Any] | None = None, **more: Any) -> "Experiment":
         """The same experiment with other values.
@@ -21,7 +21,7 @@ class Experiment(config.Experiment, frozen=True, forbid_unknown_fields=True):
             more: the same as keyword arguments: `**{"controller.k": 0.3}`, `seed=7`.
 
         Raises:
-            TestbedError: a key does not exist, or a value is not possible.
+            TestbedError: a key does not exist, or a value is invalid.
         """
         overrides = [f"{key}={toml(value)}" for key, value in {**(changes or {}), **more}.items()]
         return of(config.loads(tomli_w.dumps(config.dump(self)), overrides))
@@ -35,7 +35,7 @@ class Experiment(config.Experiment, frozen=True, forbid_unknown_fields=True):
 
 
 def of(experiment: config.Experiment) -> Experiment:
-    """An experiment that was read from a file."""
+    """The Python form of an experiment from a file."""
     return Experiment(**{f: getattr(experiment, f) for f in experiment.__struct_fields__})
 
 
@@ -46,10 +46,10 @@ def load(name_or_path: str | Path, *overrides: str, seed: int | None = None) -> 
         name_or_path: the name of a shipped experiment (see `testbed list`), or the path of a file
             or of a run folder's config.toml.
         overrides: "key=value" as on the command line, applied in order; the value is TOML.
-        seed: of all random numbers in the twin.
+        seed: random seed of the twin.
 
     Raises:
-        TestbedError: the file cannot be read, or something in it is wrong.
+        TestbedError: the file cannot be read, or it has an error.
     """
     texts = [*overrides, *([] if seed is None else [f"seed={toml(seed)}"])]
     return of(config.load(config.find(str(name_or_path)), texts))

@@ -1,4 +1,4 @@
-"""A run that was flown: its numbers, its columns, its figures."""
+"""A finished run: its metrics, columns and figures."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -28,16 +28,16 @@ WRENCH = ("N", "N", "N m")
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One vehicle's flight, one row per tick; NaN where there was nothing."""
+    """One vehicle's flight, one row per tick; NaN for missing values."""
 
     t: Array  # (n,) time of the tick [s]
-    state_t: Array  # (n,) time that pose, twist and reference are for [s]
+    state_t: Array  # (n,) time of pose, twist and reference [s]
     pose: Array  # (n, 3) estimated x, y, theta [m, m, rad]
     twist: Array  # (n, 3) estimated vx, vy, omega [m/s, m/s, rad/s]
-    reference: Array  # (n, 3) where the vehicle was asked to be [m, m, rad]
-    wrench: Array  # (n, 3) asked of the jets, mean over the period, body frame [N, N, N m]
+    reference: Array  # (n, 3) reference pose [m, m, rad]
+    wrench: Array  # (n, 3) commanded wrench, mean over the period, body frame [N, N, N m]
     on_us: Array  # (n, jets) open time of each valve in the period; column 0 is jet 1 [us]
-    true_pose: Array  # (n, 3) true pose at `t`; NaN where the rig does not know it [m, m, rad]
+    true_pose: Array  # (n, 3) true pose at `t`; NaN if the rig has no ground truth [m, m, rad]
 
     def __repr__(self) -> str:
         return f"Vehicle of {len(self.t)} ticks, {self.on_us.shape[1]} jets"
@@ -50,7 +50,7 @@ class Run(Mapping[str, Vehicle]):
         experiment: what was flown.
         metrics: the numbers of metrics.json.
         folder: where the run is kept; None for a run without a log.
-        damage: a line for each place at which the log is damaged; what is left is read.
+        damage: a line for each damaged place of the log; the rest is read.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Run(Mapping[str, Vehicle]):
         """The report's figures; a notebook shows them inline.
 
         Args:
-            keys: which ones ("trajectory", "error", "valves", ...); all without.
+            keys: names of figures ("trajectory", "error", "valves", ...); default: all.
 
         Raises:
             TestbedError: this run has no figure of that name.
@@ -206,10 +206,10 @@ def _columns(vehicle: VehicleHistory, true_t: Array) -> Vehicle:
 
 
 def open_run(folder: str | Path) -> Run:
-    """Open a run that was flown before.
+    """Open the folder of a finished run.
 
     Args:
-        folder: of the run, as `testbed run` or `testbed.fly(..., log=folder)` left it.
+        folder: run folder of `testbed run` or `testbed.fly(..., log=folder)`.
 
     Raises:
         TestbedError: it is not a run's folder, or its log cannot be read.
@@ -220,7 +220,7 @@ def open_run(folder: str | Path) -> Run:
 
 
 def read_run(files: Path, folder: Path | None, experiment: Experiment) -> Run:
-    """Read the files of a run, which is said to be kept in `folder`."""
+    """Read the files of a run; `folder` is what `Run.folder` reports."""
     log = log_of(files)
     book = LogReader(log)
     history = gather(LogFeed(book).news())

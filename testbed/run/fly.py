@@ -27,27 +27,27 @@ from testbed.rig.twin import TwinRig, make_twin, warm_up
 from testbed.run.interrupt import Interrupt
 from testbed.run.judge import measure
 
-FORMATION_S = 1.0  # between two entries of the five elements in the log [s]
+FORMATION_S = 1.0  # log period of the five formation elements [s]
 
 
 class FlightScreen(NullObserver):
-    """What a run shows while it lasts; this one shows nothing."""
+    """Display during a run; this one shows nothing."""
 
-    phase = ""  # of the supervisor
+    phase = ""  # the supervisor's phase
 
     def showing(self) -> AbstractContextManager[object]:
-        """The screen is there meanwhile."""
+        """Context in which the display is active."""
         return nullcontext()
 
     def flies(self) -> None:
-        """Everything is compiled, and the flight begins."""
+        """The code is compiled and the flight begins."""
 
     def say(self, line: str) -> None:
-        """A line for the operator."""
+        """Print a line for the operator."""
 
 
 class FlightLog:
-    """Observer of a flight: writes the log, and keeps what the metrics need."""
+    """Observer of a flight: writes the log and stores data for the metrics."""
 
     def __init__(
         self,
@@ -59,10 +59,10 @@ class FlightLog:
     ) -> None:
         self._rig, self._references = rig, references
         self._recorder, self._screen, self._pace = recorder, screen, pace
-        self._seen = -1.0  # up to here the valves are in the log
-        self._logged = 0  # changes of phase that are in the log
-        self.trouble: str | None = None  # the log cannot be written: the flight has to end
-        self._next = 0.0  # when the five elements are due [s]
+        self._seen = -1.0  # valve data up to this time are logged
+        self._logged = 0  # number of phase changes in the log
+        self.trouble: str | None = None  # error of the log's writer, which ends the flight
+        self._next = 0.0  # next time to log the five elements [s]
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
@@ -135,12 +135,12 @@ def fly_and_judge(
     """Fly, with the log in `folder`, and judge.
 
     Args:
-        experiment: what is flown.
-        folder: of the run; `log.mcap` is written into it.
-        interrupt: ends the flight when it is asked.
-        make: builds the rig; by default the twin.
-        speed: of the twin, times real time; None: as fast as it goes.
-        screen: what is shown meanwhile.
+        experiment: what to fly.
+        folder: the run folder, for `log.mcap`.
+        interrupt: ends the flight on request.
+        make: builds the rig; default: the twin.
+        speed: of the twin, as a multiple of real time; None: as fast as possible.
+        screen: display during the flight.
     """
     interrupt, screen = interrupt or Interrupt(), screen or FlightScreen()
     rig, ending, wall = make(experiment), Ending(0.0, None), 0.0
@@ -184,6 +184,6 @@ def fly_and_judge(
     heartbeat().phase = Phase.ENDING
     metrics = metrics or measure(rig, references, ending, wall, completed=False)
     if recorder.lost:
-        lost = Concern("log_rows_lost", f"{recorder.lost} rows: their writer did not keep up")
+        lost = Concern("log_rows_lost", f"{recorder.lost} rows: the log writer did not keep up")
         metrics = replace(metrics, warnings=[*metrics.warnings, lost])
     return metrics

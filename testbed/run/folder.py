@@ -1,11 +1,11 @@
-"""A run's folder: never overwritten, readable however the run ended.
+"""A run's folder: never overwritten, and readable after any end of the run.
 
 config.toml   the resolved experiment: `testbed run config.toml` repeats the run
 log.mcap      every tick's inputs and outputs
-metrics.json  what it was worth; "completed": false if it did not reach its end
-*.py          a copy of the law, where it is a file outside the package; config.toml then means it.
-              It keeps its name, which is in what a law that fails says and so in the log. Of a law
-              that an installed package offers it is a copy to read: config.toml means the package.
+metrics.json  the metrics; "completed": false if the run did not reach its end
+*.py          a copy of the law if it is a file outside the package; config.toml refers to it.
+              It keeps its name, which appears in the law's errors and so in the log. Of a law of
+              an installed package it is a copy to read; config.toml refers to the package.
 """
 
 import os
@@ -24,18 +24,18 @@ from testbed.metrics.run_metrics import Metrics
 
 
 class FolderError(TestbedError):
-    """The run cannot be written there."""
+    """The run folder cannot be written."""
 
 
 def new_folder(out: Path | None, name: str) -> Path:
     """Make the folder of a new run.
 
     Args:
-        out: where the operator wants it; it may exist if it is empty. None: below runs/.
-        name: of the experiment.
+        out: the folder; it may exist if it is empty. None: a new one in runs/.
+        name: name of the experiment.
 
     Raises:
-        FolderError: there is something already, or the place is not writable.
+        FolderError: the folder is not empty or not writable.
     """
     try:
         if out is not None:
@@ -56,27 +56,27 @@ def new_folder(out: Path | None, name: str) -> Path:
             return path
     except OSError as error:
         raise FolderError(
-            where=str(error.filename), expected="a place that can be written; --out names another",
+            where=str(error.filename), expected="a writable place; choose another with --out",
             found=str(error.strerror),
         ) from None  # fmt: skip
     raise FolderError(f"runs/{stamp}_{name}: a thousand runs in one second")
 
 
 def take_back(folder: Path) -> None:
-    """Remove the folder of a run that was refused before it had a log; what was flown stays."""
+    """Remove the folder of a run that was refused before it had a log."""
     if not (folder / "log.mcap").exists():
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_config(folder: Path, tree: dict[str, Any], version: str) -> None:
-    """Write the resolved experiment, and the law with it if that is a file of somebody's."""
+    """Write the resolved experiment, and a copy of the law if it is a user's file."""
     tree = {**tree, "controller": _keep_law(folder, tree.get("controller", {}))}
     head = f"# Resolved by airbearing-testbed {version}; everything is in place.\n\n"
     _replace(folder / "config.toml", head + tomli_w.dumps(tree))
 
 
 def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
-    """[controller], with a copy of a law's file in the folder in its place."""
+    """[controller] with the law's file replaced by a copy in the folder."""
     path = source_of(controller["law"]) if controller.get("type") == "python" else None
     if path is None:
         return controller
@@ -99,7 +99,7 @@ def write_metrics(folder: Path, metrics: Metrics) -> None:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Write the whole file or nothing."""
+    """Write the file atomically."""
     try:
         write_atomic(path, text.encode())
     except OSError as error:

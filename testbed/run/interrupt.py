@@ -1,6 +1,6 @@
-"""Ctrl-C, SIGTERM and a closed terminal during a run, counted; files are always finished.
+"""Counts Ctrl-C, SIGTERM and SIGHUP during a run; files are always finished.
 
-The first ends the flight after its tick: the vehicles brake and land. The second Ctrl-C shuts
+The first signal ends the flight after its tick: the vehicles brake and land. A second Ctrl-C closes
 valves and air at once.
 """
 
@@ -18,12 +18,12 @@ class Interrupt:
     """Requests to end the run, by a signal or by the caller."""
 
     def __init__(self) -> None:
-        self.asked = 0  # times
+        self.asked = 0  # number of requests
         self._raises = False
         self._terminals: list[int] = []
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        # a closed terminal may be told twice, by the system and by the shell: not impatience
+        # system and shell may both signal a closed terminal, so SIGHUP does not count twice
         self.asked = self.asked + 1 if number == signal.SIGINT else max(1, self.asked)
         heartbeat().signalled()
         hurry()
@@ -33,16 +33,16 @@ class Interrupt:
             raise KeyboardInterrupt
 
     def _leave_terminal(self) -> None:
-        """Write nowhere what was for a terminal that was closed, so that nothing fails at it."""
+        """Redirect the output of a closed terminal to /dev/null, so that no write fails."""
         for descriptor in self._terminals:
             if not os.isatty(descriptor):
                 os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
 
     @contextmanager
     def caught(self) -> Iterator[None]:
-        """Note signals meanwhile; the handlers that were there before are put back.
+        """Count signals in this context, then restore the previous handlers.
 
-        A closed terminal is noted only where it would end the command.
+        SIGHUP is counted only if it would end the command.
         """
         self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
         numbers = [signal.SIGINT, signal.SIGTERM]
@@ -57,7 +57,7 @@ class Interrupt:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """Interrupt at once something long that leaves no files, such as compiling."""
+        """Context in which a signal interrupts at once; for long work without files."""
         self._raises = not self.asked
         try:
             yield

@@ -1,4 +1,4 @@
-"""A flight judged: the numbers of metrics.json and which criteria were met."""
+"""Judges a flight: the numbers of metrics.json and the criteria that were met."""
 
 from collections.abc import Mapping
 
@@ -29,10 +29,10 @@ def measure(
     """Judge a flight.
 
     Args:
-        rig: what was flown; its truth is what is judged.
-        references: what each vehicle was asked to do.
+        rig: the rig that flew; its true states are judged.
+        references: the references of each vehicle.
         ending: how the flight ended.
-        wall: how long it took by the wall clock [s].
+        wall: wall-clock duration [s].
         completed: the flight reached its end.
     """
     experiment, track = rig.experiment, rig.track()

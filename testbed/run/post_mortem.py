@@ -1,6 +1,6 @@
-"""A run whose flight was killed before it was judged: what its log alone says of it.
+"""Metrics of a run that was killed before it was judged, from its log only.
 
-What only the rig knew (impulse, gas, openings, contacts) stays unknown, and no criterion is judged.
+Impulse, gas, openings and contacts, which only the rig knew, stay unknown; no criterion is judged.
 """
 
 from pathlib import Path
@@ -31,14 +31,14 @@ from testbed.rig.chain import formation_context
 
 
 def judged(folder: Path, log: Path, experiment: Experiment, history: History) -> Metrics:
-    """metrics.json of a run, or what can be said without one."""
+    """metrics.json of a run, or metrics from its log if there is none."""
     if (folder / "metrics.json").exists() or not history.vehicles:
         return read_metrics(folder)
     return of_the_log(log, experiment, history)
 
 
 def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
-    """What the log says."""
+    """Metrics from the log only."""
     aims = {name: ReferenceLog() for name in experiment.vehicles}
     book, decode = LogReader(log), Decoder(Tick).decode
     for topic, stamp, data in book.read():
@@ -81,7 +81,7 @@ def _vehicle(track: Track, k: int, experiment: Experiment, name: str, aimed: Aim
 
 
 def track_of(experiment: Experiment, history: History) -> Track:
-    """Everybody's states at one row of times; NaN of a vehicle that nobody saw."""
+    """States of all vehicles on common times; NaN for a vehicle without states."""
     t, _ = history.together()
     states = np.full((len(t), len(experiment.vehicles), 6), np.nan)
     for k, name in enumerate(experiment.vehicles):

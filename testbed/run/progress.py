@@ -1,17 +1,17 @@
-"""How far a flight is, as one line on stderr."""
+"""Progress of a flight, as one line on stderr."""
 
 import sys
 
 from testbed.run.fly import FlightScreen
 
-EVERY_S = 1.0  # of flight between two updates [s]
+EVERY_S = 1.0  # flight time between updates [s]
 
 
 class Progress(FlightScreen):
-    """A line that is written over while the flight lasts.
+    """A progress line that is rewritten in place.
 
     Args:
-        duration_s: of the flight [s].
+        duration_s: duration of the flight [s].
     """
 
     def __init__(self, duration_s: float) -> None:

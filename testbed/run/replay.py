@@ -1,4 +1,4 @@
-"""A run's log through the agents and laws that its experiment makes today."""
+"""Replays a run's log through the current agents and laws of its experiment."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,12 +16,12 @@ from testbed.rig.chain import make_agent, make_guidance
 def replay_experiment(
     experiment: Experiment, log: Path, warn: Callable[[list[str]], None] = lambda lines: None
 ) -> Replay:
-    """The log through the agents and laws that the experiment makes today.
+    """Replay a log through the current agents and laws of an experiment.
 
     Args:
-        experiment: what to make them of.
-        log: of a run.
-        warn: is handed a line for each damaged place of the log.
+        experiment: defines the agents and laws.
+        log: log of a run.
+        warn: called with a line for each damaged place of the log.
     """
     hosts = experiment.vehicles if experiment.deploy.law == "host" else {}
     book = LogReader(log)

@@ -11,24 +11,24 @@ from testbed.logs.log_reader import LogReader, log_of
 from testbed.report.page import ReportError, write_report
 from testbed.run.post_mortem import judged
 
-ZOOM = 4  # of a picture made of pixels: 2400 wide, 8 inches at 300 dpi
+ZOOM = 4  # of a PNG: 2400 pixels wide, 8 inches at 300 dpi
 
 
 def make_report(folder: Path, warn: Callable[[list[str]], None] = lambda lines: None) -> list[Path]:
-    """The files of the page; all that it says is in the folder.
+    """Write the report page from the files of the run folder; returns its files.
 
     Args:
-        folder: of a run.
-        warn: is handed a line for each damaged place of the log.
+        folder: run folder.
+        warn: called with a line for each damaged place of the log.
     """
-    log_of(folder)  # or say that this is no run folder
+    log_of(folder)  # raises if this is not a run folder
     return write_page(folder, load(folder / "config.toml"), warn)
 
 
 def write_page(
     folder: Path, scenario: Experiment, warn: Callable[[list[str]], None] = lambda lines: None
 ) -> list[Path]:
-    """The same for an experiment that was read already, so that no file of a law is executed."""
+    """The same for an experiment that is loaded already, so that no law's file is executed."""
     config, log = folder / "config.toml", log_of(folder)
     book = LogReader(log)
     history = gather(LogFeed(book).news())
@@ -38,7 +38,7 @@ def write_page(
 
 
 def make_pictures(drawings: Iterable[Path]) -> None:
-    """A PNG beside each SVG."""
+    """Write a PNG beside each SVG."""
     try:
         import resvg_py
     except ImportError:

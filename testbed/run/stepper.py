@@ -1,4 +1,4 @@
-"""The twin driven tick by tick, by a loop of one's own."""
+"""The twin, stepped tick by tick from your own loop."""
 
 from collections.abc import Mapping
 
@@ -17,15 +17,15 @@ from testbed.rig.chain import make_agent
 class Twin:
     """The simulated table and the flight chains of its vehicles; your code is the law.
 
-    Each `step` is one jet period. The chain is the one that flies everywhere: the estimator hears
-    noisy cameras, the safety filter and the gate act, and the forces become valve pulses.
+    Each `step` is one jet period. The flight chain is the same as on all rigs: the estimator gets
+    noisy poses, the safety filter and the gate act, and the forces become valve pulses.
 
     Args:
-        experiment: from `testbed.load`; its law is not asked.
+        experiment: from `testbed.load`; its law is not used.
 
     Attributes:
         t: time of the next tick [s].
-        period: of a tick [s].
+        period: duration of a tick [s].
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -53,14 +53,14 @@ class Twin:
         """Fly one jet period.
 
         Args:
-            forces: of each vehicle, fx and fy in the table frame [N], and the heading to hold
-                [rad] if it is not the goal's. A vehicle that is not named gets no force.
+            forces: for each vehicle, fx and fy in the table frame [N], and the heading to hold
+                [rad] if not the goal's. Vehicles that are not named get no force.
 
         Returns:
-            What each vehicle knew and did in this tick: `tick.outputs.state.pose`.
+            Inputs and outputs of each vehicle in this tick: `tick.outputs.state.pose`.
 
         Raises:
-            TestbedError: a vehicle that the experiment does not have.
+            TestbedError: the experiment has no such vehicle.
         """
         for name in forces:
             if name not in self._links:
@@ -92,12 +92,12 @@ class Twin:
 
     @property
     def contacts(self) -> int:
-        """Number of touches so far."""
+        """Number of contacts so far."""
         return len(self._table.plant.touches)
 
 
 class _Link:
-    """The vehicle's end of a network that loses nothing: the caller's force, the others' states."""
+    """A vehicle's end of a lossless network: the caller's force, the others' states."""
 
     def __init__(self) -> None:
         self.asked: Setpoint | None = None

@@ -16,7 +16,7 @@ class Table(Mapping[str, Array]):
 
     Args:
         columns: one array of shape (n,) per name.
-        units: of the columns that have one, as in "m/s".
+        units: units by column, as in "m/s".
     """
 
     def __init__(

@@ -218,7 +218,7 @@ def test_a_log_cut_off_anywhere_is_said(tmp_path):
     data = (folder / "log.mcap").read_bytes()
     for length in range(0, len(data), len(data) // 40):
         (folder / "log.mcap").write_bytes(data[:length])
-        with pytest.raises(ConfigError, match="the whole log of a run"):
+        with pytest.raises(ConfigError, match="the complete log of a run"):
             read_run(folder, 0, {}, {})
 
 
@@ -296,12 +296,12 @@ def test_a_run_of_another_law_scenario_or_seed_is_not_scored_whatever_its_folder
     said = reasons(record)
     assert "controller.type" in said.pop("still/pd/other law")
     assert said == {
-        "still/pd/other gain": "controller.bandwidth is 0.31, the benchmark's is 0.3",
+        "still/pd/other gain": "controller.bandwidth is 0.31, the benchmark has 0.3",
         "still/pd/other start": (
-            "vehicles.sat1.start is [0.3, 0.0, 0.0], the benchmark's is [0.0, -0.1, 0.0]"
+            "vehicles.sat1.start is [0.3, 0.0, 0.0], the benchmark has [0.0, -0.1, 0.0]"
         ),
-        "still/pd/other filter": "flight.barrier.on is false, the benchmark's is true",
-        "still/pd/other seed": "seed 2 is none of the benchmark's",
+        "still/pd/other filter": "flight.barrier.on is false, the benchmark has true",
+        "still/pd/other seed": "seed 2 is not in the benchmark",
         "still/pd/twice": "seed 0 is scored from another folder",
     }
     assert record.not_flown == ["still: pd, seed 1", "still: lqr", "dark: all"]
@@ -313,8 +313,8 @@ def test_folders_that_the_benchmark_does_not_have_are_named(put, tmp_path):
     put("stil/pd/0")
     (tmp_path / "still" / "pd" / "empty").mkdir()
     said = reasons(scored(tmp_path))
-    assert said["still/pdd"] == "no law of this scenario (did you mean `pd`?)"
-    assert said["stil"] == "no scenario of the benchmark (did you mean `still`?)"
+    assert said["still/pdd"] == "not a law of this scenario (did you mean `pd`?)"
+    assert said["stil"] == "not a scenario of the benchmark (did you mean `still`?)"
     assert "no config.toml" in said["still/pd/empty"]
 
 
@@ -343,7 +343,7 @@ def test_what_a_scenario_sets_has_to_be_there_where_the_rig_plays_it(put, tmp_pa
     put("dark/pd/1", "table.mocap.dropout_rate=0.3", "seed=1", rig=rig)
     record = scored(tmp_path)
     assert reasons(record) == {
-        "dark/pd/0": "table.mocap.dropout_rate is 0.02, the benchmark's is 0.3"
+        "dark/pd/0": "table.mocap.dropout_rate is 0.02, the benchmark has 0.3"
     }
     assert [(row.runs, row.rig) for row in record.scores] == [(1, rig)]
 
@@ -353,7 +353,7 @@ def test_on_a_table_it_is_the_labs_and_the_page_says_so(put, tmp_path):
     record = scored(tmp_path)
     assert record.passed_over == []
     text = page(record, PATH, small(), " --from FOLDER")
-    assert "disturbances of `dark` are brought about by the lab's own means" in text
+    assert "The lab makes the disturbances of `dark` itself" in text
     assert "1 run on the table" in text
     assert text.index("| rig |") < text.index("| table |")
     assert "* still: all" in text  # not flown
@@ -366,7 +366,7 @@ def test_the_bench_plays_the_cameras_but_not_the_network(put, tmp_path, key, sai
     )})  # fmt: skip
     put("dark/pd/0", f"table.{key}", rig="bench")
     text = page(scored(tmp_path, file), PATH, file, "")
-    assert text.count("brought about by the lab's own means") == said
+    assert text.count("The lab makes the disturbances of") == said
 
 
 def test_rigs_of_one_cell_are_all_named(put, tmp_path):

@@ -231,7 +231,7 @@ def test_a_cluster_with_other_code_is_refused(monkeypatch):
         with pytest.raises(EngineError, match="workers with the code of this machine"):
             engine._same_code(lab, "tcp://lab:8786")
         monkeypatch.setattr(lab, "run", lambda *_, **__: {})
-        with pytest.raises(EngineError, match="without any"):
+        with pytest.raises(EngineError, match="without workers"):
             engine._same_code(lab, "tcp://lab:8786")
 
 

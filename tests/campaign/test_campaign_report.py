@@ -133,7 +133,7 @@ def test_a_front_is_of_one_case(write, tmp_path):
 def test_a_case_of_which_no_run_passed_is_named_at_the_fronts(write, tmp_path):
     campaign = load_campaign(write(grid=[LAWS], samples=20))
     runs = [replace(run, outcome="failed") if run.k % 3 == 2 else run for run in some_runs(60)]
-    assert "None passed of: a&lt;b." in page_of(campaign, runs, tmp_path)
+    assert "No run passed of: a&lt;b." in page_of(campaign, runs, tmp_path)
 
 
 def test_a_map_is_of_one_law_and_all_are_of_one_scale(write, tmp_path):
@@ -185,7 +185,7 @@ def test_cases_beyond_the_colours_are_left_out_and_counted(write, tmp_path):
 def test_numbers_alone_that_are_many_are_drawn_together(write, tmp_path):
     many = {"key": "controller.bandwidth", "values": [0.1 + 0.01 * k for k in range(7)]}
     page = page_of(load_campaign(write(grid=[many], samples=5)), some_runs(35), tmp_path)
-    assert "The figures below are of all cases together." in page
+    assert "The figures below pool all cases." in page
     assert not re.search(r'class="case ', page)
 
 

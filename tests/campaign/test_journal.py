@@ -57,12 +57,12 @@ def test_without_the_damaged_line_its_run_is_the_only_one_that_is_missing(path):
     write(path, RUNS)
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join([*lines[:3], b"hello\n", *lines[4:]]))
-    with pytest.raises(JournalError, match="take the line out to fly what it was again"):
+    with pytest.raises(JournalError, match="delete the line to fly its run again"):
         read(path)
     path.write_bytes(b"".join(lines[:3] + lines[4:]))
     assert read(path) == RUNS[:2] + RUNS[3:]
     path.write_bytes(b"hello\n" + b"".join(lines[1:]))
-    with pytest.raises(JournalError, match="'hello'; fly all anew"):
+    with pytest.raises(JournalError, match="'hello'; start anew"):
         read(path)
 
 

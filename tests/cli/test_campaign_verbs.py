@@ -89,7 +89,7 @@ def test_killed_at_any_moment_it_goes_on_and_nothing_is_lost_or_twice(start, her
     _, stderr = process.communicate(timeout=120)
     assert process.returncode == 130
     assert stderr.startswith("interrupted: ")
-    assert stderr.endswith("the same command goes on from there\n")
+    assert stderr.endswith("the same command resumes there\n")
     assert stderr.count("\n") == 1
 
     process = start("campaign", "try.toml", "--jobs", "2", "--out", "a", "--json")
@@ -359,7 +359,7 @@ def test_bench_scores_folders_into_a_page_and_never_over_the_twins(testbed, here
     Path("twin/s/journal.jsonl").write_text("")
     result = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table", "--out", "twin")
     assert result.exit_code == 2
-    assert "the twin's benchmark is in this one" in result.stderr
+    assert "this one holds the twin's benchmark" in result.stderr
 
 
 def test_no_number_of_the_benchmark_is_cut_in_a_narrow_window(capsys, monkeypatch):
@@ -394,5 +394,5 @@ def test_a_file_where_the_folder_should_be(testbed, here, verb):
     (here / "taken").write_text("mine")
     result = testbed(verb, "try.toml", "--out", "taken")
     assert result.exit_code == 2
-    assert "expected  a folder that can be written" in result.stderr
+    assert "expected  a writable folder" in result.stderr
     assert (here / "taken").read_text() == "mine"

@@ -35,7 +35,7 @@ def test_a_log_without_an_end_is_said(testbed, run):
     log.write_bytes(log.read_bytes()[:9000])
     result = testbed("log", "out")
     assert result.exit_code == 0
-    assert "not ended" in result.stdout
+    assert "incomplete" in result.stdout
 
 
 def test_export_writes_files_and_never_over_others(testbed):

@@ -32,7 +32,7 @@ def test_a_line_says_how_far_it_is_how_fast_and_how_long_still(monkeypatch):
         for k in range(2, 23):
             bar.flown(Flown(k, "passed"))
         assert bar.line(110.0, nobody=False) == (  # 20 more than the first in 10 s
-            "margins 23 of 1000 runs, passed 95.7 %, 2 a second, 0:08:08 left"
+            "margins 23 of 1000 runs, passed 95.7 %, 2 per second, 0:08:08 left"
         )
 
 
@@ -60,7 +60,7 @@ def test_workers_that_are_all_gone_are_said(heard):
         assert asked.wait(60.0)
         said.clear()
         assert said.wait(60.0)
-    assert lines[-1] == "0 of 3 runs, no workers: waiting for some"
+    assert lines[-1] == "0 of 3 runs, no workers yet; waiting"
 
 
 def test_a_cluster_that_does_not_answer_is_left_to_who_flies(heard):

@@ -130,14 +130,14 @@ def test_a_fault_of_this_software_is_no_verdict_on_a_flight(monkeypatch, capsys)
     said = capsys.readouterr().err
     assert ended.value.code == 70
     assert "RuntimeError: nobody thought of this" in said
-    assert "error: this software has failed, not your files" in said
+    assert "error: internal error; your files are not the cause" in said
 
 
 def test_a_verdict_stands_without_its_report(testbed, here, monkeypatch):
     from testbed.cli import run
     from testbed.report.page import ReportError
 
-    def full(folder, experiment):
+    def full(folder, experiment, warn):
         raise ReportError("out/figures: No space left on device")
 
     monkeypatch.setattr(run, "write_page", full)
@@ -241,8 +241,8 @@ def test_a_reader_that_has_seen_enough_is_no_error():
 def test_keys_say_what_is_to_be_carried(testbed, here):
     pytest.importorskip("cryptography")
     first = testbed("lab-keys", "keys", "--host", "127.0.0.1", "--vehicle", "sat1")
-    assert "Take each folder to where it belongs" in first.stdout
+    assert "Copy each folder to its machine" in first.stdout
     more = testbed("lab-keys", "keys", "--watcher", "wall")
-    assert "Carry keys/host to the host again" in more.stdout
-    assert "Carry every folder" in testbed("lab-keys", "keys", "--renew").stdout
-    assert "arry" not in testbed("lab-keys", "keys").stdout
+    assert "Copy keys/host to the host again" in more.stdout
+    assert "Copy every folder" in testbed("lab-keys", "keys", "--renew").stdout
+    assert "Copy" not in testbed("lab-keys", "keys").stdout

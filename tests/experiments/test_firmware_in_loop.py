@@ -133,7 +133,7 @@ def test_without_a_compiler_nothing_is_left_behind(monkeypatch, tmp_path):
 def test_a_jet_period_that_the_firmware_does_not_play_is_refused_by_the_file():
     overrides = ["flight.jet_period_s=1.5"]
     load(find("hold"), overrides)
-    with pytest.raises(ConfigError, match="what the firmware plays in one plan"):
+    with pytest.raises(ConfigError, match="the longest plan of the firmware"):
         load(find("hold"), [*overrides, "board=inproc"])
 
 
