@@ -8,11 +8,11 @@ from firmware_interface.serial_thrusters import SerialThrusters
 from testbed.mocap.poses import MocapPoses
 from testbed.net.commands import Counts
 from testbed.net.links import ZenohVehicleLink
-from testbed.realtime.clock_sync import Offset
+from testbed.realtime.clock_sync import ClockOffset
 
 
 def count(
-    link: ZenohVehicleLink, thrusters: SerialThrusters, poses: MocapPoses, clock: Offset,
+    link: ZenohVehicleLink, thrusters: SerialThrusters, poses: MocapPoses, clock: ClockOffset,
     unsent: int,
 ) -> Counts:  # fmt: skip
     """The counts; `unsent` plans were refused at the port."""
