@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: whoever looks for one never reads half of it."""
+"""Atomic file writing: a reader never sees a half-written file."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,7 +7,7 @@ from pathlib import Path
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Where to write a file that takes its place in one step, when all is written."""
+    """Yield a temporary path; it replaces `path` in one step when the block ends."""
     part = path.with_name(path.name + ".part")
     try:
         with named(path):
@@ -19,7 +19,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def named(path: Path) -> Iterator[None]:
-    """What goes wrong with a file meanwhile says with which; a full disk does not say it."""
+    """Add the path to an OSError that has none, such as a full disk."""
     try:
         yield
     except OSError as error:
@@ -29,10 +29,10 @@ def named(path: Path) -> Iterator[None]:
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Write a file, or write over it.
+    """Write or overwrite a file.
 
     Raises:
-        OSError: it cannot be written; what was there before still is.
+        OSError: it cannot be written; the old content is kept.
     """
     with atomic_write(path) as part:
         part.write_bytes(data)

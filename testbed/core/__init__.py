@@ -1,1 +1,1 @@
-"""Nouns and verbs that everything else shares; imports nothing of ours."""
+"""Types and interfaces that all packages share; imports no other package of the project."""

@@ -1,14 +1,14 @@
-"""The one decorator for compiled inner loops.
+"""Decorators for compiled inner loops.
 
 Numba keys its disk cache on the file that defines a function, not on the files of the functions it
-calls, so an edit in a callee would silently run old machine code. We therefore keep one cache
-folder per content of *all* our source files: an edit anywhere means a new folder and a fresh
+calls, so after an edit of a callee it would silently run old machine code. We therefore keep one
+cache folder per content of *all* our source files: any edit gives a new folder and a new
 compilation.
 
-What involves other people's files is compiled anew in every process. Beside the machine code of a
-function, numba keeps a list of the argument types it has code for. A type from somebody's own file
-in that list could not be read where that file is not imported, which makes the function unusable
-there; and an edit of that file would go unnoticed.
+Code that involves a user's own files is compiled again in every process. Beside the machine code of
+a function, numba keeps a list of the argument types it has code for. A type from a user's file in
+that list cannot be loaded in a process that does not import the file, which makes the function
+unusable there; and an edit of that file would not be noticed.
 """
 
 import hashlib
@@ -27,7 +27,7 @@ from numba.extending import intrinsic, overload
 F = TypeVar("F", bound=Callable[..., Any])
 V = TypeVar("V")
 
-# Nobody calls from C: without a wrapper for that there is a tenth less to compile.
+# The functions are not called from C: without C wrappers compilation takes 10 % less time.
 LEAN: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -50,13 +50,13 @@ def _cache_folder() -> Path:
 
 
 def is_ours(thing: Callable[..., Any]) -> bool:
-    """Whether a function or class is from a file whose edits mean a new cache folder."""
+    """Whether a function or class is from a source file that determines the cache folder."""
     names = (package.replace("/", ".") for package in PACKAGES)
     return any(thing.__module__ == n or thing.__module__.startswith(f"{n}.") for n in names)
 
 
 def _is_ours_throughout(kind: Any) -> bool:
-    """The same for a type as numba knows it; one that we do not know is not ours."""
+    """The same for a numba type; an unknown type is not ours."""
     named, several = isinstance(kind, types.BaseNamedTuple), isinstance(kind, types.BaseTuple)
     if named and not is_ours(kind.instance_class):
         return False
@@ -72,7 +72,7 @@ class OwnTypesCache(FunctionCache):
     """Keeps machine code for arguments of our own types only."""
 
     def save_overload(self, sig: tuple[Any, ...], data: Any) -> None:
-        """Keep `data`, compiled for arguments of these types, or do not."""
+        """Save `data`, compiled for these argument types, only if all types are ours."""
         if all(_is_ours_throughout(kind) for kind in sig):
             super().save_overload(sig, data)
 
@@ -82,43 +82,44 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 
 
 def compiled(function: F) -> F:
-    """Compile `function` to machine code on first use; keep the result on disk if it is all ours.
+    """Compile `function` on first use; cache the result on disk if all its types are ours.
 
-    No fast-math: results must be the same bit for bit on every run. The plain Python function
-    stays reachable as `function.py_func`.
+    No fast-math: results must be bit-identical in every run. The plain Python function is
+    available as `function.py_func`.
     """
     return _compiled(function)
 
 
 def inlined(function: F) -> F:
-    """The same, copied into every compiled function that calls it.
+    """The same, inlined into every compiled function that calls it.
 
-    For innermost loops: what a law sees is two hundred words, and a call would hand over them all.
+    For innermost loops: a law's arguments are two hundred words, and a call would copy them all.
     """
     return _compiled(function, forceinline=True)
 
 
 def pasted(function: F) -> F:
-    """Compile `function` only as part of whoever calls it.
+    """Compile `function` only as part of its callers.
 
-    For what is called in one place with many arguments: it is compiled once and not twice. There
-    is no call that holds on to arguments: what it borrows of them the caller must `keep`.
+    For a function with many arguments and one caller: it is compiled once and not twice. No call
+    holds references to its arguments, so the caller must `keep` the arguments that it borrows.
     """
     return cast(F, numba.njit(error_model="numpy", inline="always")(function))
 
 
 def settled(function: F) -> F:
-    """The same compiled function, for one caller whose arguments are of the same types for ever.
+    """The same compiled function, for one caller whose argument types never change.
 
-    At every call numba finds out the types of all arguments, down to the last array of a tuple:
-    for the small functions of a tick that takes longer than what they do. Here it is done at the
-    first call, and again if a whole number is one no longer: it would be cut off, silently. So a
-    settled function has one owner, who hands over what looks alike every time: arrays of the same
-    number of dimensions, layout and kind, and tuples of the same kinds. That nothing checks
-    (tests/experiments/test_settled.py flies with the types compared at every call).
+    At every call numba determines the types of all arguments, down to the last array of a tuple;
+    for the small functions of a tick this takes longer than the function. Here it is done at the
+    first call, and again if an integer argument becomes a float, which would be truncated
+    silently. So a settled function has one owner, which must always pass arguments of the same
+    types: arrays of the same number of dimensions, layout and dtype, and tuples of the same types.
+    This is not checked (tests/experiments/test_settled.py flies with the types compared at every
+    call).
     """
     direct: Callable[..., Any] | None = None
-    whole: list[int] = []  # which arguments are whole numbers
+    whole: list[int] = []  # indices of integer arguments
 
     def call(*args: Any) -> Any:
         nonlocal direct, whole
@@ -134,9 +135,9 @@ def settled(function: F) -> F:
 
 
 def _machine_code(function: Any, args: tuple[Any, ...]) -> Callable[..., Any]:
-    """What numba runs for arguments that look like these; found once for all owners.
+    """The machine code for arguments of these types; looked up once for all owners.
 
-    Among a hundred vehicles each asking numba is a tenth of a short flight.
+    With a hundred vehicles, a lookup by each of them takes a tenth of a short flight.
     """
     found: dict[Any, Callable[..., Any]] = function.__dict__.setdefault("machine_code", {})
     if (code := found.get(look := _look(args))) is None:
@@ -145,10 +146,10 @@ def _machine_code(function: Any, args: tuple[Any, ...]) -> Callable[..., Any]:
 
 
 def _look(value: Any) -> Any:
-    """Values that look alike are of one type to numba; arrays of one type may look different.
+    """A key of a value's type: equal keys mean equal numba types.
 
     Raises:
-        TypeError: for a list or the like, whose type hangs on what is in it.
+    TypeError: for a list or similar, whose type depends on its contents.
     """
     if isinstance(value, (list, set, dict)):
         raise TypeError(f"expected arrays, tuples and numbers, found a {type(value).__name__}")
@@ -160,12 +161,12 @@ def _look(value: Any) -> Any:
 def _compiled(function: F, *, forceinline: bool = False) -> F:
     dispatcher: Any = numba.njit(**LEAN, forceinline=forceinline)(function)
     if is_ours(function):
-        dispatcher._cache = OwnTypesCache(function)  # what `cache=True` does, but for the class
+        dispatcher._cache = OwnTypesCache(function)  # as `cache=True`, with another class
     return cast(F, dispatcher)
 
 
 def _without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-    """Code for `value` with the owner of every array in it struck out."""
+    """Code for `value` without the owner of each array in it."""
     if isinstance(kind, types.Array):
         array = context.make_array(kind)(context, builder, value=value)
         array.meminfo = cgutils.get_null_value(array.meminfo.type)
@@ -195,17 +196,17 @@ def _hold(typingctx: Any, value: Any) -> Any:
 
 
 def borrowed(value: V) -> V:
-    """The same arrays, or (nested) tuples of arrays, without counting who uses them.
+    """The same arrays, or (nested) tuples of arrays, without reference counting.
 
-    In compiled code every use of an array of a tuple counts references up and down, with atomic
-    instructions: two thirds of a law's time. What is borrowed is not counted. The owner must
-    outlive it: arguments that came from Python do, and so does what is handed to `keep` afterwards.
+    In compiled code every use of an array in a tuple changes a reference count with atomic
+    instructions: two thirds of a law's time. Borrowed arrays are not counted. The owner must
+    outlive them: arguments from Python do, and so do values passed to `keep` afterwards.
     """
     return value
 
 
 def keep(value: object) -> None:
-    """Make `value` live until here."""
+    """Keep `value` alive until this call."""
 
 
 @overload(borrowed, jit_options={"forceinline": True})

@@ -1,15 +1,15 @@
-"""The one family of errors that this software raises on purpose."""
+"""Base class of all errors that this software raises on purpose."""
 
 
 class TestbedError(Exception):
-    """Something the caller can act on: where, what was expected, what was found, what to do.
+    """An error the caller can act on: where, what was expected, what was found, what to do.
 
     Args:
-        text: a plain sentence, where the four parts below do not apply.
+        text: a plain sentence, if the four parts below do not apply.
         where: the file, key, device or vehicle concerned.
-        expected: what would have been right.
-        found: what was there instead.
-        hint: what to do about it.
+        expected: a valid value.
+        found: the actual value.
+        hint: what to do.
     """
 
     __test__ = False  # pytest must not collect it because of its name

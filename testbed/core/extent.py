@@ -1,6 +1,6 @@
-"""How far apart the two farthest of many points are, each with a margin of its own.
+"""Largest distance between any two of many points, each with its own margin.
 
-Plain geometry without an N x N array, here because for this package compiled code is kept on disk.
+Geometry without an N x N array; it is in this package because its compiled code is cached on disk.
 """
 
 from typing import Any
@@ -18,8 +18,8 @@ LEAF = 16  # points that are not divided further
 def largest_extent(x: Array, m: Array) -> float:
     """Largest d_ij + m_i + m_j over all pairs i != j [m].
 
-    Pairs of boxes, the most promising first, are divided until none can beat the best pair found.
-    Few pairs of boxes are looked at, even for a ring or a sphere, where very many pairs lie nearly
+    Pairs of boxes, the most promising first, are divided until none can exceed the best pair found.
+    Few pairs of boxes are visited, even for a ring or a sphere, where very many pairs are nearly
     opposite each other: ten times as many points take about twenty times as long.
     """
     order, first, end, low, high, most = boxes(x, m)
@@ -55,7 +55,7 @@ def boxes(x: Array, m: Array) -> tuple[NDArray[Any], ...]:
 
 @compiled
 def reach(i, j, low, high, most):
-    """No pair between the boxes i and j is larger than this."""
+    """Upper bound of the pairs between the boxes i and j."""
     total = 0.0
     for a in range(low.shape[1]):
         total += max(high[i, a] - low[j, a], high[j, a] - low[i, a]) ** 2

@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def pip_install(extra: str, root: Path = ROOT) -> str:
     """The command that installs an extra into the environment that runs this.
 
-    In a checkout it installs the checkout; the project is on no index under its name then.
+    In a checkout it installs the checkout, which may not be on any package index.
     """
     pip = shlex.quote(_short(Path(sys.executable).with_name("pip")))
     if not (root / "pyproject.toml").is_file():
@@ -20,6 +20,6 @@ def pip_install(extra: str, root: Path = ROOT) -> str:
 
 
 def _short(path: Path) -> str:
-    """Relative to where the operator is, if it is below that."""
+    """Path relative to the current folder, if it is inside it."""
     here = Path.cwd()
     return str(path.relative_to(here) if path.is_relative_to(here) else path)

@@ -1,10 +1,10 @@
-"""Faults that are asked for: `[[inject]]` in an experiment file, so that a lab can rehearse them.
+"""Fault injection: `[[inject]]` in an experiment file, so that a lab can rehearse faults.
 
 [[inject]]
 kind = "drop_mocap"
 vehicle = "sat2"
 at_s = 31.4             # or: event = "near_obstacle", threshold = 1.0
-for_s = 0.3             # without it: to the end
+for_s = 0.3             # default: to the end
 """
 
 from typing import Literal
@@ -14,32 +14,32 @@ from msgspec import Struct
 from testbed.core.vehicle import NonNegative, Positive
 
 Kind = Literal[
-    "drop_mocap",  # no more poses
+    "drop_mocap",  # poses stop
     "freeze_mocap",  # the same pose again and again, with fresh stamps
-    "jump_mocap",  # all poses off by `value` [m]
+    "jump_mocap",  # all poses shifted by `value` [m]
     "noisy_mocap",  # all poses with noise of `value` [m]
-    "swap_bodies",  # with `other`
+    "swap_bodies",  # poses are swapped with those of `other`
     "delay_link",  # messages to the vehicle take `value` [s] longer
     "lose_link",  # messages to the vehicle are lost with the probability `value`
-    "kill_process",  # the vehicle's process is gone
+    "kill_process",  # the vehicle's process is killed
     "stick_open",  # valve number `jet` stays open
     "stick_closed",  # valve number `jet` stays shut
-    "leak_valve",  # valve number `jet` lets the share `value` of its flow through when it is shut
+    "leak_valve",  # valve number `jet` leaks the share `value` of its flow when shut
     "leak",  # `value` [kg/s] of gas
-    "brown_out",  # the board resets and is away
+    "brown_out",  # the board loses its power
     "clock_step",  # the vehicle's clock and the cameras' differ by `value` [s]
     "nan_law",  # the law's force is not a number
     "raise_law",  # the law raises an exception
-    "operator_gone",  # nobody is there any more
+    "operator_gone",  # the operator's presence is no longer reported
     "disk_full",
     "config_differs",
     "overrun",  # every tick begins `value` [s] late
-    # only where there are wires: on the bench
+    # only on the bench
     "stop_process",  # the vehicle's process hangs
-    "cut_serial",  # the line to its board
-    "sag",  # supply pressure at the share `value`, as its board reads it
-    "flat_battery",  # at `value` [V], as its board reads it
-    "foreign_session",  # somebody else sends setpoints to the vehicle
+    "cut_serial",  # the line to its board is cut
+    "sag",  # its board reads a supply pressure of the share `value`
+    "flat_battery",  # its board reads `value` [V]
+    "foreign_session",  # another session sends setpoints to the vehicle
     "kill_host",
     "stop_host",  # the host's process hangs
 ]
@@ -50,7 +50,7 @@ ON_WIRES: tuple[Kind, ...] = (
 
 EVENTS = Literal["near_obstacle", "near_vehicle", "near_edge", "faster_than"]
 
-VALUES: dict[str, float] = {  # when none is given
+VALUES: dict[str, float] = {  # defaults
     "jump_mocap": 0.3,
     "noisy_mocap": 0.02,
     "delay_link": 0.6,
@@ -87,5 +87,5 @@ class Injection(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def size(self) -> float:
-        """`value`, or what is usual for the kind."""
+        """`value`, or the default of the kind."""
         return VALUES.get(self.kind, 0.0) if self.value is None else self.value

@@ -1,7 +1,7 @@
-r"""Eight jets and what they can do: the effect matrix B.
+r"""The jets' effect matrix B.
 
-The default vehicle, seen from above; arrows show where the open valve pushes the *body*, the plume
-leaves the other way. Numbers are the jets' order in the vehicle file.
+The default vehicle, seen from above; arrows show the direction in which an open valve pushes the
+*body*; the plume leaves in the opposite direction. Numbers are the jets' order in the vehicle file.
 
                  y_B
                   ^
@@ -15,7 +15,7 @@ leaves the other way. Numbers are the jets' order in the vehicle file.
             ^           ^
            [4]         [3]
 
-Any other layout works: everything below follows from the positions and directions in the file.
+Any other layout works: the functions below use the positions and directions in the file.
 """
 
 from collections.abc import Sequence

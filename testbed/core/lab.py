@@ -1,6 +1,6 @@
-"""What a lab has around its table, and where to find it: cameras, network, serial lines.
+"""Addresses of a lab: cameras, network, serial lines.
 
-Nothing here listens beyond this machine unless the file names an address that does.
+By default all addresses are on this machine; only the lab file can name others.
 """
 
 from typing import Annotated, Any, Literal
@@ -18,33 +18,33 @@ THRUSTER_SYSTEMS = ("serial",)
 
 
 class MocapWire(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where poses come from and how to read them."""
+    """Source and conventions of the poses."""
 
     system: str = "natnet"  # one of MOCAP_SYSTEMS, or a plug-in
     options: dict[str, Any] = field(default_factory=dict)  # of the plug-in
     server: str = "127.0.0.1"
-    interface: str = "127.0.0.1"  # own address towards it; 0.0.0.0: whichever leads there
+    interface: str = "127.0.0.1"  # own address towards the server; 0.0.0.0: any
     command_port: Port = 1510
     data_port: Port = 1511
-    group: str | None = None  # frames are multicast to this address; none: sent to each client
-    version: Literal["3.1", "4.1"] = "4.1"  # of NatNet; what the twin speaks, a server says its own
-    delay_s: Annotated[float, Meta(ge=0.0)] = 0.0  # exposure to arrival, where no stamp says it
+    group: str | None = None  # multicast address of frames; none: sent to each client
+    version: Literal["3.1", "4.1"] = "4.1"  # NatNet version of the twin; a server reports its own
+    delay_s: Annotated[float, Meta(ge=0.0)] = 0.0  # exposure to arrival, if frames have no stamp
     up: Literal["y", "z"] = "y"  # the axis that points up; Motive's default is y
     origin: Point = (0.0, 0.0)  # of the table's centre, in the floor plane of the cameras [m]
     turn_deg: float = 0.0  # of the table against the cameras, counter-clockwise
-    bodies: dict[str, str] = field(default_factory=dict)  # vehicle -> its body; else the same name
+    bodies: dict[str, str] = field(default_factory=dict)  # vehicle -> body; default: same name
 
 
 class Network(Struct, frozen=True, forbid_unknown_fields=True):
-    """The host listens, everybody else dials."""
+    """The host's address; all other parties connect to it."""
 
-    lab: Word = "lab"  # first part of every key
-    endpoint: str = "tcp/127.0.0.1:7450"  # in Zenoh's words; tls/ with keys
-    keys: str = ""  # the host's folder of those that `testbed lab-keys` makes; none: loopback only
+    lab: Word = "lab"  # first part of every network key
+    endpoint: str = "tcp/127.0.0.1:7450"  # in Zenoh's notation; tls/ with keys
+    keys: str = ""  # the host's key folder from `testbed lab-keys`; empty: loopback only
 
 
 class SerialLines(Struct, frozen=True, forbid_unknown_fields=True):
-    """The boards."""
+    """Serial ports of the valve boards."""
 
     ports: dict[str, str] = field(default_factory=dict)  # vehicle -> device
     baud: Annotated[int, Meta(ge=9600)] = 460_800
@@ -58,7 +58,7 @@ class ThrusterWire(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Weather(Struct, frozen=True, forbid_unknown_fields=True):
-    """Harm done on purpose to what comes in from the network, to see what it costs."""
+    """Simulated delay and loss of incoming messages, for tests."""
 
     loss: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     delay_s: Annotated[float, Meta(ge=0.0)] = 0.0

@@ -1,19 +1,19 @@
-"""What a control law sees, and how its state moves in time.
+"""Interface of control laws: their inputs, and the integration of their state.
 
 A law of the papers is a small dynamical system written once, in continuous time:
 
     force, law_state_rate = rate(gains, law_state, own, neighbours, world, t)
 
 with positions of shape (d,), d = 2 on the table and d = 3 in orbit. The law does not integrate
-itself; `propagate` does, together with the double integrator that a satellite is to first order.
+its state; `propagate` does, together with a double integrator as the model of the satellite.
 
-A law of a formation may have two verbs more. It may `broadcast` something to the others, for
-instance where its proxy is; they hear it late or not at all, and a law never sees more of the
-others than what it heard. And it may `jump`: change what it remembers that is not continuous, for
-instance who is its neighbour in the proximity graph.
+A law of a formation may have two more functions. `broadcast` sends a message to the others, for
+instance the position of its proxy; messages may be late or lost, and a law knows of the others only
+what it received. `jump` changes discrete parts of its state, for instance its neighbours in the
+proximity graph.
 
-The tuples here are what the compiled code is handed. Their arrays belong to the caller and a law
-must not write to them.
+Compiled code receives the tuples below. Their arrays belong to the caller and a law must not write
+to them.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 class Body(NamedTuple):
     """A satellite as its own law sees it.
 
-    `disturbance` is the acceleration that no jet asked for: orbit dynamics, or what the
+    `disturbance` is the acceleration not caused by jets: orbit dynamics, or what the
     estimator sees.
     `max_force` bounds the norm of the force, so that a law with an integral does not wind up.
     """
@@ -45,11 +45,11 @@ class Body(NamedTuple):
     disturbance: Array  # (d,) [m/s^2]
     disturbance_rate: Array  # (d,) its time derivative [m/s^3]
     max_force: float  # [N]
-    vehicle_index: int = 0  # which of the formation it is
+    vehicle_index: int = 0  # its index in the formation
 
 
 class Goal(NamedTuple):
-    """Where the satellite should be; derivatives are zero for a fixed goal."""
+    """Goal of the satellite; derivatives are zero for a fixed goal."""
 
     p: Array  # (d,) [m]
     v: Array  # (d,) [m/s]
@@ -58,7 +58,7 @@ class Goal(NamedTuple):
 
 
 class Discs(NamedTuple):
-    """Things to stay away from."""
+    """Obstacles to stay away from."""
 
     p: Array  # (n, d) centre [m]
     v: Array  # (n, d) [m/s]
@@ -66,45 +66,45 @@ class Discs(NamedTuple):
 
 
 class Neighbours(NamedTuple):
-    """The others as they were heard; one that was never heard is not among them.
+    """The other satellites from which a state was received.
 
-    Positions are carried forward to now. What their laws told is as it was said: only the law
-    knows how that moves, `t - message_t` seconds on.
+    Positions are extrapolated to now. Messages of their laws are not: only the law knows how to
+    extrapolate them by `t - message_t` seconds.
     """
 
     p: Array  # (n, d) centre [m]
     v: Array  # (n, d) [m/s]
     radius: Array  # (n,) distance that the own centre must keep from the centre [m]
-    vehicle_index: NDArray[np.int64]  # (n,) which of the formation each is
-    message: Array  # (n, k) what its law said, k numbers by the law's own convention
-    message_t: Array  # (n,) the time that this is for [s]
+    vehicle_index: NDArray[np.int64]  # (n,) index of each in the formation
+    message: Array  # (n, k) message of its law, k numbers by the law's own convention
+    message_t: Array  # (n,) time of the message [s]
 
 
 def silent(discs: Discs) -> Neighbours:
-    """Neighbours of whom only the movement is known, numbered from 1."""
+    """Neighbours without messages, numbered from 1."""
     n = len(discs.radius)
     return Neighbours(*discs, np.arange(1, n + 1), np.zeros((n, 0)), np.zeros(n))
 
 
 class World(NamedTuple):
-    """What surrounds the satellite."""
+    """Goal and obstacles of the satellite."""
 
     goal: Goal
     obstacles: Discs
 
 
 class Ahead(NamedTuple):
-    """Where a law takes a satellite."""
+    """Result of flying a law ahead."""
 
     law_state: Array  # (n,)
     p: Array  # (d,) [m]
     v: Array  # (d,) [m/s]
     mean_force: Array  # (d,) over the flight [N]
-    message: Array  # (k,) what the law says to the others at the end
+    message: Array  # (k,) message of the law to the others at the end
 
 
 class Concern(Struct, frozen=True):
-    """Something about a law that whoever flies it should know; no error."""
+    """A warning about a law for the operator; not an error."""
 
     name: str
     text: str
@@ -113,7 +113,7 @@ class Concern(Struct, frozen=True):
 class Law(Protocol):
     """A control law of a paper, for one satellite."""
 
-    message_size: int  # how many numbers it tells the others, k
+    message_size: int  # k, the numbers in its message to the others
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """The law's state at the start, shape (n,); n may be 0."""
@@ -134,20 +134,20 @@ class Law(Protocol):
 
 
 def rate_of(law, law_state, own, neighbours, world, t):
-    """Force and rate of a law's state; compiled code picks the law by the type of its gains.
+    """Force and rate of a law's state; compiled code selects the law by the type of its gains.
 
-    Here is the plain Python case, where `law` is an object with a method `rate`.
+    This is the plain Python version, where `law` is an object with a method `rate`.
     """
     return law.rate(law_state, own, neighbours, world, t)
 
 
 def jump_of(law, law_state, own, neighbours, world, t):
-    """A law's state after what changes at once; most laws have nothing of the kind."""
+    """A law's state after a jump of its discrete parts; most laws have none."""
     return law.jump(law_state, own, neighbours, world, t) if hasattr(law, "jump") else law_state
 
 
 def broadcast_of(law, law_state, own, neighbours, world, t):
-    """What a law says to the others, shape (k,); most laws need no more than is seen of them."""
+    """A law's message to the others, shape (k,); most laws send none."""
     return (
         law.broadcast(law_state, own, neighbours, world, t)
         if hasattr(law, "broadcast")
@@ -171,7 +171,7 @@ def _say_nothing(law, law_state, own, neighbours, world, t):
 
 
 def _dispatch(verb: Callable, table: dict[type, Callable], default: Callable | None) -> None:
-    """Make compiled code look a verb up in `table`, by the type of a law's gains."""
+    """Make compiled code look up a function in `table` by the type of a law's gains."""
 
     @overload(verb, jit_options={"forceinline": True})  # the arguments are many words
     def choose(law, law_state, own, neighbours, world, t):
@@ -198,10 +198,10 @@ def _compiled_into(table: dict[type, Callable], gains_type: type) -> Callable[[F
 
 
 def compiled_rate(gains_type: type) -> Callable[[F], F]:
-    """Compile a law's rate and make it the one that `rate_of` means by `gains_type`.
+    """Compile a law's rate and register it in `rate_of` for `gains_type`.
 
-    A function argument would do the same, but numba cannot keep a function that was handed
-    another one on disk.
+    A function argument would do the same, but numba cannot cache a function on disk that takes a
+    function as an argument.
     """
     return _compiled_into(_RATES, gains_type)
 
@@ -272,11 +272,11 @@ def propagate(gains, law_state, own, neighbours, world, t, duration, steps):
 
     Between sub-steps the goal follows its derivatives, obstacles and neighbours keep their
     velocity, and the disturbance follows its rate. Within a sub-step the acceleration is constant,
-    so position and velocity are exact for it; the law's state takes an Euler step, because the laws
-    with sgn gain nothing from a higher order. The law jumps at the start and tells at the end.
+    so position and velocity are exact for it; the law's state takes an Euler step, because a higher
+    order does not help laws with sgn. The law jumps at the start and tells at the end.
 
     Args:
-        gains: the law, as `rate_of` knows it.
+        gains: of the law, registered with `compiled_rate`.
         law_state: shape (n,), at time `t`.
         own: the satellite at time `t`.
         neighbours: the others, extrapolated to time `t`.
@@ -286,7 +286,7 @@ def propagate(gains, law_state, own, neighbours, world, t, duration, steps):
         steps: number of sub-steps, at least 1.
 
     Returns:
-        the end of the flight.
+        the state at the end, the mean force and the law's message.
     """
     h = duration / steps
     z = jump_of(gains, law_state, own, neighbours, world, t).copy()
@@ -326,7 +326,7 @@ def propagate(gains, law_state, own, neighbours, world, t, duration, steps):
                 obstacles_p[n, i] += h * world.obstacles.v[n, i]
             for n in range(others_p.shape[0]):
                 others_p[n, i] += h * neighbours.v[n, i]
-        for i in range(z.shape[0]):  # last: the force may be a view of the law's state
+        for i in range(z.shape[0]):  # last, because the force may be a view of the law's state
             z[i] += h * z_rate[i]
     message = broadcast_of(gains, state, body, others, scene, t + duration)
     keep((own, neighbours, world, disturbance, goal_p, goal_v, goal_a, obstacles_p, others_p))

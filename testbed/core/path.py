@@ -1,4 +1,4 @@
-"""Where a goal that moves is: of a leader, or of a vehicle along a line, a circle or a square."""
+"""Paths of moving goals: a line, a circle or a square."""
 
 import math
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from testbed.core.vehicle import Point, Positive
 
 
 class Moved(NamedTuple):
-    """How far a goal has moved from where the experiment puts it, and how it goes on."""
+    """Displacement of a goal from its position in the experiment, and its derivatives."""
 
     p: Point  # [m]
     v: Point  # [m/s]
@@ -18,7 +18,7 @@ class Moved(NamedTuple):
 
 
 class Line(Struct, frozen=True, forbid_unknown_fields=True, tag="line"):
-    """Straight on at constant velocity."""
+    """Straight line at constant velocity."""
 
     velocity: Point  # [m/s]
 
@@ -29,7 +29,7 @@ class Line(Struct, frozen=True, forbid_unknown_fields=True, tag="line"):
 
 
 class Circle(Struct, frozen=True, forbid_unknown_fields=True, tag="circle"):
-    """Round and round, counter-clockwise; the goal of the experiment is where it starts."""
+    """Circle, counter-clockwise; it starts at the goal of the experiment."""
 
     radius: Positive  # [m]
     period_s: Positive
@@ -49,14 +49,14 @@ class Circle(Struct, frozen=True, forbid_unknown_fields=True, tag="circle"):
 
 
 class Square(Struct, frozen=True, forbid_unknown_fields=True, tag="square"):
-    """Round and round, counter-clockwise, from rest to rest along each side.
+    """Square, counter-clockwise, from rest to rest along each side.
 
-    The goal of the experiment is the corner where it starts; the first side goes along `start_deg`.
-    Each side is the quintic in time with no velocity and no acceleration at its ends.
+    It starts at the goal of the experiment, a corner; the first side goes along `start_deg`.
+    Each side is a quintic in time with zero velocity and acceleration at its ends.
     """
 
     side: Positive  # [m]
-    period_s: Positive  # of a whole round
+    period_s: Positive  # time of a full round
     start_deg: float = 0.0
 
     def at(self, t: float) -> Moved:

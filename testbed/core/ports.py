@@ -1,7 +1,7 @@
-"""The verbs: what the rest of the stack needs from a rig, in a handful of small Protocols.
+"""Interfaces of a rig that the rest of the stack uses, as small Protocols.
 
-The twin, the bench and the table each bring objects with these methods; nothing above them knows
-which rig it is on.
+The twin, the bench and the table each provide objects with these methods; the flight code does not
+depend on the rig.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from testbed.core.types import Health, LawMessage, PoseSample, Setpoint, State, 
 
 
 class Clock(Protocol):
-    """Time. In the twin waiting is what moves the world."""
+    """Time of a run. On the twin waiting advances the simulation."""
 
     def wait_until(self, t: float) -> None:
         """Return at time `t` of the run [s]."""
@@ -28,26 +28,26 @@ class Timer(Clock, Protocol):
 
 
 class PoseSource(Protocol):
-    """The cameras, as one vehicle hears them."""
+    """Source of one vehicle's poses."""
 
     def samples(self) -> Sequence[PoseSample]:
-        """Poses that have arrived since the last call, in order of arrival."""
+        """Poses that arrived since the last call, in order of arrival."""
         ...
 
 
 class Thrusters(Protocol):
-    """The board with the solenoids."""
+    """The board that drives the valves."""
 
     def apply(self, command: ValveCommand) -> None:
         """Send a plan; it replaces the one before."""
         ...
 
     def land(self) -> None:
-        """Shut the air off, the bearings' too; may be said again and again."""
+        """Turn the air off, including the bearings'; may be called repeatedly."""
         ...
 
     def health(self) -> Health:
-        """Newest report of the board."""
+        """The board's newest report."""
         ...
 
 
@@ -77,48 +77,48 @@ class ThrusterBoard(Thrusters, Protocol):
 
 
 class VehicleLink(Protocol):
-    """The vehicle's end of the network. It remembers the newest message of each kind."""
+    """The vehicle's end of the network. It keeps the newest message of each kind."""
 
     def setpoint(self) -> Setpoint | None:
-        """Newest setpoint heard; None before the first."""
+        """The newest setpoint; None before the first."""
         ...
 
     def neighbours(self) -> dict[str, State]:
-        """Newest state heard of each other vehicle."""
+        """The newest state of each other vehicle."""
         ...
 
     def publish(self, state: State) -> None:
-        """Tell host and neighbours."""
+        """Send the state to host and neighbours."""
         ...
 
     def messages(self) -> dict[str, LawMessage]:
-        """Newest words heard of the law of each other vehicle."""
+        """The newest message of each other vehicle's law."""
         ...
 
     def broadcast(self, message: LawMessage) -> None:
-        """Say something to the laws of the others."""
+        """Send a message to the laws of the others."""
         ...
 
 
 class HostLink(Protocol):
-    """The host's end, one per vehicle; it remembers like `VehicleLink`."""
+    """The host's end, one per vehicle; it keeps messages like `VehicleLink`."""
 
     def own(self) -> State | None:
-        """Newest state heard of the vehicle; None before the first."""
+        """The vehicle's newest state; None before the first."""
         ...
 
     def neighbours(self) -> dict[str, State]:
-        """Newest state heard of each other vehicle."""
+        """The newest state of each other vehicle."""
         ...
 
     def publish(self, setpoint: Setpoint) -> None:
-        """Tell the vehicle."""
+        """Send a setpoint to the vehicle."""
         ...
 
     def messages(self) -> dict[str, LawMessage]:
-        """Newest words heard of the law of each other vehicle."""
+        """The newest message of each other vehicle's law."""
         ...
 
     def broadcast(self, message: LawMessage) -> None:
-        """Say something to the laws of the others."""
+        """Send a message to the laws of the others."""
         ...

@@ -1,4 +1,4 @@
-r"""What a commanded pulse becomes behind a solenoid: dead time, linear ramp, closed form.
+r"""Flow of a commanded pulse through a solenoid valve: dead time, linear ramp, closed form.
 
     command   ____|^^^^^^^^^^^^^^^^|______________
                   up               down
@@ -7,8 +7,8 @@ r"""What a commanded pulse becomes behind a solenoid: dead time, linear ramp, cl
                   +open_delay            +close_delay, then the closing ramp
                         open_ramp
 
-One pulse gives a trapezoid, or a triangle when closing starts before the opening ramp is over, or
-nothing when it starts before the flow does. Times are seconds on any one clock.
+A pulse gives a trapezoid, a triangle if closing starts before the opening ramp is over, or no flow
+if it starts before the flow. Times are in seconds on any one clock.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ class Timing(NamedTuple):
 
 
 def timing(valve: Valve) -> Timing:
-    """The part of the vehicle file that shapes a pulse."""
+    """The valve's timing from the vehicle file."""
     return Timing(valve.open_delay_s, valve.close_delay_s, valve.open_ramp_s, valve.close_ramp_s)
 
 

@@ -1,4 +1,4 @@
-"""Plane geometry: angles and the turn between the table frame W and the body frame B."""
+"""Plane geometry: angles, and rotations between the table frame W and the body frame B."""
 
 import math
 
@@ -15,12 +15,12 @@ wrap_compiled = compiled(wrap)
 
 
 def to_body(theta: float, x_w: float, y_w: float) -> tuple[float, float]:
-    """A vector of W, seen from a body with heading `theta` [rad]."""
+    """Rotate a vector from W to the frame B of a body with heading `theta` [rad]."""
     c, s = math.cos(theta), math.sin(theta)
     return c * x_w + s * y_w, -s * x_w + c * y_w
 
 
 def to_table(theta: float, x_b: float, y_b: float) -> tuple[float, float]:
-    """A vector of B, seen from the table."""
+    """Rotate a vector from B to W."""
     c, s = math.cos(theta), math.sin(theta)
     return c * x_b - s * y_b, s * x_b + c * y_b

@@ -1,4 +1,4 @@
-"""The granite, what stands on it, the cameras above it and the wireless link."""
+"""The table: granite, obstacles, motion capture and wireless link."""
 
 from typing import Annotated
 
@@ -29,7 +29,7 @@ class Mocap(Struct, frozen=True, forbid_unknown_fields=True):
     jitter_s: NonNegative  # one standard deviation of the latency, never earlier than half of it
     noise: NonNegative  # position, one standard deviation [m]
     noise_deg: NonNegative  # heading, one standard deviation
-    dropout_rate: NonNegative  # how often a body is lost [1/s]
+    dropout_rate: NonNegative  # rate at which a body is lost [1/s]
     dropout_s: NonNegative  # mean length of a loss
 
 
@@ -42,15 +42,15 @@ class Link(Struct, frozen=True, forbid_unknown_fields=True):
     burst_loss: Probability  # of a message in the bad state
     burst_enter: Probability  # good -> bad, per message
     burst_leave: Probability  # bad -> good, per message
-    range_m: Positive | None = None  # of a vehicle's voice; without: they all hear each other
+    range_m: Positive | None = None  # radio range between vehicles; without: unlimited
 
 
 class Obstacle(Struct, frozen=True, forbid_unknown_fields=True):
-    """A disc to keep away from; `solid` is what a vehicle would really hit."""
+    """A disc to keep away from; `solid` is the body that a vehicle would hit."""
 
     position: tuple[float, float]  # [m]
     radius: Positive  # danger radius: centre to centre [m]
-    solid: NonNegative = 0.0  # radius of the body in the middle; 0: nothing stands there [m]
+    solid: NonNegative = 0.0  # radius of the body in its middle; 0: no body [m]
     velocity: tuple[float, float] = (0.0, 0.0)  # [m/s]
 
 

@@ -1,12 +1,11 @@
-"""The nouns: everything that passes between the parts of the stack, goes on the wire or in the log.
+"""Data types that pass between the parts of the stack, over the network and into the log.
 
 SI units and radians. One quantity, one frame: pose and twist are in the table frame W (origin at
 the table's centre, x right, y up, theta counter-clockwise), a wrench is in the body frame B. Where
 a quantity leaves its usual frame, its name says so (`force_w`).
 
-All are frozen: a value handed over is never changed behind anyone's back. A frozen value cannot be
-part of a cycle, so none is known to the garbage collector (`gc=False`): a flight makes half a
-million of them.
+All are frozen: a value that is passed on never changes. A frozen value cannot be part of a cycle,
+so the garbage collector does not track it (`gc=False`): a flight creates half a million of them.
 """
 
 from msgspec import Struct
@@ -54,18 +53,18 @@ class PoseSample(Struct, frozen=True, gc=False, array_like=True):
 
 
 class State(Struct, frozen=True, gc=False):
-    """What a satellite believes about itself at time `t`."""
+    """A satellite's estimate of its own state at time `t`."""
 
     t: float  # [s]
     pose: Pose
     twist: Twist
     bias: Accel  # acceleration that the commanded jets do not explain
     pose_age: float  # since the newest accepted sample was captured [s]
-    rejected: int  # samples the outlier gate has refused of late; see flight/estimator.py
+    rejected: int  # samples that the outlier gate refused recently; see flight/estimator.py
 
 
 class Reference(Struct, frozen=True, gc=False, tag=True):
-    """Where to be at time `t`, and how to accelerate during the jet period that follows."""
+    """Desired motion at time `t`, and the acceleration during the following jet period."""
 
     t: float  # [s]
     pose: Pose
@@ -74,16 +73,16 @@ class Reference(Struct, frozen=True, gc=False, tag=True):
 
 
 class Trajectory(Struct, frozen=True, gc=False, tag=True):
-    """References for the coming jet periods: a lost message costs nothing while they last."""
+    """References for the coming jet periods: they bridge lost messages."""
 
     references: tuple[Reference, ...]  # in order of time, at least one
-    valid_until: float  # worth nothing afterwards [s]
+    valid_until: float  # not used afterwards [s]
 
 
 class Demand(Struct, frozen=True, gc=False, tag=True):
     """A mean force for the jet period that starts at `t`, and the heading to hold meanwhile.
 
-    The heading loop closes on the vehicle also when the law that asks for the force does not.
+    The heading loop closes on the vehicle, also if the loop of the law closes on the host.
     """
 
     t: float  # [s]
@@ -92,7 +91,7 @@ class Demand(Struct, frozen=True, gc=False, tag=True):
     theta: float  # [rad]
     omega: float  # [rad/s]
     alpha: float  # [rad/s^2]
-    valid_until: float  # worth nothing afterwards [s]
+    valid_until: float  # not used afterwards [s]
 
 
 Setpoint = Trajectory | Demand
@@ -101,8 +100,8 @@ Setpoint = Trajectory | Demand
 class ValveCommand(Struct, frozen=True, gc=False):
     """A complete plan for one jet period: one pulse at most per valve.
 
-    A plan replaces the one before when it starts, and it ends by itself: after `valid_until`
-    every valve is closed, whatever became of the sender.
+    A plan replaces the previous one when it starts, and it expires: after `valid_until` every valve
+    is closed, also if the sender has failed.
     """
 
     seq: int
@@ -113,14 +112,14 @@ class ValveCommand(Struct, frozen=True, gc=False):
 
 
 class LawMessage(Struct, frozen=True, gc=False):
-    """What a vehicle's law says to the laws of the others."""
+    """Message of a vehicle's law to the laws of the others."""
 
-    t: float  # what it is for [s]
+    t: float  # time for which it is valid [s]
     values: tuple[float, ...]  # by the law's own convention, in the law's own units
 
 
 class Health(Struct, frozen=True, gc=False, omit_defaults=True):
-    """What the board reports of itself."""
+    """The valve board's report."""
 
     t: float  # board's time [s]
     supply_pressure: float  # behind the regulator [Pa]
@@ -130,97 +129,97 @@ class Health(Struct, frozen=True, gc=False, omit_defaults=True):
 
 
 class Vitals(Struct, frozen=True, gc=False, omit_defaults=True):
-    """What the process round a vehicle's chain knows of itself, the network and the operator.
+    """Data about a vehicle's process, the network and the operator.
 
-    The defaults are what it is when all is well: a rig fills in what it can tell.
+    The defaults mean that all is in order: a rig fills in the data that it has.
     """
 
     session_ok: bool = True  # setpoints are of the session that armed the vehicle
     operator_age: float = 0.0  # since the operator's presence was last heard [s]
     clock_offset: float = 0.0  # the host's clock minus the vehicle's [s]
-    late_s: float = 0.0  # how long after its time this tick began [s]
-    disk_free: float = 1e12  # where the log goes [bytes]
+    late_s: float = 0.0  # delay of this tick's start [s]
+    disk_free: float = 1e12  # on the disk of the log [bytes]
     same_config: bool = True  # host and vehicle have the same configuration hash
-    law_error: str = ""  # what the law on the host died of
+    law_error: str = ""  # exception of the law on the host
     fleet: str = ""  # a fault of another vehicle that stops all
     foreign: int = 0  # messages of another session since the last tick; none was obeyed
-    end: str = ""  # why the flight is over: come to rest and shut the air off
+    end: str = ""  # why the flight is over; not empty: come to rest and turn the air off
 
 
 ALL_WELL = Vitals()
 
 
 class Intervention(Struct, frozen=True, gc=False):
-    """What the safety filter made of the demanded force."""
+    """Change of the demanded force by the safety filter."""
 
     dfx_w: float  # change of the mean force in W [N]
     dfy_w: float  # [N]
-    because: str  # what it kept the vehicle away from
+    because: str  # the hazard that it avoids
 
 
 class Inputs(Struct, frozen=True, gc=False, omit_defaults=True):
-    """All that a satellite is told between two ticks. With `Outputs` it makes a run replayable."""
+    """All inputs of a satellite at a tick. With `Outputs` they make a run replayable."""
 
     t: float  # [s]
     armed: bool
     samples: tuple[PoseSample, ...]  # arrived since the last tick, in order of arrival
-    setpoint: Setpoint | None  # the newest one heard, however old
-    neighbours: dict[str, State]  # the newest one heard of each, however old
+    setpoint: Setpoint | None  # the newest one, of any age
+    neighbours: dict[str, State]  # the newest one of each, of any age
     health: Health
-    messages: dict[str, LawMessage] = {}  # by the laws of the others, the newest of each
+    messages: dict[str, LawMessage] = {}  # newest message of each other vehicle's law
     vitals: Vitals = ALL_WELL
 
 
 class Outputs(Struct, frozen=True, gc=False, omit_defaults=True):
-    """All that a satellite does in one tick."""
+    """All outputs of a satellite at a tick."""
 
     t: float  # [s]
     state: State | None  # None before the first pose
-    active_setpoint: Reference | Demand | None  # what the tracker was given
-    commanded_wrench: Wrench  # what tracker or law asks for, mean over the period
-    realised_wrench: Wrench  # what the pulses of `command` give, by the vehicle's jet table
+    active_setpoint: Reference | Demand | None  # input of the tracker
+    commanded_wrench: Wrench  # demanded by tracker or law, mean over the period
+    realised_wrench: Wrench  # mean wrench of the pulses of `command`, by the vehicle's jet table
     command: ValveCommand
     inhibit_reason: str | None = None  # the gate's reason, None while it is open
     fault: str | None = None  # a reason that ends the run, latched
-    message: LawMessage | None = None  # by its law, if that runs on board and talks
+    message: LawMessage | None = None  # message of its law, if it runs on board and sends one
     faults: tuple[str, ...] = ()  # ids of all rows of the fault table that hold now
-    response: str = ""  # the most severe response in force; empty: none
-    filtered: Intervention | None = None  # None: the demand was left as it was
-    air_off: bool = False  # shut the bearing air off: nothing flies on from here
+    response: str = ""  # the most severe active response; empty: none
+    filtered: Intervention | None = None  # None: the demand was not changed
+    air_off: bool = False  # turn the bearing air off for good
 
 
 class Tick(Struct, frozen=True, gc=False):
-    """One vehicle's tick, whole: what replay feeds in and compares."""
+    """One vehicle's complete tick, as used by replay."""
 
     inputs: Inputs
     outputs: Outputs
 
 
 class EndingTick(Tick, frozen=True, gc=False):
-    """A tick after the end of the flight: what is measured of the flight leaves it out."""
+    """A tick after the end of the flight; metrics of the flight ignore it."""
 
 
 class HostInputs(Struct, frozen=True, gc=False, omit_defaults=True):
-    """All that the host's half of one satellite knows at a tick: newest heard, however old."""
+    """All inputs of a satellite's law on the host at a tick: the newest data, of any age."""
 
     t: float  # [s]
     own: State | None
     neighbours: dict[str, State]
-    messages: dict[str, LawMessage] = {}  # by the laws of the others
+    messages: dict[str, LawMessage] = {}  # newest message of each other vehicle's law
 
 
 class HostOutputs(Struct, frozen=True, gc=False, omit_defaults=True):
-    """The host's answer."""
+    """All outputs of a law on the host at a tick."""
 
     t: float  # [s]
     setpoint: Setpoint | None
-    message: LawMessage | None = None  # by the law, if it talks
-    law_error: str = ""  # what the law died of
-    filtered: Intervention | None = None  # of the reference model's force
+    message: LawMessage | None = None  # message of the law, if it sends one
+    law_error: str = ""  # exception of the law
+    filtered: Intervention | None = None  # change of the reference model's force
 
 
 class HostTick(Struct, frozen=True, gc=False):
-    """One tick of a law on the host, whole."""
+    """A complete tick of a law on the host."""
 
     inputs: HostInputs
     outputs: HostOutputs

@@ -1,8 +1,8 @@
-"""A satellite simulator as its file describes it: the only home of mass, jets, valves and air.
+"""A vehicle as in its file: mass, jets, valves and air; other modules take them from here.
 
-The allocator and the twin read the same numbers. What a maker cannot promise (thrust spread,
-nozzle alignment, ...) is written down as a tolerance; the twin draws its true vehicle from it, the
-flight chain never sees the draw.
+The allocator and the twin read the same numbers. Uncertain values (thrust spread, nozzle alignment
+etc.) have a tolerance; the twin draws its true vehicle from it, and the flight chain never sees the
+draw.
 """
 
 from typing import Annotated
@@ -18,7 +18,7 @@ class Jet(Struct, frozen=True, forbid_unknown_fields=True):
     """One nozzle behind one on/off valve."""
 
     position: Point  # in B [m]
-    push: Point  # unit vector in B: where the body is pushed, opposite to the plume
+    push: Point  # unit vector in B: direction of the force on the body, opposite to the plume
     thrust: Positive  # at the regulator's set pressure, this valve alone open [N]
 
 
@@ -55,12 +55,12 @@ class Air(Struct, frozen=True, forbid_unknown_fields=True):
         return max(0.0, min(self.set_pressure, self.pressure_in_tank(gas) - self.dropout))
 
     def pressure_in_tank(self, gas: float) -> float:
-        """Isothermal ideal gas [Pa]."""
+        """Pressure in the tank with `gas` kg left, isothermal ideal gas [Pa]."""
         return self.tank_pressure * max(0.0, gas) / self.gas
 
 
 class Tolerance(Struct, frozen=True, forbid_unknown_fields=True):
-    """One standard deviation of what differs between the file and the metal."""
+    """Standard deviations of the real vehicle from its file."""
 
     thrust: NonNegative  # per jet, relative
     direction_deg: NonNegative  # nozzle alignment
@@ -71,15 +71,15 @@ class Tolerance(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Gauges(Struct, frozen=True, forbid_unknown_fields=True):
-    """What the valve board measures.
+    """Sensors of the valve board.
 
-    A declared sensor that reads 0 is a red arming check: no air, no battery, or a broken wire. One
-    that is not declared is not looked at.
+    A declared sensor that reads 0 fails the arming checks: no air, no battery, or a broken wire. A
+    sensor that is not declared is not checked.
     """
 
     supply: bool = True  # pressure behind the regulator
     battery: bool = True  # voltage of the valves' supply
-    undervoltage_v: NonNegative = 0.0  # the board shuts all valves below it; 0: it never does [V]
+    undervoltage_v: NonNegative = 0.0  # the board shuts all valves below this; 0: never [V]
 
 
 class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,1 +1,1 @@
-"""Fault injection: what is injected, and what became of it."""
+"""Fault injection: injected faults and their results."""

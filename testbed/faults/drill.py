@@ -1,6 +1,6 @@
-"""A drill: the whole catalogue of faults, each injected many times, and what became of it.
+"""A drill: every kind of fault, injected many times, with the results.
 
-Here is what is asked for and how it is judged; flying it is the rig's.
+This module draws the cases and judges them; the rig flies them.
 """
 
 import math
@@ -13,7 +13,7 @@ from msgspec import Struct
 from testbed.core.fault_injection import VALUES, Injection
 from testbed.flight.faults import SEVERITY
 
-# kind of injection -> rows of the fault table, or words of a gate, that name it rightly
+# kind of injection -> rows of the fault table, or texts of a gate, that identify it
 NAMES: dict[str, tuple[str, ...]] = {
     "drop_mocap": ("pose_stale", "pose_lost"),
     "freeze_mocap": ("pose_frozen",),
@@ -36,15 +36,15 @@ NAMES: dict[str, tuple[str, ...]] = {
     "config_differs": ("config_differs",),
     "overrun": ("overrun",),
 }
-# how long after it is detected every valve must be shut: a plan in flight, or a stop; see docs
+# time from detection until every valve must be shut: a plan in flight, or a stop; see docs
 SHUT_WITHIN = {"": math.inf, "warn": math.inf, "hold": math.inf, "coast": 0.15, "land": 0.15}
-BRAKE_WITHIN = 7.0  # [s] the longest stop on board, and the ticks before and after it
-DEAD_WITHIN = 0.25  # [s] a plan that a dead process has sent, and its time to live
-ASKED = 1.5  # [s] of open time that a jet must be asked for before its silence can be noticed
-WHEN = (2.0, 12.0)  # [s]
-ADRIFT = ("kill_process", "brown_out", "leak")  # these take a vehicle's means to push away
-OTHERS = ("kill_process",)  # faults that only the others can name
-SPREAD = {  # sizes that are drawn, as factors of what is usual
+BRAKE_WITHIN = 7.0  # the longest stop on board, and the ticks before and after it [s]
+DEAD_WITHIN = 0.25  # the last plan of a dead process, and its time to live [s]
+ASKED = 1.5  # commanded open time before a jet without thrust can be noticed [s]
+WHEN = (2.0, 12.0)  # range of the injection time [s]
+ADRIFT = ("kill_process", "brown_out", "leak")  # the vehicle can no longer avoid a contact
+OTHERS = ("kill_process",)  # faults that only other vehicles can detect
+SPREAD = {  # range of sizes, as factors of the usual size
     "jump_mocap": (0.5, 3.0),
     "noisy_mocap": (0.5, 3.0),
     "delay_link": (1.0, 3.0),
@@ -57,27 +57,27 @@ SPREAD = {  # sizes that are drawn, as factors of what is usual
 
 
 class Drilled(Struct, frozen=True):
-    """One injection and what became of it."""
+    """One injection and its result."""
 
     kind: str
     experiment: str
     vehicle: str
     seed: int
     at_s: float
-    named: str  # the first row or words that name it; empty: undetected
-    detected_s: float | None  # from its beginning to the response of the vehicle concerned
-    response: str  # the most severe of the vehicle concerned
-    shut_s: float | None  # last valve shut after it began; None: the run went on
+    named: str  # the first row or text that identifies it; empty: undetected
+    detected_s: float | None  # from its beginning to the response of the affected vehicle
+    response: str  # the most severe one of the affected vehicle
+    shut_s: float | None  # from its beginning until all valves were shut; None: the run continued
     late: int  # valves still open after the deadline
-    contacts: int  # while it flew, and hard ones in the minute after
-    travelled_m: float  # the farthest that any vehicle got from where it was when it began
-    fault: str | None  # how the run ended
-    early: tuple[str, ...]  # faults that were latched before it began
-    adrift: int  # contacts of one that could not push any more, or that a moving obstacle ran into
-    dormant: bool  # it had no occasion to show: a valve that is stuck shut and not asked for
-    contacts_after: int = 0  # of `contacts` those in the minute after the end
-    at_rest_s: float | None = None  # after the end, the last vehicle; null: one never was
-    air: str = "off"  # bearing air a minute after the end; "on": of one vehicle at least
+    contacts: int  # during the flight, and hard ones in the minute after
+    travelled_m: float  # longest distance of any vehicle from its position at the beginning
+    fault: str | None  # fault that ended the run
+    early: tuple[str, ...]  # faults latched before it began
+    adrift: int  # contacts of a vehicle without thrust, or caused by a moving obstacle
+    dormant: bool  # it had no effect: for example a valve stuck shut that was not commanded
+    contacts_after: int = 0  # part of `contacts` in the minute after the end
+    at_rest_s: float | None = None  # from the end until all vehicles rested; null: never
+    air: str = "off"  # bearing air a minute after the end; "on": at least one vehicle
 
 
 class Row(Struct, frozen=True):
@@ -85,7 +85,7 @@ class Row(Struct, frozen=True):
 
     kind: str
     cases: int
-    undetected: int  # without the dormant
+    undetected: int  # without dormant cases
     dormant: int
     detected_median_s: float | None
     detected_worst_s: float | None
@@ -97,26 +97,26 @@ class Row(Struct, frozen=True):
     valves_open_after_deadline: int
     contacts_after: int = 0
     moving: int = 0  # cases in which a vehicle was not at rest a minute after the end
-    air_on: int = 0  # cases in which a bearing had air then
+    air_on: int = 0  # cases in which a vehicle had bearing air then
 
 
 class Drill(Struct, frozen=True):
-    """What `testbed drill --json` prints."""
+    """The output of `testbed drill --json`."""
 
     rig: str
     injections: int
     undetected: int
     dormant: int
     valves_open_after_deadline: int
-    contacts: int  # but for those adrift: no response can prevent them
+    contacts: int  # without `adrift`, which no response can prevent
     contacts_adrift: int
     false_alarms: int
     rows: list[Row]
-    contacts_after: int = 0  # of the contacts those in the minute after the end
+    contacts_after: int = 0  # part of `contacts` in the minute after the end
 
 
 def draw(kind: Any, vehicles: Sequence[str], jets: int, rng: np.random.Generator) -> Injection:
-    """A random case of a kind, in the first seconds of a run that begins anywhere on the table."""
+    """A random case of a kind, in the first seconds of a run."""
     who = rng.permutation(len(vehicles))
     low, high = SPREAD.get(kind, (1.0, 1.0))
     usual = VALUES.get(kind)
@@ -133,34 +133,34 @@ def draw(kind: Any, vehicles: Sequence[str], jets: int, rng: np.random.Generator
 def answered(
     named: Sequence[tuple[float, str]], responses: Sequence[tuple[float, str]], began: float
 ) -> tuple[str, float | None]:
-    """What names a fault rightly, and how long after its beginning the vehicle did something.
+    """The correct name of a fault, and the time from its beginning to the vehicle's response.
 
-    A warning comes in flights without a fault, too: it counts only where nothing else followed.
+    Warnings also occur in flights without a fault: one counts only if nothing else followed.
 
     Args:
-        named: time and right name, of whom it concerns.
-        responses: time and response of the vehicle concerned.
-        began: when the fault did [s].
+        named: times and correct names, for the affected vehicle.
+        responses: times and responses of the affected vehicle.
+        began: when the fault began [s].
     """
     if not named:
         return "", None
-    since: dict[str, float] = {}  # each name, and when it was said first
+    since: dict[str, float] = {}  # each name, and its first time
     for t, name in sorted(named):
         since.setdefault(name, t)
     first = min(since.values())
     acted = min((t for t, one in responses if t >= began and one != "warn"), default=first)
-    # the last that came before the response is what it was for; a host may say it afterwards
+    # the last name before the response caused it; a host may report it later
     known = {name: t for name, t in since.items() if t <= acted} or since
     return max(known, key=known.__getitem__), acted - began
 
 
 def deadline(response: str) -> float:
-    """How long after detection every valve must be shut [s]."""
+    """Time from detection until every valve must be shut [s]."""
     return BRAKE_WITHIN if response == "brake" else SHUT_WITHIN[response]
 
 
 def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
-    """The table."""
+    """Summarise all cases in one row per kind."""
     rows = []
     for kind in dict.fromkeys(one.kind for one in cases):
         own = [one for one in cases if one.kind == kind]

@@ -1,6 +1,7 @@
-"""What a rehearsed fault does to a law and to a process, on any rig.
+"""Injected faults of a law and of a vehicle's process, on any rig.
 
-The twin breaks cameras, air and boards itself; these two stand where the stack is put together.
+The twin injects faults of cameras, air and boards; these wrappers are added in `rig/chain.py` and
+`rig/twin.py`.
 """
 
 from collections.abc import Callable
@@ -15,17 +16,17 @@ from testbed.flight.loop import VehicleNode
 
 
 class SabotageError(TestbedError):
-    """What a law raises when it is told to."""
+    """The error that an injected fault raises in a law."""
 
 
 class SpoiltLaw:
-    """A law that goes wrong when `spoilt()` says so: "nan" or "raise"."""
+    """A law that returns nan or raises when `spoilt()` returns "nan" or "raise"."""
 
     def __init__(self, law: Law, spoilt: Callable[[], str]) -> None:
         self._law, self._spoilt, self.message_size = law, spoilt, law.message_size
 
     def concerns(self, law_state: Array) -> list[Concern]:
-        """What the law itself has to say of the flight."""
+        """See `Law`."""
         say = getattr(self._law, "concerns", None)
         return [] if say is None else list(say(law_state))
 
@@ -55,7 +56,7 @@ class SpoiltLaw:
 
 
 class CrashableNode:
-    """A vehicle's node whose process may die: then it neither listens nor acts."""
+    """A vehicle's node whose process may die: then it neither receives nor acts."""
 
     def __init__(self, node: VehicleNode, jets: int, dead: Callable[[], bool]) -> None:
         self.name = node.name
@@ -67,7 +68,7 @@ class CrashableNode:
         return self._node.guidance
 
     def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
-        """The node's own tick, or what a log says of a process that is gone."""
+        """The node's tick, or a tick without state if the process is dead."""
         if not self._dead():
             return self._node.tick(t, armed, fleet, end)
         still, command = Wrench(0.0, 0.0, 0.0), ValveCommand(0, t, t, self._shut, self._shut)

@@ -1,6 +1,6 @@
-"""One vehicle's flight chain: a pure step from what it is told to what it does.
+"""One vehicle's flight chain: a pure step from inputs to outputs.
 
-    samples -> estimator -> [guidance, if the law runs here] -> tracker -> watch -> safety filter
+    samples -> estimator -> [guidance, if on board] -> tracker -> fault monitor -> safety filter
             -> allocator -> modulator -> gate -> valve command
 
 No clock, no socket, no file, no randomness. The same inputs in the same order give the same
@@ -38,7 +38,7 @@ STILL = Wrench(0.0, 0.0, 0.0)
 
 
 class FlightParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """The chain on board."""
+    """Parameters of the chain on board."""
 
     jet_period_s: Positive = 0.1
     modulator: ModulatorParams = field(default_factory=SigmaDeltaParams)
@@ -51,12 +51,12 @@ class FlightParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def lead_time(vehicle: Vehicle) -> float:
-    """From issuing a plan until its pulses begin to push [s]."""
+    """Time from issuing a plan until its pulses produce thrust [s]."""
     return vehicle.command_delay_s + vehicle.valve.open_delay_s
 
 
 class Agent:
-    """One vehicle. `guidance` is given when its law runs on board."""
+    """One vehicle's flight chain. `guidance` is given if its law runs on board."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class Agent:
         safety: Safety | None = None,
     ) -> None:
         self._safety = safety
-        # neighbours' states are of use to a law, and to stay clear of them
+        # a law and the collision filter need the neighbours' states
         self.hears_neighbours = guidance is not None or safety is not None
         self._vehicle, self._period = vehicle, params.jet_period_s
         self._lead = lead_time(vehicle)
@@ -77,14 +77,14 @@ class Agent:
         self._allocator = Allocator(params.allocator, vehicle)
         self._brake_decel = params.tracker.brake_decel
         self._stop: Reference | None = None
-        self._law_error = ""  # what the law on board died of
+        self._law_error = ""  # exception of the law on board
         self._seq = 0
         valve = vehicle.valve
-        # how much longer than the flow the commanded time must be
+        # commanded time minus time of flow
         stretch = (valve.open_delay_s - valve.close_delay_s) + 0.5 * (
             valve.open_ramp_s - valve.close_ramp_s
         )
-        # the modulator thinks in times of flow, so that it carries over what the board cannot play
+        # the modulator works with times of flow, so it carries over what the board cannot execute
         flow = replace(
             valve,
             min_on_s=max(0.0, valve.min_on_s - stretch),
@@ -96,7 +96,7 @@ class Agent:
 
     @property
     def guidance(self) -> Guidance | None:
-        """The law at work, if it runs on board."""
+        """The guidance, if the law runs on board."""
         return self._guidance
 
     def step(self, inputs: Inputs) -> Outputs:
@@ -126,7 +126,7 @@ class Agent:
             session_ok=inputs.vitals.session_ok, braking=braking,
         )  # fmt: skip
         refused = refused or done
-        # what the gate has shut cannot brake; nor can one that is not armed any more at the end
+        # a vehicle that the gate has shut, or that is disarmed at the end, cannot brake
         air_off = acted.air_off or (inputs.armed and self._gate.fault is not None)
         if end and (not inputs.armed or self._safety is None):
             refused, air_off = refused or end, True
@@ -147,12 +147,12 @@ class Agent:
     def _guided(
         self, t: float, state: State | None, inputs: Inputs
     ) -> tuple[Setpoint | None, LawMessage | None]:
-        """What the law on board wants; its model starts when the vehicle is armed, not before."""
+        """The setpoint of the law on board; its model starts when the vehicle is armed."""
         if self._guidance is None or state is None or not inputs.armed or self._law_error:
             return None, None
         try:
             setpoint = self._guidance.step(t, state, inputs.neighbours, inputs.messages)
-        except Exception as error:  # whatever a law dies of, the vehicle flies on to a stop
+        except Exception as error:  # after any exception of the law the vehicle flies to a stop
             self._law_error = f"{type(error).__name__}: {error}"
             return None, None
         return setpoint, self._guidance.message
@@ -160,10 +160,10 @@ class Agent:
     def _aim(
         self, setpoint: Setpoint | None, state: State | None, t: float
     ) -> tuple[Reference | Demand | None, Wrench]:
-        """What to fly at `t`, and the wrench that flies it.
+        """The setpoint at `t`, and the wrench for it.
 
-        A setpoint that has run out is not flown: the vehicle comes to rest and waits for the next.
-        How long it may wait is the gate's to say.
+        An expired setpoint is not flown: the vehicle comes to rest and waits for the next. The gate
+        limits the wait.
         """
         if setpoint is None or state is None:
             return None, STILL
@@ -182,9 +182,9 @@ class Agent:
     def _plan(
         self, t: float, commanded_wrench: Wrench, thrust_scale: float
     ) -> tuple[ValveCommand, Wrench]:
-        """The plan that gives a wrench, and the mean wrench it gives by the vehicle file's table.
+        """The plan for a wrench, and the mean wrench of the plan by the vehicle file's jet table.
 
-        Of the supply's weakness only what all jets share counts there, not the droop.
+        The mean wrench includes the low supply pressure, which all jets share, but not the droop.
         """
         period, jets = self._period, len(self._vehicle.jets)
         duty = self._allocator.allocate(
@@ -204,13 +204,13 @@ class Agent:
 
 @compiled
 def in_microseconds(on, offset, stretch, period, effect):
-    """Command times, whole microseconds, that give the wanted times of flow.
+    """Command times in whole microseconds for the wanted times of flow.
 
     Args:
         on: shape (jets,) [s].
         offset: shape (jets,) [s].
-        stretch: how much longer than the flow the command must be [s].
-        period: no command may be longer [s].
+        stretch: commanded time minus time of flow [s].
+        period: longest command [s].
         effect: B, shape (3, jets), see jets.py.
 
     Returns:

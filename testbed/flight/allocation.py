@@ -1,16 +1,16 @@
-r"""Allocator: a wanted body wrench in, a duty per jet out, with the least gas.
+r"""Allocator: computes the duty of each jet for a wanted body wrench, with the least gas.
 
     minimise    sum_j thrust_j u_j - K1 s1 - K2 s2
     subject to  B u = s1 w1 + s2 w2,   0 <= u <= 1,   0 <= s <= 1
 
-The wrench is split into the part that matters more, w2, and the rest, w1 (`priority`). K2 >> K1 >>
+The wrench is split into the more important part, w2, and the rest, w1 (`priority`). K2 >> K1 >>
 gas, so a feasible wrench is met exactly (s1 = s2 = 1); otherwise first w1 and then w2 is scaled
 down without changing its direction. u = s = 0 is always feasible, so the answer always exists.
 
 Three equations and ten bounded unknowns: a textbook bounded simplex method on 3 x 3 bases, with
-Bland's rule against cycling. Jets that push against each other are never both open: the least-gas
-optimum of an ideal layout never wants it, and where misaligned nozzles would, one of the two is
-shut and the rest solved again.
+Bland's rule against cycling. Opposing jets are never both open: the least-gas optimum of an
+ideal layout never opens both, and if misaligned nozzles make it do so, one of the two is shut and
+the problem is solved again.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ DIRECTIONS = 360
 
 
 class AllocatorParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """What to give up first when the jets cannot do both."""
+    """Which part of the wrench is kept when the jets cannot deliver both."""
 
     priority: Literal["torque", "force"] = "torque"  # a spinning vehicle pushes the wrong way
 
@@ -82,7 +82,7 @@ def simplex(columns, cost, upper, basis):
             price[i] = 0.0
             for k in range(3):
                 price[i] += cost[basis[k]] * inverse[k, i]
-        # entering variable: steepest at first, Bland's smallest index once it might be cycling
+        # entering variable: steepest at first, later Bland's smallest index, against cycling
         entering, best, sign = -1, TINY, 1.0
         for j in range(n):
             if basic[j] or upper[j] == 0.0:
@@ -147,7 +147,7 @@ def duties(effect, gas, ceiling, wrench, torque_first):
         duty, shape (n,).
     """
     n = effect.shape[1]
-    # rows to one scale, so that tolerances mean the same for newtons and newton metres
+    # scale the rows, so that tolerances are the same for newtons and newton metres
     columns = np.zeros((3, n + 5))
     for i in range(3):
         scale = np.max(np.abs(effect[i]))
@@ -174,7 +174,7 @@ def duties(effect, gas, ceiling, wrench, torque_first):
 
 @compiled
 def one_sided(effect, gas, thrust_scale, wrench, torque_first, opposing):
-    """`duties` at this share of the thrust, without any two jets of `opposing` (n, 2) both open."""
+    """`duties` at this share of the thrust; no pair of `opposing` (n, 2) has both jets open."""
     weakened = effect * thrust_scale
     ceiling = np.ones(effect.shape[1])
     while True:
@@ -192,7 +192,7 @@ def one_sided(effect, gas, thrust_scale, wrench, torque_first, opposing):
 
 @compiled
 def against_droop(duty, droop):
-    """Duties (jets,) that give what was meant although open jets weaken each other."""
+    """Duties (jets,) corrected for droop: open jets weaken each other."""
     open_jets = 0
     for j in range(duty.shape[0]):
         open_jets += duty[j] > 0.0
@@ -201,7 +201,7 @@ def against_droop(duty, droop):
 
 @compiled
 def made_up_for(effect, gas, thrust_scale, wrench, torque_first, opposing, droop):
-    """`one_sided`, then `against_droop`: one call, because crossing into compiled code costs."""
+    """`one_sided`, then `against_droop`, in one call: each call of compiled code costs time."""
     duty = one_sided(effect, gas, thrust_scale, wrench, torque_first, opposing)
     return against_droop(duty, droop)
 
@@ -245,7 +245,7 @@ class Allocator:
         Args:
             wanted: mean wrench over the period, torque about the centre of mass.
             thrust_scale: supply pressure over set pressure.
-            droop: of the supply, per open jet: made up for.
+            droop: of the supply, per open jet; compensated.
         """
         wrench = (wanted.fx, wanted.fy, wanted.tau)
         return self._made_up_for(
@@ -254,16 +254,16 @@ class Allocator:
 
 
 def weakest_force(vehicle: Vehicle) -> float:
-    """What the jets can do in their worst direction without turning the vehicle [N].
+    """Largest force of the jets in their weakest direction without a torque [N].
 
-    Directions are tried, DIRECTIONS of them; between two of them the force of a vehicle whose jets
-    push along a few axes is hardly less.
+    DIRECTIONS equally spaced directions are tried; for jets along a few axes the force between two
+    of them is hardly less.
     """
     return _weakest_of(tuple(vehicle.jets), vehicle.com)
 
 
 @lru_cache(maxsize=64)
 def _weakest_of(jets: tuple[Jet, ...], com: Point) -> float:
-    """The same, found once: a flight chain asks several times, and so does each run of many."""
+    """The same, cached: each flight chain and each run of a campaign needs it several times."""
     effect, gas, opposing = in_numbers(jets, com)
     return weakest(effect, gas, opposing, DIRECTIONS, 2.0 * gas.sum())

@@ -1,6 +1,6 @@
-"""Arming checks of one vehicle: each has a name, and a reason when it is red.
+"""Arming checks of one vehicle: each has a name, and a reason if it fails.
 
-The limits are stricter than those of the fault table: what is nearly a fault is no start.
+The limits are stricter than those of the fault table: a vehicle close to a fault must not start.
 """
 
 import math
@@ -36,7 +36,7 @@ class ArmingParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Readiness(Struct, frozen=True):
-    """What is known of a vehicle that wants to be armed."""
+    """Data of a vehicle for its arming checks."""
 
     t: float  # [s]
     state: State | None
@@ -44,7 +44,7 @@ class Readiness(Struct, frozen=True):
     health: Health | None
     vitals: Vitals
     round_trip: float  # to the host and back [s]
-    valves_shut: bool  # as the board says
+    valves_shut: bool  # as the board reports
     neighbours: Mapping[str, State]
 
 
@@ -52,23 +52,23 @@ class Check(Struct, frozen=True):
     """One check of one vehicle."""
 
     name: str  # "sat1 pose"
-    reason: str  # why it is red; empty: green
-    at_reset: bool  # asked for at a reset, too
+    reason: str  # why it failed; empty: passed
+    at_reset: bool  # also required at a reset
 
 
 class Expected(Struct, frozen=True):
-    """What a vehicle is measured against."""
+    """Expected values for the arming checks."""
 
     name: str
     camera_rate: float  # [Hz]
     set_pressure: float  # [Pa]
     fence: Fence
     start: tuple[float, float, float]  # x, y, theta, as the experiment gives it [m, rad]
-    reach: Mapping[str, float]  # distance of the centres at which it touches each other one [m]
+    reach: Mapping[str, float]  # per other vehicle: distance of the centres at contact [m]
 
 
 def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) -> list[Check]:
-    """All checks of a vehicle, red and green."""
+    """All checks of a vehicle, passed and failed."""
     p, state, health, vitals = params, ready.state, ready.health, ready.vitals
     found: list[tuple[str, bool, str, bool]] = []  # name, green, reason, at reset
 
@@ -90,7 +90,7 @@ def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) ->
         turn = math.degrees(abs(wrap(pose.theta - theta)))
         placed = away <= p.start_distance and turn <= p.start_turn_deg
         off = f"{away:.2f} m and {turn:.0f} deg from where the experiment starts it"
-        check("start", placed, off, at_reset=False)  # also if the cameras' axes are other ones
+        check("start", placed, off, at_reset=False)  # also finds wrong camera axes
         rests = speed <= p.at_rest and abs(twist.omega) <= p.no_spin
         moving = f"moves at {speed:.3f} m/s, turns at {twist.omega:.3f} rad/s"
         check("at rest", rests, moving)
@@ -119,10 +119,8 @@ def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) ->
     check("link", ready.round_trip <= p.round_trip_s, trip, at_reset=False)
     offset = vitals.clock_offset
     check("clock", abs(offset) <= p.clock_offset_s, f"{offset:+.3f} s from the host's")
-    check("session", vitals.session_ok, "of somebody else")
-    check(
-        "config", vitals.same_config, "host and vehicle have different ones: start the agent again"
-    )
+    check("session", vitals.session_ok, "messages of another session")
+    check("config", vitals.same_config, "host and vehicle differ: start the agent again")
     check("disk", vitals.disk_free >= p.disk_free, f"{vitals.disk_free:.1e} bytes free")
     absent = f"not heard for {vitals.operator_age:.1f} s"
     check("operator", vitals.operator_age <= p.operator_age_s, absent)

@@ -1,31 +1,31 @@
 r"""Safety filter: the smallest change of a demanded force that leaves room to stop.
 
-Round any law, whatever it wants: with mass m, jet period T, bias b (the acceleration that no jet
-asked for) and the unit vector n from a hazard to the vehicle, `gap` d and closing speed c = -n v,
-the speed after the coming period must still allow a stop in what is left of the gap then:
+The filter works with any law. With mass m, jet period T, bias b (the acceleration not caused by
+jets) and the unit vector n from a hazard to the vehicle, `gap` d and closing speed c = -n v,
+the speed after the coming period must allow a stop within the gap that is left then:
 
     c1^2 / (2 a s) + (c0 + c1) T'/2 + e <= d,     a force f gives   c1 = c0 - T n (f/m + b)
 
 This is a discrete-time barrier for the braking distance. It bounds c1 and so is a half-plane for f;
-the disc |f| <= F is what the jets can do in any direction. The nearest f is found exactly: it is
-the demand itself, or its projection on one half-plane, or a corner of two, or a point of the disc's
-rim, and all of these are tried. Where the intersection is empty, all half-planes give way by the
-same least amount.
+the disc |f| <= F is the force that the jets can give in any direction. The nearest f is found
+exactly: it is the demand itself, its projection on one half-plane, a corner of two, or a point on
+the disc's rim; all candidates are tried. If the intersection is empty, all half-planes are widened
+by the same least amount.
 
-    a     deceleration that stopping is planned with: a share of F / m, so that two hazards at right
-          angles and the error of the jets still leave enough
+    a     planned deceleration of a stop: a share of F / m, which leaves a margin for two hazards at
+          right angles and for the error of the jets
     s     responsibility. 1 for edges and obstacles. Two vehicles take half of their gap each and
           count their own speed only: as long as each keeps c_i^2 / (2 a) <= d / 2, both can stop at
-          once, without knowing what the other one wants
-    T'    T plus the reaction time of what is not modelled
-    e     how far a neighbour comes meanwhile
+          the same time, without knowing the other's plan
+    T'    T plus the reaction time of unmodelled parts
+    e     how far a neighbour approaches in that time
 
 A second bound keeps a stop straight against the velocity within the gap, v c1 / (2 F/m) <= s d: it
-takes nothing away from one hazard to yield to another, and does not turn when the normal does.
+does not trade one hazard for another, and does not turn when the normal does.
 
-An obstacle moves at constant speed and yields to nobody: its closing speed is the relative one.
-A tangent of a disc is on the safe side of it, and the normal is taken where vehicle and hazard will
-be half a period on.
+An obstacle moves at constant speed and does not avoid vehicles: its closing speed is the relative
+one. A tangent of a disc is on its safe side, and the normal is taken at the positions of vehicle
+and hazard half a period later.
 
 See A. D. Ames et al., "Control barrier functions: theory and applications", European Control
 Conference, 2019, and L. Wang, A. D. Ames, M. Egerstedt, "Safety barrier certificates for
@@ -47,35 +47,35 @@ from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
 
-RETREAT = 0.02  # [m/s] at most, out of a place where the vehicle should not be
-RETREAT_RATE = 0.5  # [1/s] of the depth
-TIGHT = 1e-9  # [N] by so much a candidate may miss a half-plane: rounding
+RETREAT = 0.02  # largest speed out of a forbidden place [m/s]
+RETREAT_RATE = 0.5  # speed of a retreat per depth [1/s]
+TIGHT = 1e-9  # rounding tolerance of a half-plane [N]
 HALVINGS = 40
-FASTER = 0.1  # [m/s] by so much two vehicles may be faster before they are looked at again
-KEPT = 1.0  # [s] a neighbour that is not heard is moved on for so long, then it stays
-WORST_SHARE = 0.1  # of the supply pressure; with less, nothing can be planned
+FASTER = 0.1  # margin of speed in the selection of near neighbours [m/s]
+KEPT = 1.0  # a silent neighbour is extrapolated for this long, then taken as at rest [s]
+WORST_SHARE = 0.1  # lowest share of the supply pressure used for planning
 
 
 class BarrierParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """How far to stay away, and how hard to brake."""
+    """Margins to hazards, and braking effort."""
 
     on: bool = True
     effort: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.5  # of the jets' weakest direction
     reaction_s: NonNegative = 0.2
     vehicle_margin: NonNegative = 0.06  # between the rims of two vehicles [m]
     obstacle_margin: NonNegative = 0.005  # beyond the danger radius [m]
-    # between a rim and the fence [m]: one that has stopped slides off an unlevel table, 5 cm in 7 s
+    # between a rim and the fence [m]: a stopped vehicle slides on an unlevel table, 5 cm in 7 s
     edge_margin: NonNegative = 0.05
     max_speed: Positive = 0.25  # [m/s]
 
 
 class Limits(NamedTuple):
-    """Constants for compiled code."""
+    """Constants of the filter for compiled code."""
 
     mass: float  # [kg]
     force: float  # in any direction [N]
     decel: float  # planned for a stop [m/s^2]
-    hard: float  # all that the jets can do [m/s^2]
+    hard: float  # largest deceleration by the jets [m/s^2]
     period: float  # [s]
     slow: float  # T' [s]
     speed: float  # [m/s]
@@ -151,7 +151,7 @@ def nearest(fx, fy, planes, count, radius, slack):
 
 @compiled
 def yielding(fx, fy, planes, count, radius):
-    """`nearest`, with the half-planes widened by the least amount that leaves something."""
+    """`nearest`, with the half-planes widened by the least amount that makes it feasible."""
     found, x, y = nearest(fx, fy, planes, count, radius, 0.0)
     if found:
         return x, y
@@ -201,11 +201,11 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
         discs: rows (x, y, vx, vy, distance of the centres to keep, responsibility); a
             responsibility below 1 is another vehicle's.
         limits: constants.
-        thrust_scale: of the jets' force that the supply pressure gives.
+        thrust_scale: of the jets' force at the present supply pressure.
 
     Returns:
-        fx, fy, hazard that decided or -1 (number of the disc; then right, left, upper, lower edge;
-        then the speed limit), spare room [m]: the smallest gap less the distance of a full stop.
+        fx, fy, deciding hazard or -1 (number of the disc; then right, left, upper, lower edge; then
+        the speed limit), spare room [m]: the smallest gap minus the distance of a full stop.
     """
     n = discs.shape[0]
     planes = np.empty((n + 5, 4))
@@ -258,7 +258,7 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
 
 @compiled
 def around(t, px, py, speed, obstacles, others, limits):
-    """What matters at time `t`: the obstacles, and the neighbours that are not too far to.
+    """Relevant hazards at time `t`: all obstacles, and neighbours within reach.
 
     Args:
         t: [s].
@@ -266,11 +266,11 @@ def around(t, px, py, speed, obstacles, others, limits):
         py: [m].
         speed: own [m/s].
         obstacles: at time 0, rows as in `filtered`.
-        others: rows (x, y, vx, vy, distance of the centres to keep, time of all that).
+        others: rows (x, y, vx, vy, distance of the centres to keep, time of the row).
         limits: constants.
 
     Returns:
-        discs as in `filtered`, and the row in obstacles and others together that each is of.
+        discs as in `filtered`, and the row of each in obstacles and others together.
     """
     discs = np.empty((obstacles.shape[0] + others.shape[0], 6))
     rows = np.empty(discs.shape[0], dtype=np.int64)
@@ -282,7 +282,7 @@ def around(t, px, py, speed, obstacles, others, limits):
     for k in range(others.shape[0]):
         vx, vy, age = others[k, 2], others[k, 3], t - others[k, 5]
         on = min(max(age, 0.0), KEPT)
-        # what it may have done since, beyond what the margin is for
+        # its possible motion since then, beyond the margin
         late = min(max(age - 2.0 * limits.slow, 0.0), KEPT)
         keep = others[k, 4] + 0.5 * limits.decel * late * late
         x, y = others[k, 0] + on * vx, others[k, 1] + on * vy
@@ -298,7 +298,7 @@ def around(t, px, py, speed, obstacles, others, limits):
 
 @compiled
 def guarded(t, fx, fy, px, py, vx, vy, bx, by, obstacles, others, limits, thrust_scale):
-    """`filtered` with what is `around`; hazards are counted in obstacles, others, edges."""
+    """`filtered` with the hazards from `around`, numbered in obstacles and others, then edges."""
     discs, rows = around(t, px, py, np.hypot(vx, vy), obstacles, others, limits)
     x, y, hazard, spare = filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale)
     if hazard >= discs.shape[0]:
@@ -312,7 +312,7 @@ EDGES = ("the right edge", "the left edge", "the upper edge", "the lower edge", 
 
 
 class Barrier:
-    """One vehicle's filter: what stands on the table, and who else moves there."""
+    """One vehicle's safety filter, with the obstacles and the other vehicles."""
 
     def __init__(
         self,
@@ -330,12 +330,12 @@ class Barrier:
         Args:
             params: margins.
             mass: of the vehicle [kg].
-            force: that its jets give in every direction [N].
+            force: of its jets in every direction [N].
             period: jet period [s].
-            half: where its centre may be, without a margin [m].
+            half: largest distance of its centre from the middle in x and y, without a margin [m].
             obstacles: on the table.
-            keep: of every other vehicle, the distance of the centres at which the rims touch [m].
-            effort: share of `force` that a stop is planned with, if not that of `params`.
+            keep: per other vehicle, the distance of the centres at contact [m].
+            effort: share of `force` for planned stops; None: from `params`.
         """
         decel = (params.effort if effort is None else effort) * force / mass
         self._limits = Limits(
@@ -355,14 +355,14 @@ class Barrier:
         self, t: float, force: tuple[float, float], motion: tuple[float, ...],
         neighbours: Mapping[str, State], thrust_scale: float = 1.0,
     ) -> tuple[float, float, Intervention | None]:  # fmt: skip
-        """The force to use instead, and what was changed.
+        """The filtered force, and the change.
 
         Args:
             t: when the force begins to act [s].
             force: demanded mean over the coming period in W [N].
             motion: x, y [m], vx, vy [m/s], bias x, y [m/s^2] then.
-            neighbours: newest state heard of each other vehicle.
-            thrust_scale: of the jets' force that the supply pressure gives.
+            neighbours: newest state of each other vehicle.
+            thrust_scale: of the jets' force at the present supply pressure.
         """
         fx, fy = force
         px, py, vx, vy, bx, by = motion
@@ -382,10 +382,10 @@ class Barrier:
 
 
 def reaches(radii: Mapping[str, float], name: str) -> dict[str, float]:
-    """Distance of the centres at which `name` touches each other vehicle [m]."""
+    """Per other vehicle, the distance of the centres at which it touches `name` [m]."""
     return {other: radii[name] + radius for other, radius in radii.items() if other != name}
 
 
 def discs_of(rows: Sequence[Sequence[float]]) -> Array:
-    """Rows for `filtered`, also when there are none."""
+    """Rows for `filtered`; works for an empty list."""
     return np.array(rows, dtype=float).reshape(-1, 6)

@@ -1,7 +1,7 @@
-"""The detectors of the fault table: numbers that say how far something is from being well.
+"""The detectors of the fault table: each gives a number that measures a deviation.
 
-Each is a small piece that is handed what it looks at; only those that compare with what was before
-have a memory. `Detectors.numbers` gives all of them, in the order of `faults.DETECTORS`.
+Each detector gets its data as arguments; only those that compare with earlier ticks have a memory.
+`Detectors.numbers` returns all numbers in the order of `faults.DETECTORS`.
 """
 
 import math
@@ -12,22 +12,22 @@ from testbed.core.vehicle import Vehicle
 from testbed.flight.gate import is_number
 from testbed.flight.jet_faults import Array, JetFaultDetector, Suspicion
 
-SAME_PLACE = 0.15  # [m] a pose so near to where another vehicle should be is that one's
-TRUSTED_AGE = 0.1  # [s]
-TRUSTED = 8  # poses refused in a row
-SAME_CLOCK = 0.005  # [s]
-FAR = 0.05  # [m] a pose so far from the own prediction is not the own
+SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
+TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
+TRUSTED = 8  # most refused poses for evidence about valves
+SAME_CLOCK = 0.005  # largest clock offset for evidence about valves [s]
+FAR = 0.05  # a pose this far from the own prediction is not the own one [m]
 
 
 class Repeats:
-    """How often the cameras have said exactly the same."""
+    """Counts identical poses from the cameras."""
 
     def __init__(self) -> None:
         self._last: PoseSample | None = None
         self._count = 0
 
     def count(self, samples: Sequence[PoseSample]) -> int:
-        """Equal poses in a row, after these; 0: the newest differs from the one before."""
+        """Identical poses in a row after these samples; 0: the newest one differs."""
         last, count = self._last, self._count
         for s in samples:
             same = last is not None and s.x == last.x and s.y == last.y and s.theta == last.theta
@@ -37,13 +37,13 @@ class Repeats:
 
 
 def place(state: State, t: float) -> tuple[float, float]:
-    """Where a vehicle is at `t` if it just goes on."""
+    """Position of a vehicle at `t` at constant velocity."""
     h = t - state.t
     return state.pose.x + h * state.twist.vx, state.pose.y + h * state.twist.vy
 
 
 def jump(before: State | None, samples: Sequence[PoseSample]) -> float:
-    """Distance of the newest pose from where the last estimate expected it [m]."""
+    """Distance of the newest pose from the prediction of the last estimate [m]."""
     if before is None or not samples:
         return 0.0
     newest = samples[-1]
@@ -54,7 +54,7 @@ def jump(before: State | None, samples: Sequence[PoseSample]) -> float:
 def whose(
     jumped: float, samples: Sequence[PoseSample], neighbours: Mapping[str, State]
 ) -> str | None:
-    """The other vehicle that the newest pose shows, if it shows one."""
+    """The other vehicle whose prediction matches the newest pose; empty: none."""
     if jumped <= FAR or not samples:
         return None
     newest = samples[-1]
@@ -66,26 +66,26 @@ def whose(
 
 
 def due_at(setpoint: Setpoint) -> float:
-    """The instant that a setpoint begins to be for [s]."""
+    """The time from which a setpoint is meant to be flown [s]."""
     return setpoint.references[0].t if isinstance(setpoint, Trajectory) else setpoint.t
 
 
 class Detectors:
-    """All of them, for one vehicle."""
+    """All detectors of one vehicle."""
 
     def __init__(self, vehicle: Vehicle, evidence: JetFaultDetector, *, noisy: bool) -> None:
-        """`noisy` cameras never say the same twice; others may, of a vehicle at rest."""
+        """`noisy` cameras never repeat a pose exactly; others may, for a vehicle at rest."""
         self._set_pressure, self._full = vehicle.air.set_pressure, vehicle.air.tank_pressure
         self._tank: tuple[float, float] | None = None  # time [s] and pressure [Pa] at the last tick
         self._repeats = Repeats() if noisy else None
         self._evidence = evidence
         self._before: State | None = None
-        self.said: dict[str, str] = {}  # words to the numbers, where there are any
+        self.said: dict[str, str] = {}  # text for a detector's number, if it has one
 
     def compare(self, inputs: Inputs, state: State, duty: Array, thrust_scale: float) -> None:
-        """Compare the motion with what the last plan let flow; see `Evidence.look`.
+        """Compare the motion with the flow of the last plan; see `JetFaultDetector.look`.
 
-        Poses that are old, refused or of another clock say nothing about valves.
+        Poses that are old, refused or of another clock are no evidence about valves.
         """
         ours = abs(inputs.vitals.clock_offset) < SAME_CLOCK
         if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
@@ -97,16 +97,16 @@ class Detectors:
         self, inputs: Inputs, state: State | None, setpoint: Setpoint | None,
         commanded_wrench: Wrench, effect_at: float, spare: float, law_error: str,
     ) -> tuple[float, ...]:  # fmt: skip
-        """How it is now.
+        """The detectors' numbers at this tick.
 
         Args:
             inputs: of this tick.
             state: estimate for `effect_at`.
             setpoint: to be flown.
-            commanded_wrench: by law or tracker.
+            wanted: wrench of law or tracker.
             effect_at: when the next plan begins to act [s].
             spare: room left after a full stop [m].
-            law_error: what the law died of.
+            raised: exception of the law.
         """
         vitals, health, samples = inputs.vitals, inputs.health, inputs.samples
         age = rejected = 0.0
@@ -162,7 +162,7 @@ class Detectors:
         )
 
     def _suspicions(self) -> tuple[Suspicion, Suspicion, float]:
-        """Which jet leaks, which gives too little, and how sure it is that one of them does."""
+        """The suspected leaking jet, the suspected weak jet, and the sigmas that one is faulty."""
         evidence, said = self._evidence, self.said
         leak, weak = evidence.open, evidence.weak
         if leak.gain > 0.0:
@@ -178,7 +178,7 @@ class Detectors:
         return leak, weak, may_leak.sigmas
 
     def _tank_loss(self, t: float, pressure: float) -> float:
-        """Share of a full tank that has gone per second since the last tick [1/s]."""
+        """Loss of the tank since the last tick, as a share of a full tank per second [1/s]."""
         before, self._tank = self._tank, (t, pressure)
         if before is None or t <= before[0]:
             return 0.0

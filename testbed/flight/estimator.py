@@ -1,15 +1,15 @@
-"""Kalman filter: late, noisy, sometimes missing poses in; position, velocity and disturbance out.
+"""Kalman filter: estimates position, velocity and disturbance from late, noisy or missing poses.
 
 Each coordinate is (position, velocity, bias): the bias is an acceleration that the fired jets do
-not explain (tilt, thrust errors, hoses) and walks slowly. The two positions share their covariance,
-because noise and model are the same; heading has its own.
+not explain (tilt, thrust errors, hoses) and changes slowly. The two positions share their
+covariance, because noise and model are the same; heading has its own.
 
-The filter lives at the capture time of the newest pose. Between captures, and from there to the
-present through latency and drop-outs, it is driven by the wrench that the *fired* pulses give,
-valve delay and ramp included. Knowing the pulses is what makes a 20 ms old pose as good as new.
+The filter's state is at the capture time of the newest pose. Between captures, and from there to
+the present through latency and drop-outs, it is driven by the wrench that the *fired* pulses give,
+valve delay and ramp included. With known pulses a 20 ms old pose is as good as a new one.
 
-The centre of mass is taken at the body's origin here; the few millimetres between them end up in
-the bias.
+The centre of mass is taken at the body's origin here; the few millimetres between them become
+part of the bias.
 """
 
 from collections.abc import Sequence
@@ -31,26 +31,26 @@ from testbed.core.vehicle import NonNegative, Positive, Vehicle
 
 Array = NDArray[np.float64]
 
-# A body cannot jump; it can be shoved. Poses that contradict the filter but stay near its
-# prediction mean a collision and are believed after a while; a jump to somewhere else never is.
-# Poses of one body lie on a line, three by three, but for the cameras' noise: those that contradict
-# each other are no shove, and when they keep doing so, none is believed at all. Nor is the very
-# same pose once more while the vehicle moves: it would look like a collision that has stopped it.
-PATIENCE = 5  # samples
-AGREED = 3  # of them on the line through the two before,
-LINE = 4.0  # sigmas wide
-ROUGH = 11.0  # times the variance of the table file, in the mean: 3.5 times its noise; healthy
-# cameras stay below 4, and one ghost among good poses makes 10
-AT_ONCE = 25.0  # that a single pose can count for
+# A body cannot jump, but it can be pushed. Poses that contradict the filter but stay near its
+# prediction mean a collision and are accepted after a while; a jump to another place never is.
+# Three consecutive poses of a body lie on a line, apart from camera noise. Poses that contradict
+# each other are not a push, and if they continue none is accepted. An identical pose is not
+# accepted while the vehicle moves: it would look like a collision that stopped it.
+PATIENCE = 5  # samples until poses near the prediction are accepted
+AGREED = 3  # of them on the line through the two before
+LINE = 4.0  # half width of that line [sigmas]
+ROUGH = 11.0  # limit of the mean, in variances of the table file: 3.5 times its noise; healthy
+# cameras stay below 4, and one ghost among good poses gives 10
+AT_ONCE = 25.0  # largest contribution of a single pose to the mean
 RECENT = 0.15  # share of the newest pose in the mean
-BEND = 0.5  # [m/s^2] that is no noise: five times what the jets do
+BEND = 0.5  # allowed acceleration: five times that of the jets [m/s^2]
 BEND_SPIN = 2.0  # [rad/s^2]
-SLOW = 0.003  # [m/s] a vehicle so slow does not move,
-SLOW_SPIN = 0.02  # [rad/s] nor does it turn
-FORGIVEN = 2  # refusals, by a pose that is believed: noise is believed by chance now and then
-JUMP = 0.05  # [m]
+SLOW = 0.003  # below this a vehicle counts as not moving [m/s]
+SLOW_SPIN = 0.02  # below this it counts as not turning [rad/s]
+FORGIVEN = 2  # refusals cancelled by an accepted pose: noise is sometimes accepted by chance
+JUMP = 0.05  # a larger error is a jump [m]
 TURN = 0.1  # [rad]
-SHOVE = 0.2  # [m/s]
+SHOVE = 0.2  # velocity spread after a push [m/s]
 SHOVE_SPIN = 0.5  # [rad/s]
 SUB_STEP = 0.01  # [s] the wrench is averaged over this; at 0.1 m/s^2 that is 5 um
 
@@ -93,7 +93,7 @@ def note(fired, start, end, times_us):
 
 
 class Model(NamedTuple):
-    """The vehicle in numbers."""
+    """Constants of the vehicle for compiled code."""
 
     effect: Array  # (3, n), see jets.py
     mass: float  # [kg]
@@ -195,15 +195,15 @@ def correct(cov, noise):
     return pp * by, pv * by, pb * by
 
 
-# where the filter stands, columns of `clock`: time of the state [s], capture time of the newest
-# accepted sample [s], samples refused of late (see FORGIVEN), samples in a row that are on a line
-# while they are refused, mean of `off_line`
+# columns of `clock`: time of the state [s], capture time of the newest accepted sample [s],
+# recently refused samples (see FORGIVEN), refused samples in a row that are on a line, mean of
+# `off_line`
 T, NEWEST, REFUSED, AGREED, ROUGH_SO_FAR = range(5)
 
 
 @compiled
 def doubt(cov, error, shove):
-    """Stop believing position, velocity and bias, in place: something pushed the vehicle."""
+    """Enlarge the covariance in place: something pushed the vehicle."""
     cov[0, 0] += error * error
     cov[1, 1] += shove * shove
     cov[2, 2] += (0.1 * shove) ** 2
@@ -211,7 +211,7 @@ def doubt(cov, error, shove):
 
 @compiled
 def off_line(last, sample, noise):
-    """How far a pose is off the line through the two before, in variances of noise: 1 in the mean.
+    """Squared distance of a pose from the line through the two before, in noise variances; mean 1.
 
     Args:
         last: the two, rows (t, x, y, theta), newest last; shifted in place.
@@ -240,8 +240,8 @@ def off_line(last, sample, noise):
 def absorb(x, cov, cov_spin, clock, last, samples, now, fired, model, noise, walk, gate):
     """Run the filter over `samples`, shape (n, 4), changing x, cov, cov_spin, clock, last in place.
 
-    A sample captured before the filter's time has come too late and is passed over: the ones after
-    it already said more; so is one from after `now`, and one that is not a number.
+    A sample captured before the filter's time is late and is skipped, because newer ones have been
+    used; so is a sample from after `now`, and one that is not finite.
     """
     t, newest, rough = clock[T], clock[NEWEST], clock[ROUGH_SO_FAR]
     refused, agreed = clock[REFUSED], clock[AGREED]
@@ -287,19 +287,19 @@ def absorb(x, cov, cov_spin, clock, last, samples, now, fired, model, noise, wal
 
 @compiled
 def ahead(x, clock, fired, model, until):
-    """The state predicted to `until`, then the clock's newest and refused, in one plain tuple."""
+    """The state predicted to `until`, then capture time and refusals from `clock`, as one tuple."""
     y = x.copy()
     predict_mean(y, fired, model, clock[T], until)
     return y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8], clock[NEWEST], clock[REFUSED]
 
 
 class Estimator:
-    """One vehicle's filter and its memory of what it fired."""
+    """One vehicle's filter and its memory of fired plans."""
 
     def __init__(
         self, params: EstimatorParams, vehicle: Vehicle, mocap: Mocap, memory: int = 8
     ) -> None:
-        """`memory` is how many plans are remembered: they must cover the longest pose loss."""
+        """`memory` is the number of stored plans; they must cover the longest pose loss."""
         self._params = params
         self._delay = vehicle.command_delay_s
         self._model = Model(
@@ -331,15 +331,15 @@ class Estimator:
         self._ahead = settled(ahead)
 
     def remember(self, command: ValveCommand) -> None:
-        """Note a plan that was really sent: the prediction is driven by it."""
+        """Store a plan that was sent; it drives the prediction."""
         start, end = command.issued_at + self._delay, command.valid_until + self._delay
         self._note(self._fired, start, end, np.array(command.on_us + command.offset_us))
 
     def update(self, samples: Sequence[PoseSample], now: float) -> None:
-        """Absorb poses in order of arrival; the first one ever starts the filter, at rest.
+        """Absorb poses in order of arrival; the first pose starts the filter at rest.
 
-        A pose captured after `now` [s] has a wrong clock. Believing it would make every later one
-        come too late, so it is passed over.
+        A pose captured after `now` [s] has a wrong clock. It is skipped, because accepting it would
+        make every later one appear late.
         """
         if not samples:
             return

@@ -1,7 +1,6 @@
-"""The watch: the fault table at work on one vehicle, tick by tick.
+"""Evaluates the fault table on one vehicle, tick by tick.
 
-Pure: what the detectors say goes in, what to do comes out. While nothing is wrong a tick costs one
-comparison per row.
+Pure: detector numbers in, response out. Without a fault a tick costs one comparison per row.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,15 +8,15 @@ from typing import NamedTuple
 
 from testbed.flight.faults import DETECTORS, SEVERITY, Fault, FaultTable, most_severe
 
-LONGEST_WORDS = 300  # characters of what somebody else says: all of it has to go over the network
+LONGEST_WORDS = 300  # longest text of a fault [characters]: it is sent over the network
 
 
 class Verdict(NamedTuple):
-    """What the watch says of a tick."""
+    """Result of a tick."""
 
-    response: str  # the most severe in force; empty: none
+    response: str  # the most severe active response; empty: none
     holding: tuple[str, ...]  # ids of all rows that hold now
-    fault: str | None  # the latched fault in words, the first of the most severe
+    fault: str | None  # text of the latched fault, the first of the most severe
 
 
 QUIET = Verdict("", (), None)
@@ -35,7 +34,7 @@ class FaultMonitor:
             for _, k, row in self._rows
         ]
         self._counts: dict[str, tuple[int, float]] = {}  # ticks in a row, and since when [s]
-        self._latched: dict[str, str] = {}  # id and words, in order of appearance
+        self._latched: dict[str, str] = {}  # id and text, in order of appearance
         self._verdict = QUIET
 
     def look(
@@ -45,9 +44,9 @@ class FaultMonitor:
 
         Args:
             t: now [s].
-            armed: a disarmed vehicle has faults, but none is latched.
+            armed: faults of a disarmed vehicle are not latched.
             numbers: of the detectors, in the order of DETECTORS.
-            said: words to a detector's number, where it has any.
+            said: text for a detector's number, if it has one.
         """
         out = [
             row for row, (k, low, high) in enumerate(self._bounds) if not low <= numbers[k] <= high
@@ -64,7 +63,7 @@ class FaultMonitor:
                 holding.append(name)
                 if armed and row.latched and name not in self._latched:
                     words = said.get(row.detector, "")[:LONGEST_WORDS]
-                    value = float(numbers[k])  # some count, and {value:.3} is for fractions
+                    value = float(numbers[k])  # some are integers, which {value:.3} rejects
                     self._latched[name] = f"{name}: " + row.text.format(value=value, said=words)
         self._counts = counts
         in_force = [
@@ -74,7 +73,7 @@ class FaultMonitor:
         return self._verdict
 
     def _worst(self) -> str | None:
-        """Words of the latched fault that decides: the first of the most severe."""
+        """Text of the deciding latched fault: the first of the most severe."""
         if not self._latched:
             return None
         return self._latched[
@@ -87,10 +86,10 @@ class FaultMonitor:
         return tuple(self._latched)
 
     def reset(self) -> None:
-        """Forget what was latched; a row that still holds comes back at the next tick."""
+        """Clear latched faults; a row that still holds latches again at the next tick."""
         self._latched, self._counts, self._verdict = {}, {}, QUIET
 
 
 def row_of(table: FaultTable, fault: str) -> Fault | None:
-    """The row that a fault's words are of."""
+    """The row that a fault's text belongs to."""
     return table.get(fault.partition(":")[0])

@@ -1,8 +1,8 @@
-"""For how long the gas really flows: what a plan opens, minus what the valves take to open.
+"""Computes how long the gas flows: a plan's open times minus the valves' opening times.
 
-A pulse loses the difference between its opening and its closing, once. One that lasts to the end of
-its plan may go on with the next: then it loses nothing in between, and what it loses in the end is
-counted where it ends.
+A pulse loses the difference between opening and closing time once. A pulse that lasts to the end of
+its plan may continue with the next plan: then it loses nothing in between, and the loss is counted
+in the plan where it ends.
 """
 
 import numpy as np
@@ -15,16 +15,16 @@ from testbed.core.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-HAIR = 1e-7  # [s] plans are in whole microseconds
+HAIR = 1e-7  # tolerance [s]; plans are in whole microseconds
 
 
 @compiled
 def flow_shares(times_us, begun, valve, period):
-    """Share of a period for which each jet flows because of a plan, shape (n,).
+    """Share of a period for which each jet flows by a plan, shape (n,).
 
     Args:
         times_us: on, then offset in microseconds, shape (2 n,).
-        begun: how long a pulse is on that may still go on, shape (n,) [s]; changed in place.
+        begun: on-time so far of a pulse that may continue, shape (n,) [s]; changed in place.
         valve: its timing.
         period: of the plan [s].
     """
@@ -47,7 +47,7 @@ def flow_shares(times_us, begun, valve, period):
 
 
 class Flow:
-    """One vehicle's jets, plan by plan."""
+    """Flow of one vehicle's jets, plan by plan."""
 
     def __init__(self, vehicle: Vehicle, period: float) -> None:
         self._begun = np.zeros(len(vehicle.jets))

@@ -1,12 +1,13 @@
-"""The gate, last before the valves: closed unless every condition holds, and it says which fails.
+"""The gate, the last check before the valves: closed unless every condition holds.
 
-Not armed, no pose yet, no setpoint yet: it waits. Anything else is a fault and stays until an
-explicit reset, because a vehicle that has flown blind must not start firing again on its own.
+It gives the reason when it is closed. Not armed, no pose yet, no setpoint yet: it waits. Any other
+reason is a fault and stays until an explicit reset, because a vehicle that has flown blind must not
+start firing again on its own.
 
-A vehicle that brakes needs no setpoint, may be fast, and may do it on its own prediction for a
-while, whatever poses it refuses meanwhile; everything else is asked of it, too.
+A braking vehicle needs no setpoint, may be fast, and may use its own prediction for a while, also
+when it refuses poses; all other conditions apply.
 
-`refuse` looks at the flight, `refuse_plan` at the plan itself, in the process that owns the port.
+`refuse` checks the flight, `refuse_plan` checks the plan, in the process that owns the port.
 """
 
 import math
@@ -17,9 +18,9 @@ from msgspec import Meta, Struct
 from testbed.core.types import Health, Setpoint, State, ValveCommand, Wrench
 from testbed.core.vehicle import NonNegative, Positive
 
-EARLY = 1e-3  # a pose may seem to come from the future by so much: clocks are read twice [s]
-# so far ahead a plan may be dated: a clock that was set back by less is the fault table's to name,
-# and the plan is played from when it arrives
+EARLY = 1e-3  # a pose may seem to be this far in the future: clocks are read twice [s]
+# a plan's stamp may be this far ahead: the fault table detects a clock that was set back by less,
+# and the board starts the plan on arrival
 AHEAD = 0.05  # [s]
 
 
@@ -27,27 +28,25 @@ class GateParams(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of a healthy flight."""
 
     pose_timeout_s: Positive = 0.5
-    # without a pose, when braking on what was fired: a whole stop from the filter's top speed.
-    # It is a tenth wrong at the end; to shut the valves earlier leaves all of what is left
+    # without a pose, while braking on the fired pulses: a full stop from the filter's top speed.
+    # The estimate is 10 % wrong at the end; shutting the valves earlier would leave more speed
     blind_s: Positive = 4.0
-    link_timeout_s: Positive = 2.0  # after the last setpoint has run out, at rest
-    max_rejected: Annotated[int, Meta(ge=0)] = (
-        30  # poses of late that the estimator did not believe
-    )
+    link_timeout_s: Positive = 2.0  # after the last setpoint has expired, at rest
+    max_rejected: Annotated[int, Meta(ge=0)] = 30  # recent poses that the estimator refused
     max_speed: Positive = 0.6  # [m/s]
     max_spin: Positive = 1.5  # [rad/s]
     fence_margin: NonNegative = 0.0  # between a vehicle's rim and the table's edge [m]
 
 
 class Fence(Struct, frozen=True):
-    """Where a vehicle's centre may be."""
+    """Allowed area of a vehicle's centre, from the middle of the table."""
 
     half_x: float  # [m]
     half_y: float  # [m]
 
 
 def is_number(*values: float) -> bool:
-    """Whether all values are finite and of a size that means something."""
+    """Whether all values are finite and their norm is below 1e9."""
     return math.hypot(*values) < 1e9  # false for nan and inf
 
 
@@ -75,7 +74,7 @@ class Gate:
         session_ok: bool = True,
         braking: bool = False,
     ) -> str | None:
-        """Why the valves must stay shut now, or None."""
+        """Reason why the valves must stay shut now; None: they may open."""
         if self._fault:
             return self._fault
         if not armed:
@@ -92,13 +91,13 @@ class Gate:
         return self._fault
 
     def reset(self) -> None:
-        """Forget the latched reason; an operator has looked."""
+        """Clear the latched reason after the operator's reset."""
         self._fault = None
 
     def _trouble(
         self, t: float, state: State, setpoint: Setpoint | None, commanded_wrench: Wrench
     ) -> str | None:
-        """`setpoint` is None when braking: then it does not matter."""
+        """Reason to latch a fault; `setpoint` is None when braking and is then not checked."""
         p, pose, twist = self._p, state.pose, state.twist
         pose_timeout = (
             p.pose_timeout_s if setpoint is not None else max(p.blind_s, p.pose_timeout_s)
@@ -123,13 +122,13 @@ class Gate:
 
 
 def refuse_plan(command: ValveCommand, now: float, newest: int, longest: float) -> str | None:
-    """Why a plan must not reach the board, or None: it is too old, too long, or not a plan.
+    """Reason why a plan must not reach the board (too old, too long, invalid); None: it may.
 
     Args:
         command: the plan.
         now: on the clock that stamped it [s].
         newest: number of the plan sent last; an older one is a replay.
-        longest: that a plan may last [s].
+        longest: longest plan [s].
     """
     life = command.valid_until - command.issued_at
     if not 0.0 < life <= longest + EARLY:

@@ -1,16 +1,16 @@
-"""Guidance: a law and its world in, one setpoint per jet period out.
+"""Guidance: runs a law and gives one setpoint per jet period.
 
 Both modes fly the law ahead over the coming jet period at a fine step, because a law with sgn and
 an integral diverges when it is stepped once per period:
 
-`reference`  the law flies a reference model, a double integrator that no jet and no camera
-             disturbs, a little ahead of time, and sends where it will be: the paper's Fig. 13. The
-             vehicle tracks.
-`wrench`     the law flies ahead from the vehicle's estimate, its state carried on from period to
-             period, and sends the mean force. The loop closes through the law.
+`reference`  the law controls a reference model, an undisturbed double integrator that runs a
+             little ahead of time, and sends its future states: the paper's Fig. 13. The vehicle
+             tracks them.
+`wrench`     the law is integrated ahead from the vehicle's estimate, with its own state kept from
+             period to period, and sends the mean force. The loop closes through the law.
 
-It may run on the host, a period behind and a period ahead of the vehicle, or on the vehicle
-itself; it only needs to know for which instant its setpoint is.
+It may run on the host, with states one period old and setpoints one period ahead, or on the
+vehicle; it only needs the time for which its setpoint is meant.
 """
 
 import math
@@ -44,20 +44,20 @@ from testbed.flight.barrier import Barrier
 
 Array = NDArray[np.float64]
 
-ZERO = np.zeros(2)  # nobody writes to what a law is handed
+ZERO = np.zeros(2)  # shared: laws must not write to their arguments
 
 
 class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """How a law is flown."""
+    """Parameters for flying a law."""
 
     mode: Literal["reference", "wrench"] = "reference"
     step_s: Annotated[float, Meta(gt=0.0, le=0.001)] = 0.001
     neighbour_distance: NonNegative = 0.8  # to keep between centres of two vehicles [m]
     force_share: Annotated[float, Meta(gt=0.0, le=1.0)] = (
-        0.6  # of the jets; feedback needs the rest
+        0.6  # of the jets' force; the rest is for feedback
     )
     heading_accel: Positive = 0.02  # of a turn to the goal's heading [rad/s^2]
-    preview_s: NonNegative = 0.3  # how far ahead references are sent: lost messages cost nothing
+    preview_s: NonNegative = 0.3  # how far ahead references are sent, against lost messages
     setpoint_life_s: Positive = 0.5  # after the last reference, or of a demand
 
 
@@ -81,7 +81,7 @@ class Turn:
 
 
 class _Heard(NamedTuple):
-    """What was heard of the others."""
+    """Newest states and messages of the other vehicles."""
 
     states: Mapping[str, State]
     messages: Mapping[str, LawMessage]
@@ -104,10 +104,10 @@ class Guidance:
         path: Path | None = None,
         barrier: Barrier | None = None,
     ) -> None:
-        """Guide vehicle `name` of `formation`; its law knows the others by their place in it.
+        """Guide vehicle `name` of `formation`; its law knows the others by their index in it.
 
-        `barrier` filters what the law does to a reference model; a demanded force is filtered on
-        the vehicle.
+        `barrier` filters the force on a reference model; a demanded force is filtered on the
+        vehicle.
         """
         self._barrier = barrier
         self.filtered: Intervention | None = None  # of the newest reference
@@ -126,9 +126,9 @@ class Guidance:
         )
         self._world = World(self._fixed_goal, self._obstacles)
         self._they_move = bool(self._obstacles.v.any())
-        self._company: tuple[tuple[str, ...], Neighbours] | None = None  # who was heard last
+        self._company: tuple[tuple[str, ...], Neighbours] | None = None  # others at the last tick
         self._law_state: Array | None = None
-        self.message: LawMessage | None = None  # what the law says to the others, if it talks
+        self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
         self._ahead: deque[Reference] = deque()  # references not due yet
@@ -136,7 +136,7 @@ class Guidance:
 
     @property
     def concerns(self) -> list[Concern]:
-        """What the law says so far that whoever flies it should know."""
+        """The law's concerns so far, for the operator."""
         say = getattr(self._law, "concerns", None)
         return [] if say is None or self._law_state is None else say(self._law_state)
 
@@ -150,10 +150,10 @@ class Guidance:
         """Setpoint for the jet period that starts at `t`.
 
         Args:
-            t: one period after that of the last step, and not before own.t [s].
+            t: one period after the last step's, and not before own.t [s].
             own: newest estimate of the vehicle.
-            neighbours: newest state heard of each other vehicle.
-            messages: newest words heard of the law of each other vehicle.
+            neighbours: newest state of each other vehicle.
+            messages: newest message of each other vehicle's law.
         """
         heard = _Heard(neighbours, messages or {})
         if self._turn is None:
@@ -170,7 +170,7 @@ class Guidance:
         return Trajectory(references, references[-1].t + self._params.setpoint_life_s)
 
     def _demand(self, t: float, own: State, heard: _Heard, turn: Turn) -> Demand:
-        """The law closes the loop: fly it ahead from the estimate, ask for its mean force."""
+        """Wrench mode: integrate the law ahead from the estimate and demand its mean force."""
         disturbance = np.array([own.bias.ax, own.bias.ay])
         force = self._fly(t, *self._predict(own, disturbance, t), disturbance, heard).mean_force
         self._sent.append((t, force))
@@ -178,7 +178,7 @@ class Guidance:
         return Demand(t, fx, fy, *turn.at(t), t + self._params.setpoint_life_s)
 
     def _reference(self, heard: _Heard, turn: Turn) -> Reference:
-        """Where the reference model is now; then it flies on by one period."""
+        """Reference mode: the reference model's state now; then advance it by one period."""
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
         ahead = self._fly(t, self._p, self._v, ZERO, heard)
         self._t, p, v = t + self._period, ahead.p, ahead.v
@@ -195,7 +195,7 @@ class Guidance:
         return Reference(t, Pose(px, py, theta), Twist(vx, vy, omega), Accel(ax, ay, alpha))
 
     def _fly(self, t: float, p: Array, v: Array, disturbance: Array, heard: _Heard) -> Ahead:
-        """Fly the law ahead over one period; its state is carried on."""
+        """Integrate the law ahead over one period and keep its state."""
         own = Body(p, v, self._mass, disturbance, ZERO, self._max_force, self._own)
         world, others = self._world_at(t), self._others(heard, t)
         if self._law_state is None:
@@ -221,7 +221,7 @@ class Guidance:
         return World(goal, obstacles)
 
     def _predict(self, own: State, disturbance: Array, t: float) -> tuple[Array, Array]:
-        """Position and velocity at `t`, through the demands that are still on their way."""
+        """Position and velocity at `t`, including demands that were sent but not yet flown."""
         p = np.array([own.pose.x, own.pose.y])
         v = np.array([own.twist.vx, own.twist.vy])
         now = own.t
@@ -240,7 +240,7 @@ class Guidance:
         return p, v
 
     def _others(self, heard: _Heard, t: float) -> Neighbours:
-        """The others, moved to time `t`; of a law that talks, those whose words were heard."""
+        """The others, extrapolated to time `t`; for a law with messages, those that sent one."""
         words, k = heard.messages, self._law.message_size
         names = tuple(sorted(heard.states.keys() & words.keys() if k else heard.states))
         if self._company is None or self._company[0] != names:
@@ -253,7 +253,7 @@ class Guidance:
             ago, pose, twist = t - state.t, state.pose, state.twist
             places += (pose.x + ago * twist.vx, pose.y + ago * twist.vy)
             speeds += (twist.vx, twist.vy)
-        # one array from plain numbers: the quickest way to fill a small one
+        # one array from plain numbers: the fastest way to fill a small array
         p, v = np.array(places + speeds, dtype=np.float64).reshape(2, -1, 2)
         said, said_at = company.message, company.message_t
         if k and names:
@@ -262,7 +262,7 @@ class Guidance:
         return Neighbours(p, v, company.radius, company.vehicle_index, said, said_at)
 
     def _strangers(self, names: tuple[str, ...]) -> Neighbours:
-        """What is known of them before they are heard."""
+        """Neighbours without states: known data before their first message."""
         n, k = len(names), self._law.message_size
         return Neighbours(
             np.zeros((n, 2)),

@@ -1,25 +1,25 @@
-r"""Which jet does not do what it is told, from what the commands explain of the motion.
+r"""Detects faulty jets by comparing the motion with the commands.
 
-From one look to the next the estimate of momentum moves by more than plan and slope say: that is
-the residual e. Three kinds of things explain it:
+The residual e is the change of estimated momentum from one look to the next minus the change by
+plan and slope. Three kinds of causes explain it:
 
-    z_i   what no file knows exactly: the thrust of every jet, the centre of mass, the slope here.
-          Each is zero but for its tolerance.
-    x_j   jet j leaks, or is stuck open: it pushes while it is not commanded
-    x_j   jet j gives too little, or is stuck shut: it pushes less while it is commanded
+    z_i   uncertain parameters: the thrust of every jet, the centre of mass, the local slope.
+          Each is zero within its tolerance.
+    x_j   jet j leaks or is stuck open: it pushes while it is not commanded
+    x_j   jet j is too weak or stuck shut: it pushes less while it is commanded
 
-A suspicion is one x_j, of any size b, that began some time ago and holds since. With the noise of e
-as the unit and L L' = z'z + 1 / tolerances^2, the logarithm of how much likelier it makes e is
+A suspicion is one x_j of any size b that began some time ago and has held since. With the noise of
+e as the unit and L L' = z'z + 1 / tolerances^2, the gain in log-likelihood of e is
 
     S_j = x_j'e - (L^-1 z'x_j)'(L^-1 z'e),   N_j = x_j'x_j - |L^-1 z'x_j|^2
     b = S_j / N_j within its bounds,         gain = b S_j - b^2 N_j / 2
 
-and sqrt(2 gain) is how many standard deviations jet j is from one that is well. A jet that leaks
-makes the vehicle fire the one opposite, and in the mean it looks as if that one gave nothing. What
-tells them apart is which of them explains more: a leak pushes all the time, and before the other is
-commanded; too little shows only while the jet is commanded.
+and sqrt(2 gain) is the distance of jet j from a healthy one in standard deviations. A leaking jet
+makes the vehicle fire the opposite one, and on average it looks as if that one gave no thrust. The
+suspicion with the larger gain decides: a leak pushes all the time, also before the other jet is
+commanded; a weak jet shows only while it is commanded.
 
-What the estimate shows of a push comes late, so z and x are delayed alike (see response.py).
+The estimate shows a push with a delay, so z and x are delayed in the same way (see response.py).
 """
 
 from typing import NamedTuple
@@ -37,33 +37,33 @@ from testbed.flight.response import response
 
 Array = NDArray[np.float64]
 
-LOOK = 0.1  # [s] faster ticks are taken together: their residuals are not independent
-MEMORY = 10.0  # [s] what is older counts for less
-SETTLING = 20.0  # [s] of the mean of what no jet explains: the slope
-BLOCK = 0.3  # [s] a fault is said to have begun at the start of one of these
+LOOK = 0.1  # length of a look; faster ticks are combined: their residuals are dependent [s]
+MEMORY = 10.0  # time constant of forgetting [s]
+SETTLING = 20.0  # time constant of the mean of unexplained acceleration, the slope [s]
+BLOCK = 0.3  # a suspicion begins at the start of a block of this length [s]
 BLOCKS = 25
-BEGUN = (1, 2, 3, 4, 5, 7, 10, 14, 24)  # how many whole blocks ago; the look at hand is in block 0
-THRUST = 0.05  # of a jet, relative, one sigma: files that promise more are not believed
-BALANCE = 0.01  # of the centre of mass, one sigma [m]: the same
-SLOPE = 2e-3  # of a table, before anything is known of it [m/s^2]
-BUMPS = 5e-4  # by how much it differs from place to place [m/s^2]
+BEGUN = (1, 2, 3, 4, 5, 7, 10, 14, 24)  # tested beginnings [blocks ago]; the look is in block 0
+THRUST = 0.05  # smallest assumed thrust error of a jet, relative, one sigma
+BALANCE = 0.01  # smallest assumed error of the centre of mass, one sigma [m]
+SLOPE = 2e-3  # assumed slope of an unknown table [m/s^2]
+BUMPS = 5e-4  # assumed variation of the slope over the table [m/s^2]
 SPREAD = 1.5e-3  # of a velocity residual at the start, one sigma [m/s]
 SPIN_SPREAD = 5e-3  # [rad/s]
-BELIEVED = 30.0  # looks that the spread at the start counts for
+BELIEVED = 30.0  # weight of the spread at the start [looks]
 WHITE = 2.6  # variance of the difference of two residuals, in variances of one
-OUTLIER = 9.0  # variances: more in a look is no noise
-HARDEST = 3.0  # jets: more in a look is a shove
-MOST = 1.2  # times its thrust that a jet can leak
-ENOUGH = 0.3  # of its thrust that a jet has to lack,
-TRACE = 0.05  # and to leak: less is no fault
-LATELY = 3  # the last blocks, in which a leak must still be seen
-OVER = 2.0  # e^2 times likelier that it is over
-SURE = 18.0  # 6 sigma, for a push without a command; healthy vehicles have shown 5 sigma
-CLEAR = 3.0  # the one suspicion is e^3 times likelier than the other
+OUTLIER = 9.0  # variances: a larger residual in a look is not noise
+HARDEST = 3.0  # jets: a stronger push in a look is external
+MOST = 1.2  # largest leak of a jet, in multiples of its thrust
+ENOUGH = 0.3  # smallest missing share of thrust that is a fault
+TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
+LATELY = 3  # newest blocks in which a leak must still be seen
+OVER = 2.0  # gain by which the newest blocks may speak against a leak
+SURE = 18.0  # gain of a push without a command, 6 sigma; healthy vehicles have shown 5 sigma
+CLEAR = 3.0  # difference in gain that separates two suspicions (a factor e^3 in likelihood)
 
 
 class Known(NamedTuple):
-    """The vehicle in numbers."""
+    """Constants of the vehicle for compiled code."""
 
     effect: Array  # acceleration by each fully open jet in B, (3, n) [m/s^2, rad/s^2]
     gyration: float  # mass over inertia [1/m^2]
@@ -72,24 +72,24 @@ class Known(NamedTuple):
     slope: float  # [m/s^2], one sigma
     bumps: float  # [m/s^2], one sigma
     shown: Array  # see response.py, (looks, 2)
-    most: Array  # that a residual may be, push and turn [m/s, rad/s]
+    most: Array  # largest residual, push and turn [m/s, rad/s]
     period: float  # [s]
 
 
 class Heard(NamedTuple):
-    """What is remembered, changed in place."""
+    """Memory of the detector, changed in place."""
 
     recent: Array  # z and leaks of the last looks, not yet delayed, (looks, m + n, 3)
     told: Array  # z'z, and z'e as the last column, (m, m + 1)
     blocks: Array  # of leaks and jets: x'z, x'x, x'e, (BLOCKS, 2 n, m + 2)
     spread: Array  # variance of the residual, push and turn, (2,)
-    bias: Array  # slow mean of what the jets do not explain [m/s^2], (2,)
-    last: Array  # residual before, (3,)
+    bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
+    last: Array  # previous residual, (3,)
 
 
 @compiled
 def residual(before, now, duty, thrust_scale, known, heard, look):
-    """What the plans do not explain since the last look, (3,), and all that might, (m + n, 3)."""
+    """Unexplained motion since the last look, (3,), and its possible causes, (m + n, 3)."""
     n, period, shown = duty.shape[0], known.period, known.shown
     looks, m = shown.shape[0], duty.shape[0] + 4
     theta = before[0] + 0.5 * period * before[3]
@@ -133,7 +133,7 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
 
 @compiled
 def listen(e, x, heard, look, keep):
-    """Learn slope, noise and how all that might explain e goes with it, in place."""
+    """Update slope, noise and the correlations of e with its possible causes, in place."""
     spread, last, m = heard.spread, heard.last, heard.told.shape[0]
     n = m - 4
     trust = max(1.0 - keep, 1.0 / (look + BELIEVED))
@@ -152,7 +152,7 @@ def listen(e, x, heard, look, keep):
             told[i, m] += explains
             for k in range(m):
                 told[i, k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
-        if i < n or i >= m:  # what may be suspected: the jets, and their leaks
+        if i < n or i >= m:  # possible suspicions: jets and leaks
             row = heard.blocks[0, i if i < n else i - 4]
             for k in range(m):
                 row[k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
@@ -209,22 +209,22 @@ def suspect(row, least, y, low, high):
 
 @compiled
 def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, counts):
-    """Add one look, in place, and say which suspicion is the best of each kind.
+    """Add one look, in place, and return the best suspicion of each kind.
 
     Args:
         before: theta, vx, vy, omega at the last look, shape (4,).
         now: the same at this one.
         duty: share of the time since then for which each jet flowed, shape (n,).
-        thrust_scale: of the thrust that the supply gave.
-        known: the vehicle.
-        heard: what is remembered.
+        thrust_scale: of the thrust at the supply pressure.
+        known: constants of the vehicle.
+        heard: memory of the detector.
         look: number of this one.
         block: looks in a block.
-        keep: share of what is remembered that is kept.
-        counts: false: the poses were not to be trusted a moment ago, this look is only noted.
+        keep: factor of forgetting.
+        counts: false: recent poses were not trusted, so this look is only stored.
 
     Returns:
-        jet, size, gain of the best leak, then of the jet that most likely gives too little.
+        jet, size, gain of the best leak, then of the most likely weak jet.
     """
     e, x = residual(before, now, duty, thrust_scale, known, heard, look)
     n, blocks = duty.shape[0], heard.blocks
@@ -234,7 +234,7 @@ def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, coun
     settling = max(1.0 / look, known.period / SETTLING)
     for axis in range(2):
         heard.bias[axis] += settling * e[axis] / known.period
-    if look % block == 0:  # the oldest two are one from now on: that is what is left of all before
+    if look % block == 0:  # merge the oldest two blocks
         blocks[-2] += blocks[-1]
         blocks[1:] = blocks[:-1].copy()
         blocks[0] = 0.0
@@ -254,27 +254,27 @@ def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, coun
             if kind == 0 and k > LATELY and found > gain[0]:
                 own, fits = evidence(lately[h], least, y)
                 if b * fits - 0.5 * b * b * own < -OVER:
-                    continue  # it was a shove, such as a contact: a leak goes on
+                    continue  # it was an external push, such as a contact: a leak goes on
             if found > gain[kind]:
                 best[kind], size[kind], gain[kind] = h - n if kind == 0 else h, b, found
     return best[0], size[0], gain[0], best[1], -size[1], gain[1]
 
 
 class Suspicion(NamedTuple):
-    """The best of its kind."""
+    """The best suspicion of its kind."""
 
     jet: int = 0
     size: float = 0.0  # share of the jet's thrust
-    gain: float = 0.0  # in logarithm of likelihood
+    gain: float = 0.0  # in log-likelihood
 
     @property
     def sigmas(self) -> float:
-        """Standard deviations from a vehicle that is well."""
+        """Distance from a healthy vehicle in standard deviations."""
         return float(np.sqrt(2.0 * self.gain))
 
 
 def slopes(tilt: Tilt) -> tuple[float, float]:
-    """By how much a table slopes, and by how much that differs from place to place [m/s^2]."""
+    """Slope of a table, and its variation over the table [m/s^2]."""
     nodes = np.array([node for row in tilt.map for node in row] or [(0.0, 0.0)])
     mean = nodes.mean(axis=0)
     bumps = float(np.hypot(*(nodes - mean).T).max())
@@ -282,13 +282,13 @@ def slopes(tilt: Tilt) -> tuple[float, float]:
 
 
 class JetFaultDetector:
-    """One vehicle's jets in the light of its motion."""
+    """Detects faulty jets of one vehicle."""
 
     def __init__(
         self, vehicle: Vehicle, period: float, estimator: EstimatorParams, table: Table
     ) -> None:
-        """`period` is that of the ticks [s]; of the table cameras and slope count."""
-        self._ticks = max(1, round(LOOK / period))  # in a look
+        """`period` is the jet period [s]; cameras and slope of the table are used."""
+        self._ticks = max(1, round(LOOK / period))  # ticks per look
         period *= self._ticks
         shown = response(estimator, vehicle, table.mocap, period)
         n = len(vehicle.jets)
@@ -317,7 +317,7 @@ class JetFaultDetector:
         self._weigh = settled(weigh)
 
     def look(self, state: State, duty: Array, thrust_scale: float) -> None:
-        """Note a tick: the estimate, and for which share of it each jet flowed until then."""
+        """Add a tick: the estimate, and the share of the tick for which each jet flowed."""
         self._duty += duty
         self._noted += 1
         if self._before is not None and self._noted < self._ticks:
@@ -336,25 +336,25 @@ class JetFaultDetector:
         self._duty, self._noted = np.zeros(len(duty)), 0
 
     def pause(self) -> None:
-        """Learn nothing from poses that cannot be trusted, nor until they are worked in."""
+        """Ignore looks with untrusted poses, until the estimator has settled."""
         self._before, self._wait = None, len(self._known.shown)
         self._leak, self._weak = Suspicion(), Suspicion()
         self._heard.recent[:] = 0.0
 
     @property
     def open(self) -> Suspicion:
-        """Which jet pushes without a command, where nothing else explains it."""
+        """The jet that pushes without a command, if nothing else explains the motion."""
         sure = self._leak.gain > self._weak.gain + CLEAR and self._leak.gain > SURE
         return self._leak if sure and self._leak.size > TRACE else Suspicion()
 
     @property
     def weak(self) -> Suspicion:
-        """Which jet gives too little, where nothing else explains it."""
+        """The jet that is too weak, if nothing else explains the motion."""
         sure = self._weak.gain >= self._leak.gain + CLEAR
         return self._weak if sure and self._weak.size > ENOUGH else Suspicion()
 
     @property
     def either(self) -> tuple[Suspicion, Suspicion]:
-        """A jet that may leak, and the one that gives too little if the first does not leak."""
+        """A jet that may leak, and the jet that is too weak if the first does not leak."""
         may = self._leak.gain > self._weak.gain - CLEAR and self._leak.size > TRACE
         return (self._leak, self._weak) if may else (Suspicion(), Suspicion())

@@ -1,7 +1,7 @@
 """The loop that flies an experiment, the same on every rig.
 
-Tick k is due at k * period of the clock it is handed. In each tick every vehicle takes its step
-first, on what has arrived so far; then the host answers for the next one.
+Tick k is due at k * period on the given clock. In each tick every vehicle takes its step first,
+with the data that has arrived; then the host computes setpoints for the next one.
 """
 
 import math
@@ -26,9 +26,9 @@ from testbed.core.types import (
 from testbed.flight.agent import Agent
 from testbed.flight.guidance import Guidance
 
-SILENT = 1.2  # [s] a host that has not heard of its vehicle for so long stops all
-LONGEST_WORDS = 300  # characters of what a law dies of: it goes over the network
-LONGEST_STOP = 15.0  # [s] the flight ends so long after a fault, whoever still moves
+SILENT = 1.2  # the host stops all if a vehicle is silent for this long [s]
+LONGEST_WORDS = 300  # longest text of a law's exception [characters]: it is sent over the network
+LONGEST_STOP = 15.0  # after a fault the flight ends at the latest after this time [s]
 
 
 def _well() -> Vitals:
@@ -36,7 +36,7 @@ def _well() -> Vitals:
 
 
 class VehicleNode:
-    """An agent and the ports it is plugged into."""
+    """An agent and its ports."""
 
     def __init__(
         self,
@@ -52,17 +52,17 @@ class VehicleNode:
 
     @property
     def guidance(self) -> Guidance | None:
-        """The law at work, if it runs on board."""
+        """The guidance, if the law runs on board."""
         return self._agent.guidance
 
     def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
-        """Listen, step, act, tell.
+        """Receive, step, act, send.
 
         Args:
             t: now [s].
             armed: whether valves may open.
-            fleet: a fault elsewhere that stops all.
-            end: why the flight is over; empty: it is not.
+            fleet: a fault of another vehicle that stops all.
+            end: why the flight is over; empty: it is not over.
         """
         link, vitals = self._link, self._vitals()
         if fleet or end:
@@ -89,7 +89,7 @@ class VehicleNode:
 
 
 def _is_number(setpoint: Setpoint) -> bool:
-    """Whether a setpoint is fit to be sent; of a trajectory the newest reference."""
+    """Whether a setpoint is finite; only the newest reference of a trajectory is checked."""
     if isinstance(setpoint, Demand):
         return math.isfinite(setpoint.fx_w + setpoint.fy_w)
     pose = setpoint.references[-1].pose
@@ -109,7 +109,7 @@ class Node(Protocol):
 class HostNode:
     """One vehicle's law on the host.
 
-    What it sends at a tick reaches the vehicle before its next one, so it is meant for the jet
+    A setpoint sent at a tick reaches the vehicle before its next tick, so it is meant for the jet
     period after the coming one.
     """
 
@@ -118,10 +118,10 @@ class HostNode:
     ) -> None:
         self.name, self.guidance, self._link = name, guidance, link
         self._ahead = period + lead
-        self._law_error = ""  # what the law died of
+        self._law_error = ""  # exception of the law
 
     def tick(self, t: float, armed: bool = True) -> HostTick:
-        """Listen, step, tell. The law starts when the vehicle is armed, not before."""
+        """Receive, step, send. The law starts when the vehicle is armed."""
         link, guidance = self._link, self.guidance
         inputs = HostInputs(t, link.own(), link.neighbours(), link.messages())
         if inputs.own is None or not armed or self._law_error:
@@ -130,7 +130,7 @@ class HostNode:
             setpoint = guidance.step(
                 t + self._ahead, inputs.own, inputs.neighbours, inputs.messages
             )
-        except Exception as error:  # whatever a law dies of, the vehicles are brought to a stop
+        except Exception as error:  # after any exception of a law the vehicles are stopped
             self._law_error = f"{type(error).__name__}: {error}"[:LONGEST_WORDS]
             return HostTick(inputs, HostOutputs(t, None, law_error=self._law_error))
         if not _is_number(setpoint):
@@ -143,7 +143,7 @@ class HostNode:
 
 
 def complaint(tick: HostTick) -> str:
-    """What a host has to complain of: its law, or a vehicle that is silent."""
+    """Fault that the host finds: its law failed, or a vehicle is silent."""
     if tick.outputs.law_error:
         return f"law on the host: {tick.outputs.law_error}"
     own, t = tick.inputs.own, tick.inputs.t
@@ -153,7 +153,7 @@ def complaint(tick: HostTick) -> str:
 
 
 class Observer(Protocol):
-    """Whoever watches: recorder, progress bar, dashboard. Must not slow the loop down."""
+    """Receives every tick: recorder, progress bar, dashboard. Must not slow the loop down."""
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """One vehicle's tick."""
@@ -164,7 +164,7 @@ class Observer(Protocol):
         ...
 
     def done(self, t: float) -> None:
-        """All of them are through with the tick at `t`."""
+        """All vehicles and the host have finished the tick at `t`."""
         ...
 
 
@@ -187,9 +187,9 @@ def fly(
 ) -> Ending:
     """Fly `ticks` jet periods, or until a fault or `stopped()` ends it; `come_to_rest` is next.
 
-    A fault of one stops all: all come to rest before the flight ends, as the fault table says.
-    `stopped()` is how often an operator has said stop. Once ends the flight with this tick, but not
-    a stop for a fault, which is under way; twice ends that, too.
+    A fault of one vehicle stops all: they come to rest before the flight ends, as in the fault
+    table. `stopped()` is the operator's number of stops. One ends the flight with this tick, but
+    lets a stop after a fault continue; the second one ends that, too.
     """
     fault, failed_at, stop = None, 0.0, False
     for k in range(ticks):
@@ -231,17 +231,17 @@ def come_to_rest(
     *,
     stopped: Callable[[], int] = lambda: 0,
 ) -> None:
-    """After the flight: every vehicle brakes, and at rest its bearing air is shut off.
+    """After the flight: every vehicle brakes, and at rest its bearing air is turned off.
 
     Args:
         clock: of the flight.
         vehicles: that flew.
         period: [s].
         first: number of the first tick, counted from the flight's beginning.
-        ticks: at most; whoever is not at rest by then lands as it is.
-        observer: is shown these ticks, too: their vitals have `end`.
-        why: the flight is over, in words.
-        stopped: how often an operator has said stop: twice shuts valves and air at once.
+        ticks: at most; a vehicle that still moves then lands anyway.
+        observer: receives these ticks, too: their vitals have `end`.
+        why: text of the reason.
+        stopped: the operator's number of stops: two shut valves and air at once.
     """
     for k in range(first, first + ticks + 1):
         clock.wait_until(k * period)

@@ -1,14 +1,14 @@
-"""From a continuous duty to on/off pulses a solenoid can follow: one pulse per jet and period.
+"""Converts a continuous duty to on/off pulses of a solenoid: one pulse per jet and period.
 
-All pulses are centred in the period, so that their impulse has the same moment in time as the
-steady thrust they stand for.
+All pulses are centred in the period, so that their impulse has the same centre in time as the
+steady thrust they replace.
 
-`pwm`          pulse width only, rounded to what the valve can do: a dead band round zero.
+`pwm`          pulse width only, rounded to the valve's limits: a dead band around zero.
 `sigma_delta`  pulse width, and the unfired remainder is carried to the next period; remainders of
-               two opposing jets cancel. No dead band, on average exact.
+               two opposing jets cancel. No dead band, exact on average.
 `pwpf`         pulse-width pulse-frequency: a lag filter and a Schmitt trigger per jet. The
-               textbook's analogue form fires when it likes; here each period gets the first pulse
-               that the filter asks for.
+               textbook's analogue form fires at any time; here each period gets the first pulse of
+               the filter.
 """
 
 import math
@@ -58,7 +58,7 @@ ModulatorParams = PwmParams | SigmaDeltaParams | PwpfParams
 
 
 class Modulator(Protocol):
-    """Pulses for one period; may remember what it could not fire."""
+    """Computes the pulses of one period; may carry over a remainder."""
 
     def pulses(self, duty: Array) -> Pulses:
         """On-time and offset of each jet [s]; 0 <= offset, offset + on <= period."""
@@ -67,10 +67,10 @@ class Modulator(Protocol):
 
 @compiled
 def realisable(on, period, min_on, min_off):
-    """The nearest on-time that a valve can do in one period [s].
+    """The nearest on-time that a valve can execute in one period [s].
 
-    Nothing, or the minimum on-time and more. A centred pulse leaves half its gap on either side,
-    which must be at least the minimum off-time, or none at all.
+    Zero, or at least the minimum on-time. A centred pulse leaves half its gap on either side, which
+    must be at least the minimum off-time, or zero.
     """
     longest = period - 2.0 * min_off
     if longest < min_on:  # a pulse with pauses does not fit: all or nothing
@@ -84,7 +84,7 @@ def realisable(on, period, min_on, min_off):
 
 @compiled
 def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
-    """Centred pulses for a duty and what is owed from before; `carry` is updated in place.
+    """Centred pulses for a duty and the remainder so far; `carry` is updated in place.
 
     Args:
         duty: shape (jets,).
@@ -98,16 +98,16 @@ def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
     Returns:
         on-times and offsets, both of shape (jets,) [s].
     """
-    # one period's worth at most: a saturated jet must not repay for minutes afterwards
+    # one period at most: a saturated jet must not fire for minutes afterwards
     wish = duty * period + np.minimum(np.maximum(carry, -period), period)
-    for k in range(opposing.shape[0]):  # two that push against each other owe only the difference
+    for k in range(opposing.shape[0]):  # opposing jets carry only the difference
         i, j = opposing[k]
         impulse = thrust[i] * wish[i] - thrust[j] * wish[j]
         wish[i] = max(0.0, impulse) / thrust[i]
         wish[j] = max(0.0, -impulse) / thrust[j]
     on = np.empty_like(wish)
     for j in range(wish.shape[0]):
-        # no rounding up to the shortest pulse: what is owed is fired when it is due, not before
+        # no rounding up to the shortest pulse: the remainder is fired later
         due = wish[j] >= min_on
         on[j] = realisable(wish[j], period, min_on, min_off) if due else 0.0
         carry[j] = wish[j] - on[j]
@@ -162,7 +162,7 @@ class Pwpf:
         start = 0.0
         if not self._on[j]:
             start = self._cross(j, p.gain * duty, p.trigger_on, rising=True)
-            if start > period - self._valve.min_on_s:  # what is left is too short: next period
+            if start > period - self._valve.min_on_s:  # the rest of the period is too short
                 self._advance(j, p.gain * duty, period)
                 return 0.0, 0.0
             self._advance(j, p.gain * duty, start)
@@ -170,7 +170,7 @@ class Pwpf:
         left = period - start
         width = self._cross(j, p.gain * (duty - 1.0), p.trigger_off, rising=False)
         width = max(width, self._valve.min_on_s)
-        if width < left:  # closes inside the period; the rest of it the filter just recovers
+        if width < left:  # closes inside the period; the filter recovers in the rest of it
             self._advance(j, p.gain * (duty - 1.0), width)
             self._advance(j, p.gain * duty, left - width)
             self._on[j] = False
@@ -192,7 +192,7 @@ class Pwpf:
 
 
 def make_modulator(params: ModulatorParams, vehicle: Vehicle, period: float) -> Modulator:
-    """The modulator that the configuration names."""
+    """Create the modulator of the configuration."""
     match params:
         case PwmParams():
             return Pwm(vehicle, period)

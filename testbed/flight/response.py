@@ -1,8 +1,8 @@
-"""How soon the estimate shows a push that it is not told of.
+"""Computes how fast the estimate shows an unknown push.
 
-The estimator finds such a push in the poses, later where the cameras are noisier. What it shows of
-one that begins is worked out here from its own gains, without noise, so that suspicions about jets
-can be compared with what the estimate really shows of them.
+The estimator finds such a push in the poses, later with noisier cameras. Its response to a push is
+computed here from its gains, without noise, so that suspicions about jets can be compared with the
+estimate.
 """
 
 import numpy as np
@@ -15,14 +15,14 @@ from testbed.flight.estimator import EstimatorParams, correct, predict_covarianc
 
 Array = NDArray[np.float64]
 
-LOOKS = 12  # after them it shows all
+LOOKS = 12  # after these the whole push shows
 FRAMES = 3000  # until the gains are settled
-OUT_OF_STEP = 0.3  # of a frame that the first comes after the push begins: any will do
+OUT_OF_STEP = 0.3  # time from the push to the first frame, in frames: any value works
 
 
 @compiled
 def shown(noise, white, walk, frame, latency, period):
-    """Share of a push that the estimate gains from look to look since it began, shape (LOOKS,).
+    """Share of a push that appears in the estimate in each look since it began, shape (LOOKS,).
 
     Args:
         noise: variance of a pose.
@@ -58,7 +58,7 @@ def shown(noise, white, walk, frame, latency, period):
 
 
 def response(params: EstimatorParams, vehicle: Vehicle, mocap: Mocap, period: float) -> Array:
-    """What the estimate shows of a short push, look by look, of pushes and of turns: (LOOKS, 2).
+    """Response of the estimate to a short push, per look, for force and torque: (LOOKS, 2).
 
     `period` is that of the looks [s].
     """

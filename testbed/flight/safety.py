@@ -1,6 +1,6 @@
-"""Safety on board: the watch decides, a braking vehicle is stopped, every demand is filtered.
+"""Safety on board: fault monitor, braking, and the safety filter for every demand.
 
-It sits between tracker and allocator. Nothing here opens a valve: the gate has the last word.
+It is between tracker and allocator. It cannot open a valve; the gate decides last.
 """
 
 import math
@@ -19,14 +19,14 @@ from testbed.flight.faults import SEVERITY
 from testbed.flight.flow import Flow
 from testbed.flight.tracker import braking_wrench
 
-AT_REST = 0.003  # [m/s] slower is stopped: the estimate is not better
+AT_REST = 0.003  # below this a vehicle is at rest: the accuracy of the estimate [m/s]
 NO_SPIN = 0.02  # [rad/s]
-SPARE_S = 0.5  # [s] for an ending, besides its longest brake
-WEAKEST_SHARE = 0.1  # of the set pressure: a stop with less would last for ever
+SPARE_S = 0.5  # extra time of an ending after its longest brake [s]
+WEAKEST_SHARE = 0.1  # lowest share of the set pressure used for the time of a stop
 
 
 class Acted(NamedTuple):
-    """What became of a demand."""
+    """Result of judging a demand."""
 
     commanded_wrench: Wrench
     response: str = ""
@@ -42,7 +42,7 @@ CALM = Acted(Wrench(0.0, 0.0, 0.0))
 
 
 class Safety:
-    """One vehicle's watch, brake and filter."""
+    """One vehicle's fault monitor, brake and safety filter."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class Safety:
         decel: float,
         ending: EndingParams = EndingParams(),  # noqa: B008
     ) -> None:
-        """Guard a vehicle; `decel` [m/s^2] is what its jets can do in every direction."""
+        """Guard a vehicle; `decel` [m/s^2] is the deceleration of its jets in every direction."""
         self._ending, self._longest = ending, 0.0
         self._vehicle, self._period, self._decel = vehicle, period, decel
         self._watch, self._detectors, self._barrier = watch, detectors, barrier
@@ -67,7 +67,7 @@ class Safety:
         self, inputs: Inputs, effect_at: float, state: State | None, setpoint: Setpoint | None,
         commanded_wrench: Wrench, thrust_scale: float, law_error: str,
     ) -> Acted:  # fmt: skip
-        """Judge a tick and say what to do instead of `commanded_wrench`."""
+        """Judge a tick and return the wrench to use instead of `commanded_wrench`."""
         detectors, barrier = self._detectors, self._barrier
         if state is not None and inputs.armed:
             detectors.compare(inputs, state, self._duty, self._thrust_scale)
@@ -82,7 +82,7 @@ class Safety:
         numbers = detectors.numbers(
             inputs, state, setpoint, commanded_wrench, effect_at, spare, law_error
         )
-        # what is found after the end ends nothing any more: it is answered, not latched
+        # a fault after the end gets its response, but is not latched
         end = inputs.vitals.end
         latches = inputs.armed and not end
         verdict = self._watch.look(inputs.t, latches, numbers, detectors.said)
@@ -90,11 +90,11 @@ class Safety:
         if end and SEVERITY[response] < SEVERITY["brake"]:
             response = "brake"
         if not response or response == "warn" or not inputs.armed:
-            self._braking_since = None  # of a row that is not latched: the next stop is another
+            self._braking_since = None  # an unlatched row ended: the next stop starts anew
             return Acted(through, response, holding, fault, filtered)
         if response == "hold":
             self._braking_since = None
-            # the tracker stands already where setpoints ran out: those are not flown
+            # the tracker already brakes when setpoints have expired
             if state is not None and setpoint is not None and effect_at <= setpoint.valid_until:
                 stop = braking_wrench(
                     state, self._vehicle, thrust_scale * self._decel, self._period
@@ -106,7 +106,7 @@ class Safety:
             if not self._is_over(inputs.t, state, max(thrust_scale, WEAKEST_SHARE) * self._decel):
                 return Acted(stop, response, holding, fault, None, braking=True)
         self._stopped = self._stopped or fault or end or None
-        # one that coasts lands when its flight is over; one that has braked needs no air any more
+        # at the end a coasting vehicle lands; a vehicle that has braked needs no more air
         air_off = bool(end) or (response != "coast" and fault is not None)
         return Acted(
             commanded_wrench, response, holding, fault,
@@ -114,7 +114,7 @@ class Safety:
         )  # fmt: skip
 
     def remember(self, command: ValveCommand, thrust_scale: float) -> None:
-        """Note the plan that was really sent."""
+        """Store the plan that was sent."""
         self._duty, self._thrust_scale = self._flow.of(command), thrust_scale
 
     @property
@@ -123,12 +123,12 @@ class Safety:
         return self._watch.latched
 
     def reset(self) -> None:
-        """Forget latched faults and the stop that they led to."""
+        """Clear latched faults and the stop that they caused."""
         self._watch.reset()
         self._braking_since, self._stopped = None, None
 
     def _is_over(self, t: float, state: State, decel: float) -> bool:
-        """Whether a stop has come to its end: at rest, or it lasts too long."""
+        """Whether a stop has ended: at rest, or too long."""
         twist = state.twist
         speed = math.hypot(twist.vx, twist.vy)
         if self._braking_since is None:
@@ -146,7 +146,7 @@ class Safety:
         inputs: Inputs,
         thrust_scale: float,
     ) -> tuple[Wrench, Intervention | None]:
-        """The demand after the filter; untouched it is the same object."""
+        """The demand after the filter; the same object if it was not changed."""
         pose, twist, bias = state.pose, state.twist, state.bias
         theta = pose.theta + 0.5 * self._period * twist.omega
         force = to_table(theta, commanded_wrench.fx, commanded_wrench.fy)

@@ -1,4 +1,4 @@
-r"""The supervisor: who may fire, and how an operator gets there.
+r"""The supervisor: decides when valves may open, on the operator's requests.
 
                  arm (checks)         run (checks)
     DISARMED ----------------> ARMED ----------------> RUNNING ---- stop, end ----> STOPPED
@@ -8,9 +8,9 @@ r"""The supervisor: who may fire, and how an operator gets there.
        |                         +-----------> FAULT <----+                            |
        +------------- reset (state check) ------+--------------------------------------+
 
-It boots DISARMED. Valves may open in RUNNING only. A fault is latched: nothing but a reset leaves
-FAULT, and a reset asks for the vehicles' state first, so that nobody resumes after a lost pose
-without having looked. Whoever owns the clock hands in time, requests and checks.
+It starts in DISARMED. Valves may open in RUNNING only. A fault is latched: only a reset leaves
+FAULT, and a reset requires the vehicles' checks first, so that a flight is not resumed blindly
+after a lost pose. The caller passes in time, requests and checks.
 """
 
 from collections.abc import Sequence
@@ -23,9 +23,9 @@ from testbed.flight.arming import Check
 Phase = Literal["DISARMED", "ARMED", "RUNNING", "STOPPED", "FAULT"]
 Request = Literal["arm", "run", "stop", "disarm", "reset"]
 
-ARMED_FOR = 60.0  # [s] arming is worth nothing after so long without a run
+ARMED_FOR = 60.0  # arming expires after this time without a run [s]
 
-# request -> the phases it is heard in, where it leads, whether the checks must be green
+# request -> phases in which it is accepted, next phase, whether the checks must pass
 MOVES: dict[str, tuple[tuple[str, ...], Phase, bool]] = {
     "arm": (("DISARMED",), "ARMED", True),
     "run": (("ARMED",), "RUNNING", True),
@@ -33,15 +33,15 @@ MOVES: dict[str, tuple[tuple[str, ...], Phase, bool]] = {
     "disarm": (("ARMED", "RUNNING"), "DISARMED", False),
     "reset": (("STOPPED", "FAULT"), "DISARMED", True),
 }
-HARMLESS = ("stop", "disarm")  # asked for where there is nothing to do, they are done already
+HARMLESS = ("stop", "disarm")  # always accepted, also if there is nothing to do
 
 
 class Answer(NamedTuple):
-    """What became of a request."""
+    """Answer to a request."""
 
     done: bool
     phase: Phase  # afterwards
-    reasons: tuple[str, ...]  # why not, one per red check
+    reasons: tuple[str, ...]  # why it was refused, one per failed check
 
 
 class Event(Struct, frozen=True):
@@ -53,10 +53,10 @@ class Event(Struct, frozen=True):
 
 
 class Supervisor:
-    """One table's supervisor: all its vehicles fire, or none."""
+    """The supervisor of a table: either all vehicles may fire or none."""
 
     def __init__(self, fault: str | None = None) -> None:
-        """Boot DISARMED; or in FAULT, with a `fault` that was latched before this boot."""
+        """Start DISARMED, or in FAULT with a `fault` latched by an earlier run."""
         self._phase: Phase = "DISARMED" if fault is None else "FAULT"
         self._since = 0.0
         self._fault = fault
@@ -64,12 +64,12 @@ class Supervisor:
 
     @property
     def phase(self) -> Phase:
-        """Where it stands."""
+        """The current phase."""
         return self._phase
 
     @property
     def may_fire(self) -> bool:
-        """Whether valves may open: what the gates are told as `armed`."""
+        """Whether valves may open; passed to the gates as `armed`."""
         return self._phase == "RUNNING"
 
     @property
@@ -78,14 +78,15 @@ class Supervisor:
         return self._fault
 
     def request(self, t: float, what: Request, checks: Sequence[Check] = ()) -> Answer:
-        """Hear an operator at time `t` [s]; `checks` are the newest of all vehicles."""
+        """Handle an operator's request at time `t` [s]; `checks` are the newest of all vehicles."""
         self.tick(t)
         heard_in, to, checked = MOVES[what]
         if self._phase not in heard_in:
             if what in HARMLESS:
                 return Answer(True, self._phase, ())
             where = " or ".join(heard_in)
-            return Answer(False, self._phase, (f"{what} is heard in {where}, not {self._phase}",))
+            why = f"{what} is accepted in {where}, not in {self._phase}"
+            return Answer(False, self._phase, (why,))
         if checked:
             if not checks:
                 return Answer(False, self._phase, ("no check was made",))
@@ -98,7 +99,7 @@ class Supervisor:
         return Answer(True, self._phase, ())
 
     def take_off(self, t: float, checks: Sequence[Check]) -> tuple[str, ...]:
-        """Arm and run at once, where nobody needs to be asked in between; why not."""
+        """Arm and run in one step, without asking the operator; returns reasons of a refusal."""
         return self.request(t, "arm", checks).reasons or self.request(t, "run", checks).reasons
 
     def fail(self, t: float, fault: str) -> None:
@@ -109,12 +110,12 @@ class Supervisor:
             self._move(t, "FAULT", fault)
 
     def end(self, t: float) -> None:
-        """The run has come to its end."""
+        """The run ends normally."""
         if self._phase == "RUNNING":
             self._move(t, "STOPPED", "the end of the run")
 
     def close(self, t: float, fault: str | None, *, flown: bool) -> None:
-        """The flight is over: by a fault, at its end (`flown`), or because somebody said stop."""
+        """The flight is over: by a fault, at its end (`flown`), or by a stop."""
         if self._phase not in ("ARMED", "RUNNING"):
             return
         if fault is not None:
@@ -125,7 +126,7 @@ class Supervisor:
             self.request(t, "stop")
 
     def tick(self, t: float) -> None:
-        """Time passes: an arming that nobody used runs out."""
+        """Let an unused arming expire."""
         if self._phase == "ARMED" and not t - self._since <= ARMED_FOR:
             self._move(t, "DISARMED", f"armed for {ARMED_FOR:g} s without a run")
 

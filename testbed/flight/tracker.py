@@ -1,11 +1,10 @@
-"""Tracker: follow a reference with the jets, without a steady offset.
+"""Tracker: follows a reference with the jets, without a steady-state error.
 
     force  = m (a_ref - bias + w^2 (p_ref - p) + 2 z w (v_ref - v))
     torque = I (alpha_ref - bias_alpha + ...)
 
-The acceleration of the reference is fed forward, and the estimator's bias takes the place of an
-integrator: it already is the acceleration that the fired jets do not explain, and it does not wind
-up when the jets saturate.
+The acceleration of the reference is fed forward. The estimator's bias replaces an integrator: it is
+the acceleration that the fired jets do not explain, and it does not wind up when the jets saturate.
 """
 
 import math
@@ -24,7 +23,7 @@ class TrackerParams(Struct, frozen=True, forbid_unknown_fields=True):
     damping: Positive = 1.0  # z
     heading_bandwidth: Positive = 1.5  # [rad/s]
     heading_damping: Positive = 1.0
-    brake_decel: Positive = 0.03  # when setpoints stop coming [m/s^2]
+    brake_decel: Positive = 0.03  # after setpoints have expired [m/s^2]
 
 
 def _feedback(bandwidth: float, damping: float, error: float, rate_error: float) -> float:
@@ -62,9 +61,9 @@ class Tracker:
 
 
 def braking_wrench(state: State, vehicle: Vehicle, decel: float, period: float) -> Wrench:
-    """Body wrench that takes the motion out: all of it in one jet period, or as much as can be.
+    """Body wrench that stops the motion in one jet period, or reduces it as far as possible.
 
-    Straight against the velocity, so that a vehicle that could stop before it began still can.
+    It acts straight against the velocity, so that a vehicle with room to stop keeps it.
 
     Args:
         state: at the start of the period.
@@ -78,7 +77,7 @@ def braking_wrench(state: State, vehicle: Vehicle, decel: float, period: float) 
     ax, ay = -rate * twist.vx - bias.ax, -rate * twist.vy - bias.ay
     theta = state.pose.theta + 0.5 * period * twist.omega
     fx, fy = to_body(theta, vehicle.mass * ax, vehicle.mass * ay)
-    slow = max(0.5, period)  # [s] heading can wait, the jets are needed for the speed
+    slow = max(0.5, period)  # heading is stopped slowly: the jets are needed for the speed [s]
     return Wrench(fx, fy, vehicle.inertia * (-twist.omega / slow - bias.alpha))
 
 
@@ -108,7 +107,7 @@ def due(trajectory: Trajectory, t: float) -> Reference:
 
 
 def brake(state: State, decel: float) -> Reference:
-    """Come to rest and stay: a standing reference where a smooth stop would end.
+    """Reference for a stop: at rest, where a smooth stop would end.
 
     Args:
         state: now.

@@ -1,4 +1,4 @@
-"""What a log leaves out: fields that have their default are not written, and are put back here."""
+"""Restores default values: the log omits fields that have their default."""
 
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -15,7 +15,7 @@ KINDS: dict[str, type[Struct]] = {  # by name of the schema
 
 
 def complete(kind: Any, message: Any) -> Any:
-    """A message of this kind, decoded from JSON, with everything in place but what is None."""
+    """A message decoded from JSON with its omitted fields restored, except those that are None."""
     if isinstance(kind, type) and issubclass(kind, Struct) and isinstance(message, dict):
         known = {field.encode_name: field for field in fields(kind)}
         given = {k: complete(known[k].type, v) if k in known else v for k, v in message.items()}
@@ -38,7 +38,7 @@ def _default(field: FieldInfo) -> Any:
 
 
 def _meant(kinds: tuple[Any, ...], message: Any) -> Any:
-    """Which of several kinds a message is: the one with its tag, or the only struct."""
+    """The matching one of several kinds: the struct with the message's tag, or the only struct."""
     structs = [k for k in kinds if isinstance(k, type) and issubclass(k, Struct)]
     if isinstance(message, dict):
         for kind in structs:

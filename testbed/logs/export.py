@@ -1,9 +1,9 @@
-"""A log as tables: one per topic, one row per message, one column per number.
+"""Exports a log as tables: one per topic, one row per message, one column per number.
 
-Units are SI and radians, times seconds of the run, where a name does not say otherwise (`on_us`).
+Units are SI and radians, times are seconds of the run, unless a name has another unit (`on_us`).
 Nested fields are joined with dots (`outputs.state.pose.x`), lists of up to LISTED numbers become
-`name[0]`, `name[1]`, ...; longer and uneven lists stay JSON text. Times are `t` [s]. A number that
-is not there is nan, a word that is not there is empty.
+`name[0]`, `name[1]`, ...; longer and uneven lists stay JSON text. Times are `t` [s]. A missing
+number is nan, a missing text is empty.
 """
 
 import csv
@@ -25,22 +25,22 @@ from testbed.logs.defaults import KINDS, complete
 from testbed.logs.log_reader import UNREADABLE, LogError, Row
 
 LISTED = 16
-UNITS = "SI and radians, times in seconds of the run, where a name does not say otherwise (on_us)"
-NO_NUMBERS = {"nan", "inf", "-inf"}  # spelled out in the log, because JSON has none of them
+UNITS = "SI and radians, times in seconds of the run, unless a name has another unit (on_us)"
+NO_NUMBERS = {"nan", "inf", "-inf"}  # strings in the log, because JSON has no such numbers
 
 Table = dict[str, NDArray[Any]]
 
 
 class ExportError(TestbedError):
-    """It cannot be written."""
+    """The export cannot be written."""
 
 
 def tables(rows: Iterable[Row], kinds: Mapping[str, str] | None = None) -> dict[str, Table]:
     """Every topic as a table of columns of equal length.
 
     Args:
-        rows: of a log.
-        kinds: name of each topic's schema, known when its first row is (`LogReader.kinds`).
+        rows: messages of a log.
+        kinds: name of each topic's schema, filled while rows are read (`LogReader.kinds`).
     """
     flat: dict[str, list[dict[str, Any]]] = {}
     for topic, stamp, data in rows:
@@ -77,7 +77,7 @@ def _flatten(path: str, value: Any, row: dict[str, Any]) -> None:
 def _columns(rows: list[dict[str, Any]]) -> Table:
     names = dict.fromkeys(name for row in rows for name in row)
     deep = {name.rpartition(".")[0] for name in names}
-    names = dict.fromkeys(n for n in names if n not in deep)  # null where it is not a structure
+    names = dict.fromkeys(n for n in names if n not in deep)  # null here, nested elsewhere
     return {name: _column([row.get(name) for row in rows]) for name in names}
 
 
@@ -85,7 +85,7 @@ def _column(values: list[Any]) -> NDArray[Any]:
     given = [v for v in values if v is not None]
     if all(isinstance(v, bool) for v in given) and len(given) == len(values):
         return np.array(values, dtype=bool)
-    with suppress(OverflowError):  # a number that is larger than any: it stays text
+    with suppress(OverflowError):  # too large for a float: stays text
         if all(isinstance(v, int) for v in given) and len(given) == len(values):
             return np.array(values, dtype=np.int64)
         if all(isinstance(v, int | float) or v in NO_NUMBERS for v in given):
@@ -94,10 +94,10 @@ def _column(values: list[Any]) -> NDArray[Any]:
 
 
 def _names(found: Mapping[str, Table], folder: Path, ending: str) -> dict[str, Path]:
-    """A new file for each topic.
+    """A new file path for each topic.
 
     Raises:
-        FileExistsError: one of them is there, before any is written.
+        FileExistsError: a file exists; nothing has been written then.
     """
     paths = {t: folder / f"{t.strip('/').replace('/', '_')}.{ending}" for t in found}
     for path in paths.values():
@@ -106,13 +106,13 @@ def _names(found: Mapping[str, Table], folder: Path, ending: str) -> dict[str, P
 
 
 def refuse_older(path: Path) -> None:
-    """Nothing is written over."""
+    """Raise FileExistsError instead of overwriting a file."""
     if path.exists():
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
 def to_csv(found: dict[str, Table], folder: Path) -> list[Path]:
-    """One file per topic."""
+    """Write one CSV file per topic."""
     paths = _names(found, folder, "csv")
     for topic, table in found.items():
         with (
@@ -126,7 +126,7 @@ def to_csv(found: dict[str, Table], folder: Path) -> list[Path]:
 
 
 def to_npz(found: dict[str, Table], folder: Path) -> list[Path]:
-    """One file; names are `sat1/tick/outputs.state.pose.x`."""
+    """Write one NPZ file; array names are like `sat1/tick/outputs.state.pose.x`."""
     path = folder / "log.npz"
     refuse_older(path)
     arrays = {
@@ -140,7 +140,7 @@ def to_npz(found: dict[str, Table], folder: Path) -> list[Path]:
 
 
 def to_parquet(found: dict[str, Table], folder: Path) -> list[Path]:
-    """One file per topic; needs pyarrow."""
+    """Write one Parquet file per topic; needs pyarrow."""
     try:
         import pyarrow as arrow
         from pyarrow import parquet

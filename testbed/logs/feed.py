@@ -1,12 +1,12 @@
-"""What those who look on are told: a stream of typed messages, wherever it comes from.
+"""A stream of typed messages for viewers, independent of its source.
 
-A viewer needs less than the log holds, and must open logs of other versions, too. So it reads only
-the fields below, and what an older log does not have gets a default. A feed may leave out all but
-the newest message of a topic when its reader is slow; the flight never waits for one.
+A viewer needs fewer fields than the log has, and must also open logs of other versions. It reads
+only the fields below; fields missing from an older log get a default. When its reader is slow, a
+feed may drop all but the newest message of a topic; the flight never waits for a reader.
 
-`LogFeed` follows the log of record, on any rig, while it is written or afterwards: the flight does
-nothing for those who look on, and who comes late still sees everything. A feed from the network is
-one more class with the same two members.
+`LogFeed` follows the log on any rig, during the flight or afterwards. Viewers cost the flight
+nothing, and a viewer that starts late still gets everything. A feed from the network would be
+another class with the same two members.
 """
 
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ _ZERO = Wrench(0.0, 0.0, 0.0)
 
 
 class SeenFilter(Struct, frozen=True, gc=False):
-    """What a safety filter made of a force."""
+    """Change of a force by the safety filter."""
 
     dfx_w: float = 0.0  # [N]
     dfy_w: float = 0.0  # [N]
@@ -40,7 +40,7 @@ class SeenFilter(Struct, frozen=True, gc=False):
 
 
 class SeenInputs(Struct, frozen=True, gc=False):
-    """Of a vehicle's inputs."""
+    """The part of a vehicle's inputs that viewers use."""
 
     t: float  # [s]
     armed: bool
@@ -49,7 +49,7 @@ class SeenInputs(Struct, frozen=True, gc=False):
 
 
 class SeenOutputs(Struct, frozen=True, gc=False):
-    """Of a vehicle's outputs."""
+    """The part of a vehicle's outputs that viewers use."""
 
     t: float  # [s]
     state: State | None
@@ -65,14 +65,14 @@ class SeenOutputs(Struct, frozen=True, gc=False):
 
 
 class SeenTick(Struct, frozen=True, gc=False):
-    """Of a vehicle's tick."""
+    """The part of a vehicle's tick that viewers use."""
 
     inputs: SeenInputs
     outputs: SeenOutputs
 
 
 class SeenHostInputs(Struct, frozen=True, gc=False):
-    """Of what the host's half knows."""
+    """The part of the host's inputs that viewers use."""
 
     t: float  # [s]
     own: State | None
@@ -80,38 +80,38 @@ class SeenHostInputs(Struct, frozen=True, gc=False):
 
 
 class SeenHost(Struct, frozen=True, gc=False):
-    """Of a tick of a law on the host."""
+    """The part of a host law's tick that viewers use."""
 
     inputs: SeenHostInputs
 
 
 class Loop(Struct, frozen=True, gc=False):
-    """How the flight's loop keeps time, where it flies by the wall clock."""
+    """Timing of the flight's loop in real time."""
 
     t: float  # the tick was due [s]
-    late_s: float  # it began so much later [s]
-    busy_s: float  # and took so long [s]
+    late_s: float  # delay of its start [s]
+    busy_s: float  # its duration [s]
 
 
 class SeenPace(Struct, frozen=True, gc=False):
-    """Of a vehicle's wires."""
+    """The part of a vehicle's `Pace` that viewers use."""
 
-    late_s: float  # its tick began so much later [s]
-    setpoint_delay_s: float | None = None  # of the newest
+    late_s: float  # delay of its tick's start [s]
+    setpoint_delay_s: float | None = None  # of the newest setpoint
     setpoints_heard: int = 0  # so far
     setpoints_lost: int = 0  # so far
-    cameras: str = ""  # what is wrong with its body
+    cameras: str = ""  # fault of its rigid body
 
 
 class SeenValves(Struct, frozen=True, gc=False):
-    """What a board says of its valves."""
+    """Valve outputs that a board reports."""
 
     t: float  # from then on [s]
     mask: int  # jet 0 is bit 0
 
 
 class SeenPhase(Struct, frozen=True, gc=False):
-    """What the supervisor did."""
+    """A phase change of the supervisor."""
 
     t: float  # [s]
     phase: str
@@ -125,21 +125,21 @@ class News(NamedTuple):
     """One message."""
 
     topic: str
-    who: str  # the vehicle, empty for all
+    who: str  # the vehicle; empty: all vehicles
     t: float  # [s]
     message: Message
 
 
 class Feed(Protocol):
-    """Where those who look on get their messages."""
+    """Source of messages for viewers."""
 
     @property
     def ended(self) -> bool:
-        """Whether nothing will come any more."""
+        """Whether no more messages will come."""
         ...
 
     def news(self) -> Iterator[News]:
-        """What has come since the last call, without waiting; of a topic, in order of time."""
+        """Messages since the last call, without waiting; in order of time within a topic."""
         ...
 
 
@@ -150,7 +150,7 @@ _KINDS: dict[str, type[Struct]] = {
 
 
 class LogFeed:
-    """Follows a log."""
+    """A `Feed` that follows a log."""
 
     def __init__(self, book: LogReader) -> None:
         self._book = book
@@ -162,7 +162,7 @@ class LogFeed:
         return self._book.finished
 
     def news(self) -> Iterator[News]:
-        """See `Feed`; everything, also that of before."""
+        """See `Feed`; starts at the beginning of the log."""
         for topic, stamp, data in self._book.read():
             decoder = self._decoders.get(self._book.kinds.get(topic, ""))
             if decoder is None:
@@ -175,7 +175,7 @@ class LogFeed:
 
 
 def pose_of(active_setpoint: Reference | Demand | None) -> Pose | None:
-    """Where a vehicle was asked to be; None where it was asked for a force."""
+    """The commanded pose of a vehicle; None if a force was commanded."""
     return active_setpoint.pose if isinstance(active_setpoint, Reference) else None
 
 

@@ -1,4 +1,4 @@
-"""A flight as arrays: what figures, exports and comparisons are made of."""
+"""A flight as arrays, for figures, exports and comparisons."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -25,44 +25,44 @@ NAN3 = (math.nan,) * 3
 
 
 class VehicleHistory(Struct, frozen=True):
-    """One vehicle, tick by tick; NaN where there was nothing."""
+    """One vehicle, tick by tick; missing values are NaN."""
 
-    t: Array  # (n,) of the tick [s]
-    at: Array  # (n,) what the estimate and the reference are for: when the plan takes effect [s]
+    t: Array  # (n,) time of the tick [s]
+    at: Array  # (n,) time of estimate and reference: when the plan takes effect [s]
     pose: Array  # (n, 3) estimate [m, m, rad]
     twist: Array  # (n, 3) estimate [m/s, m/s, rad/s]
     reference: Array  # (n, 3) [m, m, rad]
-    force_asked: Array  # (n, 2) in W by a law in wrench mode [N]
+    force_asked: Array  # (n, 2) force in W commanded by a law in wrench mode [N]
     commanded_wrench: Array  # (n, 3) mean over the period, in B [N, N, N m]
-    realised_wrench: Array  # (n, 3) what the pulses give by the jet table [N, N, N m]
+    realised_wrench: Array  # (n, 3) mean wrench of the pulses by the jet table [N, N, N m]
     on: Array  # (n, jets) open time [s]
     offset: Array  # (n, jets) from the plan's start to the opening [s]
     supply: Array  # (n,) [Pa]
     tank: Array  # (n,) [Pa]
     pose_age: Array  # (n,) [s]
-    filtered: Array  # (n, 2) what the safety filter changed, in W [N]
-    events: list[tuple[float, str]]  # what gate, fault table, filter and cameras said, and when
-    edges: Array  # (e, 2) t [s] and mask of its valves, as its board reported; empty: nobody did
-    wires: Array  # (n, 4) t, lateness, delay of setpoints [s], share of them lost; empty: no wires
-    true: Array  # (m, 6) x, y, theta, vx, vy, omega; empty if nobody knew
+    filtered: Array  # (n, 2) change of force by the safety filter, in W [N]
+    events: list[tuple[float, str]]  # times and texts from gate, fault table, filter and cameras
+    edges: Array  # (e, 2) t [s] and mask of its valves; empty: its board reported none
+    wires: Array  # (n, 4) t, lateness, setpoint delay [s], share lost; empty: no wires
+    true: Array  # (m, 6) x, y, theta, vx, vy, omega; empty if unknown
 
 
 class History(Struct, frozen=True):
-    """A flight."""
+    """A flight: its vehicles, host and supervisor."""
 
     vehicles: dict[str, VehicleHistory]
     true_t: Array  # (m,) [s]
-    heard: dict[str, tuple[Array, Array]]  # of each vehicle at the host: t, age of the newest state
+    heard: dict[str, tuple[Array, Array]]  # per vehicle: t, age of its newest state at the host
     loop: Array  # (k, 3) t, late, busy [s]; empty if the clock was virtual
-    phases: list[tuple[float, str]] = []  # of the supervisor: when, and which because of what
+    phases: list[tuple[float, str]] = []  # of the supervisor: time, "phase: reason"
 
     @property
     def end(self) -> float:
-        """Last tick [s]."""
+        """Time of the last tick [s]."""
         return max((float(v.t[-1]) for v in self.vehicles.values() if len(v.t)), default=0.0)
 
     def together(self) -> tuple[Array, dict[str, Array]]:
-        """One row of times, and where each vehicle was then, (n, 2) [m]."""
+        """Common times, and each vehicle's position at them, (n, 2) [m]."""
         flown = {name: self.where(name) for name in self.vehicles}
         flown = {name: (t, state) for name, (t, state) in flown.items() if len(t)}
         if not flown:
@@ -74,7 +74,7 @@ class History(Struct, frozen=True):
         }
 
     def where(self, name: str) -> tuple[Array, Array]:
-        """Times and states (m, 6) of a vehicle: the truth if anybody knew it, else the estimate."""
+        """Times and states (m, 6) of a vehicle: the truth if it is known, else the estimate."""
         vehicle = self.vehicles[name]
         if len(vehicle.true) == len(self.true_t) > 0:
             return self.true_t, vehicle.true
@@ -90,7 +90,7 @@ class _Vehicle(Struct):
 
 
 def gather(news: Iterable[News]) -> History:
-    """Put a flight together."""
+    """Collect the messages of a flight into a history."""
     vehicles: dict[str, _Vehicle] = {}
     true_t: list[float] = []
     heard: dict[str, list[tuple[float, float]]] = {}
@@ -183,14 +183,14 @@ def _or_nan(value: float | None) -> float:
 
 
 def lost_share(pace: SeenPace) -> float:
-    """Of the setpoints so far, how many never came."""
+    """Share of the setpoints so far that were lost."""
     return pace.setpoints_lost / max(1, pace.setpoints_heard + pace.setpoints_lost)
 
 
 def camera_events(
     paces: Iterable[tuple[float, SeenPace]], said: str = ""
 ) -> list[tuple[float, str]]:
-    """What changed in the trouble with the cameras, and when [s]; `said` was the last."""
+    """Changes of the camera fault and their times [s]; `said` is the previous one."""
     found = []
     for t, pace in paces:
         if pace.cameras != said:
@@ -200,9 +200,9 @@ def camera_events(
 
 
 def events(ticks: Iterable[SeenTick]) -> list[tuple[float, str]]:
-    """What changed in the words of gate, fault table and filter, and when [s].
+    """Changes reported by gate, fault table and filter, and their times [s].
 
-    A response comes with the rows of the fault table that hold, and again when one more does.
+    A response is listed with the active rows of the fault table, and again when a row is added.
     """
     said: list[tuple[float, str]] = []
     shut, fault, response, kept = None, None, "", ""

@@ -1,11 +1,11 @@
-"""Reading a log of record, also while it is being written, after its writer was killed, or damaged.
+"""Reads a log, also while it is written, after its writer was killed, or damaged.
 
 A log is MCAP: records of a byte, a length and a body. Messages are in chunks; the last chunk may be
-cut off, and everything before it is whole. The reader remembers how far it got, so the same one
-serves a finished file and one that grows.
+cut off, and everything before it is complete. The reader keeps its position, so it also follows a
+growing file.
 
-A damaged part is passed over: the reader goes on at the next whole chunk and remembers what is
-missing. Names of topics that were in the damaged part are repeated at the end of a finished file.
+The reader skips a damaged part, continues at the next intact chunk and records what is missing.
+Topic names in the damaged part are repeated at the end of a finished file.
 """
 
 import os
@@ -40,21 +40,21 @@ from testbed.logs.mcap_record import (
 )
 from testbed.logs.salvage import GiveUpError, Search
 
-OURS = "airbearing-testbed"  # the library of a log whose messages are numbered without a gap
-SAID = 10  # places of damage that are said one by one
-KINDS = {  # of a topic whose schema is lost, by the last part of its name
+OURS = "airbearing-testbed"  # library name of logs with gapless message numbers
+SAID = 10  # places of damage that are listed one by one
+KINDS = {  # kind of a topic whose schema is lost, by the last part of its name
     "tick": "Tick", "host": "HostTick", "valves": "Valves", "pace": "Pace", "loop": "Loop",
     "supervisor": "Event", "truth": "Truth", "formation": "Characterisation",
 }  # fmt: skip
-UNREADABLE = (ValueError, RecursionError, OverflowError)  # what a message that is none raises
+UNREADABLE = (ValueError, RecursionError, OverflowError)  # raised by an invalid message
 
 
 class LogError(TestbedError):
-    """It is not there, or it is not a log."""
+    """The log is missing, or the file is not a log."""
 
 
 class Row(NamedTuple):
-    """One message as it lies in the file."""
+    """One message as stored in the file."""
 
     topic: str
     stamp: int  # time of the run [ns]
@@ -62,12 +62,12 @@ class Row(NamedTuple):
 
 
 class Damage(NamedTuple):
-    """A place at which a log is damaged, and what is missing there."""
+    """A damaged place in a log, and what is missing there."""
 
-    at: int  # byte
-    messages: int | None  # that are missing; None: not known
-    since: float | None  # last message before [s]; None: there is none
-    until: float | None  # first message after, or the last of all [s]; None: not known
+    at: int  # offset in the file [bytes]
+    messages: int | None  # number of missing messages; None: not known
+    since: float | None  # time of the last message before [s]; None: no message
+    until: float | None  # time of the first message after, or of the log's end [s]; None: not known
 
     def __str__(self) -> str:
         place = f"damaged at byte {self.at}"
@@ -75,7 +75,7 @@ class Damage(NamedTuple):
             return f"{place}: nothing of the flight is missing"
         begin = 0.0 if self.since is None else self.since
         if self.until is None:
-            what = "the flight" if self.since is None else f"all that was flown after {begin:.2f} s"
+            what = "the flight" if self.since is None else f"the flight after {begin:.2f} s"
             return f"{place}: {what} is missing"
         said = f"{place}: {max(0.0, self.until - begin):.2f} s of flight ({begin:.2f} s to "
         counted = (
@@ -87,29 +87,29 @@ class Damage(NamedTuple):
 
 
 class LogReader:
-    """A log, read from the beginning on.
+    """Reads a log from its beginning.
 
     Raises:
-        LogError: there is no file, it is something else, or it unpacks to far too much.
+        LogError: the file is missing, is not a log, or unpacks to too much data.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.finished = False  # it was ended properly, and the end was read
+        self.finished = False  # the file has a proper end, which was read
         self.kinds: dict[str, str] = {}  # topic -> name of its schema
-        self.damages: list[Damage] = []  # passed over so far
+        self.damages: list[Damage] = []  # skipped so far
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, Channel] = {}
         self._nameless = 0  # messages of topics whose names are lost
-        self._at = self._sound = len(MCAP0_MAGIC)  # next record; end of the last whole chunk
-        self._gap = self._at  # end of the whole chunk before that
-        self._hurt: int | None = None  # damage that was passed over since the last message
-        self._stuck: int | None = None  # damage behind which nothing whole was found
-        self._looked_at = -1  # [bytes] size of the file when nothing was found
+        self._at = self._sound = len(MCAP0_MAGIC)  # next record; end of the last intact chunk
+        self._gap = self._at  # end of the intact chunk before that
+        self._hurt: int | None = None  # damage skipped since the last message
+        self._stuck: int | None = None  # damage with no intact chunk after it
+        self._looked_at = -1  # size of the file at the last search without result [bytes]
         self._ours = True
         self._sequence = 0  # of the last message
         self._stamp: int | None = None  # of the last message [ns]
-        self._unpacked = 0  # [bytes] so far
+        self._unpacked = 0  # unpacked so far [bytes]
         self._search = Search()
         try:
             with path.open("rb") as file:
@@ -120,7 +120,7 @@ class LogReader:
             raise LogError(f"{path}: {error.strerror}") from None
 
     def _without_beginning(self, file: BinaryIO, magic: bytes) -> None:
-        """The first bytes are wrong: it is no log, or its beginning is damaged."""
+        """Handle wrong first bytes: not a log, or its beginning is damaged."""
         self._at = self._sound = 0
         if self._search_on(file, _size(file)) is None:
             raise LogError(where=str(self.path), expected="an MCAP file", found=repr(magic))
@@ -130,7 +130,7 @@ class LogReader:
         """Every message that has been written since the last call, in the order of writing.
 
         Raises:
-            LogError: it unpacks to far too much, or is damaged beyond searching.
+            LogError: it unpacks to too much data, or is too damaged to search.
         """
         with self.path.open("rb") as file:
             while not self.finished:
@@ -141,16 +141,16 @@ class LogReader:
 
     @property
     def lost(self) -> bool:
-        """Whether messages are missing in what was read so far, or behind it."""
+        """Whether messages are missing in the part read so far or right after it."""
         return bool(self._nameless) or any(one.messages != 0 for one in self._places())
 
     def complete(self) -> bool:
-        """Whether all that was ever written has been read, and the file has its proper end."""
+        """Whether every message has been read and the file has a proper end."""
         with self.path.open("rb") as file:
             return self.finished and not self.lost and read_summary(file) is not None
 
     def said(self) -> list[str]:
-        """The damage in what was read so far and behind it, in words; empty: none."""
+        """Messages about damage in the part read so far or right after it; empty: none."""
         places = self._places()
         lines = [f"{self.path} is {one}" for one in places[:SAID]]
         if len(places) > SAID:
@@ -168,7 +168,7 @@ class LogReader:
         return [*self.damages, Damage(self._stuck, None, _seconds(self._stamp), None)]
 
     def _step(self, file: BinaryIO) -> list[Record] | None:
-        """What the next record holds; None at the end of what is there."""
+        """Contents of the next record; None at the current end of the file."""
         size = _size(file)
         if self._at >= size or size == self._looked_at:
             return None
@@ -213,7 +213,7 @@ class LogReader:
         return records
 
     def _allowance(self, size: int) -> int:
-        """What the rest of the file may unpack to [bytes]."""
+        """How much the rest of the file may unpack to [bytes]."""
         return LARGEST + RATIO * size - self._unpacked
 
     def _refused(self, error: BombError) -> LogError:
@@ -223,7 +223,7 @@ class LogReader:
         )
 
     def _resume(self, file: BinaryIO, size: int, *, is_damage: bool) -> list[Record] | None:
-        """Go on at the next whole chunk, or at the end of a file that has one."""
+        """Continue at the next intact chunk, or at the proper end of the file."""
         stopped = self._at
         if (found := self._search_on(file, size)) is not None:
             self._hurt = stopped if self._hurt is None else self._hurt
@@ -244,7 +244,7 @@ class LogReader:
             raise self._refused(error) from None
         except GiveUpError:
             raise LogError(
-                f"{self.path}: damaged at byte {self._at}, and too much behind it looks like a log"
+                f"{self.path}: damaged at byte {self._at}, and too much after it looks like a log"
             ) from None
         if found is None:
             return None
@@ -253,7 +253,7 @@ class LogReader:
         return found.records
 
     def _ended(self, file: BinaryIO) -> None:
-        """At the end: what is missing since the last message, by the file's own count."""
+        """At the end: record what is missing since the last message, from the file's own count."""
         if self._hurt is None:
             return
         summary = self._repeated(file)
@@ -294,7 +294,7 @@ class LogReader:
         self.kinds[name.topic] = self._schemas.get(name.schema, by_name)
 
     def _account(self, message: Message) -> None:
-        """Note what is missing before a message."""
+        """Record what is missing before a message."""
         missing = max(0, message.sequence - self._sequence - 1) if self._ours else None
         if self._hurt is not None or missing:
             at = self._gap if self._hurt is None else self._hurt
@@ -313,15 +313,15 @@ def _seconds(stamp: int | None) -> float | None:
 
 
 def config_of(run: Path) -> Path:
-    """The experiment file of a run folder, or of the log in one."""
+    """The experiment file of a run folder, or of a log in a run folder."""
     return (run if run.is_dir() else run.parent) / "config.toml"
 
 
 def log_of(run: Path) -> Path:
-    """The log that an operator means by a run folder or by the log itself.
+    """The log, given a run folder or the log itself.
 
     Raises:
-        LogError: the folder is none of a run.
+        LogError: it is not a run folder.
     """
     if not run.is_dir():
         return run

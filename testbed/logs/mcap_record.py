@@ -1,8 +1,8 @@
-"""Records of an MCAP file, read with bounds: what does not fit together is refused, not believed.
+"""Records of an MCAP file, read with bounds checks: inconsistent records are refused.
 
 A file is records of a byte, a length and a body. Messages are in compressed chunks, each with a
-checksum. Every length is checked before it is used, so a damaged or hostile file costs no more
-memory and time than its own size explains.
+checksum. Every length is checked before it is used, so memory and time are bounded by
+the file's size, also for a damaged or hostile file.
 """
 
 import os
@@ -16,25 +16,25 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 HEAD = struct.Struct("<BQ")  # opcode and length of a record
-LARGEST = 8 * 2**20  # [bytes] of a chunk, packed or not; the writer's are of 256 kB
-RATIO = 64  # a whole log grows by no more in unpacking; real ones by 4 to 30
-NAMES = 2**16  # schemas and channels in a chunk, at most: there are no more numbers for them
+LARGEST = 8 * 2**20  # largest chunk, packed or not [bytes]; the writer's have 256 kB
+RATIO = 64  # largest compression ratio of a log; real ones have 4 to 30
+NAMES = 2**16  # most schemas and channels in a chunk: their numbers have 16 bits
 
 _CHUNK = struct.Struct("<QQQI")  # first and last time [ns], unpacked size, checksum
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time [ns]
-_FOOTER = struct.Struct("<BQQQI")  # with its head: start of summary and offsets, checksum
-_TAIL = _FOOTER.size + len(MCAP0_MAGIC)  # [bytes] of an ended file
+_FOOTER = struct.Struct("<BQQQI")  # head, start of summary and offsets, checksum
+_TAIL = _FOOTER.size + len(MCAP0_MAGIC)  # bytes after the summary of a finished file
 _BLOCK = 2**20  # [bytes] read at once for a checksum
 
 DATA = {  # opcodes of the records before the summary
     Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK,
     Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END,
 }  # fmt: skip
-SKIPPED = {Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.METADATA}  # here only other writers have them
+SKIPPED = {Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.METADATA}  # only other writers put them here
 
 
 class BrokenError(Exception):
-    """It is no record, or a damaged one."""
+    """The bytes are not a record, or the record is damaged."""
 
 
 class CutOffError(Exception):
@@ -42,18 +42,18 @@ class CutOffError(Exception):
 
 
 class BombError(Exception):
-    """It is whole, but unpacks to more than a log has any use for."""
+    """The chunk is intact, but unpacks to more than the limit."""
 
 
 class Schema(NamedTuple):
-    """Names a kind of message."""
+    """Schema record: name of a kind of message."""
 
     number: int
     name: str
 
 
 class Channel(NamedTuple):
-    """Names a topic."""
+    """Channel record: name of a topic."""
 
     number: int
     schema: int
@@ -61,7 +61,7 @@ class Channel(NamedTuple):
 
 
 class Message(NamedTuple):
-    """One message."""
+    """Message record."""
 
     channel: int
     sequence: int  # counts all messages of a log of this software
@@ -70,18 +70,18 @@ class Message(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What the end of a file repeats."""
+    """The summary at the end of a file."""
 
     records: list[Schema | Channel]
-    messages: int | None = None  # of the whole file; None: not counted
-    last: int | None = None  # [ns] time of the last message
+    messages: int | None = None  # in the file; None: not counted
+    last: int | None = None  # time of the last message [ns]
 
 
 Record = Schema | Channel | Message
 
 
 class _Cursor:
-    """Takes fields off a body."""
+    """Reads fields from a body."""
 
     def __init__(self, body: bytes, at: int = 0) -> None:
         self._body, self._at = body, at
@@ -111,8 +111,8 @@ def read_head(file: BinaryIO, at: int, size: int) -> tuple[int, int]:
     """Opcode and length of the record at `at` in a file of `size` bytes.
 
     Raises:
-        BrokenError: there is none of a log's data section.
-        CutOffError: the file ends before it does.
+        BrokenError: there is no record of a log's data section.
+        CutOffError: the file ends before the record.
     """
     file.seek(at)
     head = file.read(HEAD.size)
@@ -129,7 +129,7 @@ def read_head(file: BinaryIO, at: int, size: int) -> tuple[int, int]:
 
 
 def read_library(body: bytes) -> str:
-    """Of a header: the software that wrote the file."""
+    """The software that wrote the file, from its header."""
     cursor = _Cursor(body)
     cursor.text()
     library = cursor.text()
@@ -138,7 +138,7 @@ def read_library(body: bytes) -> str:
 
 
 def read_name(opcode: int, body: bytes) -> Schema | Channel:
-    """A schema or a channel."""
+    """Decode a schema or a channel."""
     cursor = _Cursor(body)
     number = cursor.number(2)
     found: Schema | Channel
@@ -156,7 +156,7 @@ def read_name(opcode: int, body: bytes) -> Schema | Channel:
 
 
 def check_index(body: bytes) -> None:
-    """An index of a chunk's messages, which is not needed, is one."""
+    """Check the format of a chunk's message index; its contents are not used."""
     cursor = _Cursor(body)
     cursor.number(2)
     cursor.bytes(cursor.number(4))
@@ -164,7 +164,7 @@ def check_index(body: bytes) -> None:
 
 
 def read_chunk(body: bytes, allowance: int) -> list[Record]:
-    """All that is in a chunk; none of it if any of it is damaged.
+    """All records of a chunk; an error if any of it is damaged.
 
     Raises:
         BrokenError: it is damaged.
@@ -183,10 +183,10 @@ def read_chunk(body: bytes, allowance: int) -> list[Record]:
 
 
 def unpacked_size(body: bytes) -> int:
-    """What a chunk says that it unpacks to [bytes].
+    """The unpacked size in a chunk's header [bytes].
 
     Raises:
-        BrokenError: it is too short to say so.
+        BrokenError: the chunk is too short.
     """
     if len(body) < _CHUNK.size:
         raise BrokenError("a chunk without a beginning")
@@ -242,7 +242,7 @@ def _inside(data: bytes) -> Iterator[Record]:
 
 
 def read_summary(file: BinaryIO) -> Summary | None:
-    """What the end of the file says; None where it has no end, or one that is damaged."""
+    """The summary at the end of the file; None if it is missing or damaged."""
     size = file.seek(0, os.SEEK_END)
     if size < len(MCAP0_MAGIC) + _TAIL:
         return None

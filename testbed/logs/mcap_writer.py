@@ -1,11 +1,10 @@
-"""The recorder's own process: frames from a pipe into an MCAP file, until the pipe ends.
+"""The log writer's process: copies frames from a pipe into an MCAP file, until the pipe ends.
 
     python -m testbed.logs.mcap_writer LOG WARN_BELOW END_BELOW
 
-It is started by `recorder.py` and outlives whatever happens to the flight by the time it takes to
-finish the file. One thread does nothing but empty the pipe, so a slow disk is not the flight's
-trouble until some 64 MB wait. What it has to say goes to stderr, one line each; the last line of a
-writer that gave up is the reason.
+`recorder.py` starts it. If the flight is killed it lives on until the file is finished. One thread
+only empties the pipe, so a slow disk does not affect the flight until 64 MB are queued. Messages go
+to stderr, one per line; if the writer fails, its last line is the reason.
 """
 
 import os
@@ -23,32 +22,32 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from testbed.core.error import TestbedError
 from testbed.logs.recorder import READY, Entry, Frame, Mark, Topic
 
-CHUNK = 256 * 1024  # [bytes] a chunk is closed at this size, however little time it spans
-GULP = 64 * 1024  # [bytes] read from the pipe at once, at most
-WAITING = 1024  # gulps that may wait for the disk
+CHUNK = 256 * 1024  # a chunk is closed at this size or earlier [bytes]
+GULP = 64 * 1024  # most bytes read from the pipe at once
+WAITING = 1024  # most reads queued for the disk
 
 
 class DiskFullError(TestbedError):
-    """There is just enough room left to end the log properly."""
+    """The disk has just enough space left to finish the log."""
 
 
 class File:
-    """A new file that is written in whole pieces: what is flushed is there, or none of it is."""
+    """A new file with atomic flushes: a flush is written completely or not at all."""
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         self._whole, self._pending = 0, bytearray()
 
     def write(self, data: bytes) -> None:
-        """Remember for the next flush."""
+        """Buffer data for the next flush."""
         self._pending += data
 
     def tell(self) -> int:
-        """Where the next byte goes."""
+        """Position of the next byte."""
         return self._whole + len(self._pending)
 
     def flush(self) -> None:
-        """Write what is remembered."""
+        """Write the buffered data."""
         data, self._pending = bytes(self._pending), bytearray()
         done = 0
         try:
@@ -61,7 +60,7 @@ class File:
         self._whole += done
 
     def end(self) -> None:
-        """The shortest proper end of an MCAP file, without a summary."""
+        """Write the shortest valid end of an MCAP file, without a summary."""
         builder = RecordBuilder()
         DataEnd(0).write(builder)
         Footer(0, 0, 0).write(builder)
@@ -70,7 +69,7 @@ class File:
 
 
 def gulps(descriptor: int) -> Iterator[bytes]:
-    """What comes through the pipe; a thread empties it meanwhile."""
+    """Data from the pipe, which a thread reads in the background."""
     waiting: Queue[bytes] = Queue(WAITING)
 
     def drink() -> None:
@@ -84,7 +83,7 @@ def gulps(descriptor: int) -> Iterator[bytes]:
 
 
 def frames(pieces: Iterator[bytes]) -> Iterator[Frame]:
-    """Frames of a stream; one that is cut off at the end was never sent."""
+    """Frames of a stream; a frame that is cut off at the end is dropped."""
     decode = msgspec.msgpack.Decoder(Frame).decode
     rest = b""
     for piece in pieces:
@@ -99,14 +98,14 @@ def frames(pieces: Iterator[bytes]) -> Iterator[Frame]:
 
 
 class Disk:
-    """How much room there is, and what to say about it."""
+    """Watches the free space on the disk."""
 
     def __init__(self, free: Callable[[], int], warn_below: int, end_below: int) -> None:
         self._free, self._warn_below, self._end_below = free, warn_below, end_below
         self._warned = False
 
     def check(self) -> str | None:
-        """A warning, once; before it is too late, DiskFullError."""
+        """A warning, once; DiskFullError while the log can still be finished."""
         free = self._free()
         if free < self._end_below:
             raise DiskFullError(f"No space left on device: {free / 1e6:.0f} MB")
@@ -125,15 +124,15 @@ def write_log(
     """Copy frames into a new file at `path`, never over an older one.
 
     Raises:
-        OSError: it cannot be made, or the disk is full or quota reached; what is there is whole.
-        DiskFullError: it was ended properly while there was room.
+        OSError: it cannot be created, or disk or quota is full; the written part is readable.
+        DiskFullError: the disk is nearly full; the file has been finished.
     """
     file = File(path)
     writer = Writer(file, chunk_size=CHUNK, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
     say(READY.decode().strip())
     writer.start(profile="", library="airbearing-testbed")
     channels: list[int] = []
-    schemas: dict[tuple[str, bytes], int] = {}  # each once: vehicles share them
+    schemas: dict[tuple[str, bytes], int] = {}  # vehicles share schemas
     sequence = 0
     try:
         for frame in received:
@@ -161,19 +160,19 @@ def write_log(
 
 
 def finish(writer: Writer, file: File) -> None:
-    """Index and end."""
+    """Write the index and the end of the file."""
     writer.finish()
     file.flush()
 
 
 def free_at(path: Path) -> int:
-    """Room for an ordinary user on the disk of `path` [bytes]."""
+    """Free space for an ordinary user on the disk of `path` [bytes]."""
     room = os.statvfs(path.parent)
     return room.f_bavail * room.f_frsize
 
 
 def main() -> int:
-    """Write until the pipe ends; 1 and a line on stderr if that is impossible."""
+    """Write until the pipe ends; on failure returns 1 and prints the reason on stderr."""
     path, warn_below, end_below = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 
     def say(line: str) -> None:
@@ -190,7 +189,7 @@ def main() -> int:
     else:
         return 0
     sys.stderr.flush()
-    os._exit(1)  # the thread may be in the middle of reading
+    os._exit(1)  # the reading thread may be blocked
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Messages as JSON, also those in which a number is none.
+"""Messages as JSON, including NaN and infinite numbers.
 
-JSON has no nan and no infinity, and msgspec writes null for them. A log that ends in one must be
-read again all the same, so they are written as the strings "nan", "inf" and "-inf", which a reader
-that is not strict takes for floats. A field that is None is left out: a null fits no plain schema.
+JSON has no nan and no infinity, and msgspec writes null for them. The log must preserve them, so
+they are written as the strings "nan", "inf" and "-inf", which a lenient reader accepts as floats. A
+field that is None is omitted, because null does not fit a plain schema.
 """
 
 import math
@@ -19,15 +19,15 @@ _encode = msgspec.json.Encoder().encode
 
 
 def to_json(message: Struct) -> bytes:
-    """The message as JSON, every float with all its bits."""
+    """Encode a message as JSON; floats keep all bits."""
     data = _encode(message)
-    if b"null" in data:  # a None, or a number that is none
+    if b"null" in data:  # a None, nan or infinity
         data = _encode(_spelled(msgspec.to_builtins(message)))
     return data
 
 
 class Decoder(Generic[M]):
-    """Reads messages of a kind that `to_json` wrote, now or in older versions with their nulls."""
+    """Decodes messages from `to_json`, also from older versions that wrote null."""
 
     def __init__(self, kind: type[M]) -> None:
         self._kind = kind
@@ -37,22 +37,22 @@ class Decoder(Generic[M]):
         """One message.
 
         Raises:
-            msgspec.DecodeError: it is something else.
+            msgspec.DecodeError: it is not a message of this kind.
         """
         try:
             return self._decode(data)
-        except msgspec.ValidationError:  # a None is missing, or it is something else
+        except msgspec.ValidationError:  # a None was omitted, or it is invalid
             tree = _with_nones(self._kind, msgspec.json.decode(data))
             return msgspec.convert(tree, self._kind, strict=False)
 
 
 def from_json(data: bytes, kind: type[M]) -> M:
-    """A message that `to_json` wrote."""
+    """Decode one message from `to_json`."""
     return Decoder(kind).decode(data)
 
 
 def _spelled(value: Any) -> Any:
-    """The same tree without None, and with floats that are no numbers as strings."""
+    """The same tree without None, and with nan and infinity as strings."""
     match value:
         case float() if not math.isfinite(value):
             return str(value)
@@ -64,7 +64,7 @@ def _spelled(value: Any) -> Any:
 
 
 def _with_nones(kind: Any, tree: Any) -> Any:
-    """The same tree with None where a field that may be None, and has no default, is missing."""
+    """The same tree with None in every missing field that may be None and has no default."""
     if not (isinstance(kind, type) and issubclass(kind, Struct) and isinstance(tree, dict)):
         return tree
     found = dict(tree)

@@ -1,13 +1,13 @@
 """JSON Schemas that Foxglove reads.
 
-It knows no references, no choices and no maps: every object lists its properties, every property
-has one plain type, every array one type of items (`parseJsonSchema` of its MCAP support). So what
-msgspec says of a struct is written out:
+Foxglove supports no references, choices or maps: every object must list its properties, every
+property must have one plain type, every array one type of items (`parseJsonSchema` of its MCAP
+support). So msgspec's schema of a struct is expanded:
 
-* a field that may be None has the type that it has otherwise; the log leaves out what is None
+* a field that may be None has its other type; the log omits fields that are None
 * one of several structs is an object with the properties of all of them
 * a map by vehicle is an object with a property for each vehicle
-* what cannot be said so is left out: lists of lists, such as the samples of the cameras
+* other types are left out: lists of lists, such as camera samples
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,7 +30,7 @@ def plain_schema(kind: type[Struct], vehicles: Sequence[str] = ()) -> Schema:
 
 
 def _plain(node: Schema, named: dict[str, Schema], vehicles: Sequence[str]) -> Schema | None:
-    """The same without references, choices and maps; None: that cannot be said."""
+    """The same schema without references, choices and maps; None: not possible."""
     if "$ref" in node:
         return _plain(named[node["$ref"].rpartition("/")[2]], named, vehicles)
     if "anyOf" in node:
@@ -77,7 +77,7 @@ def _described(properties: dict[str, Schema], needed: Iterable[str]) -> Schema:
 
 
 def _either(options: list[Schema | None]) -> Schema | None:
-    """One schema for several: they are the same, or all are objects."""
+    """One schema for several that are equal or all objects."""
     first, *others = options
     for one in others:
         first = None if first is None or one is None else _both(first, one)

@@ -1,26 +1,25 @@
-"""Log of record: every tick's inputs and outputs in one MCAP file.
+"""Records every tick's inputs and outputs in one MCAP file, the log of the run.
 
     /<vehicle>/tick    one tick of the flight chain: inputs and outputs
     /<vehicle>/ending  the same after the end of the flight, until its air is off
-    /<vehicle>/host    one tick of its law, where that runs on the host
-    /<vehicle>/valves  what its board drove, where firmware is in the loop
-    /<vehicle>/pace    how its ticks keep their time and how its wires are, where it has any
-    /loop              how the host keeps its time, by a real clock
-    /supervisor        who may fire, from when on, and why
-    /truth             where the vehicles really were; only a twin knows
+    /<vehicle>/host    one tick of its law, if the law runs on the host
+    /<vehicle>/valves  valve outputs of its board, with firmware in the loop
+    /<vehicle>/pace    timing of its ticks and state of its connections, on real wires
+    /loop              timing of the host's loop, in real time
+    /supervisor        phase changes of the supervisor, and their reasons
+    /truth             true poses of the vehicles; only from a twin
 
-JSON messages, each topic with the JSON Schema of its struct: any MCAP reader can open it without
-this code, and the schemas are so plain that Foxglove reads them (`plain_schema.py`). Times are the
-run's, so the same seed gives the same bytes.
+Messages are JSON and each topic has the JSON Schema of its struct: any MCAP reader can open the log
+without this code, and Foxglove can read the schemas (`plain_schema.py`). Times are the run's, so
+the same seed gives the same bytes.
 
-The file is written by a process of its own (`mcap_writer.py`) at the other end of a pipe: the
-flight does not wait for the disk, and when it is killed, the writer still finishes the file. Every
-SPAN_NS of the run a chunk of the file is closed, so a writer that is killed loses no more than that
-and what was under way.
+A separate process (`mcap_writer.py`) writes the file from a pipe: the flight does not wait for the
+disk, and if the flight is killed the writer still finishes the file. A chunk of the file is closed
+every SPAN_NS of the run, so a killed writer loses at most that and the data in the pipe.
 
-The pipe is never waited for on wires, where a flight that waits loses its vehicles: what it does
-not take is kept in memory, and beyond LARGEST_BACKLOG rows are lost, which is said. On the twin,
-which is faster than any disk, the flight waits for the writer, but not for one that does nothing.
+On real wires the flight never waits for the pipe, because it would lose its vehicles: data that the
+pipe does not take is kept in memory, and beyond LARGEST_BACKLOG rows are lost with a warning. On
+the twin, which is faster than a disk, the flight waits for the writer, unless the writer hangs.
 """
 
 import os
@@ -40,16 +39,16 @@ from testbed.core.error import TestbedError
 from testbed.logs.message import to_json
 from testbed.logs.plain_schema import plain_schema
 
-BUFFER = 256 * 1024  # [bytes] between the flight and the writer; a third of a second of messages
-PIECE = 64 * 1024  # [bytes] that are written at once, between two marks
-LARGEST_BACKLOG = 32_000_000  # [bytes] that wait in memory for a writer that does not keep up
+BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
+PIECE = 64 * 1024  # most bytes kept between two marks before they are written
+LARGEST_BACKLOG = 32_000_000  # most bytes kept in memory for a slow writer
 LOOK_S = 0.05
-PATIENCE_S = 5.0  # for a writer that takes and writes nothing
-SPAN_NS = 50_000_000  # of the run between two chunks; the same run gives the same chunks
-WARN_BELOW = 500_000_000  # [bytes] free on the disk: say so
-END_BELOW = 20_000_000  # [bytes] free on the disk: end the log properly while there is room
+PATIENCE_S = 5.0  # a writer without progress for this long hangs
+SPAN_NS = 50_000_000  # time of the run per chunk; the same run gives the same chunks
+WARN_BELOW = 500_000_000  # free disk space below which to warn [bytes]
+END_BELOW = 20_000_000  # free disk space below which to finish the log [bytes]
 
-READY = b"ready\n"  # the writer's first words
+READY = b"ready\n"  # the writer's first line
 
 
 class RecorderError(TestbedError):
@@ -68,14 +67,14 @@ class Motion(Struct, frozen=True, gc=False):
 
 
 class Truth(Struct, frozen=True, gc=False):
-    """Where the vehicles really are at a tick."""
+    """True poses of the vehicles at a tick."""
 
     t: float  # [s]
     vehicles: dict[str, Motion]
 
 
 class Topic(Struct, frozen=True, tag=True, array_like=True):
-    """To the writer: a new topic; topics are numbered in the order in which they are announced."""
+    """To the writer: a new topic; topics are numbered in the order of these messages."""
 
     name: str
     schema_name: str
@@ -91,22 +90,22 @@ class Entry(Struct, frozen=True, tag=True, array_like=True, gc=False):
 
 
 class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
-    """To the writer: put everything so far where a reader finds it."""
+    """To the writer: flush, so that a reader can see everything so far."""
 
 
 Frame = Topic | Entry | Mark
 
 
 class Recorder:
-    """Writes a log; a context manager that finishes the file however the flight ends.
+    """Writes a log; a context manager that finishes the file after any end of the flight.
 
     Args:
         path: of the new file.
-        waits: for a writer that does not keep up; else rows are lost then.
-        warn_below, end_below: room on the disk [bytes].
+        waits: wait for a slow writer; otherwise rows are lost.
+        warn_below, end_below: limits of free disk space [bytes].
 
     Raises:
-        RecorderError: on leaving or writing, when the writer could not do its work.
+        RecorderError: on writing or leaving, if the writer failed.
     """
 
     def __init__(
@@ -120,19 +119,19 @@ class Recorder:
     ) -> None:
         self._path, self._waits = path, waits
         self.lost = 0  # rows
-        self._told = False  # that rows are lost
-        self._pending = bytearray()  # not taken by the pipe yet
+        self._told = False  # whether lost rows have been reported
+        self._pending = bytearray()  # not yet in the pipe
         self._command = [
             *(sys.executable, "-m", "testbed.logs.mcap_writer"),
             *(str(path), str(warn_below), str(end_below)),
         ]
         self._marked = -SPAN_NS  # time of the last mark [ns]
-        self._said = b""  # by the writer and not yet handed on
-        self._reason = ""  # the newest line that it said
+        self._said = b""  # output of the writer that has not been passed on
+        self._reason = ""  # the writer's newest line
         self._encode = msgspec.json.Encoder().encode
         self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
-        self._vehicles = vehicles  # whose names are in the schemas
+        self._vehicles = vehicles  # names used in the schemas
         self._schemas: dict[type[Struct], bytes] = {}
 
     def __enter__(self) -> "Recorder":
@@ -143,7 +142,7 @@ class Recorder:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the flight; the writer ends when the pipe does
+            start_new_session=True,  # no Ctrl-C: the writer ends when the pipe closes
         )
         return self
 
@@ -171,11 +170,11 @@ class Recorder:
         self._send(Entry(number, round(t * 1e9), to_json(message)))
 
     def _meet(self) -> None:
-        """Wait until the writer has made its file: from then on a kill costs next to nothing."""
+        """Wait until the writer has created the file; from then on a kill loses little."""
         assert self._writer.stdin is not None
         assert self._writer.stderr is not None
         if not select.select([self._writer.stderr], [], [], 4.0 * PATIENCE_S)[0]:
-            raise RecorderError(self._give_up("has not started"))
+            raise RecorderError(self._give_up("did not start"))
         self._said = self._writer.stderr.readline()
         if self._said != READY:
             raise RecorderError(self._last_words())
@@ -184,10 +183,10 @@ class Recorder:
         os.set_blocking(self._writer.stdin.fileno(), False)
 
     def mark(self, t: float) -> list[str]:
-        """A tick is whole: hand it over; what the writer has to say, for instance of the disk.
+        """Pass a complete tick to the writer; returns its messages, for instance about the disk.
 
         Raises:
-            RecorderError: the writer has ended; nothing is recorded any more.
+            RecorderError: the writer has ended; recording has stopped.
         """
         now = round(t * 1e9)
         if now - self._marked >= SPAN_NS:
@@ -198,7 +197,7 @@ class Recorder:
         try:
             heard = os.read(self._writer.stderr.fileno(), 4096)
         except BlockingIOError:
-            return self._losses()  # it has nothing to say
+            return self._losses()  # no messages
         if not heard:
             raise RecorderError(self._last_words())
         *lines, self._said = (self._said + heard).split(b"\n")
@@ -207,7 +206,7 @@ class Recorder:
         return said + self._losses()
 
     def _losses(self) -> list[str]:
-        """Words about rows that are lost, once."""
+        """A warning about lost rows, once."""
         if not self.lost or self._told:
             return []
         self._told = True
@@ -224,23 +223,23 @@ class Recorder:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """Give the pipe what it takes; on the twin, wait for it to take some more.
+        """Write to the pipe; on the twin, wait until it takes more.
 
         Raises:
-            RecorderError: the writer has ended, or takes nothing.
+            RecorderError: the writer has ended or hangs.
         """
         try:
             self._push()
             while self._waits and len(self._pending) > BUFFER:
                 if not self._takes_more(PATIENCE_S):
-                    raise RecorderError(self._give_up(f"has taken nothing for {PATIENCE_S:g} s"))
+                    raise RecorderError(self._give_up(f"took nothing for {PATIENCE_S:g} s"))
                 self._push()
         except BrokenPipeError:
             self._pending.clear()
             raise RecorderError(self._last_words()) from None
 
     def _push(self) -> int:
-        """Write what can be written without waiting; how much that was [bytes]."""
+        """Write without waiting; returns the number of bytes."""
         assert self._writer.stdin is not None
         done = 0
         try:
@@ -259,7 +258,7 @@ class Recorder:
         return bool(poll.poll(1e3 * wait_s))
 
     def _last_words(self) -> str:
-        """Wait for the writer's end, as long as it does anything; the last line that it said."""
+        """Wait for the writer to end while it makes progress; returns its last line."""
         assert self._writer.stdin is not None
         assert self._writer.stderr is not None
         if self._writer.stderr.closed:
@@ -267,7 +266,7 @@ class Recorder:
         size, idle_from = -1, monotonic()
         while self._writer.poll() is None:
             if monotonic() - idle_from > PATIENCE_S:
-                return self._give_up(f"has done nothing for {PATIENCE_S:g} s")
+                return self._give_up(f"did nothing for {PATIENCE_S:g} s")
             try:
                 pushed = self._push() if self._pending else 0
             except BrokenPipeError:
@@ -289,7 +288,7 @@ class Recorder:
         said = self._writer.stderr.read()
         self._writer.stderr.close()
         lines = [self._reason, *(self._said + said).decode().strip().splitlines()]
-        self._reason = lines[-1] or f"the writer ended with {self._writer.returncode}"
+        self._reason = lines[-1] or f"the log writer ended with {self._writer.returncode}"
         return self._reason
 
     def _size(self) -> int:
@@ -299,7 +298,7 @@ class Recorder:
             return 0
 
     def _give_up(self, why: str) -> str:
-        """End a writer that hangs; words about it."""
+        """Kill a writer that hangs; returns the reason."""
         assert self._writer.stdin is not None
         assert self._writer.stderr is not None
         self._writer.kill()
@@ -308,5 +307,5 @@ class Recorder:
         for pipe in (self._writer.stdin, self._writer.stderr):
             with suppress(BrokenPipeError):
                 pipe.close()
-        self._reason = f"the process that writes the log {why} and was ended"
+        self._reason = f"the process that writes the log {why} and was killed"
         return self._reason

@@ -1,7 +1,7 @@
-"""Yesterday's run through today's code: logged inputs in, outputs compared to the last bit.
+"""Replays a logged run with the present code: same inputs, outputs compared to the last bit.
 
-Agents and laws are pure steps, so the same code must give the same outputs. The first difference is
-said with its size; after it the two flights drift apart, and how far says little.
+Agents and laws are pure steps, so the same code must give the same outputs. Only the first
+difference is reported, with its size: after it the two flights drift apart.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -25,27 +25,27 @@ from testbed.logs.message import Decoder
 
 
 class Difference(Struct, frozen=True):
-    """Where two flights begin to differ."""
+    """First difference between two flights."""
 
     tick: int  # of the run, from 0
     t: float  # [s]
     topic: str
-    field: str  # path inside the message, or why there is none to compare
+    field: str  # path inside the message, or why it cannot be compared
     logged: Any
     now: Any
     size: float | None  # |now - logged|, for numbers
 
 
 class Replay(Struct, frozen=True, omit_defaults=True):
-    """What came of it."""
+    """Result of a replay."""
 
     ticks: int  # of all topics together
     first_difference: Difference | None
-    whole: bool = True  # false: a part of the log is missing, and nothing behind it was compared
+    whole: bool = True  # false: part of the log is missing; the rest was not compared
 
 
 class LoggedLink:
-    """The host's end of a link that says again what was heard then."""
+    """A `HostLink` that returns the messages of the log."""
 
     def __init__(self) -> None:
         self.inputs: HostInputs | None = None
@@ -66,14 +66,14 @@ class LoggedLink:
         return dict(self.inputs.messages)
 
     def publish(self, setpoint: Setpoint) -> None:
-        """Nobody listens."""
+        """See `HostLink`; dropped here."""
 
     def broadcast(self, message: LawMessage) -> None:
-        """Nobody listens."""
+        """See `HostLink`; dropped here."""
 
 
 Onboard = Callable[[Inputs], Outputs]  # one vehicle's agent
-AtHost = Callable[[float], HostTick]  # one vehicle's law, plugged into a link
+AtHost = Callable[[float], HostTick]  # one vehicle's law on a link
 
 
 class LoggedHost:
@@ -84,7 +84,7 @@ class LoggedHost:
         self._tick = plug(self._link)
 
     def __call__(self, inputs: HostInputs) -> HostTick:
-        """The tick as it is today."""
+        """Run one tick with the present code."""
         self._link.inputs = inputs
         return self._tick(inputs.t)
 
@@ -92,7 +92,7 @@ class LoggedHost:
 def replay(
     rows: Iterable[Row], agents: Mapping[str, Onboard], hosts: Mapping[str, LoggedHost]
 ) -> Replay:
-    """Feed a log in.
+    """Replay a log.
 
     Args:
         rows: of the log, in its order.
@@ -100,7 +100,7 @@ def replay(
         hosts: per vehicle whose law runs on the host.
 
     Raises:
-        LogError: the log holds ticks that nobody here can repeat.
+        LogError: the log has ticks of a vehicle or law that is not in the experiment.
     """
     tick_of, host_of, encode = Decoder(Tick), Decoder(HostTick), msgspec.json.Encoder().encode
     count, first = 0, None
@@ -132,9 +132,9 @@ def replay(
 
 
 def before_damage(book: LogReader) -> Iterator[Row]:
-    """The rows of a log up to the first that is missing.
+    """The rows of a log up to the first missing one.
 
-    Behind it nothing can be compared: what agents and laws remember depends on what they were told.
+    Later rows cannot be compared: the memory of agents and laws depends on the missing inputs.
 
     Raises:
         LogError: the beginning is missing.
@@ -148,7 +148,7 @@ def before_damage(book: LogReader) -> Iterator[Row]:
     if book.lost and not begun:
         raise LogError(
             f"{book.path}\n  expected  a log that is whole from its beginning to some tick\n"
-            "  found     damage before the first tick; what follows it depends on what is missing"
+            "  found     damage before the first tick; later ticks depend on the missing part"
         )
 
 

@@ -1,4 +1,4 @@
-"""Where a damaged log goes on: the search for the next whole chunk."""
+"""Searches a damaged log for the next intact chunk."""
 
 import re
 from typing import BinaryIO, NamedTuple
@@ -19,19 +19,19 @@ from testbed.logs.mcap_record import (
 # A chunk's opcode, a length below 2^32, times, size, checksum, and the name of its compression.
 _LOOKS_LIKE = re.compile(
     rb"(?=\x06[\s\S]{4}\0\0\0\0[\s\S]{28}(?:\x04\0\0\0zstd|\0\0\0\0))"
-)  # the look-ahead finds beginnings that overlap
-_SPAN = 9 + 28 + 8  # [bytes] that the pattern looks at
-_BLOCK = 2**20  # [bytes] looked through at once
-_PATIENCE = 16  # unpacks no more than so many times the file in vain
-_AT_LEAST = 512 * 2**20  # [bytes] of patience with a small file
+)  # the look-ahead finds overlapping candidates
+_SPAN = 9 + 28 + 8  # length of the pattern [bytes]
+_BLOCK = 2**20  # bytes searched at once
+_PATIENCE = 16  # most bytes unpacked in vain, as a multiple of the file's size
+_AT_LEAST = 512 * 2**20  # the same for a small file [bytes]
 
 
 class GiveUpError(Exception):
-    """Too much of the file looks like chunks that are none."""
+    """Too much of the file looks like chunks but is not."""
 
 
 class Found(NamedTuple):
-    """A whole chunk."""
+    """An intact chunk."""
 
     at: int
     end: int
@@ -40,13 +40,13 @@ class Found(NamedTuple):
 
 
 class Search:
-    """Looks for whole chunks; its patience is for the whole file."""
+    """Searches for intact chunks; its effort is limited per file."""
 
     def __init__(self) -> None:
-        self._spent = 0  # [bytes] of chunks that were none
+        self._spent = 0  # bytes unpacked in vain
 
     def next_chunk(self, file: BinaryIO, start: int, size: int, allowance: int) -> Found | None:
-        """The first whole chunk that begins at `start` or later in a file of `size` bytes.
+        """The first intact chunk that begins at `start` or later in a file of `size` bytes.
 
         Raises:
             GiveUpError: it would take too long.

@@ -1,4 +1,4 @@
-"""What is in a log: topics, rates, gaps."""
+"""Contents of a log: topics, rates, gaps."""
 
 from collections.abc import Iterable
 
@@ -7,8 +7,8 @@ from msgspec import Struct
 
 from testbed.logs.log_reader import Row
 
-UNTIMED = {"Event", "Valves"}  # kinds that come when something happens: no rate, no gaps
-GAP = 1.5  # a pause longer than so many usual ones is a gap
+UNTIMED = {"Event", "Valves"}  # kinds written on events: no rate, no gaps
+GAP = 1.5  # a pause longer than this multiple of the usual one is a gap
 
 
 class Topic(Struct, frozen=True):
@@ -17,7 +17,7 @@ class Topic(Struct, frozen=True):
     topic: str
     kind: str  # name of its schema
     messages: int
-    rate_hz: float | None  # null with fewer than two messages, and of what has none
+    rate_hz: float | None  # null: fewer than two messages, or a kind without a rate
     first_s: float
     last_s: float
     gaps: int
@@ -26,15 +26,15 @@ class Topic(Struct, frozen=True):
 
 
 class Contents(Struct, frozen=True):
-    """A log."""
+    """Contents of a log."""
 
-    finished: bool  # false: its writer was killed, or is still at work
+    finished: bool  # false: its writer was killed or still runs
     topics: list[Topic]
-    damage: list[str]  # what is missing, in words
+    damage: list[str]  # messages about missing parts
 
 
 def survey(rows: Iterable[Row], kinds: dict[str, str]) -> list[Topic]:
-    """Count; `kinds` is complete when the rows are through."""
+    """Count the messages; `kinds` is complete after the last row."""
     stamps: dict[str, list[int]] = {}
     sizes: dict[str, int] = {}
     for topic, stamp, data in rows:

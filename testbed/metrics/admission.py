@@ -1,7 +1,7 @@
-"""Admission: what an experiment is predicted to do, against what it may do, before anybody arms.
+"""Admission: compares the predicted behaviour of an experiment with limits, before arming.
 
-The experiment is flown some times in the twin, each time with another draw of everything that the
-files only promise. Here are the limits and the judgement; flying is the rig's.
+The experiment is flown several times on the twin, each time with other random draws of the
+tolerances. This module has the limits and the judgement; the rig flies.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 
 
 class AdmissionParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits of an experiment that may be flown on hardware."""
+    """Limits for flying an experiment on hardware."""
 
     edge_m: NonNegative = 0.05  # between a rim and the fence
     separation_m: NonNegative = 0.05  # between the rims of two vehicles
-    solid_m: NonNegative = 0.05  # between a rim and what really stands there
+    solid_m: NonNegative = 0.05  # between a rim and a solid obstacle
     gas_share: Positive = 0.8  # of a full tank
     openings_per_valve: Positive = 20_000  # [1] a thousandth of a solenoid's life    [assumed]
     contacts: int = 0
@@ -30,21 +30,21 @@ class AdmissionParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Flown(Struct, frozen=True):
-    """One flight in the twin."""
+    """One flight on the twin."""
 
     seed: int
     fault: str | None
     contacts: int
     edge_m: float  # nearest rim to the fence
-    separation_m: float | None  # nearest two rims; None: there is one vehicle only
-    solid_m: float | None  # nearest rim to a solid obstacle; None: there is none
-    gas_share: float  # of the thirstiest vehicle
-    openings_per_valve: float  # of the busiest vehicle, mean over its valves
+    separation_m: float | None  # nearest two rims; None: only one vehicle
+    solid_m: float | None  # nearest rim to a solid obstacle; None: no solid obstacle
+    gas_share: float  # largest of all vehicles
+    openings_per_valve: float  # largest of all vehicles, mean over its valves
     fault_t: float | None = None  # when the fault was found [s]
 
 
 class Finding(Struct, frozen=True):
-    """One limit."""
+    """Result for one limit."""
 
     name: str
     worst: float
@@ -55,13 +55,13 @@ class Finding(Struct, frozen=True):
 
 
 class Admission(Struct, frozen=True):
-    """The judgement."""
+    """Result of the admission."""
 
     experiment: str
     flights: int
     admitted: bool
     findings: list[Finding]
-    faults: list[str] = []  # of each flight that ended in one, in words
+    faults: list[str] = []  # text of the fault of each flight that ended in one
 
 
 def nearest_rims(track: Track, radii: Sequence[float]) -> float | None:
@@ -76,7 +76,7 @@ def nearest_rims(track: Track, radii: Sequence[float]) -> float | None:
 
 
 def nearest_edge(track: Track, half: Sequence[tuple[float, float]]) -> float:
-    """Smallest room between a vehicle's centre and where it may be [m]."""
+    """Smallest distance of a vehicle's centre from the border of its allowed area [m]."""
     room = [
         float((np.array(own) - np.abs(track.states[:, k, :2])).min()) for k, own in enumerate(half)
     ]
@@ -84,7 +84,7 @@ def nearest_edge(track: Track, half: Sequence[tuple[float, float]]) -> float:
 
 
 def judge_flights(experiment: str, flights: Sequence[Flown], limits: AdmissionParams) -> Admission:
-    """The worst of all flights against every limit."""
+    """Compare the worst of all flights with every limit."""
     findings: list[Finding] = []
 
     def at_least(name: str, values: Mapping[int, float], limit: float, unit: str) -> None:
@@ -112,7 +112,7 @@ def judge_flights(experiment: str, flights: Sequence[Flown], limits: AdmissionPa
     at_least("room to the fence", each("edge_m"), limits.edge_m, "m")
     at_least("room between two vehicles", each("separation_m"), limits.separation_m, "m")
     at_least("room to a solid obstacle", each("solid_m"), limits.solid_m, "m")
-    at_most("gas of the tank", each("gas_share"), limits.gas_share, "of it")
+    at_most("gas used", each("gas_share"), limits.gas_share, "of the tank")
     at_most(
         "openings of a valve", each("openings_per_valve"), limits.openings_per_valve, "openings"
     )

@@ -1,4 +1,4 @@
-"""What became of the vehicles in the minute after a flight."""
+"""Judges the vehicles in the minute after a flight."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, Protocol
@@ -7,33 +7,33 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-MINUTE = 60.0  # [s] in which an operator gets to the table
-HARD = 0.02  # [m/s] a slower touch does no harm
-CREEP = 0.001  # [m/s] slower is at rest
+MINUTE = 60.0  # time for an operator to reach the table [s]
+HARD = 0.02  # slower contacts do no harm [m/s]
+CREEP = 0.001  # below this a vehicle is at rest [m/s]
 TURN = 0.01  # [rad/s]
-STEP = 0.05  # [s] between two looks at a vehicle
+STEP = 0.05  # between two samples of a vehicle [s]
 
 Air = Literal["off", "on"]
 
 
 class Left(Struct, frozen=True):
-    """How one vehicle was left."""
+    """State of one vehicle after a flight."""
 
     at_rest_s: float | None  # after the end of the flight; null: it still moved a minute later [s]
     air: Air  # of its bearings
 
 
 class After(Struct, frozen=True):
-    """How the vehicles were left: `after` of metrics.json."""
+    """State of the vehicles after a flight: `after` of metrics.json."""
 
-    contacts: int | None  # harder than 2 cm/s, in the minute after the end; null: only a twin knows
+    contacts: int | None  # harder than 2 cm/s, in the minute after the end; null: without a twin
     at_rest_s: float | None  # until the last vehicle rests; null: one does not [s]
-    air: Air  # on: of one bearing at least
+    air: Air  # on: at least one vehicle has bearing air
     vehicles: dict[str, Left]
 
 
 class Contact(Protocol):
-    """A touch, as the plant notes it."""
+    """A contact recorded by the plant."""
 
     @property
     def t(self) -> float:
@@ -47,12 +47,12 @@ class Contact(Protocol):
 
 
 def contacts_after(touches: Iterable[Contact], end: float) -> int:
-    """Touches harder than `HARD` in the minute after `end` [s]."""
+    """Number of contacts harder than `HARD` in the minute after `end` [s]."""
     return sum(end < touch.t <= end + MINUTE and touch.speed > HARD for touch in touches)
 
 
 def at_rest_after(t: NDArray[np.float64], twist: NDArray[np.float64], end: float) -> float | None:
-    """How long after `end` a vehicle came to rest for good; None if it did not [s].
+    """Time from `end` until a vehicle came to rest and stayed so; None if it did not [s].
 
     Args:
         t: times, increasing, shape (n,) [s].
@@ -82,7 +82,7 @@ def judge_after(
         t: times, increasing, from the end of the flight on, shape (n,) [s].
         states: the truth then, shape (n, v, 6).
         touches: all of the run.
-        floats: whose bearing air is on in the end.
+        floats: per vehicle, whether its bearing air is on at the end.
         end: of the flight [s].
     """
     vehicles = {
@@ -100,7 +100,7 @@ def judge_after(
 
 
 def left_in_words(name: str, left: Left) -> str:
-    """How a vehicle was left, as an operator reads it."""
+    """Text about a vehicle after a flight, for the operator."""
     rest = "still moving after a minute" if left.at_rest_s is None else (
         f"at rest after {left.at_rest_s:.1f} s"
     )  # fmt: skip

@@ -1,22 +1,23 @@
-r"""What a group of satellites looks like as a whole: five numbers.
+r"""Describes a group of satellites by five numbers.
 
 Source: Eq. (1)-(9) of W. Gao, K. Li, C. Wei, "Satellite Cluster Formation Reconfiguration Based on
 the Bifurcating Potential Field", Aerospace 9:137, 2022.
 
     paper        code          meaning                                                    unit
-    N            count         how many                                                   -
-    r_o, v_o     p, v          mean position and velocity, in whatever frame is given     m, m/s
+    N            count         number of satellites                                       -
+    r_o, v_o     p, v          mean position and velocity, in the given frame             m, m/s
     d_max        outer         largest distance from the mean position                    m
     d_min        inner         smallest gap between two surfaces                          m
     L            uniformity    sum of (m_i / M)^3, m_i half the distance of the nearest   -
                                other, M half the largest d_ij + m_i + m_j
 
-Corrections: Eq. (28), L of an even ring, is N (pi / (N + pi))^3, because Eq. (8) makes M = r + m_i
+Corrections: Eq. (28), L of an even ring, is N (pi / (N + pi))^3, because Eq. (8) gives M = r + m_i
 there and not r + 2 m_i.
-What to know: M is half of the group's largest extent, not the radius of a ball around it (round an
-equilateral triangle that is 7.7 % larger), so L may exceed what packing allows. Volumes are balls'
-also for a group in a plane. Where satellites coincide, inner is zero or less and they add nothing
-to L; where all do, L is zero. L says how even a group is, never how safe.
+
+Notes: M is half of the group's largest extent, not the radius of an enclosing ball (for an
+equilateral triangle that is 7.7 % larger), so L may exceed the packing limit. Volumes are those of
+balls also for a group in a plane. If satellites coincide, inner is zero or less and they add
+nothing to L; if all coincide, L is zero. L measures how even a group is, not how safe.
 
 Any number of dimensions, no N x N array: nearest neighbours come from a k-d tree, M from a search
 through pairs of boxes that drops those too near to each other to matter.
@@ -33,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 class Characterisation(Struct, frozen=True):
-    """The five elements; null where there are too few satellites for a number to mean anything."""
+    """The five elements; null if a number needs more satellites."""
 
     count: int
     p: tuple[float, ...]  # mean position [m]
@@ -86,7 +87,7 @@ def characterise(
 
 
 def extremes(positions: Array, radii: Array) -> tuple[float, float]:
-    """Smallest gap, Eq. (4), and largest distance from the mean, Eq. (3), of a group on its way.
+    """Smallest gap, Eq. (4), and largest distance from the mean, Eq. (3), over time.
 
     Args:
         positions: at each time, shape (m, n, d), n >= 2 [m].
@@ -111,11 +112,11 @@ def smallest_gap(
 ) -> float:
     """Eq. (4): smallest d_ij - a_i - a_j [m]."""
     rows = np.arange(len(x))
-    other = np.where(who[:, 0] == rows, who[:, 1], who[:, 0])  # twins may come first
+    other = np.where(who[:, 0] == rows, who[:, 1], who[:, 0])  # a twin may be first
     best = float(np.min(nearest[:, 1] - a - a[other]))
     if np.ptp(a) == 0.0:
         return best
-    # a large one may be nearer with its surface than the nearest centre is
+    # the surface of a large one may be nearer than the nearest centre
     for i, partners in enumerate(tree.query_ball_point(x, best + a + a.max())):
         far = np.array([j for j in partners if j > i], dtype=int)
         if len(far):

@@ -1,4 +1,4 @@
-"""A flight that ended by a fault, in one line: its seed, the fault, the vehicle, the time."""
+"""One-line text about a flight that ended by a fault: seed, fault, vehicle, time."""
 
 import re
 
@@ -8,7 +8,7 @@ def mishap(seed: int | None, fault: str, t: float | None) -> str:
 
     Args:
         seed: of the flight, if it is known.
-        fault: as the flight ended by it, "sat1: valve_stuck_closed: jet 4 gives no thrust".
+        fault: text that ended the flight, "sat1: valve_stuck_closed: jet 4 gives no thrust".
         t: when it was found [s], if it is known.
     """
     lines = fault.strip().splitlines() or ["fault"]

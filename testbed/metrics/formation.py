@@ -1,10 +1,10 @@
-"""What several vehicles were worth together: five elements, and the formation that a law is for.
+"""Metrics of several vehicles: the five elements, and the error of a law's formation.
 
-The five elements of `testbed.metrics.characterisation` are for any group. How far off a formation
-is depends on what the law calls one:
+The five elements of `testbed.metrics.characterisation` are for any group. The error of a formation
+depends on the kind of law:
 
-    edges of a graph    largest difference of an edge of the start from its desired length; one to
-                        the leader counts
+    edges of a graph    largest difference of an edge of the start from its desired length; edges
+                        to the leader count
     a curve             largest distance of a vehicle from the phase's curve; judged in the last
                         END_S of each phase, and the slowest phase counts
 """
@@ -24,39 +24,39 @@ from testbed.metrics.run_metrics import Track
 
 Array = NDArray[np.float64]
 
-EDGE_M = 0.08  # an edge is settled when it stays within this of its length [m]
+EDGE_M = 0.08  # an edge is settled when its error stays below this [m]
 CURVE_M = 0.10  # a vehicle is on a curve when it stays within this of it [m]
 END_S = 5.0  # the end of a phase, or of a run, that counts [s]
-STRIDE = 10  # of the track are enough for what changes slowly
+STRIDE = 10  # every tenth sample of the track is enough for slow changes
 
 
 class FormationMetrics(Struct, frozen=True):
-    """The section `formation` of metrics.json; null where the law has nothing of the kind."""
+    """The section `formation` of metrics.json; null if it does not apply to the law."""
 
     end: Characterisation  # the five elements at the end
     closest_m: float  # smallest gap between two surfaces, of the run
     widest_m: float  # largest distance from the mean position, of the run
     error_m: float | None = None  # largest in the last 5 s, of the run or of each phase
-    settled_s: float | None = None  # after which it is small for good; of the slowest phase
+    settled_s: float | None = None  # after which it stays small; of the slowest phase
     longest_edge_m: float | None = None  # of the start's edges, over the run
-    lost_edges: int | None = None  # that were once longer than the range
+    lost_edges: int | None = None  # edges that were once longer than the range
 
 
 class FormationContext(Struct, frozen=True):
-    """Who flew: all in the order of the track."""
+    """The vehicles of the formation, in the order of the track."""
 
     names: Sequence[str]
     radius: Array  # (n,) [m]
-    leader: Callable[[float], Array]  # where the goal is at a time, shape (2,) [m]
+    leader: Callable[[float], Array]  # position of the goal at a time, shape (2,) [m]
 
 
 def has_formation(controller: object) -> bool:
-    """Whether the law is for a formation, and no vehicle has a goal of its own."""
+    """Whether the law is for a formation, without separate goals of the vehicles."""
     return formation_kind(controller) is not None
 
 
 def settled(t: Array, off: NDArray[Any]) -> float | None:
-    """First time after which nothing is `off`; null if the end is [s]."""
+    """First time after which no sample is `off`; None if the last one is [s]."""
     late = np.flatnonzero(off)
     if len(late) == 0:
         return float(t[0])
@@ -64,7 +64,7 @@ def settled(t: Array, off: NDArray[Any]) -> float | None:
 
 
 class Shape(Struct, frozen=True):
-    """How far off the formation was."""
+    """Error of the formation."""
 
     error_m: float
     settled_s: float | None
@@ -73,7 +73,7 @@ class Shape(Struct, frozen=True):
 
 
 def edges(controller: Any, context: FormationContext, t: Array, p: Array) -> Shape:
-    """A graph's edges; `p` of shape (m, n, 2)."""
+    """Error of a graph's edges; `p` of shape (m, n, 2)."""
     led = formation_kind(controller) == "led graph"
     shape = formation(controller.formation, list(context.names), led)
     if led:
@@ -90,7 +90,7 @@ def edges(controller: Any, context: FormationContext, t: Array, p: Array) -> Sha
 
 
 def curves(controller: Any, t: Array, p: Array) -> Shape | None:
-    """The curves of phases that name one; `p` of shape (m, n, 2)."""
+    """Error to the curves of phases that have one; `p` of shape (m, n, 2)."""
     centre = np.zeros(2) if controller.centre is None else np.array(controller.centre)
     ends = [*(phase.at for phase in controller.phases[1:]), np.inf]
     errors: list[float] = []

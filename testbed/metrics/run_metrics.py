@@ -1,4 +1,4 @@
-"""What a flight was worth: the numbers of metrics.json and the criteria of an experiment."""
+"""Metrics of a flight: the numbers of metrics.json and the criteria of an experiment."""
 
 import math
 from array import array
@@ -18,12 +18,12 @@ from testbed.metrics.afterwards import After
 
 Array = NDArray[np.float64]
 
-SETTLED_M = 0.05  # "settled" means closer than this for good [m]
-HOLD_S = 30.0  # length of the end of a run that counts as holding [s]
+SETTLED_M = 0.05  # "settled" means an error that stays below this [m]
+HOLD_S = 30.0  # the last part of a run, which counts as holding [s]
 
 
 class FormationCriteria(Struct, frozen=True, forbid_unknown_fields=True):
-    """When a formation is good enough; the numbers are those of `testbed.metrics.formation`."""
+    """Limits of a formation; the numbers are those of `testbed.metrics.formation`."""
 
     error_m: Positive | None = None
     settled_s: Positive | None = None
@@ -31,7 +31,7 @@ class FormationCriteria(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Criteria(Struct, frozen=True, forbid_unknown_fields=True):
-    """When an experiment counts as passed; a criterion that is not given is not judged."""
+    """Limits for passing an experiment; a criterion that is not given is not judged."""
 
     max_contacts: Annotated[int, Meta(ge=0)] | None = 0
     clear_of_obstacles: bool = True  # every obstacle's danger radius is kept
@@ -45,15 +45,15 @@ class Criteria(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Commands(Struct, frozen=True):
-    """Setpoints from host to vehicles, and what became of them."""
+    """Counts of setpoints from host to vehicles."""
 
     sent: int
-    late: int  # too long on the way, duplicated or overtaken
-    expired: int  # worth nothing when they came
+    late: int  # delayed too long, duplicated or overtaken
+    expired: int  # arrived after their valid-until
     rejected: int  # of another session or version, garbled, or refused by a board
 
 
-# these are of the place at which a goal was at the start: where it moves, they say nothing
+# these refer to a goal's position at the start; they have no meaning for a moving goal
 TO_THE_START = ("final_error_m", "settle_s", "hold_rms_m")
 
 
@@ -64,13 +64,13 @@ class VehicleMetrics(Struct, frozen=True):
     settle_s: float | None  # time after which the error stays within 0.05 m
     track_rms_m: float | None  # true position against the reference; null in wrench mode
     hold_rms_m: float | None  # true position against the goal in the last 30 s
-    heading_rms_deg: float | None  # true heading against the one asked for
+    heading_rms_deg: float | None  # true heading against the commanded one
     min_obstacle_distance_m: float | None  # centre to centre, nearest obstacle
     impulse_ns: float | None  # of all jets together
     gas_g: float | None  # jets and bearings
     valve_pulses: int | None  # openings, all valves
-    max_force_n: float | None  # largest mean force asked of the jets in one jet period
-    filtered_ns: float | None = None  # impulse that the safety filter changed [N s]
+    max_force_n: float | None  # largest mean force commanded in one jet period
+    filtered_ns: float | None = None  # impulse of the safety filter's changes [N s]
 
 
 class Touch(Struct, frozen=True):
@@ -89,7 +89,7 @@ class Metrics(Struct, frozen=True):
     rig: str
     seed: int
     completed: bool
-    duration_s: float  # flown
+    duration_s: float  # time flown
     wall_s: float
     real_time_factor: float | None
     contacts: int
@@ -103,15 +103,15 @@ class Metrics(Struct, frozen=True):
     commands: Commands | None = None
     board: str | None = None
     formation: Any = None  # `testbed.metrics.formation.FormationMetrics` of two or more vehicles
-    warnings: list[Concern] = []  # what a law's proof asks for and the run does not have
-    phase: str = ""  # of the supervisor, in the end: DISARMED, STOPPED or FAULT
-    red: list[str] = []  # arming checks that kept the run from starting
-    touches: list[Touch] = []  # contacts, as far as anybody knows when and where
-    after: After | None = None  # how the vehicles were left; null where only they could tell
+    warnings: list[Concern] = []  # for example assumptions of a law's proof that do not hold
+    phase: str = ""  # of the supervisor at the end: DISARMED, STOPPED or FAULT
+    red: list[str] = []  # failed arming checks that kept the run from starting
+    touches: list[Touch] = []  # contacts with known time and place
+    after: After | None = None  # state of the vehicles after the flight; null: not known
 
 
 class Track(Struct, frozen=True):
-    """Where the vehicles really were. In the twin this is the truth at every camera frame."""
+    """True states of the vehicles. On the twin: at every camera frame."""
 
     t: Array  # (n,) [s]
     states: Array  # (n, v, 6) x, y, theta, vx, vy, omega
@@ -131,34 +131,34 @@ class Track(Struct, frozen=True):
 
 
 class Consumption(Struct, frozen=True):
-    """What a vehicle used up."""
+    """Consumption of a vehicle."""
 
     impulse: float  # [N s]
     gas: float  # [kg]
-    openings: int | None  # None: nobody counts them
+    openings: int | None  # None: not counted
 
 
 class Aim(Struct, frozen=True):
-    """What a vehicle was asked to do, tick by tick."""
+    """Commands to a vehicle, tick by tick."""
 
     t: Array  # (n,) [s]
-    pose: Array  # (n, 3) reference; x, y are NaN where only a heading was asked for
-    force: Array  # (n,) size of the mean force asked of the jets [N]
-    filtered_ns: float = 0.0  # impulse by which the safety filter changed what was asked for [N s]
+    pose: Array  # (n, 3) reference; x, y are NaN if only a heading was commanded
+    force: Array  # (n,) size of the mean force commanded to the jets [N]
+    filtered_ns: float = 0.0  # impulse of the safety filter's changes [N s]
 
 
 class ReferenceLog:
-    """What a vehicle was asked to do, noted tick by tick: a flight need not keep its outputs."""
+    """Collects a vehicle's commands tick by tick, so that a flight need not keep its outputs."""
 
     def __init__(self, outputs: Iterable[Outputs] = ()) -> None:
         self._rows = array("d")  # t, x, y, theta, force; one tick after the other
-        self._forces = False  # whether a law asked for forces
+        self._forces = False  # whether the law commands forces
         self._filtered = 0.0  # [N s]
         for out in outputs:
             self.note(out)
 
     def note(self, out: Outputs) -> None:
-        """One more tick; only those that had a setpoint and a state count."""
+        """Add a tick; ticks without a setpoint or a state are ignored."""
         if out.filtered is not None and out.inhibit_reason is None:
             period = out.command.valid_until - out.command.issued_at
             self._filtered += period * math.hypot(out.filtered.dfx_w, out.filtered.dfy_w)
@@ -173,9 +173,9 @@ class ReferenceLog:
             self._rows.extend((out.state.t, pose.x, pose.y, pose.theta, force))
 
     def aim(self) -> Aim:
-        """All of it so far.
+        """All commands so far.
 
-        Where a law asked for forces, the references it braked to when those did not come are no
+        If a law commands forces, references from braking without setpoints are not part of the
         track.
         """
         table = np.array(self._rows).reshape(-1, 5)
@@ -256,7 +256,7 @@ def vehicle_metrics(
 
 
 def judge_formation(criteria: FormationCriteria, formation: object) -> dict[str, bool]:
-    """Each limit that was given; a run without a formation meets none."""
+    """Judge each given limit; a run without a formation meets none."""
     verdict = {}
     for key in FormationCriteria.__struct_fields__:
         limit, value = getattr(criteria, key), getattr(formation, key, None)
@@ -268,9 +268,9 @@ def judge_formation(criteria: FormationCriteria, formation: object) -> dict[str,
 def judge(
     criteria: Criteria, vehicles: Mapping[str, VehicleMetrics], contacts: int, clear: bool
 ) -> dict[str, bool]:
-    """Each criterion that was given, met or not; a number that does not apply does not meet it.
+    """Judge each given criterion; a number that does not apply does not meet it.
 
-    `track_rms_m` is not judged where nobody tracked a reference.
+    `track_rms_m` is not judged if no vehicle tracked a reference.
     """
     verdict: dict[str, bool] = {}
     if criteria.max_contacts is not None:

@@ -1,1 +1,1 @@
-"""Motion capture on the wire: what lab systems send, and poses out of it."""
+"""Motion capture: protocols of lab systems, and poses from their data."""

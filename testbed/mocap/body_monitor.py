@@ -1,12 +1,12 @@
-"""What can be wrong with a body on the screen of a motion-capture system, told apart. Pure.
+"""Distinguishes the faults of a rigid body in a motion-capture system. Pure.
 
-    silent    no frames come at all
-    stale     frames come, the body is not tracked in them
-    frozen    it is tracked, and its pose does not change by a bit: a real one is never that still
-    jumped    it is somewhere it cannot have got to
-    swapped   it jumped to where another body was, and the other one away from there
+    silent    no frames arrive
+    stale     frames arrive, but the body is not tracked in them
+    frozen    its pose is bit-identical in several frames; camera noise makes this impossible
+    jumped    it moved faster than any vehicle can
+    swapped   it jumped to the position of another body, and that body jumped away
 
-It names, for the log. The responses are those of the fault table, which has detectors of its own.
+The names are for the log only. Responses come from the fault table, which has its own detectors.
 """
 
 import math
@@ -19,7 +19,7 @@ from testbed.core.types import Pose
 
 
 class Trouble(StrEnum):
-    """Of one body."""
+    """Fault of one body."""
 
     SILENT = "silent"
     STALE = "stale"
@@ -29,17 +29,17 @@ class Trouble(StrEnum):
 
 
 class WatchParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """When something is wrong."""
+    """Thresholds of the faults."""
 
     silent_s: float = 0.1
     stale_s: float = 0.1
-    frozen_frames: int = 5  # identical ones in a row; noise makes two in a row unlikely already
-    fastest: float = 2.0  # [m/s] no vehicle moves like that, even when it is pushed by hand
-    reach: float = 0.03  # a jump is at least so long [m]
+    frozen_frames: int = 5  # identical poses in a row; with noise even two are unlikely
+    fastest: float = 2.0  # faster than any vehicle, also when pushed by hand [m/s]
+    reach: float = 0.03  # shortest jump [m]
 
 
 class _Seen(Struct):
-    """One body, as it was believed last."""
+    """The last accepted pose of a body."""
 
     t: float
     pose: Pose
@@ -47,17 +47,17 @@ class _Seen(Struct):
 
 
 class BodyMonitor:
-    """Looks at every exposure; times in seconds of any one clock."""
+    """Checks every exposure; times are in seconds of any one clock."""
 
     def __init__(self, params: WatchParams | None = None) -> None:
         self._p = params or WatchParams()
         self._seen: dict[str, _Seen] = {}
         self._heard_at: float | None = None
-        self.troubles: dict[str, Trouble] = {}  # of each body that has one, as of now
-        self.counts: dict[Trouble, int] = {}  # how often each began
+        self.troubles: dict[str, Trouble] = {}  # current fault of each body that has one
+        self.counts: dict[Trouble, int] = {}  # how often each fault began
 
     def look(self, t: float, bodies: Mapping[str, Pose | None]) -> dict[str, Pose]:
-        """The poses of one exposure that can be believed; None is a body that is not tracked."""
+        """The accepted poses of one exposure; None in `bodies` is a body that is not tracked."""
         self._heard_at = t
         for name in bodies:
             if self.troubles.get(name) is Trouble.SILENT:
@@ -93,7 +93,7 @@ class BodyMonitor:
         return good
 
     def pass_time(self, t: float) -> None:
-        """No exposure came up to `t`."""
+        """Note that no exposure came until `t`."""
         if self._heard_at is not None and t - self._heard_at > self._p.silent_s:
             for name in self._seen:
                 self._note(name, Trouble.SILENT)
@@ -102,7 +102,7 @@ class BodyMonitor:
         return name in self._seen and not self._near(name, pose, t)
 
     def _near(self, name: str, pose: Pose, t: float) -> bool:
-        """Whether the body called `name` may have got to `pose` by now."""
+        """Whether the body `name` can have reached `pose` by now."""
         seen = self._seen[name]
         far = math.hypot(pose.x - seen.pose.x, pose.y - seen.pose.y)
         return far <= self._p.reach + self._p.fastest * max(0.0, t - seen.t)

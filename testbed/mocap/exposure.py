@@ -1,7 +1,7 @@
-"""From what a motion-capture system says to poses on the table. Pure.
+"""Converts data of a motion-capture system to poses on the table. Pure.
 
-A body on the table moves in a plane; of its attitude only the heading is kept. Heading from the
-quaternion q = (x, y, z, w), after the axis that points up has been made z:
+A body on the table moves in a plane; only the heading of its attitude is kept. Heading from the
+quaternion q = (x, y, z, w), after a rotation that makes the upward axis z:
 
     theta = atan2(2 (w z + x y), 1 - 2 (y^2 + z^2))
 """
@@ -30,23 +30,23 @@ class Exposure(Struct, frozen=True, gc=False):
     number: int
     exposed_ns: int  # middle of the exposure
     arrived_ns: int
-    bodies: dict[str, Sighting]  # by the name that the motion-capture system has for it
+    bodies: dict[str, Sighting]  # by name in the motion-capture system
 
 
 class MocapSource(Protocol):
-    """A motion-capture system, whichever."""
+    """Interface of all motion-capture systems."""
 
     def poll(self) -> list[Exposure]:
-        """Exposures that have arrived since the last call; does not wait."""
+        """Exposures that arrived since the last call; does not wait."""
         ...
 
     def close(self) -> None:
-        """Give back sockets and processes."""
+        """Close sockets and processes."""
         ...
 
 
 class Axes:
-    """The frame of the cameras against the frame W of the table."""
+    """Transformation between the cameras' frame and the table frame W."""
 
     def __init__(self, wire: MocapWire) -> None:
         self._y_up = wire.up == "y"
@@ -55,7 +55,7 @@ class Axes:
         self._cos, self._sin = math.cos(self._turn), math.sin(self._turn)
 
     def to_table(self, seen: Sighting) -> Pose:
-        """The pose in W of a body seen by the cameras."""
+        """The pose in W of a body measured by the cameras."""
         x, y, z = seen.position
         qx, qy, qz, qw = seen.rotation
         if self._y_up:  # a quarter turn about x: y goes to z, z to -y
@@ -70,7 +70,7 @@ class Axes:
         )
 
     def to_cameras(self, pose: Pose, height: float = 0.1) -> Sighting:
-        """What cameras see of a body that stands upright at a pose in W; `height` in m."""
+        """The camera measurement of an upright body at a pose in W; `height` in m."""
         x = self._x + self._cos * pose.x - self._sin * pose.y
         y = self._y + self._sin * pose.x + self._cos * pose.y
         half = 0.5 * (pose.theta + self._turn)

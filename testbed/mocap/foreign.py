@@ -1,10 +1,9 @@
-"""Vicon, Qualisys and VRPN through the `motioncapture` package, in a process of its own.
+"""Vicon, Qualisys and VRPN through the `motioncapture` package, in a separate process.
 
-The package says neither when an exposure was nor its number, its calls may wait for ever, and some
-of its versions crash on some streams. So it runs in a child that can be ended: poses come over a
-pipe, each stamped when it arrived, and a watchdog starts the child again when it dies or says
-nothing. How old a pose was when it arrived the package does not say: `delay_s` of the table file's
-[lab.mocap] is believed.
+The package gives neither the time nor the number of an exposure, its calls may block for ever, and
+some of its versions crash on some streams. So it runs in a child process that can be killed: poses
+come over a pipe, stamped on arrival, and a watchdog restarts the child when it dies or is silent.
+The age of a pose on arrival is taken from `delay_s` of the table file's [lab.mocap].
 """
 
 import os
@@ -21,11 +20,11 @@ from testbed.core.lab import MocapWire
 from testbed.mocap.exposure import Exposure, Sighting
 from testbed.realtime.wall_clock import monotonic_ns
 
-SILENCE_NS = 2_000_000_000  # of a child that has said something before
-START_NS = 10_000_000_000  # until it has
-AGAIN_NS = 500_000_000  # between two starts: one that dies at once would be all that there is
-GIVEN_UP = 0  # as the time until which a child may be silent
-LONGEST = 1 << 20  # [bytes] of a message; more is something else that was printed
+SILENCE_NS = 2_000_000_000  # longest silence of a child after its first message
+START_NS = 10_000_000_000  # longest silence before its first message
+AGAIN_NS = 500_000_000  # between two starts, so that a child that dies at once costs little
+GIVEN_UP = 0  # deadline of a child that is not waited for
+LONGEST = 1 << 20  # longest message [bytes]; a longer one is not a message
 PACKAGE = "motioncapture"
 CHILD = """
 import os, struct, sys, threading, time
@@ -34,7 +33,7 @@ def end_with_parent():
     os._exit(0)
 threading.Thread(target=end_with_parent, daemon=True).start()
 out = os.dup(1)
-os.dup2(2, 1)  # what the package prints is no message
+os.dup2(2, 1)  # keep the package's output out of the pipe
 import motioncapture, msgspec
 system = motioncapture.connect(sys.argv[1], msgspec.json.decode(sys.argv[2]))
 number = 0
@@ -57,18 +56,18 @@ class ForeignSource:
     """A `MocapSource`.
 
     Args:
-        wire: the table file's.
-        program: of the child; tests put in worse ones.
+    wire: from the table file.
+    program: source code of the child; tests pass faulty ones.
 
     Raises:
-        OSError: the package is not there.
+        OSError: the package is not installed.
     """
 
     def __init__(self, wire: MocapWire, program: str = CHILD) -> None:
         if program is CHILD and find_spec(PACKAGE) is None:
             raise OSError(
                 f"[lab.mocap] system = {wire.system!r} needs the package {PACKAGE}, which is not"
-                f" there: {pip_install('mocap')}"
+                f" installed: {pip_install('mocap')}"
             )
         self._wire, self._program = wire, program
         self._decode = msgspec.msgpack.Decoder(tuple[int, int, Bodies]).decode
@@ -113,7 +112,7 @@ class ForeignSource:
             try:
                 exposures.append(self._expose(body))
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-                self.bad += 1  # and nobody knows where the next message begins
+                self.bad += 1  # the start of the next message is unknown
                 self._rest, self._due = b"", GIVEN_UP
         now = monotonic_ns()
         if exposures and self._due != GIVEN_UP:

@@ -1,4 +1,4 @@
-"""OptiTrack's NatNet on the wire, 3.0 to 4.1: bytes to frames and back. No socket, no clock.
+"""OptiTrack's NatNet protocol, 3.0 to 4.1: bytes to frames and back. No socket, no clock.
 
 Source: NatNet SDK, "NatNet: Data Types" and "NatNet: Direct Depacketization Sample". Little endian.
 
@@ -7,7 +7,7 @@ Source: NatNet SDK, "NatNet: Data Types" and "NatNet: Direct Depacketization Sam
              markers, rigid bodies, skeletons, [4.1: assets], labelled markers, force plates,
              devices; then time stamps. From 4.1 a byte size follows every count.
 
-Only rigid bodies are kept; what else a frame carries is stepped over.
+Only rigid bodies are decoded; other data of a frame is skipped.
 """
 
 import struct
@@ -28,7 +28,7 @@ Version = tuple[int, int]
 
 
 class Packet(IntEnum):
-    """What a packet is."""
+    """Kind of a packet."""
 
     CONNECT = 0
     SERVER_INFO = 1
@@ -47,7 +47,7 @@ class Packet(IntEnum):
 
 
 class NatNetError(TestbedError, ValueError):
-    """These bytes are not what they should be."""
+    """The bytes are not a valid packet."""
 
 
 class RigidBody(Struct, frozen=True, gc=False):
@@ -56,7 +56,7 @@ class RigidBody(Struct, frozen=True, gc=False):
     id: int
     position: tuple[float, float, float]  # [m]
     rotation: tuple[float, float, float, float]  # quaternion x, y, z, w
-    error: float  # mean distance of the markers from where they should be [m]
+    error: float  # mean distance of the markers from their expected positions [m]
     tracked: bool
 
 
@@ -65,14 +65,14 @@ class MocapFrame(Struct, frozen=True, gc=False):
 
     number: int
     bodies: tuple[RigidBody, ...]
-    timestamp: float  # since the software began [s]
+    timestamp: float  # since the software started [s]
     exposed: int  # middle of the exposure
     received: int  # camera data complete at the server
     sent: int
 
 
 class Described(Struct, frozen=True, gc=False):
-    """A rigid body as the model definition names it."""
+    """Number and name of a rigid body in the model definition."""
 
     id: int
     name: str
@@ -89,7 +89,7 @@ class ServerInfo(Struct, frozen=True, gc=False):
 
 
 def packet(kind: Packet, payload: bytes = b"") -> bytes:
-    """A whole datagram."""
+    """Encode a datagram."""
     return HEAD.pack(kind, len(payload)) + payload
 
 
@@ -97,26 +97,26 @@ def unpack(datagram: bytes) -> tuple[int, memoryview]:
     """Kind and payload of a datagram.
 
     Raises:
-        NatNetError: it is shorter than it says.
+        NatNetError: it is shorter than the size in its header.
     """
     if len(datagram) < HEAD.size:
-        raise NatNetError(f"{len(datagram)} bytes are no packet")
+        raise NatNetError(f"{len(datagram)} bytes are not a packet")
     kind, size = HEAD.unpack_from(datagram)
     if len(datagram) < HEAD.size + size:
         raise NatNetError(f"{len(datagram) - HEAD.size} bytes of {size}")
     return kind, memoryview(datagram)[HEAD.size : HEAD.size + size]
 
 
-# What a server says
+# Server to client
 
 
 def _sized(data: bytes, version: Version) -> bytes:
-    """From 4.1 a section says how long it is."""
+    """Prefix a section with its size, from 4.1 on."""
     return struct.pack("<i", len(data)) + data if version >= (4, 1) else data
 
 
 def encode_frame(frame: MocapFrame, version: Version) -> bytes:
-    """The datagram of a frame."""
+    """Encode a frame."""
     empty = struct.pack("<i", 0) + _sized(b"", version)
     bodies = b"".join(
         BODY.pack(b.id, *b.position, *b.rotation, b.error, b.tracked) for b in frame.bodies
@@ -141,7 +141,7 @@ def encode_frame(frame: MocapFrame, version: Version) -> bytes:
 
 
 def encode_models(models: Sequence[Described], version: Version) -> bytes:
-    """The datagram that names the bodies."""
+    """Encode the model definition, which names the bodies."""
     parts = [struct.pack("<i", len(models))]
     for model in models:
         body = model.name.encode() + b"\0" + OFFSET.pack(model.id, -1, 0.0, 0.0, 0.0)
@@ -151,7 +151,7 @@ def encode_models(models: Sequence[Described], version: Version) -> bytes:
 
 
 def encode_server_info(info: ServerInfo) -> bytes:
-    """The datagram that answers CONNECT."""
+    """Encode the answer to CONNECT."""
     group = [int(part) for part in (info.group or "0.0.0.0").split(".")]
     name = info.application.encode()[:255]
     major, minor = info.version
@@ -165,48 +165,48 @@ def encode_server_info(info: ServerInfo) -> bytes:
 
 
 def encode_echo(asked: int, now: int) -> bytes:
-    """The datagram that answers ECHO_REQUEST: its stamp, and the server's clock."""
+    """Encode the answer to ECHO_REQUEST: its stamp and the server's clock."""
     return packet(Packet.ECHO_RESPONSE, struct.pack("<QQ", asked, now))
 
 
-# What a client understands
+# Client: decoding
 
 
 class _Reader:
-    """Steps through a payload."""
+    """Reads a payload field by field."""
 
     def __init__(self, data: memoryview, version: Version) -> None:
         self.data, self.at, self.version = data, 0, version
         self.sized = version >= (4, 1)
 
     def take(self, layout: struct.Struct) -> tuple[Any, ...]:
-        """The next fields."""
+        """Read the next fields."""
         try:
             values = layout.unpack_from(self.data, self.at)
         except struct.error:
-            raise NatNetError(f"it ends at byte {len(self.data)}, in the middle") from None
+            raise NatNetError(f"it is cut off at byte {len(self.data)}") from None
         self.at += layout.size
         return values
 
     def skip(self, size: int) -> None:
-        """Step over bytes."""
+        """Skip bytes."""
         if size < 0 or self.at + size > len(self.data):
             raise NatNetError(f"a size of {size} at byte {self.at} of {len(self.data)}")
         self.at += size
 
     def number(self) -> int:
-        """A whole number."""
+        """Read an integer."""
         return int(self.take(_I32)[0])
 
     def count(self) -> int:
-        """How many of something that has at least one byte each."""
+        """Read the number of items, each of which has at least one byte."""
         count = self.number()
         if not 0 <= count <= len(self.data) - self.at:
             raise NatNetError(f"a count of {count} at byte {self.at - 4} of {len(self.data)}")
         return count
 
     def text(self) -> str:
-        """A name that ends with a zero."""
+        """Read a zero-terminated name."""
         rest = bytes(self.data[self.at : self.at + 512])
         end = rest.find(b"\0")
         if end < 0:
@@ -215,7 +215,7 @@ class _Reader:
         return rest[:end].decode(errors="replace")
 
     def section(self, each: Callable[["_Reader"], object]) -> None:
-        """Step over a section of a frame."""
+        """Skip a section of a frame."""
         count = self.count()
         if self.sized:
             self.skip(self.number())
@@ -239,7 +239,7 @@ def _skeleton(r: _Reader) -> None:
 
 
 def _channels(r: _Reader) -> None:
-    """Of a force plate or a device."""
+    """Skip the channels of a force plate or a device."""
     r.number()
     for _ in range(r.count()):
         r.skip(4 * r.count())
@@ -251,10 +251,10 @@ def _body(values: tuple[Any, ...]) -> RigidBody:
 
 
 def decode_frame(payload: memoryview, version: Version) -> MocapFrame:
-    """A frame.
+    """Decode a frame.
 
     Raises:
-        NatNetError: the payload is none of this version.
+        NatNetError: the payload is not valid in this version.
     """
     if version >= (4, 1):
         return _decode_sized(payload)
@@ -273,12 +273,12 @@ def decode_frame(payload: memoryview, version: Version) -> MocapFrame:
     return MocapFrame(number, bodies, timestamp, exposed, received, sent)
 
 
-_SECTION = struct.Struct("<ii")  # how many, and in how many bytes
+_SECTION = struct.Struct("<ii")  # number of items, size in bytes
 _TAIL = struct.Struct("<8xdQQQ")  # time code, timestamp, stamps
 
 
 def _over(data: memoryview, at: int, sections: int) -> int:
-    """Where it goes on after so many sections that say how long they are."""
+    """Position after a number of sections that have their size in front."""
     end = len(data)
     for _ in range(sections):
         count, size = _SECTION.unpack_from(data, at)
@@ -290,19 +290,19 @@ def _over(data: memoryview, at: int, sections: int) -> int:
 
 
 def _decode_sized(data: memoryview) -> MocapFrame:
-    """A frame of 4.1 or later: what flies waits for this."""
+    """Decode a frame of 4.1 or later; this is fast, because the flight waits for it."""
     try:
         (number,) = _I32.unpack_from(data)
         at = _over(data, 4, 2)  # marker sets, unlabelled markers
         count, size = _SECTION.unpack_from(data, at)
         first, at = at + 8, _over(data, at, 1)
         if size != count * BODY.size:
-            raise NatNetError(f"{count} rigid bodies of another size")
+            raise NatNetError(f"{count} rigid bodies of an unexpected size")
         bodies = tuple([_body(one) for one in BODY.iter_unpack(data[first:at])])
         at = _over(data, at, 5)  # skeletons, assets, labelled markers, force plates, devices
         return MocapFrame(number, bodies, *_TAIL.unpack_from(data, at))
     except struct.error:
-        raise NatNetError(f"it ends at byte {len(data)}, in the middle") from None
+        raise NatNetError(f"it is cut off at byte {len(data)}") from None
 
 
 def _names(r: _Reader) -> None:
@@ -314,7 +314,7 @@ def _described(r: _Reader) -> Described:
     name = r.text()
     number = r.take(OFFSET)[0]
     count = r.count()
-    r.skip(16 * count)  # where its markers are, and their labels
+    r.skip(16 * count)  # marker positions and labels
     if r.version >= (4, 0):
         for _ in range(count):
             r.text()
@@ -322,7 +322,7 @@ def _described(r: _Reader) -> Described:
 
 
 def _other(r: _Reader, kind: int) -> None:
-    """Step over something that is not a rigid body, before 4.1."""
+    """Skip a description that is not a rigid body, before 4.1."""
     match kind:
         case 0:  # marker set
             r.text()
@@ -351,10 +351,10 @@ def _other(r: _Reader, kind: int) -> None:
 
 
 def decode_models(payload: memoryview, version: Version) -> list[Described]:
-    """The rigid bodies of a model definition.
+    """Decode the rigid bodies of a model definition.
 
     Raises:
-        NatNetError: the payload is none of this version.
+        NatNetError: the payload is not valid in this version.
     """
     r = _Reader(payload, version)
     models = []
@@ -373,11 +373,7 @@ def decode_models(payload: memoryview, version: Version) -> list[Described]:
 
 
 def decode_server_info(payload: memoryview) -> ServerInfo:
-    """The answer to CONNECT.
-
-    Raises:
-        NatNetError: the payload is none.
-    """
+    """Decode the answer to CONNECT; NatNetError if the payload is not valid."""
     if len(payload) < INFO.size:
         raise NatNetError(f"a server's answer of {len(payload)} bytes, expected {INFO.size}")
     values = INFO.unpack_from(payload)
@@ -389,10 +385,10 @@ def decode_server_info(payload: memoryview) -> ServerInfo:
 
 
 def decode_echo(payload: memoryview) -> tuple[int, int]:
-    """The client's stamp and the server's clock.
+    """Decode an echo: the client's stamp and the server's clock.
 
     Raises:
-        NatNetError: the payload is none.
+        NatNetError: the payload is not valid.
     """
     if len(payload) < 16:
         raise NatNetError(f"an echo of {len(payload)} bytes, expected 16")

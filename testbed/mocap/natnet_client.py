@@ -1,8 +1,8 @@
-"""A NatNet client that waits for nothing: poll it, and it says what has come in since.
+"""A NatNet client that never blocks: `poll` returns the exposures that have arrived.
 
-Arrival is stamped by the kernel, so it does not matter when one polls. The server's clock is read
-with echoes once a second; a server that does not answer them is believed by its quickest frame.
-What another address than the server's sends is not looked at: the usual group is everybody's.
+The kernel stamps arrivals, so the time of polling does not matter. The server's clock is read with
+echoes once a second; without answers it is estimated from the fastest frame. Datagrams from other
+addresses than the server's are ignored, because all NatNet servers use the same default group.
 """
 
 import ipaddress
@@ -27,15 +27,13 @@ from testbed.mocap.natnet import (
 from testbed.realtime.clock_sync import ClockOffset
 from testbed.realtime.wall_clock import monotonic_ns
 
-ASK_NS = 1_000_000_000  # between two questions to the server
-FIRST_ASK_NS = 100_000_000  # until it has answered
-MOST = (
-    512  # datagrams in one look: two seconds' worth; a flood must not keep the vehicle from flying
-)
-OLDEST = (3, 0)  # of NatNet that is understood
-ANYBODY = "0.0.0.0"  # a server that says so is on this machine, wherever
-MOST_SENDERS = 16  # that are told apart
-MOST_NAMELESS = 1000  # bodies
+ASK_NS = 1_000_000_000  # between two queries to the server
+FIRST_ASK_NS = 100_000_000  # the same before its first answer
+MOST = 512  # datagrams per poll: two seconds of frames; a flood must not block the vehicle
+OLDEST = (3, 0)  # oldest supported version of NatNet
+ANYBODY = "0.0.0.0"  # server address that means this machine
+MOST_SENDERS = 16  # foreign senders counted separately
+MOST_NAMELESS = 1000  # bodies without a name that are remembered
 
 
 _FRAME = int(Packet.FRAME)
@@ -45,11 +43,11 @@ class NatNetClient:
     """A `MocapSource`.
 
     Raises:
-        OSError: the address is none of this machine's, or the port is taken.
+        OSError: the address is not one of this machine, or the port is taken.
     """
 
     def __init__(self, wire: MocapWire) -> None:
-        host = _address_of(wire.server)  # once: whoever asks for a name waits for the answer
+        host = _address_of(wire.server)  # once, because looking up a name blocks
         self._server = (host, wire.command_port)
         self._interface = wire.interface
         self._only = None if host == ANYBODY else host
@@ -69,32 +67,32 @@ class NatNetClient:
         self._ask_due, self._asked = 0, 0
         self.info: ServerInfo | None = None
         self.names: dict[int, str] = {}
-        self._strange: set[int] = set()  # bodies of frames that no description had
-        self._nameless: set[int] = set()  # of these the newest description has none either
+        self._strange: set[int] = set()  # bodies in frames without a description
+        self._nameless: set[int] = set()  # those also missing in the newest description
         self.clock = ClockOffset()
-        self.bad = 0  # datagrams that were none
-        self.too_old: tuple[int, int] | None = None  # a server's version
-        self.foreign: dict[str, int] = {}  # and that were not the server's, by their address
+        self.bad = 0  # invalid datagrams
+        self.too_old: tuple[int, int] | None = None  # unsupported version of the server
+        self.foreign: dict[str, int] = {}  # datagrams from other senders, by address
         self.newest: MocapFrame | None = None
 
     @property
     def complaint(self) -> str:
-        """Why there may be no poses, as far as datagrams tell; empty: they do not."""
+        """Likely reason for missing poses, from the datagrams; empty: not known."""
         if self.too_old is not None:
             version = ".".join(map(str, self.too_old))
-            return f"the server speaks NatNet {version}; 3.0 to 4.1 are understood"
+            return f"the server speaks NatNet {version}; 3.0 to 4.1 are supported"
         if self.foreign:
             others = ", ".join(f"{n} from {sender}" for sender, n in self.foreign.items())
-            return f"datagrams that were not the server's: {others}"
+            return f"datagrams from other senders than the server: {others}"
         away = not ipaddress.ip_address(self._server[0]).is_loopback and self._only is not None
         if self.info is None and away and ipaddress.ip_address(self._interface).is_loopback:
-            return f"none: {self._interface} does not lead to {self._server[0]}; 0.0.0.0 does"
+            return f"none: {self._interface} has no route to {self._server[0]}; 0.0.0.0 has"
         if self.info is not None and not self.names:
-            return "the server answers, and describes no rigid body"
+            return "the server answers, but it has no rigid bodies"
         return ""
 
     def fileno(self) -> int:
-        """Of the socket that frames come in on."""
+        """File descriptor of the socket that receives frames."""
         return self._sockets[-1].fileno()
 
     def close(self) -> None:
@@ -138,7 +136,7 @@ class NatNetClient:
         if self.info is not None and self.info.group is None:
             questions.append(packet(Packet.KEEP_ALIVE))
         for question in questions:
-            with suppress(OSError):  # no network: the poses stay away, which is noticed elsewhere
+            with suppress(OSError):  # no network: missing poses are detected elsewhere
                 self._sockets[0].sendto(question, self._server)
 
     def _take(self, data: bytes, arrived_ns: int) -> Exposure | None:
@@ -152,7 +150,7 @@ class NatNetClient:
                 info = decode_server_info(payload)
                 self.too_old = info.version if info.version < OLDEST else None
                 if self.too_old is not None:
-                    raise NatNetError("a server of another time")
+                    raise NatNetError("a server of an unsupported version")
                 self.info, self._ask_due = info, 0
             case Packet.MODEL_DEF if self.info:
                 models = decode_models(payload, self.info.version)
@@ -164,7 +162,7 @@ class NatNetClient:
             case Packet.ECHO_RESPONSE if self.info:
                 asked, server = decode_echo(payload)
                 if asked != self._asked:
-                    raise NatNetError("an echo of nothing that was asked")
+                    raise NatNetError("an echo that was not requested")
                 self.clock.exchanged(asked, self._ns(server), arrived_ns)
         return None
 
@@ -176,9 +174,9 @@ class NatNetClient:
         self.newest = frame
         strange = {body.id for body in frame.bodies if body.id not in self.names}
         if strange:
-            self._strange = strange  # asked for once a second: it may get a name yet
+            self._strange = strange  # asked for once a second: it may get a name later
             if not strange <= self._nameless:
-                self._ask_due, self.names = 0, {}  # the operator has changed the bodies: ask again
+                self._ask_due, self.names = 0, {}  # the operator changed the bodies: ask again
                 return None
         self.clock.heard(self._ns(frame.sent), arrived_ns)
         exposed = self.clock.to_own(self._ns(frame.exposed))
@@ -195,15 +193,15 @@ def _address_of(server: str) -> str:
     try:
         return str(socket.getaddrinfo(server, None, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0])
     except (OSError, UnicodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "no name of a machine"
+        why = error.strerror if isinstance(error, OSError) else "not a host name"
         raise OSError(
             f"[lab.mocap] server = {server!r}: {why}; expected the name or the IPv4 address of the"
-            " machine that the cameras' program runs on"
+            " machine that runs the motion-capture software"
         ) from None
 
 
 def _joined(group: str, port: int, interface: str) -> socket.socket:
-    """The socket that hears what is multicast to a group."""
+    """A socket that receives a multicast group."""
     try:
         data = stamped(group, port, shared=True)
         try:
@@ -215,7 +213,7 @@ def _joined(group: str, port: int, interface: str) -> socket.socket:
     except OSError as error:
         raise OSError(
             f"[lab.mocap] group = {group!r} at port {port}, by {interface}: {error}; expected the"
-            " address that the cameras' program multicasts to, such as 239.255.42.99, and the"
+            " multicast address of the motion-capture software, such as 239.255.42.99, and the"
             " address of this machine towards it"
         ) from None
     return data

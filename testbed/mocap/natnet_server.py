@@ -1,8 +1,8 @@
-"""A NatNet server: what the twin shows to clients that were written for OptiTrack.
+"""A NatNet server: the twin's camera interface for clients that were written for OptiTrack.
 
 It answers CONNECT, model definitions, echoes and keep-alives, and sends frames by multicast or to
-each client. Two kinds of unicast client exist: those that keep alive want frames on the socket they
-ask from, those that do not, on the data port of their machine.
+each client. Two kinds of unicast client exist: those that send keep-alives expect frames on
+the socket they ask from, the others on the data port of their machine.
 """
 
 import socket
@@ -27,11 +27,11 @@ from testbed.mocap.natnet import (
 )
 from testbed.realtime.wall_clock import monotonic_ns
 
-FORGET_NS = 30_000_000_000  # a client that keeps alive and then does not
+FORGET_NS = 30_000_000_000  # a client whose keep-alives stop is dropped after this time
 
 
 class Address(NamedTuple):
-    """Where a server listens and sends to."""
+    """Addresses of a server."""
 
     host: str
     command_port: int
@@ -40,7 +40,7 @@ class Address(NamedTuple):
 
 
 class NatNetServer:
-    """One server. Its clock is this machine's monotonic one, in nanoseconds.
+    """A server whose clock is this machine's monotonic clock, in nanoseconds.
 
     Raises:
         OSError: the port is taken.
@@ -48,8 +48,8 @@ class NatNetServer:
 
     def __init__(self, address: Address, version: Version, bodies: Sequence[Described]) -> None:
         self._address, self._version, self._bodies = address, version, bodies
-        self._alive: dict[tuple[str, int], int] = {}  # who keeps alive, and when last
-        self._silent: set[str] = set()  # machines that asked once
+        self._alive: dict[tuple[str, int], int] = {}  # time of each client's last keep-alive
+        self._silent: set[str] = set()  # machines that asked without keep-alives
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self.socket.bind((address.host, address.command_port))
@@ -57,8 +57,8 @@ class NatNetServer:
             self.socket.close()
             raise OSError(
                 f"cameras cannot be served at {address.host}, port {address.command_port}:"
-                f" {error.strerror}; expected an address of this machine and a port that nobody"
-                " has, see `server` and `command_port` of [lab.mocap]: is another twin running?"
+                f" {error.strerror}; expected an address of this machine and a free port,"
+                " see `server` and `command_port` of [lab.mocap]: is another twin running?"
             ) from None
         self.socket.setblocking(False)
         if address.group:
@@ -75,17 +75,17 @@ class NatNetServer:
 
     @property
     def command_port(self) -> int:
-        """Where it listens."""
+        """Port on which it receives commands."""
         return int(self.socket.getsockname()[1])
 
     def serve(self) -> None:
-        """Answer what has been asked; does not wait."""
+        """Answer the requests that have arrived; does not wait."""
         while True:
             try:
                 data, client = self.socket.recvfrom(LARGEST)
             except BlockingIOError:
                 return
-            except ConnectionRefusedError:  # a client that is gone
+            except ConnectionRefusedError:  # the client has gone
                 continue
             try:
                 kind, payload = unpack(data)
@@ -116,11 +116,11 @@ class NatNetServer:
                 return packet(Packet.UNRECOGNIZED)
 
     def send(self, frame: MocapFrame) -> None:
-        """Send a frame to whoever listens."""
+        """Send a frame to all clients."""
         self.send_packet(encode_frame(frame, self._version))
 
     def send_packet(self, data: bytes) -> None:
-        """Send an encoded frame to whoever listens."""
+        """Send an encoded frame to all clients."""
         a = self._address
         if a.group:
             self._send(data, (a.group, a.data_port))
@@ -133,5 +133,5 @@ class NatNetServer:
             self._send(data, (host, a.data_port))
 
     def _send(self, data: bytes, client: tuple[str, int]) -> None:
-        with suppress(BlockingIOError, ConnectionRefusedError):  # as a lost datagram
+        with suppress(BlockingIOError, ConnectionRefusedError):  # like a lost datagram
             self.socket.sendto(data, client)

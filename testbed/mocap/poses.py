@@ -1,4 +1,4 @@
-"""The cameras as one vehicle hears them: a `PoseSource` on top of any motion-capture system."""
+"""One vehicle's `PoseSource` on top of any motion-capture system."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -9,17 +9,16 @@ from testbed.mocap.body_monitor import BodyMonitor
 from testbed.mocap.exposure import Axes, Exposure, MocapSource, Sighting
 from testbed.realtime.wall_clock import WallClock
 
-OLDEST_NS = 2_000_000_000  # from exposure to arrival
-EARLIEST_NS = 100_000_000  # the other way: clocks are known to some milliseconds
-FARTHEST = 1e4  # [m] no camera sees so far
+OLDEST_NS = 2_000_000_000  # longest time from exposure to arrival
+EARLIEST_NS = 100_000_000  # arrival before exposure by clock error is accepted up to this
+FARTHEST = 1e4  # largest plausible coordinate [m]
 
 
 class MocapPoses:
     """Poses of one vehicle, in W and in the run's time.
 
-    Every tracked pose is handed on, believable or not: what to make of it is the fault table's
-    business, as on the twin. The watch only says what it looks like, for the log; it sees all
-    bodies, because a swap takes two.
+    Every tracked pose is passed on, plausible or not: the fault table judges it, as on the twin.
+    The body watch only names faults for the log; it gets all bodies, as a swap involves two.
     """
 
     def __init__(
@@ -28,11 +27,11 @@ class MocapPoses:
         self._source, self._axes, self._clock = source, Axes(wire), clock
         self._body = wire.bodies.get(name, name)
         self.watch = watch
-        self.arrived_ns: int | None = None  # of the newest pose handed on
+        self.arrived_ns: int | None = None  # arrival of the newest pose passed on
         self.latencies: deque[float] = deque(maxlen=1000)  # exposure to arrival [s]
-        self.lost_frames = 0  # by their numbers
+        self.lost_frames = 0  # from gaps in the frame numbers
         self._number: int | None = None
-        self.implausible = 0  # exposures of another time, and own poses that are no numbers
+        self.implausible = 0  # exposures with a wrong time, and own poses not finite
         self._unseen: deque[tuple[float, Exposure]] = deque(maxlen=1000)
 
     def samples(self) -> Sequence[PoseSample]:
@@ -59,14 +58,14 @@ class MocapPoses:
         return samples
 
     def review(self) -> None:
-        """Look at all bodies, when the plan is out: it does not wait for that."""
+        """Check all bodies; called after the plan is sent, so that the plan does not wait."""
         while self._unseen:
             t, exposure = self._unseen.popleft()
             self.watch.look(t, {n: self._seen(seen) for n, seen in exposure.bodies.items()})
         self.watch.pass_time(self._clock.now)
 
     def _seen(self, sighting: Sighting) -> Pose | None:
-        """Where a body is, if that is known."""
+        """The pose of a body; None if it is not plausible."""
         if not sighting.tracked:
             return None
         if not all(abs(x) < FARTHEST for x in (*sighting.position, *sighting.rotation)):
@@ -75,5 +74,5 @@ class MocapPoses:
 
     @property
     def trouble(self) -> str | None:
-        """What is wrong with this vehicle's body now."""
+        """The current fault of this vehicle's body."""
         return self.watch.troubles.get(self._body)

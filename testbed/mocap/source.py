@@ -1,4 +1,4 @@
-"""The motion-capture system that the table file names."""
+"""Opens the motion-capture system of the table file."""
 
 import zenoh
 
@@ -10,7 +10,7 @@ from testbed.net.keys import Keys
 
 
 def make_source(wire: MocapWire, session: zenoh.Session, keys: Keys) -> MocapSource:
-    """Connect to it."""
+    """Connect to the motion-capture system."""
     if wire.system == "zenoh":
         from testbed.mocap.topic import PoseTopic
 
@@ -19,7 +19,7 @@ def make_source(wire: MocapWire, session: zenoh.Session, keys: Keys) -> MocapSou
 
 
 def datagrams(wire: MocapWire) -> MocapSource:
-    """Connect to a system that needs no session of Zenoh's.
+    """Connect to a system that needs no Zenoh session.
 
     Raises:
         OSError: it cannot be reached, or its plug-in cannot be used.

@@ -1,8 +1,8 @@
-"""Poses from a Zenoh topic, for a lab whose cameras speak Zenoh already.
+"""Poses from a Zenoh topic, for a lab that publishes its poses over Zenoh.
 
 The message is MessagePack: [number, exposed, sent, {name: [x, y, z, qx, qy, qz, qw]}]; times are
-in ns of the sender's monotonic clock, and a body that is not tracked is left out. Without questions
-and answers the sender's clock is known from the message that travelled fastest.
+in ns of the sender's monotonic clock, and a body that is not tracked is omitted. The sender's clock
+is estimated from the fastest message.
 """
 
 import msgspec
@@ -18,7 +18,7 @@ Bodies = dict[str, tuple[float, float, float, float, float, float, float]]
 
 
 def encode_poses(number: int, exposed_ns: int, sent_ns: int, bodies: Bodies) -> bytes:
-    """A message."""
+    """Encode a message."""
     return msgspec.msgpack.encode((number, exposed_ns, sent_ns, bodies))
 
 

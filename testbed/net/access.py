@@ -1,18 +1,17 @@
-"""Who may do what on the network: the list in the host's key folder, and Zenoh's rules from it.
+"""Access control: the list of parties in the host's key folder, and Zenoh's rules made from it.
 
-    role       says                        hears                      asks, and is told
-    host       everything: it is the one that everybody else dials
-    vehicle    its own state, message,    its setpoint; permit,      the host's clock, experiment;
-               tick, event; is alive      stop, poses; states and    gives the host its ticket;
-                                           words of the others        answers its own orders, and
-                                                                      to stop
+    role       publishes                   subscribes to              queries and answers
+    host       everything: all other parties connect to it
+    vehicle    its own state, message,     its setpoint; permit,      the host's clock, experiment;
+               and event; liveliness       stop, poses; states and    gives the host its ticket;
+                                           messages of other laws     answers orders and stop
     table      truth, poses
-    operator   stop                        all that is said           stop; the host's experiment
-    watcher    nothing                     states, words, ticks,      the host's experiment
+    operator   stop                        all that is published      stop; the experiment
+    watcher    nothing                     states, messages, ticks,   the host's experiment
                                            events, truth, poses
 
-Everything else is refused where it arrives, at the host, and silently: Zenoh does not answer the
-unwelcome. Rights hang on the certificate's common name, which is the role and the name.
+The host drops everything else silently: Zenoh sends no answer to a party without rights. Rights
+belong to the certificate's common name, which is the role and the name.
 """
 
 import tomllib
@@ -44,7 +43,7 @@ Act = tuple[tuple[str, tuple[str, ...]], ...]
 
 
 class Admitted(Struct, frozen=True, forbid_unknown_fields=True):
-    """One line of the list."""
+    """A party in the access list."""
 
     role: str
     name: str
@@ -53,7 +52,7 @@ class Admitted(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Access(Struct, frozen=True, forbid_unknown_fields=True):
-    """The list."""
+    """The access list of a lab, `access.toml`."""
 
     lab: str
     endpoint: str
@@ -61,7 +60,7 @@ class Access(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def badges(self) -> list[Credentials]:
-        """Everybody on it."""
+        """Every party on the list."""
         return [
             Credentials(self.lab, self.endpoint, p.role, p.name, p.fingerprint, p.expires)
             for p in self.party
@@ -69,10 +68,10 @@ class Access(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_access(folder: Path) -> Access:
-    """The list in the host's key folder.
+    """Read the access list in the host's key folder.
 
     Raises:
-        BadgeError: it is not there, or cannot be read.
+        BadgeError: it is missing or cannot be read.
     """
     path = folder / ACCESS
     expected = "expected the list that `testbed lab-keys` keeps in the host's key folder"
@@ -80,7 +79,7 @@ def read_access(folder: Path) -> Access:
         access = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Access)
     except OSError as error:
         raise BadgeError(f"{path}: {error.strerror}; {expected}") from None
-    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or another tree
+    except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or other fields
         raise BadgeError(f"{path}: {error}; {expected}") from None
     for one in access.party:
         if one.role not in ROLES:
@@ -89,7 +88,7 @@ def read_access(folder: Path) -> Access:
 
 
 def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple[Act, list[str]]]:
-    """What a party may do on which keys."""
+    """Which actions a party may do on which keys."""
 
     def of(names: Iterable[str], *words: str) -> list[str]:
         return [keys.of(name, word) for name in names for word in words]
@@ -104,7 +103,7 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
             return [
                 (SAY, of(own, "state", "message", "tick", "event")),
                 (LIVE, of(own, "alive")),
-                (HEAR, of(own, "alive")),  # whether somebody else is there under its name
+                (HEAR, of(own, "alive")),  # is another vehicle using its name?
                 (HEAR, [*of(own, "setpoint"), keys.permit, keys.stop, keys.pose]),
                 (HEAR, of(everybody, "state", "message")),
                 (ASK, [*of(own, "roll"), keys.clock, keys.experiment]),
@@ -123,7 +122,7 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
 
 
 def control(access: Access, keys: Keys) -> dict[str, Any]:
-    """Zenoh's access-control list; who is not on it may do nothing."""
+    """Zenoh's access-control configuration; a party that is not on the list may do nothing."""
     vehicles = known(access.badges, "vehicle")
     rules: list[dict[str, Any]] = []
     subjects, policies = [], []
@@ -150,14 +149,14 @@ def control(access: Access, keys: Keys) -> dict[str, Any]:
 
 
 def open_lab(network: Network, vehicles: Iterable[str]) -> tuple[zenoh.Session, list[str]]:
-    """The host's end of a lab's network, and words about keys that expire soon.
+    """Open the host's session on a lab's network; also returns warnings about expiring keys.
 
     Args:
         network: of the lab file.
-        vehicles: that are to fly.
+        vehicles: the vehicles that will fly.
 
     Raises:
-        NetworkError: it cannot be opened, or a vehicle has no keys.
+        NetworkError: the session cannot be opened, or a vehicle has no keys.
     """
     if not network.keys:
         return listen(network.endpoint), []

@@ -1,8 +1,8 @@
-"""The lab's authority: makes and renews everybody's keys. Needs the extra `keys`.
+"""The lab's certificate authority: makes and renews all keys. Needs the extra `keys`.
 
-One folder per party, see `network/badge.py`, and beside them the authority's own, which signs and
-should lie on one machine only. Keys are on the curve P-256. Only the host's certificate is good for
-a server, so that no vehicle or watcher can pass for the host.
+It writes one folder per party, see `net/credentials.py`, and one for the authority's signing key,
+which should stay on one machine. Keys are on the curve P-256. Only the host's certificate is valid
+for a server, so no vehicle or watcher can impersonate the host.
 """
 
 import datetime
@@ -41,10 +41,10 @@ from testbed.net.credentials import (
 
 AUTHORITY_DAYS = 3650
 BACKDATED = datetime.timedelta(days=1)  # a vehicle's clock may be behind
-LOCAL = ("localhost", "127.0.0.1", "::1")  # the host is always these, too
+LOCAL = ("localhost", "127.0.0.1", "::1")  # always in the host's certificate
 HEADING = """\
-# Who may do what in this lab. The host reads it when a run begins; strike a party out, and it is
-# shut out from then on. Written by `testbed lab-keys`; docs/lab_keys.md says what the roles may do.
+# Parties that may use this lab's network. The host reads this file when a run begins; delete an
+# entry to shut that party out. Written by `testbed lab-keys`; docs/lab_keys.md explains the roles.
 
 """
 
@@ -52,22 +52,23 @@ Signer = tuple[x509.Certificate, ec.EllipticCurvePrivateKey]
 
 
 class Wanted(NamedTuple):
-    """What the folder is to hold."""
+    """Parties and addresses for which keys are made."""
 
     lab: str
     endpoint: str
-    addresses: Sequence[str]  # names and addresses under which the host is dialled
+    addresses: Sequence[str]  # host names and addresses of the host
     parties: Sequence[tuple[str, str]]  # role and name
-    days: int  # that certificates are good for
+    days: int  # lifetime of the certificates
 
 
 def make_keys(folder: Path, wanted: Wanted, *, force: bool) -> list[Credentials]:
-    """Make keys for these parties, and put them on the list; returns their badges.
+    """Make keys for these parties and add them to the access list; returns their badges.
 
-    The authority is made if there is none. Host and table are made with it.
+    The authority's key is made first if it does not exist.
 
     Raises:
-        BadgeError: a party has keys already and `force` is not given, or the folder is not ours.
+        BadgeError: a party has keys already and `force` is not given, or the authority's key
+            cannot be used.
     """
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)  # noqa: TID251  (a date)
     for role, name in wanted.parties:
@@ -87,14 +88,14 @@ def make_keys(folder: Path, wanted: Wanted, *, force: bool) -> list[Credentials]
 
 
 def listed(folder: Path) -> list[Credentials]:
-    """Everybody on the list, and nobody when there is no list yet."""
+    """Every party on the access list; empty if there is no list yet."""
     if not (folder / "host" / ACCESS).exists():
         return []
     return read_access(folder / "host").badges
 
 
 def addresses_of(folder: Path) -> list[str]:
-    """Names and addresses that the host's certificate is for."""
+    """Names and addresses in the host's certificate, apart from this machine's."""
     path = folder / "host" / CERTIFICATE
     names = x509.load_pem_x509_certificate(path.read_bytes()).extensions.get_extension_for_class(
         x509.SubjectAlternativeName
@@ -111,13 +112,13 @@ def _authority(folder: Path, lab: str, now: datetime.datetime) -> Signer:
         except (OSError, ValueError) as error:
             raise BadgeError(
                 f"the authority in {place} cannot be read: {error}; without it no keys can be"
-                " added: take its backup, or make all keys anew in another folder"
+                " added: restore its backup, or make new keys in another folder"
             ) from None
         assert isinstance(key, ec.EllipticCurvePrivateKey)
         if certificate.not_valid_after_utc <= now:
             raise BadgeError(
-                f"the authority in {place} has expired on"
-                f" {certificate.not_valid_after_utc:%Y-%m-%d}: make all keys anew in another folder"
+                f"the authority in {place} expired on"
+                f" {certificate.not_valid_after_utc:%Y-%m-%d}: make new keys in another folder"
             )
         return certificate, key
     key = ec.generate_private_key(ec.SECP256R1())
@@ -200,7 +201,7 @@ def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _put(place: Path, files: dict[str, bytes]) -> None:
-    """Write a folder whole, in the place of an older one; what else was in that is kept."""
+    """Replace a folder in one step; its other files are kept."""
     part = place.with_name(f".{place.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     if place.exists():
@@ -221,7 +222,7 @@ def _put(place: Path, files: dict[str, bytes]) -> None:
 
 
 def _write_list(folder: Path, wanted: Wanted, made: Sequence[Credentials]) -> None:
-    """Put new parties on the host's list."""
+    """Add new parties to the host's access list."""
     entries = {badge.common_name: badge for badge in (*listed(folder), *made)}
     tree = {
         "lab": wanted.lab,
@@ -235,5 +236,5 @@ def _write_list(folder: Path, wanted: Wanted, made: Sequence[Credentials]) -> No
 
 
 def host_badge(folder: Path) -> Credentials | None:
-    """The host's, where there is one."""
+    """The host's badge; None if it has no keys."""
     return read_badge(folder / "host") if (folder / "host").exists() else None

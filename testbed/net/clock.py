@@ -1,7 +1,7 @@
-"""The host's clock before and during a flight: asked now and then, and nobody waits for the answer.
+"""The host's clock before and during a flight: queried periodically, never waited for.
 
-What is said is how far the clocks are apart for certain: an answer that took long says less, and a
-slow network never looks like a clock that was set.
+The result is a lower bound of the offset: a long round trip makes the bound smaller, so a slow
+network never looks like a clock that was set.
 """
 
 from typing import Any
@@ -13,34 +13,34 @@ from testbed.net.session import NetworkError, ask
 from testbed.realtime.clock_sync import ClockOffset
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
 
-STAMP = 8  # [bytes] of an answer
-ASK_NS = 200_000_000  # between two questions
-READINGS = 16  # before a flight
-READ_NS = 1_000_000_000  # the same, while a vehicle waits
-UNREAD_S = 1e3  # a clock that was never read
+STAMP = 8  # length of an answer [bytes]
+ASK_NS = 200_000_000  # time between two queries
+READINGS = 16  # queries before a flight
+READ_NS = 1_000_000_000  # time between two queries while a vehicle waits
+UNREAD_S = 1e3  # uncertainty of a clock that was never read
 
 
 def read_clock(session: zenoh.Session, keys: Keys) -> ClockOffset:
-    """The host's clock, from some questions and answers."""
+    """Offset of the host's clock, from several queries."""
     clock = ClockOffset()
     for _ in range(READINGS):
         asked = monotonic_ns()
         said = ask(session, keys.clock)
         if len(said) != STAMP:
-            raise NetworkError(f"the host's clock says {len(said)} bytes, expected {STAMP}")
+            raise NetworkError(f"the host's clock sent {len(said)} bytes, expected {STAMP}")
         clock.exchanged(asked, int.from_bytes(said, "little"), monotonic_ns())
     return clock
 
 
 class Reader:
-    """Goes on reading the host's clock while a vehicle waits: in an hour clocks drift apart."""
+    """Keeps reading the host's clock while a vehicle waits, because clocks drift apart."""
 
     def __init__(self, session: zenoh.Session, keys: Keys, offset: ClockOffset) -> None:
         self._session, self._key, self._offset = session, keys.clock, offset
         self._due = 0
 
     def look(self) -> None:
-        """Ask, if it is time to."""
+        """Query the clock if a query is due."""
         asked = monotonic_ns()
         if asked < self._due:
             return
@@ -55,18 +55,18 @@ class Reader:
         self._session.get(self._key, answers, timeout=1.0)
 
     def unsure(self) -> float:
-        """By how much the host's clock may be misread [s]."""
+        """Uncertainty of the offset to the host's clock [s]."""
         best = self._offset.best
         return UNREAD_S if best is None or best.delay_ns < 0.0 else 0.5e-9 * best.delay_ns
 
 
 class HostClock:
-    """Watches the host's clock against the vehicle's.
+    """Compares the host's clock with the vehicle's during a flight.
 
     Args:
         session: the network.
         keys: of the lab.
-        clock: the run's, on this vehicle.
+        clock: the run's clock on this vehicle.
         epoch_ns: the run's time 0 on the host's monotonic clock.
     """
 
@@ -75,10 +75,10 @@ class HostClock:
         self._clock, self._epoch_ns = clock, epoch_ns
         self._due = 0
         self._off = 0.0
-        self.trip: float | None = None  # of the newest question and answer [s]
+        self.trip: float | None = None  # round trip of the newest query [s]
 
     def off(self) -> float:
-        """The host's clock minus the own, as far as that is certain [s]; asks again, if due."""
+        """Lower bound of the host's clock minus this one [s]; also sends a query if one is due."""
         now = monotonic_ns()
         if now >= self._due:
             self._due = now + ASK_NS

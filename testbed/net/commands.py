@@ -1,4 +1,4 @@
-"""What the parties say to each other besides states and setpoints."""
+"""Messages between host and vehicles besides states and setpoints."""
 
 from hashlib import sha256
 from typing import Literal
@@ -11,41 +11,41 @@ from testbed.flight.arming import Readiness
 
 
 class Look(Struct, frozen=True, tag=True):
-    """Say how you are. Answered by `Ready` or `Refused`."""
+    """Report readiness for arming. Answered by `Ready` or `Refused`."""
 
 
 class Start(Struct, frozen=True, tag=True):
-    """Fly. Answered by `Accepted` or `Refused`."""
+    """Start the flight. Answered by `Accepted` or `Refused`."""
 
     session: int
     epoch_ns: int  # the run's time 0 on the host's monotonic clock
-    ticket: int  # that the vehicle has given to its host, see `roll`
+    ticket: int  # the vehicle gave it to its host, see `roll_call`
 
 
 class Stop(Struct, frozen=True, tag=True):
-    """End the flight: come to rest, then shut the air off."""
+    """End the flight: come to rest, then turn the bearing air off."""
 
     reason: str
-    at_once: bool = False  # valves and air, without a brake
+    at_once: bool = False  # shut valves and air without braking
 
 
 Order = Look | Start | Stop
 
 
 class Accepted(Struct, frozen=True, tag=True):
-    """It will be done."""
+    """The vehicle carries the order out."""
 
-    board: str  # what the valves hang on
+    board: str  # name of the board that drives the valves
 
 
 class Refused(Struct, frozen=True, tag=True):
-    """It will not be done."""
+    """The vehicle does not carry the order out."""
 
     reason: str
 
 
 class Ready(Struct, frozen=True, tag=True):
-    """How a vehicle is that wants to be armed; what only the host knows is left at its default."""
+    """A vehicle's readiness for arming; fields that only the host knows keep their defaults."""
 
     readiness: Readiness
     config: str  # see `config_id`
@@ -55,19 +55,20 @@ Answer = Accepted | Ready | Refused
 
 
 class Lease(Struct, frozen=True):
-    """Go on flying, until the envelope's valid-until; and what a vehicle must know of the host."""
+    """Permit to fly until the envelope's valid-until, with the host data that a vehicle needs."""
 
-    may_fire: bool = True  # the supervisor's word; once it is not: come to rest
-    fleet: str = ""  # a fault of another vehicle that stops all
+    may_fire: bool = True  # by the supervisor; when it becomes false: come to rest
+    fleet: str = ""  # fault of another vehicle that stops all vehicles
     config: str = ""  # see `config_id`
-    disk_free: float = 1e12  # where the log goes [bytes]
-    at_once: bool = False  # valves and air, without a brake: the operator has said stop twice
+    disk_free: float = 1e12  # on the disk of the log [bytes]
+    at_once: bool = False  # shut valves and air without braking: the operator stopped twice
 
 
 def config_id(experiment: Struct) -> str:
-    """Tells one experiment from another: host and vehicles must have the same.
+    """Identifier of an experiment: host and vehicles must have the same one.
 
-    As it is after a journey: a whole number for a real one comes out as a real one.
+    It is computed after one round trip through the encoding, which turns integers in real-valued
+    fields into floats.
     """
     text = msgspec.json.encode(experiment)
     arrived = msgspec.json.encode(msgspec.json.decode(text, type=type(experiment)))
@@ -75,18 +76,18 @@ def config_id(experiment: Struct) -> str:
 
 
 class Pace(Struct, frozen=True, gc=False):
-    """How a tick kept its time, and how its wires are."""
+    """Timing of one tick, and the state of its connections."""
 
-    late_s: float  # the tick began so long after it was due
-    # of the newest plan that has gone out: newest pose's arrival to its first frame
+    late_s: float  # delay of the tick's start
+    # newest plan sent: time from the arrival of its newest pose to its first frame
     pose_to_valve_s: float | None
-    setpoint_delay_s: float | None = None  # of the newest, from issue to arrival; None: none yet
+    setpoint_delay_s: float | None = None  # newest one, from issue to arrival; None: none yet
     setpoints_heard: int = 0  # so far
-    setpoints_lost: int = 0  # so far, by their numbers
-    refused: int = 0  # messages that were late, expired, foreign, ..., so far
-    round_trip_s: float | None = None  # of the newest question to the host
-    cameras: str = ""  # what is wrong with this vehicle's body, see `mocap.watch`
-    frames_lost: int = 0  # of the cameras, so far
+    setpoints_lost: int = 0  # so far, from gaps in their sequence numbers
+    refused: int = 0  # messages that were late, expired, foreign etc., so far
+    round_trip_s: float | None = None  # of the newest query to the host
+    cameras: str = ""  # fault of this vehicle's rigid body, see `mocap.body_monitor`
+    frames_lost: int = 0  # camera frames, so far
 
 
 class Flown(Struct, frozen=True, gc=False):
@@ -95,15 +96,15 @@ class Flown(Struct, frozen=True, gc=False):
     k: int
     tick: Tick
     pace: Pace
-    edges: tuple[tuple[float, int], ...] = ()  # of the valves, as the board reports: t [s], mask
+    edges: tuple[tuple[float, int], ...] = ()  # valve edges the board reported: t [s], mask
 
 
 class Counts(Struct, frozen=True):
-    """What became of messages and frames, on one vehicle, by the end."""
+    """Counts of messages and frames on one vehicle, at the end of a flight."""
 
     commands: dict[str, int]  # setpoints, by `envelope.Verdict`
-    refusals: dict[str, int]  # plans, by the board's own word; not_sent: by the gate at the port
-    mocap: dict[str, int]  # troubles of its body, by `watch.Trouble`
+    refusals: dict[str, int]  # plans, by the board's reason; not_sent: by the command guard
+    mocap: dict[str, int]  # faults of its rigid body, by `body_monitor.Trouble`
     lost_frames: int
     reconnects: int  # of the serial line
     mocap_latency_ms: float | None  # median, exposure to arrival
@@ -111,12 +112,12 @@ class Counts(Struct, frozen=True):
 
 
 class Ended(Struct, frozen=True):
-    """A vehicle's flight is over."""
+    """A vehicle's report at the end of its flight."""
 
     t: float  # [s]
     fault: str | None
     counts: Counts
-    rows: dict[str, float] = {}  # of the fault table that held at any time, and since when [s]
-    responses: dict[str, float] = {}  # that were in force, and since when [s]
-    landed_s: float | None = None  # from the end until its air was ordered off; None: never [s]
-    air: Literal["off", "on"] = "on"  # of its bearings, as the board reported it last
+    rows: dict[str, float] = {}  # rows of the fault table that held, and since when [s]
+    responses: dict[str, float] = {}  # fault responses that were active, and since when [s]
+    landed_s: float | None = None  # from the end to the order "air off"; None: never [s]
+    air: Literal["off", "on"] = "on"  # bearing air, as the board reported it last

@@ -1,12 +1,12 @@
-"""A key folder: who somebody is on the network, and how they show it.
+"""A key folder: a party's identity on the network, its certificate and its private key.
 
-    badge.json        who it is, of which lab, where the host listens, until when
-    authority.pem     the lab's authority: whoever it has not signed is nobody
-    certificate.pem   what is shown
-    private.key       what proves it; for its owner's eyes only
+    badge.json        role, name, lab, endpoint of the host, expiry date
+    authority.pem     certificate of the lab's authority; other authorities are not trusted
+    certificate.pem   certificate of the party
+    private.key       its private key; only its owner may read it
 
-`testbed lab-keys` makes one folder per party; whoever has the folder is that party. Nothing here
-loads more than the standard library: `testbed stop` is in a hurry.
+`testbed lab-keys` makes one folder per party. A copy of the folder gives all rights of that party.
+This module imports only the standard library, so that `testbed stop` starts fast.
 """
 
 import datetime
@@ -22,21 +22,21 @@ BADGE, AUTHORITY, CERTIFICATE, KEY = (
     "badge.json", "authority.pem", "certificate.pem", "private.key",
 )  # fmt: skip
 ROLES = ("host", "table", "vehicle", "operator", "watcher")
-PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")  # of Zenoh's, with a host and a port
-OPEN_MODE = 0o077  # bits of a private key's mode that should not be there
+PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")  # Zenoh's protocols with host and port
+OPEN_MODE = 0o077  # mode bits that a private key must not have
 
 
-SOON = datetime.timedelta(days=30)  # keys that expire in less are spoken of
+SOON = datetime.timedelta(days=30)  # warn about keys that expire earlier
 
 
 class BadgeError(TestbedError):
-    """This is no key folder, or not one to be used."""
+    """The key folder is missing, damaged or must not be used."""
 
 
 class Credentials(NamedTuple):
-    """One party."""
+    """Identity of a party, as in its `badge.json`."""
 
-    lab: str  # first part of its keys
+    lab: str  # first part of the lab's network keys
     endpoint: str  # where the host listens
     role: str  # one of ROLES
     name: str
@@ -45,12 +45,12 @@ class Credentials(NamedTuple):
 
     @property
     def common_name(self) -> str:
-        """As the certificate says it; the role is in it, so a name alone gives no rights."""
+        """Common name in the certificate; it contains the role, so a name alone gives no rights."""
         return common_name(self.role, self.name)
 
     @property
     def ending(self) -> str | None:
-        """Words about keys that expire soon, or have; None: there is time."""
+        """Warning about keys that have expired or expire soon; None: no warning."""
         now = datetime.datetime.now(datetime.UTC)  # noqa: TID251  (certificates go by the date)
         left = datetime.datetime.fromisoformat(self.expires) - now
         if left > SOON:
@@ -60,15 +60,15 @@ class Credentials(NamedTuple):
 
 
 def common_name(role: str, name: str) -> str:
-    """Of a party's certificate, and of its folder."""
+    """Common name of a party's certificate, and the name of its folder."""
     return role if role in ("host", "table") else f"{role}-{name}"
 
 
 def read_badge(folder: Path) -> Credentials:
-    """Whose folder this is.
+    """Read the badge of a key folder.
 
     Raises:
-        BadgeError: it is none, or others can read its private key.
+        BadgeError: it is not a key folder, or others can read its private key.
     """
     made = "expected a folder that `testbed lab-keys` has made"
     try:
@@ -77,9 +77,9 @@ def read_badge(folder: Path) -> Credentials:
     except OSError as error:
         raise BadgeError(f"no keys in {folder}: {error.strerror}; {made}") from None
     except (ValueError, TypeError, RecursionError):
-        raise BadgeError(f"{folder / BADGE} says nothing that can be read; {made}") from None
+        raise BadgeError(f"{folder / BADGE} cannot be read; {made}") from None
     if not all(isinstance(word, str) for word in badge) or not _is_sound(badge):
-        raise BadgeError(f"{folder / BADGE} does not say who it is, and until when; {made}")
+        raise BadgeError(f"{folder / BADGE} has a missing or wrong field; {made}")
     for name in (AUTHORITY, CERTIFICATE, KEY):
         if not (folder / name).is_file():
             raise BadgeError(f"{folder / name} is missing; {made}")
@@ -100,7 +100,7 @@ def _is_sound(badge: Credentials) -> bool:
 
 
 def tls(folder: Path) -> dict[str, object]:
-    """Zenoh's settings for showing this badge and for asking everybody else for theirs."""
+    """Zenoh's TLS settings: use these keys, and require a certificate of every other party."""
     at = folder.absolute()
     key, certificate = str(at / KEY), str(at / CERTIFICATE)
     return {
@@ -115,7 +115,7 @@ def tls(folder: Path) -> dict[str, object]:
 
 
 def is_local(endpoint: str) -> bool:
-    """Whether only this machine can reach it."""
+    """Whether an endpoint can be reached only from this machine."""
     protocol, _, rest = endpoint.partition("/")
     if protocol == "unixsock-stream":
         return True
@@ -130,7 +130,7 @@ def is_local(endpoint: str) -> bool:
 
 
 def is_endpoint(endpoint: str) -> bool:
-    """Whether it has the form of one; who is there is another question."""
+    """Whether a text has the form of an endpoint; nothing is connected."""
     protocol, _, rest = endpoint.partition("/")
     if protocol == "unixsock-stream":
         return bool(rest)
@@ -140,27 +140,27 @@ def is_endpoint(endpoint: str) -> bool:
 
 
 def trouble(endpoint: str, keys: Path | None) -> str | None:
-    """Why nobody should listen or dial there with these keys, or None."""
+    """Why an endpoint must not be opened with these keys; None: it may be."""
     if not is_endpoint(endpoint):
         example = "tcp/127.0.0.1:7450" if keys is None else "tls/192.168.1.2:7450"
-        return f"that is no endpoint: expected PROTOCOL/HOST:PORT, such as {example}"
+        return f"not an endpoint: expected PROTOCOL/HOST:PORT, such as {example}"
     if keys is None:
         if is_local(endpoint):
             return None
         return (
-            "without keys only this machine is to be trusted: expected an address of loopback, or"
+            "without keys only this machine is trusted: expected a loopback address, or"
             " keys (`testbed lab-keys`) and an endpoint that begins with tls/"
         )
     if endpoint.partition("/")[0] not in ("tls", "quic"):
-        return f"keys are of no use there: expected tls/{endpoint.partition('/')[2]}"
+        return f"keys need a tls endpoint: expected tls/{endpoint.partition('/')[2]}"
     return None
 
 
 def neighbour(folder: Path, role: str, name: str) -> Path:
-    """The folder of another party, where all are still together."""
+    """The folder of another party next to this one, on the machine that made the keys."""
     return folder.parent / common_name(role, name)
 
 
 def known(badges: Iterable[Credentials], role: str) -> list[str]:
-    """Names of everybody in this role."""
+    """Names of all parties in this role."""
     return [badge.name for badge in badges if badge.role == role]

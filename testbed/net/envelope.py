@@ -1,7 +1,7 @@
-"""What every message on the network is wrapped in, and what is refused. Pure.
+"""The envelope of every message on the network, and the rules for refusing messages. Pure.
 
-A message is worth nothing after its valid-until, nothing when a newer one was heard, and nothing
-when it belongs to another session: a command of yesterday's run must not move a vehicle today.
+A message is refused after its valid-until, after a newer one was received, and if it belongs to
+another session: a command of yesterday's run must not move a vehicle today.
 """
 
 from collections.abc import Callable
@@ -15,16 +15,16 @@ from testbed.core.types import LawMessage, Setpoint, State, Trajectory
 
 M = TypeVar("M")
 
-SCHEMA = 1  # of the envelope and everything in it; others are refused
-LONGEST_S = 60.0  # that a message may be worth anything
-EARLY_S = 0.05  # a message may come so long before it was issued: clocks are never the same
+SCHEMA = 1  # version of the envelope and its contents; others are refused
+LONGEST_S = 60.0  # longest lifetime of a message
+EARLY_S = 0.05  # a message may arrive this long before its stamp: clocks differ
 
 
 class Sealed(Struct, frozen=True, array_like=True, gc=False):
     """A message on the wire, in MessagePack. Times are of the run, by the host's clock."""
 
     schema: int
-    session: int  # of the run
+    session: int  # number of the run
     seq: int  # rises by one per message of a sender and key
     issued_at: float  # [s]
     valid_until: float  # [s]
@@ -32,16 +32,16 @@ class Sealed(Struct, frozen=True, array_like=True, gc=False):
 
 
 class Verdict(StrEnum):
-    """What became of a message."""
+    """Result of judging a message."""
 
     TAKEN = "taken"
-    LATE = "late"  # it was too long on the way
-    EXPIRED = "expired"  # it was on the way until it was worth nothing
+    LATE = "late"  # its delay was too long
+    EXPIRED = "expired"  # it arrived after its valid-until
     DUPLICATED = "duplicated"
-    REORDERED = "reordered"  # a newer one was faster
+    REORDERED = "reordered"  # a newer one arrived before it
     FOREIGN = "foreign"  # of another session
     SCHEMA = "schema"  # of another version of this program
-    GARBLED = "garbled"  # not a message at all, or one from the future
+    GARBLED = "garbled"  # not a message, or its stamp is in the future
 
 
 class Outbox:
@@ -52,7 +52,7 @@ class Outbox:
         self._pack = msgspec.msgpack.Encoder().encode
 
     def seal(self, message: object, issued_at: float, valid_until: float) -> bytes:
-        """The next message."""
+        """Encode a message with the next sequence number."""
         self.sent += 1
         body = msgspec.Raw(self._pack(message))
         return self._pack(Sealed(SCHEMA, self._session, self.sent, issued_at, valid_until, body))
@@ -65,27 +65,27 @@ class Inbox(Generic[M]):
     """The newest message of one key, and how many were refused and why.
 
     Args:
-        open_body: decodes the message itself.
-        session: that is listened to.
-        late_s: longest time on the way.
+        open_body: decodes the body.
+        session: messages of other sessions are refused.
+        late_s: longest delay from issue to arrival.
     """
 
     def __init__(self, open_body: Callable[[Any], M], session: int, late_s: float) -> None:
         self._open, self._session, self._late_s = open_body, session, late_s
         self._seq = 0
         self.newest: M | None = None
-        self.valid_until = self.issued_at = -float("inf")  # of the newest
+        self.valid_until = self.issued_at = -float("inf")  # of the newest message
         self.counts = dict.fromkeys(Verdict, 0)
-        self.missed = 0  # messages that never came, by the numbers of those that did
-        self.delay: float | None = None  # of the newest, from issue to arrival [s]
+        self.missed = 0  # lost messages, from gaps in the sequence numbers
+        self.delay: float | None = None  # of the newest message, from issue to arrival [s]
 
     @property
     def foreign(self) -> int:
-        """Messages of another session so far."""
+        """Number of messages of another session so far."""
         return self.counts[Verdict.FOREIGN]
 
     def take(self, data: bytes, arrived_at: float) -> Verdict:
-        """Judge a message that came in at this time of the run."""
+        """Judge a message that arrived at this time of the run."""
         verdict = self._judge(data, arrived_at)
         self.counts[verdict] += 1
         return verdict
@@ -124,7 +124,7 @@ _law_message = msgspec.msgpack.Decoder(LawMessage).decode
 
 
 def open_state(data: Any) -> State:
-    """A vehicle's state; only finite numbers of a size that means something."""
+    """Decode a vehicle's state; all numbers must be finite and below 1e9."""
     state: State = _state(data)
     pose, twist, bias = state.pose, state.twist, state.bias
     _insist(
@@ -135,11 +135,11 @@ def open_state(data: Any) -> State:
 
 
 def open_setpoint(data: Any) -> Setpoint:
-    """A setpoint, likewise; a trajectory has something in it."""
+    """Decode a setpoint, with the same limit; a trajectory must not be empty."""
     setpoint: Setpoint = _setpoint(data)
     if isinstance(setpoint, Trajectory):
         if not setpoint.references:
-            raise msgspec.ValidationError("a trajectory of nothing")
+            raise msgspec.ValidationError("an empty trajectory")
         for r in setpoint.references:
             pose, twist, accel = r.pose, r.twist, r.accel
             _insist(
@@ -155,7 +155,7 @@ def open_setpoint(data: Any) -> Setpoint:
 
 
 def open_message(data: Any) -> LawMessage:
-    """What a law says, likewise."""
+    """Decode a law's message, with the same limit."""
     message: LawMessage = _law_message(data)
     _insist(message.t, *message.values)
     return message

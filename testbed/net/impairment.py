@@ -1,4 +1,4 @@
-"""Bad weather on the network, made on purpose: loss and delay of what comes in."""
+"""Simulated network impairment: loss and delay of incoming messages."""
 
 from collections.abc import Callable
 
@@ -8,12 +8,12 @@ from testbed.core.lab import Weather
 
 
 def calm() -> tuple[float, float]:
-    """No rehearsed fault: no extra delay [s], no loss."""
+    """No injected fault: no extra delay [s], no loss."""
     return 0.0, 0.0
 
 
 class NetworkImpairment:
-    """Decides about one message after the other; `worse` is what a rehearsal adds."""
+    """Loss or delay of each message; `worse` returns what an injected fault adds."""
 
     def __init__(
         self, weather: Weather, seed: int, name: str,
@@ -24,7 +24,7 @@ class NetworkImpairment:
         self._rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
     def arrival(self, t_ns: int) -> int | None:
-        """When a message that came in at `t_ns` is let through; None: it is lost."""
+        """When a message that arrived at `t_ns` is delivered; None: it is lost."""
         lost, where = self._rng.random(2)
         later, loss = self._worse()
         if lost < max(self._w.loss, loss):

@@ -1,28 +1,28 @@
-"""Every key on the network, written once.
+"""All keys (topics) on the network.
 
     <lab>/<vehicle>/state      estimated state, each tick               vehicle -> host, vehicles
     <lab>/<vehicle>/setpoint   what to fly, each tick                   host -> vehicle
-    <lab>/<vehicle>/message    what its law says to the others' laws    vehicle -> vehicles
+    <lab>/<vehicle>/message    message of its law to the other laws     vehicle -> vehicles
     <lab>/<vehicle>/tick       inputs and outputs, for the log          vehicle -> host
     <lab>/<vehicle>/event      how its flight ended, and why            vehicle -> host
     <lab>/<vehicle>/order      get: start or stop a flight              host -> vehicle
     <lab>/<vehicle>/roll       get: give the host the ticket for an order to start
     <lab>/<vehicle>/alive      liveliness token
-    <lab>/table/truth          where everybody really is; only a twin knows
+    <lab>/table/truth          true poses of all vehicles; only from a twin
     <lab>/table/pose           poses, where the cameras speak Zenoh
-    <lab>/host/permit          may go on flying; lapses                 host -> vehicles
+    <lab>/host/permit          permit to fly; expires                   host -> vehicles
     <lab>/host/clock           get: the host's clock
-    <lab>/host/experiment      get: what is flown
+    <lab>/host/experiment      get: the experiment
     <lab>/host/alive           liveliness token
-    <lab>/operator/stop        put or get: end the flight, now          anybody -> all
+    <lab>/operator/stop        put or get: end the flight, now          operator -> all
 
-States and setpoints are latest-wins and may be lost. Orders are answered. Stop is both. In a lab
-with keys `access.py` says who may do what here.
+States and setpoints may be lost; only the newest counts. Orders are queries and are answered. Stop
+is sent both ways. In a lab with keys `access.py` defines which party may use which key.
 """
 
 
 class Keys:
-    """The keys of one lab."""
+    """Network keys of one lab."""
 
     def __init__(self, lab: str) -> None:
         self._lab = lab

@@ -16,11 +16,11 @@ from testbed.realtime.wall_clock import WallClock
 
 M = TypeVar("M")
 
-KEPT_S = 10.0  # a state older than this on arrival is nobody's any more
+KEPT_S = 10.0  # lifetime of a state [s]
 
 
 class Party(Struct, frozen=True):
-    """Who speaks, to whom, in which run."""
+    """One end of the network in a run: its name, session and lab."""
 
     session: zenoh.Session
     lab: Lab
@@ -32,12 +32,12 @@ class Party(Struct, frozen=True):
 
     @property
     def keys(self) -> Keys:
-        """Of the lab."""
+        """Network keys of the lab."""
         return Keys(self.lab.network.lab)
 
 
 class Heard(Generic[M]):
-    """The newest message on a key."""
+    """Receives a key and keeps its newest message."""
 
     def __init__(self, party: Party, key: str, open_body: Callable[[Any], M]) -> None:
         storm = NetworkImpairment(
@@ -48,7 +48,7 @@ class Heard(Generic[M]):
         self.inbox: Inbox[M] = Inbox(open_body, party.run, party.lab.late_s)
 
     def newest(self) -> M | None:
-        """However old."""
+        """The newest message, of any age."""
         for at, data in self._ear.heard():
             self.inbox.take(data, self._clock.of(at))
         return self.inbox.newest
@@ -60,7 +60,7 @@ def _newest(heard: Mapping[str, Heard[M]]) -> dict[str, M]:
 
 
 class Said:
-    """Messages sent on a key."""
+    """Sends messages on a key."""
 
     def __init__(self, party: Party, key: str) -> None:
         self._mouth, self._clock = Publisher(party.session, key), party.clock
@@ -74,7 +74,7 @@ class Said:
 
 
 class ZenohVehicleLink:
-    """See `VehicleLink`. `others` are the vehicles whose states and words are of use."""
+    """See `VehicleLink`. `others` are the vehicles whose states and messages are received."""
 
     def __init__(self, party: Party, others: Iterable[str]) -> None:
         keys, name = party.keys, party.name
@@ -88,7 +88,7 @@ class ZenohVehicleLink:
 
     @property
     def foreign(self) -> int:
-        """Messages of another session so far."""
+        """Number of messages of another session so far."""
         heard: list[Heard[Any]] = [self.heard, *self._states.values(), *self._messages.values()]
         return sum(one.inbox.foreign for one in heard)
 
@@ -114,19 +114,19 @@ class ZenohVehicleLink:
 
 
 class Blackboard:
-    """What laws on the same computer tell each other: heard from the next tick on."""
+    """Messages between laws on the same computer: readable from the next tick on."""
 
     def __init__(self) -> None:
         self._said: dict[str, tuple[int, LawMessage, LawMessage | None]] = {}
         self.tick = 0
 
     def write(self, name: str, message: LawMessage) -> None:
-        """Say something."""
+        """Store a vehicle's message for the others."""
         _, newest, _ = self._said.get(name, (0, None, None))
         self._said[name] = (self.tick, message, newest)
 
     def read(self, name: str) -> dict[str, LawMessage]:
-        """What the others said before this tick."""
+        """Messages that the others wrote before this tick."""
         heard = {}
         for other, (tick, newest, before) in self._said.items():
             message = newest if tick < self.tick else before
@@ -136,7 +136,7 @@ class Blackboard:
 
 
 class ZenohHostLink:
-    """See `HostLink`. One `states` is shared by the links of all vehicles."""
+    """See `HostLink`. The links of all vehicles share one `states`."""
 
     def __init__(
         self, party: Party, vehicle: str, states: Mapping[str, Heard[State]], board: Blackboard
@@ -168,5 +168,5 @@ class ZenohHostLink:
 
 
 def host_states(party: Party, vehicles: Iterable[str]) -> dict[str, Heard[State]]:
-    """What the host hears of each vehicle."""
+    """Receivers of each vehicle's state, for the host."""
     return {n: Heard(party, party.keys.of(n, "state"), open_state) for n in vehicles}

@@ -1,8 +1,8 @@
 """The roll call: a waiting vehicle and its host agree on who may order it to start.
 
 The vehicle draws a number, its ticket, and gives it to the host. An order to start without the
-ticket is refused, whoever it is from. The ticket is given again every second, because a host that
-was started anew does not know it. A vehicle that ends before its flight says why.
+ticket is refused, from any sender. The ticket is sent again every second, because a host that
+was restarted does not know it. A vehicle that ends before its flight sends the reason.
 """
 
 import secrets
@@ -19,19 +19,19 @@ from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, answer_to, ask
 from testbed.realtime.wall_clock import monotonic_ns
 
-AGAIN_NS = 1_000_000_000  # between two calls
-LEAVE_S = 0.5  # for the host to hear the last words
-LONGEST = 500  # characters of them
+AGAIN_NS = 1_000_000_000  # between two enrolments
+LEAVE_S = 0.5  # time for the host to receive the reason
+LONGEST = 500  # longest reason [characters]
 
 
 class Enrol(Struct, frozen=True, tag=True):
-    """I am here."""
+    """A vehicle is ready to take an order."""
 
-    ticket: int  # that an order to start must carry
+    ticket: int  # an order to start must contain it
 
 
 class Leave(Struct, frozen=True, tag=True):
-    """I am not here any more."""
+    """A vehicle has ended before its flight."""
 
     reason: str
 
@@ -40,7 +40,7 @@ _decode = msgspec.msgpack.Decoder(Enrol | Leave).decode
 
 
 class Roll:
-    """The host's list. Must be kept as long as vehicles may enrol."""
+    """The host's list of vehicles. Keep the object as long as vehicles may enrol."""
 
     def __init__(self, session: zenoh.Session, keys: Keys, names: Iterable[str]) -> None:
         self.tickets: dict[str, int] = {}  # by vehicle
@@ -50,7 +50,7 @@ class Roll:
         ]
 
     def farewells(self) -> dict[str, str]:
-        """Who has left since the last call, and why."""
+        """Vehicles that have left since the last call, and why."""
         left, self.left = self.left, {}
         return left
 
@@ -66,7 +66,7 @@ class Roll:
 
 
 class Enrolment:
-    """A vehicle's end.
+    """The vehicle's side of the roll call.
 
     Raises:
         NetworkError: the host does not answer.
@@ -80,14 +80,14 @@ class Enrolment:
         self._due = monotonic_ns() + AGAIN_NS
 
     def look(self) -> None:
-        """Enrol again, if it is time to; does not wait for the answer."""
+        """Enrol again if it is due; does not wait for the answer."""
         now = monotonic_ns()
         if now < self._due:
             return
         self._due = now + AGAIN_NS
 
         def unheard(_: Any) -> None:
-            """The next call comes whatever the host answers."""
+            """Ignore the answer: the vehicle enrols again anyway."""
 
         answers = zenoh.handlers.Callback(unheard, indirect=False)
         self._session.get(self._key, answers, payload=self._data, timeout=1.0)
@@ -95,7 +95,7 @@ class Enrolment:
 
 @contextmanager
 def last_words(session: zenoh.Session, keys: Keys, name: str) -> Iterator[None]:
-    """Tell the host why this vehicle ends, if it ends by an error."""
+    """Send the host the reason if this vehicle ends by an error."""
     try:
         yield
     except BaseException as error:

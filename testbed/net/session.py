@@ -1,11 +1,11 @@
-"""Zenoh, opened the one way this project opens it.
+"""Opening Zenoh sessions, and the small API of this project on top of them.
 
-The host listens where the lab file says and passes on what vehicles say to each other; everybody
-else dials. Nobody scouts, and nobody listens anywhere else: Zenoh's own default is to listen on
-every interface. Messages are dropped when the network is full; nobody waits for it.
+The host listens at the lab file's endpoint and routes messages between vehicles; all other parties
+connect to it. Scouting is off, and only the host listens: Zenoh's default is to listen on every
+interface. Messages are dropped when the network is full; no sender waits for it.
 
-Without keys nobody listens or dials beyond this machine. With them both ends show a certificate of
-the lab's authority, and the host lets everybody do what `access.py` says.
+Without keys only loopback endpoints are opened. With keys both ends show a certificate of the lab's
+authority, and the host enforces the rights in `access.py`.
 """
 
 import json
@@ -20,19 +20,19 @@ from testbed.core.error import TestbedError
 from testbed.net.credentials import BadgeError, read_badge, tls, trouble
 from testbed.realtime.wall_clock import monotonic_ns
 
-LARGEST = 1 << 18  # [bytes] of a message; an experiment has 20 kB
-LEASE_MS = 400  # a peer that is silent for so long is gone
-BURST = 16  # messages that may be said at once; Zenoh's own 2 lose every third of a burst
-OPEN_S = 10.0  # for the other side to say who it is; Zenoh's own
-PENDING = 64  # messages of a key between two looks; more are not worth having
+LARGEST = 1 << 18  # largest message [bytes]; an experiment has 20 kB
+LEASE_MS = 400  # a peer that is silent for this long is lost
+BURST = 16  # messages queued at once; Zenoh's default of 2 loses a third of a burst
+OPEN_S = 10.0  # time for the other side's handshake; Zenoh's default
+PENDING = 64  # messages kept per key between two reads; older ones are dropped
 
 
 class NetworkError(TestbedError):
-    """There is no network."""
+    """A session cannot be opened, or a query was not answered."""
 
 
 class NobodyError(NetworkError):
-    """Nobody listens there, or one side does not believe the other's keys."""
+    """No host listens at the endpoint, or one side rejects the other's certificate."""
 
 
 def _config(
@@ -78,12 +78,12 @@ def _config(
 
 
 def _words(error: zenoh.ZError) -> str:
-    """Zenoh's words without the line of its source that they come from."""
+    """Zenoh's error message without its source location."""
     return str(error).partition(" at /")[0].rstrip(" .!")
 
 
 def _checked(endpoint: str, keys: Path | None) -> None:
-    """Raise a NetworkError if nobody should be there with these keys."""
+    """Raise a NetworkError if the endpoint must not be opened with these keys."""
     if (why := trouble(endpoint, keys)) is not None:
         raise NetworkError(f"{endpoint} is not opened: {why}")
     if keys is not None:
@@ -96,15 +96,15 @@ def _checked(endpoint: str, keys: Path | None) -> None:
 def listen(
     endpoint: str, keys: Path | None = None, control: Mapping[str, Any] | None = None
 ) -> zenoh.Session:
-    """Open the host's end.
+    """Open the host's session.
 
     Args:
-        endpoint: in Zenoh's words.
-        keys: the host's folder; None: everybody on this machine is welcome, and nobody else.
-        control: who may do what, see `access.control`.
+        endpoint: in Zenoh's notation.
+        keys: the host's key folder; None: no keys, only this machine can connect.
+        control: access rules, see `access.control`.
 
     Raises:
-        NetworkError: the endpoint is taken or is none, or the keys are none.
+        NetworkError: the endpoint is taken or invalid, or the keys are invalid.
     """
     _checked(endpoint, keys)
     try:
@@ -119,17 +119,17 @@ def listen(
 def dial(
     endpoint: str, wait_s: float = 1.0, keys: Path | None = None, open_s: float = OPEN_S
 ) -> zenoh.Session:
-    """Open a vehicle's or an onlooker's end.
+    """Open the session of a vehicle or another party.
 
     Args:
-        endpoint: in Zenoh's words.
-        wait_s: for somebody to be there.
-        keys: this party's folder; None: none are used.
-        open_s: for whoever is there to say who it is.
+        endpoint: in Zenoh's notation.
+        wait_s: time for a host to listen there.
+        keys: this party's key folder; None: no keys.
+        open_s: time for the host's handshake.
 
     Raises:
-        NobodyError: nobody listens there, or one side does not believe the other's keys.
-        NetworkError: nobody should dial there with these keys.
+        NobodyError: no host listens there, or one side rejects the other's certificate.
+        NetworkError: the endpoint must not be opened with these keys.
     """
     _checked(endpoint, keys)
     try:
@@ -139,13 +139,13 @@ def dial(
     except zenoh.ZError as error:
         doubt = "" if keys is None else f", and are the keys in {keys} of its lab and not expired"
         raise NobodyError(
-            f"nobody answers at {endpoint}: {_words(error)}; is `testbed run` waiting on the host,"
+            f"no host answers at {endpoint}: {_words(error)}; is `testbed run` waiting on the host,"
             f" and is the address right{doubt}?"
         ) from None
 
 
 class Subscriber:
-    """What has come in on a key, with the time of arrival; newest last."""
+    """Messages received on a key, with the time of arrival; newest last."""
 
     def __init__(
         self, session: zenoh.Session, key: str, arrival: Callable[[int], int | None] | None = None
@@ -154,7 +154,7 @@ class Subscriber:
         self._arrival = arrival
         self._subscriber = session.declare_subscriber(
             key,
-            zenoh.handlers.Callback(self._hear, indirect=False),  # short, and waits for nothing
+            zenoh.handlers.Callback(self._hear, indirect=False),  # short, never blocks
             allowed_origin=zenoh.Locality.REMOTE,
         )
 
@@ -167,7 +167,7 @@ class Subscriber:
             self._waiting.append((at, sample.payload.to_bytes()))
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop receiving."""
         self._subscriber.undeclare()
 
     def heard(self) -> list[tuple[int, bytes]]:
@@ -180,7 +180,7 @@ class Subscriber:
 
 
 def on_word(session: zenoh.Session, key: str, do: Callable[[], object]) -> Any:
-    """Call `do` at once, in Zenoh's own thread, whenever somebody says something on a key."""
+    """Call `do` in Zenoh's thread whenever a message arrives on a key."""
 
     def hear(sample: Any) -> None:
         do()
@@ -189,7 +189,7 @@ def on_word(session: zenoh.Session, key: str, do: Callable[[], object]) -> Any:
 
 
 class Publisher:
-    """Says things on a key. Must be kept: Zenoh forgets a publisher that nobody holds."""
+    """Sends messages on a key. Keep the object: Zenoh closes a publisher without a reference."""
 
     def __init__(self, session: zenoh.Session, key: str, *, bulk: bool = False) -> None:
         self._publisher = session.declare_publisher(
@@ -200,21 +200,21 @@ class Publisher:
         )
 
     def say(self, data: bytes) -> None:
-        """Send; does not wait."""
+        """Send without waiting."""
         self._publisher.put(data)
 
 
 def answer_to(
     session: zenoh.Session, key: str, answer: Callable[[bytes], bytes]
 ) -> zenoh.Queryable[None]:
-    """Answer questions on a key; the result must be kept. What is raised is told to the asker."""
+    """Answer queries on a key; keep the result. An exception is sent to the sender as an error."""
 
     def on(query: Any) -> None:
         with query:
             asked = query.payload.to_bytes() if query.payload is not None else b""
             try:
                 query.reply(query.key_expr, answer(asked))
-            except Exception as error:  # whatever it is: silence would look like nobody there
+            except Exception as error:  # any error: silence would look like no queryable
                 query.reply_err(f"{type(error).__name__}: {error}".encode())
 
     return session.declare_queryable(
@@ -223,12 +223,12 @@ def answer_to(
 
 
 def ask_all(session: zenoh.Session, key: str, wait_s: float = 0.5) -> int:
-    """How many have answered a question that is for everybody."""
+    """Number of answers to a query to all parties."""
     return len(answers(session, key, wait_s))
 
 
 def answers(session: zenoh.Session, key: str, wait_s: float) -> list[bytes]:
-    """What they have answered."""
+    """Answers of all parties to a query."""
     replies = session.get(
         key,
         timeout=wait_s,
@@ -239,12 +239,12 @@ def answers(session: zenoh.Session, key: str, wait_s: float) -> list[bytes]:
 
 
 def ask(session: zenoh.Session, key: str, question: bytes = b"", wait_s: float = 1.0) -> bytes:
-    """The answer to a question.
+    """The answer to a query.
 
     Raises:
-        NetworkError: nobody answered in time, or somebody could not.
+        NetworkError: no answer came in time, or the answer is an error.
     """
-    said = "nobody is there"
+    said = "no party is there"
     for reply in session.get(key, payload=question, timeout=wait_s):
         if reply.ok is not None:
             return bytes(reply.ok.payload.to_bytes())

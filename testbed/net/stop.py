@@ -1,12 +1,12 @@
-"""`testbed stop`: shut every valve, from anywhere, knowing nothing.
+"""`testbed stop`: stop every flight, from any machine, without any arguments.
 
-It needs no experiment and loads neither numpy nor anything else that takes its time. A flight
-leaves a note on its machine: a host, where it listens and with which keys, so that a reader of the
-note needs none of his own; a flight on the twin, which process it is. The place where a host
-listens by default is tried without a note, too. On another machine an operator's key folder says
-where the host is; it is looked for in one place, so that nothing has to be typed in a hurry.
+It needs no experiment and imports no slow modules such as numpy. A flight leaves a note on its
+machine. The note of a host has its endpoint and its key folder, so the reader needs no keys of
+their own; the note of a flight on the twin has its process id. The default endpoint is also tried
+without a note. On another machine the operator's key folder has the host's endpoint; it is in one
+fixed place, so that nothing has to be typed in a hurry.
 
-What was asked to stop and did not answer is named; the exit code is 0 only if all have answered.
+Flights and vehicles that did not answer are listed; the exit code is 0 only if all answered.
 """
 
 import json
@@ -27,34 +27,34 @@ from testbed.core.error import TestbedError
 from testbed.files import write_atomic
 
 OK, FAILED = 0, 1
-WAIT_S = 0.0  # for a host that is not there
-OPEN_S = 1.0  # for one that is there and says nothing
-ANSWER_S = 0.5  # for vehicles
-END_S = 2.0  # for a flight on the twin to end
+WAIT_S = 0.0  # time for a host to start listening
+OPEN_S = 1.0  # time for a host's handshake
+ANSWER_S = 0.5  # time for vehicles to answer
+END_S = 2.0  # time for a flight on the twin to end
 LOOK_S = 0.02
-DEFAULT = "tcp/127.0.0.1:7450"  # where a host listens that was told nothing else
-LAST_RESORT = "what still moves: the main valve and the cord need neither keys nor network\n"
-BY_THEMSELVES = "its vehicles brake and shut by themselves when they have not heard it for a second"
+DEFAULT = "tcp/127.0.0.1:7450"  # the host's default endpoint
+LAST_RESORT = "if a vehicle still moves: shut the main valve or pull the cord by hand\n"
+BY_THEMSELVES = "its vehicles brake and shut by themselves after one second without the host"
 
 
 class Flight(NamedTuple):
-    """Somewhere to say stop."""
+    """A flight that can be stopped."""
 
-    endpoint: str  # empty: on the twin
+    endpoint: str  # of its host; empty: a flight on the twin
     lab: str = "lab"
-    keys: str = ""  # folder; none: a flight on this machine
-    vehicles: Sequence[str] = ()  # none: the host is asked
+    keys: str = ""  # key folder; empty: no keys
+    vehicles: Sequence[str] = ()  # empty: ask the host
     name: str = ""
     pid: int = 0  # 0: not known
-    started: str = ""  # the process, in the system's words: numbers of processes come again
+    started: str = ""  # start time of the process in /proc: process ids are reused
 
 
 class NoteError(TestbedError):
-    """The folder of the notes is not to be trusted."""
+    """The folder of the notes cannot be trusted."""
 
 
 def _bases(uid: int) -> list[Path]:
-    """Where a user's notes may be; ssh, sudo and cron do not say it."""
+    """Folders that may hold a user's notes; ssh, sudo and cron do not set XDG_RUNTIME_DIR."""
     said = os.environ.get("XDG_RUNTIME_DIR")
     if said and uid == os.getuid():
         return [Path(said)]
@@ -63,7 +63,7 @@ def _bases(uid: int) -> list[Path]:
 
 
 def _folders() -> list[tuple[Path, int]]:
-    """Folders of notes and whose they must be; under sudo also those of the user who called it."""
+    """Folders of notes and their expected owners; under sudo also those of the calling user."""
     users = [os.getuid()]
     if users == [0] and os.environ.get("SUDO_UID", "").isdecimal():
         users.append(int(os.environ["SUDO_UID"]))
@@ -71,18 +71,18 @@ def _folders() -> list[tuple[Path, int]]:
 
 
 def _notes() -> Path:
-    """Where this process would leave a note."""
+    """The folder for this process's note."""
     return _folders()[0][0]
 
 
 def _check(folder: Path, uid: int) -> None:
-    """Raise a NoteError if others could have written these notes."""
+    """Raise a NoteError if other users could have written these notes."""
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode):
         raise NoteError(f"{folder} is not a folder; remove it")
     if found.st_uid != uid:
         raise NoteError(
-            f"{folder} belongs to user {found.st_uid}, expected {uid}: somebody else has made it;"
+            f"{folder} belongs to user {found.st_uid}, expected {uid}: another user made it;"
             " have it removed"
         )
     if found.st_mode & 0o022:
@@ -93,7 +93,7 @@ def _check(folder: Path, uid: int) -> None:
 
 
 def own_keys() -> Path:
-    """Where an operator's keys are looked for."""
+    """The operator's key folder."""
     return Path.home() / ".airbearing-testbed"
 
 
@@ -106,15 +106,15 @@ def noted(
     endpoint: str, lab: str, keys: str = "", vehicles: Sequence[str] = (), name: str = "",
     pid: int = 0, say: Callable[[str], None] = _complain,
 ) -> Iterator[None]:  # fmt: skip
-    """Leave a note meanwhile of a flight.
+    """Keep a note of a flight while the context is open.
 
     Args:
         endpoint: where its host listens; empty: it is flown on the twin.
         lab, keys: of that host.
-        vehicles: that fly.
+        vehicles: the flight's vehicles.
         name: of the experiment.
-        pid: of the process that ends the flight; 0: this one.
-        say: is told if there can be no note; the flight goes on.
+        pid: process that ends the flight; 0: this one.
+        say: called with a warning if the note cannot be written; the flight goes on.
     """
     pid = pid or os.getpid()
     keys = str(Path(keys).absolute()) if keys else ""
@@ -134,8 +134,8 @@ def noted(
 
 
 def _leave(text: bytes) -> Path:
-    """The note, in the first folder that takes it."""
-    trouble: Exception = NoteError("there is no folder for it")
+    """Write the note in the first folder that can be used."""
+    trouble: Exception = NoteError("no folder for it")
     for folder, uid in _folders()[: len(_bases(os.getuid()))]:
         try:
             folder.mkdir(mode=0o700, exist_ok=True)
@@ -150,7 +150,7 @@ def _leave(text: bytes) -> Path:
 
 
 def _started(pid: int) -> str:
-    """When a process was started, in the system's words; empty: it has ended."""
+    """Start time of a process as in /proc; empty: it has ended."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -159,7 +159,7 @@ def _started(pid: int) -> str:
 
 
 def _runs(flight: Flight) -> bool:
-    """Whether the process of a note still does."""
+    """Whether the process of a note still runs."""
     return not flight.pid or _started(flight.pid) == flight.started != ""
 
 
@@ -181,7 +181,7 @@ def _known() -> Iterator[tuple[Path, Flight]]:
 
 
 def _of(keys: Path, connect: str | None) -> Flight:
-    """Where the owner of a key folder is to say stop."""
+    """The flight that the owner of a key folder can stop."""
     from testbed.net.credentials import read_badge
 
     badge = read_badge(keys)
@@ -191,12 +191,12 @@ def _of(keys: Path, connect: str | None) -> Flight:
 
 
 def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> int:
-    """Say stop to every flight there is; the exit code.
+    """Stop every flight that is found; returns the exit code.
 
     Args:
-        connect: where a host listens; None: on this machine, and where an operator's keys say.
-        lab: first part of all keys, without keys.
-        keys: key folder of an operator; None: none is needed, or it is in its place.
+        connect: endpoint of a host; None: this machine, and the endpoint in the operator's keys.
+        lab: first part of the network keys; used without a key folder.
+        keys: key folder of an operator; None: the operator's usual folder, if one is needed.
     """
     from testbed.net.credentials import BadgeError
 
@@ -214,14 +214,14 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
         stopped.append(False)
         _complain(str(error))
     if not stopped:
-        _complain("nothing flies on this machine; elsewhere: testbed stop --connect, or --keys")
+        _complain("no flight on this machine; on another one: testbed stop --connect, or --keys")
     elif not all(stopped):
         sys.stderr.write(LAST_RESORT)
     return OK if stopped and all(stopped) else FAILED
 
 
 def _stop_here() -> Iterator[bool]:
-    """Every flight on this machine; where there is no note, a host at the usual place."""
+    """Stop every flight on this machine, and a host at the default endpoint without a note."""
     tried = set()
     for note, flight in list(_known()):
         tried.add(flight.endpoint)
@@ -247,13 +247,13 @@ def _listens(endpoint: str) -> bool:
 
 
 def _stop_twin(note: Path, flight: Flight) -> bool:
-    """Ask the process to end the flight; whether it has."""
+    """Ask the process to end the flight; whether it did."""
     try:
         if Path(f"/proc/{flight.pid}").stat().st_uid != note.stat().st_uid:
             raise PermissionError("its process belongs to another user")
         os.kill(flight.pid, signal.SIGTERM)
     except FileNotFoundError:
-        pass  # it has just ended
+        pass  # the process has just ended
     except OSError as error:
         _complain(f"{flight.name} on the twin, process {flight.pid}: not asked: {error}")
         return False
@@ -268,7 +268,7 @@ def _stop_twin(note: Path, flight: Flight) -> bool:
 
 
 def _stop_wires(flight: Flight) -> bool:
-    """Say stop to a host and its vehicles; whether all of them have answered."""
+    """Stop a host and its vehicles; whether all of them answered."""
     from testbed.net.keys import Keys
     from testbed.net.session import NetworkError, answers, dial
 
@@ -288,14 +288,14 @@ def _stop_wires(flight: Flight) -> bool:
     for name in sorted({*names, *shut}):
         sys.stdout.write(f"  {name}: {'stops' if name in shut else 'did not answer'}\n")
     if shut:
-        sys.stdout.write("  once more shuts valves and air at once\n")
+        sys.stdout.write("  stop again to shut valves and air at once\n")
     if not shut and not names:
-        sys.stdout.write("  no vehicle has answered\n")
+        sys.stdout.write("  no vehicle answered\n")
     return bool(shut) and shut >= set(names)
 
 
 def _vehicles(experiments: Sequence[bytes]) -> list[str]:
-    """Who flies, as the host says; nothing if it does not say it."""
+    """Vehicles in the host's experiment; empty if it cannot be read."""
     with suppress(ValueError, KeyError, TypeError, IndexError, RecursionError):
         return [str(name) for name in json.loads(experiments[0])["vehicles"]]
     return []

@@ -1,7 +1,7 @@
-"""What a process that flies leaves in shared memory for the one that looks after it.
+"""Shared memory in which a flying process reports its state to its supervisor process.
 
-Written by one process, read by another, without a lock: a value that is read while it is written is
-read again a moment later. It outlives the writer, however that one ends. By default nobody reads.
+One process writes and another reads, without a lock: a value that is read while it is written is
+corrected by the next read. The memory outlives the writer. By default there is no reader.
 """
 
 import mmap
@@ -26,15 +26,15 @@ Memory = bytearray | mmap.mmap
 class Phase(IntEnum):
     """How far a run is."""
 
-    STARTING = 0  # nothing of the user's own has been read
-    READING = 1  # the experiment and the file of its law
-    COMPILING = 2  # the flight begins soon
+    STARTING = 0  # no file of the user has been read yet
+    READING = 1  # reads the experiment and the law's file
+    COMPILING = 2  # compiles before the flight
     FLYING = 3
-    ENDING = 4  # files are finished
+    ENDING = 4  # writes its files
 
 
 class Heartbeat:
-    """One process's."""
+    """The heartbeat of one process."""
 
     def __init__(self, memory: Memory | None = None) -> None:
         self._memory: Memory = bytearray(SIZE) if memory is None else memory
@@ -43,49 +43,49 @@ class Heartbeat:
     # Written by the process that flies
 
     def beat(self) -> None:
-        """It is alive."""
+        """Show that the process is alive."""
         self._beats += 1
         struct.pack_into("<Q", self._memory, 0, self._beats)
 
     def enter(self, vehicle: bytes) -> None:
-        """A call of the law begins."""
+        """Mark the start of a call of the law."""
         self._beats += 1
         _PULSE.pack_into(self._memory, 0, self._beats, 1, vehicle)
 
     def leave(self) -> None:
-        """It has returned."""
+        """Mark the end of a call of the law."""
         self._beats += 1
         struct.pack_into("<QB", self._memory, 0, self._beats, 0)
 
     def signalled(self) -> None:
-        """It has noted a signal."""
+        """Count a received signal."""
         _SIGNALS.pack_into(self._memory, _AT_SIGNALS, self.signals + 1)
 
     def finished(self, code: int) -> None:
-        """All is done, and the process ends with this exit code."""
+        """Mark the process as finished, with its exit code."""
         _RESULT.pack_into(self._memory, _AT_RESULT, 1, code)
 
     # Read by the other
 
     @property
     def beats(self) -> int:
-        """Changes while the process is alive."""
+        """Counter that changes while the process is alive."""
         return int(struct.unpack_from("<Q", self._memory, 0)[0])
 
     @property
     def inside(self) -> str | None:
-        """The vehicle whose law is being called; None: no law is."""
+        """The vehicle whose law is being called; None: no call is active."""
         _, inside, vehicle = _PULSE.unpack_from(self._memory, 0)
         return vehicle.rstrip(b"\0").decode(errors="replace") if inside else None
 
     @property
     def signals(self) -> int:
-        """How many it has noted."""
+        """Number of received signals."""
         return int(_SIGNALS.unpack_from(self._memory, _AT_SIGNALS)[0])
 
     @property
     def result(self) -> int | None:
-        """The exit code, when all was done."""
+        """The exit code if the process has finished."""
         finished, code = _RESULT.unpack_from(self._memory, _AT_RESULT)
         return code if finished else None
 
@@ -93,7 +93,7 @@ class Heartbeat:
 
     @property
     def phase(self) -> Phase:
-        """How far the run is."""
+        """Phase of the run."""
         return Phase(self._memory[_AT_PHASE])
 
     @phase.setter
@@ -103,7 +103,7 @@ class Heartbeat:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Of a call of the law: how long [s], and how much memory it may add [MB]."""
+        """Limits of the law: time of a call [s], memory added by its calls [MB]."""
         limit_s, memory_mb = _LIMITS.unpack_from(self._memory, _AT_LIMITS)
         return limit_s, memory_mb
 
@@ -113,7 +113,7 @@ class Heartbeat:
 
     @property
     def law(self) -> str:
-        """The law's file, or what it is called."""
+        """The law's file or name."""
         return self._text(_AT_LAW, _LAW_SIZE)
 
     @law.setter
@@ -122,7 +122,7 @@ class Heartbeat:
 
     @property
     def rig(self) -> str:
-        """What is flown on."""
+        """Name of the rig."""
         return self._text(_AT_RIG, _RIG_SIZE)
 
     @rig.setter
@@ -131,7 +131,7 @@ class Heartbeat:
 
     @property
     def folder(self) -> str:
-        """Of the run; empty before there is one."""
+        """Run folder; empty before it exists."""
         return self._text(_AT_FOLDER, _FOLDER_SIZE)
 
     @folder.setter
@@ -146,27 +146,27 @@ class Heartbeat:
 
 
 _own = Heartbeat()
-_parent = 0  # process that looks after this one; 0: none
+_parent = 0  # supervisor process; 0: none
 
 
 def heartbeat() -> Heartbeat:
-    """This process's."""
+    """The heartbeat of this process."""
     return _own
 
 
 def attach(heartbeat: Heartbeat, parent: int = 0) -> None:
-    """From now on this process writes here; `parent` looks after it."""
+    """Set this process's heartbeat and its supervisor process `parent`."""
     global _own, _parent
     _own, _parent = heartbeat, parent
 
 
 def process_to_end() -> int:
-    """Which process is to be told that the run shall end."""
+    """Process id to signal to end the run."""
     return _parent or os.getpid()
 
 
 def in_file(path: Path) -> Heartbeat:
-    """A heartbeat in a file, for processes that do not come from one another."""
+    """A heartbeat in a file, for processes that do not share a parent."""
     with path.open("a+b") as file:
         file.truncate(SIZE)
         return Heartbeat(mmap.mmap(file.fileno(), SIZE))

@@ -1,12 +1,12 @@
-"""The calls of a law that is a file of the user's own: timed, and ended when they take too long.
+"""Time and memory limits for calls of a user's own law.
 
-A timer of the system interrupts a call that lasts longer than its limit and raises an error inside
-the law, so that the run goes on to its proper end, as after any other error of a law. A law that
-does not even hear that (it is in compiled code, or catches everything) is ended with its process,
-by the one that looks after it: see `cli/process_supervisor.py`.
+A system timer interrupts a call that exceeds its limit and raises an error inside the law, so that
+the run ends in order, as after any other error of a law. If the law ignores the error (it is in
+compiled code, or catches everything), the supervisor process kills its process: see
+`cli/process_supervisor.py`.
 
-Only the first thread of a process can be interrupted: elsewhere, as in campaigns with threads,
-nothing here does anything.
+Only the main thread of a process can be interrupted: in other threads, as in campaigns with
+threads, this module has no effect.
 """
 
 import os
@@ -28,31 +28,31 @@ from controllers.plain_law import LawError
 from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World
 from testbed.realtime.heartbeat import Phase, heartbeat
 
-READ_S = 30.0  # reading a law's file: it may import large packages
-FIRST_S = 10.0  # the first calls, before the flight; time in which numba compiles is not counted
-HURRY_S = 0.5  # a call that goes on after the operator's stop
-LOOKS = 4  # of the timer before the limit: a suspended process must not count as a hanging law
+READ_S = 30.0  # limit for reading a law's file: it may import large packages
+FIRST_S = 10.0  # limit for the first calls, before the flight, without numba's compilation
+HURRY_S = 0.5  # limit for a call that continues after the operator's stop
+LOOKS = 4  # timer ticks before the limit: a suspended process is not a hanging law
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
-FEW = 3  # calls: fewer say nothing, and on wires a flight ends after as many slow ones
+FEW = 3  # calls needed to judge a law; on wires a flight ends after this many slow ones
 
 _open_watches: "list[LawWatch]" = []  # at most the one of this process
 
 
 class LawWatch:
-    """A context manager; the calls of one process's laws.
+    """A context manager that watches the calls of all laws in one process.
 
     Args:
         law: its name in the experiment, "my_law.py:Mine".
         limit_s: for one call [s].
-        memory_mb: that all calls together may add to the process [MB].
-        period_s: between two calls for a vehicle, for the words about a slow law [s].
+        memory_mb: limit of memory that all calls together add to the process [MB].
+        period_s: between two calls for a vehicle, for the warning about a slow law [s].
     """
 
     def __init__(self, law: str, limit_s: float, memory_mb: float, period_s: float) -> None:
         path = file_of(law)
         self.name = law if path is None else path.name
         self.limit_s, self.memory_mb, self.period_s = limit_s, memory_mb, period_s
-        self._now_s = limit_s  # the limit at present
+        self._now_s = limit_s  # the current limit
         self._inside = False
         self._late, self._grown, self._entered_mb = 0, 0.0, 0.0
         self._forked = False
@@ -76,7 +76,7 @@ class LawWatch:
 
     @contextmanager
     def allowing(self, limit_s: float) -> Iterator[None]:
-        """Another limit for a call meanwhile [s]."""
+        """While open, use another limit for a call [s]."""
         before, self._now_s = self._now_s, limit_s
         try:
             yield
@@ -85,10 +85,10 @@ class LawWatch:
 
     @contextmanager
     def call(self, vehicle: bytes) -> Iterator[None]:
-        """A call of the law.
+        """While open, a call of the law is watched.
 
         Raises:
-            LawError: it took too long or too much.
+            LawError: it took too much time or memory.
         """
         self._entered_mb = self._resident_mb()
         self._late, self._forked = 0, False
@@ -97,7 +97,7 @@ class LawWatch:
         signal.setitimer(signal.ITIMER_REAL, self._now_s / LOOKS, self._now_s / LOOKS)
         try:
             yield
-        except LawStoppedError as error:  # between two lines of ours
+        except LawStoppedError as error:  # raised in this module, not in the law
             raise LawError(f"{self.name}: {error}") from None
         finally:
             self._inside = False
@@ -110,7 +110,7 @@ class LawWatch:
             raise LawError(f"{self.name}: {self._too_much(self._grown)}")
 
     def left_running(self) -> str:
-        """Words about threads that would keep the process from ending; empty: there are none."""
+        """Message about threads that would keep the process alive; empty: none."""
         left = [
             one.name for one in threading.enumerate()
             if one not in self._threads and not one.daemon
@@ -119,7 +119,7 @@ class LawWatch:
         return f"law {self.name} has left {count} running: {left[0]}" if left else ""
 
     def hurry(self) -> None:
-        """The operator wants to stop: a call under way has little time left."""
+        """The operator stopped the run: shorten the limit of the active call."""
         if self._inside:
             self._now_s = min(self._now_s, HURRY_S)
             signal.setitimer(signal.ITIMER_REAL, self._now_s / LOOKS, self._now_s / LOOKS)
@@ -127,7 +127,7 @@ class LawWatch:
     def _tick(self, number: int, frame: FrameType | None) -> None:
         if not self._inside:
             return
-        if compiling.global_compiler_lock.is_locked():  # that is not the law's doing
+        if compiling.global_compiler_lock.is_locked():  # numba compiles
             heartbeat().beat()
             return
         if (grown := self._with_this_call()) > self.memory_mb:
@@ -140,7 +140,7 @@ class LawWatch:
         return PAGE_MB * int(os.pread(self._statm, 64, 0).split()[1])
 
     def _with_this_call(self) -> float:
-        """What the calls so far have added to the process [MB]."""
+        """Memory added to the process by all calls so far [MB]."""
         return self._grown + self._resident_mb() - self._entered_mb
 
     def _too_much(self, grown: float) -> str:
@@ -150,11 +150,11 @@ class LawWatch:
         )
 
     def forks(self) -> None:
-        """Somebody calls os.fork()."""
+        """Called before os.fork()."""
         self._forked = self._forked or self._inside
 
     def end_of_a_fork(self) -> None:
-        """In the new process: what a law has started must not fly on."""
+        """Called in the new process: a process started by a law must not continue the flight."""
         if self._inside:
             os._exit(1)
 
@@ -170,13 +170,13 @@ os.register_at_fork(
 
 
 def current() -> LawWatch | None:
-    """The watch that is open in this process."""
+    """The open watch of this process; None: no watch is open."""
     return _open_watches[-1] if _open_watches else None
 
 
 @contextmanager
 def reading(law: str) -> Iterator[None]:
-    """A law's file is read and asked once meanwhile.
+    """While open, a law's file is read and called once.
 
     Raises:
         UnusableLawError: it hangs, or does what a law must not.
@@ -192,7 +192,7 @@ def reading(law: str) -> Iterator[None]:
         with LawWatch(law, READ_S, float("inf"), 0.0) as watch, watch.call(b""):
             yield
     except LawError as error:
-        expected = "a law that can be read, and asked once, within half a minute"
+        expected = "a law that can be read and called once within half a minute"
         raise UnusableLawError("law", expected, str(error)) from None
     finally:
         heart.phase = before
@@ -200,7 +200,7 @@ def reading(law: str) -> Iterator[None]:
 
 @contextmanager
 def patience() -> Iterator[None]:
-    """Calls meanwhile may compile what they need."""
+    """While open, calls have more time, because they may compile."""
     watch = current()
     if watch is None:
         yield
@@ -210,27 +210,27 @@ def patience() -> Iterator[None]:
 
 
 def hurry() -> None:
-    """The operator wants to stop."""
+    """Shorten the limit of the active call after the operator's stop."""
     if (watch := current()) is not None:
         watch.hurry()
 
 
 def left_running() -> str:
-    """Words about threads that the law has left; empty: there are none."""
+    """Message about threads that the law left running; empty: none."""
     watch = current()
     return "" if watch is None else watch.left_running()
 
 
 class TimedLaw:
-    """A law whose calls are watched."""
+    """A law with watched calls."""
 
     def __init__(self, law: Law, watch: LawWatch, vehicle: str) -> None:
         self._law, self._watch, self._vehicle = law, watch, vehicle.encode()
         self.message_size = law.message_size
-        self._took = array("d")  # each call of `propagate` [s]
+        self._took = array("d")  # duration of each call of `propagate` [s]
 
     def concerns(self, law_state: Array) -> list[Concern]:
-        """What the law says of the flight, and that it is too slow."""
+        """The law's concerns, and one more if it is too slow."""
         say = getattr(self._law, "concerns", None)
         found = [] if say is None else list(say(law_state))
         period = self._watch.period_s
@@ -239,8 +239,8 @@ class TimedLaw:
         usual = max(map(statistics.median, (self._took, self._took[-FEW:])))
         if usual > period:
             text = (
-                f"law {self._watch.name} takes {usual:.2g} s a call, {usual / period:.1f} times the"
-                f" jet period of {period:g} s: on wires it would be late"
+                f"law {self._watch.name} takes {usual:.2g} s per call, {usual / period:.1f} times"
+                f" the jet period of {period:g} s: too slow for real time"
             )
             found.append(Concern("slow_law", text))
         return found
@@ -272,7 +272,7 @@ class TimedLaw:
 
 
 def timed(make: Callable[[], Law], vehicle: str) -> Law:
-    """The law that `make` makes for a vehicle; watched where a watch is open."""
+    """Make a law for a vehicle; its calls are watched if a watch is open."""
     watch = current()
     if watch is None:
         return make()
@@ -284,7 +284,7 @@ def timed(make: Callable[[], Law], vehicle: str) -> Law:
 def watching(
     controller: Any, limit_s: float, memory_mb: float, period_s: float
 ) -> AbstractContextManager[Any]:
-    """The watch of a run; of none if its law is not a file of the user's own."""
+    """The watch of a run; does nothing if its law is not a user's file."""
     here = threading.current_thread() is threading.main_thread()
     if not isinstance(controller, OwnLawParams) or not here:
         return nullcontext()

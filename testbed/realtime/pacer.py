@@ -1,4 +1,4 @@
-"""A flight on the twin at a pace to look at: virtual time that keeps step with the wall clock."""
+"""Slows a flight on the twin down for viewing: virtual time follows the wall clock."""
 
 import time
 from collections.abc import Callable
@@ -7,9 +7,9 @@ from testbed.core.ports import Clock
 
 
 class Pace:
-    """Clock that waits for the wall clock, then for the clock it goes round.
+    """Clock that waits for the wall clock, then for the clock that it wraps.
 
-    Deadlines are absolute, so what one tick is late the next is not.
+    Deadlines are absolute, so one late tick does not delay the next.
     """
 
     def __init__(
@@ -19,11 +19,11 @@ class Pace:
         now: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,  # noqa: TID251  (it is a Clock)
     ) -> None:
-        """`speed` times as fast as real time."""
+        """Run at `speed` times real time."""
         self._clock, self._speed, self._now, self._sleep = clock, speed, now, sleep
         self._begun: float | None = None
         self._woke = 0.0
-        self.late_s = 0.0  # the newest tick began so much after its time, read after waking
+        self.late_s = 0.0  # delay of the newest tick's start, read after waking [s]
 
     def wait_until(self, t: float) -> None:
         """See `Clock`."""
@@ -38,5 +38,5 @@ class Pace:
 
     @property
     def busy_s(self) -> float:
-        """Since the newest tick began."""
+        """Time since the newest tick began [s]."""
         return self._now() - self._woke

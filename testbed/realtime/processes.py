@@ -1,8 +1,8 @@
-"""Processes of a run, none of which outlives it.
+"""Child processes of a run; none of them outlives it.
 
-A child is told that its parent is gone by the end of its standard input; it then brings its vehicle
-to rest and ends by itself. One that cannot, because it hangs or is stopped, is ended by a guardian:
-a small process that outlives the parent by just that.
+When the parent ends, a child's standard input closes; the child then brings its vehicle to rest and
+exits. A guardian, a small process that outlives the parent for this purpose, kills a child that
+hangs or is suspended.
 """
 
 import contextlib
@@ -18,8 +18,8 @@ from pathlib import Path
 
 from testbed.core.error import TestbedError
 
-GRACE_S = 12.0  # for a vehicle that brakes
-LEAVE_S = 2.0  # for a guardian that has nothing to guard any more
+GRACE_S = 12.0  # time for a vehicle to brake
+LEAVE_S = 2.0  # time for a guardian without children to exit
 GUARDIAN = """
 import os, select, shutil, signal, sys
 grace, folder, fds = float(sys.argv[1]), sys.argv[2], []
@@ -48,11 +48,11 @@ shutil.rmtree(folder, ignore_errors=True)
 
 
 class ChildError(TestbedError):
-    """A process of the run has ended on its own."""
+    """A process of the run ended unexpectedly."""
 
 
 class ProcessGroup:
-    """The processes of a run and a folder for what they share; a context manager."""
+    """The processes of a run and their shared folder; a context manager."""
 
     def __init__(self, grace_s: float = GRACE_S) -> None:
         self._grace_s = grace_s
@@ -72,14 +72,14 @@ class ProcessGroup:
         assert self._guardian.stdin is not None
         self._guardian.stdin.close()
         try:
-            self._guardian.wait(LEAVE_S)  # nobody is left for it
+            self._guardian.wait(LEAVE_S)  # all children have ended
         except subprocess.TimeoutExpired:
             self._guardian.kill()
             self._guardian.wait()
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def start(self, name: str, words: Sequence[str]) -> int:
-        """Start one; what it says on stderr is kept in case it fails."""
+        """Start a process; its stderr is kept for error messages."""
         with (self.folder / f"{name}.log").open("wb") as log:
             process = subprocess.Popen(
                 words,
@@ -96,22 +96,22 @@ class ProcessGroup:
         return process.pid
 
     def ended(self, name: str) -> int | None:
-        """The exit code of one, negative for a signal; None: it runs."""
+        """Exit code of a process, negative for a signal; None: it runs."""
         return self._running[name].poll()
 
     def kill(self, name: str) -> None:
-        """End one that does not listen any more."""
+        """Kill a process that does not respond."""
         self._running[name].kill()
 
     def pid(self, name: str) -> int:
-        """Of one."""
+        """Process id."""
         return self._running[name].pid
 
     def check(self) -> None:
-        """See that all are there.
+        """Check that all processes run.
 
         Raises:
-            ChildError: one is not; its last words.
+            ChildError: one has ended; contains its last output.
         """
         for name, process in self._running.items():
             if process.poll() is not None:
@@ -122,7 +122,7 @@ class ProcessGroup:
         return f": {text[-2000:]}" if text else ""
 
     def end(self, names: Collection[str] | None = None) -> None:
-        """End these, or all: ask, wait, insist."""
+        """End these or all processes: ask, wait, kill."""
         some = {n: p for n, p in self._running.items() if names is None or n in names}
         for process in some.values():
             assert process.stdin is not None
@@ -138,14 +138,14 @@ class ProcessGroup:
 
 
 def orphaned() -> bool:
-    """In a child: whether the parent has ended, or said that it is time to."""
+    """In a child: whether the parent has ended or asked the child to end."""
     if not select.select([0], [], [], 0)[0]:
         return False
     return os.read(0, 1) == b""
 
 
 def end_on_terminate() -> None:
-    """SIGTERM and a closed terminal end this process as Ctrl-C does, and all is closed in order."""
+    """Make SIGTERM and a closed terminal end this process in order, like Ctrl-C."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as under nohup
         signal.signal(signal.SIGHUP, signal.default_int_handler)

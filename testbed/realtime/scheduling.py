@@ -1,4 +1,4 @@
-"""The process while it flies: what would make it stumble is handled here and nowhere else."""
+"""Garbage collection and scheduling priority of a process during a flight."""
 
 import gc
 import os
@@ -10,10 +10,10 @@ from pathlib import Path
 
 @contextmanager
 def no_garbage_collection() -> Iterator[None]:
-    """No garbage collection meanwhile.
+    """While open, garbage collection is off.
 
-    A flight makes frozen values without cycles, which reference counting frees at once; the
-    collector would walk hundreds of thousands of them to find nothing.
+    A flight creates frozen values without cycles, which reference counting frees at once; the
+    collector would visit hundreds of thousands of them in vain.
     """
     gc.collect()
     gc.disable()
@@ -24,19 +24,19 @@ def no_garbage_collection() -> Iterator[None]:
 
 
 def settle() -> None:
-    """Take modules and machine code for lasting: to walk them takes a tenth of a second each time.
+    """Exclude modules and compiled code from garbage collection: a pass takes a tenth of a second.
 
-    For a process that flies often, once, when everything is loaded.
+    Call it once, when everything is loaded, in a process that flies often.
     """
     gc.collect()
     gc.freeze()
 
 
 def _schedule(policy: int, priority: int, process: int | str = "self") -> bool:
-    """All threads of a process; whether the system allowed it."""
+    """Set the policy of all threads of a process; whether the system allowed it."""
     try:
         for thread in Path(f"/proc/{process}/task").iterdir():
-            with suppress(ProcessLookupError):  # it has just ended
+            with suppress(ProcessLookupError):  # the process has just ended
                 os.sched_setscheduler(int(thread.name), policy, os.sched_param(priority))
     except OSError:
         return False
@@ -44,7 +44,7 @@ def _schedule(policy: int, priority: int, process: int | str = "self") -> bool:
 
 
 def prefer_process(pid: int, priority: int) -> bool:
-    """As `realtime_priority`, for good, for another process and what it has started."""
+    """Like `realtime_priority`, but permanent and for another process and its children."""
     allowed = _schedule(os.SCHED_FIFO, priority, pid)
     with suppress(OSError):
         for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
@@ -54,10 +54,10 @@ def prefer_process(pid: int, priority: int) -> bool:
 
 @contextmanager
 def realtime_priority(priority: int) -> Iterator[bool]:
-    """Run all threads before everything ordinary meanwhile; gives whether the system allows it.
+    """While open, all threads have real-time priority; yields whether the system allows it.
 
-    It takes root or an rtprio limit; without, a busy machine is felt. Threads of Python hand over
-    within half a millisecond then, not five: one of them sends the valve commands.
+    It needs root or an rtprio limit; without it a busy machine delays the flight. Python's switch
+    interval is set to 0.5 ms instead of 5 ms, because one thread sends the valve commands.
     """
     interval = sys.getswitchinterval()
     sys.setswitchinterval(0.0005)

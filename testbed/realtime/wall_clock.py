@@ -1,7 +1,7 @@
-"""Wall-clock time, read and waited for in one place.
+"""The only module that reads and waits for wall-clock time.
 
-Deadlines are absolute: a tick that comes late does not push the next one back. How late a tick
-really began is read after waking, which is when it counts.
+Deadlines are absolute: a late tick does not delay the next one. The lateness of a tick is read
+after waking.
 """
 
 import time
@@ -13,14 +13,14 @@ def monotonic_ns() -> int:
 
 
 def monotonic_of_wall(wall_ns: int) -> int:
-    """The monotonic clock when the kernel's wall clock, which stamps datagrams, showed this."""
+    """Convert the kernel's wall clock, which stamps datagrams, to the monotonic clock [ns]."""
     return wall_ns - time.clock_gettime_ns(time.CLOCK_REALTIME) + time.monotonic_ns()
 
 
 def sleep_until_ns(deadline: int) -> int:
-    """Return at this time of the monotonic clock; how late it was [ns]."""
+    """Sleep until this time of the monotonic clock; returns the lateness [ns]."""
     while (left := deadline - time.monotonic_ns()) > 0:
-        time.sleep(left * 1e-9)  # noqa: TID251  (this is the clock that the ban points to)
+        time.sleep(left * 1e-9)  # noqa: TID251  (this is the wall clock)
     return -left
 
 
@@ -33,7 +33,7 @@ class WallClock:
 
     def __init__(self, epoch_ns: int) -> None:
         self.epoch_ns = epoch_ns
-        self.lateness: list[float] = []  # of every wait, read after waking [s]
+        self.lateness: list[float] = []  # lateness of every wait, read after waking [s]
 
     @property
     def now(self) -> float:
@@ -41,7 +41,7 @@ class WallClock:
         return 1e-9 * (time.monotonic_ns() - self.epoch_ns)
 
     def of(self, monotonic: int) -> float:
-        """Time of the run at this time of the monotonic clock [s]."""
+        """Convert a time of the monotonic clock to the run's time [s]."""
         return 1e-9 * (monotonic - self.epoch_ns)
 
     def wait_until(self, t: float) -> None:

@@ -1,1 +1,1 @@
-"""Who is plugged into what: the only package that knows everybody."""
+"""Assembly of flight chain, twin and hardware; the only package that imports all others."""

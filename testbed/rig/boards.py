@@ -1,13 +1,13 @@
-"""Firmware in the loop: what can play the plans of an experiment.
+"""Firmware in the loop: boards that can execute the plans of an experiment.
 
-    model      on the twin its own, the default: no firmware, fast; on the bench the same as `host`
+    model      default; on the twin a fast model without firmware; on the bench the same as `host`
     inproc     the firmware's C core in this process, on the twin
     unicorn    the image that is flashed, on an emulated chip, on the twin
     host       the firmware as a process on this machine, on the bench
     qemu       the image that is flashed, in QEMU, on the bench
 
-Those of the twin run in lockstep with it, behind a modelled serial line; those of the bench in real
-time, behind a real one. On the table the boards are the lab's.
+The twin's boards run in lockstep with it, behind a modelled serial line; the bench's boards run in
+real time, behind a real one. On the table the boards are the lab's hardware.
 """
 
 import weakref
@@ -30,7 +30,7 @@ LOCKSTEP = ("inproc", "unicorn")
 
 
 class Valves(Struct, frozen=True, gc=False):
-    """The outputs of a board from a time on."""
+    """The outputs of a board from time `t` on."""
 
     t: float  # [s]
     mask: int  # jet 0 is bit 0, 1 is open
@@ -45,7 +45,7 @@ def make_board(kind: str, config: Config) -> Board:
     try:
         if kind == "inproc":
             return InprocBoard(config)
-        from firmware_interface.unicorn_board import UnicornBoard  # a large tool of developers
+        from firmware_interface.unicorn_board import UnicornBoard  # large optional dependency
 
         return UnicornBoard(config)
     except ImportError as error:
@@ -56,12 +56,12 @@ def make_board(kind: str, config: Config) -> Board:
 
 
 def _not_here(kind: str, error: Exception) -> ConfigError:
-    expected = "a board that this machine can build and run; on the twin `model` needs nothing"
+    expected = "a board that this machine can build and run; on the twin `model` needs no tools"
     return ConfigError("this machine", "board", expected, f"{kind}: {error}")
 
 
 def check_boards(kind: str, vehicles: Mapping[str, Vehicle], rig: str = "twin") -> None:
-    """Find out before a flight leaves anything behind whether there will be boards.
+    """Check that the boards can be built, before a run writes any file.
 
     Raises:
         ConfigError: this machine cannot build or run their firmware.
@@ -75,7 +75,7 @@ def check_boards(kind: str, vehicles: Mapping[str, Vehicle], rig: str = "twin") 
 
 
 def _check_wired(kind: str, vehicles: Mapping[str, Vehicle]) -> None:
-    """The bench's firmware runs as processes; `model` is `host` there."""
+    """Check the boards of the bench: its firmware runs as processes; `model` means `host`."""
     from firmware_interface.qemu import qemu_command  # loads the serial port
     from firmware_interface.serial_board import BoardError
 
@@ -90,7 +90,7 @@ def _check_wired(kind: str, vehicles: Mapping[str, Vehicle]) -> None:
 
 
 def make_drivers(kind: str, vehicles: Mapping[str, Vehicle]) -> dict[str, WiredBoard] | None:
-    """A board for each vehicle, armed; None for the twin's own."""
+    """An armed board for each vehicle; None: the twin uses its own model."""
     if kind == "model":
         return None
     if kind in REAL_TIME:

@@ -1,4 +1,4 @@
-"""A vehicle's flight chain, plugged together from its experiment."""
+"""Assembles a vehicle's flight chain from the experiment."""
 
 import math
 from collections.abc import Callable
@@ -26,7 +26,7 @@ from testbed.realtime.law_watch import timed, watching
 
 
 def watched(experiment: Experiment) -> AbstractContextManager[object]:
-    """What times the calls of the experiment's law, in the process that calls it."""
+    """The timer for calls of the experiment's law, in the process that calls it."""
     deploy, period = experiment.deploy, experiment.flight.jet_period_s
     limit = deploy.call_limit(period)
     return watching(experiment.controller, limit, deploy.law_memory_mb, period)
@@ -35,7 +35,7 @@ def watched(experiment: Experiment) -> AbstractContextManager[object]:
 def make_guidance(
     experiment: Experiment, name: str, spoilt: Callable[[], str] | None = None
 ) -> Guidance:
-    """One vehicle's law and the world it is told about; `spoilt` is for rehearsals."""
+    """One vehicle's law and its world; `spoilt` injects faults of the law."""
     setup = experiment.vehicles[name]
     law = timed(lambda: make_law(experiment.controller, list(experiment.vehicles)), name)
     return Guidance(
@@ -52,13 +52,14 @@ def make_guidance(
     )
 
 
-SPARE_FORCE = 0.95  # of the weakest direction: droop, and a jet that is weaker than its file
+SPARE_FORCE = 0.95  # of the weakest direction: margin for droop and weak jets
 
 
 def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) -> Barrier | None:
-    """One vehicle's safety filter, for a share of what its jets can do; None: switched off.
+    """One vehicle's safety filter, for a share of its jets' force; None: switched off.
 
-    A reference model has a smaller share, and plans its stops with more of it: it has no errors.
+    A reference model gets a smaller share and plans its stops with more of that share, because it
+    has no errors.
     """
     params, setup = experiment.flight.barrier, experiment.vehicles[name]
     if not params.on:
@@ -78,14 +79,14 @@ def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) ->
 
 
 def fence_of(experiment: Experiment, name: str) -> tuple[float, float]:
-    """Where the vehicle's centre may be, either way from the middle [m]."""
+    """Largest distance of the vehicle's centre from the table's middle, in x and y [m]."""
     size, rim = experiment.table.size, experiment.vehicles[name].model.radius
     rim += experiment.flight.gate.fence_margin
     return size[0] / 2 - rim, size[1] / 2 - rim
 
 
 def expected_of(experiment: Experiment, name: str) -> Expected:
-    """What a vehicle that wants to be armed is measured against."""
+    """Values that a vehicle's arming checks compare with."""
     setups = experiment.vehicles
     return Expected(
         name,
@@ -98,7 +99,7 @@ def expected_of(experiment: Experiment, name: str) -> Expected:
 
 
 def make_detectors(experiment: Experiment, name: str) -> Detectors:
-    """One vehicle's detectors of faults."""
+    """One vehicle's fault detectors."""
     vehicle, table = experiment.vehicles[name].model, experiment.table
     flight = experiment.flight
     evidence = JetFaultDetector(vehicle, flight.jet_period_s, flight.estimator, table)
@@ -106,7 +107,7 @@ def make_detectors(experiment: Experiment, name: str) -> Detectors:
 
 
 def make_safety(experiment: Experiment, name: str) -> Safety:
-    """One vehicle's watch, brake and filter."""
+    """One vehicle's fault monitor, brake and safety filter."""
     vehicle, period = experiment.vehicles[name].model, experiment.flight.jet_period_s
     return Safety(
         vehicle,
@@ -137,7 +138,7 @@ def make_agent(experiment: Experiment, name: str, spoilt: Callable[[], str] | No
 
 
 def formation_context(experiment: Experiment) -> FormationContext:
-    """Who flies; the leader is the goal of the first vehicle that has a path, or the first's."""
+    """The formation; its leader is the goal of the first vehicle with a path, else the first's."""
     setups = list(experiment.vehicles.values())
     led = next((setup for setup in setups if setup.path), setups[0])
 

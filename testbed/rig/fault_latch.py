@@ -1,8 +1,8 @@
-"""The fault of a run, kept for the next one: nobody flies on after a fault without having looked.
+"""The fault of the last run, kept in a file: the next run needs a reset by the operator.
 
-A run on wires has a process of its own, and so has its supervisor; the latch is what outlives them.
-It is set when valves may open and taken away when the run has come to an orderly end, so that it
-holds also after a host that was killed. It is kept per rig and lab, on the host.
+The supervisor ends with the process of its run; the latch outlives it. It is set before valves may
+open and removed when the run ends in order, so it also holds after the host was killed. There is
+one latch per rig and lab, on the host.
 """
 
 import json
@@ -12,22 +12,22 @@ from pathlib import Path
 
 from testbed.files import write_atomic
 
-KILLED = "the run did not come to an orderly end: its host was killed, or lost power"
+KILLED = "the run did not end in order: its host was killed or lost power"
 
 
 def state_folder() -> Path:
-    """Where programs keep what must outlive a login."""
+    """Folder for state that outlives a login."""
     base = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
     return Path(base) / "airbearing-testbed"
 
 
 class FaultLatch:
-    """One lab's.
+    """The fault latch of a rig and lab.
 
     Args:
         rig: bench or table.
-        lab: first part of its keys.
-        run: what is flown now, for the words.
+        lab: first part of its network keys.
+        run: name of the current run, for messages.
     """
 
     def __init__(self, rig: str, lab: str, run: str) -> None:
@@ -36,25 +36,25 @@ class FaultLatch:
 
     @property
     def fault(self) -> str | None:
-        """How the run before ended, in words; None: in order."""
+        """Fault of the previous run; None: it ended in order."""
         try:
             run, fault = json.loads(self.path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
         except (OSError, ValueError) as error:
-            return f"what is left of the run before cannot be read ({error})"
+            return f"the fault latch of the previous run cannot be read ({error})"
         return f"{run}: {fault}"
 
     def set(self, fault: str = KILLED) -> None:
-        """Latch.
+        """Latch a fault.
 
         Raises:
-            OSError: it cannot be kept.
+            OSError: the file cannot be written.
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(self.path, json.dumps([self._run, fault]).encode())
 
     def clear(self) -> None:
-        """The run has ended in order."""
+        """Remove the latch: the run has ended in order."""
         with suppress(FileNotFoundError):
             self.path.unlink()

@@ -1,4 +1,4 @@
-"""What flies an experiment, whatever it is made of."""
+"""The interface of all rigs: twin, bench and table."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
@@ -17,12 +17,12 @@ class Rig(Protocol):
 
     @property
     def experiment(self) -> Experiment:
-        """What is flown."""
+        """The experiment of this flight."""
         ...
 
     @property
     def name(self) -> str:
-        """Of the rig."""
+        """Name of the rig."""
         ...
 
     @property
@@ -32,12 +32,12 @@ class Rig(Protocol):
 
     @property
     def touches(self) -> list[Touch]:
-        """Contacts so far, as far as anybody can know."""
+        """Contacts so far; empty on a rig that cannot measure them."""
         ...
 
     @property
     def supervisor(self) -> Supervisor:
-        """Who may fire."""
+        """The supervisor, which decides whether vehicles may fire."""
         ...
 
     @property
@@ -46,52 +46,52 @@ class Rig(Protocol):
         ...
 
     def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
-        """Fly to the end, to a fault, or until `stopped()`, which counts how often."""
+        """Fly to the end, to a fault, or until `stopped()`; it returns the number of stops."""
         ...
 
     def come_to_rest(
         self, ending: Ending, observer: Observer, stopped: Callable[[], int] = lambda: 0
     ) -> After | None:
-        """After `fly`: see that every vehicle stands, and what a minute makes of it.
+        """After `fly`: bring every vehicle to rest and judge the minute after the flight.
 
-        What is measured of the flight itself is measured before. None where nobody knows the truth.
+        Metrics of the flight itself are taken before. None: the rig does not know the truth.
         """
         ...
 
     def track(self) -> Track:
-        """Where the vehicles really were so far, or what comes nearest to it."""
+        """True poses of the vehicles so far, or the best estimate of them."""
         ...
 
     def truth(self) -> Iterator[tuple[str, list[float]]]:
-        """Each vehicle and its true x, y, theta, vx, vy, omega now, where somebody knows."""
+        """Each vehicle and its true x, y, theta, vx, vy, omega now, if the rig knows them."""
         ...
 
     def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
-        """What each vehicle's board drove after `since` [s], where it reports that."""
+        """Valve outputs of each vehicle's board after `since` [s], if it reports them."""
         ...
 
     @property
     def loop(self) -> tuple[float, float] | None:
-        """How late the newest tick began and how long it took [s], by a real clock."""
+        """Lateness and duration of the newest tick [s]; None: virtual time."""
         ...
 
     def paces(self) -> Iterator[tuple[str, float, Any]]:
-        """What each vehicle said of its wires since the last call, and when, where it has any."""
+        """Each vehicle's `Pace` reports and their times since the last call, on real wires."""
         ...
 
     def spent(self, name: str) -> Consumption:
-        """What a vehicle has used so far."""
+        """Consumption of a vehicle so far."""
         ...
 
     def wires(self) -> dict[str, Any]:
-        """What metrics.json says of the wires; nothing where there are none."""
+        """Network and timing entries of metrics.json; empty on the twin."""
         ...
 
     def concerns(self) -> list[Concern]:
-        """What the laws have to say of the flight, where they run in this process."""
+        """Concerns that the laws in this process report."""
         ...
 
 
 def not_armed(reasons: Sequence[str]) -> str:
-    """What a run that was not started says instead of a fault."""
+    """Message of a run that was not started."""
     return "not started: " + "; ".join(reasons)

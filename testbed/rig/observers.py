@@ -1,4 +1,4 @@
-"""Observers of a flight for whoever flies without a log."""
+"""Observers for flights without a log."""
 
 from collections.abc import Iterable
 
@@ -8,7 +8,7 @@ from testbed.metrics.run_metrics import ReferenceLog
 
 
 class NullObserver:
-    """An observer that looks away."""
+    """An observer that does nothing."""
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
@@ -21,10 +21,10 @@ class NullObserver:
 
 
 class Witness(NullObserver):
-    """Keeps when the first fault was found."""
+    """Keeps the time of the first fault."""
 
     def __init__(self) -> None:
-        self.fault_t: float | None = None  # None: there was none [s]
+        self.fault_t: float | None = None  # None: no fault [s]
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
@@ -38,7 +38,7 @@ class Witness(NullObserver):
 
 
 class MetricsObserver(Witness):
-    """Keeps what the metrics need."""
+    """Keeps the data that the metrics need."""
 
     def __init__(self, names: Iterable[str]) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The arming checks of a twin: what a lab's vehicles say of themselves, everybody knows here."""
+"""The arming checks of a twin: computed here, while a lab's vehicles report them."""
 
 from sim_twin.twin import Twin
 from testbed.config import Experiment
@@ -8,7 +8,7 @@ from testbed.rig.chain import expected_of
 
 
 def twin_checks(experiment: Experiment, twin: Twin) -> list[Check]:
-    """All of all vehicles, as they stand at time 0; the link is as it is."""
+    """Checks of all vehicles at time 0; the link is taken as good."""
     still = Accel(0.0, 0.0, 0.0)
     states = {
         name: State(0.0, Pose(*row[:3]), Twist(*row[3:]), still, 0.0, 0)

@@ -39,8 +39,8 @@ class TwinRig(Struct, frozen=True):
     twin: Twin
     vehicles: list[VehicleNode | CrashableNode]
     hosts: list[HostNode]
-    boards: dict[str, WiredBoard]  # with firmware; empty with the twin's own
-    pace: Clock | None = None  # slows the twin down, for whoever looks
+    boards: dict[str, WiredBoard]  # with firmware; empty with the twin's model
+    pace: Clock | None = None  # slows the twin down for a viewer
     supervisor: Supervisor = field(default_factory=Supervisor)
     red: list[str] = field(default_factory=list)  # see `Rig`
 
@@ -56,7 +56,7 @@ class TwinRig(Struct, frozen=True):
         return ending
 
     def fly_unasked(self, observer: Observer, stopped: Callable[[], int]) -> Ending:
-        """Fly, whatever the arming checks would say."""
+        """Fly without the arming checks."""
         experiment = self.experiment
         ending = fly(
             self.pace or self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
@@ -67,12 +67,12 @@ class TwinRig(Struct, frozen=True):
     def come_to_rest(
         self, ending: Ending, observer: Observer, stopped: Callable[[], int] = lambda: 0
     ) -> After | None:
-        """See `Rig`. The minute is the plant's alone: no cameras, no plans."""
+        """See `Rig`. The minute is simulated without cameras and plans."""
         if self.red:  # nothing has moved
             return None
         flight, twin, began = self.experiment.flight, self.twin, self.twin.now
         period = flight.jet_period_s
-        # a fault has had its last tick at the very end, every other flight one period before
+        # after a fault the last tick was at `began`, otherwise one period before
         first = round(began / period) + (ending.fault is not None)
         come_to_rest(
             self.pace or twin, self.vehicles, period, first,
@@ -83,7 +83,7 @@ class TwinRig(Struct, frozen=True):
         return self._minute(began)
 
     def _minute(self, began: float) -> After:
-        """Let what moves move on until a minute after the end, and judge it."""
+        """Simulate the plant until a minute after the end, and judge it."""
         twin, plant = self.twin, self.twin.plant
         braked = [at for at in twin.seen_at if at >= began]
         seen = np.concatenate([np.zeros((0, len(twin.names), 6)), *twin.seen])
@@ -93,7 +93,7 @@ class TwinRig(Struct, frozen=True):
             if twin.sabotage is not None:
                 twin.sabotage.before(until)
             marks = np.arange(plant.t, until, STEP)
-            # the last plan ends by itself, and after it the board's watchdog
+            # within this second the last plan ends and the board's watchdog acts
             states.append(plant.advance(until, marks, boards=plant.t < twin.now + 1.0))
             times.append(marks)
         floats = {name: plant.floats(k) for k, name in enumerate(plant.names)}
@@ -102,7 +102,7 @@ class TwinRig(Struct, frozen=True):
         )
 
     def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
-        """What each vehicle's board drove after `since` [s]; nothing with the twin's own."""
+        """Valve outputs of each vehicle's board after `since` [s]; empty without firmware."""
         for name, board in self.twin.plant.boards.items():
             if isinstance(board, FirmwareBoard):
                 new = bisect_right(board.edges, round(since * 1e6), key=lambda edge: edge[0])
@@ -119,12 +119,12 @@ class TwinRig(Struct, frozen=True):
         return iter(())
 
     def _trouble(self) -> str | None:
-        """The first board that does not play plans any more, and why."""
+        """The first board that no longer executes plans, and why."""
         found = ((name, board.trouble) for name, board in self.boards.items())
         return next((f"{name}: {trouble}" for name, trouble in found if trouble), None)
 
     def concerns(self) -> list[Concern]:
-        """What the laws have to say of the flight."""
+        """See `Rig`."""
         nodes = [*self.vehicles, *self.hosts]
         return [
             Concern(concern.name, f"{node.name}: {concern.text}")
@@ -144,7 +144,7 @@ class TwinRig(Struct, frozen=True):
         return zip(self.twin.names, self.twin.plant.x.tolist(), strict=True)
 
     def spent(self, name: str) -> Consumption:
-        """What a vehicle has used so far."""
+        """See `Rig`."""
         plant = self.twin.plant
         k = plant.names.index(name)
         return Consumption(
@@ -172,11 +172,11 @@ class TwinRig(Struct, frozen=True):
 
 
 def make_twin(experiment: Experiment) -> TwinRig:
-    """Everything of the experiment on the twin."""
+    """Build the twin rig of an experiment."""
     setups = experiment.vehicles
     for what in experiment.inject:
         if what.kind in ON_WIRES:
-            expected = "a fault that a twin without wires can have, or --rig bench"
+            expected = "a fault that can be injected on the twin, or --rig bench"
             raise ConfigError("this rig", "inject", expected, what.kind)
     models = {name: setup.model for name, setup in setups.items()}
     drivers = make_drivers(experiment.board, models)
@@ -223,8 +223,8 @@ def make_twin(experiment: Experiment) -> TwinRig:
 
 
 def warm_up(experiment: Experiment, stopped: Callable[[], int] = lambda: 0) -> None:
-    """Fly a few ticks of the experiment, so that everything is compiled before the clock runs."""
+    """Fly a few ticks of the experiment, so that all code is compiled before the flight."""
     period = experiment.flight.jet_period_s
     short = replace(experiment, duration_s=4 * period, board="model", inject=[])
-    make_twin(short).fly_unasked(NullObserver(), stopped)  # a red check is not about compiling
+    make_twin(short).fly_unasked(NullObserver(), stopped)  # arming checks do not matter here
     characterise(np.eye(2))

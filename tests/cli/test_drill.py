@@ -37,7 +37,7 @@ GOOD = Flown(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
         ({"separation_m": -0.1}, ["room between two vehicles"]),
         ({"separation_m": None, "solid_m": None}, []),
         ({"solid_m": 0.0}, ["room to a solid obstacle"]),
-        ({"gas_share": 0.81}, ["gas of the tank"]),
+        ({"gas_share": 0.81}, ["gas used"]),
         ({"openings_per_valve": 20_001.0}, ["openings of a valve"]),
     ],
 )

@@ -139,7 +139,7 @@ def test_a_slow_law_is_flown_on_the_twin_with_a_warning(testbed):
     slow = [one["text"] for one in warnings if one["name"] == "slow_law"]
     assert len(slow) == 1
     assert slow[0].startswith("sat1: law my_law.py takes ")
-    assert "times the jet period of 0.05 s: on wires it would be late" in slow[0]
+    assert "times the jet period of 0.05 s: too slow for real time" in slow[0]
 
 
 # While its file is read

@@ -114,7 +114,7 @@ def test_without_a_compiler_the_error_names_the_way_out(monkeypatch):
         raise CompilerError("no C compiler found")
 
     monkeypatch.setattr(boards, "InprocBoard", no_board)
-    with pytest.raises(ConfigError, match="`model` needs nothing"):
+    with pytest.raises(ConfigError, match="`model` needs no tools"):
         fly("inproc")
 
 

@@ -125,7 +125,7 @@ def test_after_a_power_loss_what_was_written_before_is_read(tmp_path, content):
     book, found = read(tmp_path, zeroed(content, a, len(content)))
     assert found[-1] == stamps[0] - 10**7
     assert not book.finished
-    assert book.said()[0].endswith(f"byte {a}: all that was flown after 1.19 s is missing")
+    assert book.said()[0].endswith(f"byte {a}: the flight after 1.19 s is missing")
 
 
 def test_the_last_chunk_is_missed_by_the_file_s_own_count(tmp_path, content):
@@ -331,7 +331,7 @@ def test_a_chunk_that_lies_is_passed_over_as_a_whole(tmp_path, lie):
 
 def test_a_file_full_of_what_looks_like_chunks_is_given_up(tmp_path):
     decoy = packed(bytes(2**20) * 6, crc=1)
-    with pytest.raises(LogError, match="too much behind it looks like a log"):
+    with pytest.raises(LogError, match="too much after it looks like a log"):
         read(tmp_path, MAGIC + header() + decoy * 100)
 
 

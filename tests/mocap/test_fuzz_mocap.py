@@ -195,7 +195,7 @@ def test_what_another_machine_sends_is_not_looked_at(client, monkeypatch):
     monkeypatch.setattr(natnet_client, "receive", lambda one: said.pop(0) if said else None)
     assert client.poll() == []
     assert client.info is None
-    assert client.complaint == "datagrams that were not the server's: 3 from 10.0.0.9"
+    assert client.complaint == "datagrams from other senders than the server: 3 from 10.0.0.9"
 
 
 def test_a_server_of_another_time_is_named(port, client):
@@ -209,7 +209,7 @@ def test_a_server_of_another_time_is_named(port, client):
 def test_an_interface_that_does_not_lead_there_is_named():
     client = NatNetClient(MocapWire(server="192.0.2.1"))
     client.poll()
-    assert client.complaint == "none: 127.0.0.1 does not lead to 192.0.2.1; 0.0.0.0 does"
+    assert client.complaint == "none: 127.0.0.1 has no route to 192.0.2.1; 0.0.0.0 has"
     client.close()
 
 

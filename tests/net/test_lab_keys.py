@@ -143,7 +143,7 @@ def test_the_host_arms_and_an_operator_stops(rig):
     told = Commanded(rig["vehicle-sat1"], "sat1")
     order = KEYS.of("sat1", "order")
     wait_for(lambda: told.tower is not None and _answers(rig.host, order))
-    with pytest.raises(NetworkError, match="nobody is there"):
+    with pytest.raises(NetworkError, match="no party is there"):
         ask(rig["operator-anna"], order, START, wait_s=0.5)
     assert told.tower.starts.empty()
     assert answer(ask(rig.host, order, START)) == Accepted("a board")
@@ -200,7 +200,7 @@ def test_others_can_neither_arm_nor_stop(rig, who):
     wait_for(lambda: _answers(rig.host, order))
     for key in (order, "lab/*/order", "lab/**", "**"):
         for question in (START, msgspec.msgpack.encode(Stop("forged"))):
-            with pytest.raises(NetworkError, match="nobody is there"):
+            with pytest.raises(NetworkError, match="no party is there"):
                 ask(rig[who], key, question, wait_s=0.5)
     assert ask_all(rig[who], KEYS.stop) == 0
     for key in (KEYS.stop, "lab/operator/*", "lab/**", "**"):
@@ -239,7 +239,7 @@ def test_a_vehicle_cannot_take_the_orders_of_another(rig):
         answer_to(rig["vehicle-sat2"], KEYS.of("sat2", "order"), lambda data: b"mine"),
     ]
     wait_for(lambda: _answers(rig.host, KEYS.of("sat2", "order")))
-    with pytest.raises(NetworkError, match="nobody is there"):
+    with pytest.raises(NetworkError, match="no party is there"):
         ask(rig.host, KEYS.of("sat1", "order"), START, wait_s=0.5)
     assert caught == []
     del kept
@@ -320,11 +320,11 @@ def test_without_a_certificate_nobody_gets_in(rig, folder, endpoint):
 
 def test_a_certificate_of_another_authority_is_none(rig, tmp_path, folder, endpoint):
     lab(tmp_path / "keys", "--host", "127.0.0.1", "--operator", "anna")
-    with pytest.raises(NetworkError, match="nobody answers"):
+    with pytest.raises(NetworkError, match="no host answers"):
         dial(endpoint, 0.0, tmp_path / "keys" / "operator-anna")
     mixed = tmp_path / "keys" / "operator-anna"  # who believes our host, and is not believed
     (mixed / "authority.pem").write_bytes((folder / "host" / "authority.pem").read_bytes())
-    with pytest.raises(NetworkError, match="nobody answers"):
+    with pytest.raises(NetworkError, match="no host answers"):
         dial(endpoint, 0.3, mixed)
 
 
@@ -344,14 +344,14 @@ def test_an_expired_certificate_is_none(rig, tmp_path, folder, endpoint):
 @pytest.mark.parametrize("who", ["watcher-screen", "vehicle-sat2", "operator-anna"])
 def test_nobody_passes_for_the_host(folder, who):
     where = f"tls/127.0.0.1:{free_port()}"
-    with listen(where, folder / who), pytest.raises(NetworkError, match="nobody answers"):
+    with listen(where, folder / who), pytest.raises(NetworkError, match="no host answers"):
         dial(where, 0.3, folder / "vehicle-sat1")
 
 
 def test_a_host_at_another_address_is_not_believed(tmp_path):
     lab(tmp_path, "--host", "elsewhere.lab", "--vehicle", "sat1")
     where = f"tls/127.0.0.2:{free_port()}"  # its certificate is for 127.0.0.1
-    with listen(where, tmp_path / "host"), pytest.raises(NetworkError, match="nobody answers"):
+    with listen(where, tmp_path / "host"), pytest.raises(NetworkError, match="no host answers"):
         dial(where, 0.3, tmp_path / "vehicle-sat1")
 
 
@@ -472,7 +472,7 @@ def test_an_authority_that_cannot_be_read_is_said(tmp_path):
     (tmp_path / "authority" / "private.key").write_text("rubbish")
     done = CliRunner().invoke(lab_keys, [str(tmp_path), "--vehicle", "sat1"])
     assert done.exit_code == 2
-    assert "take its backup" in done.stderr
+    assert "restore its backup" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -541,7 +541,7 @@ def test_stop_with_an_operators_keys(rig, folder, nowhere, monkeypatch, capsys):
     told = Commanded(rig["vehicle-sat1"], "sat1")
     wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
     assert stop_everything(None, "lab") == FAILED
-    assert "nothing flies on this machine" in capsys.readouterr().err
+    assert "no flight on this machine" in capsys.readouterr().err
     assert stop_everything(None, "lab", folder / "watcher-screen") == FAILED
     assert stop_everything(None, "lab", folder / "vehicle-sat2") == FAILED
     assert told.nothing()
@@ -592,7 +592,7 @@ def test_a_note_that_says_nothing_does_not_stop_the_stop(nowhere, note):
 
 def test_the_list_is_toml_that_a_person_can_edit(folder):
     text = (folder / "host" / ACCESS).read_text()
-    assert text.startswith("# Who may do what")
+    assert text.startswith("# Parties that may use")
     assert [p["role"] for p in tomllib.loads(text)["party"]] == [
         "host", "table", "vehicle", "vehicle", "operator", "watcher",
     ]  # fmt: skip

@@ -23,7 +23,7 @@ KEYS = Keys("lab")
 WAITS = "import sys; print(flush=True); sys.stdin.read()"
 DEAF = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); {WAITS}"
 
-ONCE_MORE = "  once more shuts valves and air at once"
+ONCE_MORE = "  stop again to shut valves and air at once"
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def refused(here, capsys) -> str:
     assert "--connect tcp/127.0.0.1:1" in said[0]
     assert stop_everything(None, "lab") == FAILED
     heard = capsys.readouterr().err
-    assert "nothing flies on this machine" in heard
+    assert "no flight on this machine" in heard
     return said[0] + heard
 
 
@@ -173,7 +173,7 @@ def test_a_host_that_was_killed_is_said_once(here, capsys, process):
         assert stop_everything(None, "lab") == FAILED
         assert f"process {pid}, was killed" in capsys.readouterr().err
         assert stop_everything(None, "lab") == FAILED
-        assert "nothing flies" in capsys.readouterr().err
+        assert "no flight on" in capsys.readouterr().err
 
 
 # Flights on the twin
@@ -220,5 +220,5 @@ def test_a_run_on_the_twin_is_stopped(here, tmp_path):
     finally:
         run.kill()
     assert run.returncode == 130, errors
-    assert "interrupted after" in said
+    assert "interrupted at" in said
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["completed"] is False

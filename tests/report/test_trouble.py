@@ -29,9 +29,9 @@ def test_only_a_fault_of_another_is_followed():
     ("fault", "words"),
     [
         (STUCK, "valve stuck open?"),
-        ("valve_stuck_closed: valve stuck closed? jet 3 gives nothing (4.3 sigma)",
-         "valve stuck closed? jet 3 gives nothing"),
-        ("pose_lost: pose lost: none for 0.52 s", "pose lost"),
+        ("valve_stuck_closed: valve stuck closed? jet 3 gives no thrust (4.3 sigma)",
+         "valve stuck closed? jet 3 gives no thrust"),
+        ("pose_lost: pose lost: no pose for 0.52 s", "pose lost"),
         ("mine: " + "many words " * 20, "many words many words many words many words ..."),
         ("without a row", "without a row"),
         ("too fast: (0.30, 0.01) m/s, 0.02 rad/s", "too fast"),

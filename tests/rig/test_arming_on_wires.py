@@ -100,7 +100,7 @@ def test_setpoints_of_somebody_else_before_the_start_are_red():
         ending = rig.fly(NullObserver())
     finally:
         over.set()
-    assert rig.red == ["sat1 session: of somebody else"]
+    assert rig.red == ["sat1 session: messages of another session"]
     assert ending.t == 0.0
 
 
@@ -144,9 +144,9 @@ def test_what_cannot_be_flown_on_wires_is_refused_before_anything_starts():
     with pytest.raises(ConfigError, match="at most 256 kB"):
         WireRig(replace(load(find("hold")), table=table), bench=True)
     dies = 'inject=[{kind="kill_process", vehicle="sat1", event="near_edge", threshold=1}]'
-    with pytest.raises(ConfigError, match="is injected at a time"):
+    with pytest.raises(ConfigError, match="needs a time"):
         WireRig(load(find("hold"), [dies]), bench=True)
-    with pytest.raises(ConfigError, match="nothing on the table"):
+    with pytest.raises(ConfigError, match="no faults on the table"):
         WireRig(load(find("hold"), [dies]), bench=False)
 
 
@@ -154,7 +154,7 @@ def test_on_the_table_it_says_whom_it_waits_for():
     said = []
     rig = WireRig(loopback(load(find("hold")), Path()), bench=False, say=said.append)
     ending = rig.fly(None, stopped=lambda: bool(said))
-    assert said == ["waiting for sat1: `testbed agent` on each"]
+    assert said == ["waiting for sat1; start `testbed agent` on each computer"]
     assert (ending.t, ending.fault) == (0.0, None)
 
 
@@ -171,15 +171,15 @@ def test_the_host_says_that_an_agent_has_ended_and_why():
                 tokens.append(session.liveliness().declare_token(keys.of("sat1", "alive")))
                 with suppress(OSError), last_words(session, keys, "sat2"):
                     raise OSError("no board at /dev/ttyACM7")
-            if tokens and "waiting for sat2, sat3: " in text:
+            if tokens and "waiting for sat2, sat3;" in text:
                 tokens.pop().undeclare()
 
         tokens = []
         rig = WireRig(experiment, bench=False, say=say)
-        rig.fly(None, stopped=lambda: any("not on the network" in text for text in said))
-    ended = "{} has ended: {}; start its `testbed agent` again"
+        rig.fly(None, stopped=lambda: any("no longer on the network" in text for text in said))
+    ended = "{0} has ended: {1}; start `testbed agent {0}` again"
     assert ended.format("sat2", "no board at /dev/ttyACM7") in said
-    assert ended.format("sat1", "it is not on the network any more") in said
+    assert ended.format("sat1", "no longer on the network") in said
 
 
 def test_the_run_after_a_fault_says_so_and_resets_it():

@@ -1,8 +1,8 @@
-"""A vehicle's process: finds its host, flies when it is told to.
+"""A vehicle's process: connects to its host and flies on its order.
 
     python -m testbed.rig.wired.agent_process '{"name": "sat1", "endpoint": "tcp/...", ...}'
 
-That is how a host on the bench starts it: it ends when its standard input does.
+A host on the bench starts it with this command; it ends when its standard input closes.
 """
 
 import sys
@@ -29,21 +29,21 @@ class Agent(Struct, frozen=True):
     """Which vehicle flies, and where its host and board are."""
 
     name: str
-    endpoint: str | None = None  # None: as the keys say, or loopback
-    lab: str | None = None  # None: as the keys say, or "lab"
-    port: str | None = None  # of the board; None: the table file's
+    endpoint: str | None = None  # None: from the keys, or loopback
+    lab: str | None = None  # None: from the keys, or "lab"
+    port: str | None = None  # serial port of the board; None: from the table file
     keys: Path | None = None
-    report: Path | None = None  # file for the last words
-    heart: Path | None = None  # file in which the host sees whether the law is being called
+    report: Path | None = None  # file for the report at the end
+    heart: Path | None = None  # heartbeat file: shows the host whether the law is being called
 
 
 def fly(agent: Agent, say: Callable[[str], None], *, child: bool) -> None:
     """Fly one vehicle, until its host or the operator ends it.
 
     Raises:
-        BadgeError: the keys are not this vehicle's, or do not fit the endpoint.
+        BadgeError: the keys are not this vehicle's, or do not match the endpoint.
         NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError: the host or
-            the board cannot be had.
+            the board is not available.
     """
     endpoint, lab = agent.endpoint, agent.lab
     if agent.keys is not None:
@@ -68,7 +68,7 @@ def fly(agent: Agent, say: Callable[[str], None], *, child: bool) -> None:
 
 
 def main() -> int:
-    """Fly as the child of a host; the exit code."""
+    """Fly as the child of a host; returns the exit code."""
     end_on_terminate()
     try:
         agent = msgspec.json.decode(sys.argv[1], type=Agent, dec_hook=lambda kind, text: kind(text))

@@ -1,4 +1,4 @@
-"""The gate in the process that owns the port: the last look at a plan before the board gets it."""
+"""The last check of a plan before the board gets it, in the process that owns the serial port."""
 
 from collections.abc import Callable
 
@@ -8,10 +8,10 @@ from testbed.flight.gate import refuse_plan
 
 
 class CommandGuard:
-    """`Thrusters` that pass on no plan that is late, too long, a replay or none at all.
+    """`Thrusters` that refuse a plan that is late, too long, a replay or invalid.
 
-    What is refused opens nothing: the plan before it ends by itself, and then the board's watchdog
-    closes.
+    A refused plan opens no valve: the previous plan ends, and then the board's watchdog closes the
+    valves.
     """
 
     def __init__(self, thrusters: Thrusters, now: Callable[[], float], longest_s: float) -> None:

@@ -1,4 +1,4 @@
-"""The vehicle's ear for what it is told to do: look, start, stop."""
+"""Orders to a vehicle: look, start, stop."""
 
 import threading
 from collections.abc import Callable
@@ -14,31 +14,31 @@ from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.stop_requests import Asked
 
-SOONEST_NS = 1_000_000_000  # an order to start may be late by so much
-FARTHEST_NS = 30_000_000_000  # and early
-OBEYED_S = 0.5  # a loop that does not obey a stop by then hangs: it is shut without it
+SOONEST_NS = 1_000_000_000  # an order to start may be late by this much
+FARTHEST_NS = 30_000_000_000  # an order to start may be early by this much
+OBEYED_S = 0.5  # if the loop has not obeyed a stop by then it hangs: shut without it
 
 
 class CommandServer:
-    """The vehicle's ear for what it is told to do."""
+    """Receives and answers orders to a vehicle."""
 
     def __init__(
         self, session: zenoh.Session, keys: Keys, name: str, board: str, lookout: PreflightMonitor,
         ticket: int, to_own: Callable[[int], int | None] = lambda host_ns: None,
     ) -> None:  # fmt: skip
-        """Listen.
+        """Start to receive orders.
 
         Args:
             session: the network.
             keys: of the lab.
             name: of the vehicle.
-            board: what the valves hang on.
-            lookout: says how the vehicle is.
-            ticket: that an order to start must carry.
-            to_own: says when a time of the host's clock is on this machine's.
+            board: name of the board that drives the valves.
+            lookout: reports the vehicle's readiness.
+            ticket: an order to start must contain it.
+            to_own: converts a time of the host's clock to this machine's clock.
         """
         self._lookout, self._ticket, self._to_own = lookout, ticket, to_own
-        self.bad_orders = 0  # that were none
+        self.bad_orders = 0  # orders that could not be decoded
         self.starts: SimpleQueue[Start] = SimpleQueue()
         self.stop_reason: str | None = None
         self._name, self._board, self._flying = name, board, threading.Event()
@@ -52,11 +52,11 @@ class CommandServer:
         ]
 
     def take_off(self, close: Callable[[], None]) -> None:
-        """From now on a stop that is repeated, or not obeyed, calls `close`, in another thread."""
+        """From now on a repeated or ignored stop calls `close` in another thread."""
         self._close = close
 
     def obey(self) -> None:
-        """The flight's loop has heard the stop, and brakes."""
+        """The flight's loop has received the stop and brakes."""
         self._obeyed.set()
 
     def _order(self, data: bytes) -> bytes:
@@ -81,10 +81,10 @@ class CommandServer:
                     self.bad_orders += 1
                     answer = Refused("the order to start is not from the host of this session")
                 elif self._flying.is_set():
-                    answer = Refused("it flies already")
+                    answer = Refused("it already flies")
                 elif not -SOONEST_NS <= ahead <= FARTHEST_NS:
                     self.bad_orders += 1
-                    answer = Refused(f"to start in {1e-9 * ahead:.1f} s; expected 0 to 30 s")
+                    answer = Refused(f"start time is in {1e-9 * ahead:.1f} s; expected 0 to 30 s")
                 else:
                     self._flying.set()
                     self.starts.put(order)
@@ -92,10 +92,10 @@ class CommandServer:
         return msgspec.msgpack.encode(answer)
 
     def _stopped(self) -> bytes:
-        """An operator says stop, at any terminal."""
+        """Answer an operator's stop."""
         self.asked.hear()
         self._stop("stopped by the operator")
-        return self._name.encode()  # which vehicle stops
+        return self._name.encode()  # the vehicle that stops
 
     def _stop(self, reason: str) -> None:
         first = self.stop_reason is None

@@ -1,4 +1,4 @@
-"""What became of messages and frames on one vehicle, counted at the end of its flight."""
+"""Counts of messages and frames on one vehicle, taken at the end of its flight."""
 
 import math
 
@@ -15,7 +15,7 @@ def count(
     link: ZenohVehicleLink, thrusters: WiredThrusters, poses: MocapPoses, clock: ClockOffset,
     unsent: int,
 ) -> Counts:  # fmt: skip
-    """The counts; `unsent` plans were refused at the port."""
+    """Collect the counts; `unsent` is the number of plans that the command guard refused."""
     best = clock.best
     latency = float(np.median(poses.latencies)) if poses.latencies else math.nan
     return Counts(

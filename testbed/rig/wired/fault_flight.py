@@ -1,9 +1,9 @@
-"""One rehearsed flight on the bench, in a process of its own: a host that may be killed.
+"""One drill flight on the bench, in a separate process, because the drill may kill the host.
 
     python -m testbed.rig.wired.fault_flight EXPERIMENT.toml FOLDER
 
-Leaves in FOLDER: start.json (the run's time 0 on the monotonic clock [ns]), the twin's report.json,
-each vehicle's last words, and ending.json when the host lives to see it.
+It writes to FOLDER: start.json (the run's time 0 on the monotonic clock [ns]), the twin's
+report.json, each vehicle's report, and ending.json if the host is not killed.
 """
 
 import signal

@@ -1,7 +1,7 @@
-"""The host's process: laws that run here, the log, and the beginning and end of a flight.
+"""The host's process: laws on the host, the log, and the start and end of a flight.
 
-On the bench it also starts everything else: the twin's server and one process per vehicle. On the
-table those run where they belong, and it waits for them.
+On the bench it also starts the twin's server and one process per vehicle. On the table these run
+elsewhere, and the host waits for them.
 """
 
 import os
@@ -43,12 +43,12 @@ from testbed.rig.wired.table_report import TableReport
 from testbed.rig.wired.vehicle import unheard
 from testbed.rig.wired.wired_flight import HostFlight
 
-READY_S = 180.0  # for vehicles to get ready; the first start compiles
-GREEN_S = 10.0  # for checks to become green: the cameras' rate is counted over a second
-AHEAD_NS = 1_500_000_000  # from the order to start until the run's time 0
-PERMIT_NS = 100_000_000  # between two permits before that
+READY_S = 180.0  # time for vehicles to get ready; the first start compiles
+GREEN_S = 10.0  # time for checks to pass: the camera rate is counted over a second
+AHEAD_NS = 1_500_000_000  # from the order to start to the run's time 0
+PERMIT_NS = 100_000_000  # between two permits before time 0
 LOOK_NS = 20_000_000
-SPARE = 6_000  # [bytes] for what goes with a message
+SPARE = 6_000  # room for the overhead of a message [bytes]
 
 
 class HostError(TestbedError):
@@ -56,7 +56,7 @@ class HostError(TestbedError):
 
 
 class NotArmedError(TestbedError):
-    """The flight must not begin: red arming checks, or an operator who does not want to."""
+    """The flight must not begin: arming checks failed, or the operator declined."""
 
     def __init__(self, reasons: Sequence[str]) -> None:
         super().__init__(not_armed(reasons))
@@ -64,7 +64,7 @@ class NotArmedError(TestbedError):
 
 
 def anybody(_: Sequence[str]) -> bool:
-    """An operator who always says yes: on the bench nobody can be hurt."""
+    """Approve arming without asking: for the bench, which has no real vehicles."""
     return True
 
 
@@ -72,14 +72,14 @@ class WireRig(RunResults):
     """The experiment on real wires.
 
     Args:
-        experiment: what is flown.
+        experiment: the experiment to fly.
         bench: start the twin and the vehicles here; else wait for those of the lab.
-        keep: where the twin leaves its report; None: with the rest, in a folder that is removed.
-        log: the folder of the run, whose disk must not be full.
+        keep: folder for the twin's report; None: a temporary folder.
+        log: run folder; its disk must not be full.
         agree: asks the operator whether these vehicles may be armed.
         latch: keeps a fault for the next run.
-        latched: a fault of the run before, which has to be reset first.
-        say: tells the operator what is waited for on the table; by default nobody.
+        latched: fault of the previous run, which must be reset first.
+        say: called with messages for the operator; by default they are dropped.
     """
 
     def __init__(
@@ -100,27 +100,28 @@ class WireRig(RunResults):
             expected = "host or qemu on the bench, where time is real"
             raise ConfigError("this rig", "board", expected, experiment.board)
         if not bench and experiment.board != "model":
-            expected = "nothing on the table: its boards are the lab's"
+            expected = "no board on the table: its boards are the lab's"
             raise ConfigError("this rig", "board", expected, experiment.board)
         if experiment.inject and not bench:
-            expected = "nothing on the table: faults are rehearsed on the twin and on the bench"
-            raise ConfigError("this rig", "inject", expected, f"{len(experiment.inject)} of them")
+            expected = "no faults on the table: inject them on the twin or on the bench"
+            raise ConfigError("this rig", "inject", expected, f"{len(experiment.inject)} faults")
         for k, one in enumerate(experiment.inject):
             if one.at_s is None and one.kind in OF_PROCESSES:
-                expected = f"`at_s`: on the bench {one.kind} is injected at a time"
+                expected = f"`at_s`: on the bench {one.kind} needs a time"
                 raise ConfigError("this rig", f"inject[{k}]", expected, f'event = "{one.event}"')
         size = len(msgspec.json.encode(experiment))
         if size > LARGEST - SPARE:
-            expected = f"an experiment of at most {(LARGEST - SPARE) // 1000} kB as it is sent"
-            raise ConfigError("this rig", "", expected, f"{size // 1000} kB: a tilt map so fine?")
+            expected = f"an experiment of at most {(LARGEST - SPARE) // 1000} kB when encoded"
+            found = f"{size // 1000} kB: is the tilt map too fine?"
+            raise ConfigError("this rig", "", expected, found)
         self._log, self._agree, self._latch, self._say = log, agree, latch, say
         self.supervisor = Supervisor(latched)
         self.red: list[str] = []
         self._ran = False  # valves may have opened
-        self.way = str  # from where the host listens to where vehicles dial: a relay, in tests
+        self.way = str  # maps the host's endpoint to the vehicles': a relay in tests
         self.name = "bench" if bench else "table"
-        self.children: dict[str, int] = {}  # processes of the bench, by name
-        self.on_start: Callable[[WireRig], None] | None = None  # told when the flight begins
+        self.children: dict[str, int] = {}  # process ids of the bench, by name
+        self.on_start: Callable[[WireRig], None] | None = None  # called when the flight begins
 
     # The flight
 
@@ -139,7 +140,7 @@ class WireRig(RunResults):
         return ending
 
     def _close(self, ending: Ending) -> None:
-        """The flight is over, and the latch says how."""
+        """Record the end of the flight in the supervisor and the latch."""
         flown = ending.t >= self.experiment.end_s
         self.supervisor.close(ending.t, ending.fault, flown=flown)
         if self._latch is None or not self._ran:
@@ -150,7 +151,7 @@ class WireRig(RunResults):
             self._latch.clear()
 
     def disk_free(self) -> float:
-        """Where the log goes [bytes]."""
+        """Free space on the disk of the log [bytes]."""
         if self._log is None:
             return 1e12
         room = os.statvfs(self._log)
@@ -218,14 +219,14 @@ class WireRig(RunResults):
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
 
     def _blamed(self, children: ProcessGroup, fault: str | None) -> str | None:
-        """The fault, with the law that has ended or blocks the process of its vehicle."""
+        """The fault, with the name of the law that ended or blocks its vehicle's process."""
         for name in self.experiment.vehicles:
             heart = in_file(children.folder / f"{name}.heart")
             if name in self.ended or heart.inside is None:
                 continue
             code = children.ended(name)
             if code is None:
-                children.kill(name)  # it does not hear that it is time to end
+                children.kill(name)  # it cannot end by itself
                 how = "did not return"
             elif code < 0:
                 how = f"ended its process by {signal.Signals(-code).name}"
@@ -236,7 +237,7 @@ class WireRig(RunResults):
 
     def _end_children(self, children: ProcessGroup) -> None:
         children.end(list(self.experiment.vehicles))
-        children.end(["twin"])  # the boards last: they hold the valves
+        children.end(["twin"])  # last, because the boards hold the valves
         report = self._keep or children.folder / "report.json"
         if report.exists():
             self._report = msgspec.json.decode(report.read_bytes(), type=TableReport)
@@ -249,19 +250,20 @@ class WireRig(RunResults):
         children: ProcessGroup | None,
         stopped: Callable[[], int],
     ) -> "HostFlight | None":
-        """Wait for the vehicles, and order them to start; None: the operator has changed his mind.
+        """Wait for the vehicles and order them to start; None: the operator stopped it.
 
         Raises:
-            HostError: one of them cannot.
+            HostError: a vehicle cannot start.
         """
         there, told, lost = set[str](), set[str](), dict[str, str]()
         end = monotonic_ns() + round(1e9 * READY_S)
         while missing := set(self.experiment.vehicles) - there:
             if not self._bench:
                 for name, why in lost.items():
-                    self._say(f"{name} has ended: {why}; start its `testbed agent` again")
+                    self._say(f"{name} has ended: {why}; start `testbed agent {name}` again")
                 if missing != told:
-                    self._say(f"waiting for {', '.join(sorted(missing))}: `testbed agent` on each")
+                    absent = ", ".join(sorted(missing))
+                    self._say(f"waiting for {absent}; start `testbed agent` on each computer")
                 told = missing
             if stopped():
                 return None
@@ -279,7 +281,7 @@ class WireRig(RunResults):
                 if name in roll.tickets
                 and list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0))
             }  # fmt: skip
-            lost = dict.fromkeys(before - there, "it is not on the network any more")
+            lost = dict.fromkeys(before - there, "no longer on the network")
             lost |= roll.farewells()
         preflight = Preflight(self.experiment, session, keys, self.disk_free)
         names = list(self.experiment.vehicles)
@@ -292,7 +294,7 @@ class WireRig(RunResults):
             return None
         if not self._agree(names):
             self.supervisor.request(0.0, "disarm")
-            raise NotArmedError(["operator: has not said yes"])
+            raise NotArmedError(["operator declined arming"])
         run, epoch = secrets.randbits(32), monotonic_ns() + AHEAD_NS
         self._clock = WallClock(epoch)
         party = Party(
@@ -306,12 +308,12 @@ class WireRig(RunResults):
                         self._boards[name] = board
                     case Refused(reason):
                         raise HostError(f"{name} refuses to start: {reason}")
-            # they float now, and are looked at once more
+            # the vehicles float now: check them again
             self._request("run", preflight, epoch - PERMIT_NS, stopped)
         except (HostError, NotArmedError, NetworkError):
             self._call_off(session, keys)
             raise
-        if not self.supervisor.may_fire:  # the operator has changed his mind
+        if not self.supervisor.may_fire:  # the operator stopped it
             self._call_off(session, keys)
             return None
         self._ran = True
@@ -323,11 +325,11 @@ class WireRig(RunResults):
         return flight
 
     def _call_off(self, session: zenoh.Session, keys: Keys) -> None:
-        """The flight does not begin, although vehicles may have been told that it does."""
+        """Stop vehicles that may already have an order to start."""
         self.supervisor.request(0.0, "disarm")
         for name in self.experiment.vehicles:
             with suppress(NetworkError):
-                order(session, keys, name, Stop("the flight does not begin"))
+                order(session, keys, name, Stop("the flight was called off"))
 
     def _request(
         self, what: Request, preflight: Preflight, end: int, stopped: Callable[[], int]
@@ -335,9 +337,9 @@ class WireRig(RunResults):
         """Ask the supervisor until it agrees.
 
         Raises:
-            NotArmedError: it still does not at the time `end`; every red check is in it.
+            NotArmedError: it has not agreed by the time `end`; lists every failed check.
         """
-        answer = Answer(False, self.supervisor.phase, ("there was no time to look",))
+        answer = Answer(False, self.supervisor.phase, ("no time for the arming checks",))
         while monotonic_ns() < end and not stopped():
             answer = self.supervisor.request(0.0, what, preflight.checks())
             if answer.done:

@@ -13,17 +13,17 @@ HERE = "127.0.0.1"
 
 
 def local(experiment: Experiment) -> Experiment:
-    """With the addresses that a lab file has by default, so that processes find each other.
+    """The experiment with the default addresses of a lab file, so that processes find each other.
 
-    Without keys, whose certificates are for the lab's addresses. Without serial ports: a twin makes
-    them where `--ports` says.
+    It has no keys, because their certificates are for the lab's addresses, and no serial ports,
+    because a twin creates them in the folder `--ports`.
     """
     ports = MocapWire().command_port, MocapWire().data_port
     return _with_lab(experiment, Network().endpoint, {}, ports, keys="")
 
 
 def loopback(experiment: Experiment, folder: Path) -> Experiment:
-    """With ports that are free now, and serial lines in `folder`: for a bench of its own."""
+    """The experiment with free ports and serial lines in `folder`, for a separate bench."""
     network = experiment.table.lab.network
     endpoint = f"{'tls' if network.keys else 'tcp'}/{HERE}:{free_port(socket.SOCK_STREAM)}"
     lines = {name: str(folder / f"serial-{name}") for name in experiment.vehicles}
@@ -51,14 +51,14 @@ def _with_lab(
 
 
 def free_port(kind: int) -> int:
-    """A port of the loopback interface that nobody has now."""
+    """A port of the loopback interface that is free now."""
     with socket.socket(socket.AF_INET, kind) as one:
         one.bind((HERE, 0))
         return int(one.getsockname()[1])
 
 
 def without_gauges(experiment: Experiment) -> Experiment:
-    """The experiment with vehicles whose boards measure nothing: QEMU's chip has no converter."""
+    """The experiment without pressure and battery gauges: QEMU's chip has no converter."""
     blind = Gauges(supply=False, battery=False)
     vehicles = {
         name: replace(setup, model=replace(setup.model, gauges=blind))

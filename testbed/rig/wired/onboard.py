@@ -1,4 +1,4 @@
-"""The flight as a vehicle's process sees it: what ends it, and how the vehicle lands."""
+"""The flight in a vehicle's process: what ends it, and how the vehicle lands."""
 
 import math
 import signal
@@ -30,14 +30,14 @@ from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
 from testbed.rig.wired.thrusters import WiredThrusters
 
-LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
+LOOK_NS = 10_000_000  # polling period while waiting
 KEPT_S = 10.0
-AIR_S = 1.0  # for a board to say that its bearing air is off
-PERMITTED_S = 3.0  # a flight that the host has not permitted by then will not be
+AIR_S = 1.0  # time for a board to report that its bearing air is off
+PERMITTED_S = 3.0  # without a permit by then the flight ends
 
 
 class Flight:
-    """Observer of the flight, and the one who says that it is over."""
+    """Observes the flight and decides when it is over."""
 
     def __init__(
         self,
@@ -66,12 +66,12 @@ class Flight:
             msgspec.msgpack.Decoder(Lease).decode, party.run, party.lab.late_s
         )
         self._k = 0
-        self.rows: dict[str, float] = {}  # of the fault table that held, and since when [s]
-        self.responses: dict[str, float] = {}  # and what was done about them
-        self._arrived_ns: dict[int, int] = {}  # the newest pose, by the plan it went into
+        self.rows: dict[str, float] = {}  # fault rows that held, and since when [s]
+        self.responses: dict[str, float] = {}  # active responses, and since when [s]
+        self._arrived_ns: dict[int, int] = {}  # arrival of the newest pose, by plan number
         self.fault: str | None = None
         self.signals = Asked()  # Ctrl-C at this vehicle's terminal
-        self.landed_at: float | None = None  # its air was ordered off [s]
+        self.landed_at: float | None = None  # when its air was ordered off [s]
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
@@ -102,7 +102,7 @@ class Flight:
         )  # fmt: skip
 
     def _pose_to_valve(self) -> float | None:
-        """Of the newest plan that is known to have gone out [s]."""
+        """Pose-to-valve latency of the newest plan that was sent [s]."""
         delay = None
         while self._thrusters.sent:
             seq, at_us = self._thrusters.sent.popleft()
@@ -117,7 +117,7 @@ class Flight:
         """See `Observer`."""
 
     def vitals(self) -> Vitals:
-        """What this process knows of itself, the network and the operator."""
+        """Vital data of this process, the network and the operator."""
         for at, data in self._permit_ear.heard():
             self._permit.take(data, self._clock.of(at))
         clock, permit = self._clock, self._permit.newest
@@ -137,11 +137,11 @@ class Flight:
 
     @property
     def may_fire(self) -> bool:
-        """Whether the host's supervisor lets this vehicle fire; not before its first word."""
+        """Whether the host's supervisor lets this vehicle fire; false before its first permit."""
         return self._permit.newest is not None and self._permit.newest.may_fire
 
     def over(self) -> int:
-        """How often the flight was asked to end; from 2 on valves and air are shut at once."""
+        """Number of stop requests; from 2 on valves and air are shut at once."""
         times = self._asked()
         if times > 1:
             self._thrusters.land()
@@ -151,13 +151,13 @@ class Flight:
 
     def _asked(self) -> int:
         permit, tower = self._permit.newest, self._tower
-        if self._thrusters.trouble is not None:  # jets that cannot be trusted
+        if self._thrusters.trouble is not None:  # the jets cannot be trusted
             if self.fault is None:
                 self.responses.setdefault("land", self._clock.now)
             self.fault = self.fault or self._thrusters.trouble
             return 2
         if permit is None and self._clock.now > PERMITTED_S:
-            self.fault = "the host has never permitted the flight"
+            self.fault = "the host never permitted the flight"
             return 2
         if permit is not None and permit.at_once:
             return 2
@@ -168,13 +168,13 @@ class Flight:
 
 
 class Permitted:
-    """A node that is armed only while the host's supervisor says so."""
+    """A node that is armed only while the host's supervisor permits it."""
 
     def __init__(self, node: VehicleNode, flight: Flight, clock: WallClock) -> None:
         self.name, self._node, self._flight, self._clock = node.name, node, flight, clock
 
     def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
-        """See `VehicleNode`. To come to rest at the end it needs no word of the host."""
+        """See `VehicleNode`. Coming to rest at the end needs no permit."""
         self._flight.due = t
         self._flight.process_faults.at_vehicle(self.name, self._clock)
         may_fire = self._flight.may_fire or bool(end)
@@ -183,7 +183,7 @@ class Permitted:
 
 @contextmanager
 def counted(asked: Asked) -> Iterator[None]:
-    """Meanwhile Ctrl-C and SIGTERM are stops: counted, and obeyed by the loop."""
+    """While open, Ctrl-C and SIGTERM are counted as stops, which the loop obeys."""
     if threading.current_thread() is not threading.main_thread():  # it gets no signals
         yield
         return
@@ -204,9 +204,9 @@ def land(
     experiment: Experiment, ending: Ending, clock: WallClock, node: Permitted, flight: Flight,
     thrusters: WiredThrusters,
 ) -> None:  # fmt: skip
-    """Come to rest and shut the air off, whatever ended the flight."""
+    """Come to rest and turn the air off, after any end of the flight."""
     params, period = experiment.flight.ending, experiment.flight.jet_period_s
-    # a fault has had its last tick at the very end, every other flight one period before
+    # after a fault the last tick was at the end, otherwise one period before
     first = round(ending.t / period) + (ending.fault is not None)
     come_to_rest(
         clock, [node], period, first, math.ceil((params.brake_s + SPARE_S) / period), flight,

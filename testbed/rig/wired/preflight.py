@@ -1,4 +1,4 @@
-"""The arming checks of all vehicles, as the host collects them over the network."""
+"""The arming checks of all vehicles, collected by the host over the network."""
 
 from collections.abc import Callable
 
@@ -22,18 +22,18 @@ def order(session: zenoh.Session, keys: Keys, name: str, what: Order) -> Answer:
     """A vehicle's answer to an order.
 
     Raises:
-        NetworkError: it does not answer, or not as one does.
+        NetworkError: it does not answer, or the answer cannot be decoded.
     """
     data = ask(session, keys.of(name, "order"), msgspec.msgpack.encode(what))
     try:
         answer: Answer = msgspec.msgpack.decode(data, type=Answer)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        raise NetworkError(f"{name} answers an order with what is no answer") from None
+        raise NetworkError(f"{name}: the answer to an order cannot be decoded") from None
     return answer
 
 
 class Stage:
-    """A `HostLink` on which a law is asked once; what it says goes nowhere."""
+    """A `HostLink` for a single trial call of a law; its output is dropped."""
 
     def __init__(self, own: State, others: dict[str, State]) -> None:
         self._own, self._others = own, others
@@ -58,29 +58,29 @@ class Stage:
 
 
 def objection(experiment: Experiment, name: str, states: dict[str, State]) -> str:
-    """What the law of a vehicle dies of when it is asked where the vehicles stand; empty: nothing.
+    """Error of a vehicle's law in a trial call with the current states; empty: no error.
 
-    It is asked here also if it will run on board: it is the same one.
+    The host makes this call also for a law that will run on board.
     """
     now = {other: replace(state, t=0.0) for other, state in states.items()}
     stage = Stage(now.pop(name), now)
     lead = lead_time(experiment.vehicles[name].model)
     try:
         guidance = make_guidance(experiment, name)
-    except Exception as error:  # whatever a law of one's own dies of
+    except Exception as error:  # a user's law may raise anything
         return f"{type(error).__name__}: {error}"
     node = HostNode(name, guidance, stage, experiment.flight.jet_period_s, lead)
     return node.tick(0.0).outputs.law_error
 
 
 class Preflight:
-    """Asks every vehicle how it is, and every law once whether it can be asked at all.
+    """Asks every vehicle for its readiness and calls every law once as a trial.
 
     Args:
-        experiment: that is to be flown.
+        experiment: the experiment to fly.
         session: the network.
         keys: of the lab.
-        disk_free: where the log goes [bytes].
+        disk_free: free space on the disk of the log [bytes].
     """
 
     def __init__(
@@ -92,10 +92,10 @@ class Preflight:
     ) -> None:
         self._experiment, self._session, self._keys = experiment, session, keys
         self._disk_free, self._config = disk_free, config_id(experiment)
-        self._sound: set[str] = set()  # vehicles whose law was asked and answered
+        self._sound: set[str] = set()  # vehicles whose law passed the trial call
 
     def checks(self) -> list[Check]:
-        """All of them, red and green."""
+        """All checks, passed and failed."""
         heard: dict[str, tuple[Ready, float]] = {}
         found: list[Check] = []
         for name in self._experiment.vehicles:

@@ -1,7 +1,7 @@
-"""A vehicle before its flight: it looks at itself, so that the host can ask how it is.
+"""Monitors a vehicle before its flight, so that the host can query its readiness.
 
-A second flight chain, of the same build and never armed, is fed with poses and the board's reports
-from the first moment on; the one that will fly starts fresh, so that its log can be replayed.
+A second flight chain of the same build, never armed, receives poses and the board's reports from
+the start. The chain that will fly starts fresh, so that its log can be replayed.
 """
 
 import math
@@ -24,17 +24,17 @@ from testbed.realtime.wall_clock import WallClock, monotonic_ns
 from testbed.rig.chain import make_agent
 from testbed.rig.wired.thrusters import WiredThrusters
 
-ALONE_S = 1.0  # without a word of somebody else
+ALONE_S = 1.0  # time without a message from a foreign session
 
 
 class PreflightMonitor:
-    """Looks whenever it is told that time has passed; `ready` may be asked from any thread."""
+    """Updates at every call of `look`; `ready` may be called from any thread."""
 
     def __init__(
         self, experiment: Experiment, name: str, source: MocapSource, thrusters: WiredThrusters,
         reader: Reader, strangers: Sequence[Subscriber],
     ) -> None:  # fmt: skip
-        """Look; `strangers` are heard where nobody speaks before the order to start."""
+        """Start; `strangers` receives keys that must be silent before the order to start."""
         self._clock = WallClock(monotonic_ns())
         wire = experiment.table.lab.mocap
         self._poses = MocapPoses(source, wire, self._clock, name, BodyMonitor())
@@ -46,10 +46,10 @@ class PreflightMonitor:
         self._looked_at = 0.0
         self._config, self._lock = config_id(experiment), Lock()
         self._reader, self._strangers = reader, strangers
-        self._strange_at = -math.inf  # when one was heard
+        self._strange_at = -math.inf  # when a stranger was heard
 
     def look(self) -> None:
-        """Time has passed."""
+        """Update with new poses, reports and messages."""
         now = self._clock.now
         if now < self._due:
             return
@@ -67,13 +67,13 @@ class PreflightMonitor:
             self._state, self._looked_at = step.state, now
 
     def ready(self) -> Ready | Refused:
-        """How it is."""
+        """The vehicle's readiness."""
         with self._lock:
             state, rate, at = self._state, float(len(self._seen)), self._looked_at
         trouble = self._thrusters.trouble
         if trouble is not None:
             return Refused(trouble)
-        if state is not None:  # a process that is busy with something else has an old pose
+        if state is not None:  # the pose is old if this process was busy
             late = max(0.0, self._clock.now - at - self._period)
             state = replace(state, pose_age=state.pose_age + late)
         alone = self._clock.now - self._strange_at > ALONE_S

@@ -1,6 +1,6 @@
-"""Injected faults on real wires: what the vehicle's process and the host's do to themselves.
+"""Injected faults on real wires that a vehicle's process or the host's injects into itself.
 
-What cameras, air, boards and cables suffer is the business of the twin's server (`server.py`).
+The twin's server injects faults of cameras, air, boards and cables (`server.py`).
 """
 
 import math
@@ -19,14 +19,14 @@ OF_PROCESSES: tuple[Kind, ...] = (
 
 
 class ProcessFaults:
-    """The injections of a run as one process sees them, by its own clock."""
+    """The injections of a run in one process, timed by its own clock."""
 
     def __init__(self, injections: Sequence[Injection], now: Callable[[], float]) -> None:
         self._injections, self._now = injections, now
-        self._stepped = 0.0  # what the clock was set by [s]
+        self._stepped = 0.0  # injected clock step [s]
 
     def found(self, kind: Kind, vehicle: str | None = None) -> Injection | None:
-        """The first injection of this kind that holds now; of any vehicle, without a name."""
+        """The first active injection of this kind, for a vehicle or, without a name, for any."""
         now = self._now()
         for one in self._injections:
             since = math.inf if one.at_s is None else one.at_s
@@ -36,18 +36,18 @@ class ProcessFaults:
         return None
 
     def air(self, vehicle: str) -> tuple[float, float]:
-        """What messages to a vehicle suffer now: extra delay [s], probability of loss."""
+        """Extra delay [s] and probability of loss of messages to a vehicle now."""
         late, lost = self.found("delay_link", vehicle), self.found("lose_link", vehicle)
         return late.size if late else 0.0, lost.size if lost else 0.0
 
     def spoilt(self, vehicle: str) -> str:
-        """What is wrong with the vehicle's law: "nan", "raise" or nothing."""
+        """Injected fault of the vehicle's law: "nan", "raise" or empty."""
         if self.found("nan_law", vehicle):
             return "nan"
         return "raise" if self.found("raise_law", vehicle) else ""
 
     def at_vehicle(self, name: str, clock: WallClock) -> None:
-        """A tick of a vehicle's process begins."""
+        """Inject faults at the start of a tick of a vehicle's process."""
         if self.found("kill_process", name):
             os.kill(os.getpid(), signal.SIGKILL)
         if self.found("stop_process", name):
@@ -61,7 +61,7 @@ class ProcessFaults:
             self._stepped = wanted
 
     def at_host(self) -> None:
-        """A tick of the host's process begins."""
+        """Inject faults at the start of a tick of the host's process."""
         if self.found("kill_host"):
             os.kill(os.getpid(), signal.SIGKILL)
         if self.found("stop_host"):

@@ -1,4 +1,4 @@
-"""What becomes known of a flight on wires: of vehicles while it lasts, of the twin afterwards."""
+"""Results of a flight on wires: from vehicles during the flight, from the twin afterwards."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -19,7 +19,7 @@ from testbed.rig.wired.table_report import TableReport
 
 
 class RunResults:
-    """The half of a `Rig` that answers questions, and the `Book` that a flight is noted in."""
+    """The query methods of `Rig`, and the `Book` that records the flight."""
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
@@ -32,9 +32,9 @@ class RunResults:
         self._paces: list[Pace] = []
         self._lateness: list[float] = []
         self._sent = 0
-        self._warned: list[str] = []  # about keys
+        self._warned: list[str] = []  # warnings about keys
         self._concerns: list[Concern] = []  # of the laws on the host
-        self._new_valves: list[tuple[str, Valves]] = []  # that nobody has taken yet
+        self._new_valves: list[tuple[str, Valves]] = []  # since the last call of `valves`
         self._new_paces: list[tuple[str, float, Pace]] = []
         self.loop: tuple[float, float] | None = None
         self._states: dict[str, list[tuple[float, list[float]]]] = {}
@@ -63,21 +63,21 @@ class RunResults:
         ]
 
     def _released_late(self) -> float:
-        """The twin's time 0, by the run's clock [s]."""
+        """The twin's time 0 on the run's clock [s]."""
         if self._report is None or self._report.released_ns is None or self._clock is None:
             return 0.0
         return 1e-9 * (self._report.released_ns - self._clock.epoch_ns)
 
     def note_truth(self, poses: dict[str, list[float]]) -> None:
-        """The newest truth."""
+        """See `Book`."""
         self._truth = poses
 
     def note_tick(self, name: str, flown: Flown) -> None:
-        """A vehicle's tick."""
+        """See `Book`."""
         self._paces.append(flown.pace)
         self._new_paces.append((name, flown.tick.inputs.t, flown.pace))
         self._new_valves += [(name, Valves(t, mask)) for t, mask in flown.edges]
-        if flown.tick.inputs.vitals.end:  # not the flight's any more
+        if flown.tick.inputs.vitals.end:  # the flight is over
             return
         state = flown.tick.outputs.state
         if state is not None:
@@ -90,15 +90,15 @@ class RunResults:
         self._fired_us[name] = self._fired_us.get(name, 0) + fired
 
     def note_end(self, name: str, ended: Ended) -> None:
-        """A vehicle's last words."""
+        """See `Book`."""
         self._ended[name] = ended
 
     def note_loop(self, late_s: float, busy_s: float) -> None:
-        """How the host's newest tick kept its time."""
+        """See `Book`."""
         self.loop = (late_s, busy_s)
 
     def note_host(self, lateness: list[float], sent: int) -> None:
-        """How the host kept its time."""
+        """See `Book`."""
         self._lateness, self._sent = lateness, sent
 
     def truth(self) -> Iterator[tuple[str, list[float]]]:
@@ -106,12 +106,12 @@ class RunResults:
         return iter(self._truth.items())
 
     def track(self) -> Track:
-        """See `Rig`. Without a twin: what the vehicles believed."""
+        """See `Rig`. Without a twin: the vehicles' estimates."""
         names = list(self.experiment.vehicles)
         report = self._report
         if report is not None and report.released_ns is not None and self._clock is not None:
             t = np.array(report.t) + self._released_late()
-            flown = t <= self._flown_s  # afterwards they drift
+            flown = t <= self._flown_s  # vehicles drift after the end
             states = np.array(report.states).reshape(-1, len(names), 6)
             return Track(t[flown], states[flown])
         rows = [self._states.get(name, []) for name in names]
@@ -124,10 +124,10 @@ class RunResults:
     def come_to_rest(
         self, ending: Ending, observer: Observer, stopped: Callable[[], int] = lambda: 0
     ) -> After | None:
-        """See `Rig`. The vehicles have done it by themselves; here is what is known of it.
+        """See `Rig`. The vehicles came to rest by themselves; this only judges the result.
 
-        The twin's server has moved its plant on for a minute after its last frame, with valves and
-        bearing air as the boards had reported them last. Without a twin it is the vehicles' word.
+        The twin's server simulated its plant for a minute after its last frame, with valves and
+        bearing air as last reported by the boards. Without a twin the vehicles' reports are used.
         """
         names, report = list(self.experiment.vehicles), self._report
         if report is not None and report.released_ns is not None and self._clock is not None:
@@ -147,7 +147,7 @@ class RunResults:
         )
 
     def spent(self, name: str) -> Consumption:
-        """See `Rig`. Without a twin: what was commanded, by the vehicle file's thrust."""
+        """See `Rig`. Without a twin: from the commands and the vehicle file's thrust."""
         report = self._report
         if report is not None:
             end = self._flown_s - self._released_late()
@@ -158,7 +158,7 @@ class RunResults:
         return Consumption(impulse, impulse / model.air.exhaust_speed, None)
 
     def valves(self, since: float) -> Iterator[tuple[str, Valves]]:
-        """See `Rig`. As the boards reported them since the last call, however long that took."""
+        """See `Rig`. All edges that the boards reported since the last call."""
         new, self._new_valves = self._new_valves, []
         yield from new
 
@@ -169,16 +169,16 @@ class RunResults:
 
     @property
     def report(self) -> TableReport | None:
-        """The twin's own, on the bench."""
+        """The twin's report, on the bench."""
         return self._report
 
     @property
     def ended(self) -> dict[str, Ended]:
-        """The vehicles' last words."""
+        """The vehicles' reports at the end."""
         return self._ended
 
     def concerns(self) -> list[Concern]:
-        """See `Rig`. What laws on board have to say stays in their processes."""
+        """See `Rig`. Concerns of laws on board are not collected."""
         return [*self._concerns, *(Concern("keys_expire", words) for words in self._warned)]
 
     def wires(self) -> dict[str, Any]:

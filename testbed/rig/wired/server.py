@@ -1,11 +1,12 @@
-"""The twin on the wire, in real time: what a lab has, with only the granite missing.
+"""The twin as a server in real time: it replaces the cameras, boards and plant of a lab.
 
 It serves a NatNet stream, a serial port per vehicle with the real firmware behind it, and the
-truth on the network. One loop, one thread: bytes are passed on as they come, and between them the
-plant is moved to the camera's next exposure when its frame is due. By then, one camera latency
-after the exposure, the firmware has reported what its valves did.
+truth on the network. One loop in one thread forwards bytes as they arrive, and advances the plant
+to the camera's next exposure when its frame is due. By then, one camera latency after the exposure,
+the firmware has reported its valve edges.
 
-A vehicle lies on the granite until its board has bearing air on; the plant starts when all have.
+A vehicle rests on the granite until its board turns bearing air on; the plant starts when all
+boards have done so.
 """
 
 import select
@@ -40,13 +41,13 @@ from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.wired.process_faults import OF_PROCESSES
 from testbed.rig.wired.table_report import TableReport
 
-SENSE_NS = 100_000_000  # between two looks of the boards at their gauges
-TRUTH_FRAMES = 5  # every so many exposures the truth is told
-DIAL_NS = 1_000_000_000  # between two attempts to find the host
-QUIET_NS = 500_000_000  # a line on which nobody says anything for so long is nobody's
-LARGEST_S = 1e6  # that a permit's stamp can be
+SENSE_NS = 100_000_000  # between two gauge readings of the boards
+TRUTH_FRAMES = 5  # exposures between two messages of the truth
+DIAL_NS = 1_000_000_000  # between two attempts to reach the host
+QUIET_NS = 500_000_000  # a serial line without traffic for this long is unused
+LARGEST_S = 1e6  # largest time stamp of a permit
 SUPPLY_MV = 12_000
-ERROR_M = 0.0002  # of the markers' fit, as a healthy system reports it
+ERROR_M = 0.0002  # error of the marker fit that a healthy system reports
 UNTRACKED = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
 
 
@@ -54,8 +55,8 @@ class TableServer:
     """The table with its cameras and boards; a context manager. `run` serves until told to end.
 
     Args:
-        experiment: its `table.lab` says where to serve what.
-        folder: where the vehicles' serial ports appear; None: where the lab file says, else here.
+        experiment: its `table.lab` has the addresses to serve.
+        folder: for the vehicles' serial ports; None: as in the lab file, else the current folder.
     """
 
     def __init__(self, experiment: Experiment, folder: Path | None) -> None:
@@ -80,14 +81,14 @@ class TableServer:
         self._spent: list[list[tuple[float, float, int]]] = []
         self._edges: dict[str, list[tuple[int, int]]] = {name: [] for name in self.names}
         self._pose_topic: Publisher | None = None
-        self._permits: Subscriber | None = None  # their stamps tell the run's time 0
+        self._permits: Subscriber | None = None  # their stamps give the run's time 0
         self._sabotage: Sabotage | None = None
         self._down: set[str] = set()  # boards without power
-        self._landed: set[str] = set()  # vehicles whose air is off, for good
+        self._landed: set[str] = set()  # vehicles whose air is off until the end
 
     def __enter__(self) -> "TableServer":
         with ExitStack() as stack:
-            # first: of two twins with the same file the second ends here, and takes nothing away
+            # first: a second twin with the same file fails here, before it takes any port
             wire = self.experiment.table.lab.mocap
             major, minor = wire.version.split(".")
             self._mocap = stack.enter_context(
@@ -111,13 +112,13 @@ class TableServer:
 
     @property
     def pids(self) -> dict[str, int]:
-        """Of the firmware's processes."""
+        """Process ids of the firmware, by vehicle."""
         return {name: tap.pid for name, tap in self._taps.items()}
 
     # Time
 
     def run(self, ended: Callable[[], bool]) -> None:
-        """Serve until `ended()`, which is asked at every frame, and until nobody uses a line."""
+        """Serve until `ended()`, checked at every frame, and until no serial line is in use."""
         mocap = self.experiment.table.mocap
         period, latency = 1e9 / mocap.rate_hz, round(1e9 * mocap.latency_s)
         began = monotonic_ns()
@@ -162,7 +163,7 @@ class TableServer:
     # The lines
 
     def cut_next(self) -> None:
-        """Cut the serial line of the next vehicle: what a broken cable does, on purpose."""
+        """Cut the serial line of the next vehicle, to simulate a broken cable."""
         for tap in self._taps.values():
             if not tap.cut:
                 tap.cut = True
@@ -174,7 +175,7 @@ class TableServer:
         self._mocap.serve()
 
     def _follow(self) -> None:
-        """Give the plant what the boards report; start it when all float."""
+        """Apply the boards' reports to the plant; start it when all vehicles float."""
         for name, tap in self._taps.items():
             for at_us, mask in tap.edges():
                 self._edges[name].append((at_us, mask))
@@ -204,7 +205,7 @@ class TableServer:
     # The cameras
 
     def _expose(self, number: int, exposed: int) -> None:
-        """The frame that was exposed a latency ago."""
+        """Send the frame that was exposed one latency ago."""
         self._follow()
         t = None if self._released_ns is None else 1e-9 * (exposed - self._released_ns)
         if t is not None and t > self.plant.t:
@@ -235,7 +236,7 @@ class TableServer:
             self._tell(exposed)
 
     def _say_poses(self, number: int, exposed: int, bodies: list[RigidBody]) -> None:
-        """The frame on the network, for a lab whose cameras speak Zenoh."""
+        """Publish the frame over Zenoh, for a lab whose cameras do so."""
         if self._pose_topic is None:
             return
         wire = self.experiment.table.lab.mocap
@@ -251,7 +252,7 @@ class TableServer:
         camera.expose(np.array([at]), self.plant.x[k : k + 1])
         samples: list[PoseSample] = camera.arrived(np.inf)
         if self._sabotage is not None:
-            now = self.plant.t  # injections are of the plant's time here
+            now = self.plant.t  # injections use the plant's time here
             fresh = [PoseSample(now, one.x, one.y, one.theta) for one in samples]
             samples = self._sabotage.poses(name, fresh)
         if not samples:
@@ -278,7 +279,7 @@ class TableServer:
     # Rehearsed faults
 
     def _rehearse(self) -> None:
-        """Break what is to be broken; times of injections are the run's, here the plant's."""
+        """Inject the faults that are due; their times are converted to the plant's time."""
         if self._sabotage is None:
             self._plan_sabotage()
             return
@@ -291,14 +292,14 @@ class TableServer:
                 self._power(name, tap, off=dead)
 
     def _plan_sabotage(self) -> None:
-        """As soon as the run's time 0 is known."""
+        """Schedule the injections as soon as the run's time 0 is known."""
         if self._permits is None or self._released_ns is None or not self.experiment.inject:
             return
         for at, data in self._permits.heard():
             try:
                 stamp = msgspec.msgpack.decode(data, type=Sealed).issued_at
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-                continue  # whoever said that, it was not the host
+                continue  # not from the host
             if not abs(stamp) < LARGEST_S:
                 continue
             later = 1e-9 * (at - self._released_ns) - stamp
@@ -314,14 +315,14 @@ class TableServer:
             return
 
     def _power(self, name: str, tap: LineTap, *, off: bool) -> None:
-        """A board loses its power, or gets it back."""
+        """Switch a board's power off or on."""
         tap.power(on=not off)
         if off:
             self._down.add(name)
             self._edges[name].append((monotonic_ns() // 1000, 0))
             if self._released_ns is not None:
                 self._valves[name].close_all(monotonic_ns() - self._released_ns)
-                self._landed.add(name)  # its valve for the bearings is normally closed, too
+                self._landed.add(name)  # the bearing valve is normally closed, too
                 self.plant.land(self.names.index(name))
         else:
             self._down.discard(name)
@@ -329,7 +330,7 @@ class TableServer:
     # The end
 
     def report(self) -> TableReport:
-        """What really happened so far."""
+        """The true course of the flight so far."""
         plant, flown = self.plant, (self.plant.impulse.copy(), self.plant.used.copy())
         later_t, later = self._move_on()
 
@@ -356,7 +357,7 @@ class TableServer:
         )
 
     def _move_on(self) -> tuple[list[float], list[list[list[float]]]]:
-        """A minute of the plant alone, valves and air as the boards reported them last."""
+        """Simulate one minute with valves and air as last reported by the boards."""
         plant, t, states = self.plant, list[float](), list[list[list[float]]]()
         if self._released_ns is None:
             return t, states
@@ -378,7 +379,7 @@ def _left_as(status: Status | None) -> tuple[str, list[str]]:
 
 
 def port_of(experiment: Experiment, name: str, folder: Path | None) -> Path:
-    """Where a vehicle's serial port appears."""
+    """Path of a vehicle's serial port."""
     here = f"serial-{name}"
     if folder is not None:
         return folder / here

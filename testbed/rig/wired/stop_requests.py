@@ -1,10 +1,10 @@
-"""How often an operator has said stop."""
+"""Counting the operator's stop requests."""
 
 from collections.abc import Callable
 
 from testbed.realtime.wall_clock import monotonic_ns
 
-AGAIN_NS = 500_000_000  # one stop comes by several ways, all within this
+AGAIN_NS = 500_000_000  # copies of one stop arrive by several routes within this time
 
 
 class Asked:
@@ -16,7 +16,7 @@ class Asked:
         self.times = 0
 
     def hear(self) -> int:
-        """A stop has come; how many there were so far."""
+        """Count a stop; returns the number so far."""
         now = self._now()
         if self._first is None:
             self._first, self.times = now, 1
@@ -25,7 +25,7 @@ class Asked:
         return self.times
 
     def insist(self) -> None:
-        """A stop has come that says itself that it must be at once."""
+        """Count a stop that demands an immediate shutdown."""
         if self._first is None:
             self._first = self._now()
         self.times = 2

@@ -2,7 +2,7 @@
 
     python -m testbed.rig.wired.twin_process EXPERIMENT.toml REPORT.json
 
-That is how a host on the bench starts it: it ends when its standard input does.
+A host on the bench starts it with this command; it ends when its standard input closes.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from testbed.realtime.scheduling import no_garbage_collection, prefer_process, r
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.server import TableServer, port_of
 
-PRIORITY = 30  # the table does not wait for anybody
+PRIORITY = 30  # the real table never waits
 FAILURES = (OSError, TapError, BoardError, CompilerError, LimitsError)
 
 
@@ -32,17 +32,17 @@ def serve(
     experiment: Experiment, ports: Path | None, report: Path | None, *,
     over: Callable[[], bool], say: Callable[[str], None],
 ) -> None:  # fmt: skip
-    """Serve until told to end.
+    """Serve until `over()`.
 
     Args:
-        experiment: whose table it is.
-        ports: folder in which the vehicles' serial ports appear; None: where the table file says.
-        report: file for what became of the table.
+        experiment: its table is served.
+        ports: folder for the vehicles' serial ports; None: as in the table file.
+        report: file for the report of the flight.
         over: whether to end.
-        say: is told where the cameras and ports are.
+        say: called with the addresses of cameras and ports.
 
     Raises:
-        OSError, TapError, BoardError, CompilerError, LimitsError: a part cannot be had.
+        OSError, TapError, BoardError, CompilerError, LimitsError: a part is not available.
     """
     warm_up(experiment)
     with TableServer(experiment, ports) as server:
@@ -51,7 +51,7 @@ def serve(
         for vehicle in experiment.vehicles:
             say(f"{vehicle}: {port_of(experiment, vehicle, ports)}")
         signal.signal(signal.SIGUSR1, lambda number, frame: server.cut_next())
-        for pid in server.pids.values():  # a chip does not wait for a turn either
+        for pid in server.pids.values():  # a real chip never waits for a CPU
             prefer_process(pid, PRIORITY + 10)
         with (
             no_garbage_collection(),
@@ -64,7 +64,7 @@ def serve(
 
 
 def main() -> int:
-    """Serve as the child of a host; the exit code."""
+    """Serve as the child of a host; returns the exit code."""
     end_on_terminate()
     config, report = (Path(word) for word in sys.argv[1:3])
     try:

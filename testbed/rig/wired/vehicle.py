@@ -1,12 +1,12 @@
 """One vehicle's process: cameras and setpoints in, valve commands out.
 
-It asks the host what is flown, gets ready, says so, and waits for the order to start. Whatever
-happens then, it ends with closed valves, and as far as it can at rest and without bearing air:
+It gets the experiment from the host, gets ready, reports it, and waits for the order to start. In
+every case it ends with closed valves and, as far as possible, at rest and without bearing air:
 
-* the host is gone, or the network: setpoints run out and the permit, and the vehicle does what the
-  fault table says, wherever its law runs;
-* this process hangs or is killed: the plan runs out and the board's watchdog latches SAFE;
-* the board, its line or the cameras fail: the flight ends, and the host is told.
+* the host or the network is lost: setpoints and permit expire, and the vehicle follows the fault
+  table, wherever its law runs;
+* this process hangs or is killed: the plan ends and the board's watchdog latches SAFE;
+* the board, its line or the cameras fail: the flight ends, and the host gets a report.
 """
 
 from collections.abc import Callable
@@ -51,10 +51,10 @@ from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.thrusters import make_thrusters
 
 PRIORITY = 20
-LOOK_NS = 10_000_000  # between two looks at what happens, while waiting
-PATIENCE_S = 60.0  # for a host that does not answer
+LOOK_NS = 10_000_000  # polling period while waiting
+PATIENCE_S = 60.0  # longest wait for a host that does not answer
 TRY_S = 2.0
-ALONE_NS = 2_000_000_000  # some leases of a network that was cut
+ALONE_NS = 2_000_000_000  # several leases: a lost session has expired by then
 KEPT_S = 10.0
 
 
@@ -63,27 +63,27 @@ class VehicleError(TestbedError):
 
 
 def unheard(_: str) -> None:
-    """Nobody is at a terminal."""
+    """Drop a message: there is no terminal."""
 
 
 def fly_vehicle(
     name: str, endpoint: str, lab: str, port: str | None, badge: Path | None = None, *,
     child: bool, report: Path | None = None, say: Callable[[str], None] = unheard,
 ) -> None:  # fmt: skip
-    """Get ready, wait for the order, fly once, and tell the host how it went.
+    """Get ready, wait for the order, fly once, and report to the host.
 
     Args:
         name: of the vehicle.
         endpoint: of the host.
-        lab: first part of the keys.
-        port: of the board; None: the table file's.
+        lab: first part of the network keys.
+        port: serial port of the board; None: from the table file.
         badge: its key folder; None: the host is on this machine.
-        child: end when standard input does.
-        report: a file for its last words, for when the host is gone.
-        say: tells somebody at a terminal how far it is; by default nobody.
+        child: end when standard input closes.
+        report: a file for its final report, in case the host is lost.
+        say: called with progress messages; by default they are dropped.
 
     Raises:
-        VehicleError: it cannot.
+        VehicleError: the vehicle cannot fly.
     """
 
     def gone() -> bool:
@@ -105,7 +105,7 @@ def fly_vehicle(
                 " [lab.serial.ports] in the table file"
             )
         say(f"the host flies {experiment.name}; getting ready (compiles on the first run)")
-        clock = WallClock(monotonic_ns())  # until the run's time 0 is known
+        clock = WallClock(monotonic_ns())  # replaced when the run's time 0 is known
         process_faults = ProcessFaults(experiment.inject, lambda: clock.now)
         spoilt = partial(process_faults.spoilt, name) if experiment.inject else None
         stack.enter_context(watched(experiment))
@@ -119,15 +119,16 @@ def fly_vehicle(
         thrusters = stack.enter_context(make_thrusters(wires, name, setup.model, port))
         clock_of_host = read_clock(session, keys)
         reader = Reader(session, keys, clock_of_host)
-        # nobody has anything to say there before the order to start
+        # these keys must be silent before the order to start
         strangers = [Subscriber(session, key) for key in (keys.of(name, "setpoint"), keys.permit)]
         lookout = PreflightMonitor(experiment, name, source, thrusters, reader, strangers)
         enrolment = Enrolment(session, keys, name)
         tower = CommandServer(
             session, keys, name, thrusters.board, lookout, enrolment.ticket, clock_of_host.to_own
         )
-        # now: the last collection of garbage takes its time
-        stack.enter_context(no_garbage_collection())
+        stack.enter_context(
+            no_garbage_collection()
+        )  # now, because the last garbage collection takes time
         await_alone(session, keys, name)
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
@@ -139,7 +140,7 @@ def fly_vehicle(
 
         start = await_start(tower, wait, gone)
         if start is None:
-            say(f"not flown: {tower.stop_reason or 'its parent is gone'}")
+            say(f"not flown: {tower.stop_reason or 'its parent process has ended'}")
             return
         say("flies")
         epoch = clock_of_host.to_own(start.epoch_ns)
@@ -194,7 +195,7 @@ def fly_vehicle(
 
 
 def await_host(endpoint: str, badge: Path | None, gone: Callable[[], bool]) -> zenoh.Session:
-    """The host, as soon as it listens; in short tries, because none of them hears Ctrl-C."""
+    """Connect as soon as the host listens; short attempts, because each one blocks Ctrl-C."""
     end = monotonic_ns() + round(1e9 * PATIENCE_S)
     while True:
         try:
@@ -205,23 +206,23 @@ def await_host(endpoint: str, badge: Path | None, gone: Callable[[], bool]) -> z
 
 
 def await_alone(session: zenoh.Session, keys: Keys, name: str) -> None:
-    """See that nobody else flies under this name; one that was killed is forgotten by then.
+    """Check that no other agent flies under this name; a killed one has timed out by then.
 
     Raises:
-        VehicleError: somebody does.
+        VehicleError: another agent does.
     """
     end = monotonic_ns() + ALONE_NS
     while list(session.liveliness().get(keys.of(name, "alive"), timeout=1.0)):
         if monotonic_ns() > end:
             raise VehicleError(
-                f"somebody else flies as {name}: expected one `testbed agent` for each vehicle;"
+                f"another agent flies as {name}: expected one `testbed agent` for each vehicle;"
                 " end the other, or wait until its flight is over"
             )
         sleep_until_ns(monotonic_ns() + 10 * LOOK_NS)
 
 
 def ask_experiment(session: zenoh.Session, keys: Keys, gone: Callable[[], bool]) -> Experiment:
-    """What the host flies."""
+    """Get the experiment from the host."""
     end = monotonic_ns() + round(1e9 * PATIENCE_S)
     while True:
         try:
@@ -237,7 +238,7 @@ def ask_experiment(session: zenoh.Session, keys: Keys, gone: Callable[[], bool])
 
 
 def await_port(port: str, gone: Callable[[], bool]) -> None:
-    """On the bench the port may appear a little later than this process; then go on anyway."""
+    """Wait for the port, which the bench may create later; after the wait go on without it."""
     end = monotonic_ns() + round(1e9 * PATIENCE_S)
     while not Path(port).exists() and monotonic_ns() < end and not gone():
         sleep_until_ns(monotonic_ns() + LOOK_NS)
@@ -246,7 +247,7 @@ def await_port(port: str, gone: Callable[[], bool]) -> None:
 def await_start(
     tower: CommandServer, poll: Callable[[], object], gone: Callable[[], bool]
 ) -> Start | None:
-    """The order to fly; None if it will not come."""
+    """Wait for the order to start; None if it will not come."""
     while True:
         try:
             return tower.starts.get_nowait()
@@ -258,7 +259,7 @@ def await_start(
 
 
 def await_end(gone: Callable[[], bool], tower: CommandServer) -> None:
-    """Give the last word time to get out."""
+    """Wait half a second, so that the report is sent."""
     end = monotonic_ns() + 500_000_000
     while monotonic_ns() < end and not gone():
         sleep_until_ns(monotonic_ns() + LOOK_NS)

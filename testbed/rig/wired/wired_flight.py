@@ -1,4 +1,4 @@
-"""The flight as the host sees it: its laws, the permit, and what the vehicles report."""
+"""The flight in the host's process: laws, permits and the vehicles' reports."""
 
 import math
 from collections.abc import Callable
@@ -36,41 +36,41 @@ from testbed.rig.wired.preflight import order
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
 
-PRIORITY = 10  # below the vehicles: they hold the valves
-PERMIT_S = 1.0  # a permit is good for as long as the operator may be gone
-LOST_S = 1.0  # a vehicle that is not heard for so long is gone
-WAIT_S = 4.0  # for the vehicles' last words, besides their longest brake
+PRIORITY = 10  # below the vehicles, which drive the valves
+PERMIT_S = 1.0  # lifetime of a permit: as long as the operator may be absent
+LOST_S = 1.0  # a vehicle that is silent for this long is lost
+WAIT_S = 4.0  # time for the vehicles' final reports, beyond their longest brake
 LOOK_NS = 20_000_000
 PERMIT_NS = 100_000_000  # between two permits after the end
-WORDS_S = 1.0  # from a vehicle's last tick to its last words
+WORDS_S = 1.0  # from a vehicle's last tick to its final report
 
 
 class Book(Protocol):
-    """Who notes what becomes known of a flight."""
+    """Records the data of a flight."""
 
     def note_truth(self, poses: dict[str, list[float]]) -> None:
-        """The newest truth."""
+        """Record the newest truth."""
         ...
 
     def note_tick(self, name: str, flown: Flown) -> None:
-        """A vehicle's tick."""
+        """Record a vehicle's tick."""
         ...
 
     def note_end(self, name: str, ended: Ended) -> None:
-        """A vehicle's last words."""
+        """Record a vehicle's final report."""
         ...
 
     def note_loop(self, late_s: float, busy_s: float) -> None:
-        """How the host's newest tick kept its time."""
+        """Record the timing of the host's newest tick."""
         ...
 
     def note_host(self, lateness: list[float], sent: int) -> None:
-        """How the host kept its time."""
+        """Record the host's timing over the whole flight."""
         ...
 
 
 class RemoteNode:
-    """A vehicle in a process of its own, as the loop sees it: its newest tick."""
+    """A vehicle in another process: gives the loop its newest tick."""
 
     def __init__(self, name: str, jets: int, meet: Callable[[bool, str], None]) -> None:
         self.name, self._meet, self._shut = name, meet, (0,) * jets
@@ -80,7 +80,7 @@ class RemoteNode:
         self.fault: str | None = None
 
     def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
-        """What it said last, or what is to be said of one that says nothing any more."""
+        """Its newest tick, or a substitute with a fault if it is silent or has ended."""
         self._meet(armed, fleet)
         tick = self._newest(t)
         self.fault = tick.outputs.fault
@@ -105,7 +105,7 @@ _open_truth = msgspec.msgpack.Decoder(tuple[int, dict[str, list[float]]]).decode
 
 
 def newest_truth(told: list[tuple[int, bytes]]) -> tuple[dict[str, list[float]] | None, int]:
-    """The newest of some messages of the truth that is one, and how many were none."""
+    """The newest valid message of the truth, and the number of invalid ones."""
     bad = 0
     for _, data in reversed(told):
         try:
@@ -123,10 +123,10 @@ class HostFlight:
     """One flight.
 
     Args:
-        experiment: what is flown.
-        book: who notes what becomes known.
+        experiment: the experiment to fly.
+        book: records the data of the flight.
         party: this end of the network.
-        disk_free: where the log goes [bytes].
+        disk_free: free space on the disk of the log [bytes].
     """
 
     def __init__(
@@ -138,14 +138,14 @@ class HostFlight:
     ) -> None:
         self._process_faults = ProcessFaults(experiment.inject, lambda: party.clock.now)
         self._intruders: dict[str, Publisher] = {}
-        self._stranger = Outbox(party.run ^ 1)  # the session of a rehearsed intruder
+        self._stranger = Outbox(party.run ^ 1)  # session of an injected intruder
         self._experiment, self._book, self._party = experiment, book, party
         self._disk_free, self._config = disk_free, config_id(experiment)
         keys = party.keys
         self._names = list(experiment.vehicles)
         self._at_once = False
         self.truth: Subscriber | None = None
-        self.bad_truth = 0  # messages of it that were none
+        self.bad_truth = 0  # invalid messages of the truth
         self._ticks = {n: Subscriber(party.session, keys.of(n, "tick")) for n in self._names}
         self._events = {n: Subscriber(party.session, keys.of(n, "event")) for n in self._names}
         open_tick = msgspec.msgpack.Decoder(Flown).decode
@@ -162,17 +162,17 @@ class HostFlight:
         self._links = {n: ZenohHostLink(party, n, states, self._board) for n in self._names}
         self._observer: Observer | None = None
         self._fleet, self._armed = "", True
-        self._asked = Asked()  # at any terminal
-        self.concerns: list[Concern] = []  # of the laws here, after the flight
+        self._asked = Asked()  # stops from any terminal
+        self.concerns: list[Concern] = []  # of laws on the host, after the flight
         self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
 
     @property
     def stopped(self) -> bool:
-        """Whether an operator said stop, at any terminal."""
+        """Whether an operator asked for a stop at any terminal."""
         return self._asked.times > 0
 
     def permit(self) -> None:
-        """Let the vehicles go on; what they must know of the host comes along."""
+        """Send a permit to the vehicles, with the host data that they need."""
         now = self._party.clock.now
         faults = (f"{n.name}: {n.fault}" for n in self._nodes.values() if n.fault)
         fleet = self._fleet or next(faults, "")
@@ -218,26 +218,26 @@ class HostFlight:
         )
         late = self._late_fault()
         fault = ending.fault or late
-        if ending.fault and late and "vehicle_silent" in ending.fault:  # why it was
-            fault = f"{fault}; then it said: {late}"
+        if ending.fault and late and "vehicle_silent" in ending.fault:  # the cause
+            fault = f"{fault}; its last report: {late}"
         self.concerns = [
             Concern(one.name, f"{host.name}: {one.text}")
             for host in hosts
             for one in host.guidance.concerns
         ]
         if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
-            fault = fault and f"{fault}; {slow[0]}"  # setpoints that come too late look like a link
+            fault = fault and f"{fault}; {slow[0]}"  # late setpoints look like a link fault
         if fault is None and self._asked.times:
             fault = "stopped by the operator"
         return Ending(ending.t, fault)
 
     def _meet(self, armed: bool, fleet: str) -> None:
-        """Hear all vehicles; what the loop has to say to them goes into the next permit."""
+        """Receive from all vehicles; the loop's data for them goes into the next permit."""
         self._armed, self._fleet = armed, fleet
         self._listen()
 
     def _late_fault(self) -> str | None:
-        """A fault that a vehicle told in its last words only."""
+        """A fault that only a vehicle's final report contains."""
         return next(
             (n.ended.fault for n in self._nodes.values() if n.ended and n.ended.fault), None
         )
@@ -264,12 +264,12 @@ class HostFlight:
         self._observer.done(t)
 
     def _intrude(self, name: str) -> None:
-        """Say what a forgotten host of another session would say."""
+        """Send messages as a leftover host of another session would."""
         now = self._party.clock.now
         there = Reference(now, Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), Accel(0.0, 0.0, 0.0))
         setpoint = Trajectory((there,), now + 1.0)
         key = self._party.keys.of(name, "setpoint")
-        if name not in self._intruders:  # kept: what is said by a mouth that is dropped is lost
+        if name not in self._intruders:  # kept: messages of a closed publisher are lost
             self._intruders[name] = Publisher(self._party.session, key)
         self._intruders[name].say(self._stranger.seal(setpoint, now, now + 1.0))
 
@@ -303,10 +303,10 @@ class HostFlight:
             try:
                 order(self._party.session, self._party.keys, name, Stop(reason, at_once))
             except NetworkError:
-                continue  # it is gone, and its board's watchdog has closed the valves
+                continue  # it is lost, and its board's watchdog has closed the valves
 
     def _await_ends(self, asked: Callable[[], int]) -> None:
-        """Hear the vehicles come to rest; one that says nothing any more is not waited for."""
+        """Receive until the vehicles are at rest; a silent vehicle is not waited for."""
         longest = WAIT_S + self._experiment.flight.ending.brake_s
         end, permit_at = monotonic_ns() + round(1e9 * longest), monotonic_ns()
         self._listen()
@@ -314,7 +314,7 @@ class HostFlight:
             if asked() > 1 and not self._at_once:
                 self._at_once = True
                 self.permit()
-                self._stop_all("the operator has said stop twice", at_once=True)
+                self._stop_all("the operator stopped twice", at_once=True)
             if monotonic_ns() >= permit_at:
                 permit_at = monotonic_ns() + PERMIT_NS
                 self.permit()
