@@ -11,7 +11,7 @@ import subprocess
 import sys
 
 from testbed.config import find, load
-from testbed.realtime.scheduling import steady
+from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.host import WireRig
@@ -34,7 +34,7 @@ def main():
 
     rig.on_start = started
     try:
-        with steady():
+        with no_garbage_collection():
             ending = rig.fly(NullObserver())
     finally:
         for hog in hogs:

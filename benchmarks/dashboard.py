@@ -125,7 +125,7 @@ def resident(process: int | str) -> float:
 
 
 def grow(folder: Path, seconds: float, speed: float) -> None:
-    print("memory [MB]       of the run   loop  teller  viewer")
+    print("memory [MB]       of the run   loop  feeder  viewer")
     for case in ("attached", "stopped"):
         run = folder / f"growth_{case}"
         experiment, over = make_run(run, seconds), Event()
@@ -134,7 +134,7 @@ def grow(folder: Path, seconds: float, speed: float) -> None:
 
             def watch(board=board, seen=seen, over=over) -> None:
                 while not over.wait(0.5):
-                    others = (p.pid for p in (board.teller, board.viewer) if p is not None)
+                    others = (p.pid for p in (board.feeder, board.viewer) if p is not None)
                     seen.append((resident("self"), *map(resident, others)))
 
             thread = Thread(target=watch)

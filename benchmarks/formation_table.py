@@ -73,14 +73,17 @@ def fly(name, seed, overrides=(), drift=0.0):
     }
     edges = {pair: gap for pair, gap in gaps.items() if shape.first[pair] > 0.0}
     off = np.max([abs(gap - shape.desired[pair]) for pair, gap in edges.items()], axis=0)
-    rocks = experiment.obstacles
+    obstacles = experiment.obstacles
     return Flight(
         tuple(settling(track.t, off > tolerance) for tolerance in TOLERANCES),
         sum(bool((gap >= shape.range).any()) for gap in edges.values()),
         float(max(gap.max() for gap in edges.values())),
         float(min(gap.min() for gap in gaps.values())),
-        min((min(obstacle_distances(track, k, rocks).values()) for k in range(n)), default=np.inf)
-        if rocks
+        min(
+            (min(obstacle_distances(track, k, obstacles).values()) for k in range(n)),
+            default=np.inf,
+        )
+        if obstacles
         else np.inf,
         len(rig.twin.plant.touches),
         ending.fault,

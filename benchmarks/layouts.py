@@ -38,7 +38,7 @@ def fly(law, start, goal, obstacles, radius):
     nearest, settled = np.inf, 0.0
     for k in range(round(DURATION / PERIOD)):
         body = Body(p, v, MASS, zero, zero, MAX_FORCE)
-        state, p, v, *_ = law.fly_ahead(state, body, nobody, world, k * PERIOD, PERIOD, STEPS)
+        state, p, v, *_ = law.propagate(state, body, nobody, world, k * PERIOD, PERIOD, STEPS)
         nearest = min(nearest, np.hypot(*(obstacles - p).T).min())
         if np.hypot(*(goal - p)) > 0.05:
             settled = (k + 1) * PERIOD
@@ -53,13 +53,13 @@ def main() -> None:
     parser.add_argument("--laws", default=",".join(LAWS))
     options = parser.parse_args()
     shipped = load(find("zhang2023_table"))
-    radius = np.array([rock.radius for rock in shipped.obstacles.values()])
+    radius = np.array([obstacle.radius for obstacle in shipped.obstacles.values()])
     for name in options.laws.split(","):
         law = make_law(LAWS[name])
         rng = np.random.default_rng(1)
         rows = []
         while len(rows) < options.runs:
-            rocks = np.array([rock.position for rock in shipped.obstacles.values()])
+            rocks = np.array([obstacle.position for obstacle in shipped.obstacles.values()])
             rocks = rocks + rng.uniform(-options.shift, options.shift, rocks.shape)
             for setup in shipped.vehicles.values():
                 start = np.array(setup.start[:2])

@@ -33,7 +33,7 @@ from testbed.core.types import Pose
 from testbed.mocap.exposure import Axes
 from testbed.mocap.natnet import Described, MocapFrame, RigidBody, encode_frame
 from testbed.mocap.natnet_server import Address, NatNetServer
-from testbed.realtime.scheduling import preferred, steady
+from testbed.realtime.scheduling import no_garbage_collection, realtime_priority
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.wired.local import free_port
 
@@ -44,13 +44,13 @@ WORDS = [
 SETTLE = 5  # frames at the beginning of a turn
 BARE = """
 import os, socket, sys
-from testbed.realtime.scheduling import preferred
+from testbed.realtime.scheduling import realtime_priority
 one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 one.bind(("127.0.0.1", int(sys.argv[1])))
 line = os.open(sys.argv[2], os.O_RDWR | os.O_NOCTTY)
 answer = bytes(94)
 print("ready", flush=True)
-with preferred(20):
+with realtime_priority(20):
     while one.recv(65536) != b"end":
         os.write(line, answer)
 """
@@ -63,8 +63,8 @@ from testbed.core.lab import MocapWire
 from testbed.core.types import Accel, Inputs, Pose, Reference, Trajectory, Twist
 from testbed.mocap.natnet_client import NatNetClient
 from testbed.mocap.poses import MocapPoses
-from testbed.mocap.body_monitor import BodyWatch
-from testbed.realtime.scheduling import preferred, steady
+from testbed.mocap.body_monitor import BodyMonitor
+from testbed.realtime.scheduling import realtime_priority, no_garbage_collection
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
 from testbed.rig.chain import make_agent
 from testbed.rig.twin import warm_up
@@ -75,17 +75,17 @@ setup = experiment.vehicles[name]
 agent = make_agent(experiment, name)
 client = NatNetClient(MocapWire(command_port=command))
 clock = WallClock(monotonic_ns())
-poses = MocapPoses(client, MocapWire(), clock, name, BodyWatch())
+poses = MocapPoses(client, MocapWire(), clock, name, BodyMonitor())
 goal = Reference(0.0, Pose(*setup.start), Twist(0, 0, 0), Accel(0, 0, 0))
 setpoint = Trajectory((goal,), 1e9)
-with steady(), SerialThrusters(port, limits_of(setup.model), 0.0, 7) as thrusters:
+with no_garbage_collection(), SerialThrusters(port, limits_of(setup.model), 0.0, 7) as thrusters:
     thrusters.epoch_us = clock.epoch_ns // 1000
     heard = 0
     while heard < 50:
         select.select([client.fileno()], [], [], 0.05)
         heard += len(poses.samples())
     print("ready", flush=True)
-    with preferred(20):
+    with realtime_priority(20):
         armed = False
         while True:
             ready, _, _ = select.select([client.fileno(), 0], [], [], 1.0)
@@ -143,7 +143,7 @@ def main():
     names = list(experiment.vehicles)[: args.vehicles]
     rng = np.random.default_rng(1)
     axes = Axes(MocapWire())
-    with tempfile.TemporaryDirectory() as folder, steady():
+    with tempfile.TemporaryDirectory() as folder, no_garbage_collection():
         taps = [
             LineTap(limits_of(experiment.vehicles[n].model), 1, Path(folder) / n).__enter__()
             for n in names
@@ -217,7 +217,7 @@ def main():
                 if pipe.readline() != b"ready\n":
                     raise RuntimeError(f"a process ended: {pipes[pipe].args[:4]}")
                 ready.add(pipes[pipe])
-        with preferred(30):
+        with realtime_priority(30):
             chain_us, bare_us, lost = [], [], 0
             period = round(1e9 / args.rate)
             due = monotonic_ns()

@@ -19,7 +19,7 @@ import tty
 
 import numpy as np
 
-from testbed.realtime.scheduling import preferred
+from testbed.realtime.scheduling import realtime_priority
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 
 MESSAGE = bytes(90)
@@ -57,7 +57,7 @@ def main():
     one, other = socket.socketpair()
     rows = []
     try:
-        with preferred(30) as allowed:
+        with realtime_priority(30) as allowed:
             due = monotonic_ns()
             for _ in range(round(100 * args.seconds)):
                 due += 10_000_000

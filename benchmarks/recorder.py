@@ -3,8 +3,8 @@
     python benchmarks/recorder.py [SECONDS OF THE RUN, 600] [KILLS, 20]
 
 The messages are those of a flight on the twin, with their stamps moved. They are written in real
-time, so the scribe's CPU time divided by the time is its share of a core. SIGKILL hits both writer
-and scribe; lost is what had been handed over and is not in the file.
+time, so the log writer's CPU time divided by the time is its share of a core. SIGKILL hits both
+writer and log writer; lost is what had been handed over and is not in the file.
 """
 
 import os
@@ -63,7 +63,7 @@ def write(path: Path, seconds: float, announce: bool) -> float:
     motions = {f"sat{n}": Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3) for n in range(VEHICLES)}
     with Recorder(path) as recorder:
         if announce:
-            print(recorder._scribe.pid, flush=True)
+            print(recorder._writer.pid, flush=True)
         began, used = time.monotonic(), time.process_time()
         for k in range(round(seconds * RATE_HZ)):
             t = k / RATE_HZ
@@ -80,15 +80,15 @@ def write(path: Path, seconds: float, announce: bool) -> float:
 
 
 def lost_by_kill(path: Path, instant: float) -> float:
-    """Kill writer and scribe; what was handed over and is not there [s]."""
+    """Kill writer and log writer; what was handed over and is not there [s]."""
     flight = subprocess.Popen(
         [sys.executable, __file__, "--announce", str(path)], stdout=subprocess.PIPE
     )
-    scribe = int(flight.stdout.readline())
+    log_writer = int(flight.stdout.readline())
     flight.stdout.readline()  # the first tick is handed over
     Event().wait(instant)
     os.kill(flight.pid, signal.SIGKILL)
-    os.kill(scribe, signal.SIGKILL)
+    os.kill(log_writer, signal.SIGKILL)
     rest, _ = flight.communicate()
     handed_over = int(rest.split()[-1]) / RATE_HZ if rest.split() else 0.0
     stamps = [row.stamp * 1e-9 for row in LogReader(path).read()]
@@ -106,14 +106,14 @@ def main() -> None:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         own = write(path, seconds, announce=False)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        scribe = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        log_writer = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         stamps: dict[str, list[int]] = {}
         for row in LogReader(path).read():
             stamps.setdefault(row.topic, []).append(row.stamp)
         gaps = sum(int(np.sum(np.diff(s) != round(1e9 / RATE_HZ))) for s in stamps.values())
         count = sum(len(s) for s in stamps.values())
         print(f"{VEHICLES} vehicles at {RATE_HZ:g} Hz for {seconds:g} s: {count} messages")
-        print(f"  scribe     {100 * scribe / seconds:.1f} % of a core")
+        print(f"  log writer {100 * log_writer / seconds:.1f} % of a core")
         print(f"  flight     {100 * own / seconds:.1f} % of a core, encoding and handing over")
         print(f"  file       {path.stat().st_size / 1e6:.1f} MB")
         print(f"  gaps       {gaps}")

@@ -135,7 +135,7 @@ def fly(case):
     rig, notes = make_twin(experiment), Notes()
     if "balance" in case.what:
         way = rng.uniform(0.0, 2.0 * np.pi)
-        rig.twin.plant.metal.com[:] += OFF_BALANCE * np.array([np.cos(way), np.sin(way)])
+        rig.twin.plant.parameters.com[:] += OFF_BALANCE * np.array([np.cos(way), np.sin(way)])
     ending = rig.fly(notes)
     words = ending.fault or ""
     if fault is None:

@@ -35,8 +35,8 @@ of 100 kg, as N, which gives more of the transients that it describes.
 Differences from the paper: `phases` switch the field at their times. The formation force is cut at
 `cap` and the whole force at own.max_force, direction kept. `wall` pushes back vehicles that leave
 the table: a line is free along itself and the repulsion stretches it. Not only the orbit's
-dynamics but all of own.drift is cancelled, and the centre's acceleration is followed. A phase may
-name a shape; `controllers.bifurcating_design` then fills in the numbers that are not given.
+dynamics but all of own.disturbance is cancelled, and the centre's acceleration is followed. A phase
+may name a shape; `controllers.bifurcating_design` then fills in the numbers that are not given.
 """
 
 from itertools import pairwise
@@ -204,7 +204,7 @@ def rate(gains, law_state, own, neighbours, world, t):
         force[i] += (  # Eq. (10)
             -gains.k_v[k] * speed
             - gains.wall_stiffness * beyond * np.sign(own.p[i])
-            + own.mass * (lead - own.drift[i])
+            + own.mass * (lead - own.disturbance[i])
         )
     return bounded(force, own.max_force), np.empty(0)
 

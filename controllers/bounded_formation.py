@@ -9,9 +9,9 @@ proxies share are in `proxy`.
     beta_i      beta             friction of the proxy                                    N s/m
     alpha_i     proxy.spring     between satellite and proxy                              N/m
 
-Differences from the paper: m g is own.mass * own.drift, whatever the caller puts there. In orbit it
-may or may not contain the Coriolis term, which does no work, so the paper's proof holds either way;
-on the table it is the estimated disturbance.
+Differences from the paper: m g is own.mass * own.disturbance, whatever the caller puts there. In
+orbit it may or may not contain the Coriolis term, which does no work, so the paper's proof holds
+either way; on the table it is the estimated disturbance.
 
 Nothing anchors the formation: under a common disturbance it drifts.
 """
@@ -68,17 +68,17 @@ def rate(gains, law_state, own, neighbours, world, t):
         speed = law_state[d + i]
         change[i] = speed
         change[d + i] = (spring[i] + push[i] - gains.beta * speed) / c.mass  # Eq. (9)
-    force = -spring - own.mass * own.drift  # Eq. (14)
+    force = -spring - own.mass * own.disturbance  # Eq. (14)
     return bounded(force, own.max_force), change
 
 
-jump, tell = with_proxy(Gains)
+jump, broadcast = with_proxy(Gains)
 
 
 def bounded_formation(params: BoundedFormationParams, names: Sequence[str], d: int) -> Law:
     """The law for positions of shape (d,), in the paper's units.
 
-    `names` are those of all satellites in the order of `Body.who`.
+    `names` are those of all satellites in the order of `Body.vehicle_index`.
     """
     c = coupling(params.proxy, params.formation, names, led=False)
-    return CompiledLaw(Gains(c, params.beta), lambda own: start(c, own), rate, words=2 * d)
+    return CompiledLaw(Gains(c, params.beta), lambda own: start(c, own), rate, message_size=2 * d)

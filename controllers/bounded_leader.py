@@ -10,7 +10,7 @@ are that paper's. Symbols that all proxies share are in `proxy`.
     beta             beta                   damping of who hears the leader               N s/m
     s_i              s                      velocity relative to the leader               m/s
     a_i0             the last edge          1 if satellite i hears the leader             -
-    m g + m C p'     own.mass * own.drift   Coriolis included: the caller must see to it  N
+    m g + m C p'     own.mass * own.disturbance   Coriolis included: the caller must see to it  N
 
 Corrections to the print: (4) lost the dots of p_i hat'', (5) those of both velocities; without them
 the derivative of V does not come out.
@@ -75,7 +75,7 @@ def friction(law_state, own, neighbours, world, t):
     d, leader = own.p.shape[0], law_state.shape[0] - 2 * own.p.shape[0] - 1
     total = np.zeros(d)
     for k in range(neighbours.p.shape[0]):
-        if is_edge(law_state, d, neighbours.who[k]):
+        if is_edge(law_state, d, neighbours.vehicle_index[k]):
             total += law_state[d : 2 * d] - heard_proxy(neighbours, k, t, d)[1]
     if is_edge(law_state, d, leader):
         total += law_state[d : 2 * d] - world.goal.v
@@ -99,18 +99,18 @@ def rate(gains, law_state, own, neighbours, world, t):
     pull = c.spring * stretch
     if is_edge(law_state, d, leader):
         pull += gains.beta * (own.v - world.goal.v)
-    force = -saturated(pull, c.limit) + own.mass * (ahead - own.drift)  # Eq. (14)
+    force = -saturated(pull, c.limit) + own.mass * (ahead - own.disturbance)  # Eq. (14)
     return bounded(force, own.max_force), change
 
 
-jump, tell = with_proxy(Gains)
+jump, broadcast = with_proxy(Gains)
 
 
 def bounded_leader(params: BoundedLeaderParams, names: Sequence[str], d: int) -> Law:
     """The law for positions of shape (d,), in the paper's units.
 
-    `names` are those of all satellites in the order of `Body.who`.
+    `names` are those of all satellites in the order of `Body.vehicle_index`.
     """
     c = coupling(params.proxy, params.formation, names, led=True)
     gains = Gains(c, params.alpha, params.beta, float(params.feed_forward))
-    return CompiledLaw(gains, lambda own: start(c, own), rate, words=2 * d)
+    return CompiledLaw(gains, lambda own: start(c, own), rate, message_size=2 * d)

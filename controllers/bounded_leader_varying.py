@@ -10,7 +10,7 @@ are that paper's. Symbols that all proxies share are in `proxy`.
     beta             beta                   sgn between satellites                        N
     -                layer                  sgn is linear inside; 0: true sgn             m/s
     a_i0             the last edge          1 if satellite i hears the leader             -
-    m g + m C p'     own.mass * own.drift   Coriolis included: the caller must see to it  N
+    m g + m C p'     own.mass * own.disturbance   Coriolis included: the caller must see to it  N
 
 Corrections to the print: (25) lost the dots of p_i hat'', (26) those of both velocities. Theorem 2
 needs alpha > mass gamma/sqrt(lambda_min), beta > max(m) gamma/sqrt(lambda_min) with the largest
@@ -76,7 +76,7 @@ def rate(gains, law_state, own, neighbours, world, t):
     c, speed = gains.coupling, law_state[d : 2 * d]
     between_proxies, between_satellites = np.zeros(d), np.zeros(d)
     for k in range(neighbours.p.shape[0]):
-        if is_edge(law_state, d, neighbours.who[k]):
+        if is_edge(law_state, d, neighbours.vehicle_index[k]):
             other = heard_proxy(neighbours, k, t, d)[1]
             between_proxies += soft_sign(speed - other, gains.layer)
             between_satellites += soft_sign(own.v - neighbours.v[k], gains.layer)
@@ -88,18 +88,20 @@ def rate(gains, law_state, own, neighbours, world, t):
     change = np.zeros(law_state.shape[0])
     change[:d] = speed
     change[d : 2 * d] = (spring + push - gains.alpha * between_proxies) / c.mass  # Eqs. (25), (26)
-    force = -spring - own.mass * own.drift - gains.beta * between_satellites  # Eqs. (27), (28)
+    force = (
+        -spring - own.mass * own.disturbance - gains.beta * between_satellites
+    )  # Eqs. (27), (28)
     return bounded(force, own.max_force), change
 
 
-jump, tell = with_proxy(Gains)
+jump, broadcast = with_proxy(Gains)
 
 
 def bounded_leader_varying(params: BoundedLeaderVaryingParams, names: Sequence[str], d: int) -> Law:
     """The law for positions of shape (d,), in the paper's units.
 
-    `names` are those of all satellites in the order of `Body.who`.
+    `names` are those of all satellites in the order of `Body.vehicle_index`.
     """
     c = coupling(params.proxy, params.formation, names, led=True)
     gains = Gains(c, params.alpha, params.beta, params.layer)
-    return CompiledLaw(gains, lambda own: start(c, own), rate, words=2 * d)
+    return CompiledLaw(gains, lambda own: start(c, own), rate, message_size=2 * d)

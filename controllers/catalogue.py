@@ -43,7 +43,7 @@ def make_law(params: Controller, names: Sequence[str] = (), d: int = 2) -> Law:
 
     Args:
         params: as an experiment file has them.
-        names: of all satellites, in the order of `Body.who`.
+        names: of all satellites, in the order of `Body.vehicle_index`.
         d: positions have shape (d,).
 
     Raises:

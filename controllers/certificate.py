@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 class Fleet(NamedTuple):
-    """All satellites with their proxies, and the leader; rows in the order of `Body.who`."""
+    """Satellites with their proxies, and the leader; rows in the order of `Body.vehicle_index`."""
 
     mass: Array  # (n,) [kg]
     p: Array  # (n, d) [m]

@@ -12,7 +12,7 @@ collision avoidance", Aerosp. Sci. Technol. 42, 2015, as X. Xue, X. Yue, J. Yuan
     K_d          k_d              friction of s                                            N s/m
     K_F, K_O     potential        weights of J, each pair counted once                     N
     m_i hat      law_state[0]     estimated mass                                           kg
-    F_i          own.drift        C p' + g, as on the right-hand side of (1)               m/s^2
+    F_i          own.disturbance  C p' + g, as on the right-hand side of (1)               m/s^2
 
 Corrections to the print: only with F on the right-hand side of (1) does m hat F cancel it.
 
@@ -83,10 +83,10 @@ def gradient(gains, own, neighbours, world):
     """Gradient of J, Eq. (32), shape (d,) [N]."""
     u, total = gains.potential, np.zeros(own.p.shape[0])
     for k in range(neighbours.p.shape[0]):
-        if neighbours.who[k] < 0:
+        if neighbours.vehicle_index[k] < 0:
             continue
         x = distance(own.p, neighbours.p[k])
-        d = u.formation.desired[own.who, neighbours.who[k]]
+        d = u.formation.desired[own.vehicle_index, neighbours.vehicle_index[k]]
         if gains.continued and x > d:
             slope = u.single.attract * (x - d) / (x - u.single.safe)  # Eq. (30)
         else:
@@ -101,16 +101,18 @@ def gradient(gains, own, neighbours, world):
 def rate(gains, law_state, own, neighbours, world, t):
     """Force and change of the estimated mass, see `testbed.core.law`."""
     s = own.v + gains.tau * gradient(gains, own, neighbours, world)  # Eq. (32)
-    force = -gains.gamma * soft_sign(s, gains.layer) - gains.k_d * s - law_state[0] * own.drift
+    force = (
+        -gains.gamma * soft_sign(s, gains.layer) - gains.k_d * s - law_state[0] * own.disturbance
+    )
     change = np.zeros(1)
-    change[0] = gains.alpha * np.sum(s * own.drift)
+    change[0] = gains.alpha * np.sum(s * own.disturbance)
     return bounded(force, own.max_force), change  # Eq. (31)
 
 
 def collision_sliding(params: CollisionSlidingParams, names: Sequence[str], d: int) -> Law:
     """The law for positions of shape (d,), in the paper's units.
 
-    `names` are those of all satellites in the order of `Body.who`.
+    `names` are those of all satellites in the order of `Body.vehicle_index`.
     """
     u = formation_potential(params.potential, params.formation, names)
     widest = float(u.formation.desired.max())

@@ -15,7 +15,7 @@ Equation numbers are that paper's.
     -            layer            sgn is linear inside; 0: true sgn                        m/s
     m_i hat      law_state[0]     estimated mass                                           kg
     a_ij         law_state[1:]    edges, see `graph`                                       -
-    Y_i          -own.drift       minus the acceleration without control, Eq. (8)          m/s^2
+    Y_i          -own.disturbance minus the acceleration without control, Eq. (8)          m/s^2
 
 Corrections to the print: the sum in (21) starts at j = 1, there is no leader; the list of gains
 calls K_s K_v. (16) sets a velocity equal to a force: kappa is its factor of 1 m/(s N), which must
@@ -47,7 +47,7 @@ from controllers.graph import FormationKind, FormationParams
 from controllers.proxy import soft_sign
 from controllers.scale import Scale
 from testbed.core.compiled import compiled
-from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate, compiled_tell
+from testbed.core.law import CompiledLaw, Law, bounded, compiled_broadcast, compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
 
 OFF, SMOOTH, PAPER = 0, 1, 2
@@ -124,19 +124,19 @@ def rate(gains, law_state, own, neighbours, world, t):
     both = sliding(gains, law_state, own, neighbours, world)
     s = both[0]
     force = -gains.k_s * s - gains.beta * soft_sign(s, gains.layer) - both[1]
-    force -= law_state[0] * own.drift
-    others = disagreement(law_state, 1, s, neighbours.who, neighbours.told)
+    force -= law_state[0] * own.disturbance
+    others = disagreement(law_state, 1, s, neighbours.vehicle_index, neighbours.message)
     force -= gains.k_c * others  # Eq. (21)
     change = np.zeros(law_state.shape[0])
-    change[0] = gains.alpha * np.sum(s * own.drift)  # Eq. (22)
+    change[0] = gains.alpha * np.sum(s * own.disturbance)  # Eq. (22)
     return bounded(force, own.max_force), change
 
 
 jump = with_edges(Gains)
 
 
-@compiled_tell(Gains)
-def tell(gains, law_state, own, neighbours, world, t):
+@compiled_broadcast(Gains)
+def broadcast(gains, law_state, own, neighbours, world, t):
     """Its s."""
     return sliding(gains, law_state, own, neighbours, world)[0].copy()
 
@@ -144,7 +144,7 @@ def tell(gains, law_state, own, neighbours, world, t):
 def connectivity_dynamic(params: ConnectivityDynamicParams, names: Sequence[str], d: int) -> Law:
     """The law for positions of shape (d,), in the paper's units.
 
-    `names` are those of all satellites in the order of `Body.who`.
+    `names` are those of all satellites in the order of `Body.vehicle_index`.
     """
     u = formation_potential(params.potential, params.formation, names)
     gains = Gains(
@@ -160,7 +160,9 @@ def connectivity_dynamic(params: ConnectivityDynamicParams, names: Sequence[str]
     )
     return CompiledLaw(
         gains,
-        lambda own: np.concatenate(([params.mass or own.mass], u.formation.first[own.who])),
+        lambda own: np.concatenate(
+            ([params.mass or own.mass], u.formation.first[own.vehicle_index])
+        ),
         rate,
-        words=d,
+        message_size=d,
     )

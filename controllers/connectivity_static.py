@@ -8,14 +8,14 @@ Equation numbers are that paper's.
     K_c, K_v     k_c, k_v         friction between neighbours, and against the frame       N s/m
     m_i hat      law_state[0]     estimated mass                                           kg
     a_ij         law_state[1:]    edges, see `graph`                                       -
-    Y_i          -own.drift       minus the acceleration without control, Eq. (8)          m/s^2
+    Y_i          -own.disturbance minus the acceleration without control, Eq. (8)          m/s^2
     alpha        alpha            adaptation gain                                     kg s^2/m^2
 
 Corrections to the print: (7) lost the dot of m_i hat'.
 
 Differences from the paper: the force is cut at own.max_force, direction kept. The proof does not
-know of that; where it never happens the theorem applies afterwards. On a level table own.drift is
-the estimated disturbance or zero, and the mass adapts to little or nothing.
+know of that; where it never happens the theorem applies afterwards. On a level table
+own.disturbance is the estimated disturbance or zero, and the mass adapts to little or nothing.
 """
 
 from collections.abc import Sequence
@@ -66,11 +66,11 @@ class Gains(NamedTuple):
 def rate(gains, law_state, own, neighbours, world, t):
     """Force and change of the estimated mass, see `testbed.core.law`."""
     force = -gradient(gains.potential, law_state, 1, own, neighbours, world) - gains.k_v * own.v
-    force -= law_state[0] * own.drift
-    others = disagreement(law_state, 1, own.v, neighbours.who, neighbours.v)
+    force -= law_state[0] * own.disturbance
+    others = disagreement(law_state, 1, own.v, neighbours.vehicle_index, neighbours.v)
     force -= gains.k_c * others  # Eq. (6)
     change = np.zeros(law_state.shape[0])
-    change[0] = gains.alpha * np.sum(own.v * own.drift)  # Eq. (7)
+    change[0] = gains.alpha * np.sum(own.v * own.disturbance)  # Eq. (7)
     return bounded(force, own.max_force), change
 
 
@@ -80,11 +80,13 @@ jump = with_edges(Gains)
 def connectivity_static(params: ConnectivityStaticParams, names: Sequence[str], d: int) -> Law:
     """The law for positions of shape (d,), in the paper's units.
 
-    `names` are those of all satellites in the order of `Body.who`.
+    `names` are those of all satellites in the order of `Body.vehicle_index`.
     """
     u = formation_potential(params.potential, params.formation, names)
     return CompiledLaw(
         Gains(u, params.k_c, params.k_v, params.alpha),
-        lambda own: np.concatenate(([params.mass or own.mass], u.formation.first[own.who])),
+        lambda own: np.concatenate(
+            ([params.mass or own.mass], u.formation.first[own.vehicle_index])
+        ),
         rate,
     )

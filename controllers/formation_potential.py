@@ -87,12 +87,12 @@ def pairs_gradient(u, law_state, start, own, neighbours):
     """Gradient of the first sum of Eq. (9), shape (d,) [N]."""
     total = np.zeros(own.p.shape[0])
     for k in range(neighbours.p.shape[0]):
-        j = neighbours.who[k]
+        j = neighbours.vehicle_index[k]
         if j < 0 or law_state[start + j] < 0.5:
             continue
         x = distance(own.p, neighbours.p[k])
-        d = u.formation.desired[own.who, j]
-        held = u.formation.first[own.who, j] > 0.5
+        d = u.formation.desired[own.vehicle_index, j]
+        held = u.formation.first[own.vehicle_index, j] > 0.5
         slope = log_potential(u.single, x, d, held)[1]
         add_gradient(u.pairs * slope, own.p, neighbours.p[k], x, total)
     return total

@@ -163,7 +163,7 @@ def formation(params: FormationParams, names: Sequence[str], led: bool = False) 
 
     Args:
         params: with pairs by name.
-        names: of all satellites, in the order of `Body.who`.
+        names: of all satellites, in the order of `Body.vehicle_index`.
         led: whether there is a leader.
 
     Raises:
@@ -249,9 +249,9 @@ def remember(formation, law_state, start, own, neighbours, world):
         a new law state.
     """
     after = law_state.copy()
-    i, n = own.who, formation.desired.shape[0] - 1
+    i, n = own.vehicle_index, formation.desired.shape[0] - 1
     for k in range(neighbours.p.shape[0]):
-        j = neighbours.who[k]
+        j = neighbours.vehicle_index[k]
         if j < 0:
             continue  # does not belong to the formation
         gap = distance(own.p, neighbours.p[k])

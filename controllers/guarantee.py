@@ -39,7 +39,7 @@ TRIES = 8  # starts from which a shape is looked for, the experiment's own first
 
 
 class Start(NamedTuple):
-    """How an experiment begins; all at rest, rows in the order of `Body.who`."""
+    """How an experiment begins; all at rest, rows in the order of `Body.vehicle_index`."""
 
     mass: Array  # (n,) [kg]
     p: Array  # (n, d) [m]
@@ -59,11 +59,11 @@ def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Con
     s = params.scale
     mass = np.full_like(start.mass, s.mass) if s.mass else start.mass
     accel, speed = s.length / s.time**2, s.length / s.time
-    rocks = start.obstacles
+    obstacles = start.obstacles
     scaled = Start(
         mass, start.p * s.length, start.goal_p * s.length, start.goal_v * speed,
         start.goal_accel * accel, start.max_force * accel * float(np.min(mass / start.mass)),
-        Discs(rocks.p * s.length, rocks.v * speed, rocks.radius * s.length),
+        Discs(obstacles.p * s.length, obstacles.v * speed, obstacles.radius * s.length),
     )  # fmt: skip
     if isinstance(params, Bounded):
         return _bounded(params, names, scaled)
@@ -99,12 +99,12 @@ def _demand(params: Unbounded, names: Sequence[str], start: Start) -> list[Conce
         return []  # its force is not the gradient
     u = formation_potential(params.potential, params.formation, names)
     wanted = np.zeros_like(start.p)
-    rocks, bodies = start.obstacles, range(len(start.p))
+    obstacles, bodies = start.obstacles, range(len(start.p))
     for i in bodies:
         slopes = [(start.p[j], _pull(u, start.p, i, j)) for j in bodies if j != i]
         slopes += [
             (p, _push(u, start.p[i], p, safe))
-            for p, safe in zip(rocks.p, rocks.radius, strict=True)
+            for p, safe in zip(obstacles.p, obstacles.radius, strict=True)
         ]
         for there, slope in slopes:
             x = float(np.linalg.norm(start.p[i] - there))

@@ -10,9 +10,10 @@ Source: B. D. O. Anderson, J. B. Moore, "Optimal Control: Linear Quadratic Metho
     Q, R        error, speed, accel  what is acceptable; weights are 1/x^2            m, m/s, m/s^2
     n           mean_motion      of the orbit, with feed = "orbit"                    rad/s
 
-`feed` says what is done about motion that no jet asked for: "drift" cancels own.drift, whatever it
-is; "orbit" puts Clohessy-Wiltshire into the model instead, for a goal that may lie anywhere; "none"
-leaves it to the feedback. The gain is designed for the jet period that the force is held for.
+`feed` says what is done about motion that no jet asked for: "disturbance" cancels own.disturbance,
+whatever it is; "orbit" puts Clohessy-Wiltshire into the model instead, for a goal that may lie
+anywhere; "none" leaves it to the feedback. The gain is designed for the jet period that the force
+is held for.
 
 The force is bounded by own.max_force, direction kept, of which the cost knows nothing.
 """
@@ -29,7 +30,7 @@ from testbed.core.law import Body, Concern, Law, Neighbours, World, bounded
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
-Feed = Literal["drift", "orbit", "none"]
+Feed = Literal["disturbance", "orbit", "none"]
 
 
 def check_orbit(feed: Feed, mean_motion: float) -> None:
@@ -47,7 +48,7 @@ class LqrParams(Struct, frozen=True, forbid_unknown_fields=True, tag="lqr"):
     error: Positive = 1.0  # [m]
     speed: Positive = 0.1  # [m/s]
     accel: Positive = 0.02  # [m/s^2]
-    feed: Feed = "drift"
+    feed: Feed = "disturbance"
     mean_motion: NonNegative = 0.0  # [rad/s]
     period: Positive = 0.1  # of a force, where nobody says how long it is held [s]
     scale: Scale = field(default_factory=Scale)
@@ -56,18 +57,18 @@ class LqrParams(Struct, frozen=True, forbid_unknown_fields=True, tag="lqr"):
         check_orbit(self.feed, self.mean_motion)
 
 
-def steady(generator: Array, state: Array, accel: Array, drift: Array, feed: Feed) -> Array:
+def steady(generator: Array, state: Array, accel: Array, disturbance: Array, feed: Feed) -> Array:
     """The acceleration that keeps a satellite on its goal, shape (..., d) [m/s^2].
 
     Args:
         generator: of the model, (2d, 2d).
         state: of the goal, (..., 2d).
         accel: its acceleration, (..., d).
-        drift: of the satellite, (d,).
+        disturbance: of the satellite, (d,).
         feed: what is done about that.
     """
-    a = accel - state @ generator[drift.shape[0] :].T
-    return a - drift if feed == "drift" else a
+    a = accel - state @ generator[disturbance.shape[0] :].T
+    return a - disturbance if feed == "disturbance" else a
 
 
 class Lqr:
@@ -96,7 +97,7 @@ class Lqr:
         """See `Decider`."""
         goal = np.concatenate((world.goal.p, world.goal.v))
         off = np.concatenate((own.p, own.v)) - goal
-        a = steady(self._generator, goal, world.goal.a, own.drift, self._params.feed)
+        a = steady(self._generator, goal, world.goal.a, own.disturbance, self._params.feed)
         a -= self.gain(duration) @ off
         return bounded(own.mass * a, own.max_force), law_state
 

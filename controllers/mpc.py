@@ -69,7 +69,7 @@ class MpcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="mpc"):
     step_s: Positive = 1.0
     margin: NonNegative = 0.05  # beyond the discs' radii [m]
     violation: Positive = 1e4  # price of giving up a metre of it
-    feed: Feed = "drift"
+    feed: Feed = "disturbance"
     mean_motion: NonNegative = 0.0  # [rad/s]
     period: Positive = 0.1  # of a force, where nobody says how long it is held [s]
     scale: Scale = field(default_factory=Scale)
@@ -190,7 +190,7 @@ class Mpc:
         a, v = goal.a + t * goal.jerk, goal.v + t * goal.a + t**2 / 2.0 * goal.jerk
         p = goal.p + t * goal.v + t**2 / 2.0 * goal.a + t**3 / 6.0 * goal.jerk
         states = np.concatenate((p, v), axis=1)
-        accels = steady(self._generator, states, a, own.drift, self._params.feed)
+        accels = steady(self._generator, states, a, own.disturbance, self._params.feed)
         return states[1:].ravel(), accels[:-1].ravel()
 
     def program(self, plan: Array, own: Body, neighbours: Neighbours, world: World) -> Program:
@@ -198,8 +198,8 @@ class Mpc:
         n, d, ahead, params = self._n, self._d, self._horizon, self._params
         goals, accels = self._goals(own, world)
         free = ahead.from_state @ np.concatenate((own.p, own.v))
-        if params.feed == "drift":
-            free += ahead.from_plan @ np.tile(own.drift, n)
+        if params.feed == "disturbance":
+            free += ahead.from_plan @ np.tile(own.disturbance, n)
         f = 2.0 * (ahead.from_plan.T @ (ahead.cost @ (free - goals)) - ahead.accel @ accels)
         path = (free + ahead.from_plan @ plan).reshape(n, 2 * d)[:, :d]
         times = params.step_s * np.arange(1, n + 1)[:, None]
@@ -235,7 +235,7 @@ class Mpc:
         z = solved(program, law_state[PLAN:])
         if z is None:
             after[FAILED] += 1.0
-            a, after[PLAN:] = -own.v / max(BRAKE_S, duration) - own.drift, 0.0
+            a, after[PLAN:] = -own.v / max(BRAKE_S, duration) - own.disturbance, 0.0
         else:
             given_up, plan = np.max(z[: program.m], initial=0.0), z[program.m :]
             after[SOFTENED] += given_up > NOTICED

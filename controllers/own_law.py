@@ -6,14 +6,16 @@
     parameters = { stiffness = 0.2 }
 
 `Mine` is called with the parameters, which must fit its annotations; if it has parameters `names`
-or `d`, it is also told the satellites' names in the order of `Body.who`, and how many coordinates a
-position has. What it returns is a law whole, such as a `CompiledLaw`, or an object that has
+or `d`, it is also told the satellites' names in the order of `Body.vehicle_index`, and how many
+coordinates a position has. What it returns is a law whole, such as a `CompiledLaw`, or an object
+that has
 
     force(own, neighbours, world, t)            the force, shape (d,) [N], or
     rate(law_state, own, neighbours, world, t)  the force and the rate of a state (n,) of its own
 
-and, where it needs them, `initial`, `jump`, `tell` and `words` as in `testbed.core.law`. An object
-in plain Python takes steps of `guidance.step_s`, or of its own `step_s` [s] if that is longer.
+and, where it needs them, `initial`, `jump`, `broadcast` and `message_size` as in
+`testbed.core.law`. An object in plain Python takes steps of `guidance.step_s`, or of its own
+`step_s` [s] if that is longer.
 
 Instead of a file, `law` may name an entry point of an installed package, in the group
 `testbed.laws`.
@@ -85,7 +87,7 @@ def law_of(
         raise
     except BaseException as error:  # it is the user's code, and may call sys.exit
         raise UnusableLawError("parameters", "some that it accepts", blame(error, path)) from error
-    whole = callable(getattr(law, "fly_ahead", None))
+    whole = callable(getattr(law, "propagate", None))
     return Watched(law if whole else PlainLaw(law, path), path)
 
 
@@ -103,7 +105,7 @@ def try_out(law: Law, satellites: int, d: int = 2) -> None:
     own = Body(somewhere(-1.3, 1)[0], still + 0.01, 10.0, still, still, 1.0, 0)
     goal = Goal(somewhere(1.1, 1)[0], still, still, still)
     n = max(0, satellites - 1)
-    told = np.zeros((n, law.words))
+    told = np.zeros((n, law.message_size))
     others = Neighbours(
         somewhere(0.4, n), np.zeros((n, d)), np.full(n, 0.5), np.arange(1, n + 1), told, np.zeros(n)
     )

@@ -3,14 +3,14 @@
 Source: any textbook, for instance K. J. Astrom, R. M. Murray, "Feedback Systems", 2nd ed., 2021,
 chapter 11. It is here as the baseline that shows what avoidance avoids.
 
-    force = m (w^2 (p_goal - p) + 2 z w (v_goal - v) + a_goal - drift)
+    force = m (w^2 (p_goal - p) + 2 z w (v_goal - v) + a_goal - disturbance)
 
     textbook     code         meaning                              unit
     omega_0      bandwidth    undamped natural frequency w         rad/s
     zeta         damping      z                                    -
 
-The disturbance that the estimator sees, own.drift, takes the place of the integral term. The force
-is bounded by own.max_force, direction kept.
+The disturbance that the estimator sees, own.disturbance, takes the place of the integral term. The
+force is bounded by own.max_force, direction kept.
 """
 
 from typing import NamedTuple
@@ -51,7 +51,7 @@ def rate(gains, law_state, own, neighbours, world, t):
             gains.stiffness * (world.goal.p[i] - own.p[i])
             + gains.damping * (world.goal.v[i] - own.v[i])
             + world.goal.a[i]
-            - own.drift[i]
+            - own.disturbance[i]
         )
     return bounded(force, own.max_force), np.empty(0)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from controllers.law_file import UnusableLawError, blame
 from testbed.core.error import TestbedError
-from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, fly_ahead
+from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, propagate
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ VERBS = {
     "rate": ("law_state", "own", "neighbours", "world", "t"),
     "initial": ("own", "neighbours", "world"),
     "jump": ("law_state", "own", "neighbours", "world", "t"),
-    "tell": ("law_state", "own", "neighbours", "world", "t"),
+    "broadcast": ("law_state", "own", "neighbours", "world", "t"),
 }
 
 
@@ -40,10 +40,10 @@ class PlainLaw:
             if callable(method):
                 _check_signature(verb, method, path)
         self._force, self._rate, self._initial = has["force"], has["rate"], has["initial"]
-        for verb in ("jump", "tell"):  # `fly_ahead` looks for them
+        for verb in ("jump", "broadcast"):  # `propagate` looks for them
             if callable(has[verb]):
                 setattr(self, verb, has[verb])
-        self.words = int(getattr(law, "words", 0))
+        self.message_size = int(getattr(law, "message_size", 0))
         self._step = float(getattr(law, "step_s", 0.0))
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
@@ -68,14 +68,14 @@ class PlainLaw:
             )
         return force, change
 
-    def fly_ahead(
+    def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
         if self._step > 0.0:
             steps = min(steps, math.ceil(duration / self._step - 1e-9))
-        plain: Any = fly_ahead
+        plain: Any = propagate
         return plain.py_func(self, law_state, own, neighbours, world, t, duration, steps)
 
 
@@ -94,7 +94,7 @@ class Watched:
 
     def __init__(self, law: Law, path: Path | None) -> None:
         self._law, self._path = law, path
-        self.words = law.words
+        self.message_size = law.message_size
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """What it has to say of the flight, if it says anything."""
@@ -119,12 +119,12 @@ class Watched:
         """See `Law`."""
         return self._watch("rate", law_state, own, neighbours, world, t)
 
-    def fly_ahead(
+    def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        ahead = self._watch("fly_ahead", law_state, own, neighbours, world, t, duration, steps)
+        ahead = self._watch("propagate", law_state, own, neighbours, world, t, duration, steps)
         if not np.isfinite(ahead.mean_force).all():
             name = self._path.name if self._path else "the law"
             raise LawError(f"{name}: a force that is no number, {ahead.mean_force}, at {t:g} s")

@@ -162,7 +162,7 @@ def gradient(u, own, force, neighbours, world):
     work = np.empty((9, d))  # one piece of memory: this is the innermost loop
     error, offset, g = work[:3], work[3:6], work[6:]
     for i in range(d):
-        accel = force[i] / own.mass + own.drift[i]
+        accel = force[i] / own.mass + own.disturbance[i]
         error[0, i] = own.p[i] - world.goal.p[i]
         error[1, i] = own.v[i] - world.goal.v[i]
         error[2, i] = accel - world.goal.a[i]

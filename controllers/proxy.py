@@ -18,7 +18,7 @@ wants. A spring that saturates ties the satellite to it, so the satellite's forc
     P                    weight            of the potential                              N/m
     Q                    height            of the potential                              m^2
     1                    mass              of the proxy                                  kg
-    m_i g_i (+ m_i C p') own.mass*own.drift what moves the satellite without a jet       N
+    m_i g_i (+ m_i C p') own.mass*own.disturbance what moves the satellite without a jet       N
 
 A proxy's mass is 1 kg in all three papers without being mentioned: they add a force to an
 acceleration. It is named here because it must be scaled with the rest.
@@ -28,7 +28,7 @@ velocity to now; without that those of a moving formation seem to lag and pull. 
 an addition, 0 as in the papers: the proxy is repelled where it is nearer than that to an obstacle's
 radius. For obstacles that stand still the proofs go through with it, a leader that moves spoils
 them. The spring's bound belongs to an axis, own.max_force to the norm of the whole force, which is
-cut at it last; a limit below own.max_force/sqrt(d) less mass times drift is never cut.
+cut at it last; a limit below own.max_force/sqrt(d) less mass times disturbance is never cut.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from controllers.bounded_potential import BoundedPotential, bounded_potential
 from controllers.graph import Formation, FormationParams, distance, formation, remember
 from testbed.core.compiled import compiled
-from testbed.core.law import Body, compiled_jump, compiled_tell
+from testbed.core.law import Body, compiled_broadcast, compiled_jump
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def coupling(
 
 def start(c: Coupling, own: Body) -> Array:
     """The proxy begins at rest where the satellite is, Eq. (10) of 2022, with the edges of E(0)."""
-    return np.concatenate((own.p, np.zeros_like(own.p), c.formation.first[own.who]))
+    return np.concatenate((own.p, np.zeros_like(own.p), c.formation.first[own.vehicle_index]))
 
 
 @compiled
@@ -122,12 +122,12 @@ def heard_proxy(neighbours, k, t, d):
     Where its law told nothing, the neighbour itself stands for its proxy.
     """
     q = np.empty((2, d))
-    told = neighbours.told.shape[1] >= 2 * d
-    late = t - neighbours.told_at[k]
+    told = neighbours.message.shape[1] >= 2 * d
+    late = t - neighbours.message_t[k]
     for i in range(d):
         if told:
-            q[1, i] = neighbours.told[k, d + i]
-            q[0, i] = neighbours.told[k, i] + late * q[1, i]
+            q[1, i] = neighbours.message[k, d + i]
+            q[0, i] = neighbours.message[k, i] + late * q[1, i]
         else:
             q[0, i], q[1, i] = neighbours.p[k, i], neighbours.v[k, i]
     return q
@@ -149,9 +149,9 @@ def potential_force(c, law_state, own, neighbours, world, t):
     """- sum_j a_ij grad_i P psi on the proxy, and obstacles, shape (d,) [N]."""
     d = own.p.shape[0]
     here, total = law_state[:d], np.zeros(d)
-    me, n = own.who, c.formation.desired.shape[0] - 1
+    me, n = own.vehicle_index, c.formation.desired.shape[0] - 1
     for k in range(neighbours.p.shape[0]):
-        j = neighbours.who[k]
+        j = neighbours.vehicle_index[k]
         if is_edge(law_state, d, j):
             there = heard_proxy(neighbours, k, t, d)[0]
             descend(c.potential, c.weight, here, there, c.formation.desired[me, j], total)
@@ -172,11 +172,11 @@ def _jump(gains, law_state, own, neighbours, world, t):
     return remember(gains.coupling.formation, law_state, 2 * own.p.shape[0], own, neighbours, world)
 
 
-def _tell(gains, law_state, own, neighbours, world, t):
+def _broadcast(gains, law_state, own, neighbours, world, t):
     """Where the proxy is and how fast."""
     return law_state[: 2 * own.p.shape[0]].copy()
 
 
 def with_proxy(gains_type: type) -> tuple[Callable, Callable]:
     """Jump and tell of a law whose gains have a `coupling`: what all laws with a proxy do."""
-    return compiled_jump(gains_type)(_jump), compiled_tell(gains_type)(_tell)
+    return compiled_jump(gains_type)(_jump), compiled_broadcast(gains_type)(_broadcast)

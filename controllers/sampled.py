@@ -93,7 +93,7 @@ class Decider(Protocol):
 class Sampled:
     """A `Law` that holds what it has decided."""
 
-    words = 0
+    message_size = 0
 
     def __init__(self, decider: Decider, period: float) -> None:
         """`period` is how long a force is held where nobody says: in `rate` [s]."""
@@ -108,13 +108,13 @@ class Sampled:
         force, _ = self._decider.decide(law_state, own, neighbours, world, self._period)
         return force, np.zeros_like(law_state)
 
-    def fly_ahead(
+    def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`; exact for a constant force, however many steps."""
         force, state = self._decider.decide(law_state, own, neighbours, world, duration)
-        h, a = duration, force / own.mass + own.drift
-        p = own.p + h * own.v + h**2 / 2.0 * a + h**3 / 6.0 * own.drift_rate
-        v = own.v + h * a + h**2 / 2.0 * own.drift_rate
+        h, a = duration, force / own.mass + own.disturbance
+        p = own.p + h * own.v + h**2 / 2.0 * a + h**3 / 6.0 * own.disturbance_rate
+        v = own.v + h * a + h**2 / 2.0 * own.disturbance_rate
         return Ahead(state, p, v, force, np.zeros(0))

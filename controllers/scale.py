@@ -27,7 +27,7 @@ from testbed.core.law import (
     Law,
     Neighbours,
     World,
-    fly_ahead,
+    propagate,
 )
 from testbed.core.vehicle import Positive
 
@@ -68,18 +68,18 @@ def scene_in(units, own, neighbours, world):
         own.p * units.length,
         own.v * units.speed,
         units.mass,
-        own.drift * units.accel,
-        own.drift_rate * units.jerk,
+        own.disturbance * units.accel,
+        own.disturbance_rate * units.jerk,
         own.max_force * units.force,
-        own.who,
+        own.vehicle_index,
     )
     others = Neighbours(
         heard.p * units.length,
         heard.v * units.speed,
         heard.radius * units.length,
-        heard.who,
-        heard.told,
-        heard.told_at * units.time,
+        heard.vehicle_index,
+        heard.message,
+        heard.message_t * units.time,
     )
     target = Goal(
         goal.p * units.length,
@@ -98,23 +98,23 @@ def home(units, ahead):
         ahead.p / units.length,
         ahead.v / units.speed,
         ahead.mean_force / units.force,
-        ahead.told,
+        ahead.message,
     )
 
 
 @compiled
 def fly_scaled(gains, units, law_state, own, neighbours, world, t, duration, steps):
-    """`fly_ahead` in the paper's world: one call, because crossing into compiled code costs."""
+    """`propagate` in the paper's world: one call, because crossing into compiled code costs."""
     body, others, scene = scene_in(units, own, neighbours, world)
     t, duration = t * units.time, duration * units.time
-    return home(units, fly_ahead(gains, law_state, body, others, scene, t, duration, steps))
+    return home(units, propagate(gains, law_state, body, others, scene, t, duration, steps))
 
 
 class Scaled:
     """A law of a paper's world, flown in this one."""
 
     def __init__(self, law: Law, scale: Scale) -> None:
-        self.law, self._mass, self.words = law, scale.mass, law.words
+        self.law, self._mass, self.message_size = law, scale.mass, law.message_size
         self._units = lru_cache(maxsize=8)(self._units_of)
         length, time = scale.length, scale.time
         self._rates = length, length / time, length / time**2, length / time**3, time
@@ -144,7 +144,7 @@ class Scaled:
         force, change = self.law.rate(law_state, body, others, scene, t * units.time)
         return force / units.force, change * units.time
 
-    def fly_ahead(
+    def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
@@ -156,5 +156,5 @@ class Scaled:
             )
         body, others, scene = scene_in(units, own, neighbours, world)
         t, duration = t * units.time, duration * units.time
-        ahead = law.fly_ahead(law_state, body, others, scene, t, duration, steps)
+        ahead = law.propagate(law_state, body, others, scene, t, duration, steps)
         return home(units, ahead)

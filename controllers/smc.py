@@ -9,7 +9,7 @@ Electronics 12:3179, 2023. Equation numbers are that paper's.
     k                   surface          gain of the surface, Table 4              1/s
     lambda_1, lambda_2  linear, root     gains of the reaching law                 1/s, -
     alpha               alpha            exponent of the reaching law              -
-    f                   own.drift        acceleration without control              m/s^2
+    f                   own.disturbance  acceleration without control              m/s^2
 
 Corrections to the print: the last term of Eq. (44), r_d, is the acceleration of the goal.
 
@@ -71,7 +71,7 @@ def rate(gains, law_state, own, neighbours, world, t):
             -gains.surface[i] * g[1, i]
             - gains.linear[i] * s
             - gains.root[i] * np.sign(s) * abs(s) ** gains.alpha
-            - own.drift[i]
+            - own.disturbance[i]
             + world.goal.a[i]
         )
     return bounded(force, own.max_force), np.empty(0)

@@ -16,7 +16,7 @@ Electronics 12:3179, 2023. Equation numbers are that paper's.
     beta, p/q       beta, power         terminal sliding mode                      -
     epsilon, eta    margin, adapt       switching margin, adaptation gain          m/s^3, -
     M0              own.mass            nominal mass                               kg
-    -C0 v - G0      own.drift           acceleration without control               m/s^2
+    -C0 v - G0      own.disturbance     acceleration without control               m/s^2
 
 Corrections to the print, because with it nothing moves: (15) prints k for the surface's gain while
 Table 3 lists both lambda = 1 and k = 1e-3; lambda belongs in (15), k in front of sigma in (28). The
@@ -25,7 +25,7 @@ last nominal term of (28) is s_dot^(2 - p/q), as follows from (25).
 Differences from the paper: the force is bounded by own.max_force, and the integral u behind it is
 cut at that bound, slowed down by `bound_change` and pulled back from beyond it, because an integral
 that asks for more than the jets have winds up (the paper's closing remark). s_dot uses the bounded
-force and own.drift, which on the table is the estimated disturbance.
+force and own.disturbance, which on the table is the estimated disturbance.
 """
 
 from typing import NamedTuple
@@ -123,7 +123,7 @@ def rate(gains, law_state, own, neighbours, world, t):
         sigma = s + sign * curve / gains.beta[i]  # Eq. (24)
         nominal = (  # Eq. (28)
             world.goal.jerk[i]
-            - own.drift_rate[i]
+            - own.disturbance_rate[i]
             - gains.surface[i] * g[2, i]
             - gains.beta[i] / power * sign * back
         )

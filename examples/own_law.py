@@ -19,7 +19,7 @@ class Spring(Struct, frozen=True):
     def force(self, own, neighbours, world, t):
         """Force in the table frame, shape (2,) [N]."""
         pull = self.stiffness * (world.goal.p - own.p)
-        return own.mass * (pull - self.damping * own.v - own.drift)
+        return own.mass * (pull - self.damping * own.v - own.disturbance)
 
 
 if __name__ == "__main__":

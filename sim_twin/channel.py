@@ -70,7 +70,7 @@ class Channel(Generic[M]):
         self._on_the_way, self._number, self._message = [], self._sent, None
 
 
-class Air(Generic[M]):
+class RadioMedium(Generic[M]):
     """The channels of one kind of message between many, each made when it is first used."""
 
     def __init__(self, make: Callable[[str, str], Channel[M]]) -> None:

@@ -28,7 +28,7 @@ class Solids(NamedTuple):
 
 
 @compiled
-def candidate(x, metal, ground, solids, t, i, key):
+def candidate(x, parameters, ground, solids, t, i, key):
     """Gap and normal of one possible contact of vehicle `i`.
 
     `key` counts the other vehicles first, then the right, left, upper and lower edge, then the
@@ -41,11 +41,11 @@ def candidate(x, metal, ground, solids, t, i, key):
     if key < vehicles:
         ox, oy = x[i, 0] - x[key, 0], x[i, 1] - x[key, 1]
         ux, uy = x[i, 3] - x[key, 3], x[i, 4] - x[key, 4]
-        reach = metal.radius[i] + metal.radius[key]
+        reach = parameters.radius[i] + parameters.radius[key]
     elif key < vehicles + EDGES:
         edge = key - vehicles
         axis, side = edge // 2, 1.0 - 2.0 * (edge % 2)
-        gap = ground.half[axis] - metal.radius[i] - side * x[i, axis]
+        gap = ground.half[axis] - parameters.radius[i] - side * x[i, axis]
         speed = -side * x[i, 3 + axis]
         return gap, -side * (1.0 - axis), -side * axis, speed
     else:
@@ -53,7 +53,7 @@ def candidate(x, metal, ground, solids, t, i, key):
         ox = x[i, 0] - solids.p[k, 0] - t * solids.v[k, 0]
         oy = x[i, 1] - solids.p[k, 1] - t * solids.v[k, 1]
         ux, uy = x[i, 3] - solids.v[k, 0], x[i, 4] - solids.v[k, 1]
-        reach = metal.radius[i] + solids.radius[k]
+        reach = parameters.radius[i] + solids.radius[k]
     distance = np.sqrt(ox * ox + oy * oy)
     if distance == 0.0:
         return -reach, 1.0, 0.0, ux
@@ -68,27 +68,27 @@ def keys(vehicles, solids):
 
 
 @compiled
-def closing(x, metal, ground, solids, t):
+def closing(x, parameters, ground, solids, t):
     """Whether any two bodies overlap and still approach."""
     vehicles = x.shape[0]
     for i in range(vehicles):
         for key in range(keys(vehicles, solids.p.shape[0])):
             if key <= i and key < vehicles:
                 continue
-            gap, _, _, speed = candidate(x, metal, ground, solids, t, i, key)
+            gap, _, _, speed = candidate(x, parameters, ground, solids, t, i, key)
             if gap < 0.0 and speed < 0.0:
                 return True
     return False
 
 
 @compiled
-def yielding(x, metal, used, i, nx, ny):
+def yielding(x, parameters, used, i, nx, ny):
     """What an impulse along the normal does to vehicle `i`.
 
     Returns:
         (1/effective mass, 1/mass, arm / inertia, and the centre of mass from the origin in W x, y).
     """
-    mass, inertia, cx, cy = body_now(metal, i, used[i])
+    mass, inertia, cx, cy = body_now(parameters, i, used[i])
     c, s = np.cos(x[i, 2]), np.sin(x[i, 2])
     rx, ry = c * cx - s * cy, s * cx + c * cy
     arm = -rx * ny + ry * nx
@@ -96,9 +96,9 @@ def yielding(x, metal, used, i, nx, ny):
 
 
 @compiled
-def push(x, metal, used, i, nx, ny, impulse):
+def push(x, parameters, used, i, nx, ny, impulse):
     """Apply an impulse [N s] along the normal to vehicle `i`, through its disc's centre."""
-    _, per_mass, per_inertia, rx, ry = yielding(x, metal, used, i, nx, ny)
+    _, per_mass, per_inertia, rx, ry = yielding(x, parameters, used, i, nx, ny)
     spin = impulse * per_inertia
     x[i, 5] += spin
     x[i, 3] += impulse * nx * per_mass + spin * ry
@@ -106,12 +106,12 @@ def push(x, metal, used, i, nx, ny, impulse):
 
 
 @compiled
-def resolve(x, metal, used, ground, solids, t, last_touch, touches, count):
+def resolve(x, parameters, used, ground, solids, t, last_touch, touches, count):
     """Impulses for everything that overlaps and approaches, and the overlap taken out, in place.
 
     Args:
         x: states, shape (v, 6).
-        metal: the true vehicles.
+        parameters: the true vehicles.
         used: gas gone, shape (v,) [kg].
         ground: the table.
         solids: what stands on it.
@@ -128,22 +128,22 @@ def resolve(x, metal, used, ground, solids, t, last_touch, touches, count):
         for key in range(keys(vehicles, solids.p.shape[0])):
             if key <= i and key < vehicles:
                 continue
-            gap, nx, ny, speed = candidate(x, metal, ground, solids, t, i, key)
+            gap, nx, ny, speed = candidate(x, parameters, ground, solids, t, i, key)
             if gap >= 0.0 or speed >= 0.0:
                 continue
             bounce = ground.restitution if speed < -SOFT else 0.0
-            soft_i, per_mass_i, _, _, _ = yielding(x, metal, used, i, nx, ny)
+            soft_i, per_mass_i, _, _, _ = yielding(x, parameters, used, i, nx, ny)
             if key < vehicles:
-                soft_k, per_mass_k, _, _, _ = yielding(x, metal, used, key, nx, ny)
+                soft_k, per_mass_k, _, _, _ = yielding(x, parameters, used, key, nx, ny)
                 impulse = -(1.0 + bounce) * speed / (soft_i + soft_k)
                 share = per_mass_i / (per_mass_i + per_mass_k)
-                push(x, metal, used, key, nx, ny, -impulse)
+                push(x, parameters, used, key, nx, ny, -impulse)
                 x[key, 0] += (1.0 - share) * gap * nx
                 x[key, 1] += (1.0 - share) * gap * ny
             else:
                 impulse = -(1.0 + bounce) * speed / soft_i
                 share = 1.0
-            push(x, metal, used, i, nx, ny, impulse)
+            push(x, parameters, used, i, nx, ny, impulse)
             x[i, 0] -= share * gap * nx
             x[i, 1] -= share * gap * ny
             if t - last_touch[i, key] > SAME_TOUCH and count < touches.shape[0]:

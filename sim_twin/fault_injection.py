@@ -52,7 +52,9 @@ class Sabotage:
         """`boards` are modelled, and lose their power here; real ones lose it elsewhere."""
         self._boards = boards
         self._plant, self._half = plant, half
-        self._rocks = [(*rock.position, *rock.velocity) for rock in obstacles.values()]
+        self._obstacles = [
+            (*obstacle.position, *obstacle.velocity) for obstacle in obstacles.values()
+        ]
         self._active = [Active(one) for one in injections]
         self._frozen: dict[str, PoseSample] = {}
         self._rng = stream(seed, "sabotage")
@@ -195,7 +197,8 @@ class Sabotage:
         match what.event:
             case "near_obstacle":
                 gaps = [
-                    math.hypot(px + t * wx - x, py + t * wy - y) for px, py, wx, wy in self._rocks
+                    math.hypot(px + t * wx - x, py + t * wy - y)
+                    for px, py, wx, wy in self._obstacles
                 ]
                 return min(gaps, default=NEVER) < limit
             case "near_vehicle":

@@ -48,7 +48,7 @@ PADS = 0.5  # the pads' distance from the middle over the radius of the vehicle 
 
 
 @inlined
-def drift(x, spent, stages, metal, ground, windows, start, end):
+def drift(x, spent, stages, parameters, ground, windows, start, end):
     """Move every vehicle from `start` to `end` of the window without looking at contacts."""
     cuts, value, slope, count = windows
     used, impulse = spent
@@ -60,16 +60,16 @@ def drift(x, spent, stages, metal, ground, windows, start, end):
             h = b - a
             now = value[v, i] + slope[v, i] * (a - cuts[v, i])
             rate = slope[v, i]
-            used[v], pushed = breathe(stages, now, rate, h, metal, v, used[v])
+            used[v], pushed = breathe(stages, now, rate, h, parameters, v, used[v])
             impulse[v] += pushed
-            if metal.grip[v, 0] > 0.0:
-                slide(x[v], h, metal.grip[v])
+            if parameters.grip[v, 0] > 0.0:
+                slide(x[v], h, parameters.grip[v])
             else:
-                step(x[v], h, stages, metal.drag[v], metal.spin_drag[v], ground)
+                step(x[v], h, stages, parameters.drag[v], parameters.spin_drag[v], ground)
 
 
 @compiled
-def cut_windows(pulses, metal, origin, span):
+def cut_windows(pulses, parameters, origin, span):
     """flow.pieces for every vehicle, padded to the longest."""
     vehicles, jets = pulses.up.shape[0], pulses.up.shape[1]
     room = 4 * jets * SLOTS + 1
@@ -79,7 +79,13 @@ def cut_windows(pulses, metal, origin, span):
     for v in range(vehicles):
         own = Pulses(pulses.up[v], pulses.down[v], pulses.strength[v])
         start, level, rate = pieces(
-            own, metal.timing[v], metal.effect[v], metal.thrust[v], metal.droop[v], origin, span
+            own,
+            parameters.timing[v],
+            parameters.effect[v],
+            parameters.thrust[v],
+            parameters.droop[v],
+            origin,
+            span,
         )
         n = level.shape[0]
         count[v] = n
@@ -90,13 +96,13 @@ def cut_windows(pulses, metal, origin, span):
 
 
 @compiled
-def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_touch, touches):
+def advance(x, spent, parameters, ground, solids, pulses, origin, span, marks, last_touch, touches):
     """Advance the fleet over one window, in place.
 
     Args:
         x: states, shape (v, 6), see body.py.
         spent: gas gone [kg] and impulse of all jets together [N s], both of shape (v,).
-        metal: the true vehicles.
+        parameters: the true vehicles.
         ground: the table.
         solids: what can be hit.
         pulses: board.Pulses with a leading vehicle axis.
@@ -109,9 +115,14 @@ def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_t
     Returns:
         states at the marks (n, v, 6), and rows used in `touches`.
     """
-    x, metal, ground, solids = borrowed(x), borrowed(metal), borrowed(ground), borrowed(solids)
+    x, parameters, ground, solids = (
+        borrowed(x),
+        borrowed(parameters),
+        borrowed(ground),
+        borrowed(solids),
+    )
     used, impulse = borrowed(spent)
-    own_windows, own_stages = cut_windows(borrowed(pulses), metal, origin, span), new_stages()
+    own_windows, own_stages = cut_windows(borrowed(pulses), parameters, origin, span), new_stages()
     windows, stages = borrowed(own_windows), borrowed(own_stages)
     seen = np.empty((marks.shape[0], x.shape[0], 6))
     start = x.copy(), used.copy(), impulse.copy()  # of a step that may have to be cut short
@@ -126,22 +137,24 @@ def advance(x, spent, metal, ground, solids, pulses, origin, span, marks, last_t
             if end > target - HAIR:
                 end = target
             before[0][:], before[1][:], before[2][:] = x, used, impulse
-            drift(x, spent, stages, metal, ground, windows, t, end)
-            if closing(x, metal, ground, solids, origin * 1e-9 + end):
+            drift(x, spent, stages, parameters, ground, windows, t, end)
+            if closing(x, parameters, ground, solids, origin * 1e-9 + end):
                 low, high = t, end
                 if not resting:
                     for _ in range(BISECTIONS):
                         middle = 0.5 * (low + high)
                         x[:], used[:], impulse[:] = before
-                        drift(x, spent, stages, metal, ground, windows, t, middle)
-                        if closing(x, metal, ground, solids, origin * 1e-9 + middle):
+                        drift(x, spent, stages, parameters, ground, windows, t, middle)
+                        if closing(x, parameters, ground, solids, origin * 1e-9 + middle):
                             high = middle
                         else:
                             low = middle
                     x[:], used[:], impulse[:] = before
-                    drift(x, spent, stages, metal, ground, windows, t, high)
+                    drift(x, spent, stages, parameters, ground, windows, t, high)
                 now = origin * 1e-9 + high
-                count = resolve(x, metal, used, ground, solids, now, last_touch, touches, count)
+                count = resolve(
+                    x, parameters, used, ground, solids, now, last_touch, touches, count
+                )
                 resting = True
                 t = high
             else:
@@ -177,7 +190,7 @@ class Plant:
         self.names = list(vehicles)
         solid = {name: o for name, o in obstacles.items() if o.solid > 0.0}
         self._others = [*self.names, "right edge", "left edge", "upper edge", "lower edge", *solid]
-        self.metal = sample_plant(vehicles, seed)
+        self.parameters = sample_plant(vehicles, seed)
         self._ground = lay(table)
         self._solids = Solids(
             np.array([o.position for o in solid.values()], dtype=float).reshape(-1, 2),
@@ -189,7 +202,7 @@ class Plant:
         self.x[:, :3] = [(starts[n].x, starts[n].y, starts[n].theta) for n in self.names]
         self.used = np.zeros(count)  # gas [kg]
         self.impulse = np.zeros(count)  # of all jets together [N s]
-        self._pulses = no_pulses(count, self.metal.thrust.shape[1])
+        self._pulses = no_pulses(count, self.parameters.thrust.shape[1])
         self.boards: dict[str, Board | FirmwareBoard] = {}
         for k, (name, vehicle) in enumerate(vehicles.items()):
             own = vehicle, self._pulses_of(k), stream(seed, name, "pulses")
@@ -217,16 +230,16 @@ class Plant:
 
     def leak(self, k: int, gas: float) -> None:
         """Vehicle number `k` loses `gas` [kg]."""
-        self.used[k] = min(self.used[k] + gas, self.metal.gas[k])
+        self.used[k] = min(self.used[k] + gas, self.parameters.gas[k])
 
     def land(self, k: int) -> None:
         """Shut the air of vehicle number `k` off at the tank: no jet, and no bearing."""
-        self.metal.effect[k] = self.metal.thrust[k] = 0.0
-        self.metal.bearing_flow[k] = 0.0
+        self.parameters.effect[k] = self.parameters.thrust[k] = 0.0
+        self.parameters.bearing_flow[k] = 0.0
         self.landed.setdefault(k, self.t)
-        metal, slows = self.metal, FRICTION * GRAVITY
-        turns = slows * PADS * metal.radius[k] * metal.mass[k] / metal.inertia[k]
-        metal.grip[k] = slows, turns
+        parameters, slows = self.parameters, FRICTION * GRAVITY
+        turns = slows * PADS * parameters.radius[k] * parameters.mass[k] / parameters.inertia[k]
+        parameters.grip[k] = slows, turns
 
     def played(self) -> Pulses:
         """What the valves do: what the boards say, but for those that are stuck or leak."""
@@ -255,7 +268,9 @@ class Plant:
     @property
     def stands(self) -> bool:
         """Whether nothing moves any more: all vehicles stand on the stone, no obstacle comes."""
-        return bool(self.metal.grip.all() and not self.x[:, 3:].any() and not self._solids.v.any())
+        return bool(
+            self.parameters.grip.all() and not self.x[:, 3:].any() and not self._solids.v.any()
+        )
 
     def advance(
         self, t: float, marks: Array | Sequence[float] = (), *, boards: bool = True
@@ -272,7 +287,7 @@ class Plant:
         seen, count = self._advance(
             self.x,
             (self.used, self.impulse),
-            self.metal,
+            self.parameters,
             self._ground,
             self._solids,
             self.played(),

@@ -42,12 +42,13 @@ def sample_plant(vehicles: Mapping[str, Vehicle], seed: int) -> Metal:
     """Draw the true vehicles."""
     jets = max(len(v.jets) for v in vehicles.values())
     drawn = [
-        _forge_one(vehicle, stream(seed, name, "metal"), jets) for name, vehicle in vehicles.items()
+        _sample_one(vehicle, stream(seed, name, "metal"), jets)
+        for name, vehicle in vehicles.items()
     ]
     return Metal(*(np.array(column) for column in zip(*drawn, strict=True)))
 
 
-def _forge_one(vehicle: Vehicle, rng: np.random.Generator, jets: int) -> Metal:
+def _sample_one(vehicle: Vehicle, rng: np.random.Generator, jets: int) -> Metal:
     spread, air, valve = vehicle.tolerance, vehicle.air, vehicle.valve
     effect, thrust = np.zeros((3, jets)), np.zeros(jets)
     for j, jet in enumerate(vehicle.jets):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim_twin.board import Driver
 from sim_twin.camera import Camera
-from sim_twin.channel import Air, Channel
+from sim_twin.channel import Channel, RadioMedium
 from sim_twin.fault_injection import Sabotage
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
@@ -73,9 +73,11 @@ class Twin:
 
         self.listeners = frozenset(listeners)
         self.setpoints = {n: channel("host", n) for n in self.names}
-        self.to_host: Air[State] = Air(channel)
-        self.states: Air[State] = Air(channel)
-        self.words: Air[LawMessage] = Air(lambda a, b: channel(a, f"the law of {b}"))
+        self.to_host: RadioMedium[State] = RadioMedium(channel)
+        self.states: RadioMedium[State] = RadioMedium(channel)
+        self.messages: RadioMedium[LawMessage] = RadioMedium(
+            lambda a, b: channel(a, f"the law of {b}")
+        )
         self._reach = link.range_m
         self._near_at = -math.inf
         self._near = {n: [other for other in self.names if other != n] for n in self.names}
@@ -116,7 +118,7 @@ class Twin:
                 near = [self.names[k] for k in np.flatnonzero(row <= self._reach).tolist()]
                 for gone in set(self._near[one]).difference(near):
                     self.states.part(one, gone)
-                    self.words.part(one, gone)
+                    self.messages.part(one, gone)
                 self._near[one] = near
         return self._near[name]
 
@@ -196,17 +198,17 @@ class TwinVehicleLink:
             if other in twin.listeners:
                 twin.states.between(self._name, other).send(now, state, twin.trouble(other))
 
-    def told(self) -> dict[str, LawMessage]:
+    def messages(self) -> dict[str, LawMessage]:
         """See `VehicleLink`."""
         twin, own = self._twin, self._name
-        return twin.words.heard(own, twin.near(own), twin.now)
+        return twin.messages.heard(own, twin.near(own), twin.now)
 
-    def tell(self, told: LawMessage) -> None:
+    def broadcast(self, message: LawMessage) -> None:
         """See `VehicleLink`."""
         twin = self._twin
         for other in twin.near(self._name):
             if other in twin.listeners:
-                twin.words.between(self._name, other).send(twin.now, told)
+                twin.messages.between(self._name, other).send(twin.now, message)
 
 
 class TwinHostLink:
@@ -230,17 +232,17 @@ class TwinHostLink:
         twin = self._twin
         twin.setpoints[self._name].send(twin.now, setpoint, twin.trouble(self._name))
 
-    def told(self) -> dict[str, LawMessage]:
+    def messages(self) -> dict[str, LawMessage]:
         """See `HostLink`. The laws share a computer, and hear what was said before this tick."""
-        words = {}
+        messages = {}
         for name, (said_at, newest, before) in self._twin.blackboard.items():
-            told = newest if said_at < self._twin.now else before
-            if name != self._name and told is not None:
-                words[name] = told
-        return words
+            message = newest if said_at < self._twin.now else before
+            if name != self._name and message is not None:
+                messages[name] = message
+        return messages
 
-    def tell(self, told: LawMessage) -> None:
+    def broadcast(self, message: LawMessage) -> None:
         """See `HostLink`."""
         board, now = self._twin.blackboard, self._twin.now
         _, newest, _ = board.get(self._name, (now, None, None))
-        board[self._name] = (now, told, newest)
+        board[self._name] = (now, message, newest)

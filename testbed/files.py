@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Where to write a file that takes its place in one step, when all is written."""
     part = path.with_name(path.name + ".part")
     try:
@@ -34,5 +34,5 @@ def write_atomic(path: Path, data: bytes) -> None:
     Raises:
         OSError: it cannot be written; what was there before still is.
     """
-    with whole(path) as part:
+    with atomic_write(path) as part:
         part.write_bytes(data)

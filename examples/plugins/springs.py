@@ -26,7 +26,7 @@ class Springs(Struct, frozen=True):
         """The force (d,) [N]."""
         pull = world.goal.p - own.p
         pull = self.stiffness * pull / max(1.0, float(np.linalg.norm(pull)))
-        a = pull - self.damping * own.v - own.drift
+        a = pull - self.damping * own.v - own.disturbance
         for things in (world.obstacles, neighbours):
             for p, radius in zip(things.p, things.radius, strict=True):
                 away = own.p - p

@@ -35,7 +35,7 @@ UNLIKE = "unlike.txt"  # in a run's folder: what was not the same the second tim
 MOST_WARMED = 20  # combinations of a grid; others are compiled by their worker
 
 
-class Crew(Struct, frozen=True):
+class Fliers(Struct, frozen=True):
     """How runs are flown, handed in from above: both run in a worker."""
 
     fly: Callable[[str, Sequence[Task]], list[Flown]]
@@ -56,7 +56,7 @@ class Crew(Struct, frozen=True):
             yield client
 
 
-class Watch:
+class CampaignObserver:
     """Whoever watches a campaign; this one does not."""
 
     def begun(self, total: int, runs: Sequence[Flown]) -> None:
@@ -140,8 +140,8 @@ def fly_campaign(
     campaign: Campaign,
     text: bytes,
     folder: Path,
-    crew: Crew,
-    watch: Watch,
+    fliers: Fliers,
+    watch: CampaignObserver,
     finish: Callable[[Ended], object] = lambda ended: None,
 ) -> Ended:
     """Fly what the journal does not have yet, and keep what failed.
@@ -150,7 +150,7 @@ def fly_campaign(
         campaign: to fly.
         text: of its file.
         folder: of the campaign; it may hold the beginning of the same one.
-        crew: who flies.
+        fliers: who flies.
         watch: who is told.
         finish: writes the results, while nobody else may write there.
 
@@ -169,19 +169,19 @@ def fly_campaign(
         watch.begun(campaign.count, list(runs.values()))
         wall = 0.0
         if tasks or missing_folders(campaign, runs, folder):
-            if crew.scheduler is None:
+            if fliers.scheduler is None:
                 some = tasks[: min(MOST_WARMED, campaign.combinations)]
-                compile_first(campaign.base, some, crew.read, crew.warm, campaign.file.limit_s)
-            with crew.workers(max(1, len(tasks))) as client:
+                compile_first(campaign.base, some, fliers.read, fliers.warm, campaign.file.limit_s)
+            with fliers.workers(max(1, len(tasks))) as client:
                 watch.flying(partial(count_workers, client))
                 began = time.perf_counter()
-                for flown in _fleet(client, campaign, crew).results(tasks):
+                for flown in _fleet(client, campaign, fliers).results(tasks):
                     run = within(flown, campaign.file.most, campaign.file.least)
                     journal.append(run)
                     runs[run.k] = run
                     watch.flown(run)
                 wall = time.perf_counter() - began
-                keep_failures(client, campaign, runs, folder, crew, watch)
+                keep_failures(client, campaign, runs, folder, fliers, watch)
         unlike = [
             k for k in kept_runs(campaign, runs) if (failure_folder(folder, k) / UNLIKE).exists()
         ]
@@ -190,8 +190,8 @@ def fly_campaign(
     return ended
 
 
-def _fleet(client: Any, campaign: Campaign, crew: Crew) -> Fleet[Task, Flown]:
-    fly = partial(crew.fly, campaign.base)
+def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> Fleet[Task, Flown]:
+    fly = partial(fliers.fly, campaign.base)
     limit_s = campaign.file.limit_s
     return Fleet(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
 
@@ -231,8 +231,8 @@ def keep_failures(
     campaign: Campaign,
     runs: dict[int, Flown],
     folder: Path,
-    crew: Crew,
-    watch: Watch,
+    fliers: Fliers,
+    watch: CampaignObserver,
 ) -> None:
     """Fly failures once more, with a log."""
     missing = missing_folders(campaign, runs, folder)
@@ -241,7 +241,7 @@ def keep_failures(
     watch.keeping(len(missing))
     fleet: Fleet[Task, Kept] = Fleet(
         client,
-        partial(crew.fly_with_log, campaign.base),
+        partial(fliers.fly_with_log, campaign.base),
         lambda task: Kept(task[0], {"error.txt": b"its workers died\n"}, {}),
         lambda kept: 1.0,
         campaign.file.limit_s,

@@ -7,7 +7,7 @@ from typing import Any
 from testbed.campaign.extra import needs_extra
 from testbed.campaign.row import Flown
 from testbed.campaign.sweep import Campaign
-from testbed.files import whole
+from testbed.files import atomic_write
 
 Table = dict[str, list[Any]]
 
@@ -48,5 +48,5 @@ def write_parquet(path: Path, table: Table, facts: dict[str, str]) -> None:
         for name, column in table.items()
     }
     arrow = pyarrow.table(numbers).replace_schema_metadata(facts)
-    with whole(path) as part:
+    with atomic_write(path) as part:
         parquet.write_table(arrow, part, compression="zstd")

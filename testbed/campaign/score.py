@@ -33,8 +33,8 @@ def beside_metrics(
     numbers: dict[str, dict[str, float | int | None]] = {}
     for k, (name, setup) in enumerate(experiment.vehicles.items()):
         gaps = [
-            distance - experiment.obstacles[rock].radius
-            for rock, distance in obstacle_distances(track, k, experiment.obstacles).items()
+            distance - experiment.obstacles[obstacle].radius
+            for obstacle, distance in obstacle_distances(track, k, experiment.obstacles).items()
         ]
         window = late & end if setup.path is None else late
         off = track.states[window, k, :2] - goal_at(setup, track.t[window])

@@ -13,7 +13,7 @@ from pathlib import Path
 from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_of
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, dump, loads
-from testbed.realtime.scheduling import settle, steady
+from testbed.realtime.scheduling import no_garbage_collection, settle
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin, warm_up
 from testbed.run.fly import fly_and_judge
@@ -31,7 +31,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
         experiment = read(base, overrides)
         seed = experiment.seed
         judge, rig = MetricsObserver(experiment.vehicles), make_twin(experiment)
-        with steady():
+        with no_garbage_collection():
             ending = rig.fly(judge)
         completed = ending.fault is None
         metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)

@@ -36,7 +36,7 @@ def fly_once(experiment: Experiment, seed: int) -> Flown:
     ending = rig.fly(witness)
     track, models = rig.track(), {n: s.model for n, s in experiment.vehicles.items()}
     radii = [model.radius for model in models.values()]
-    solid = {n: rock for n, rock in experiment.obstacles.items() if rock.solid > 0.0}
+    solid = {n: obstacle for n, obstacle in experiment.obstacles.items() if obstacle.solid > 0.0}
     rims = [
         distance - radius - solid[name].solid
         for k, radius in enumerate(radii)

@@ -22,7 +22,7 @@ from testbed.campaign.benchmark import (
 )
 from testbed.campaign.code import code_digest
 from testbed.campaign.engine import workers
-from testbed.campaign.flight import Crew, fly_campaign
+from testbed.campaign.flight import Fliers, fly_campaign
 from testbed.campaign.folders import score_folders
 from testbed.campaign.page import COLUMNS, page
 from testbed.campaign.sweep import experiment_path
@@ -113,12 +113,12 @@ def fly_benchmark(
     campaigns = {name: scenario_campaign(path, file, name) for name in file.scenarios}
     table: list[Score] = []
     with workers(jobs, scheduler) as client:
-        crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler, client)
+        fliers = Fliers(fly_batch, fly_with_log, warm, read, jobs, scheduler, client)
         for name, campaign in campaigns.items():
             finish = partial(write_results, campaign, folder=folder / name)
             with Bar(name) as watch:
                 ended = fly_campaign(
-                    campaign, path.read_bytes(), folder / name, crew, watch, finish
+                    campaign, path.read_bytes(), folder / name, fliers, watch, finish
                 )
             table += scores(campaign, name, ended.runs)
     return table

@@ -13,8 +13,8 @@ from rich.table import Table as Grid
 from testbed.campaign.engine import EngineError
 from testbed.campaign.extra import MissingExtraError
 from testbed.campaign.flight import (
-    Crew,
     Ended,
+    Fliers,
     flown_before,
     fly_campaign,
     open_journal,
@@ -50,10 +50,10 @@ def run_campaign(
         with redirect_stdout(sys.stderr):  # what a law prints is not what the campaign says
             campaign = load_campaign(path)
         folder = out or Path("runs") / f"campaign_{campaign.file.name}"
-        crew = Crew(fly_batch, fly_with_log, warm, read, jobs, scheduler)
+        fliers = Fliers(fly_batch, fly_with_log, warm, read, jobs, scheduler)
         with interrupt.caught(), interrupt.at_once(), watch, redirect_stdout(sys.stderr):
             ended = fly_campaign(
-                campaign, path.read_bytes(), folder, crew, watch,
+                campaign, path.read_bytes(), folder, fliers, watch,
                 lambda ended: summaries.append(write_results(campaign, ended, folder)),
             )  # fmt: skip
         if ended is None:

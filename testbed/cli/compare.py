@@ -19,7 +19,7 @@ from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 from testbed.metrics.formation import has_formation
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.chart import HUES, Chart, Disc, Item, Limit, Line
-from testbed.report.goal_error import Wanted
+from testbed.report.goal_error import GoalError
 from testbed.report.page import (
     OF_A_GOAL,
     ROWS,
@@ -170,7 +170,7 @@ def charts(runs: Sequence[Run]) -> list[Chart]:
     first = runs[0].experiment
     half_x, half_y = first.table.size[0] / 2, first.table.size[1] / 2
     tracks: list[Item] = [
-        Disc(*rock.position, rock.radius, "danger") for rock in first.obstacles.values()
+        Disc(*obstacle.position, obstacle.radius, "danger") for obstacle in first.obstacles.values()
     ]
     errors_: list[Item] = []
     clear: list[Item] = []
@@ -179,7 +179,7 @@ def charts(runs: Sequence[Run]) -> list[Chart]:
     titles: list[str] = []
     end = max(run.history.end for run in runs)
     for k, run in enumerate(runs):
-        rocks, asked = list(run.experiment.obstacles.values()), Wanted(run.experiment)
+        obstacles, asked = list(run.experiment.obstacles.values()), GoalError(run.experiment)
         titles.append(asked.title)
         style = STYLES[k % len(STYLES)]
         times, places = run.history.together()
@@ -191,11 +191,11 @@ def charts(runs: Sequence[Run]) -> list[Chart]:
             tracks.append(Line(state[:, 0], state[:, 1], k, label, style))
             speeds.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, label, style))
             gas.append(Line(vehicle.t, vehicle.tank / 1e6, k, label, style))
-            if rocks:
+            if obstacles:
                 gaps = [
                     np.hypot(*(state[:, :2] - np.array(r.position) - np.outer(t, r.velocity)).T)
                     - r.radius
-                    for r in rocks
+                    for r in obstacles
                 ]
                 clear.append(Line(t, np.min(gaps, axis=0), k, label, style))
     span = (0.0, max(end, 1e-3))

@@ -38,7 +38,7 @@ class Dashboard:
     def __init__(self, run: Path, kind: Kind, address: Address) -> None:
         self._run, self._kind, self.address = run, kind, address
         self.viewer: subprocess.Popen[bytes] | None = None
-        self.teller: subprocess.Popen[bytes] | None = None
+        self.feeder: subprocess.Popen[bytes] | None = None
         self.restarts = 0
 
     def open(self, waited: Callable[[float], bool]) -> None:
@@ -59,32 +59,32 @@ class Dashboard:
         self._tell()
 
     def _tell(self) -> None:
-        self.teller = subprocess.Popen(
+        self.feeder = subprocess.Popen(
             [sys.executable, "-m", "testbed.dashboard.feeder", str(self._run), self.address.data],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             env={"RUST_LOG": "off"} | os.environ,  # rerun would write into the operator's table
         )  # fmt: skip
-        step_back(self.teller)
+        step_back(self.feeder)
 
     def keep(self, waited: Callable[[float], bool]) -> bool:
         """Look after both; false when the operator has closed the viewer."""
         assert self.viewer is not None
-        assert self.teller is not None
+        assert self.feeder is not None
         if (code := self.viewer.poll()) is not None:
             if code == 0:
                 return False
-            self.teller.kill()
-            self.teller.wait()
+            self.feeder.kill()
+            self.feeder.wait()
             self.restarts += 1
             self.open(waited)
-        elif self.teller.poll() not in (None, OK, 1):  # 1: it said why there is nothing to tell
+        elif self.feeder.poll() not in (None, OK, 1):  # 1: it said why there is nothing to tell
             self.restarts += 1
             self._tell()
         return True
 
     def close(self) -> None:
         """End both; neither has anything to lose."""
-        for process in (self.teller, self.viewer):
+        for process in (self.feeder, self.viewer):
             if process is not None:
                 process.kill()
                 process.wait()

@@ -18,7 +18,7 @@ from rich.table import Table as Grid
 from testbed.config import Experiment
 from testbed.core.types import Tick
 from testbed.report.fault_story import STOPPING_TOO, follows, short
-from testbed.report.goal_error import Wanted
+from testbed.report.goal_error import GoalError
 from testbed.run.fly import FlightScreen
 
 REFRESH_HZ = 8
@@ -39,7 +39,7 @@ class LiveTable(FlightScreen):
         self._console, self._line_s = console, None if console.is_terminal else line_s
         self._end = Event()
         self._teller = Thread(target=self._tell, name="lines", daemon=True)
-        self._experiment, self._wanted = experiment, Wanted(experiment)
+        self._experiment, self._goal_error = experiment, GoalError(experiment)
         self._ticks: dict[str, Tick] = {}
         self._t = 0.0
         self.phase = "DISARMED"  # of the supervisor
@@ -134,7 +134,7 @@ class LiveTable(FlightScreen):
             for name, tick in list(self._ticks.items())
             if tick.outputs.state is not None
         }
-        off = self._wanted.by_vehicle(np.array([t]), places)
+        off = self._goal_error.by_vehicle(np.array([t]), places)
         return {name: float(value[0]) for name, value in off.items()}
 
     def _row(self, name: str, tick: Tick) -> tuple[str, ...]:
@@ -151,11 +151,11 @@ class LiveTable(FlightScreen):
         pose = now.pose
         gaps = [
             math.hypot(
-                pose.x - rock.position[0] - now.t * rock.velocity[0],
-                pose.y - rock.position[1] - now.t * rock.velocity[1],
+                pose.x - obstacle.position[0] - now.t * obstacle.velocity[0],
+                pose.y - obstacle.position[1] - now.t * obstacle.velocity[1],
             )
-            - rock.radius
-            for rock in self._experiment.obstacles.values()
+            - obstacle.radius
+            for obstacle in self._experiment.obstacles.values()
         ]
         error = self._off(now.t).get(name, math.nan)
         speed = math.hypot(now.twist.vx, now.twist.vy)

@@ -19,7 +19,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from testbed.campaign.flight import Watch
+from testbed.campaign.flight import CampaignObserver
 from testbed.campaign.row import Flown
 from testbed.cli.refusal import errors
 
@@ -28,7 +28,7 @@ LOOK_S = 5.0  # between two looks for workers, at a terminal [s]
 NOBODY = "no workers: waiting for some"
 
 
-class Bar(Watch):
+class Bar(CampaignObserver):
     """Progress of a campaign; a context manager."""
 
     def __init__(self, name: str = "", line_s: float = LINE_S) -> None:
@@ -58,18 +58,18 @@ class Bar(Watch):
         self._progress.stop()
 
     def begun(self, total: int, runs: Sequence[Flown]) -> None:
-        """See `Watch`."""
+        """See `CampaignObserver`."""
         self._total, self._over = total, len(runs)
         self._passed = sum(run.outcome == "passed" for run in runs)
         self._progress.update(self._bar, total=total, completed=self._over)
 
     def flying(self, count_workers: Callable[[], int]) -> None:
-        """See `Watch`."""
+        """See `CampaignObserver`."""
         self._count_workers = count_workers
         self._say("flying")
 
     def flown(self, run: Flown) -> None:
-        """See `Watch`."""
+        """See `CampaignObserver`."""
         self._over += 1
         self._here += 1
         if self._here == 1:
@@ -79,7 +79,7 @@ class Bar(Watch):
         self._say(f"passed {100.0 * self._passed / self._over:.1f} %")
 
     def keeping(self, count: int) -> None:
-        """See `Watch`."""
+        """See `CampaignObserver`."""
         self._say(f"logs of {count} failures")
 
     def _say(self, words: str) -> None:

@@ -110,7 +110,7 @@ def _limit(experiment: Experiment, criterion: str | None, scale: float) -> str:
         return ""
     limit = getattr(experiment.criteria, criterion)
     if criterion == "clear_of_obstacles":
-        radii = [rock.radius for rock in experiment.obstacles.values()]
+        radii = [obstacle.radius for obstacle in experiment.obstacles.values()]
         return f">= {max(radii):g}" if limit and radii else ""
     return "" if limit is None else f"<= {scale * limit:g}"
 

@@ -17,9 +17,9 @@ def entry() -> None:
     """`testbed`; a bare `testbed stop` before all else, also before what flies on this machine."""
     if sys.argv[1:] == ["stop"]:
         from testbed.net.stop import stop_everything
-        from testbed.realtime.scheduling import preferred
+        from testbed.realtime.scheduling import realtime_priority
 
-        with preferred(PRIORITY):
+        with realtime_priority(PRIORITY):
             code = stop_everything(None, "lab")
         sys.exit(code)
     if sys.argv[1:2] and sys.argv[1] in SUPERVISED:

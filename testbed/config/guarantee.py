@@ -18,7 +18,7 @@ LOOKS = 200  # at a goal's path, for its largest acceleration
 
 def warnings_of(experiment: Experiment) -> list[Concern]:
     """All that whoever flies it should know beforehand."""
-    setups, rocks = list(experiment.vehicles.values()), list(experiment.obstacles.values())
+    setups, obstacles = list(experiment.vehicles.values()), list(experiment.obstacles.values())
     times = np.linspace(0.0, experiment.duration_s, LOOKS).tolist()
     moves = [s.path.at(0.0).v if s.path else (0.0, 0.0) for s in setups]
     accels = [math.hypot(*s.path.at(t).a) for s in setups if s.path for t in times]
@@ -31,9 +31,9 @@ def warnings_of(experiment: Experiment) -> list[Concern]:
         max(accels, default=0.0),
         share * min(weakest_force(s.model) for s in setups),
         Discs(
-            np.array([rock.position for rock in rocks]).reshape(-1, 2),
-            np.array([rock.velocity for rock in rocks]).reshape(-1, 2),
-            np.array([rock.radius for rock in rocks]),
+            np.array([obstacle.position for obstacle in obstacles]).reshape(-1, 2),
+            np.array([obstacle.velocity for obstacle in obstacles]).reshape(-1, 2),
+            np.array([obstacle.radius for obstacle in obstacles]),
         ),
     )
     found = concerns(experiment.controller, list(experiment.vehicles), start)

@@ -21,10 +21,10 @@ def bad_layout(experiment: Experiment) -> Iterator[Mistake]:
     """All that is wrong with names and places."""
     yield from _names(experiment)
     yield from _ground(experiment.table)
-    for name, rock in experiment.obstacles.items():
-        if rock.solid > rock.radius:
-            expected = f"at most the danger radius, {rock.radius:g} m"
-            yield Mistake(("obstacles", name, "solid"), expected, f"{rock.solid:g} m")
+    for name, obstacle in experiment.obstacles.items():
+        if obstacle.solid > obstacle.radius:
+            expected = f"at most the danger radius, {obstacle.radius:g} m"
+            yield Mistake(("obstacles", name, "solid"), expected, f"{obstacle.solid:g} m")
     for name, setup in experiment.vehicles.items():
         yield from _poses(name, setup, experiment)
     yield from _neighbours(experiment)
@@ -88,9 +88,9 @@ def _poses(name: str, setup: VehicleSetup, experiment: Experiment) -> Iterator[M
             yield Mistake(key, room, f"({pose[0]:g}, {pose[1]:g})")
         if abs(pose[2]) > 2.0 * math.pi:
             yield Mistake((*key, 2), "a heading in radians, at most 2 pi", f"{pose[2]:g}")
-        for other, rock in experiment.obstacles.items():
-            if which == "start" or rock.velocity == (0.0, 0.0):
-                yield from _inside(key, pose, radius, other, rock)
+        for other, obstacle in experiment.obstacles.items():
+            if which == "start" or obstacle.velocity == (0.0, 0.0):
+                yield from _inside(key, pose, radius, other, obstacle)
 
 
 def _path(
@@ -107,9 +107,12 @@ def _path(
 
 
 def _inside(
-    key: tuple[str, ...], pose: tuple[float, ...], radius: float, name: str, rock: Obstacle
+    key: tuple[str, ...], pose: tuple[float, ...], radius: float, name: str, obstacle: Obstacle
 ) -> Iterator[Mistake]:
-    gap, need = math.dist(pose[:2], rock.position), max(rock.radius, rock.solid + radius)
+    gap, need = (
+        math.dist(pose[:2], obstacle.position),
+        max(obstacle.radius, obstacle.solid + radius),
+    )
     if gap < need:
         expected = f"outside obstacle {name}, at least {need:g} m from its centre"
         yield Mistake(key, expected, f"{gap:.3f} m")

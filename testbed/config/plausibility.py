@@ -85,13 +85,13 @@ def _flight(experiment: Experiment, setup: VehicleSetup) -> Iterator[tuple[str, 
         )
     if not isinstance(experiment.controller, BLIND):
         return
-    for name, rock in experiment.obstacles.items():
-        gap = _gap(setup.start[:2], setup.goal[:2], rock.position)
-        if gap < rock.radius and rock.velocity == (0.0, 0.0):
+    for name, obstacle in experiment.obstacles.items():
+        gap = _gap(setup.start[:2], setup.goal[:2], obstacle.position)
+        if gap < obstacle.radius and obstacle.velocity == (0.0, 0.0):
             yield (
                 "way-blocked",
                 f"the straight way from start to goal passes {gap:.3f} m from {name}, whose danger"
-                f" radius is {rock.radius:g} m, and this law does not know obstacles",
+                f" radius is {obstacle.radius:g} m, and this law does not know obstacles",
             )
 
 

@@ -70,7 +70,7 @@ class LawConformance:
                 ("mean_force", (d,)), ("told", (law.words,)),
             ):  # fmt: skip
                 found = np.shape(getattr(ahead, name))
-                must(found == shape, f"{name} of fly_ahead {here}", f"shape {shape}", found)
+                must(found == shape, f"{name} of propagate {here}", f"shape {shape}", found)
 
     def test_finite_numbers(self) -> None:
         """No scene makes a force that is not a number."""
@@ -138,12 +138,12 @@ def scenes(d: int, words: int) -> Iterator[Scene]:
     """Situations of a flight for positions of shape (d,), of others who say so many words."""
     rng = np.random.default_rng(20)
     for k in range(SCENES):
-        yield _scene(rng, d, words, others=k % 3, rocks=k % 2, moving=True, t=1.7 * k)
-    still = _scene(rng, d, words, others=0, rocks=0, moving=False, t=0.0)
+        yield _scene(rng, d, words, others=k % 3, obstacles=k % 2, moving=True, t=1.7 * k)
+    still = _scene(rng, d, words, others=0, obstacles=0, moving=False, t=0.0)
     yield still  # alone, at rest
     goal = still.world.goal._replace(p=still.own.p.copy())
     yield still._replace(world=still.world._replace(goal=goal))  # and there
-    near = _scene(rng, d, words, others=2, rocks=1, moving=False, t=90.0)
+    near = _scene(rng, d, words, others=2, obstacles=1, moving=False, t=90.0)
     at = near.world.obstacles.p[0]
     aside = np.zeros(d)
     aside[0] = near.world.obstacles.radius[0]
@@ -152,7 +152,14 @@ def scenes(d: int, words: int) -> Iterator[Scene]:
 
 
 def _scene(
-    rng: np.random.Generator, d: int, words: int, *, others: int, rocks: int, moving: bool, t: float
+    rng: np.random.Generator,
+    d: int,
+    words: int,
+    *,
+    others: int,
+    obstacles: int,
+    moving: bool,
+    t: float,
 ) -> Scene:
     def vectors(n: int, reach: float) -> Array:
         return rng.uniform(-reach, reach, (n, d))
@@ -170,14 +177,16 @@ def _scene(
     return Scene(
         own,
         around,
-        World(goal, Discs(vectors(rocks, 2.5), vectors(rocks, 0.0), np.full(rocks, 0.4))),
+        World(
+            goal, Discs(vectors(obstacles, 2.5), vectors(obstacles, 0.0), np.full(obstacles, 0.4))
+        ),
         t,
     )
 
 
 def _at(scene: Scene) -> str:
-    n, rocks = len(scene.neighbours.radius), len(scene.world.obstacles.radius)
-    return f"(at {np.round(scene.own.p, 2)}, {n} neighbours, {rocks} obstacles, {scene.t:g} s)"
+    n, obstacles = len(scene.neighbours.radius), len(scene.world.obstacles.radius)
+    return f"(at {np.round(scene.own.p, 2)}, {n} neighbours, {obstacles} obstacles, {scene.t:g} s)"
 
 
 def _told(ask: Callable[[], Any], what: str, scene: Scene) -> Any:
@@ -204,7 +213,7 @@ def _rate(law: Law, state: Array, scene: Scene) -> tuple[Array, Array]:
 
 
 def _ahead(law: Law, state: Array, scene: Scene) -> Any:
-    return _told(lambda: law.fly_ahead(state, *scene, SECONDS, STEPS), "fly_ahead", scene)
+    return _told(lambda: law.propagate(state, *scene, SECONDS, STEPS), "propagate", scene)
 
 
 def _answer(law: Law, scene: Scene) -> list[Array]:

@@ -5,12 +5,12 @@ A law of the papers is a small dynamical system written once, in continuous time
     force, law_state_rate = rate(gains, law_state, own, neighbours, world, t)
 
 with positions of shape (d,), d = 2 on the table and d = 3 in orbit. The law does not integrate
-itself; `fly_ahead` does, together with the double integrator that a satellite is to first order.
+itself; `propagate` does, together with the double integrator that a satellite is to first order.
 
-A law of a formation may have two verbs more. It may `tell` the others something, for instance where
-its proxy is; they hear it late or not at all, and a law never sees more of the others than what it
-heard. And it may `jump`: change what it remembers that is not continuous, for instance who is its
-neighbour in the proximity graph.
+A law of a formation may have two verbs more. It may `broadcast` something to the others, for
+instance where its proxy is; they hear it late or not at all, and a law never sees more of the
+others than what it heard. And it may `jump`: change what it remembers that is not continuous, for
+instance who is its neighbour in the proximity graph.
 
 The tuples here are what the compiled code is handed. Their arrays belong to the caller and a law
 must not write to them.
@@ -34,17 +34,18 @@ F = TypeVar("F", bound=Callable[..., Any])
 class Body(NamedTuple):
     """A satellite as its own law sees it.
 
-    `drift` is the acceleration that no jet asked for: orbit dynamics, or the estimated disturbance.
+    `disturbance` is the acceleration that no jet asked for: orbit dynamics, or what the
+    estimator sees.
     `max_force` bounds the norm of the force, so that a law with an integral does not wind up.
     """
 
     p: Array  # (d,) position [m]
     v: Array  # (d,) velocity [m/s]
     mass: float  # nominal [kg]
-    drift: Array  # (d,) [m/s^2]
-    drift_rate: Array  # (d,) its time derivative [m/s^3]
+    disturbance: Array  # (d,) [m/s^2]
+    disturbance_rate: Array  # (d,) its time derivative [m/s^3]
     max_force: float  # [N]
-    who: int = 0  # which of the formation it is
+    vehicle_index: int = 0  # which of the formation it is
 
 
 class Goal(NamedTuple):
@@ -68,15 +69,15 @@ class Neighbours(NamedTuple):
     """The others as they were heard; one that was never heard is not among them.
 
     Positions are carried forward to now. What their laws told is as it was said: only the law
-    knows how that moves, `t - told_at` seconds on.
+    knows how that moves, `t - message_t` seconds on.
     """
 
     p: Array  # (n, d) centre [m]
     v: Array  # (n, d) [m/s]
     radius: Array  # (n,) distance that the own centre must keep from the centre [m]
-    who: NDArray[np.int64]  # (n,) which of the formation each is
-    told: Array  # (n, k) what its law said, k numbers by the law's own convention
-    told_at: Array  # (n,) the time that this is for [s]
+    vehicle_index: NDArray[np.int64]  # (n,) which of the formation each is
+    message: Array  # (n, k) what its law said, k numbers by the law's own convention
+    message_t: Array  # (n,) the time that this is for [s]
 
 
 def silent(discs: Discs) -> Neighbours:
@@ -99,7 +100,7 @@ class Ahead(NamedTuple):
     p: Array  # (d,) [m]
     v: Array  # (d,) [m/s]
     mean_force: Array  # (d,) over the flight [N]
-    told: Array  # (k,) what the law says to the others at the end
+    message: Array  # (k,) what the law says to the others at the end
 
 
 class Concern(Struct, frozen=True):
@@ -112,7 +113,7 @@ class Concern(Struct, frozen=True):
 class Law(Protocol):
     """A control law of a paper, for one satellite."""
 
-    words: int  # how many numbers it tells the others, k
+    message_size: int  # how many numbers it tells the others, k
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """The law's state at the start, shape (n,); n may be 0."""
@@ -124,11 +125,11 @@ class Law(Protocol):
         """Force (d,) [N] and time derivative of the law's state (n,)."""
         ...
 
-    def fly_ahead(
+    def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
-        """`fly_ahead` below with this law's rate."""
+        """`propagate` below with this law's rate."""
         ...
 
 
@@ -145,14 +146,18 @@ def jump_of(law, law_state, own, neighbours, world, t):
     return law.jump(law_state, own, neighbours, world, t) if hasattr(law, "jump") else law_state
 
 
-def tell_of(law, law_state, own, neighbours, world, t):
+def broadcast_of(law, law_state, own, neighbours, world, t):
     """What a law says to the others, shape (k,); most laws need no more than is seen of them."""
-    return law.tell(law_state, own, neighbours, world, t) if hasattr(law, "tell") else np.zeros(0)
+    return (
+        law.broadcast(law_state, own, neighbours, world, t)
+        if hasattr(law, "broadcast")
+        else np.zeros(0)
+    )
 
 
 _RATES: dict[type, Callable] = {}  # by the type of a law's gains
 _JUMPS: dict[type, Callable] = {}
-_TELLS: dict[type, Callable] = {}
+_BROADCASTS: dict[type, Callable] = {}
 
 
 @compiled
@@ -181,7 +186,7 @@ def _dispatch(verb: Callable, table: dict[type, Callable], default: Callable | N
 
 _dispatch(rate_of, _RATES, None)
 _dispatch(jump_of, _JUMPS, _keep)
-_dispatch(tell_of, _TELLS, _say_nothing)
+_dispatch(broadcast_of, _BROADCASTS, _say_nothing)
 
 
 def _compiled_into(table: dict[type, Callable], gains_type: type) -> Callable[[F], F]:
@@ -206,9 +211,9 @@ def compiled_jump(gains_type: type) -> Callable[[F], F]:
     return _compiled_into(_JUMPS, gains_type)
 
 
-def compiled_tell(gains_type: type) -> Callable[[F], F]:
-    """The same for `tell_of`."""
-    return _compiled_into(_TELLS, gains_type)
+def compiled_broadcast(gains_type: type) -> Callable[[F], F]:
+    """The same for `broadcast_of`."""
+    return _compiled_into(_BROADCASTS, gains_type)
 
 
 def no_state(own: Body) -> Array:
@@ -224,10 +229,15 @@ class CompiledLaw:
         gains: NamedTuple,
         initial: Callable[[Body], Array],
         rate: Callable[..., Any],
-        words: int = 0,
+        message_size: int = 0,
     ) -> None:
-        self.gains, self._initial, self._rate, self.words = gains, initial, rate, words
-        self._fly_ahead = settled(fly_ahead)
+        self.gains, self._initial, self._rate, self.message_size = (
+            gains,
+            initial,
+            rate,
+            message_size,
+        )
+        self._propagate = settled(propagate)
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""
@@ -239,12 +249,12 @@ class CompiledLaw:
         """See `Law`."""
         return self._rate(self.gains, law_state, own, neighbours, world, t)
 
-    def fly_ahead(
+    def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        return self._fly_ahead(self.gains, law_state, own, neighbours, world, t, duration, steps)
+        return self._propagate(self.gains, law_state, own, neighbours, world, t, duration, steps)
 
 
 @inlined
@@ -257,12 +267,12 @@ def bounded(force, limit):
 
 
 @compiled
-def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
-    """Integrate a law and the double integrator p'' = force/mass + drift over `duration`.
+def propagate(gains, law_state, own, neighbours, world, t, duration, steps):
+    """Integrate a law and the double integrator p'' = force/mass + disturbance over `duration`.
 
     Between sub-steps the goal follows its derivatives, obstacles and neighbours keep their
-    velocity, and the drift follows its rate. Within a sub-step the acceleration is constant, so
-    position and velocity are exact for it; the law's state takes an Euler step, because the laws
+    velocity, and the disturbance follows its rate. Within a sub-step the acceleration is constant,
+    so position and velocity are exact for it; the law's state takes an Euler step, because the laws
     with sgn gain nothing from a higher order. The law jumps at the start and tells at the end.
 
     Args:
@@ -281,20 +291,22 @@ def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
     h = duration / steps
     z = jump_of(gains, law_state, own, neighbours, world, t).copy()
     p, v = own.p.copy(), own.v.copy()
-    drift = own.drift.copy()
+    disturbance = own.disturbance.copy()
     goal_p, goal_v, goal_a = world.goal.p.copy(), world.goal.v.copy(), world.goal.a.copy()
-    rocks_p, others_p = world.obstacles.p.copy(), neighbours.p.copy()
-    body = borrowed(Body(p, v, own.mass, drift, own.drift_rate, own.max_force, own.who))
+    obstacles_p, others_p = world.obstacles.p.copy(), neighbours.p.copy()
+    body = borrowed(
+        Body(p, v, own.mass, disturbance, own.disturbance_rate, own.max_force, own.vehicle_index)
+    )
     others = borrowed(
         Neighbours(
             others_p, neighbours.v, neighbours.radius,
-            neighbours.who, neighbours.told, neighbours.told_at,
+            neighbours.vehicle_index, neighbours.message, neighbours.message_t,
         )
     )  # fmt: skip
     scene = borrowed(
         World(
             Goal(goal_p, goal_v, goal_a, world.goal.jerk),
-            Discs(rocks_p, world.obstacles.v, world.obstacles.radius),
+            Discs(obstacles_p, world.obstacles.v, world.obstacles.radius),
         )
     )
     gains, state = borrowed(gains), borrowed(z)
@@ -303,19 +315,19 @@ def fly_ahead(gains, law_state, own, neighbours, world, t, duration, steps):
         force, z_rate = rate_of(gains, state, body, others, scene, t + k * h)
         for i in range(p.shape[0]):
             mean_force[i] += force[i] / steps
-            a = force[i] / own.mass + drift[i]
+            a = force[i] / own.mass + disturbance[i]
             p[i] += h * (v[i] + 0.5 * h * a)
             v[i] += h * a
-            drift[i] += h * own.drift_rate[i]
+            disturbance[i] += h * own.disturbance_rate[i]
             goal_p[i] += h * (goal_v[i] + 0.5 * h * goal_a[i])
             goal_v[i] += h * goal_a[i]
             goal_a[i] += h * world.goal.jerk[i]
-            for n in range(rocks_p.shape[0]):
-                rocks_p[n, i] += h * world.obstacles.v[n, i]
+            for n in range(obstacles_p.shape[0]):
+                obstacles_p[n, i] += h * world.obstacles.v[n, i]
             for n in range(others_p.shape[0]):
                 others_p[n, i] += h * neighbours.v[n, i]
         for i in range(z.shape[0]):  # last: the force may be a view of the law's state
             z[i] += h * z_rate[i]
-    told = tell_of(gains, state, body, others, scene, t + duration)
-    keep((own, neighbours, world, drift, goal_p, goal_v, goal_a, rocks_p, others_p))
-    return Ahead(z, p, v, mean_force, told)
+    message = broadcast_of(gains, state, body, others, scene, t + duration)
+    keep((own, neighbours, world, disturbance, goal_p, goal_v, goal_a, obstacles_p, others_p))
+    return Ahead(z, p, v, mean_force, message)

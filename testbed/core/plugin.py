@@ -29,7 +29,7 @@ TOLD = {  # parameters that the testbed fills in: they are no options
     LAWS: (
         "names",
         "d",
-    ),  # of the satellites, in the order of `Body.who`; coordinates of a position
+    ),  # of the satellites, in the order of `Body.vehicle_index`; coordinates of a position
     MOCAP: ("wire",),  # `MocapWire`, the whole of [lab.mocap]
     THRUSTERS: ("vehicle", "name", "clock"),  # `Vehicle`, its name, a `Timer`
 }

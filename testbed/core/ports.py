@@ -91,11 +91,11 @@ class VehicleLink(Protocol):
         """Tell host and neighbours."""
         ...
 
-    def told(self) -> dict[str, LawMessage]:
+    def messages(self) -> dict[str, LawMessage]:
         """Newest words heard of the law of each other vehicle."""
         ...
 
-    def tell(self, told: LawMessage) -> None:
+    def broadcast(self, message: LawMessage) -> None:
         """Say something to the laws of the others."""
         ...
 
@@ -115,10 +115,10 @@ class HostLink(Protocol):
         """Tell the vehicle."""
         ...
 
-    def told(self) -> dict[str, LawMessage]:
+    def messages(self) -> dict[str, LawMessage]:
         """Newest words heard of the law of each other vehicle."""
         ...
 
-    def tell(self, told: LawMessage) -> None:
+    def broadcast(self, message: LawMessage) -> None:
         """Say something to the laws of the others."""
         ...

@@ -141,7 +141,7 @@ class Vitals(Struct, frozen=True, gc=False, omit_defaults=True):
     late_s: float = 0.0  # how long after its time this tick began [s]
     disk_free: float = 1e12  # where the log goes [bytes]
     same_config: bool = True  # host and vehicle have the same configuration hash
-    raised: str = ""  # what the law on the host died of
+    law_error: str = ""  # what the law on the host died of
     fleet: str = ""  # a fault of another vehicle that stops all
     foreign: int = 0  # messages of another session since the last tick; none was obeyed
     end: str = ""  # why the flight is over: come to rest and shut the air off
@@ -167,7 +167,7 @@ class Inputs(Struct, frozen=True, gc=False, omit_defaults=True):
     setpoint: Setpoint | None  # the newest one heard, however old
     neighbours: dict[str, State]  # the newest one heard of each, however old
     health: Health
-    told: dict[str, LawMessage] = {}  # by the laws of the others, the newest of each
+    messages: dict[str, LawMessage] = {}  # by the laws of the others, the newest of each
     vitals: Vitals = ALL_WELL
 
 
@@ -176,13 +176,13 @@ class Outputs(Struct, frozen=True, gc=False, omit_defaults=True):
 
     t: float  # [s]
     state: State | None  # None before the first pose
-    flown: Reference | Demand | None  # what the tracker was given
-    wanted: Wrench  # what tracker or law asks for, mean over the period
-    planned: Wrench  # what the pulses of `command` give, by the vehicle's jet table
+    active_setpoint: Reference | Demand | None  # what the tracker was given
+    commanded_wrench: Wrench  # what tracker or law asks for, mean over the period
+    realised_wrench: Wrench  # what the pulses of `command` give, by the vehicle's jet table
     command: ValveCommand
     inhibit_reason: str | None = None  # the gate's reason, None while it is open
     fault: str | None = None  # a reason that ends the run, latched
-    told: LawMessage | None = None  # by its law, if that runs on board and talks
+    message: LawMessage | None = None  # by its law, if that runs on board and talks
     faults: tuple[str, ...] = ()  # ids of all rows of the fault table that hold now
     response: str = ""  # the most severe response in force; empty: none
     filtered: Intervention | None = None  # None: the demand was left as it was
@@ -206,7 +206,7 @@ class HostInputs(Struct, frozen=True, gc=False, omit_defaults=True):
     t: float  # [s]
     own: State | None
     neighbours: dict[str, State]
-    told: dict[str, LawMessage] = {}  # by the laws of the others
+    messages: dict[str, LawMessage] = {}  # by the laws of the others
 
 
 class HostOutputs(Struct, frozen=True, gc=False, omit_defaults=True):
@@ -214,8 +214,8 @@ class HostOutputs(Struct, frozen=True, gc=False, omit_defaults=True):
 
     t: float  # [s]
     setpoint: Setpoint | None
-    told: LawMessage | None = None  # by the law, if it talks
-    raised: str = ""  # what the law died of
+    message: LawMessage | None = None  # by the law, if it talks
+    law_error: str = ""  # what the law died of
     filtered: Intervention | None = None  # of the reference model's force
 
 

@@ -11,7 +11,7 @@ from rerun.blueprint.encodings import TimelineColumn
 
 from testbed.dashboard.banner import HEIGHT, WIDTH
 from testbed.dashboard.static_scene import plain
-from testbed.report.goal_error import Wanted
+from testbed.report.goal_error import GoalError
 from testbed.report.scenario import Scenario
 
 FIELD = 57.0  # [deg] vertical, of rerun's eye
@@ -32,7 +32,7 @@ def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
         line_grid=LineGrid3D(visible=True, spacing=1.0, color=[60, 68, 80]),
     )  # fmt: skip
     flight = rrb.Vertical(
-        _plot("error", f"{Wanted(scenario).title} [mm] over time [s]"),
+        _plot("error", f"{GoalError(scenario).title} [mm] over time [s]"),
         _plot("clearance", "Clearance to the nearest danger zone [m] over time [s]")
         if scenario.obstacles
         else _plot("speed", "Speed [mm/s] over time [s]"),

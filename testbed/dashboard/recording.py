@@ -9,7 +9,7 @@ import rerun as rr
 from testbed.config import ConfigError, load
 from testbed.dashboard.blueprint import blueprint
 from testbed.dashboard.scene import Scene
-from testbed.files import whole
+from testbed.files import atomic_write
 from testbed.logs.export import refuse_older
 from testbed.logs.feed import LogFeed
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
@@ -28,7 +28,7 @@ def write_recording(
         raise LogError(str(error)) from None
     book = LogReader(log_of(run))
     recording = rr.RecordingStream("airbearing-testbed", recording_id=str(run.resolve()))
-    with whole(out) as part:
+    with atomic_write(out) as part:
         recording.set_sinks(rr.FileSink(part))
         recording.send_blueprint(blueprint(scenario, live=False))
         scene, news = Scene(scenario, recording), LogFeed(book).news()

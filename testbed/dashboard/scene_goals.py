@@ -7,7 +7,7 @@ import numpy as np
 from testbed.dashboard.columns import Columns
 from testbed.dashboard.static_scene import plain
 from testbed.logs.feed import SeenTick
-from testbed.report.goal_error import Wanted, goal_at
+from testbed.report.goal_error import GoalError, goal_at
 from testbed.report.scenario import Scenario
 
 
@@ -16,7 +16,7 @@ class AimScene:
 
     def __init__(self, scenario: Scenario, columns: Columns) -> None:
         self._scenario, self._columns = scenario, columns
-        self._wanted = Wanted(scenario)
+        self._goal_error = GoalError(scenario)
 
     def draw(self, newest: Mapping[str, SeenTick], t: float) -> None:
         """Of a frame, with the newest tick of each vehicle."""
@@ -24,19 +24,19 @@ class AimScene:
         if states:
             at = np.array([max(state.t for state in states.values())])
             places = {n: np.array([[s.pose.x, s.pose.y]]) for n, s in states.items()}
-            for name, off in self._wanted.by_vehicle(at, places).items():
+            for name, off in self._goal_error.by_vehicle(at, places).items():
                 self._columns.add("scalar", f"plot/error/{name}", t, 1e3 * float(off[0]))
         now = np.array([t])
-        if self._wanted.led:
-            x, y = self._wanted.leader_at(now)[0].tolist()
+        if self._goal_error.led:
+            x, y = self._goal_error.leader_at(now)[0].tolist()
             self._columns.add("transform", "world/goal/leader", t, (x, y, 0.0))
         for name, setup in self._scenario.vehicles.items():
-            if setup.path is not None and not self._wanted.forms:
+            if setup.path is not None and not self._goal_error.forms:
                 x, y = goal_at(setup, now)[0].tolist()
                 place = (x, y, setup.goal[2])
                 self._columns.add("transform", f"world/goal/{plain(name)}", t, place)
 
     def matters(self, a: str, b: str) -> bool:
         """Whether two have to stay within the range: the edges of a formation, if there is one."""
-        edges = self._wanted.edges
+        edges = self._goal_error.edges
         return not edges or any({a, b} == {e.a, e.b} for e in edges)

@@ -62,8 +62,8 @@ class PlotScene:
         period = self._scenario.flight.jet_period_s
         outs = [tick.outputs for tick in flown]
         for path, wrenches in (
-            (f"plot/force/{name}", [o.wanted for o in outs]),
-            (f"plot/force/{name}_delivered", [o.planned for o in outs]),
+            (f"plot/force/{name}", [o.commanded_wrench for o in outs]),
+            (f"plot/force/{name}_delivered", [o.realised_wrench for o in outs]),
         ):
             forces = self._mean(path, [(w.fx, w.fy) for w in wrenches], period)
             self._column(path, t, forces)
@@ -105,8 +105,8 @@ class PlotScene:
         return out
 
     def _clearances(self, name: str, seen: list[tuple[float, State]]) -> None:
-        rocks = list(self._scenario.obstacles.values())
-        if not rocks:
+        obstacles = list(self._scenario.obstacles.values())
+        if not obstacles:
             return
         gaps = [
             min(
@@ -115,7 +115,7 @@ class PlotScene:
                     s.pose.y - r.position[1] - t * r.velocity[1],
                 )
                 - r.radius
-                for r in rocks
+                for r in obstacles
             )
             for t, s in seen
         ]

@@ -77,9 +77,11 @@ class TableScene:
             self._trail_due = (math.floor(t / TRAIL_S + 1e-6) + 1) * TRAIL_S - 1e-6
             self._draw_trails(t)
         self._links(t)
-        for name, rock in self._scenario.obstacles.items():
-            if is_moving(rock):
-                x, y = (p + t * v for p, v in zip(rock.position, rock.velocity, strict=True))
+        for name, obstacle in self._scenario.obstacles.items():
+            if is_moving(obstacle):
+                x, y = (
+                    p + t * v for p, v in zip(obstacle.position, obstacle.velocity, strict=True)
+                )
                 self._columns.add("transform", f"world/obstacle/{name}", t, (x, y, 0.0))
         self._aims.draw(self._newest, t)
         for one in self._story.tell(said):
@@ -169,7 +171,7 @@ class TableScene:
     def _aim(self, name: str, t: float) -> None:
         """Reference and stopping point."""
         out, z = self._newest[name].outputs, LAYER["top"]
-        asked, lines = pose_of(out.flown), []
+        asked, lines = pose_of(out.active_setpoint), []
         ring = [] if asked is None else [circle(asked.x, asked.y, 0.035, z)[::3]]
         self._columns.add("lines", f"world/reference/{name}", t, Lines(ring))
         if (state := out.state) is not None:

@@ -9,7 +9,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from testbed.core.table import Obstacle
-from testbed.report.goal_error import Wanted
+from testbed.report.goal_error import GoalError
 from testbed.report.scenario import Scenario, range_of
 
 Array = NDArray[np.float64]
@@ -218,7 +218,7 @@ def vehicle(rec: rr.RecordingStream, scenario: Scenario, k: int, name: str) -> N
         ),
         static=True,
     )
-    if setup.path is None and not Wanted(scenario).forms:
+    if setup.path is None and not GoalError(scenario).forms:
         goal(rec, name, setup.goal, model.radius, colour)
 
 
@@ -249,11 +249,11 @@ def goal(
 
 def moving_goals(rec: rr.RecordingStream, scenario: Scenario) -> None:
     """Shapes of goals that move and of a formation's leader, about their own centres."""
-    wanted = Wanted(scenario)
-    if wanted.led:
+    goal_error = GoalError(scenario)
+    if goal_error.led:
         goal(rec, "leader", (0.0, 0.0, 0.0), LEADER_M, WHITE)
     for k, (name, setup) in enumerate(scenario.vehicles.items()):
-        if setup.path is not None and not wanted.forms:
+        if setup.path is not None and not goal_error.forms:
             goal(rec, name, (0.0, 0.0, 0.0), setup.model.radius, hue(k))
 
 

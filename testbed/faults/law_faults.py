@@ -22,7 +22,7 @@ class SpoiltLaw:
     """A law that goes wrong when `spoilt()` says so: "nan" or "raise"."""
 
     def __init__(self, law: Law, spoilt: Callable[[], str]) -> None:
-        self._law, self._spoilt, self.words = law, spoilt, law.words
+        self._law, self._spoilt, self.message_size = law, spoilt, law.message_size
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """What the law itself has to say of the flight."""
@@ -39,7 +39,7 @@ class SpoiltLaw:
         """See `Law`."""
         return self._law.rate(law_state, own, neighbours, world, t)
 
-    def fly_ahead(
+    def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
@@ -47,10 +47,10 @@ class SpoiltLaw:
         what = self._spoilt()
         if what == "raise":
             raise SabotageError("as injected")
-        ahead = self._law.fly_ahead(law_state, own, neighbours, world, t, duration, steps)
+        ahead = self._law.propagate(law_state, own, neighbours, world, t, duration, steps)
         if what == "nan":
             none = np.full(len(ahead.p), np.nan)
-            ahead = Ahead(ahead.law_state, none, none, none, ahead.told)
+            ahead = Ahead(ahead.law_state, none, none, none, ahead.message)
         return ahead
 
 

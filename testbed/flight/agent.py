@@ -77,7 +77,7 @@ class Agent:
         self._allocator = Allocator(params.allocator, vehicle)
         self._brake_decel = params.tracker.brake_decel
         self._stop: Reference | None = None
-        self._raised = ""  # what the law on board died of
+        self._law_error = ""  # what the law on board died of
         self._seq = 0
         valve = vehicle.valve
         # how much longer than the flow the commanded time must be
@@ -106,19 +106,23 @@ class Agent:
         self._estimator.update(inputs.samples, t)
         state = self._estimator.predict(effect_at, now=t)
         end = inputs.vitals.end
-        setpoint, told = None if end else inputs.setpoint, None
+        setpoint, message = None if end else inputs.setpoint, None
         if self._guidance is not None and not end:
-            setpoint, told = self._guided(effect_at, state, inputs)
-        flown, wanted = self._aim(setpoint, state, effect_at)
-        share = inputs.health.supply_pressure / self._vehicle.air.set_pressure
+            setpoint, message = self._guided(effect_at, state, inputs)
+        active_setpoint, commanded_wrench = self._aim(setpoint, state, effect_at)
+        thrust_scale = inputs.health.supply_pressure / self._vehicle.air.set_pressure
         acted, braking, done = CALM, False, None
         if self._safety is not None:
             acted = self._safety.act(
-                inputs, effect_at, state, setpoint, wanted, share, self._raised
+                inputs, effect_at, state, setpoint, commanded_wrench, thrust_scale, self._law_error
             )
-            wanted, braking, done = acted.wanted, acted.braking, acted.inhibit_reason
+            commanded_wrench, braking, done = (
+                acted.commanded_wrench,
+                acted.braking,
+                acted.inhibit_reason,
+            )
         refused = self._gate.refuse(
-            effect_at, inputs.armed, state, setpoint, wanted, inputs.health,
+            effect_at, inputs.armed, state, setpoint, commanded_wrench, inputs.health,
             session_ok=inputs.vitals.session_ok, braking=braking,
         )  # fmt: skip
         refused = refused or done
@@ -126,15 +130,17 @@ class Agent:
         air_off = acted.air_off or (inputs.armed and self._gate.fault is not None)
         if end and (not inputs.armed or self._safety is None):
             refused, air_off = refused or end, True
-        command, planned = self._plan(t, wanted if refused is None else STILL, share)
+        command, realised_wrench = self._plan(
+            t, commanded_wrench if refused is None else STILL, thrust_scale
+        )
         if refused is not None:
-            command, planned = closed(command), STILL
+            command, realised_wrench = closed(command), STILL
         self._estimator.remember(command)
         if self._safety is not None:
-            self._safety.remember(command, share)
+            self._safety.remember(command, thrust_scale)
         return Outputs(
-            t, state, flown, wanted, planned, command,
-            refused, acted.fault or self._gate.fault, told,
+            t, state, active_setpoint, commanded_wrench, realised_wrench, command,
+            refused, acted.fault or self._gate.fault, message,
             acted.holding, acted.response, acted.filtered, air_off,
         )  # fmt: skip
 
@@ -142,14 +148,14 @@ class Agent:
         self, t: float, state: State | None, inputs: Inputs
     ) -> tuple[Setpoint | None, LawMessage | None]:
         """What the law on board wants; its model starts when the vehicle is armed, not before."""
-        if self._guidance is None or state is None or not inputs.armed or self._raised:
+        if self._guidance is None or state is None or not inputs.armed or self._law_error:
             return None, None
         try:
-            setpoint = self._guidance.step(t, state, inputs.neighbours, inputs.told)
+            setpoint = self._guidance.step(t, state, inputs.neighbours, inputs.messages)
         except Exception as error:  # whatever a law dies of, the vehicle flies on to a stop
-            self._raised = f"{type(error).__name__}: {error}"
+            self._law_error = f"{type(error).__name__}: {error}"
             return None, None
-        return setpoint, self._guidance.told
+        return setpoint, self._guidance.message
 
     def _aim(
         self, setpoint: Setpoint | None, state: State | None, t: float
@@ -173,13 +179,17 @@ class Agent:
             reference = due(setpoint, t)
         return reference, self._tracker.track(state, reference)
 
-    def _plan(self, t: float, wanted: Wrench, share: float) -> tuple[ValveCommand, Wrench]:
+    def _plan(
+        self, t: float, commanded_wrench: Wrench, thrust_scale: float
+    ) -> tuple[ValveCommand, Wrench]:
         """The plan that gives a wrench, and the mean wrench it gives by the vehicle file's table.
 
         Of the supply's weakness only what all jets share counts there, not the droop.
         """
         period, jets = self._period, len(self._vehicle.jets)
-        duty = self._allocator.allocate(wanted, max(share, 0.1), self._vehicle.air.droop)
+        duty = self._allocator.allocate(
+            commanded_wrench, max(thrust_scale, 0.1), self._vehicle.air.droop
+        )
         on, offset = self._modulator.pulses(duty)
         times, fx, fy, tau = self._in_microseconds(
             on, offset, self._stretch, period, self._allocator.effect
@@ -189,7 +199,7 @@ class Agent:
         command = ValveCommand(
             self._seq, t, t + period, tuple(times_us[:jets]), tuple(times_us[jets:])
         )
-        return command, Wrench(fx * share, fy * share, tau * share)
+        return command, Wrench(fx * thrust_scale, fy * thrust_scale, tau * thrust_scale)
 
 
 @compiled

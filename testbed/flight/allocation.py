@@ -173,9 +173,9 @@ def duties(effect, gas, ceiling, wrench, torque_first):
 
 
 @compiled
-def one_sided(effect, gas, thrust_share, wrench, torque_first, opposing):
+def one_sided(effect, gas, thrust_scale, wrench, torque_first, opposing):
     """`duties` at this share of the thrust, without any two jets of `opposing` (n, 2) both open."""
-    weakened = effect * thrust_share
+    weakened = effect * thrust_scale
     ceiling = np.ones(effect.shape[1])
     while True:
         duty = duties(weakened, gas, ceiling, wrench, torque_first)
@@ -200,9 +200,9 @@ def against_droop(duty, droop):
 
 
 @compiled
-def made_up_for(effect, gas, thrust_share, wrench, torque_first, opposing, droop):
+def made_up_for(effect, gas, thrust_scale, wrench, torque_first, opposing, droop):
     """`one_sided`, then `against_droop`: one call, because crossing into compiled code costs."""
-    duty = one_sided(effect, gas, thrust_share, wrench, torque_first, opposing)
+    duty = one_sided(effect, gas, thrust_scale, wrench, torque_first, opposing)
     return against_droop(duty, droop)
 
 
@@ -239,17 +239,17 @@ class Allocator:
         self._torque_first = params.priority == "torque"
         self._made_up_for = settled(made_up_for)
 
-    def allocate(self, wanted: Wrench, thrust_share: float = 1.0, droop: float = 0.0) -> Array:
+    def allocate(self, wanted: Wrench, thrust_scale: float = 1.0, droop: float = 0.0) -> Array:
         """Duties in [0, 1], shape (jets,).
 
         Args:
             wanted: mean wrench over the period, torque about the centre of mass.
-            thrust_share: supply pressure over set pressure.
+            thrust_scale: supply pressure over set pressure.
             droop: of the supply, per open jet: made up for.
         """
         wrench = (wanted.fx, wanted.fy, wanted.tau)
         return self._made_up_for(
-            self.effect, self._gas, thrust_share, wrench, self._torque_first, self._opposing, droop
+            self.effect, self._gas, thrust_scale, wrench, self._torque_first, self._opposing, droop
         )
 
 

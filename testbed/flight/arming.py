@@ -126,7 +126,7 @@ def arming_checks(ready: Readiness, expected: Expected, params: ArmingParams) ->
     check("disk", vitals.disk_free >= p.disk_free, f"{vitals.disk_free:.1e} bytes free")
     absent = f"not heard for {vitals.operator_age:.1f} s"
     check("operator", vitals.operator_age <= p.operator_age_s, absent)
-    check("law", not vitals.raised, vitals.raised)
+    check("law", not vitals.law_error, vitals.law_error)
     return [
         Check(f"{expected.name} {name}", "" if green else reason, at_reset)
         for name, green, reason, at_reset in found

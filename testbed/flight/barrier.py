@@ -171,9 +171,11 @@ def yielding(fx, fy, planes, count, radius):
 
 
 @compiled
-def bound(planes, count, nx, ny, gap, closing, speed, hazard, limits, share, bx, by):
+def bound(planes, count, nx, ny, gap, closing, speed, hazard, limits, thrust_scale, bx, by):
     """Add a hazard's half-plane if it could matter; returns the rows in use."""
-    left = speed_left(gap, closing, speed, share * limits.decel, share * limits.hard, limits.slow)
+    left = speed_left(
+        gap, closing, speed, thrust_scale * limits.decel, thrust_scale * limits.hard, limits.slow
+    )
     # -n f <= m ((c1 - c0) / T + n b)
     h = limits.mass * ((left - closing) / limits.period + nx * bx + ny * by)
     if h < 3.0 * limits.force:
@@ -184,7 +186,7 @@ def bound(planes, count, nx, ny, gap, closing, speed, hazard, limits, share, bx,
 
 
 @compiled
-def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, share):
+def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
     """The force nearest to the demand that leaves room to stop.
 
     Args:
@@ -199,7 +201,7 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, share):
         discs: rows (x, y, vx, vy, distance of the centres to keep, responsibility); a
             responsibility below 1 is another vehicle's.
         limits: constants.
-        share: of the jets' force that the supply pressure gives.
+        thrust_scale: of the jets' force that the supply pressure gives.
 
     Returns:
         fx, fy, hazard that decided or -1 (number of the disc; then right, left, upper, lower edge;
@@ -250,12 +252,12 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, share):
             worst, hazard = off, int(planes[i, 3])
     if hazard < 0:
         return fx, fy, hazard, spare
-    x, y = yielding(fx, fy, planes, count, limits.force * share)
+    x, y = yielding(fx, fy, planes, count, limits.force * thrust_scale)
     return x, y, hazard, spare
 
 
 @compiled
-def around(t, px, py, speed, rocks, others, limits):
+def around(t, px, py, speed, obstacles, others, limits):
     """What matters at time `t`: the obstacles, and the neighbours that are not too far to.
 
     Args:
@@ -263,20 +265,20 @@ def around(t, px, py, speed, rocks, others, limits):
         px: own position [m].
         py: [m].
         speed: own [m/s].
-        rocks: obstacles at time 0, rows as in `filtered`.
+        obstacles: at time 0, rows as in `filtered`.
         others: rows (x, y, vx, vy, distance of the centres to keep, time of all that).
         limits: constants.
 
     Returns:
-        discs as in `filtered`, and the row in rocks and others together that each is of.
+        discs as in `filtered`, and the row in obstacles and others together that each is of.
     """
-    discs = np.empty((rocks.shape[0] + others.shape[0], 6))
+    discs = np.empty((obstacles.shape[0] + others.shape[0], 6))
     rows = np.empty(discs.shape[0], dtype=np.int64)
-    count = rocks.shape[0]
+    count = obstacles.shape[0]
     for k in range(count):
-        discs[k], rows[k] = rocks[k], k
-        discs[k, 0] += t * rocks[k, 2]
-        discs[k, 1] += t * rocks[k, 3]
+        discs[k], rows[k] = obstacles[k], k
+        discs[k, 0] += t * obstacles[k, 2]
+        discs[k, 1] += t * obstacles[k, 3]
     for k in range(others.shape[0]):
         vx, vy, age = others[k, 2], others[k, 3], t - others[k, 5]
         on = min(max(age, 0.0), KEPT)
@@ -289,18 +291,18 @@ def around(t, px, py, speed, rocks, others, limits):
             continue
         discs[count, 0], discs[count, 1], discs[count, 2], discs[count, 3] = x, y, vx, vy
         discs[count, 4], discs[count, 5] = keep, 0.5
-        rows[count] = rocks.shape[0] + k
+        rows[count] = obstacles.shape[0] + k
         count += 1
     return discs[:count], rows[:count]
 
 
 @compiled
-def guarded(t, fx, fy, px, py, vx, vy, bx, by, rocks, others, limits, share):
-    """`filtered` with what is `around`; the hazard is numbered in rocks and others, then edges."""
-    discs, rows = around(t, px, py, np.hypot(vx, vy), rocks, others, limits)
-    x, y, hazard, spare = filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, share)
+def guarded(t, fx, fy, px, py, vx, vy, bx, by, obstacles, others, limits, thrust_scale):
+    """`filtered` with what is `around`; hazards are counted in obstacles, others, edges."""
+    discs, rows = around(t, px, py, np.hypot(vx, vy), obstacles, others, limits)
+    x, y, hazard, spare = filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale)
     if hazard >= discs.shape[0]:
-        hazard += rocks.shape[0] + others.shape[0] - discs.shape[0]
+        hazard += obstacles.shape[0] + others.shape[0] - discs.shape[0]
     elif hazard >= 0:
         hazard = rows[hazard]
     return x, y, hazard, spare
@@ -342,16 +344,16 @@ class Barrier:
         )  # fmt: skip
         self._keep = {name: reach + params.vehicle_margin for name, reach in keep.items()}
         self._names = list(obstacles)
-        self._rocks = discs_of([
-            (*rock.position, *rock.velocity, rock.radius + params.obstacle_margin, 1.0)
-            for rock in obstacles.values()
+        self._obstacles = discs_of([
+            (*obstacle.position, *obstacle.velocity, obstacle.radius + params.obstacle_margin, 1.0)
+            for obstacle in obstacles.values()
         ])  # fmt: skip
         self.spare = np.inf  # see `filtered` [m]
         self._guarded = settled(guarded)
 
     def filter(
         self, t: float, force: tuple[float, float], motion: tuple[float, ...],
-        neighbours: Mapping[str, State], share: float = 1.0,
+        neighbours: Mapping[str, State], thrust_scale: float = 1.0,
     ) -> tuple[float, float, Intervention | None]:  # fmt: skip
         """The force to use instead, and what was changed.
 
@@ -360,7 +362,7 @@ class Barrier:
             force: demanded mean over the coming period in W [N].
             motion: x, y [m], vx, vy [m/s], bias x, y [m/s^2] then.
             neighbours: newest state heard of each other vehicle.
-            share: of the jets' force that the supply pressure gives.
+            thrust_scale: of the jets' force that the supply pressure gives.
         """
         fx, fy = force
         px, py, vx, vy, bx, by = motion
@@ -371,7 +373,7 @@ class Barrier:
         others = np.array(rows, dtype=np.float64).reshape(-1, 6)
         x, y, hazard, self.spare = self._guarded(
             t, fx, fy, px, py, vx, vy, bx, by,
-            self._rocks, others, self._limits, max(share, WORST_SHARE),
+            self._obstacles, others, self._limits, max(thrust_scale, WORST_SHARE),
         )  # fmt: skip
         if hazard < 0:
             return fx, fy, None

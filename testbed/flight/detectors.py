@@ -82,20 +82,20 @@ class Detectors:
         self._before: State | None = None
         self.said: dict[str, str] = {}  # words to the numbers, where there are any
 
-    def compare(self, inputs: Inputs, state: State, duty: Array, share: float) -> None:
+    def compare(self, inputs: Inputs, state: State, duty: Array, thrust_scale: float) -> None:
         """Compare the motion with what the last plan let flow; see `Evidence.look`.
 
         Poses that are old, refused or of another clock say nothing about valves.
         """
         ours = abs(inputs.vitals.clock_offset) < SAME_CLOCK
         if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
-            self._evidence.look(state, duty, share)
+            self._evidence.look(state, duty, thrust_scale)
         else:
             self._evidence.pause()
 
     def numbers(
-        self, inputs: Inputs, state: State | None, setpoint: Setpoint | None, wanted: Wrench,
-        effect_at: float, spare: float, raised: str,
+        self, inputs: Inputs, state: State | None, setpoint: Setpoint | None,
+        commanded_wrench: Wrench, effect_at: float, spare: float, law_error: str,
     ) -> tuple[float, ...]:  # fmt: skip
         """How it is now.
 
@@ -103,10 +103,10 @@ class Detectors:
             inputs: of this tick.
             state: estimate for `effect_at`.
             setpoint: to be flown.
-            wanted: by law or tracker.
+            commanded_wrench: by law or tracker.
             effect_at: when the next plan begins to act [s].
             spare: room left after a full stop [m].
-            raised: what the law died of.
+            law_error: what the law died of.
         """
         vitals, health, samples = inputs.vitals, inputs.health, inputs.samples
         age = rejected = 0.0
@@ -123,9 +123,13 @@ class Detectors:
             if inputs.t - one.t > oldest:
                 oldest, self.said["neighbour_age"] = inputs.t - one.t, name
         leak, weak, either = self._suspicions()
-        raised = raised or vitals.raised
-        if raised or other or vitals.fleet:
-            self.said |= {"raised": raised, "pose_of_another": other or "", "fleet": vitals.fleet}
+        law_error = law_error or vitals.law_error
+        if law_error or other or vitals.fleet:
+            self.said |= {
+                "law_error": law_error,
+                "pose_of_another": other or "",
+                "fleet": vitals.fleet,
+            }
         return (
             abs(age),
             self._repeats.count(samples) if self._repeats is not None else 0,
@@ -144,8 +148,10 @@ class Detectors:
             either,
             weak.sigmas,
             spare,
-            1.0 if raised else 0.0,
-            0.0 if is_number(wanted.fx, wanted.fy, wanted.tau) else 1.0,
+            1.0 if law_error else 0.0,
+            0.0
+            if is_number(commanded_wrench.fx, commanded_wrench.fy, commanded_wrench.tau)
+            else 1.0,
             vitals.late_s,
             vitals.operator_age,
             abs(vitals.clock_offset),

@@ -40,7 +40,7 @@ Detector = Literal[
     "jet_leaks_or_weak",  # the same, where a jet that gives too little may explain it as well
     "jet_missing",  # standard deviations by which a jet gives too little
     "spare_room",  # [m] left after a full stop, to the nearest thing ahead
-    "raised",  # 1: the law died of an exception
+    "law_error",  # 1: the law died of an exception
     "not_a_number",  # 1: law or tracker asks for something that is none
     "tick_late",  # [s]
     "operator_age",  # [s] since the operator's presence was last heard

@@ -69,7 +69,7 @@ class Gate:
         armed: bool,
         state: State | None,
         setpoint: Setpoint | None,
-        wanted: Wrench,
+        commanded_wrench: Wrench,
         health: Health,
         *,
         session_ok: bool = True,
@@ -86,7 +86,7 @@ class Gate:
             return "no pose yet"
         if setpoint is None and not braking:
             return "no setpoint yet"
-        self._fault = self._trouble(t, state, None if braking else setpoint, wanted)
+        self._fault = self._trouble(t, state, None if braking else setpoint, commanded_wrench)
         if self._fault is None and not is_number(health.supply_pressure):
             self._fault = "supply pressure is not a number"
         return self._fault
@@ -96,7 +96,7 @@ class Gate:
         self._fault = None
 
     def _trouble(
-        self, t: float, state: State, setpoint: Setpoint | None, wanted: Wrench
+        self, t: float, state: State, setpoint: Setpoint | None, commanded_wrench: Wrench
     ) -> str | None:
         """`setpoint` is None when braking: then it does not matter."""
         p, pose, twist = self._p, state.pose, state.twist
@@ -105,7 +105,7 @@ class Gate:
         )
         if not is_number(pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega):
             return "estimate is not a number"
-        if not is_number(wanted.fx, wanted.fy, wanted.tau):
+        if not is_number(commanded_wrench.fx, commanded_wrench.fy, commanded_wrench.tau):
             return "law or tracker asks for something that is not a number"
         if not -EARLY < state.pose_age <= pose_timeout:
             return f"no pose for {state.pose_age:.2f} s (limit {pose_timeout} s)"

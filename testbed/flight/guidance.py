@@ -84,7 +84,7 @@ class _Heard(NamedTuple):
     """What was heard of the others."""
 
     states: Mapping[str, State]
-    told: Mapping[str, LawMessage]
+    messages: Mapping[str, LawMessage]
 
 
 class Guidance:
@@ -128,7 +128,7 @@ class Guidance:
         self._they_move = bool(self._obstacles.v.any())
         self._company: tuple[tuple[str, ...], Neighbours] | None = None  # who was heard last
         self._law_state: Array | None = None
-        self.told: LawMessage | None = None  # what the law says to the others, if it talks
+        self.message: LawMessage | None = None  # what the law says to the others, if it talks
         self._turn: Turn | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
         self._ahead: deque[Reference] = deque()  # references not due yet
@@ -145,7 +145,7 @@ class Guidance:
         t: float,
         own: State,
         neighbours: Mapping[str, State],
-        told: Mapping[str, LawMessage] | None = None,
+        messages: Mapping[str, LawMessage] | None = None,
     ) -> Setpoint:
         """Setpoint for the jet period that starts at `t`.
 
@@ -153,9 +153,9 @@ class Guidance:
             t: one period after that of the last step, and not before own.t [s].
             own: newest estimate of the vehicle.
             neighbours: newest state heard of each other vehicle.
-            told: newest words heard of the law of each other vehicle.
+            messages: newest words heard of the law of each other vehicle.
         """
-        heard = _Heard(neighbours, told or {})
+        heard = _Heard(neighbours, messages or {})
         if self._turn is None:
             self._turn = Turn(own.pose.theta, self._goal.theta, t, self._params.heading_accel)
         if self._params.mode == "wrench":
@@ -171,8 +171,8 @@ class Guidance:
 
     def _demand(self, t: float, own: State, heard: _Heard, turn: Turn) -> Demand:
         """The law closes the loop: fly it ahead from the estimate, ask for its mean force."""
-        drift = np.array([own.bias.ax, own.bias.ay])
-        force = self._fly(t, *self._predict(own, drift, t), drift, heard).mean_force
+        disturbance = np.array([own.bias.ax, own.bias.ay])
+        force = self._fly(t, *self._predict(own, disturbance, t), disturbance, heard).mean_force
         self._sent.append((t, force))
         fx, fy = force.tolist()
         return Demand(t, fx, fy, *turn.at(t), t + self._params.setpoint_life_s)
@@ -194,18 +194,18 @@ class Guidance:
         theta, omega, alpha = turn.at(t)
         return Reference(t, Pose(px, py, theta), Twist(vx, vy, omega), Accel(ax, ay, alpha))
 
-    def _fly(self, t: float, p: Array, v: Array, drift: Array, heard: _Heard) -> Ahead:
+    def _fly(self, t: float, p: Array, v: Array, disturbance: Array, heard: _Heard) -> Ahead:
         """Fly the law ahead over one period; its state is carried on."""
-        own = Body(p, v, self._mass, drift, ZERO, self._max_force, self._own)
+        own = Body(p, v, self._mass, disturbance, ZERO, self._max_force, self._own)
         world, others = self._world_at(t), self._others(heard, t)
         if self._law_state is None:
             self._law_state = self._law.initial(own, others, world)
-        ahead = self._law.fly_ahead(
+        ahead = self._law.propagate(
             self._law_state, own, others, world, t, self._period, self._steps
         )
         self._law_state = ahead.law_state
-        if self._law.words:
-            self.told = LawMessage(t + self._period, tuple(ahead.told.tolist()))
+        if self._law.message_size:
+            self.message = LawMessage(t + self._period, tuple(ahead.message.tolist()))
         return ahead
 
     def _world_at(self, t: float) -> World:
@@ -220,7 +220,7 @@ class Guidance:
             obstacles = Discs(obstacles.p + t * obstacles.v, obstacles.v, obstacles.radius)
         return World(goal, obstacles)
 
-    def _predict(self, own: State, drift: Array, t: float) -> tuple[Array, Array]:
+    def _predict(self, own: State, disturbance: Array, t: float) -> tuple[Array, Array]:
         """Position and velocity at `t`, through the demands that are still on their way."""
         p = np.array([own.pose.x, own.pose.y])
         v = np.array([own.twist.vx, own.twist.vy])
@@ -233,7 +233,7 @@ class Guidance:
                 elif start > now + 1e-9:
                     until = min(until, start)
             h = until - now
-            a = force / self._mass + drift
+            a = force / self._mass + disturbance
             p = p + h * (v + 0.5 * h * a)
             v = v + h * a
             now = until
@@ -241,7 +241,7 @@ class Guidance:
 
     def _others(self, heard: _Heard, t: float) -> Neighbours:
         """The others, moved to time `t`; of a law that talks, those whose words were heard."""
-        words, k = heard.told, self._law.words
+        words, k = heard.messages, self._law.message_size
         names = tuple(sorted(heard.states.keys() & words.keys() if k else heard.states))
         if self._company is None or self._company[0] != names:
             self._company = names, self._strangers(names)
@@ -255,15 +255,15 @@ class Guidance:
             speeds += (twist.vx, twist.vy)
         # one array from plain numbers: the quickest way to fill a small one
         p, v = np.array(places + speeds, dtype=np.float64).reshape(2, -1, 2)
-        said, said_at = company.told, company.told_at
+        said, said_at = company.message, company.message_t
         if k and names:
             said = np.array([words[name].values for name in names])
             said_at = np.array([words[name].t for name in names])
-        return Neighbours(p, v, company.radius, company.who, said, said_at)
+        return Neighbours(p, v, company.radius, company.vehicle_index, said, said_at)
 
     def _strangers(self, names: tuple[str, ...]) -> Neighbours:
         """What is known of them before they are heard."""
-        n, k = len(names), self._law.words
+        n, k = len(names), self._law.message_size
         return Neighbours(
             np.zeros((n, 2)),
             np.zeros((n, 2)),

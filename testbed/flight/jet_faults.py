@@ -85,7 +85,7 @@ class Heard(NamedTuple):
 
 
 @compiled
-def residual(before, now, duty, share, known, heard, look):
+def residual(before, now, duty, thrust_scale, known, heard, look):
     """What the plans do not explain since the last look, (3,), and all that might, (m + n, 3)."""
     n, period, shown = duty.shape[0], known.period, known.shown
     looks, m = shown.shape[0], duty.shape[0] + 4
@@ -94,7 +94,7 @@ def residual(before, now, duty, share, known, heard, look):
     open_jets = 0.0
     for j in range(n):
         open_jets += max(0.0, duty[j])
-    level = period * share / (1.0 + known.droop * max(0.0, open_jets - 1.0))
+    level = period * thrust_scale / (1.0 + known.droop * max(0.0, open_jets - 1.0))
     fresh = heard.recent[look % looks]
     fresh[:] = 0.0
     e = np.empty(3)
@@ -198,14 +198,14 @@ def suspect(row, least, y, low, high):
 
 
 @compiled
-def weigh(before, now, duty, share, known, heard, look, block, keep, counts):
+def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, counts):
     """Add one look, in place, and say which suspicion is the best of each kind.
 
     Args:
         before: theta, vx, vy, omega at the last look, shape (4,).
         now: the same at this one.
         duty: share of the time since then for which each jet flowed, shape (n,).
-        share: of the thrust that the supply gave.
+        thrust_scale: of the thrust that the supply gave.
         known: the vehicle.
         heard: what is remembered.
         look: number of this one.
@@ -216,7 +216,7 @@ def weigh(before, now, duty, share, known, heard, look, block, keep, counts):
     Returns:
         jet, size, gain of the best leak, then of the jet that most likely gives too little.
     """
-    e, x = residual(before, now, duty, share, known, heard, look)
+    e, x = residual(before, now, duty, thrust_scale, known, heard, look)
     n, blocks = duty.shape[0], heard.blocks
     best, size, gain = np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros(2)
     if not counts:
@@ -300,7 +300,7 @@ class JetFaultDetector:
         self._leak, self._weak = Suspicion(), Suspicion()
         self._weigh = settled(weigh)
 
-    def look(self, state: State, duty: Array, share: float) -> None:
+    def look(self, state: State, duty: Array, thrust_scale: float) -> None:
         """Note a tick: the estimate, and for which share of it each jet flowed until then."""
         self._duty += duty
         self._noted += 1
@@ -312,7 +312,7 @@ class JetFaultDetector:
             self._look += 1
             self._wait = max(0, self._wait - 1)
             found = self._weigh(
-                self._before, now, self._duty / self._ticks, share, self._known, self._heard,
+                self._before, now, self._duty / self._ticks, thrust_scale, self._known, self._heard,
                 self._look, self._block, self._keep, self._wait == 0,
             )  # fmt: skip
             self._leak, self._weak = Suspicion(*found[:3]), Suspicion(*found[3:])

@@ -74,7 +74,7 @@ class VehicleNode:
             link.setpoint(),
             link.neighbours() if self._agent.hears_neighbours else {},
             self._thrusters.health(),
-            link.told() if self._agent.hears_neighbours else {},
+            link.messages() if self._agent.hears_neighbours else {},
             vitals,
         )
         outputs = self._agent.step(inputs)
@@ -83,8 +83,8 @@ class VehicleNode:
             self._thrusters.land()
         if outputs.state is not None:
             link.publish(outputs.state)
-        if outputs.told is not None:
-            link.tell(outputs.told)
+        if outputs.message is not None:
+            link.broadcast(outputs.message)
         return Tick(inputs, outputs)
 
 
@@ -118,32 +118,34 @@ class HostNode:
     ) -> None:
         self.name, self.guidance, self._link = name, guidance, link
         self._ahead = period + lead
-        self._raised = ""  # what the law died of
+        self._law_error = ""  # what the law died of
 
     def tick(self, t: float, armed: bool = True) -> HostTick:
         """Listen, step, tell. The law starts when the vehicle is armed, not before."""
         link, guidance = self._link, self.guidance
-        inputs = HostInputs(t, link.own(), link.neighbours(), link.told())
-        if inputs.own is None or not armed or self._raised:
-            return HostTick(inputs, HostOutputs(t, None, raised=self._raised))
+        inputs = HostInputs(t, link.own(), link.neighbours(), link.messages())
+        if inputs.own is None or not armed or self._law_error:
+            return HostTick(inputs, HostOutputs(t, None, law_error=self._law_error))
         try:
-            setpoint = guidance.step(t + self._ahead, inputs.own, inputs.neighbours, inputs.told)
+            setpoint = guidance.step(
+                t + self._ahead, inputs.own, inputs.neighbours, inputs.messages
+            )
         except Exception as error:  # whatever a law dies of, the vehicles are brought to a stop
-            self._raised = f"{type(error).__name__}: {error}"[:LONGEST_WORDS]
-            return HostTick(inputs, HostOutputs(t, None, raised=self._raised))
+            self._law_error = f"{type(error).__name__}: {error}"[:LONGEST_WORDS]
+            return HostTick(inputs, HostOutputs(t, None, law_error=self._law_error))
         if not _is_number(setpoint):
-            self._raised = "asks for something that is not a number"
-            return HostTick(inputs, HostOutputs(t, None, raised=self._raised))
+            self._law_error = "asks for something that is not a number"
+            return HostTick(inputs, HostOutputs(t, None, law_error=self._law_error))
         link.publish(setpoint)
-        if guidance.told is not None:
-            link.tell(guidance.told)
-        return HostTick(inputs, HostOutputs(t, setpoint, guidance.told, "", guidance.filtered))
+        if guidance.message is not None:
+            link.broadcast(guidance.message)
+        return HostTick(inputs, HostOutputs(t, setpoint, guidance.message, "", guidance.filtered))
 
 
 def complaint(tick: HostTick) -> str:
     """What a host has to complain of: its law, or a vehicle that is silent."""
-    if tick.outputs.raised:
-        return f"law on the host: {tick.outputs.raised}"
+    if tick.outputs.law_error:
+        return f"law on the host: {tick.outputs.law_error}"
     own, t = tick.inputs.own, tick.inputs.t
     if own is not None and not t - own.t <= SILENT:
         return f"vehicle_silent: nothing heard for {t - own.t:.2f} s"

@@ -61,7 +61,7 @@ class Tracker:
         return self._inertia * (alpha - state.bias.alpha + back)
 
 
-def halt(state: State, vehicle: Vehicle, decel: float, period: float) -> Wrench:
+def braking_wrench(state: State, vehicle: Vehicle, decel: float, period: float) -> Wrench:
     """Body wrench that takes the motion out: all of it in one jet period, or as much as can be.
 
     Straight against the velocity, so that a vehicle that could stop before it began still can.

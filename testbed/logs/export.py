@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from testbed.core.error import TestbedError
 from testbed.core.extra import pip_install
-from testbed.files import whole
+from testbed.files import atomic_write
 from testbed.logs.defaults import KINDS, complete
 from testbed.logs.log_reader import UNREADABLE, LogError, Row
 
@@ -115,7 +115,10 @@ def to_csv(found: dict[str, Table], folder: Path) -> list[Path]:
     """One file per topic."""
     paths = _names(found, folder, "csv")
     for topic, table in found.items():
-        with whole(paths[topic]) as part, part.open("w", newline="", encoding="utf-8") as file:
+        with (
+            atomic_write(paths[topic]) as part,
+            part.open("w", newline="", encoding="utf-8") as file,
+        ):
             writer = csv.writer(file)
             writer.writerow(table)
             writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
@@ -131,7 +134,7 @@ def to_npz(found: dict[str, Table], folder: Path) -> list[Path]:
         for topic, table in found.items()
         for name, column in table.items()
     }
-    with whole(path) as part, part.open("wb") as file:
+    with atomic_write(path) as part, part.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     return [path]
 
@@ -145,7 +148,7 @@ def to_parquet(found: dict[str, Table], folder: Path) -> list[Path]:
         raise ExportError(f"parquet needs pyarrow: {pip_install('export')}") from None
     paths = _names(found, folder, "parquet")
     for topic, table in found.items():
-        with whole(paths[topic]) as part:
+        with atomic_write(paths[topic]) as part:
             rows = arrow.table(table, metadata={"topic": topic, "units": UNITS})
             parquet.write_table(rows, part, compression="zstd")
     return list(paths.values())

@@ -53,10 +53,10 @@ class SeenOutputs(Struct, frozen=True, gc=False):
 
     t: float  # [s]
     state: State | None
-    flown: Reference | Demand | None
+    active_setpoint: Reference | Demand | None
     command: ValveCommand
-    wanted: Wrench = _ZERO
-    planned: Wrench = _ZERO
+    commanded_wrench: Wrench = _ZERO
+    realised_wrench: Wrench = _ZERO
     inhibit_reason: str | None = None
     fault: str | None = None
     faults: tuple[str, ...] = ()
@@ -174,9 +174,9 @@ class LogFeed:
             yield News(topic, topic.removeprefix("/").split("/")[0], stamp * 1e-9, message)
 
 
-def pose_of(flown: Reference | Demand | None) -> Pose | None:
+def pose_of(active_setpoint: Reference | Demand | None) -> Pose | None:
     """Where a vehicle was asked to be; None where it was asked for a force."""
-    return flown.pose if isinstance(flown, Reference) else None
+    return active_setpoint.pose if isinstance(active_setpoint, Reference) else None
 
 
 def stopping_point(state: State, decel: float) -> tuple[float, float]:

@@ -33,8 +33,8 @@ class VehicleHistory(Struct, frozen=True):
     twist: Array  # (n, 3) estimate [m/s, m/s, rad/s]
     reference: Array  # (n, 3) [m, m, rad]
     force_asked: Array  # (n, 2) in W by a law in wrench mode [N]
-    wanted: Array  # (n, 3) mean over the period, in B [N, N, N m]
-    planned: Array  # (n, 3) what the pulses give by the jet table [N, N, N m]
+    commanded_wrench: Array  # (n, 3) mean over the period, in B [N, N, N m]
+    realised_wrench: Array  # (n, 3) what the pulses give by the jet table [N, N, N m]
     on: Array  # (n, jets) open time [s]
     offset: Array  # (n, jets) from the plan's start to the opening [s]
     supply: Array  # (n,) [Pa]
@@ -143,7 +143,10 @@ def _arrays(vehicle: _Vehicle) -> VehicleHistory:
         NAN3 if s is None else (s.twist.vx, s.twist.vy, s.twist.omega) for s in states
     ]  # fmt: skip
     asked = [
-        (o.flown.fx_w, o.flown.fy_w) if isinstance(o.flown, Demand) else NAN3[:2] for o in outs
+        (o.active_setpoint.fx_w, o.active_setpoint.fy_w)
+        if isinstance(o.active_setpoint, Demand)
+        else NAN3[:2]
+        for o in outs
     ]
     changed = [(o.filtered.dfx_w, o.filtered.dfy_w) if o.filtered else (0.0, 0.0) for o in outs]
     return VehicleHistory(
@@ -151,10 +154,15 @@ def _arrays(vehicle: _Vehicle) -> VehicleHistory:
         at=np.array([math.nan if s is None else s.t for s in states]),
         pose=_table([_pose(None if s is None else s.pose) for s in states], 3),
         twist=_table(twists, 3),
-        reference=_table([_pose(pose_of(out.flown)) for out in outs], 3),
+        reference=_table([_pose(pose_of(out.active_setpoint)) for out in outs], 3),
         force_asked=_table(asked, 2),
-        wanted=_table([(o.wanted.fx, o.wanted.fy, o.wanted.tau) for o in outs], 3),
-        planned=_table([(o.planned.fx, o.planned.fy, o.planned.tau) for o in outs], 3),
+        commanded_wrench=_table(
+            [(o.commanded_wrench.fx, o.commanded_wrench.fy, o.commanded_wrench.tau) for o in outs],
+            3,
+        ),
+        realised_wrench=_table(
+            [(o.realised_wrench.fx, o.realised_wrench.fy, o.realised_wrench.tau) for o in outs], 3
+        ),
         on=1e-6 * _table([o.command.on_us for o in outs], max(jets, 1)),
         offset=1e-6 * _table([o.command.offset_us for o in outs], max(jets, 1)),
         supply=np.array([tick.inputs.health.supply_pressure for tick in ticks]),

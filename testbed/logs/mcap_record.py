@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 HEAD = struct.Struct("<BQ")  # opcode and length of a record
-LARGEST = 8 * 2**20  # [bytes] of a chunk, packed or not; the scribe's are of 256 kB
+LARGEST = 8 * 2**20  # [bytes] of a chunk, packed or not; the writer's are of 256 kB
 RATIO = 64  # a whole log grows by no more in unpacking; real ones by 4 to 30
 NAMES = 2**16  # schemas and channels in a chunk, at most: there are no more numbers for them
 

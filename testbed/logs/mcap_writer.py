@@ -5,7 +5,7 @@
 It is started by `recorder.py` and outlives whatever happens to the flight by the time it takes to
 finish the file. One thread does nothing but empty the pipe, so a slow disk is not the flight's
 trouble until some 64 MB wait. What it has to say goes to stderr, one line each; the last line of a
-scribe that gave up is the reason.
+writer that gave up is the reason.
 """
 
 import os

@@ -13,14 +13,14 @@ JSON messages, each topic with the JSON Schema of its struct: any MCAP reader ca
 this code, and the schemas are so plain that Foxglove reads them (`plain_schema.py`). Times are the
 run's, so the same seed gives the same bytes.
 
-The file is written by a process of its own (`scribe.py`) at the other end of a pipe: the flight
-does not wait for the disk, and when it is killed, the scribe still finishes the file. Every SPAN_NS
-of the run a chunk of the file is closed, so a scribe that is killed loses no more than that and
-what was under way.
+The file is written by a process of its own (`mcap_writer.py`) at the other end of a pipe: the
+flight does not wait for the disk, and when it is killed, the writer still finishes the file. Every
+SPAN_NS of the run a chunk of the file is closed, so a writer that is killed loses no more than that
+and what was under way.
 
 The pipe is never waited for on wires, where a flight that waits loses its vehicles: what it does
 not take is kept in memory, and beyond LARGEST_BACKLOG rows are lost, which is said. On the twin,
-which is faster than any disk, the flight waits for the scribe, but not for one that does nothing.
+which is faster than any disk, the flight waits for the writer, but not for one that does nothing.
 """
 
 import os
@@ -40,16 +40,16 @@ from testbed.core.error import TestbedError
 from testbed.logs.message import to_json
 from testbed.logs.plain_schema import plain_schema
 
-BUFFER = 256 * 1024  # [bytes] between the flight and the scribe; a third of a second of messages
+BUFFER = 256 * 1024  # [bytes] between the flight and the writer; a third of a second of messages
 PIECE = 64 * 1024  # [bytes] that are written at once, between two marks
-LARGEST_BACKLOG = 32_000_000  # [bytes] that wait in memory for a scribe that does not keep up
+LARGEST_BACKLOG = 32_000_000  # [bytes] that wait in memory for a writer that does not keep up
 LOOK_S = 0.05
-PATIENCE_S = 5.0  # for a scribe that takes and writes nothing
+PATIENCE_S = 5.0  # for a writer that takes and writes nothing
 SPAN_NS = 50_000_000  # of the run between two chunks; the same run gives the same chunks
 WARN_BELOW = 500_000_000  # [bytes] free on the disk: say so
 END_BELOW = 20_000_000  # [bytes] free on the disk: end the log properly while there is room
 
-READY = b"ready\n"  # the scribe's first words
+READY = b"ready\n"  # the writer's first words
 
 
 class RecorderError(TestbedError):
@@ -75,7 +75,7 @@ class Truth(Struct, frozen=True, gc=False):
 
 
 class Topic(Struct, frozen=True, tag=True, array_like=True):
-    """To the scribe: a new topic; topics are numbered in the order in which they are announced."""
+    """To the writer: a new topic; topics are numbered in the order in which they are announced."""
 
     name: str
     schema_name: str
@@ -83,7 +83,7 @@ class Topic(Struct, frozen=True, tag=True, array_like=True):
 
 
 class Entry(Struct, frozen=True, tag=True, array_like=True, gc=False):
-    """To the scribe: one message of a topic."""
+    """To the writer: one message of a topic."""
 
     topic: int
     stamp: int  # [ns]
@@ -91,7 +91,7 @@ class Entry(Struct, frozen=True, tag=True, array_like=True, gc=False):
 
 
 class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
-    """To the scribe: put everything so far where a reader finds it."""
+    """To the writer: put everything so far where a reader finds it."""
 
 
 Frame = Topic | Entry | Mark
@@ -102,11 +102,11 @@ class Recorder:
 
     Args:
         path: of the new file.
-        waits: for a scribe that does not keep up; else rows are lost then.
+        waits: for a writer that does not keep up; else rows are lost then.
         warn_below, end_below: room on the disk [bytes].
 
     Raises:
-        RecorderError: on leaving or writing, when the scribe could not do its work.
+        RecorderError: on leaving or writing, when the writer could not do its work.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Recorder:
             *(str(path), str(warn_below), str(end_below)),
         ]
         self._marked = -SPAN_NS  # time of the last mark [ns]
-        self._said = b""  # by the scribe and not yet handed on
+        self._said = b""  # by the writer and not yet handed on
         self._reason = ""  # the newest line that it said
         self._encode = msgspec.json.Encoder().encode
         self._pack = msgspec.msgpack.Encoder().encode
@@ -136,14 +136,14 @@ class Recorder:
         self._schemas: dict[type[Struct], bytes] = {}
 
     def __enter__(self) -> "Recorder":
-        self._scribe = subprocess.Popen(
+        self._writer = subprocess.Popen(
             self._command,
             bufsize=0,
             pipesize=BUFFER,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the flight; the scribe ends when the pipe does
+            start_new_session=True,  # Ctrl-C is for the flight; the writer ends when the pipe does
         )
         return self
 
@@ -154,7 +154,7 @@ class Recorder:
         trace: TracebackType | None,
     ) -> None:
         said = self._last_words()
-        if self._scribe.returncode != 0 and kind is None:
+        if self._writer.returncode != 0 and kind is None:
             raise RecorderError(said)
 
     def write(self, topic: str, t: float, message: Struct) -> None:
@@ -171,32 +171,32 @@ class Recorder:
         self._send(Entry(number, round(t * 1e9), to_json(message)))
 
     def _meet(self) -> None:
-        """Wait until the scribe has made its file: from then on a kill costs next to nothing."""
-        assert self._scribe.stdin is not None
-        assert self._scribe.stderr is not None
-        if not select.select([self._scribe.stderr], [], [], 4.0 * PATIENCE_S)[0]:
+        """Wait until the writer has made its file: from then on a kill costs next to nothing."""
+        assert self._writer.stdin is not None
+        assert self._writer.stderr is not None
+        if not select.select([self._writer.stderr], [], [], 4.0 * PATIENCE_S)[0]:
             raise RecorderError(self._give_up("has not started"))
-        self._said = self._scribe.stderr.readline()
+        self._said = self._writer.stderr.readline()
         if self._said != READY:
             raise RecorderError(self._last_words())
         self._said = b""
-        os.set_blocking(self._scribe.stderr.fileno(), False)
-        os.set_blocking(self._scribe.stdin.fileno(), False)
+        os.set_blocking(self._writer.stderr.fileno(), False)
+        os.set_blocking(self._writer.stdin.fileno(), False)
 
     def mark(self, t: float) -> list[str]:
-        """A tick is whole: hand it over; what the scribe has to say, for instance of the disk.
+        """A tick is whole: hand it over; what the writer has to say, for instance of the disk.
 
         Raises:
-            RecorderError: the scribe has ended; nothing is recorded any more.
+            RecorderError: the writer has ended; nothing is recorded any more.
         """
         now = round(t * 1e9)
         if now - self._marked >= SPAN_NS:
             self._marked = now
             self._send(Mark())
-        assert self._scribe.stderr is not None
+        assert self._writer.stderr is not None
         self._hand_over()
         try:
-            heard = os.read(self._scribe.stderr.fileno(), 4096)
+            heard = os.read(self._writer.stderr.fileno(), 4096)
         except BlockingIOError:
             return self._losses()  # it has nothing to say
         if not heard:
@@ -227,7 +227,7 @@ class Recorder:
         """Give the pipe what it takes; on the twin, wait for it to take some more.
 
         Raises:
-            RecorderError: the scribe has ended, or takes nothing.
+            RecorderError: the writer has ended, or takes nothing.
         """
         try:
             self._push()
@@ -241,11 +241,11 @@ class Recorder:
 
     def _push(self) -> int:
         """Write what can be written without waiting; how much that was [bytes]."""
-        assert self._scribe.stdin is not None
+        assert self._writer.stdin is not None
         done = 0
         try:
             while self._pending:
-                step = os.write(self._scribe.stdin.fileno(), self._pending[:BUFFER])
+                step = os.write(self._writer.stdin.fileno(), self._pending[:BUFFER])
                 del self._pending[:step]
                 done += step
         except BlockingIOError:
@@ -254,18 +254,18 @@ class Recorder:
 
     def _takes_more(self, wait_s: float) -> bool:
         poll = select.poll()
-        assert self._scribe.stdin is not None
-        poll.register(self._scribe.stdin, select.POLLOUT)
+        assert self._writer.stdin is not None
+        poll.register(self._writer.stdin, select.POLLOUT)
         return bool(poll.poll(1e3 * wait_s))
 
     def _last_words(self) -> str:
-        """Wait for the scribe's end, as long as it does anything; the last line that it said."""
-        assert self._scribe.stdin is not None
-        assert self._scribe.stderr is not None
-        if self._scribe.stderr.closed:
+        """Wait for the writer's end, as long as it does anything; the last line that it said."""
+        assert self._writer.stdin is not None
+        assert self._writer.stderr is not None
+        if self._writer.stderr.closed:
             return self._reason
         size, idle_from = -1, monotonic()
-        while self._scribe.poll() is None:
+        while self._writer.poll() is None:
             if monotonic() - idle_from > PATIENCE_S:
                 return self._give_up(f"has done nothing for {PATIENCE_S:g} s")
             try:
@@ -277,19 +277,19 @@ class Recorder:
                 self._takes_more(LOOK_S)
             else:
                 with suppress(BrokenPipeError):
-                    self._scribe.stdin.close()
+                    self._writer.stdin.close()
                 with suppress(subprocess.TimeoutExpired):
-                    self._scribe.wait(LOOK_S)
+                    self._writer.wait(LOOK_S)
             grown, size = self._size() != size, self._size()
             if pushed or grown:
                 idle_from = monotonic()
         with suppress(BrokenPipeError):
-            self._scribe.stdin.close()
-        os.set_blocking(self._scribe.stderr.fileno(), True)
-        said = self._scribe.stderr.read()
-        self._scribe.stderr.close()
+            self._writer.stdin.close()
+        os.set_blocking(self._writer.stderr.fileno(), True)
+        said = self._writer.stderr.read()
+        self._writer.stderr.close()
         lines = [self._reason, *(self._said + said).decode().strip().splitlines()]
-        self._reason = lines[-1] or f"the scribe ended with {self._scribe.returncode}"
+        self._reason = lines[-1] or f"the writer ended with {self._writer.returncode}"
         return self._reason
 
     def _size(self) -> int:
@@ -299,13 +299,13 @@ class Recorder:
             return 0
 
     def _give_up(self, why: str) -> str:
-        """End a scribe that hangs; words about it."""
-        assert self._scribe.stdin is not None
-        assert self._scribe.stderr is not None
-        self._scribe.kill()
-        self._scribe.wait()
+        """End a writer that hangs; words about it."""
+        assert self._writer.stdin is not None
+        assert self._writer.stderr is not None
+        self._writer.kill()
+        self._writer.wait()
         self._pending.clear()
-        for pipe in (self._scribe.stdin, self._scribe.stderr):
+        for pipe in (self._writer.stdin, self._writer.stderr):
             with suppress(BrokenPipeError):
                 pipe.close()
         self._reason = f"the process that writes the log {why} and was ended"

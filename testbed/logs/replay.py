@@ -60,15 +60,15 @@ class LoggedLink:
         assert self.inputs is not None
         return dict(self.inputs.neighbours)
 
-    def told(self) -> dict[str, LawMessage]:
+    def messages(self) -> dict[str, LawMessage]:
         """See `HostLink`."""
         assert self.inputs is not None
-        return dict(self.inputs.told)
+        return dict(self.inputs.messages)
 
     def publish(self, setpoint: Setpoint) -> None:
         """Nobody listens."""
 
-    def tell(self, told: LawMessage) -> None:
+    def broadcast(self, message: LawMessage) -> None:
         """Nobody listens."""
 
 

@@ -162,14 +162,14 @@ class ReferenceLog:
         if out.filtered is not None and out.inhibit_reason is None:
             period = out.command.valid_until - out.command.issued_at
             self._filtered += period * math.hypot(out.filtered.dfx_w, out.filtered.dfy_w)
-        if out.flown is None or out.state is None:
+        if out.active_setpoint is None or out.state is None:
             return
-        force = math.hypot(out.wanted.fx, out.wanted.fy)
-        if isinstance(out.flown, Demand):
+        force = math.hypot(out.commanded_wrench.fx, out.commanded_wrench.fy)
+        if isinstance(out.active_setpoint, Demand):
             self._forces = True
-            self._rows.extend((out.state.t, math.nan, math.nan, out.flown.theta, force))
+            self._rows.extend((out.state.t, math.nan, math.nan, out.active_setpoint.theta, force))
         else:
-            pose = out.flown.pose
+            pose = out.active_setpoint.pose
             self._rows.extend((out.state.t, pose.x, pose.y, pose.theta, force))
 
     def aim(self) -> Aim:

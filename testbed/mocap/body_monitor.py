@@ -46,7 +46,7 @@ class _Seen(Struct):
     repeats: int = 0
 
 
-class BodyWatch:
+class BodyMonitor:
     """Looks at every exposure; times in seconds of any one clock."""
 
     def __init__(self, params: WatchParams | None = None) -> None:

@@ -24,7 +24,7 @@ from testbed.mocap.natnet import (
     packet,
     unpack,
 )
-from testbed.realtime.clock_sync import Offset
+from testbed.realtime.clock_sync import ClockOffset
 from testbed.realtime.wall_clock import monotonic_ns
 
 ASK_NS = 1_000_000_000  # between two questions to the server
@@ -71,7 +71,7 @@ class NatNetClient:
         self.names: dict[int, str] = {}
         self._strange: set[int] = set()  # bodies of frames that no description had
         self._nameless: set[int] = set()  # of these the newest description has none either
-        self.clock = Offset()
+        self.clock = ClockOffset()
         self.bad = 0  # datagrams that were none
         self.too_old: tuple[int, int] | None = None  # a server's version
         self.foreign: dict[str, int] = {}  # and that were not the server's, by their address

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose, PoseSample
-from testbed.mocap.body_monitor import BodyWatch
+from testbed.mocap.body_monitor import BodyMonitor
 from testbed.mocap.exposure import Axes, Exposure, MocapSource, Sighting
 from testbed.realtime.wall_clock import WallClock
 
@@ -23,7 +23,7 @@ class MocapPoses:
     """
 
     def __init__(
-        self, source: MocapSource, wire: MocapWire, clock: WallClock, name: str, watch: BodyWatch
+        self, source: MocapSource, wire: MocapWire, clock: WallClock, name: str, watch: BodyMonitor
     ) -> None:
         self._source, self._axes, self._clock = source, Axes(wire), clock
         self._body = wire.bodies.get(name, name)

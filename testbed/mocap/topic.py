@@ -10,7 +10,7 @@ import zenoh
 
 from testbed.mocap.exposure import Exposure, Sighting
 from testbed.net.session import Subscriber
-from testbed.realtime.clock_sync import Offset
+from testbed.realtime.clock_sync import ClockOffset
 
 MOST_BODIES = 256
 
@@ -26,7 +26,7 @@ class PoseTopic:
     """A `MocapSource`."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
-        self._ear, self.clock, self.bad = Subscriber(session, key), Offset(), 0
+        self._ear, self.clock, self.bad = Subscriber(session, key), ClockOffset(), 0
         self._decode = msgspec.msgpack.Decoder(tuple[int, int, int, Bodies]).decode
         self._known: set[str] = set()
 

@@ -2,8 +2,8 @@
 
     role       says                        hears                      asks, and is told
     host       everything: it is the one that everybody else dials
-    vehicle    its own state, told, tick   its setpoint; permit,      the host's clock, experiment;
-               and event; is alive         stop, poses; states and    gives the host its ticket;
+    vehicle    its own state, message,    its setpoint; permit,      the host's clock, experiment;
+               tick, event; is alive      stop, poses; states and    gives the host its ticket;
                                            words of the others        answers its own orders, and
                                                                       to stop
     table      truth, poses
@@ -95,18 +95,18 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
         return [keys.of(name, word) for name in names for word in words]
 
     everybody, own = list(vehicles), [badge.name]
-    seen = of(everybody, "state", "told", "tick", "event", "alive")
+    seen = of(everybody, "state", "message", "tick", "event", "alive")
     seen += [keys.truth, keys.pose, keys.permit, keys.host_alive]
     match badge.role:
         case "host":
             return [(act, [keys.everything]) for act in (SAY, HEAR, ASK, ANSWER, LIVE)]
         case "vehicle":
             return [
-                (SAY, of(own, "state", "told", "tick", "event")),
+                (SAY, of(own, "state", "message", "tick", "event")),
                 (LIVE, of(own, "alive")),
                 (HEAR, of(own, "alive")),  # whether somebody else is there under its name
                 (HEAR, [*of(own, "setpoint"), keys.permit, keys.stop, keys.pose]),
-                (HEAR, of(everybody, "state", "told")),
+                (HEAR, of(everybody, "state", "message")),
                 (ASK, [*of(own, "roll"), keys.clock, keys.experiment]),
                 (ANSWER, [*of(own, "order"), keys.stop]),
             ]

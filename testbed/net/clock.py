@@ -10,7 +10,7 @@ import zenoh
 
 from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, ask
-from testbed.realtime.clock_sync import Offset
+from testbed.realtime.clock_sync import ClockOffset
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
 
 STAMP = 8  # [bytes] of an answer
@@ -20,9 +20,9 @@ READ_NS = 1_000_000_000  # the same, while a vehicle waits
 UNREAD_S = 1e3  # a clock that was never read
 
 
-def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
+def read_clock(session: zenoh.Session, keys: Keys) -> ClockOffset:
     """The host's clock, from some questions and answers."""
-    clock = Offset()
+    clock = ClockOffset()
     for _ in range(READINGS):
         asked = monotonic_ns()
         said = ask(session, keys.clock)
@@ -35,7 +35,7 @@ def read_clock(session: zenoh.Session, keys: Keys) -> Offset:
 class Reader:
     """Goes on reading the host's clock while a vehicle waits: in an hour clocks drift apart."""
 
-    def __init__(self, session: zenoh.Session, keys: Keys, offset: Offset) -> None:
+    def __init__(self, session: zenoh.Session, keys: Keys, offset: ClockOffset) -> None:
         self._session, self._key, self._offset = session, keys.clock, offset
         self._due = 0
 

@@ -120,7 +120,7 @@ class Inbox(Generic[M]):
 
 _state = msgspec.msgpack.Decoder(State).decode
 _setpoint = msgspec.msgpack.Decoder(Setpoint).decode
-_told = msgspec.msgpack.Decoder(LawMessage).decode
+_law_message = msgspec.msgpack.Decoder(LawMessage).decode
 
 
 def open_state(data: Any) -> State:
@@ -154,11 +154,11 @@ def open_setpoint(data: Any) -> Setpoint:
     return setpoint
 
 
-def open_told(data: Any) -> LawMessage:
+def open_message(data: Any) -> LawMessage:
     """What a law says, likewise."""
-    told: LawMessage = _told(data)
-    _insist(told.t, *told.values)
-    return told
+    message: LawMessage = _law_message(data)
+    _insist(message.t, *message.values)
+    return message
 
 
 def _insist(*values: float) -> None:

@@ -2,7 +2,7 @@
 
     <lab>/<vehicle>/state      estimated state, each tick               vehicle -> host, vehicles
     <lab>/<vehicle>/setpoint   what to fly, each tick                   host -> vehicle
-    <lab>/<vehicle>/told       what its law says to the others' laws    vehicle -> vehicles
+    <lab>/<vehicle>/message    what its law says to the others' laws    vehicle -> vehicles
     <lab>/<vehicle>/tick       inputs and outputs, for the log          vehicle -> host
     <lab>/<vehicle>/event      how its flight ended, and why            vehicle -> host
     <lab>/<vehicle>/order      get: start or stop a flight              host -> vehicle
@@ -36,5 +36,5 @@ class Keys:
         self.everything = f"{lab}/**"
 
     def of(self, vehicle: str, what: str) -> str:
-        """A vehicle's key: state, setpoint, told, tick, event, order, roll or alive."""
+        """A vehicle's key: state, setpoint, message, tick, event, order, roll or alive."""
         return f"{self._lab}/{vehicle}/{what}"

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from testbed.core.lab import Lab
 from testbed.core.types import LawMessage, Setpoint, State
-from testbed.net.envelope import Inbox, Outbox, open_setpoint, open_state, open_told
+from testbed.net.envelope import Inbox, Outbox, open_message, open_setpoint, open_state
 from testbed.net.impairment import NetworkImpairment, calm
 from testbed.net.keys import Keys
 from testbed.net.session import Publisher, Subscriber
@@ -81,13 +81,15 @@ class ZenohVehicleLink:
         self.heard = Heard(party, keys.of(name, "setpoint"), open_setpoint)
         others = [other for other in others if other != name]
         self._states = {n: Heard(party, keys.of(n, "state"), open_state) for n in others}
-        self._words = {n: Heard(party, keys.of(n, "told"), open_told) for n in others}
-        self._state, self._told = (Said(party, keys.of(name, what)) for what in ("state", "told"))
+        self._messages = {n: Heard(party, keys.of(n, "message"), open_message) for n in others}
+        self._state, self._message = (
+            Said(party, keys.of(name, what)) for what in ("state", "message")
+        )
 
     @property
     def foreign(self) -> int:
         """Messages of another session so far."""
-        heard: list[Heard[Any]] = [self.heard, *self._states.values(), *self._words.values()]
+        heard: list[Heard[Any]] = [self.heard, *self._states.values(), *self._messages.values()]
         return sum(one.inbox.foreign for one in heard)
 
     def setpoint(self) -> Setpoint | None:
@@ -102,13 +104,13 @@ class ZenohVehicleLink:
         """See `VehicleLink`."""
         self._state.say(state)
 
-    def told(self) -> dict[str, LawMessage]:
+    def messages(self) -> dict[str, LawMessage]:
         """See `VehicleLink`."""
-        return _newest(self._words)
+        return _newest(self._messages)
 
-    def tell(self, told: LawMessage) -> None:
+    def broadcast(self, message: LawMessage) -> None:
         """See `VehicleLink`."""
-        self._told.say(told)
+        self._message.say(message)
 
 
 class Blackboard:
@@ -118,18 +120,18 @@ class Blackboard:
         self._said: dict[str, tuple[int, LawMessage, LawMessage | None]] = {}
         self.tick = 0
 
-    def write(self, name: str, told: LawMessage) -> None:
+    def write(self, name: str, message: LawMessage) -> None:
         """Say something."""
         _, newest, _ = self._said.get(name, (0, None, None))
-        self._said[name] = (self.tick, told, newest)
+        self._said[name] = (self.tick, message, newest)
 
     def read(self, name: str) -> dict[str, LawMessage]:
         """What the others said before this tick."""
         heard = {}
         for other, (tick, newest, before) in self._said.items():
-            told = newest if tick < self.tick else before
-            if other != name and told is not None:
-                heard[other] = told
+            message = newest if tick < self.tick else before
+            if other != name and message is not None:
+                heard[other] = message
         return heard
 
 
@@ -156,13 +158,13 @@ class ZenohHostLink:
         """See `HostLink`."""
         self.said.say(setpoint, setpoint.valid_until)
 
-    def told(self) -> dict[str, LawMessage]:
+    def messages(self) -> dict[str, LawMessage]:
         """See `HostLink`."""
         return self._board.read(self._name)
 
-    def tell(self, told: LawMessage) -> None:
+    def broadcast(self, message: LawMessage) -> None:
         """See `HostLink`."""
-        self._board.write(self._name, told)
+        self._board.write(self._name, message)
 
 
 def host_states(party: Party, vehicles: Iterable[str]) -> dict[str, Heard[State]]:

@@ -19,7 +19,7 @@ class Reading(NamedTuple):
     delay_ns: float  # of question and answer together
 
 
-class Offset:
+class ClockOffset:
     """The other clock, seen from here."""
 
     def __init__(self) -> None:

@@ -226,8 +226,8 @@ class TimedLaw:
 
     def __init__(self, law: Law, watch: LawWatch, vehicle: str) -> None:
         self._law, self._watch, self._vehicle = law, watch, vehicle.encode()
-        self.words = law.words
-        self._took = array("d")  # each call of `fly_ahead` [s]
+        self.message_size = law.message_size
+        self._took = array("d")  # each call of `propagate` [s]
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """What the law says of the flight, and that it is too slow."""
@@ -257,14 +257,14 @@ class TimedLaw:
         with self._watch.call(self._vehicle):
             return self._law.rate(law_state, own, neighbours, world, t)
 
-    def fly_ahead(
+    def propagate(
         self, law_state: Array, own: Body, neighbours: Neighbours, world: World,
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
         began = time.perf_counter()
         with self._watch.call(self._vehicle):
-            ahead = self._law.fly_ahead(
+            ahead = self._law.propagate(
                 law_state, own, neighbours, world, t, duration, steps
             )  # fmt: skip
         self._took.append(time.perf_counter() - began)

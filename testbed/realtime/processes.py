@@ -51,14 +51,14 @@ class ChildError(TestbedError):
     """A process of the run has ended on its own."""
 
 
-class Children:
+class ProcessGroup:
     """The processes of a run and a folder for what they share; a context manager."""
 
     def __init__(self, grace_s: float = GRACE_S) -> None:
         self._grace_s = grace_s
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
-    def __enter__(self) -> "Children":
+    def __enter__(self) -> "ProcessGroup":
         self.folder = Path(tempfile.mkdtemp(prefix="airbearing-"))
         self._guardian = subprocess.Popen(
             [sys.executable, "-SEI", "-c", GUARDIAN, str(self._grace_s), str(self.folder)],

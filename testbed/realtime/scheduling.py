@@ -9,7 +9,7 @@ from pathlib import Path
 
 
 @contextmanager
-def steady() -> Iterator[None]:
+def no_garbage_collection() -> Iterator[None]:
     """No garbage collection meanwhile.
 
     A flight makes frozen values without cycles, which reference counting frees at once; the
@@ -44,7 +44,7 @@ def _schedule(policy: int, priority: int, process: int | str = "self") -> bool:
 
 
 def prefer_process(pid: int, priority: int) -> bool:
-    """As `preferred`, for good, for another process and what it has started."""
+    """As `realtime_priority`, for good, for another process and what it has started."""
     allowed = _schedule(os.SCHED_FIFO, priority, pid)
     with suppress(OSError):
         for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
@@ -53,7 +53,7 @@ def prefer_process(pid: int, priority: int) -> bool:
 
 
 @contextmanager
-def preferred(priority: int) -> Iterator[bool]:
+def realtime_priority(priority: int) -> Iterator[bool]:
     """Run all threads before everything ordinary meanwhile; gives whether the system allows it.
 
     It takes root or an rtprio limit; without, a busy machine is felt. Threads of Python hand over

@@ -10,7 +10,7 @@ from controllers.graph import LEADER
 from testbed.logs.history import History, VehicleHistory
 from testbed.metrics.run_metrics import HOLD_S, Touch
 from testbed.report.chart import WIDTH, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
-from testbed.report.goal_error import Wanted, goal_at
+from testbed.report.goal_error import GoalError, goal_at
 from testbed.report.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -83,13 +83,13 @@ def _vehicles(history: History) -> Iterator[tuple[int, str, VehicleHistory]]:
 
 def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
     items: list[Item] = []
-    wanted = Wanted(scenario)
-    has_goals = not wanted.forms
-    for rock in scenario.obstacles.values():
-        (x, y), (vx, vy) = rock.position, rock.velocity
-        items.append(Disc(x, y, rock.radius, "danger"))
-        if rock.solid > 0.0:
-            items.append(Disc(x, y, rock.solid, "solid"))
+    goal_error = GoalError(scenario)
+    has_goals = not goal_error.forms
+    for obstacle in scenario.obstacles.values():
+        (x, y), (vx, vy) = obstacle.position, obstacle.velocity
+        items.append(Disc(x, y, obstacle.radius, "danger"))
+        if obstacle.solid > 0.0:
+            items.append(Disc(x, y, obstacle.solid, "solid"))
         if vx or vy:
             t = np.linspace(0.0, history.end, 400)
             way = np.stack([x + t * vx, y + t * vy], axis=1)
@@ -110,26 +110,26 @@ def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
         if has_goals:
             x, y = goal_at(setup, np.array([history.end]))[0].tolist()
             items.append(Point(x, y, k, "cross", name, room))
-    if wanted.led:
-        led = wanted.leader_at(np.linspace(0.0, history.end, 200))
+    if goal_error.led:
+        led = goal_error.leader_at(np.linspace(0.0, history.end, 200))
         hue = len(history.vehicles)
         items.append(Line(led[:, 0], led[:, 1], hue, "", "dashed"))
         items.append(Point(float(led[-1, 0]), float(led[-1, 1]), hue, "cross", "leader"))
     ends = {n: s[-1, :2] for n in history.vehicles if len(s := history.where(n)[1])}
-    if wanted.led:
-        ends[LEADER] = wanted.leader_at(np.array([history.end]))[0]
-    for a, b, _ in wanted.edges:
+    if goal_error.led:
+        ends[LEADER] = goal_error.leader_at(np.array([history.end]))[0]
+    for a, b, _ in goal_error.edges:
         if a in ends and b in ends:
             x, y = np.stack([ends[a], ends[b]]).T
             items.append(Line(x, y, 0, "", "edge"))
     half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
     note = "Rings are starts"
-    note += ", crosses goals" * has_goals + ", the cross is the leader" * wanted.led
-    note += "; grey lines are the formation's edges at the end" * bool(wanted.edges)
+    note += ", crosses goals" * has_goals + ", the cross is the leader" * goal_error.led
+    note += "; grey lines are the formation's edges at the end" * bool(goal_error.edges)
     note += f"; circles are the vehicles to scale at {GHOSTS} instants"
     if not all(np.isnan(v.reference).all() for v in history.vehicles.values()):
         note += "; thin dashed lines are the references"
-    if any(rock.velocity != (0.0, 0.0) for rock in scenario.obstacles.values()):
+    if any(obstacle.velocity != (0.0, 0.0) for obstacle in scenario.obstacles.values()):
         note += "; an obstacle is drawn where it starts, and its way as a dashed red line"
     if scenario.obstacles:
         note += "; dashed red is a danger radius, for the vehicle's centre"
@@ -139,8 +139,8 @@ def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
 
 
 def _error(scenario: Scenario, history: History) -> Iterator[Chart]:
-    wanted, (t, places) = Wanted(scenario), history.together()
-    settled = 1e3 * wanted.settled_m
+    goal_error, (t, places) = GoalError(scenario), history.together()
+    settled = 1e3 * goal_error.settled_m
     items: list[Item] = [Limit(settled, f"settled below {settled:.0f} mm")]
     hold, shape = scenario.criteria.hold_rms_m, scenario.criteria.formation
     if hold is not None and history.end > HOLD_S:
@@ -148,15 +148,15 @@ def _error(scenario: Scenario, history: History) -> Iterator[Chart]:
     if shape is not None and shape.error_m is not None:
         limit = 1e3 * shape.error_m
         items.append(Limit(limit, f"limit at the end {limit:g} mm"))
-    for k, (name, off) in enumerate(wanted.parts(t, places).items()):
+    for k, (name, off) in enumerate(goal_error.parts(t, places).items()):
         items.append(Line(t, 1e3 * off, k, name))
-    yield Chart("error", wanted.title, "time [s]", "distance [mm], log scale",
+    yield Chart("error", goal_error.title, "time [s]", "distance [mm], log scale",
                 items, _time(history), log=True)  # fmt: skip
 
 
 def _error_xy(scenario: Scenario, history: History) -> Iterator[Chart]:
     items: list[Item] = []
-    if Wanted(scenario).forms:
+    if GoalError(scenario).forms:
         return  # nobody has a goal of his own
     for k, name, _ in _vehicles(history):
         t, state = history.where(name)
@@ -212,7 +212,7 @@ def _heading(scenario: Scenario, history: History) -> Iterator[Chart]:
 
 def _distances(scenario: Scenario, history: History) -> Iterator[Chart]:
     items: list[Item] = []
-    radii = sorted({rock.radius for rock in scenario.obstacles.values()})
+    radii = sorted({obstacle.radius for obstacle in scenario.obstacles.values()})
     for k, name, _ in _vehicles(history):
         t, state = history.where(name)
         gaps = [
@@ -286,10 +286,14 @@ def _force(scenario: Scenario, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     width = max(1, round(1.0 / scenario.flight.jet_period_s))
     for k, name, v in _vehicles(history):
-        wanted = np.hypot(_smooth(v.wanted[:, 0], width), _smooth(v.wanted[:, 1], width))
-        given = np.hypot(_smooth(v.planned[:, 0], width), _smooth(v.planned[:, 1], width))
+        commanded = np.hypot(
+            _smooth(v.commanded_wrench[:, 0], width), _smooth(v.commanded_wrench[:, 1], width)
+        )
+        given = np.hypot(
+            _smooth(v.realised_wrench[:, 0], width), _smooth(v.realised_wrench[:, 1], width)
+        )
         items.append(Line(v.t, given, k, "", "thin dashed"))
-        items.append(Line(v.t, wanted, k, f"{name} demanded"))
+        items.append(Line(v.t, commanded, k, f"{name} demanded"))
     yield Chart("force", "Force demanded and delivered", "time [s]", "force [N]", items,
                 _time(history), note="Means over 1 s. Delivered, thin and dashed: by the jet "
                 "table, of the pulses.")  # fmt: skip

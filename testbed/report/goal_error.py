@@ -37,7 +37,7 @@ def goal_at(setup: Setup, t: Array) -> Array:
     return start + np.array([setup.path.at(one).p for one in t.tolist()])
 
 
-class Wanted:
+class GoalError:
     """What a scenario asks for."""
 
     def __init__(self, scenario: Scenario) -> None:

@@ -186,7 +186,7 @@ def _pose(pose: tuple[float, float, float]) -> str:
 
 def _flown(scenario: Scenario) -> str:
     size = scenario.table.size
-    rocks = [
+    obstacles = [
         f"{escape(name)} at {_signed(f'({o.position[0]:g}, {o.position[1]:g})')} m, "
         f"danger radius {o.radius:g} m"
         for name, o in scenario.obstacles.items()
@@ -195,7 +195,7 @@ def _flown(scenario: Scenario) -> str:
         f"Law <b>{escape(law_of(scenario))}</b> in {scenario.guidance.mode} mode, jet period "
         f"{1e3 * scenario.flight.jet_period_s:g} ms, on a table of {size[0]:g} m "
         f"\N{MULTIPLICATION SIGN} {size[1]:g} m."
-        + (f" Obstacles: {'; '.join(rocks)}." if rocks else " No obstacles.")
+        + (f" Obstacles: {'; '.join(obstacles)}." if obstacles else " No obstacles.")
         + f" Planned: {scenario.duration_s:g} s."
     )
     has_goals = not has_formation(scenario.controller)
@@ -246,7 +246,7 @@ def _criteria(scenario: Scenario, metrics: Metrics) -> str:
             near = [v.min_obstacle_distance_m for v in metrics.vehicles.values()]
             seen = [v for v in near if v is not None]
             found = f"{min(seen):.3f} m" if seen else "no obstacles"
-            radii = {rock.radius for rock in scenario.obstacles.values()}
+            radii = {obstacle.radius for obstacle in scenario.obstacles.values()}
             if len(radii) == 1:
                 name, limit = "nearest obstacle, centres", None
                 least = f"\N{GREATER-THAN OR EQUAL TO} {max(radii):g} m"

@@ -71,7 +71,7 @@ class Leader(Struct, frozen=True, forbid_unknown_fields=True):
         return float(a.w * np.linalg.norm(push, axis=1).max())
 
 
-class Rocks(Struct, frozen=True, forbid_unknown_fields=True):
+class Obstacles(Struct, frozen=True, forbid_unknown_fields=True):
     """Obstacles, all with the same velocity."""
 
     start: tuple[Vector, ...] = ()  # [m]
@@ -79,14 +79,14 @@ class Rocks(Struct, frozen=True, forbid_unknown_fields=True):
     velocity: WaveParams = STILL  # [m/s]
 
 
-NO_ROCKS = Rocks()
+NO_OBSTACLES = Obstacles()
 
 
 def place(
     orbit: OrbitParams | None,
     goal: Vector = ZERO,
     goal_v: WaveParams = STILL,
-    rocks: Rocks = NO_ROCKS,
+    obstacles: Obstacles = NO_OBSTACLES,
     push: WaveParams = STILL,
     *,
     told_sign: float = 1.0,
@@ -100,9 +100,9 @@ def place(
 ) -> Place:
     """For compiled code, see `Place`; without an orbit nothing but `push` moves a satellite."""
     chief = (orbit or OrbitParams(7000.0, 0.0)).chief()
-    centres = np.array(rocks.start, dtype=float).reshape(-1, 3)
+    centres = np.array(obstacles.start, dtype=float).reshape(-1, 3)
     return Place(
         orbit is not None, chief, np.array(goal), goal_v.wave(),
-        centres, rocks.velocity.wave(), np.full(len(centres), rocks.radius), push.wave(),
+        centres, obstacles.velocity.wave(), np.full(len(centres), obstacles.radius), push.wave(),
         told_sign, told_coriolis, told_rate, told_push, near, far, edges_at, max_axis,
     )  # fmt: skip

@@ -33,7 +33,7 @@ class Motion(NamedTuple):
     p: Array  # [m]
     v: Array  # [m/s]
     a: Array  # [m/s^2]
-    rocks: Array  # (k, d) [m]
+    obstacles: Array  # (k, d) [m]
     radius: float  # of the danger areas [m]
 
 
@@ -43,8 +43,8 @@ def slope(u: Potential, way: Motion, hop: float = 0.0) -> Array:
     e, p = way.e + step, way.p + step
     total = u.attract * e
     size = (u.repel * e * e).sum(axis=1, keepdims=True)
-    for rock in way.rocks:
-        r = p - rock
+    for obstacle in way.obstacles:
+        r = p - obstacle
         width = u.width_ratio * (way.radius + u.standoff)
         high = u.height * np.exp(-(r**2).sum(axis=1, keepdims=True) / width**2)
         total = total + high * u.repel * e - size * high * r / width**2

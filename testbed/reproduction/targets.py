@@ -11,7 +11,7 @@ from testbed.core.vehicle import Positive
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
 from testbed.reproduction.kernel.fleet import Flight, fly, wave_at
-from testbed.reproduction.scene import STILL, OrbitParams, Rocks, Vector, WaveParams, place
+from testbed.reproduction.scene import STILL, Obstacles, OrbitParams, Vector, WaveParams, place
 from testbed.reproduction.settled import settled_after
 from testbed.reproduction.sliding import Motion, vanishing
 
@@ -52,9 +52,9 @@ class Targets(Struct, frozen=True, forbid_unknown_fields=True, tag="targets"):
 def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
     """One satellite; the others do not matter to it."""
     law = gains_of(run.controller, ["sat"], 3)
-    rocks = Rocks(satellite.obstacles, run.radius)
+    obstacles = Obstacles(satellite.obstacles, run.radius)
     where = place(
-        run.orbit, satellite.goal, rocks=rocks, push=run.disturbance,
+        run.orbit, satellite.goal, obstacles=obstacles, push=run.disturbance,
         told_rate=True, told_push=run.told_disturbance,
     )  # fmt: skip
     steps = round(run.duration_s / step)
@@ -75,8 +75,8 @@ def motion_of(run: Targets, satellite: Satellite, flight: Flight) -> Motion:
         a[k] += drift(frame_at(chief, t), p[k], v[k])
         if run.told_disturbance:
             a[k] += wave_at(push, t)
-    rocks = np.array(satellite.obstacles, dtype=float).reshape(-1, 3)
-    return Motion(flight.t, p - np.array(satellite.goal), p, v, a, rocks, run.radius)
+    obstacles = np.array(satellite.obstacles, dtype=float).reshape(-1, 3)
+    return Motion(flight.t, p - np.array(satellite.goal), p, v, a, obstacles, run.radius)
 
 
 def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str, float | None]:
@@ -95,7 +95,7 @@ def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str,
     }
     if isinstance(run.controller, SotsmcParams):
         found |= vanishing(run.controller, motion_of(run, satellite, flight))
-    gaps = [np.linalg.norm(p - np.array(rock), axis=1) for rock in satellite.obstacles]
+    gaps = [np.linalg.norm(p - np.array(obstacle), axis=1) for obstacle in satellite.obstacles]
     for k, gap in enumerate(gaps, 1):
         found[f"obstacle{k}_m"] = float(gap.min())
     if gaps:
@@ -121,8 +121,8 @@ def run_targets(run: Targets, *, quick: bool) -> tuple[Measures, list[Figure]]:
             measures[f"{name} {what}"] = [value]
         ends.append(flight.p[-1, 0])
         t, p = thinned(flight.t), thinned(flight.p[:, 0])
-        for k, rock in enumerate(satellite.obstacles, 1):
-            gap = np.linalg.norm(p - np.array(rock), axis=1)
+        for k, obstacle in enumerate(satellite.obstacles, 1):
+            gap = np.linalg.norm(p - np.array(obstacle), axis=1)
             curves["d"][f"{name}, obstacle {k}"] = (t, gap)
         curves["xy"][name] = (p[:, 0], p[:, 1])
         for k, axis in enumerate("xyz"):

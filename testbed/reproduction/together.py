@@ -42,7 +42,7 @@ from testbed.core.vehicle import NonNegative, Positive
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
 from testbed.reproduction.kernel.fleet import Flight, Place, fly, goal_at, wave_at, wave_integral
-from testbed.reproduction.scene import NO_ROCKS, Leader, OrbitParams, Rocks, Vector, place
+from testbed.reproduction.scene import NO_OBSTACLES, Leader, Obstacles, OrbitParams, Vector, place
 from testbed.reproduction.settled import settled_after
 from testbed.reproduction.targets import Measures
 
@@ -68,7 +68,7 @@ class Together(Struct, frozen=True, forbid_unknown_fields=True, tag="together"):
     quick_step_s: Positive
     velocity: tuple[Vector, ...] | None = None  # null: at rest [m/s]
     leader: Leader | None = None
-    obstacles: Rocks = NO_ROCKS
+    obstacles: Obstacles = NO_OBSTACLES
     max_axis_n: Positive = 1e9  # of the thrusters
     settle_m: Positive = 1.0
     literal_graph: tuple[NonNegative, Positive] | None = None  # an edge only inside [m]
@@ -113,7 +113,7 @@ def scene_of(run: Together, edges_at: int) -> Place:
     return place(
         run.orbit,
         leader.start if leader else (0.0, 0.0, 0.0),
-        leader.velocity if leader else NO_ROCKS.velocity,
+        leader.velocity if leader else NO_OBSTACLES.velocity,
         run.obstacles,
         told_sign=run.told_sign, told_coriolis=float(run.told_coriolis),
         near=near, far=far, edges_at=edges_at, max_axis=run.max_axis_n,
@@ -163,12 +163,12 @@ def distances(run: Together, shape: Formation, track: Tracks) -> Measures:
 
 def obstacles(where: Place, track: Tracks, band: float) -> Measures:
     """How near they come, and the last time they are within `band` of a danger area."""
-    if len(where.rocks) == 0:
+    if len(where.obstacles) == 0:
         return {}
     gaps = np.empty(len(track.t))
     for k, t in enumerate(track.t):
-        rocks = where.rocks + wave_integral(where.rocks_v, t)
-        gaps[k] = np.linalg.norm(track.p[k, :-1, None] - rocks[None], axis=2).min()
+        obstacles = where.obstacles + wave_integral(where.obstacles_v, t)
+        gaps[k] = np.linalg.norm(track.p[k, :-1, None] - obstacles[None], axis=2).min()
     felt = track.t[gaps < band + float(where.radius.max())]
     return {
         "obstacle_m": [float(gaps.min())],
@@ -297,9 +297,9 @@ def static_energy(run: Together, law: CompiledLaw, track: Tracks, f: Flight) -> 
             x = x if track.edge[k, i, j] > 0.5 else u.single.range
             held = bool(u.formation.first[i, j] > 0.5)
             total[k] += u.pairs * log_potential(u.single, x, u.formation.desired[i, j], held)[0]
-        for rock in run.obstacles.start:
+        for obstacle in run.obstacles.start:
             for p in f.p[k]:
-                x, safe = np.linalg.norm(p - np.array(rock)), run.obstacles.radius
+                x, safe = np.linalg.norm(p - np.array(obstacle)), run.obstacles.radius
                 total[k] += u.obstacles * repulsion(u.single, x, safe + u.band, safe)[0]
     return total
 

@@ -111,7 +111,7 @@ class DrillError(TestbedError):
 
 def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
     """One flight, whatever becomes of its host."""
-    words = [sys.executable, "-m", "testbed.rig.wired.rehearse", str(file), str(folder)]
+    words = [sys.executable, "-m", "testbed.rig.wired.fault_flight", str(file), str(folder)]
     host = subprocess.Popen(words, start_new_session=True, stderr=subprocess.PIPE)
     start, report = folder / "start.json", folder / "report.json"
     end = monotonic_ns() + round(1e9 * (duration_s + GRACE_S))

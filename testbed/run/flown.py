@@ -200,8 +200,8 @@ def _columns(vehicle: VehicleHistory, true_t: Array) -> Vehicle:
         same = np.abs(true_t[at] - vehicle.t) < 1e-6
         true[same] = vehicle.true[at[same], :3]
     return Vehicle(
-        vehicle.t, vehicle.at, vehicle.pose, vehicle.twist, vehicle.reference, vehicle.wanted,
-        np.rint(1e6 * vehicle.on), true,
+        vehicle.t, vehicle.at, vehicle.pose, vehicle.twist, vehicle.reference,
+        vehicle.commanded_wrench, np.rint(1e6 * vehicle.on), true,
     )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from testbed.metrics.run_metrics import Metrics, ReferenceLog
 from testbed.realtime.heartbeat import Phase, heartbeat
 from testbed.realtime.law_watch import left_running, patience
 from testbed.realtime.pacer import Pace
-from testbed.realtime.scheduling import steady
+from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.interface import Rig
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import TwinRig, make_twin, warm_up
@@ -161,7 +161,7 @@ def fly_and_judge(
                 heartbeat().phase = Phase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)
                 screen.flies()
-                with steady():
+                with no_garbage_collection():
                     began = time.perf_counter()
                     ending = rig.fly(
                         log, stopped=lambda: interrupt.asked or log.trouble is not None

@@ -112,8 +112,8 @@ class _Link:
     def publish(self, state: State) -> None:
         return
 
-    def told(self) -> dict[str, LawMessage]:
+    def messages(self) -> dict[str, LawMessage]:
         return {}
 
-    def tell(self, told: LawMessage) -> None:
+    def broadcast(self, message: LawMessage) -> None:
         return

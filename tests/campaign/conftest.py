@@ -8,12 +8,12 @@ import pytest
 import tomli_w
 from pretence import hold, no_warm_up, pretend, pretend_with_log
 
-from testbed.campaign.flight import Crew
+from testbed.campaign.flight import Fliers
 
 
 @pytest.fixture
-def crew() -> Callable[[int], Crew]:
-    return lambda jobs=1: Crew(pretend, pretend_with_log, no_warm_up, hold, jobs)
+def fliers() -> Callable[[int], Fliers]:
+    return lambda jobs=1: Fliers(pretend, pretend_with_log, no_warm_up, hold, jobs)
 
 
 @pytest.fixture

@@ -15,7 +15,13 @@ from scipy.stats import beta
 from testbed.campaign.code import code_digest
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import EngineError, workers
-from testbed.campaign.flight import UNLIKE, Watch, failure_folder, fly_campaign, replay_command
+from testbed.campaign.flight import (
+    UNLIKE,
+    CampaignObserver,
+    failure_folder,
+    fly_campaign,
+    replay_command,
+)
 from testbed.campaign.interval import success_rate
 from testbed.campaign.journal import JournalError
 from testbed.campaign.result import table_of, write_parquet
@@ -27,7 +33,7 @@ MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
 GRID = {"key": "controller.bandwidth", "values": [0.1, 0.2]}
 
 
-class StopAfter(Watch):
+class StopAfter(CampaignObserver):
     """An operator who interrupts."""
 
     def __init__(self, count):
@@ -39,19 +45,19 @@ class StopAfter(Watch):
             raise KeyboardInterrupt
 
 
-def fly(campaign, folder, crew, watch=None):
-    return fly_campaign(campaign, b"text", folder, crew, watch or Watch())
+def fly(campaign, folder, fliers, watch=None):
+    return fly_campaign(campaign, b"text", folder, fliers, watch or CampaignObserver())
 
 
-def test_every_run_once_whoever_flies_and_however_often_it_is_stopped(write, crew, tmp_path):
+def test_every_run_once_whoever_flies_and_however_often_it_is_stopped(write, fliers, tmp_path):
     campaign = load_campaign(write(grid=[GRID], draw=[MASS], samples=20, keep=3))
-    straight = fly(campaign, tmp_path / "a", crew(1))
+    straight = fly(campaign, tmp_path / "a", fliers(1))
     assert [run.k for run in straight.runs] == list(range(40))
     assert straight.unlike == []
     for count in (1, 7, 13):
         with pytest.raises(KeyboardInterrupt):
-            fly(campaign, tmp_path / "b", crew(2), StopAfter(count))
-    resumed = fly(campaign, tmp_path / "b", crew(2))
+            fly(campaign, tmp_path / "b", fliers(2), StopAfter(count))
+    resumed = fly(campaign, tmp_path / "b", fliers(2))
     assert resumed.resumed >= 21
     assert resumed.runs == straight.runs
     for name, ended in (("a", straight), ("b", resumed)):
@@ -66,34 +72,34 @@ def test_every_run_once_whoever_flies_and_however_often_it_is_stopped(write, cre
         campaign, tmp_path / "b", 3
     )
 
-    again = fly(campaign, tmp_path / "b", crew(2))  # nothing is left to fly
+    again = fly(campaign, tmp_path / "b", fliers(2))  # nothing is left to fly
     assert (again.resumed, again.runs) == (40, straight.runs)
 
 
-def test_a_run_that_was_not_the_same_the_second_time_stays_one(write, crew, tmp_path):
+def test_a_run_that_was_not_the_same_the_second_time_stays_one(write, fliers, tmp_path):
     campaign = load_campaign(write(samples=9, keep=3))
     for _ in range(2):  # also when nothing is left to fly
-        ended = fly(campaign, tmp_path / "a", replace(crew(), fly_with_log=otherwise_with_log))
+        ended = fly(campaign, tmp_path / "a", replace(fliers(), fly_with_log=otherwise_with_log))
         assert ended.unlike == [0, 3]
     notes = [failure_folder(tmp_path / "a", k) / UNLIKE for k in (0, 3)]
     assert [note.read_text() for note in notes] == ["gas_g\n", "how it ended\n"]
 
 
-def test_results_are_written_while_nobody_else_may(write, crew, tmp_path):
+def test_results_are_written_while_nobody_else_may(write, fliers, tmp_path):
     campaign = load_campaign(write(samples=2))
     ends = []
 
     def finish(ended):
         with pytest.raises(JournalError, match="another process"):
-            fly(campaign, tmp_path / "a", crew())
+            fly(campaign, tmp_path / "a", fliers())
         ends.append(ended)
 
-    ended = fly_campaign(campaign, b"text", tmp_path / "a", crew(), Watch(), finish)
+    ended = fly_campaign(campaign, b"text", tmp_path / "a", fliers(), CampaignObserver(), finish)
     assert ends == [ended]
 
 
 @pytest.mark.parametrize("draw", [[], [MASS]])
-def test_a_campaign_is_extended_to_what_the_larger_one_gives(write, crew, tmp_path, draw):
+def test_a_campaign_is_extended_to_what_the_larger_one_gives(write, fliers, tmp_path, draw):
     keys = {"grid": [GRID], "draw": draw}
     few = load_campaign(write(samples=2, keep=1, **keys))
     more = {
@@ -101,8 +107,8 @@ def test_a_campaign_is_extended_to_what_the_larger_one_gives(write, crew, tmp_pa
         "limit_s": 7.0,
     }  # fmt: skip
     many = load_campaign(write(**more, **keys))
-    fly(few, tmp_path / "a", crew())
-    extended, straight = (fly(many, tmp_path / name, crew()) for name in "ab")
+    fly(few, tmp_path / "a", fliers())
+    extended, straight = (fly(many, tmp_path / name, fliers()) for name in "ab")
     assert (extended.resumed, straight.resumed) == (4, 0)
     for name, ended in (("a", extended), ("b", straight)):
         write_parquet(tmp_path / f"{name}.parquet", table_of(many, ended.runs), {})
@@ -110,20 +116,22 @@ def test_a_campaign_is_extended_to_what_the_larger_one_gives(write, crew, tmp_pa
     folders = [sorted(p.name for p in (tmp_path / n / "failures").iterdir()) for n in "ab"]
     assert folders[0] == folders[1] == ["run_000000", "run_000003", "run_000006"]
 
-    fewer = fly(few, tmp_path / "a", crew())  # and back: those behind the last sample do not count
+    fewer = fly(
+        few, tmp_path / "a", fliers()
+    )  # and back: those behind the last sample do not count
     assert (fewer.resumed, fewer.runs) == (4, straight.runs[:4])
-    assert fly(many, tmp_path / "a", crew()).resumed == 10
+    assert fly(many, tmp_path / "a", fliers()).resumed == 10
 
 
-def test_a_run_that_was_lost_is_flown_again_when_it_may_take_longer(write, crew, tmp_path):
+def test_a_run_that_was_lost_is_flown_again_when_it_may_take_longer(write, fliers, tmp_path):
     keys = {"samples": 3, "keep": 0, "set": ["description='endless.1.'"]}
     short = load_campaign(write(limit_s=1.0, **keys))
     longer = load_campaign(write(limit_s=1.5, **keys))
-    lost = fly(short, tmp_path / "a", crew()).runs[1]
+    lost = fly(short, tmp_path / "a", fliers()).runs[1]
     assert (lost.outcome, "than 1 s" in lost.reason) == ("lost", True)
-    again = fly(longer, tmp_path / "a", crew())
+    again = fly(longer, tmp_path / "a", fliers())
     assert (again.resumed, "than 1.5 s" in again.runs[1].reason) == (2, True)
-    assert fly(longer, tmp_path / "a", crew()).resumed == 3
+    assert fly(longer, tmp_path / "a", fliers()).resumed == 3
 
 
 HYPERCUBE = {"design": "latin_hypercube", "draw": [MASS], "samples": 2}
@@ -142,39 +150,43 @@ HYPERCUBE = {"design": "latin_hypercube", "draw": [MASS], "samples": 2}
         ({"set": ["duration_s=9"]}, {}, r'`set\[0\]` was "duration_s=9" and is nothing'),
     ],
 )  # fmt: skip
-def test_what_would_be_another_run_is_refused_by_its_key(write, crew, tmp_path, before, now, words):
+def test_what_would_be_another_run_is_refused_by_its_key(
+    write, fliers, tmp_path, before, now, words
+):
     path = write(**before)
-    fly_campaign(load_campaign(path), path.read_bytes(), tmp_path / "a", crew(), Watch())
+    fly_campaign(
+        load_campaign(path), path.read_bytes(), tmp_path / "a", fliers(), CampaignObserver()
+    )
     for _ in range(2):  # what is refused changes nothing
         with pytest.raises(
             JournalError, match=f"campaign or experiment has changed.*\n.*\n.*{words}"
         ):
-            fly(load_campaign(write(**now)), tmp_path / "a", crew())
+            fly(load_campaign(write(**now)), tmp_path / "a", fliers())
 
 
-def test_an_experiment_that_was_edited_is_refused_by_its_key(write, crew, tmp_path):
+def test_an_experiment_that_was_edited_is_refused_by_its_key(write, fliers, tmp_path):
     def campaign(duration):
         text = tomli_w.dumps(dump(load(find("hold"), [f"duration_s={duration}"])))
         (tmp_path / "mine.toml").write_text(text)
         return load_campaign(path)
 
     path = write(experiment="mine.toml")
-    fly_campaign(campaign(8), path.read_bytes(), tmp_path / "a", crew(), Watch())
+    fly_campaign(campaign(8), path.read_bytes(), tmp_path / "a", fliers(), CampaignObserver())
     with pytest.raises(JournalError, match=r"`duration_s` of the experiment was 8\.0 and is 9\.0"):
-        fly(campaign(9), tmp_path / "a", crew())
+        fly(campaign(9), tmp_path / "a", fliers())
 
 
-def test_a_run_that_kills_its_workers_is_found_and_the_others_fly(write, crew, tmp_path):
+def test_a_run_that_kills_its_workers_is_found_and_the_others_fly(write, fliers, tmp_path):
     campaign = load_campaign(write(samples=9, keep=0, set=["description='deadly.4.'"]))
-    ended = fly(campaign, tmp_path / "a", crew(1))
+    ended = fly(campaign, tmp_path / "a", fliers(1))
     assert [run.k for run in ended.runs] == list(range(9))
     assert [run.k for run in ended.runs if run.outcome == "lost"] == [4]
 
 
-def test_a_run_that_never_ends_is_given_up_and_the_others_fly(write, crew, tmp_path):
+def test_a_run_that_never_ends_is_given_up_and_the_others_fly(write, fliers, tmp_path):
     keys = {"set": ["description='endless.4.'"], "limit_s": 1.0}
     campaign = load_campaign(write(samples=9, keep=0, **keys))
-    ended = fly(campaign, tmp_path / "a", crew(1))
+    ended = fly(campaign, tmp_path / "a", fliers(1))
     assert [run.k for run in ended.runs] == list(range(9))
     assert [run.k for run in ended.runs if run.outcome == "lost"] == [4]
 
@@ -185,18 +197,18 @@ def test_what_never_gets_warm_is_left_to_the_workers(monkeypatch, tmp_path):
     assert not list(tmp_path.rglob("*"))  # and it is not noted as compiled
 
 
-def test_a_cluster_flies_the_same_and_stays(write, crew, tmp_path):
+def test_a_cluster_flies_the_same_and_stays(write, fliers, tmp_path):
     campaign = load_campaign(write(grid=[GRID], samples=10, keep=2))
-    straight = fly(campaign, tmp_path / "a", crew(1))
+    straight = fly(campaign, tmp_path / "a", fliers(1))
     with workers(2, None) as lab:
-        there = replace(crew(1), scheduler=lab.scheduler.address)
+        there = replace(fliers(1), scheduler=lab.scheduler.address)
         ended = fly(campaign, tmp_path / "b", there)
         assert len(lab.nthreads()) == 2
     assert ended.runs == straight.runs
 
 
-def test_who_watches_can_ask_for_workers_while_there_are_none(write, crew, tmp_path):
-    class Counts(Watch):
+def test_who_watches_can_ask_for_workers_while_there_are_none(write, fliers, tmp_path):
+    class Counts(CampaignObserver):
         def flying(self, count_workers):
             counts.append(count_workers())
             lab.retire_workers(list(lab.nthreads()), close_workers=False)
@@ -206,7 +218,7 @@ def test_who_watches_can_ask_for_workers_while_there_are_none(write, crew, tmp_p
     counts = []
     campaign = load_campaign(write(samples=1))
     with workers(1, None) as lab, pytest.raises(KeyboardInterrupt):
-        fly(campaign, tmp_path / "a", replace(crew(1), client=lab), Counts())
+        fly(campaign, tmp_path / "a", replace(fliers(1), client=lab), Counts())
     assert counts == [1, 0]
 
 
@@ -223,11 +235,11 @@ def test_a_cluster_with_other_code_is_refused(monkeypatch):
             engine._same_code(lab, "tcp://lab:8786")
 
 
-def test_a_worker_with_other_code_that_joins_late_is_refused(write, crew, tmp_path):
+def test_a_worker_with_other_code_that_joins_late_is_refused(write, fliers, tmp_path):
     campaign = load_campaign(write(samples=9, keep=0))
     with pytest.raises(EngineError, match=f"code of this machine, {code_digest()}\n.*other on"):
-        fly(campaign, tmp_path / "a", replace(crew(1), fly=of_another_version))
-    resumed = fly(campaign, tmp_path / "a", crew(1))
+        fly(campaign, tmp_path / "a", replace(fliers(1), fly=of_another_version))
+    resumed = fly(campaign, tmp_path / "a", fliers(1))
     assert [run.k for run in resumed.runs] == list(range(9))
 
 
@@ -263,9 +275,9 @@ def test_workers_that_cannot_start_are_said(monkeypatch):
         pass
 
 
-def test_the_table_has_a_row_per_run_and_types_a_reader_expects(write, crew, tmp_path):
+def test_the_table_has_a_row_per_run_and_types_a_reader_expects(write, fliers, tmp_path):
     campaign = load_campaign(write(grid=[GRID], draw=[MASS], samples=3))
-    ended = fly(campaign, tmp_path / "a", crew())
+    ended = fly(campaign, tmp_path / "a", fliers())
     write_parquet(tmp_path / "r.parquet", table_of(campaign, ended.runs), {"campaign": "try"})
     table = pyarrow.parquet.read_table(tmp_path / "r.parquet")
     assert table.column_names[:6] == [
@@ -284,9 +296,9 @@ def test_a_number_that_no_run_has_is_a_column_of_numbers(tmp_path):
     assert table["settle_s"].to_pylist() == [None, None]
 
 
-def test_the_summary_counts(write, crew, tmp_path):
+def test_the_summary_counts(write, fliers, tmp_path):
     campaign = load_campaign(write(grid=[GRID], samples=15, keep=0))
-    ended = fly(campaign, tmp_path / "a", crew())
+    ended = fly(campaign, tmp_path / "a", fliers())
     summary = summarise(campaign, "hold", ended)
     assert (summary.runs, summary.succeeded) == (30, 20)
     assert summary.outcomes == {"failed": 10, "passed": 20}

@@ -10,7 +10,7 @@ from rich.console import Console
 from patience import wait_for
 from testbed.cli.live import LiveTable
 from testbed.config import find, load
-from testbed.report.goal_error import Wanted
+from testbed.report.goal_error import GoalError
 from testbed.rig.twin import make_twin
 
 
@@ -106,7 +106,7 @@ def test_the_error_of_a_formation_is_of_its_edges():
         live.flies()
         make_twin(experiment).fly(Shower(live))
     rows = {line.split()[0]: line.split() for line in words(live).splitlines() if "flies" in line}
-    wanted = {frozenset((e.a, e.b)): e.length for e in Wanted(experiment).edges}
+    wanted = {frozenset((e.a, e.b)): e.length for e in GoalError(experiment).edges}
     place = {name: np.array(setup.start[:2]) for name, setup in experiment.vehicles.items()}
     first = abs(np.linalg.norm(place["sat1"] - place["sat2"]) - wanted[frozenset(("sat1", "sat2"))])
     assert float(rows["sat1"][2]) == pytest.approx(1e3 * first, abs=30.0)  # little has moved

@@ -228,7 +228,7 @@ def test_what_hears_a_signal_twice_is_told_once(start):
     process = start(*words(law("open('there', 'w').close(); time.sleep(0.05)"), "duration_s=4000"))
     wait_for(Path("there").exists)
     child = psutil.Process(process.pid).children()
-    flying = [one for one in child if "scribe" not in " ".join(one.cmdline())]
+    flying = [one for one in child if "mcap_writer" not in " ".join(one.cmdline())]
     assert len(flying) == 1
     flying[0].send_signal(signal.SIGINT)
     process.send_signal(signal.SIGINT)

@@ -74,7 +74,7 @@ class IsFlat(Law):
 
 
 class Whole:
-    """A law with a `fly_ahead` of its own, which says too much."""
+    """A law with a `propagate` of its own, which says too much."""
 
     words = 0
 
@@ -84,7 +84,7 @@ class Whole:
     def rate(self, law_state, own, neighbours, world, t):
         return np.zeros(2), law_state
 
-    def fly_ahead(self, law_state, own, neighbours, world, t, duration, steps):
+    def propagate(self, law_state, own, neighbours, world, t, duration, steps):
         from testbed.core.law import Ahead
 
         return Ahead(law_state, own.p, own.v, np.zeros(2), np.zeros(3))
@@ -102,7 +102,7 @@ BAD = {  # law: (the check, what it says)
     KeepsOutside: ("two_laws_are_alike", "nothing outside it is kept"),
     TakesTheFirstNeighbour: ("finite_numbers", "IndexError"),
     DividesByTheDistance: ("finite_numbers", "nan"),
-    Whole: ("shapes", "told of fly_ahead"),
+    Whole: ("shapes", "told of propagate"),
     NoForce: ("shapes", "NoForce with neither"),
 }
 

@@ -13,9 +13,11 @@ from testbed.core.law import Body, Discs, Goal, Neighbours, World
 class Fleet:
     """`n` copies of a law; the law's module says how it tells and jumps, if it does."""
 
-    def __init__(self, module, law, mass, drift=None, leader=None, obstacles=None, max_force=1e9):
+    def __init__(
+        self, module, law, mass, disturbance=None, leader=None, obstacles=None, max_force=1e9
+    ):
         self.module, self.law, self.mass = module, law, np.array(mass, dtype=float)
-        self.drift = drift or (lambda p, v: np.zeros_like(p))
+        self.disturbance = disturbance or (lambda p, v: np.zeros_like(p))
         self.leader = leader
         self.obstacles = obstacles or (lambda t: None)
         self.max_force = max_force
@@ -29,7 +31,7 @@ class Fleet:
     def bodies(self, p, v):
         still = np.zeros(p.shape[1])
         return [
-            Body(p[i], v[i], self.mass[i], self.drift(p[i], v[i]), still, self.max_force, i)
+            Body(p[i], v[i], self.mass[i], self.disturbance(p[i], v[i]), still, self.max_force, i)
             for i in range(len(p))
         ]
 
@@ -43,10 +45,10 @@ class Fleet:
         world, bodies = self.world(t, p.shape[1]), self.bodies(p, v)
         silent = np.zeros((len(p), 0))
         told = silent
-        if hasattr(self.module, "tell"):
+        if hasattr(self.module, "broadcast"):
             told = np.array(
                 [
-                    self.module.tell(
+                    self.module.broadcast(
                         self.law.gains, z[i], own, self.neighbours(i, t, p, v, silent), world, t
                     )
                     for i, own in enumerate(bodies)
@@ -59,7 +61,7 @@ class Fleet:
         a, dz, forces = np.empty_like(v), np.empty_like(z), np.empty_like(v)
         for i, (own, neighbours, world) in enumerate(self.scene(t, p, v, z)):
             forces[i], dz[i] = self.law.rate(z[i], own, neighbours, world, t)
-            a[i] = forces[i] / own.mass + own.drift
+            a[i] = forces[i] / own.mass + own.disturbance
         return v, a, dz, forces
 
     def initial(self, p, v):

@@ -370,7 +370,7 @@ def test_velocity_is_relative_to_the_centre_which_may_accelerate(at_rest, fixed_
 
 def test_drift_is_cancelled(at_rest, fixed_world, nobody):
     law, world, own = law_of(2, **CIRCLE), fixed_world([0.0, 0.0]), at_rest([1.1, 0.4], 15.0)
-    tilted = own._replace(drift=np.array([2e-3, -1e-3]))
+    tilted = own._replace(disturbance=np.array([2e-3, -1e-3]))
     change = push(law, tilted, world, nobody(2)) - push(law, own, world, nobody(2))
     assert change == pytest.approx([-0.03, 0.015])
 

@@ -94,7 +94,7 @@ def promised(p):
 def test_energy_of_the_leaderless_law_falls_and_the_edges_settle(push):
     # drift is known to the law, Coriolis' part of it does no work
     turn = np.array([[0.0, 0.05], [-0.05, 0.0]])
-    fleet = Fleet(formation_law, FORMATION, MASS, drift=lambda p, v: push * p + turn @ v)
+    fleet = Fleet(formation_law, FORMATION, MASS, disturbance=lambda p, v: push * p + turn @ v)
     flight = fleet.fly(START, REST, 60.0, 0.05)
     v = energies(fleet, flight)
     assert (np.diff(v) < 0.0).all()

@@ -74,7 +74,7 @@ class Scene:
         self.edge[self.me] = 0.0
         if not leader or self.me not in (0, 2):
             self.edge[4] = 0.0
-        self.mass, self.drift = 10.0, rng.normal(0.0, 1e-3, d)
+        self.mass, self.disturbance = 10.0, rng.normal(0.0, 1e-3, d)
         self.accel = rng.normal(0.0, 1e-3, d)
         for j in range(5):  # the oracle knows the inside of the potential only
             gap = np.linalg.norm(self.proxy[self.me] - self.proxy[j])
@@ -90,9 +90,11 @@ class Scene:
         at = np.full(3, self.t - self.late)
         neighbours = Neighbours(self.p[others], self.v[others], np.full(3, SAFE), others, told, at)
         still = np.zeros(self.d)
-        own = Body(self.p[self.me], self.v[self.me], self.mass, self.drift, still, 1e9, self.me)
-        rocks = Discs(np.zeros((0, self.d)), np.zeros((0, self.d)), np.zeros(0))
-        return own, neighbours, World(Goal(self.p[4], self.v[4], self.accel, still), rocks)
+        own = Body(
+            self.p[self.me], self.v[self.me], self.mass, self.disturbance, still, 1e9, self.me
+        )
+        obstacles = Discs(np.zeros((0, self.d)), np.zeros((0, self.d)), np.zeros(0))
+        return own, neighbours, World(Goal(self.p[4], self.v[4], self.accel, still), obstacles)
 
     def edges(self):
         return [j for j in range(5) if self.edge[j] == 1.0]
@@ -107,7 +109,7 @@ class Scene:
         return self.p[self.me] - self.proxy[self.me]
 
     def weight(self):
-        return self.mass * self.drift
+        return self.mass * self.disturbance
 
 
 def check(law, scene, force, proxy_force):
@@ -184,9 +186,9 @@ LAWS = [
 @pytest.mark.parametrize(("module", "law"), LAWS)
 def test_tells_its_proxy(module, law):
     scene = Scene(1, 3, leader=False)
-    said = module.tell(law.gains, scene.state(), *scene.sight(), scene.t)
+    said = module.broadcast(law.gains, scene.state(), *scene.sight(), scene.t)
     assert (said == scene.state()[:6]).all()
-    assert law.words == 6
+    assert law.message_size == 6
 
 
 @pytest.mark.parametrize(("module", "law"), LAWS)
@@ -206,7 +208,9 @@ def test_a_stranger_is_no_neighbour(module, law):
     scene = Scene(1, 3, leader=False)
     own, neighbours, world = scene.sight()
     nobody = neighbours._replace(p=own.p[None], v=own.v[None], radius=np.ones(1))
-    nobody = nobody._replace(who=np.array([-1]), told=np.ones((1, 6)), told_at=np.zeros(1))
+    nobody = nobody._replace(
+        vehicle_index=np.array([-1]), message=np.ones((1, 6)), message_t=np.zeros(1)
+    )
     none = Neighbours(*(column[:0] for column in nobody))
     for f in (law.rate, lambda *a: (module.jump(law.gains, *a),)):
         found, expected = (f(scene.state(), own, n, world, 7.0) for n in (nobody, none))
@@ -219,7 +223,7 @@ def test_starts_with_its_proxy_at_rest_where_it_is(module, law):
     start = law.initial(own, neighbours, world)
     assert (start[:2] == own.p).all()
     assert (start[2:4] == 0.0).all()
-    assert (start[4:] == law.gains.coupling.formation.first[own.who]).all()
+    assert (start[4:] == law.gains.coupling.formation.first[own.vehicle_index]).all()
 
 
 @pytest.mark.parametrize(("module", "law"), LAWS)

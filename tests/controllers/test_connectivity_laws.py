@@ -41,10 +41,10 @@ class Scene:
         self.s = rng.normal(0.0, 0.5, (4, d))  # what the others told
         self.edge = np.append(rng.integers(0, 2, 4), 0).astype(float)
         self.edge[self.me] = 0.0
-        self.drift, self.mass_hat = rng.normal(0.0, 0.1, d), 10.5
+        self.disturbance, self.mass_hat = rng.normal(0.0, 0.1, d), 10.5
         away = rng.normal(size=(2, d))
         away *= np.array([[25.0], [45.0]]) / np.linalg.norm(away, axis=1, keepdims=True)
-        self.rocks, self.rocks_v = self.p[self.me] + away, rng.normal(0.0, 2.0, (2, d))
+        self.obstacles, self.obstacles_v = self.p[self.me] + away, rng.normal(0.0, 2.0, (2, d))
 
     def sight(self):
         others = np.array([j for j in (2, 0, 3, 1) if j != self.me])
@@ -52,9 +52,9 @@ class Scene:
         neighbours = Neighbours(
             self.p[others], self.v[others], three, others, self.s[others], np.zeros(3)
         )
-        own = Body(self.p[self.me], self.v[self.me], 9.0, self.drift, still, 1e9, self.me)
-        rocks = Discs(self.rocks, self.rocks_v, np.full(2, 10.0))
-        return own, neighbours, World(Goal(still, still, still, still), rocks)
+        own = Body(self.p[self.me], self.v[self.me], 9.0, self.disturbance, still, 1e9, self.me)
+        obstacles = Discs(self.obstacles, self.obstacles_v, np.full(2, 10.0))
+        return own, neighbours, World(Goal(still, still, still, still), obstacles)
 
     def edges(self):
         return [j for j in range(4) if self.edge[j] == 1.0]
@@ -75,9 +75,9 @@ class Scene:
 
     def obstacle(self, k):
         """Eq. (5)'s gradient, K_o included."""
-        x = np.linalg.norm(self.p[self.me] - self.rocks[k])
+        x = np.linalg.norm(self.p[self.me] - self.obstacles[k])
         slope = K_R * (x - D_O) / (x - 10.0) if x < D_O else 0.0
-        return K_O * slope * self.unit(self.rocks[k])
+        return K_O * slope * self.unit(self.obstacles[k])
 
     def psi(self, count, edges, everybody_held=None):
         """Eq. (9)'s gradient."""
@@ -96,7 +96,7 @@ def test_static_is_6_to_9(seed, d, count):
 
     force, change = law.rate(state, *scene.sight(), 0.0)
 
-    v, y = scene.v[scene.me], -scene.drift
+    v, y = scene.v[scene.me], -scene.disturbance
     drag = 0.4 * sum((scene.v[j] - v for j in scene.edges()), np.zeros(d)) - 0.3 * v
     expected = drag - scene.psi(count, scene.edges()) + scene.mass_hat * y
     assert force == pytest.approx(expected, rel=1e-10)
@@ -116,12 +116,12 @@ def test_dynamic_is_15_to_22(seed, d, swerve):
     state = np.concatenate(([scene.mass_hat], scene.edge))
 
     force, change = law.rate(state, *scene.sight(), 0.0)
-    told = dynamic_law.tell(law.gains, state, *scene.sight(), 0.0)
+    told = dynamic_law.broadcast(law.gains, state, *scene.sight(), 0.0)
 
-    psi, y = scene.psi(2, scene.edges()), -scene.drift
+    psi, y = scene.psi(2, scene.edges()), -scene.disturbance
     w = np.zeros(d)
     for k in range(2):
-        power = scene.obstacle(k) * scene.rocks_v[k]
+        power = scene.obstacle(k) * scene.obstacles_v[k]
         w += {"off": 0.0, "smooth": power * psi / (psi**2 + 0.2**2), "paper": power / psi}[swerve]
     s = scene.v[scene.me] + 0.6 * psi - w
     drag = 0.4 * sum((s - scene.s[j] for j in scene.edges()), np.zeros(d)) + 0.7 * s
@@ -129,7 +129,7 @@ def test_dynamic_is_15_to_22(seed, d, swerve):
     assert force == pytest.approx(expected, rel=1e-9)
     assert change[0] == pytest.approx(-0.3 * s @ y, rel=1e-9)
     assert told == pytest.approx(s, rel=1e-9)
-    assert law.words == d
+    assert law.message_size == d
 
 
 @pytest.mark.parametrize("attract", ["log", "cosine"])
@@ -144,9 +144,9 @@ def test_baseline_is_31_and_32(seed, d, attract):
 
     others = [j for j in range(4) if j != scene.me]
     s = scene.v[scene.me] + 0.1 * scene.psi(1, others, everybody_held=attract == "log")
-    expected = -0.2 * np.sign(s) - scene.mass_hat * scene.drift - 0.1 * s
+    expected = -0.2 * np.sign(s) - scene.mass_hat * scene.disturbance - 0.1 * s
     assert force == pytest.approx(expected, rel=1e-10)
-    assert change == pytest.approx([0.5 * s @ scene.drift], rel=1e-10)
+    assert change == pytest.approx([0.5 * s @ scene.disturbance], rel=1e-10)
 
 
 @pytest.mark.parametrize("x", [30.0, 59.0, 61.0, 119.0, 121.0, 400.0])
@@ -259,7 +259,7 @@ def test_v1_of_the_static_law_falls_whatever_the_mass_and_the_drift():
         static_law,
         static(alpha=20.0, mass=12.0),
         [15.0, 14.0, 16.0],
-        drift=lambda p, v: turn @ v + 0.01 * p,
+        disturbance=lambda p, v: turn @ v + 0.01 * p,
         obstacles=rock([0.0, 0.0]),
     )
     *flight, _ = fleet.fly(START, PUSH, 60.0, 0.02, every=5)
@@ -272,8 +272,8 @@ def test_v1_of_the_static_law_falls_whatever_the_mass_and_the_drift():
 def inside(p, centres):
     """Held edges inside the range, pairs and obstacle not touched."""
     pairs = np.array([gaps(p, 0, 1), gaps(p, 1, 2), gaps(p, 0, 2)])
-    rocks = np.linalg.norm(p - centres[:, None], axis=2)
-    return pairs[:2].max() < 2.5 and pairs.min() > 0.45 and rocks.min() > 0.45
+    obstacles = np.linalg.norm(p - centres[:, None], axis=2)
+    return pairs[:2].max() < 2.5 and pairs.min() > 0.45 and obstacles.min() > 0.45
 
 
 def test_static_formation_is_reached_around_the_obstacle():

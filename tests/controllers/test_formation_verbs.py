@@ -49,17 +49,17 @@ def test_flies_ahead_remembers_its_edges_and_tells(name, scale):
     own = Body(still, still, 15.0, still, still, 1.0, 0)
     others = Neighbours(
         np.array([[1.2, 0.0]]), np.zeros((1, 2)), np.ones(1), np.array([1]),
-        np.zeros((1, law.words)), np.zeros(1),
+        np.zeros((1, law.message_size)), np.zeros(1),
     )  # fmt: skip
-    if law.words == 4:
-        others.told[0, 0] = 1.2 * scale.length
-    rocks = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-    world = World(Goal(np.array([-1.4, 0.0]), still, still, still), rocks)
+    if law.message_size == 4:
+        others.message[0, 0] = 1.2 * scale.length
+    obstacles = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    world = World(Goal(np.array([-1.4, 0.0]), still, still, still), obstacles)
     start = law.initial(own, others, world)
 
-    ahead = law.fly_ahead(start, own, others, world, 0.0, 0.1, 4)
+    ahead = law.propagate(start, own, others, world, 0.0, 0.1, 4)
 
-    assert len(ahead.told) == law.words
+    assert len(ahead.message) == law.message_size
     assert np.isfinite(ahead.law_state).all()
     assert np.linalg.norm(ahead.mean_force) <= 1.0 + 1e-12
     if name.startswith(("connectivity", "bounded")):

@@ -15,7 +15,7 @@ def flown(law, own, world, nobody, periods, period=0.1):
     others = nobody(len(own.p))
     state = law.initial(own, others, world)
     for k in range(periods):
-        ahead = law.fly_ahead(state, own, others, world, k * period, period, 100)
+        ahead = law.propagate(state, own, others, world, k * period, period, 100)
         state, own = ahead.law_state, own._replace(p=ahead.p, v=ahead.v)
     return own
 
@@ -26,7 +26,7 @@ def test_gain_is_the_closed_form_of_a_double_integrator(at_rest, fixed_world, no
     stiffness = 0.08 / 2.0
     damping = math.sqrt(2.0 * stiffness + (0.08 / 0.5) ** 2)
     own = at_rest([1.0, 0.0], mass=3.0)._replace(v=np.array([0.0, 1.0]))
-    ahead = lqr(params, 2).fly_ahead(
+    ahead = lqr(params, 2).propagate(
         np.zeros(0), own, nobody(2), fixed_world([0.0, 0.0]), 0.0, 1e-4, 1
     )
     assert ahead.mean_force == pytest.approx(-3.0 * np.array([stiffness, damping]), rel=1e-3)
@@ -40,12 +40,15 @@ def test_it_comes_to_rest_on_its_goal(d, at_rest, fixed_world, nobody):
 
 
 def test_a_known_drift_leaves_no_steady_error_if_it_is_fed(at_rest, fixed_world, nobody):
-    own, world = at_rest([1.0, 0.0])._replace(drift=np.array([0.01, -0.02])), fixed_world([0, 0])
-    fed = flown(lqr(LqrParams(feed="drift"), 2), own, world, nobody, 2000)
+    own, world = (
+        at_rest([1.0, 0.0])._replace(disturbance=np.array([0.01, -0.02])),
+        fixed_world([0, 0]),
+    )
+    fed = flown(lqr(LqrParams(feed="disturbance"), 2), own, world, nobody, 2000)
     left = flown(lqr(LqrParams(feed="none"), 2), own, world, nobody, 2000)
     assert fed.p == pytest.approx(np.zeros(2), abs=1e-6)
     # w^2 = accel/error in continuous time
-    assert left.p == pytest.approx(own.drift / (0.02 / 1.0), rel=0.02)
+    assert left.p == pytest.approx(own.disturbance / (0.02 / 1.0), rel=0.02)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -58,7 +61,7 @@ def test_in_orbit_it_holds_a_goal_that_the_orbit_pulls_away_from(d, at_rest, fix
     x, h = np.concatenate((goal + 20.0, np.zeros(d))), 10.0
     for k in range(300):
         own = at_rest(x[:d])._replace(v=x[d:])
-        force = law.fly_ahead(np.zeros(0), own, nobody(d), world, k * h, h, 10).mean_force
+        force = law.propagate(np.zeros(0), own, nobody(d), world, k * h, h, 10).mean_force
         x = solve_ivp(lambda t, y, a: f @ y + g @ a, (0.0, h), x, args=(force,), rtol=1e-10).y[
             :, -1
         ]
@@ -71,21 +74,23 @@ def test_it_follows_a_goal_that_moves(at_rest, fixed_world, nobody):
     for _ in range(600):
         goal = Goal(np.array([0.01 * t, 1.0]), np.array([0.01, 0.0]), np.zeros(2), np.zeros(2))
         world = fixed_world([0.0, 0.0])._replace(goal=goal)
-        ahead = law.fly_ahead(np.zeros(0), own, nobody(2), world, t, h, 1)
+        ahead = law.propagate(np.zeros(0), own, nobody(2), world, t, h, 1)
         own, t = own._replace(p=ahead.p, v=ahead.v), t + h
     assert own.p == pytest.approx([0.01 * t, 1.0], abs=2e-3)
 
 
 def test_force_is_bounded(at_rest, fixed_world, nobody):
     own = at_rest([100.0, 50.0], max_force=0.3)
-    ahead = lqr(LqrParams(), 2).fly_ahead(
+    ahead = lqr(LqrParams(), 2).propagate(
         np.zeros(0), own, nobody(2), fixed_world([0.0, 0.0]), 0.0, 0.1, 1
     )
     assert np.linalg.norm(ahead.mean_force) == pytest.approx(0.3)
     assert ahead.mean_force[0] == pytest.approx(2.0 * ahead.mean_force[1])
 
 
-@pytest.mark.parametrize(("feed", "motion"), [("orbit", 0.0), ("drift", 1e-3), ("none", 1e-3)])
+@pytest.mark.parametrize(
+    ("feed", "motion"), [("orbit", 0.0), ("disturbance", 1e-3), ("none", 1e-3)]
+)
 def test_an_orbit_without_a_mean_motion_is_refused(feed, motion):
     with pytest.raises(ValueError, match="expected mean_motion > 0 with feed"):
         LqrParams(feed=feed, mean_motion=motion)

@@ -20,18 +20,18 @@ def fly(law, own, others, world, seconds, period=0.1):
     """Track (n, d) and the law's state at the end; discs move on."""
     state, track, t = law.initial(own, others, world), [own.p], 0.0
     while t < seconds - 1e-9:
-        ahead = law.fly_ahead(state, own, others, world, t, period, 10)
+        ahead = law.propagate(state, own, others, world, t, period, 10)
         state, own, t = ahead.law_state, own._replace(p=ahead.p, v=ahead.v), t + period
-        rocks = world.obstacles
-        world = world._replace(obstacles=rocks._replace(p=rocks.p + period * rocks.v))
+        obstacles = world.obstacles
+        world = world._replace(obstacles=obstacles._replace(p=obstacles.p + period * obstacles.v))
         others = others._replace(p=others.p + period * others.v)
         track.append(own.p)
     return np.array(track), state, own
 
 
-def clearance(track, rocks, period=0.1):
-    centres = rocks.p + period * np.arange(len(track))[:, None, None] * rocks.v
-    return (np.linalg.norm(track[:, None] - centres, axis=2) - rocks.radius).min()
+def clearance(track, obstacles, period=0.1):
+    centres = obstacles.p + period * np.arange(len(track))[:, None, None] * obstacles.v
+    return (np.linalg.norm(track[:, None] - centres, axis=2) - obstacles.radius).min()
 
 
 # The program
@@ -66,12 +66,12 @@ def unexplained(program, z):
 def scene(seed, d, at_rest, fixed_world, nobody):
     rng = np.random.default_rng(seed)
     own = at_rest(rng.uniform(-2.0, 2.0, d), mass=12.0, max_force=0.6)
-    own = own._replace(v=0.1 * rng.normal(size=d), drift=1e-3 * rng.normal(size=d))
+    own = own._replace(v=0.1 * rng.normal(size=d), disturbance=1e-3 * rng.normal(size=d))
     goal = -own.p + 0.3 * rng.normal(size=d)
     middle = 0.5 * (own.p + goal) + 0.3 * rng.normal(size=d)
     world = fixed_world(goal)
-    rocks = discs((middle, 0.02 * rng.normal(size=d), 0.8), d=d)
-    return own, nobody(d), World(world.goal, rocks)
+    obstacles = discs((middle, 0.02 * rng.normal(size=d), 0.8), d=d)
+    return own, nobody(d), World(world.goal, obstacles)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -99,11 +99,11 @@ def test_a_program_is_solved(seed, d, at_rest, fixed_world, nobody):
 def test_without_constraints_it_is_the_lqr(at_rest, fixed_world, nobody):
     weights = {"error": 1.0, "speed": 0.3, "accel": 0.02}
     own, world = at_rest([1.0, -0.5], mass=3.0), fixed_world([0.0, 0.2])
-    own = own._replace(v=np.array([0.1, 0.05]), drift=np.array([1e-3, 2e-3]))
+    own = own._replace(v=np.array([0.1, 0.05]), disturbance=np.array([1e-3, 2e-3]))
     plans = mpc(MpcParams(**weights, steps=5, step_s=0.5), 2)
     state = plans.initial(own, nobody(2), world)
-    planned = plans.fly_ahead(state, own, nobody(2), world, 0.0, 0.5, 1)
-    regulated = lqr(LqrParams(**weights), 2).fly_ahead(
+    planned = plans.propagate(state, own, nobody(2), world, 0.0, 0.5, 1)
+    regulated = lqr(LqrParams(**weights), 2).propagate(
         np.zeros(0), own, nobody(2), world, 0.0, 0.5, 1
     )
     assert planned.mean_force == pytest.approx(regulated.mean_force, rel=1e-6)
@@ -141,11 +141,11 @@ def test_a_tangent_is_of_length_one_and_tilts_towards_the_goal(d):
 @pytest.mark.parametrize("aside", [0.0, 1e-9, 0.1, -0.3])
 def test_it_goes_round_an_obstacle_even_one_dead_in_line(d, aside, at_rest, fixed_world, nobody):
     own = at_rest([-2.0, aside, 0.0][:d], mass=12.0, max_force=0.6)
-    rocks = discs((np.zeros(d), np.zeros(d), 0.8), d=d)
+    obstacles = discs((np.zeros(d), np.zeros(d), 0.8), d=d)
     goal = np.array([2.0, 0.0, 0.0][:d])
-    world = World(fixed_world(goal).goal, rocks)
+    world = World(fixed_world(goal).goal, obstacles)
     track, state, _ = fly(mpc(MpcParams(), d), own, nobody(d), world, 80.0)
-    assert clearance(track, rocks) > 0.04
+    assert clearance(track, obstacles) > 0.04
     assert np.linalg.norm(track[-1] - goal) < 0.01
     assert list(state[:3]) == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
 
@@ -173,7 +173,7 @@ def test_two_that_swap_places_pass_each_other(at_rest, fixed_world):
             others = Neighbours(*them, np.array([1 - i]), np.zeros((1, 0)), np.zeros(1))
             if states[i] is None:
                 states[i] = law.initial(seen[i], others, worlds[i])
-            ahead = law.fly_ahead(states[i], seen[i], others, worlds[i], k * period, period, 1)
+            ahead = law.propagate(states[i], seen[i], others, worlds[i], k * period, period, 1)
             states[i] = ahead.law_state
             moved.append(seen[i]._replace(p=ahead.p, v=ahead.v))
         bodies = moved
@@ -191,7 +191,7 @@ def test_every_force_is_one_that_the_jets_have(at_rest, fixed_world, nobody):
     world = World(fixed_world([2.0, 0.0]).goal, discs(((0.0, 0.0), (0.0, 0.0), 0.8)))
     state, sizes = law.initial(own, others, world), []
     for k in range(300):
-        ahead = law.fly_ahead(state, own, others, world, 0.1 * k, 0.1, 1)
+        ahead = law.propagate(state, own, others, world, 0.1 * k, 0.1, 1)
         state, own = ahead.law_state, own._replace(p=ahead.p, v=ahead.v)
         sizes.append(np.linalg.norm(ahead.mean_force))
     assert max(sizes) <= 0.2 * (1.0 + 1e-9)
@@ -205,16 +205,16 @@ def test_in_orbit_it_holds_a_goal_beside_a_debris(at_rest, fixed_world, nobody):
         error=10.0, speed=0.5, accel=2e-3, steps=20, step_s=40.0, margin=2.0,
         feed="orbit", mean_motion=n,
     )  # fmt: skip
-    rocks = discs(((5.0, 0.0, 3.0), np.zeros(3), 50.0), d=3)
-    law, world = mpc(params, d), World(fixed_world(goal).goal, rocks)
+    obstacles = discs(((5.0, 0.0, 3.0), np.zeros(3), 50.0), d=3)
+    law, world = mpc(params, d), World(fixed_world(goal).goal, obstacles)
     model = module.sampled(n, d, h)
     x, state, gaps = np.array([0.0, -200.0, 0.0, 0.0, 0.0, 0.0]), None, []
     for k in range(300):
         own = at_rest(x[:d], mass=100.0, max_force=0.5)._replace(v=x[d:])
         state = law.initial(own, nobody(d), world) if state is None else state
-        ahead = law.fly_ahead(state, own, nobody(d), world, k * h, h, 1)
+        ahead = law.propagate(state, own, nobody(d), world, k * h, h, 1)
         state, x = ahead.law_state, model.a @ x + model.b @ (ahead.mean_force / own.mass)
-        gaps.append(np.linalg.norm(x[:d] - rocks.p[0]))
+        gaps.append(np.linalg.norm(x[:d] - obstacles.p[0]))
     assert min(gaps) > 50.0
     assert x[:d] == pytest.approx(goal, abs=0.05)
     assert law.concerns(state) == []
@@ -225,8 +225,8 @@ def test_in_orbit_it_holds_a_goal_beside_a_debris(at_rest, fixed_world, nobody):
 
 def test_a_margin_that_cannot_be_kept_is_given_up_and_named(at_rest, fixed_world, nobody):
     own = at_rest([0.3, 0.0], mass=12.0, max_force=0.6)  # begins half a metre inside
-    rocks = discs(((0.0, 0.0), (0.0, 0.0), 0.8))
-    law, world = mpc(MpcParams(), 2), World(fixed_world([2.0, 0.0]).goal, rocks)
+    obstacles = discs(((0.0, 0.0), (0.0, 0.0), 0.8))
+    law, world = mpc(MpcParams(), 2), World(fixed_world([2.0, 0.0]).goal, obstacles)
     track, state, _ = fly(law, own, nobody(2), world, 60.0)
     assert np.linalg.norm(track[-1] - [2.0, 0.0]) < 0.01
     (concern,) = law.concerns(state)
@@ -237,17 +237,17 @@ def test_a_margin_that_cannot_be_kept_is_given_up_and_named(at_rest, fixed_world
 def test_the_price_of_a_margin_is_exact(at_rest, fixed_world, nobody):
     # a margin that can be kept is kept, whatever the goal would gain: here it lies inside
     own = at_rest([-2.0, 0.1], mass=12.0, max_force=0.6)
-    rocks = discs(((0.0, 0.0), (0.0, 0.0), 0.8))
-    law, world = mpc(MpcParams(), 2), World(fixed_world([0.0, 0.0]).goal, rocks)
+    obstacles = discs(((0.0, 0.0), (0.0, 0.0), 0.8))
+    law, world = mpc(MpcParams(), 2), World(fixed_world([0.0, 0.0]).goal, obstacles)
     track, state, _ = fly(law, own, nobody(2), world, 60.0)
-    assert clearance(track, rocks) >= 0.05 - 1e-3
+    assert clearance(track, obstacles) >= 0.05 - 1e-3
     assert law.concerns(state) == []
 
 
 def test_without_a_plan_it_brakes_and_says_so(monkeypatch, at_rest, fixed_world, nobody):
     monkeypatch.setattr(module.daqp, "solve", lambda *a, **k: (np.zeros(40), 0.0, -4, {}))
     own = at_rest([-2.0, 0.0], mass=12.0, max_force=0.6)
-    own = own._replace(v=np.array([0.08, -0.03]), drift=np.array([0.0, 1e-3]))
+    own = own._replace(v=np.array([0.08, -0.03]), disturbance=np.array([0.0, 1e-3]))
     law, world = mpc(MpcParams(), 2), fixed_world([2.0, 0.0])
     _, state, end = fly(law, own, nobody(2), world, 10.0)
     assert end.v == pytest.approx([0.0, 0.0], abs=1e-6)

@@ -12,7 +12,7 @@ FINE = 100  # steps per second
 
 def flown(params, own, world, nobody, duration):
     others = nobody(len(own.p))
-    return pd(params).fly_ahead(
+    return pd(params).propagate(
         np.zeros(0), own, others, world, 0.0, duration, round(duration * FINE)
     )
 
@@ -63,11 +63,11 @@ def test_force_is_the_formula(seed, random_scene):
     )
     goal = world.goal
     feedback = 0.25 * (goal.p - own.p) + 0.7 * (goal.v - own.v)
-    assert force == pytest.approx(3.0 * (feedback + goal.a - own.drift), rel=1e-12)
+    assert force == pytest.approx(3.0 * (feedback + goal.a - own.disturbance), rel=1e-12)
 
 
 def test_a_known_drift_leaves_no_steady_error(at_rest, fixed_world, nobody):
-    own = at_rest([1.0, 0.0])._replace(drift=np.array([0.02, -0.03]))
+    own = at_rest([1.0, 0.0])._replace(disturbance=np.array([0.02, -0.03]))
     ahead = flown(PdParams(), own, fixed_world([0.0, 0.0]), nobody, 300.0)
     assert ahead.p == pytest.approx(np.zeros(2), abs=1e-9)
 

@@ -46,7 +46,7 @@ def gradient_of_eq14(params, p, goal, discs):
 
 def moved(t, own, force, neighbours, world):
     """Position, goal and discs `t` later, when accelerations stay."""
-    p = own.p + t * own.v + 0.5 * t * t * (force / own.mass + own.drift)
+    p = own.p + t * own.v + 0.5 * t * t * (force / own.mass + own.disturbance)
     goal = world.goal.p + t * world.goal.v + 0.5 * t * t * world.goal.a
     discs = [
         (centre + t * v, radius)
@@ -94,7 +94,7 @@ def test_the_second_rate_of_the_gradient(scene):
 
 def test_the_error_and_its_rates(scene):
     (own, force, _, world), error, _ = scene
-    accel = force / 2.0 + own.drift
+    accel = force / 2.0 + own.disturbance
     expected = [own.p - world.goal.p, own.v - world.goal.v, accel - world.goal.a]
     assert error == pytest.approx(np.array(expected))
 

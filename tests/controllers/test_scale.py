@@ -9,7 +9,7 @@ from controllers.pd import PdParams, pd
 from controllers.scale import Scale, Scaled
 from controllers.smc import SmcParams, smc
 from controllers.sotsmc import SotsmcParams, sotsmc
-from testbed.core.law import Body, Discs, Goal, Neighbours, World, fly_ahead, silent
+from testbed.core.law import Body, Discs, Goal, Neighbours, World, propagate, silent
 
 ZHANG = Scale(length=62.5, time=10.0, mass=1.0)
 LAWS = {
@@ -36,11 +36,16 @@ def in_paper_units(own, neighbours, world, scale):
             length * own.p,
             speed * own.v,
             mass,
-            accel * own.drift,
-            jerk * own.drift_rate,
+            accel * own.disturbance,
+            jerk * own.disturbance_rate,
             accel * mass * own.max_force / own.mass,
         ),
-        Neighbours(*discs(neighbours), neighbours.who, neighbours.told, time * neighbours.told_at),
+        Neighbours(
+            *discs(neighbours),
+            neighbours.vehicle_index,
+            neighbours.message,
+            time * neighbours.message_t,
+        ),
         World(
             Goal(length * goal.p, speed * goal.v, accel * goal.a, jerk * goal.jerk),
             discs(world.obstacles),
@@ -60,9 +65,9 @@ def table_scene():
         0.5,
     )
     goal = Goal(np.array([0.17, 1.9]), np.array([1e-3, 0.0]), np.zeros(2), np.zeros(2))
-    rocks = Discs(np.array([[0.6, -0.2]]), np.array([[0.0, -0.01]]), np.array([0.8]))
+    obstacles = Discs(np.array([[0.6, -0.2]]), np.array([[0.0, -0.01]]), np.array([0.8]))
     others = Discs(np.array([[-0.9, -1.1]]), np.array([[0.01, 0.0]]), np.array([0.6]))
-    return own, silent(others), World(goal, rocks)
+    return own, silent(others), World(goal, obstacles)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -74,8 +79,8 @@ def test_a_scaled_law_is_the_law_in_the_papers_units(name, scale, table_scene):
     assert (scaled.initial(*table_scene) == state).all()
 
     # its rate, integrated here on the table, against the law integrated in the paper's world
-    table = fly_ahead.py_func(scaled, state, *table_scene, 0.0, 20.0, STEPS)
-    paper = law.fly_ahead(state, *paper_scene, 0.0, 20.0 * scale.time, STEPS)
+    table = propagate.py_func(scaled, state, *table_scene, 0.0, 20.0, STEPS)
+    paper = law.propagate(state, *paper_scene, 0.0, 20.0 * scale.time, STEPS)
 
     assert np.linalg.norm(table.p - table_scene[0].p) > 0.05
     assert scale.length * table.p == pytest.approx(paper.p, rel=1e-7)
@@ -91,8 +96,8 @@ def test_a_scaled_law_is_the_law_in_the_papers_units(name, scale, table_scene):
 def test_both_ways_to_fly_a_scaled_law_agree(name, table_scene):
     scaled = Scaled(LAWS[name](), ZHANG)
     state = scaled.initial(*table_scene)
-    one = scaled.fly_ahead(state, *table_scene, 0.0, 20.0, STEPS)
-    other = fly_ahead.py_func(scaled, state, *table_scene, 0.0, 20.0, STEPS)
+    one = scaled.propagate(state, *table_scene, 0.0, 20.0, STEPS)
+    other = propagate.py_func(scaled, state, *table_scene, 0.0, 20.0, STEPS)
     for a, b in zip(one, other, strict=True):
         assert a == pytest.approx(b, rel=1e-6, abs=1e-12)
 
@@ -101,8 +106,8 @@ def test_both_ways_to_fly_a_scaled_law_agree(name, table_scene):
 def test_scale_one_changes_no_bit(name, table_scene):
     law = LAWS[name]()
     state = law.initial(*table_scene)
-    bare = law.fly_ahead(state, *table_scene, 0.0, 1.0, 100)
-    scaled = Scaled(law, Scale()).fly_ahead(state, *table_scene, 0.0, 1.0, 100)
+    bare = law.propagate(state, *table_scene, 0.0, 1.0, 100)
+    scaled = Scaled(law, Scale()).propagate(state, *table_scene, 0.0, 1.0, 100)
     for a, b in zip(bare, scaled, strict=True):
         assert (a == b).all()
 
@@ -131,8 +136,8 @@ def test_the_catalogue_applies_the_scale(table_scene):
     one, other = make_law(params), Scaled(LAWS["sotsmc"](), ZHANG)
     state = one.initial(*table_scene)
     for a, b in zip(
-        one.fly_ahead(state, *table_scene, 0.0, 0.5, 50),
-        other.fly_ahead(state, *table_scene, 0.0, 0.5, 50),
+        one.propagate(state, *table_scene, 0.0, 0.5, 50),
+        other.propagate(state, *table_scene, 0.0, 0.5, 50),
         strict=True,
     ):
         assert (a == b).all()

@@ -19,7 +19,7 @@ def eq44(params, own, neighbours, world):
     e_dot = own.v - world.goal.v
     s = k * g[0] + e_dot
     reach = params.lambda_1 * s + params.lambda_2 * np.sign(s) * np.sqrt(np.abs(s))
-    return own.mass * (-k * g[1] - reach - own.drift + world.goal.a)
+    return own.mass * (-k * g[1] - reach - own.disturbance + world.goal.a)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -54,7 +54,7 @@ def test_on_the_surface_it_only_cancels_what_is_known(random_scene, nobody, no_d
     k = np.array(PAPER.k)
     own = own._replace(v=world.goal.v - k * 0.012 * (own.p - world.goal.p))
     force, _ = smc(PAPER, 3).rate(np.zeros(0), own, nobody(3), world, 0.0)
-    s_dot = k * 0.012 * (own.v - world.goal.v) + force / 3.0 + own.drift - world.goal.a
+    s_dot = k * 0.012 * (own.v - world.goal.v) + force / 3.0 + own.disturbance - world.goal.a
     assert s_dot == pytest.approx(np.zeros(3), abs=1e-6)  # |s| is 1e-17, and its root 3e-9
 
 
@@ -75,7 +75,7 @@ def fly_sat1(law, at_rest, fixed_world, nobody):
     world = fixed_world(goal, [[-130.0, 180.0, 75.0], [-80.0, 70.0, 30.0]])
     state, error, peak = law.initial(own, nobody(3), world), [], 0.0
     for k in range(30_000):
-        state, p, v, force, _ = law.fly_ahead(state, own, nobody(3), world, 0.1 * k, 0.1, 5)
+        state, p, v, force, _ = law.propagate(state, own, nobody(3), world, 0.1 * k, 0.1, 5)
         own = own._replace(p=p, v=v)
         error.append(np.linalg.norm(p - goal))
         peak = max(peak, np.abs(force).max())

@@ -1,7 +1,7 @@
 """SOTSMC: its equations at single points, and what zhang2023 claims of it.
 
 In space the plant is integrated here and the law only says how hard to push. zhang2023's
-disturbance (43) is flown twice: unknown to the law, and estimated, as `own.drift`.
+disturbance (43) is flown twice: unknown to the law, and estimated, as `own.disturbance`.
 """
 
 import math
@@ -41,7 +41,7 @@ def eq28(params, law_state, own, neighbours, world):
     sigma = s + power(s_dot, ratio) / beta
     u_dot = own.mass * (
         world.goal.jerk
-        - own.drift_rate
+        - own.disturbance_rate
         - lam * g[2]
         - beta / ratio * power(s_dot, 2.0 - ratio)
         - k * sigma
@@ -125,8 +125,8 @@ def test_a_mirrored_world_gives_mirrored_thrust(axis, random_scene):
         own._replace(
             p=own.p * mirror,
             v=own.v * mirror,
-            drift=own.drift * mirror,
-            drift_rate=own.drift_rate * mirror,
+            disturbance=own.disturbance * mirror,
+            disturbance_rate=own.disturbance_rate * mirror,
         ),
         discs(neighbours),
         World(type(goal)(*(x * mirror for x in goal)), discs(world.obstacles)),
@@ -144,7 +144,7 @@ def fly(law, own, world, duration, period, steps, nobody):
     state = law.initial(own, others, world)
     path, states, forces = [own.p], [state], []
     for k in range(round(duration / period)):
-        state, p, v, force, _ = law.fly_ahead(state, own, others, world, k * period, period, steps)
+        state, p, v, force, _ = law.propagate(state, own, others, world, k * period, period, steps)
         own = own._replace(p=p, v=v)
         path.append(p)
         states.append(state)
@@ -171,7 +171,7 @@ def test_follows_a_goal_that_moves(at_rest, fixed_world, nobody):
     world = world._replace(goal=world.goal._replace(v=velocity))
     own, law = at_rest([20.0, 5.0]), sotsmc(PAPER, 2)
     state = law.initial(own, nobody(2), world)
-    ahead = law.fly_ahead(state, own, nobody(2), world, 0.0, 1200.0, 120_000)
+    ahead = law.propagate(state, own, nobody(2), world, 0.0, 1200.0, 120_000)
     assert ahead.p == pytest.approx(1200.0 * velocity, abs=0.01)
     assert ahead.v == pytest.approx(velocity, abs=0.01)
 
@@ -237,8 +237,8 @@ def fly_in_space(satellite, at_rest, fixed_world, nobody, *, estimated):
     state = law.initial(own, others, world)
     for k in range(round(1500.0 / h)):
         push = eq43(k * h)
-        known = own._replace(drift=push) if estimated else own
-        state, p, v, force, _ = law.fly_ahead(state, known, others, world, k * h, h, 1)
+        known = own._replace(disturbance=push) if estimated else own
+        state, p, v, force, _ = law.propagate(state, known, others, world, k * h, h, 1)
         if not estimated:
             p, v = p + 0.5 * h * h * push, v + h * push
         own = own._replace(p=p, v=v)

@@ -28,20 +28,20 @@ FLY = """
 import sys
 {law}
 import numpy as np
-from testbed.core.law import Body, CompiledLaw, Discs, Goal, World, fly_ahead, no_state, silent
+from testbed.core.law import Body, CompiledLaw, Discs, Goal, World, propagate, no_state, silent
 zero = np.zeros(2)
 none = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 own = Body(zero, zero, 2.0, zero, zero, 1e9)
 world = World(Goal(zero + 1.0, zero, zero, zero), none)
 law = CompiledLaw(Gains({numbers}), no_state, rate)
-ahead = law.fly_ahead(np.zeros(0), own, silent(none), world, 0.0, 0.1, 10)
-print(ahead.mean_force[0], sum(fly_ahead.stats.cache_hits.values()))
+ahead = law.propagate(np.zeros(0), own, silent(none), world, 0.0, 0.1, 10)
+print(ahead.mean_force[0], sum(propagate.stats.cache_hits.values()))
 """
 
 
 @pytest.fixture
 def fly(tmp_path):
-    """Fly a law in a process of its own: mean force [N] and how much of `fly_ahead` was on disk."""
+    """Fly a law in a process of its own: mean force [N] and how much of `propagate` was on disk."""
 
     def run(law: str, numbers: str, path: Path | None = None) -> tuple[float, int]:
         result = subprocess.run(

@@ -1,4 +1,4 @@
-"""`fly_ahead` against closed forms, and its order of convergence where it has none."""
+"""`propagate` against closed forms, and its order of convergence where it has none."""
 
 import copy
 import math
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from controllers.pd import PdParams, pd
 from controllers.sotsmc import SotsmcParams, sotsmc
-from testbed.core.law import Body, Discs, Goal, World, bounded, fly_ahead, silent
+from testbed.core.law import Body, Discs, Goal, World, bounded, propagate, silent
 
 MASS = 12.5  # [kg]
 UNBOUNDED = 1e9  # [N]
@@ -62,7 +62,7 @@ def scene(seed, d=2):
 
 def steady(own):
     """The same with a constant drift."""
-    return own._replace(drift_rate=np.zeros_like(own.p))
+    return own._replace(disturbance_rate=np.zeros_like(own.p))
 
 
 def bits(values):
@@ -82,9 +82,9 @@ def test_constant_force_is_exact(steps, d):
     own = steady(own)
     force = np.arange(1.0, d + 1.0)
 
-    ahead = fly_ahead.py_func(Push(force), np.zeros(0), own, others, world, 3.0, 0.7, steps)
+    ahead = propagate.py_func(Push(force), np.zeros(0), own, others, world, 3.0, 0.7, steps)
 
-    a = force / MASS + own.drift
+    a = force / MASS + own.disturbance
     assert ahead.p == pytest.approx(own.p + 0.7 * own.v + 0.5 * 0.7**2 * a, abs=1e-14)
     assert ahead.v == pytest.approx(own.v + 0.7 * a, abs=1e-14)
     assert ahead.mean_force == pytest.approx(force, abs=1e-13)
@@ -95,7 +95,7 @@ def test_the_world_moves_on_between_sub_steps():
     world = world._replace(goal=world.goal._replace(jerk=np.zeros(2)))
     watch = FaultMonitor()
 
-    fly_ahead.py_func(watch, np.zeros(0), own, others, world, 2.0, 0.8, 8)
+    propagate.py_func(watch, np.zeros(0), own, others, world, 2.0, 0.8, 8)
 
     assert [t for t, _ in watch.seen] == pytest.approx(2.0 + 0.1 * np.arange(8))
     for t, (body, heard, around) in watch.seen:
@@ -105,7 +105,7 @@ def test_the_world_moves_on_between_sub_steps():
         assert around.goal.a == pytest.approx(goal.a)
         assert around.obstacles.p == pytest.approx(world.obstacles.p + dt * world.obstacles.v)
         assert heard.p == pytest.approx(others.p + dt * others.v)
-        assert body.drift == pytest.approx(own.drift + dt * own.drift_rate)
+        assert body.disturbance == pytest.approx(own.disturbance + dt * own.disturbance_rate)
         assert body.mass == MASS
         assert body.max_force == UNBOUNDED
 
@@ -118,7 +118,7 @@ def test_order_of_a_goal_with_jerk():
     for steps in (50, 100, 200):
         watch = FaultMonitor()
         # one step more than needed: the last look is at the end of the second
-        fly_ahead.py_func(watch, np.zeros(0), own, others, world, 0.0, 1.0 + 1.0 / steps, steps + 1)
+        propagate.py_func(watch, np.zeros(0), own, others, world, 0.0, 1.0 + 1.0 / steps, steps + 1)
         errors.append(np.abs(watch.seen[-1][1][2].goal.p - end).max())
     assert order(errors) == pytest.approx(1.0, abs=0.02)
 
@@ -126,11 +126,11 @@ def test_order_of_a_goal_with_jerk():
 def test_order_of_a_force_that_varies():
     # p'' = cos t / m in x and -2 t / m in y: held over a step, so first order
     own, others, world = scene(3)
-    own = steady(own._replace(drift=np.zeros(2)))
+    own = steady(own._replace(disturbance=np.zeros(2)))
     end = own.p + own.v + np.array([1.0 - math.cos(1.0), -1.0 / 3.0]) / MASS
     errors = []
     for steps in (50, 100, 200):
-        ahead = fly_ahead.py_func(Clockwork(), np.zeros(1), own, others, world, 0.0, 1.0, steps)
+        ahead = propagate.py_func(Clockwork(), np.zeros(1), own, others, world, 0.0, 1.0, steps)
         errors.append(np.abs(ahead.p - end).max())
     assert order(errors) == pytest.approx(1.0, abs=0.02)
 
@@ -139,7 +139,7 @@ def test_order_of_the_law_state():
     own, others, world = scene(4)
     errors = []
     for steps in (50, 100, 200):
-        ahead = fly_ahead.py_func(Clockwork(), np.ones(1), own, others, world, 0.0, 1.0, steps)
+        ahead = propagate.py_func(Clockwork(), np.ones(1), own, others, world, 0.0, 1.0, steps)
         errors.append(abs(ahead.law_state[0] - (2.0 - math.cos(1.0))))
     assert order(errors) == pytest.approx(1.0, abs=0.02)
 
@@ -154,7 +154,7 @@ def test_order_of_the_closed_loop():
     law = pd(PdParams(bandwidth=w, damping=1.0))
     errors = []
     for steps in (200, 400, 800):
-        ahead = law.fly_ahead(np.zeros(0), own, silent(nothing), world, 0.0, t, steps)
+        ahead = law.propagate(np.zeros(0), own, silent(nothing), world, 0.0, t, steps)
         errors.append(np.abs(ahead.p - end).max())
     assert order(errors) == pytest.approx(1.0, abs=0.02)
 
@@ -166,9 +166,9 @@ def test_arrays_handed_over_are_not_written_to(make):
     handed_over = (law_state, own, others, world)
     before = bits(handed_over)
 
-    law.fly_ahead(*handed_over, 0.0, 0.5, 50)
+    law.propagate(*handed_over, 0.0, 0.5, 50)
     law.rate(*handed_over, 0.0)
-    fly_ahead.py_func(law, *handed_over, 0.0, 0.5, 50)
+    propagate.py_func(law, *handed_over, 0.0, 0.5, 50)
 
     assert bits(handed_over) == before
 
@@ -178,8 +178,8 @@ def test_plain_python_law_flies_like_the_compiled_one(seed):
     law, (own, others, world) = pd(PdParams(bandwidth=0.7)), scene(seed)
     own = own._replace(max_force=5.0)  # bounds the force on the way
     state = np.zeros(0)
-    compiled = law.fly_ahead(state, own, others, world, 1.0, 2.0, 200)
-    plain = fly_ahead.py_func(law, state, own, others, world, 1.0, 2.0, 200)
+    compiled = law.propagate(state, own, others, world, 1.0, 2.0, 200)
+    plain = propagate.py_func(law, state, own, others, world, 1.0, 2.0, 200)
     for one, other in zip(compiled, plain, strict=True):
         assert one == pytest.approx(other, rel=1e-13)
 
@@ -187,13 +187,13 @@ def test_plain_python_law_flies_like_the_compiled_one(seed):
 def test_a_long_flight_is_the_same_in_one_go_or_in_pieces():
     law, (own, others, world) = sotsmc(SotsmcParams(), 2), scene(6)
     goal, still = world.goal._replace(a=np.zeros(2), jerk=np.zeros(2)), np.zeros(2)
-    own, world = steady(own._replace(drift=still)), world._replace(goal=goal)
+    own, world = steady(own._replace(disturbance=still)), world._replace(goal=goal)
     state = law.initial(own, others, world)
-    whole = law.fly_ahead(state, own, others, world, 0.0, 1.0, 1000)
+    whole = law.propagate(state, own, others, world, 0.0, 1.0, 1000)
     forces = []
     for k in range(10):
         t = 0.1 * k
-        ahead = law.fly_ahead(
+        ahead = law.propagate(
             state,
             own,
             others._replace(p=others.p + t * others.v),

@@ -11,10 +11,10 @@ from testbed.core.law import (
     Goal,
     Neighbours,
     World,
+    compiled_broadcast,
     compiled_jump,
     compiled_rate,
-    compiled_tell,
-    fly_ahead,
+    propagate,
 )
 
 
@@ -27,19 +27,19 @@ def rate(gains, law_state, own, neighbours, world, t):
     """A push away from what the others told, carried on at 1 per second; the state stands."""
     force = np.zeros(own.p.shape[0])
     for n in range(neighbours.p.shape[0]):
-        force[0] += gains.push * (neighbours.told[n, 0] + t - neighbours.told_at[n])
+        force[0] += gains.push * (neighbours.message[n, 0] + t - neighbours.message_t[n])
     return force, np.zeros(2)
 
 
 @compiled_jump(Gains)
 def jump(gains, law_state, own, neighbours, world, t):
     """Counts flights, and remembers who was there."""
-    return np.array([law_state[0] + 1.0, float(neighbours.who.sum())])
+    return np.array([law_state[0] + 1.0, float(neighbours.vehicle_index.sum())])
 
 
-@compiled_tell(Gains)
-def tell(gains, law_state, own, neighbours, world, t):
-    return np.array([own.p[0], t, law_state[0], float(own.who)])
+@compiled_broadcast(Gains)
+def broadcast(gains, law_state, own, neighbours, world, t):
+    return np.array([own.p[0], t, law_state[0], float(own.vehicle_index)])
 
 
 class Plain:
@@ -51,8 +51,8 @@ class Plain:
     def jump(self, *args):
         return jump.py_func(Gains(2.0), *args)
 
-    def tell(self, *args):
-        return tell.py_func(Gains(2.0), *args)
+    def broadcast(self, *args):
+        return broadcast.py_func(Gains(2.0), *args)
 
 
 class OnlyRate:
@@ -72,16 +72,16 @@ def scene():
         np.array([[0.5], [0.25]]),
         np.array([9.0, 10.0]),
     )
-    rocks = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-    return own, others, World(Goal(still, still, still, still), rocks)
+    obstacles = Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    return own, others, World(Goal(still, still, still, still), obstacles)
 
 
 def fly_compiled(state, scene):
-    return fly_ahead(Gains(2.0), state, *scene, 10.0, 0.5, 2)
+    return propagate(Gains(2.0), state, *scene, 10.0, 0.5, 2)
 
 
 def fly_plain(state, scene):
-    return fly_ahead.py_func(Plain(), state, *scene, 10.0, 0.5, 2)
+    return propagate.py_func(Plain(), state, *scene, 10.0, 0.5, 2)
 
 
 @pytest.mark.parametrize("fly", [fly_compiled, fly_plain])
@@ -92,10 +92,10 @@ def test_a_law_jumps_first_and_tells_last(fly, scene):
     assert ahead.mean_force == pytest.approx([2.0 * (1.5 + 0.25 + 0.25), 0.0])
     assert list(ahead.law_state) == [1.0, 5.0]
     assert list(state) == [0.0, 0.0]
-    assert list(ahead.told) == [ahead.p[0], 10.5, 1.0, 3.0]
+    assert list(ahead.message) == [ahead.p[0], 10.5, 1.0, 3.0]
 
 
 def test_a_law_needs_no_more_than_a_rate(scene):
-    ahead = fly_ahead.py_func(OnlyRate(), np.ones(2), *scene, 0.0, 1.0, 4)
+    ahead = propagate.py_func(OnlyRate(), np.ones(2), *scene, 0.0, 1.0, 4)
     assert list(ahead.law_state) == [1.0, 1.0]
-    assert ahead.told.shape == (0,)
+    assert ahead.message.shape == (0,)

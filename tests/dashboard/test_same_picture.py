@@ -14,8 +14,8 @@ rr = pytest.importorskip("rerun", reason="the dashboard extra is not installed")
 chunk = pytest.importorskip("rerun.chunk")
 Image = pytest.importorskip("PIL.Image")
 
-from testbed.cli import teller  # noqa: E402
 from testbed.config import load  # noqa: E402
+from testbed.dashboard import feeder  # noqa: E402
 from testbed.dashboard.banner import RED as ALARM  # noqa: E402
 from testbed.dashboard.recording import write_recording  # noqa: E402
 from testbed.dashboard.scene import Scene  # noqa: E402
@@ -87,7 +87,7 @@ def followed(run: Path, tmp_path: Path, pieces: int, batch: int) -> Counter:
     recording = rr.RecordingStream("test", recording_id="test")
     recording.set_sinks(rr.FileSink(tmp_path / "live.rrd"))
     feed = Growing(run / "log.mcap", tmp_path / "log.mcap", pieces)
-    teller.follow(feed, Scene(load(run / "config.toml"), recording), recording, batch)
+    feeder.follow(feed, Scene(load(run / "config.toml"), recording), recording, batch)
     recording.disconnect()
     return rows(tmp_path / "live.rrd")
 
@@ -95,7 +95,7 @@ def followed(run: Path, tmp_path: Path, pieces: int, batch: int) -> Counter:
 @pytest.mark.parametrize("run", ["moving", "stuck"])
 @pytest.mark.parametrize(("pieces", "batch"), [(9, 5000), (3, 17)])
 def test_live_and_replayed_are_the_same(flown, replayed, tmp_path, monkeypatch, run, pieces, batch):
-    monkeypatch.setattr(teller, "PERIOD_S", 0.0)
+    monkeypatch.setattr(feeder, "PERIOD_S", 0.0)
     live = followed(flown[run], tmp_path, pieces, batch)
     assert sum(live.values()) > 1000
     assert live == replayed[run]

@@ -21,8 +21,8 @@ import pytest
 pytest.importorskip("rerun_cli", reason="the dashboard extra is not installed")
 Image = pytest.importorskip("PIL.Image")
 
-from testbed.cli import teller  # noqa: E402
 from testbed.cli.dash import Dashboard, address_for  # noqa: E402
+from testbed.dashboard import feeder  # noqa: E402
 from testbed.dashboard.static_scene import HUES  # noqa: E402
 from testbed.dashboard.viewer import (  # noqa: E402
     Address,
@@ -135,24 +135,24 @@ def test_who_dies_is_started_again(headless):
     assert headless.keep(Event().wait)
     assert alive(headless.viewer)
     assert headless.restarts == 1
-    headless.teller.kill()
-    headless.teller.wait()
+    headless.feeder.kill()
+    headless.feeder.wait()
     assert headless.keep(Event().wait)
     assert headless.restarts == 2
-    assert headless.teller.wait(PATIENCE_S) == 0  # all is told
+    assert headless.feeder.wait(PATIENCE_S) == 0  # all is told
 
 
 def test_whoever_tells_a_viewer_that_is_gone_says_so_and_no_more(monkeypatch, capsys):
     def tell(words):
         raise RuntimeError(words)
 
-    monkeypatch.setattr(sys, "argv", ["teller", "a run", "an address"])
-    monkeypatch.setattr(teller, "tell", lambda *_: tell("gRPC connection severed: no such viewer"))
-    assert teller.main() == teller.SEVERED
+    monkeypatch.setattr(sys, "argv", ["feeder", "a run", "an address"])
+    monkeypatch.setattr(feeder, "tell", lambda *_: tell("gRPC connection severed: no such viewer"))
+    assert feeder.main() == feeder.SEVERED
     assert capsys.readouterr() == ("", "")
-    monkeypatch.setattr(teller, "tell", lambda *_: tell("something else"))
+    monkeypatch.setattr(feeder, "tell", lambda *_: tell("something else"))
     with pytest.raises(RuntimeError):
-        teller.main()
+        feeder.main()
 
 
 @pytest.mark.slow

@@ -71,9 +71,9 @@ def shifted(name: str, seed: int) -> Experiment:
         except ConfigError:
             continue
         places = [p[:2] for s in experiment.vehicles.values() for p in (s.start, s.goal)]
-        rocks = [rock.position for rock in experiment.obstacles.values()]
+        obstacles = [rock.position for rock in experiment.obstacles.values()]
         # nearer than this the layout itself asks for less than the danger radius
-        if min(np.hypot(*np.subtract(p, q)) for p in places for q in rocks) >= 0.9:
+        if min(np.hypot(*np.subtract(p, q)) for p in places for q in obstacles) >= 0.9:
             return experiment
 
 

@@ -134,7 +134,7 @@ def test_no_valve_opens_before_all_is_there(change, reason, make_agent, make_inp
         assert shut(outputs)
         assert outputs.inhibit_reason == reason
         assert outputs.fault is None
-        assert outputs.planned == Wrench(0.0, 0.0, 0.0)
+        assert outputs.realised_wrench == Wrench(0.0, 0.0, 0.0)
     outputs = agent.step(make_inputs(20 * PERIOD, (0.5, 0.0, 0.0)))
     assert not shut(outputs)
     assert outputs.inhibit_reason is None
@@ -156,7 +156,7 @@ def test_a_pulse_that_goes_on_is_shut_when_the_gate_shuts(make_agent, make_input
     assert not shut(fly(agent, [make_inputs(k * PERIOD, setpoint=push) for k in range(5)])[-1])
     outputs = agent.step(make_inputs(5 * PERIOD, setpoint=push, armed=False))
     assert shut(outputs)
-    assert outputs.planned == Wrench(0.0, 0.0, 0.0)
+    assert outputs.realised_wrench == Wrench(0.0, 0.0, 0.0)
 
 
 def test_a_fault_shuts_the_valves_for_good(make_agent, make_inputs):
@@ -216,13 +216,17 @@ def test_a_setpoint_that_has_run_out_is_not_flown(make_agent, make_inputs):
     for k in range(6):
         outputs = agent.step(make_inputs(k * PERIOD, (0.1, 0.0, 0.0), setpoint=setpoint))
         in_force = k * PERIOD + 0.008 <= 0.25
-        assert outputs.flown.pose.x == pytest.approx(0.4 if in_force else 0.1, abs=0.02)
+        assert outputs.active_setpoint.pose.x == pytest.approx(0.4 if in_force else 0.1, abs=0.02)
     # and it stands where it began to brake, whatever the estimate does afterwards
-    stands = outputs.flown
-    assert agent.step(make_inputs(0.6, (0.13, 0.0, 0.0), setpoint=setpoint)).flown == stands
+    stands = outputs.active_setpoint
+    assert (
+        agent.step(make_inputs(0.6, (0.13, 0.0, 0.0), setpoint=setpoint)).active_setpoint == stands
+    )
     # until the next one comes
     fresh = hold((0.2, 0.0, 0.0))
-    assert agent.step(make_inputs(0.7, (0.1, 0.0, 0.0), setpoint=fresh)).flown.pose.x == 0.2
+    assert (
+        agent.step(make_inputs(0.7, (0.1, 0.0, 0.0), setpoint=fresh)).active_setpoint.pose.x == 0.2
+    )
 
 
 def test_when_no_setpoint_comes_the_gate_gives_up(make_agent, make_inputs):
@@ -238,8 +242,8 @@ def test_a_demand_is_flown_as_it_is(make_agent, make_inputs, vehicle):
     agent = make_agent()
     demand = Demand(0.0, 0.3, -0.2, 0.0, 0.0, 0.0, FOR_EVER)
     outputs = agent.step(make_inputs(0.0, setpoint=demand))
-    assert outputs.flown == demand
-    assert (outputs.wanted.fx, outputs.wanted.fy) == pytest.approx((0.3, -0.2))
+    assert outputs.active_setpoint == demand
+    assert (outputs.commanded_wrench.fx, outputs.commanded_wrench.fy) == pytest.approx((0.3, -0.2))
 
 
 # Plans
@@ -289,7 +293,9 @@ def test_pulses_give_the_wanted_impulse(valve, vehicle, make_agent, make_inputs)
     outputs = agent.step(make_inputs(0.0, (0.0, 0.0, 0.1), setpoint=demand))
     flow = mean_flow(built, outputs.command)
     given = np.array([[*jet.push] for jet in built.jets]).T @ (flow * 0.6)
-    assert given == pytest.approx([outputs.wanted.fx, outputs.wanted.fy], abs=2e-5)
+    assert given == pytest.approx(
+        [outputs.commanded_wrench.fx, outputs.commanded_wrench.fy], abs=2e-5
+    )
 
 
 @pytest.mark.parametrize(
@@ -336,7 +342,7 @@ def test_low_pressure_is_made_up_for(share, vehicle, make_agent, make_inputs):
     outputs = make_agent().step(make_inputs(0.0, setpoint=demand, pressure=pressure))
     flow = mean_flow(vehicle, outputs.command)
     assert flow.sum() * 0.6 * share / (1.0 + vehicle.air.droop) == pytest.approx(0.2, abs=1e-5)
-    assert outputs.planned.fx == pytest.approx(0.2 * (1.0 + vehicle.air.droop), abs=1e-5)
+    assert outputs.realised_wrench.fx == pytest.approx(0.2 * (1.0 + vehicle.air.droop), abs=1e-5)
 
 
 def test_a_pressure_that_is_not_a_number_does_not_ground_the_vehicle_in_silence(
@@ -351,7 +357,7 @@ def test_planned_is_the_wrench_of_the_plan(make_agent, make_inputs, vehicle):
     for outputs in fly(make_agent(), [make_inputs(k * PERIOD, (0.3, 0.2, 0.4)) for k in range(5)]):
         duty = 1e-6 * np.array(outputs.command.on_us) / PERIOD
         pushes = np.array([jet.push for jet in vehicle.jets]).T
-        planned = (outputs.planned.fx, outputs.planned.fy)
+        planned = (outputs.realised_wrench.fx, outputs.realised_wrench.fy)
         assert planned == pytest.approx(tuple(0.6 * pushes @ duty))
 
 

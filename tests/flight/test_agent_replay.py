@@ -101,11 +101,11 @@ def test_replay_of_a_host(flight):
             t, own, heard = (
                 tick.inputs.t,
                 tick.inputs.own,
-                (tick.inputs.neighbours, tick.inputs.told),
+                (tick.inputs.neighbours, tick.inputs.messages),
             )
             again = None if own is None else guidance.step(t + ahead, own, *heard)
             assert bits(again) == bits(tick.outputs.setpoint)
-            assert bits(guidance.told) == bits(tick.outputs.told)
+            assert bits(guidance.message) == bits(tick.outputs.message)
 
 
 def test_replay_through_the_log(flight):

@@ -160,7 +160,7 @@ def test_a_demand_that_is_no_number_is_left_to_the_watch():
 # In flight
 
 
-def simulate(seed, vehicles, rocks, wants, seconds=40.0):
+def simulate(seed, vehicles, obstacles, wants, seconds=40.0):
     """Vehicles under the filter, with noise, latency of what is heard, and jets that are not true.
 
     `wants(rng, i, t, p, v)` is the law of vehicle i: a force within the jets'.
@@ -170,7 +170,7 @@ def simulate(seed, vehicles, rocks, wants, seconds=40.0):
     """
     rng = np.random.default_rng(seed)
     p, v = np.array(vehicles, dtype=float), np.zeros((len(vehicles), 2))
-    kept = [(*rock, PARAMS.obstacle_margin) for rock in rocks]
+    kept = [(*rock, PARAMS.obstacle_margin) for rock in obstacles]
     discs = [(x, y, 0.0, 0.0, radius + margin, 1.0) for x, y, radius, margin in kept]
     gain = 1.0 + 0.05 * rng.standard_normal((len(vehicles), 1))
     bias = 2e-3 * rng.standard_normal((len(vehicles), 2))
@@ -191,7 +191,7 @@ def simulate(seed, vehicles, rocks, wants, seconds=40.0):
         a = force * noisy / MASS + bias + 5e-4 * rng.standard_normal(p.shape)
         p, v = p + PERIOD * (v + 0.5 * PERIOD * a), v + PERIOD * a
         room[0] = min(room[0], 2.8 - np.abs(p).max())
-        for x, y, radius in rocks:
+        for x, y, radius in obstacles:
             room[1] = min(room[1], np.hypot(*(p - (x, y)).T).min() - radius)
         for i in range(len(p)):
             for j in range(i):
@@ -201,22 +201,24 @@ def simulate(seed, vehicles, rocks, wants, seconds=40.0):
 
 def layout(rng, vehicles):
     """Obstacles and places that keep their distances at the start."""
-    rocks = [(*rng.uniform(-2.2, 2.2, 2), rng.uniform(0.4, 0.8)) for _ in range(rng.integers(0, 4))]
+    obstacles = [
+        (*rng.uniform(-2.2, 2.2, 2), rng.uniform(0.4, 0.8)) for _ in range(rng.integers(0, 4))
+    ]
     places = []
     while len(places) < vehicles:
         place = rng.uniform(-2.75, 2.75, 2)
-        clear = all(np.hypot(*(place - rock[:2])) > rock[2] + 0.01 for rock in rocks)
+        clear = all(np.hypot(*(place - rock[:2])) > rock[2] + 0.01 for rock in obstacles)
         if clear and all(np.hypot(*(place - other)) > KEEP for other in places):
             places.append(place)
-    return places, rocks
+    return places, obstacles
 
 
 class Adversaries:
     """Laws that chase another, fly at an obstacle, change their mind, or shake, at full thrust."""
 
-    def __init__(self, rng, vehicles, rocks):
+    def __init__(self, rng, vehicles, obstacles):
         self._kind = rng.integers(0, 4, vehicles)
-        self._aim = (*rocks[0][:2],) if rocks else (3.0, 3.0)
+        self._aim = (*obstacles[0][:2],) if obstacles else (3.0, 3.0)
         self._last = np.zeros((vehicles, 2))
 
     def __call__(self, rng, i, t, p, v):
@@ -242,8 +244,8 @@ def test_no_adversary_hits_anything(batch):
     for seed in range(1000 * batch, 1000 * batch + 29):
         rng = np.random.default_rng(seed)
         vehicles = 2 + seed % 4
-        places, rocks = layout(rng, vehicles)
-        edge, rock, pair = simulate(seed, places, rocks, Adversaries(rng, vehicles, rocks))
+        places, obstacles = layout(rng, vehicles)
+        edge, rock, pair = simulate(seed, places, obstacles, Adversaries(rng, vehicles, obstacles))
         assert edge > 0.0, seed
         assert rock > 0.0, seed
         assert pair > 0.0, seed
@@ -321,7 +323,7 @@ def test_a_neighbour_that_is_not_heard_any_more_is_given_more_room(barrier, make
 
 def test_with_little_pressure_less_is_planned(barrier):
     full = barrier.filter(0.0, (1.0, 0.0), (2.75, 0.0, 0.1, 0.0, 0.0, 0.0), {})
-    weak = barrier.filter(0.0, (1.0, 0.0), (2.75, 0.0, 0.1, 0.0, 0.0, 0.0), {}, share=0.5)
+    weak = barrier.filter(0.0, (1.0, 0.0), (2.75, 0.0, 0.1, 0.0, 0.0, 0.0), {}, thrust_scale=0.5)
     assert abs(weak[0]) <= 0.5 * FORCE + 1e-9
     assert full[0] == pytest.approx(-FORCE)
 

@@ -28,7 +28,7 @@ def act(safety, state, t=0.0, vitals=OVER, **changes):
 def test_a_vehicle_that_sees_itself_brakes_and_at_rest_shuts_its_air_off(safety, make_state):
     braking = act(safety, make_state((0, 0, 0), (0.1, 0, 0)))
     assert (braking.braking, braking.air_off, braking.inhibit_reason) == (True, False, None)
-    assert braking.wanted.fx < 0.0
+    assert braking.commanded_wrench.fx < 0.0
     rested = act(safety, make_state((0, 0, 0), (0.9 * AT_REST, 0, 0)), 1.0)
     assert (rested.braking, rested.air_off) == (False, True)
     assert rested.inhibit_reason == "the flight is over"

@@ -25,9 +25,9 @@ WELL = {  # what every detector says when all is well
 NEEDED = {  # what the issue of a table of faults asks for, and the detector that sees it
     "pose_age", "pose_repeats", "pose_jump", "pose_of_another", "setpoint_age", "setpoint_overdue",
     "poses_rejected", "supply_share", "battery", "jet_open", "jet_leaks", "jet_leaks_or_weak",
-    "jet_missing", "tank_loss", "spare_room", "raised", "not_a_number", "tick_late", "operator_age",
-    "clock_offset", "config_differs", "disk_free", "neighbour_age", "board_silent", "fleet",
-    "foreign",
+    "jet_missing", "tank_loss", "spare_room", "law_error", "not_a_number", "tick_late",
+    "operator_age", "clock_offset", "config_differs", "disk_free", "neighbour_age", "board_silent",
+    "fleet", "foreign",
 }  # fmt: skip
 PERIOD = 0.1  # [s]
 

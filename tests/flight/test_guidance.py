@@ -30,7 +30,7 @@ ROCKS = [
 class Probe:
     """A law that pushes as it is told and writes down what it was asked."""
 
-    words = 0
+    message_size = 0
 
     def __init__(self, forces=None):
         self.forces = iter(forces or [])
@@ -39,10 +39,10 @@ class Probe:
     def initial(self, own, neighbours, world):
         return np.zeros(1)
 
-    def fly_ahead(self, law_state, own, neighbours, world, t, duration, steps):
+    def propagate(self, law_state, own, neighbours, world, t, duration, steps):
         self.asked.append((law_state.copy(), own, neighbours, world, t, duration, steps))
         force = next(self.forces, np.zeros(2))
-        a = force / own.mass + own.drift
+        a = force / own.mass + own.disturbance
         p, v = own.p + duration * (own.v + 0.5 * duration * a), own.v + duration * a
         return Ahead(law_state + 1.0, p, v, force, np.zeros(0))
 
@@ -275,23 +275,23 @@ def test_oracle_prediction_through_demands_in_flight(lag, vehicle, make_guidance
     # the estimate is `lag` older than the period it is for, with what was sent in between
     rng = np.random.default_rng(0)
     forces = list(rng.normal(size=(12, 2)))
-    probe, start, drift = Probe(forces), 1.0, np.array([0.01, -0.02])
+    probe, start, disturbance = Probe(forces), 1.0, np.array([0.01, -0.02])
     guidance = make_guidance(probe, mode="wrench")
     for k in range(12):
         t = start + PERIOD * k
-        own = make_state((0.2, 0.1, 0.0), (0.05, -0.03, 0.2), (*drift, 0.3), t=t - lag)
+        own = make_state((0.2, 0.1, 0.0), (0.05, -0.03, 0.2), (*disturbance, 0.3), t=t - lag)
         guidance.step(t, own, {})
         p, v = np.array([0.2, 0.1]), np.array([0.05, -0.03])
         grid = np.linspace(t - lag, t, 2001)
         h = lag / 2000
         for now in grid[:-1] + 0.5 * h:
             n = math.floor((now - start) / PERIOD)
-            a = drift + (forces[n] / vehicle.mass if n >= 0 else 0.0)
+            a = disturbance + (forces[n] / vehicle.mass if n >= 0 else 0.0)
             p, v = p + h * (v + 0.5 * h * a), v + h * a
         asked = probe.asked[-1][1]
         assert asked.p == pytest.approx(p, abs=1e-5)
         assert asked.v == pytest.approx(v, abs=1e-4)
-        assert asked.drift == pytest.approx(drift)
+        assert asked.disturbance == pytest.approx(disturbance)
 
 
 def test_prediction_is_exact_from_one_period_to_the_next(vehicle, make_guidance, make_state):

@@ -137,7 +137,7 @@ def test_who_does_not_come_to_rest_is_not_waited_for_for_ever(diary):
 
 def test_a_law_that_dies_on_the_host_is_a_fault_of_all(diary, make_state):
     class Dying:
-        told = None
+        message = None
 
         def step(self, *_):
             raise ZeroDivisionError("of zero")
@@ -151,13 +151,13 @@ def test_a_law_that_dies_on_the_host_is_a_fault_of_all(diary, make_state):
 
 def test_long_last_words_of_a_law_are_cut(make_state):
     class Wordy:
-        told = None
+        message = None
 
         def step(self, *_):
             raise ValueError("o" * 10_000)
 
     host = HostNode("a", Wordy(), Ports({}, own=make_state()), PERIOD, lead=0.0)
-    raised = host.tick(0.0).outputs.raised
+    raised = host.tick(0.0).outputs.law_error
     assert raised.startswith("ValueError: ooo")
     assert len(raised) == LONGEST_WORDS
 
@@ -259,11 +259,11 @@ class Ports:
     def neighbours(self):
         return self.heard
 
-    def told(self):
+    def messages(self):
         return self.words
 
-    def tell(self, told):
-        self.said.append(told)
+    def broadcast(self, message):
+        self.said.append(message)
 
     def publish(self, message):
         self.published.append(message)
@@ -281,8 +281,8 @@ def setpoint_for(t):
 
 
 class Guidance:
-    def __init__(self, told=None):
-        self.asked, self.told, self.filtered = [], told, None
+    def __init__(self, message=None):
+        self.asked, self.message, self.filtered = [], message, None
 
     def step(self, t, own, neighbours, told):
         self.asked.append((t, own, neighbours, told))
@@ -325,7 +325,7 @@ def test_a_host_answers_for_the_jet_period_after_the_coming_one(make_state):
     assert ports.published == [setpoint_for(0.608)]
     assert ports.said == [told]
     assert tick.outputs == HostOutputs(0.5, setpoint_for(0.608), told)
-    assert tick.inputs.told == words
+    assert tick.inputs.messages == words
     assert (tick.inputs.own, tick.inputs.neighbours) == (ports.known, ports.heard)
 
 

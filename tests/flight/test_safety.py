@@ -23,7 +23,7 @@ from testbed.flight.detectors import Repeats, jump, whose
 from testbed.flight.ending import EndingParams, longest_brake
 from testbed.flight.fault_monitor import FaultMonitor
 from testbed.flight.safety import AT_REST, Safety
-from testbed.flight.tracker import halt
+from testbed.flight.tracker import braking_wrench
 from testbed.rig.chain import fence_of, make_agent, make_detectors
 
 PERIOD = 0.1  # [s]
@@ -46,7 +46,7 @@ def test_a_stop_is_straight_against_the_velocity_and_within_the_jets(
     theta, velocity, vehicle, make_state
 ):
     state = make_state((0.0, 0.0, theta), (*velocity, 0.0))
-    wrench = halt(state, vehicle, 0.08, PERIOD)
+    wrench = braking_wrench(state, vehicle, 0.08, PERIOD)
     ax, ay = (f / vehicle.mass for f in to_table(theta, wrench.fx, wrench.fy))
     speed = math.hypot(*velocity)
     assert math.hypot(ax, ay) == pytest.approx(min(0.08, speed / PERIOD))
@@ -56,7 +56,7 @@ def test_a_stop_is_straight_against_the_velocity_and_within_the_jets(
 
 def test_a_stop_makes_up_for_the_slope_and_takes_the_spin_out(vehicle, make_state):
     state = make_state((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), (0.002, -0.001, 0.01))
-    wrench = halt(state, vehicle, 0.08, PERIOD)
+    wrench = braking_wrench(state, vehicle, 0.08, PERIOD)
     fx, fy = to_table(0.5 * PERIOD * 0.1, wrench.fx, wrench.fy)
     assert (fx, fy) == pytest.approx((-0.002 * vehicle.mass, 0.001 * vehicle.mass))
     assert wrench.tau == pytest.approx(vehicle.inertia * (-0.1 / 0.5 - 0.01))
@@ -106,7 +106,7 @@ def act(safety, state, t=0.0, vitals=None, wanted=Wrench(0.3, 0.0, 0.0), **chang
 def test_a_healthy_demand_goes_through_as_it_is(safety, make_state):
     wanted = Wrench(0.3, 0.0, 0.0)
     acted = act(safety, make_state(), wanted=wanted)
-    assert acted.wanted is wanted
+    assert acted.commanded_wrench is wanted
     assert (acted.response, acted.fault, acted.inhibit_reason) == ("", None, None)
 
 
@@ -114,7 +114,7 @@ def test_a_warning_changes_nothing(safety, make_state):
     state = replace(make_state(), pose_age=0.06)
     acted = act(safety, state)
     assert acted.holding == ("pose_stale",)
-    assert (acted.response, acted.wanted, acted.inhibit_reason) == (
+    assert (acted.response, acted.commanded_wrench, acted.inhibit_reason) == (
         "warn", Wrench(0.3, 0.0, 0.0), None,
     )  # fmt: skip
 
@@ -124,7 +124,7 @@ def test_a_braking_vehicle_stops_and_then_shuts_its_valves_for_good(safety, make
     gone = Vitals(operator_age=1.5)
     acted = act(safety, moving, vitals=gone)
     assert acted.braking
-    assert acted.wanted.fx < 0.0
+    assert acted.commanded_wrench.fx < 0.0
     still = make_state((0.0, 0.0, 0.0), (0.9 * AT_REST, 0.0, 0.0))
     stopped = act(safety, still, 1.0)
     assert not stopped.braking
@@ -165,8 +165,10 @@ def test_whoever_holds_comes_to_rest_also_where_setpoints_still_come(vehicle, ma
     moving, gone = make_state((0.0, 0.0, 0.0), (0.05, 0.0, 0.0)), Vitals(operator_age=1.5)
     held = act(safety, moving, 0.0, gone)
     assert (held.response, held.inhibit_reason, held.braking) == ("hold", None, False)
-    assert held.wanted == halt(moving, vehicle, 0.08, PERIOD)
-    assert act(safety, moving, 0.1).wanted == Wrench(0.3, 0.0, 0.0)  # and goes on afterwards
+    assert held.commanded_wrench == braking_wrench(moving, vehicle, 0.08, PERIOD)
+    assert act(safety, moving, 0.1).commanded_wrench == Wrench(
+        0.3, 0.0, 0.0
+    )  # and goes on afterwards
 
 
 def test_what_cannot_brake_coasts(safety):
@@ -223,7 +225,7 @@ ticks = st.fixed_dictionaries({
         Vitals, session_ok=st.booleans(), operator_age=st.sampled_from([0.0, 2.0]),
         clock_offset=st.sampled_from([0.0, 0.3, math.nan]), late_s=st.sampled_from([0.0, 0.2]),
         disk_free=st.sampled_from([1e12, 0.0]), same_config=st.booleans(),
-        raised=st.sampled_from(["", "boom"]), fleet=st.sampled_from(["", "b broke"]),
+        law_error=st.sampled_from(["", "boom"]), fleet=st.sampled_from(["", "b broke"]),
     ),
 })  # fmt: skip
 
@@ -262,7 +264,9 @@ def test_no_valve_opens_in_a_forbidden_state(sequence):
         assert braking or state.rejected <= gate.max_rejected
         assert abs(state.pose.x) <= fence[0]
         assert abs(state.pose.y) <= fence[1]
-        assert all(math.isfinite(v) for v in (outputs.wanted.fx, outputs.wanted.fy))
+        assert all(
+            math.isfinite(v) for v in (outputs.commanded_wrench.fx, outputs.commanded_wrench.fy)
+        )
         assert math.isfinite(inputs.health.supply_pressure)
         if not braking:
             assert inputs.setpoint is not None

@@ -226,7 +226,7 @@ def test_the_heading_is_compared_round_the_circle(ready):
         ("a config", {"vitals": Vitals(same_config=False)}),
         ("a disk", {"vitals": Vitals(disk_free=1e8)}),
         ("a operator", {"vitals": Vitals(operator_age=0.6)}),
-        ("a law", {"vitals": Vitals(raised="ValueError")}),
+        ("a law", {"vitals": Vitals(law_error="ValueError")}),
     ],
 )  # fmt: skip
 def test_whatever_else_is_bad_is_red(name, change, ready):

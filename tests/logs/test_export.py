@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
-from testbed.logs.export import WRITERS, tables, whole
+from testbed.logs.export import WRITERS, atomic_write, tables
 from testbed.logs.log_reader import LogError, Row
 from testbed.logs.topics import survey
 
@@ -118,7 +118,7 @@ def test_nothing_is_written_when_one_file_is_there(tmp_path, kind):
 
 def test_half_a_file_is_none(tmp_path):
     def full() -> None:
-        with whole(tmp_path / "log.npz") as part:
+        with atomic_write(tmp_path / "log.npz") as part:
             part.write_text("half")
             raise OSError("full")
 

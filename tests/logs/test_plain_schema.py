@@ -81,7 +81,7 @@ def test_all_fields_but_the_samples_are_named():
         "type": "array", "items": {"type": "integer"},
     }  # fmt: skip
     assert outputs["fault"] == {"type": "string"}
-    assert not {"state", "flown", "fault"} & set(properties["outputs"]["required"])
+    assert not {"state", "active_setpoint", "fault"} & set(properties["outputs"]["required"])
 
 
 def test_one_of_several_structs_has_the_fields_of_all():

@@ -98,14 +98,14 @@ def test_a_flight_that_is_killed_leaves_a_whole_log(tmp_path):
         "import sys; from pathlib import Path; from testbed.logs.recorder import *\n"
         "with Recorder(Path(sys.argv[1])) as r:\n"
         "    for k in range(20_000): r.write('/truth', k, Truth(k, {}))\n"
-        "    print(r._scribe.pid, flush=True)\n"
+        "    print(r._writer.pid, flush=True)\n"
         "    sys.stdin.read()\n"
     )
     flight = subprocess.Popen(
         [sys.executable, "-c", script, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
-    scribe = int(flight.stdout.readline())
-    handle = os.pidfd_open(scribe)  # readable when the process ends
+    writer = int(flight.stdout.readline())
+    handle = os.pidfd_open(writer)  # readable when the process ends
     flight.send_signal(signal.SIGKILL)
     flight.communicate()
     import select
@@ -140,7 +140,7 @@ def stopped(tmp_path, monkeypatch):
         recorder.__enter__()
         recorder.write("/truth", 0.0, truth(0.0))
         recorder.mark(0.0)
-        pid = recorder._scribe.pid
+        pid = recorder._writer.pid
         os.kill(pid, signal.SIGSTOP)
         os.waitid(os.P_PID, pid, os.WSTOPPED)
         return recorder
@@ -156,7 +156,7 @@ def test_a_flight_on_wires_does_not_wait_for_a_stopped_writer(stopped, tmp_path)
     assert 0 < recorder.lost < 30_000
     assert len(said) == 1
     assert "rows of it are lost" in said[0]
-    os.kill(recorder._scribe.pid, signal.SIGCONT)
+    os.kill(recorder._writer.pid, signal.SIGCONT)
     recorder.__exit__(None, None, None)
     assert len(read(tmp_path / "log.mcap")) == 30_001 - recorder.lost
 

@@ -35,7 +35,7 @@ from testbed.logs.recorder import Motion, Recorder, Truth
 
 begun, pause = time.monotonic(), threading.Event()
 with Recorder(Path(sys.argv[1])) as recorder:
-    print(recorder._scribe.pid, flush=True)
+    print(recorder._writer.pid, flush=True)
     for k in range(6000):
         t = k * 0.01
         pause.wait(max(0.0, begun + t - time.monotonic()))
@@ -54,8 +54,8 @@ def killed(path: Path, after: int, *, scribe_too: bool) -> int:
     flight = subprocess.Popen(
         [sys.executable, "-c", FLIGHT, str(path)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
-    scribe = int(flight.stdout.readline())
-    handle = os.pidfd_open(scribe)  # readable when the process ends
+    writer = int(flight.stdout.readline())
+    handle = os.pidfd_open(writer)  # readable when the process ends
     for _ in range(after):
         flight.stdout.readline()
     flight.send_signal(signal.SIGKILL)
@@ -103,7 +103,7 @@ def test_a_log_is_readable_wherever_it_was_cut(tmp_path):
 
 
 def test_what_is_marked_is_in_the_file(tmp_path):
-    """So a scribe that is killed has lost less than two tenths of a second."""
+    """So a writer that is killed has lost less than two tenths of a second."""
     path, lost = tmp_path / "log.mcap", []
 
     def watched():
@@ -175,7 +175,7 @@ def test_it_warns_once_and_ends_the_log_properly_before_the_disk_is_full(tmp_pat
 
 
 def test_the_flight_hears_of_it(tmp_path):
-    """The limits are above what any disk has: the scribe warns, then ends."""
+    """The limits are above what any disk has: the writer warns, then ends."""
 
     def fly() -> None:
         with Recorder(tmp_path / "log.mcap", warn_below=10**18, end_below=10**18) as recorder:
@@ -192,7 +192,7 @@ def test_a_warning_reaches_the_flight(tmp_path):
     heard: list[str] = []
     with Recorder(tmp_path / "log.mcap", warn_below=10**18, end_below=0) as recorder:
         k = 0
-        while not heard:  # the scribe says it as soon as it sees the first mark
+        while not heard:  # the writer says it as soon as it sees the first mark
             recorder.write("/truth", PERIOD * k, Truth(PERIOD * k, {"sat1": HERE}))
             heard += recorder.mark(PERIOD * k)
             k += 1

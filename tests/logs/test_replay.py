@@ -53,7 +53,7 @@ def test_the_first_difference_and_its_size():
         return outputs(told.t, 0.1 if told.t < 0.45 else 0.125)
 
     first = replay(flight(), {"sat1": later}, {}).first_difference
-    assert (first.tick, first.topic, first.field) == (5, "/sat1/tick", "wanted.fx")
+    assert (first.tick, first.topic, first.field) == (5, "/sat1/tick", "commanded_wrench.fx")
     assert (first.logged, first.now) == (0.1, 0.125)
     assert first.size == pytest.approx(0.025)
 
@@ -80,7 +80,7 @@ def test_a_law_on_the_host_hears_what_was_heard_then():
 
     def plug(link):
         def tick(t: float) -> HostTick:
-            assert (link.own(), link.neighbours(), link.told()) == (None, {}, {})
+            assert (link.own(), link.neighbours(), link.messages()) == (None, {}, {})
             return HostTick(told, HostOutputs(t, None))
 
         return tick

@@ -15,7 +15,7 @@ import pytest
 from growth import growth
 from testbed.core.lab import MocapWire
 from testbed.mocap import natnet_client
-from testbed.mocap.body_monitor import BodyWatch
+from testbed.mocap.body_monitor import BodyMonitor
 from testbed.mocap.exposure import Exposure, Sighting
 from testbed.mocap.natnet import (
     Described,
@@ -101,7 +101,7 @@ def client():
 def test_datagrams(port, client):
     rng = np.random.default_rng((ROUND, 1))
     wire = MocapWire(up="z")
-    poses = MocapPoses(client, wire, WallClock(monotonic_ns()), "sat1", BodyWatch())
+    poses = MocapPoses(client, wire, WallClock(monotonic_ns()), "sat1", BodyMonitor())
     kinds = list(Packet)
     fed = 0
 
@@ -231,7 +231,7 @@ def test_an_address_that_is_none_is_named(wrong, words):
     assert words in str(error.value)
 
 
-class LawMessage:
+class Scripted:
     """A source that says what it is told to."""
 
     def __init__(self):
@@ -251,8 +251,8 @@ def sighting(x):
 
 @pytest.mark.parametrize("first", [math.nan, math.inf, 1e5])
 def test_a_first_pose_that_is_none_does_not_hide_the_true_ones(first):
-    source, epoch = LawMessage(), 10**12
-    poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1", BodyWatch())
+    source, epoch = Scripted(), 10**12
+    poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1", BodyMonitor())
     for k, x in enumerate((first, 1.0, 1.00001)):
         at = epoch + k * 10**7
         source.next.append(Exposure(k, at, at + 10**7, {"sat1": sighting(x)}))
@@ -262,8 +262,8 @@ def test_a_first_pose_that_is_none_does_not_hide_the_true_ones(first):
 
 @pytest.mark.parametrize("exposed_s", [3600.0, -3600.0, 1e9])
 def test_an_exposure_of_another_time_does_not_stop_the_watch(exposed_s):
-    source, epoch = LawMessage(), 10**12
-    poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1", BodyWatch())
+    source, epoch = Scripted(), 10**12
+    poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1", BodyMonitor())
     for k in range(50):
         at = epoch + k * 10**7
         exposed = at + round(1e9 * exposed_s) if k == 20 else at

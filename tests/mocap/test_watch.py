@@ -7,10 +7,10 @@ import pytest
 
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
-from testbed.mocap.body_monitor import BodyWatch, Trouble
+from testbed.mocap.body_monitor import BodyMonitor, Trouble
 from testbed.mocap.exposure import Axes, Exposure
 from testbed.mocap.poses import MocapPoses
-from testbed.realtime.clock_sync import Offset
+from testbed.realtime.clock_sync import ClockOffset
 from testbed.realtime.wall_clock import WallClock
 
 HZ = 100.0
@@ -23,7 +23,7 @@ def noisy(seed=1):
 
 @pytest.fixture
 def watch():
-    watch = BodyWatch()
+    watch = BodyMonitor()
     near = noisy()
     for k in range(20):
         watch.look(k / HZ, {"a": near(0.0, 0.0), "b": near(1.0, 0.0)})
@@ -32,7 +32,7 @@ def watch():
 
 
 def test_a_healthy_body_is_believed():
-    watch, near = BodyWatch(), noisy()
+    watch, near = BodyMonitor(), noisy()
     for k in range(500):
         t = k / HZ
         poses = {"a": near(0.5 * t, 0.0), "b": near(0.0, math.sin(t))}
@@ -121,7 +121,7 @@ def test_poses_of_one_vehicle_in_the_frame_and_time_of_the_run():
         )
         for k, (n, pose) in enumerate(zip(numbers, truth, strict=True))
     ]  # fmt: skip
-    poses = MocapPoses(Recorded(exposures), wire, WallClock(10**9), "sat1", BodyWatch())
+    poses = MocapPoses(Recorded(exposures), wire, WallClock(10**9), "sat1", BodyMonitor())
     samples = poses.samples()
     poses.review()
     assert [s.captured_at for s in samples] == pytest.approx([0.0, 0.01, 0.02, 0.03])
@@ -134,7 +134,7 @@ def test_poses_of_one_vehicle_in_the_frame_and_time_of_the_run():
 
 
 def test_the_quickest_exchange_tells_the_clock():
-    clock = Offset()
+    clock = ClockOffset()
     clock.heard(1_000_000, 400)
     assert clock.best.delay_ns == -1
     clock.exchanged(100, 5_200, 400)  # 250 is the middle

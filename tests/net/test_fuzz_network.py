@@ -41,9 +41,9 @@ from testbed.net.envelope import (
     Outbox,
     Sealed,
     Verdict,
+    open_message,
     open_setpoint,
     open_state,
-    open_told,
 )
 from testbed.net.keys import Keys
 from testbed.net.session import LARGEST, NetworkError, answer_to, ask, dial, listen
@@ -75,7 +75,7 @@ MESSAGES = {
     "state": (open_state, state()),
     "trajectory": (open_setpoint, Trajectory((reference(), reference(NOW + 0.1)), NOW + 0.3)),
     "demand": (open_setpoint, Demand(NOW, 0.1, 0.2, 0.3, 0.0, 0.0, NOW + 0.2)),
-    "told": (open_told, LawMessage(NOW, (1.0, 2.0, 3.0))),
+    "message": (open_message, LawMessage(NOW, (1.0, 2.0, 3.0))),
     "permit": (msgspec.msgpack.Decoder(Lease).decode, Lease()),
     "event": (msgspec.msgpack.Decoder(Ended).decode, Ended(NOW, "a fault", COUNTS)),
 }
@@ -180,7 +180,7 @@ def test_messages(kind):
         (open_setpoint, Trajectory((reference(),), math.inf)),
         (open_setpoint, Demand(NOW, math.nan, 0, 0, 0, 0, NOW + 1)),
         (open_setpoint, Demand(NOW, 0, 0, 0, 0, 0, math.inf)),
-        (open_told, LawMessage(NOW, (math.inf,))),
+        (open_message, LawMessage(NOW, (math.inf,))),
     ],
 )
 def test_numbers_that_are_none_do_not_come_in(decode, message):
@@ -215,7 +215,10 @@ def test_a_vehicle_flies_on_whatever_it_is_told():
         out = agent.step(inputs)
         assert all(0 <= on <= 100_001 for on in out.command.on_us)
         fired += sum(out.command.on_us)
-        assert all(math.isfinite(v) for v in (out.wanted.fx, out.wanted.fy, out.wanted.tau))
+        assert all(
+            math.isfinite(v)
+            for v in (out.commanded_wrench.fx, out.commanded_wrench.fy, out.commanded_wrench.tau)
+        )
     assert fired > 0
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from testbed.net.clock import HostClock, Reader
 from testbed.net.keys import Keys
-from testbed.realtime.clock_sync import Offset
+from testbed.realtime.clock_sync import ClockOffset
 
 
 class Network:
@@ -85,7 +85,7 @@ def test_an_answer_that_is_no_time_is_not_taken(watched, said):
 
 def test_a_vehicle_that_waits_goes_on_reading_and_knows_how_well(watched):
     network, _ = watched
-    offset, network.says = Offset(), (10**15).to_bytes(8, "little")
+    offset, network.says = ClockOffset(), (10**15).to_bytes(8, "little")
     reader = Reader(network, Keys("lab"), offset)
     assert reader.unsure() > 100.0
     reader.look()

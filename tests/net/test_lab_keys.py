@@ -71,7 +71,7 @@ def endpoint(folder):
     return read_badge(folder / "host").endpoint
 
 
-class LawMessage:
+class Commanded:
     """What a vehicle has been told to do."""
 
     def __init__(self, session, name):
@@ -140,7 +140,7 @@ def answer(data):
 
 
 def test_the_host_arms_and_an_operator_stops(rig):
-    told = LawMessage(rig["vehicle-sat1"], "sat1")
+    told = Commanded(rig["vehicle-sat1"], "sat1")
     order = KEYS.of("sat1", "order")
     wait_for(lambda: told.tower is not None and _answers(rig.host, order))
     with pytest.raises(NetworkError, match="nobody is there"):
@@ -158,7 +158,7 @@ def test_the_host_arms_and_an_operator_stops(rig):
 
 
 def test_a_flight_that_obeys_a_stop_is_not_shut_before_it_rests(rig):
-    told = LawMessage(rig["vehicle-sat1"], "sat1")
+    told = Commanded(rig["vehicle-sat1"], "sat1")
     told.tower.obey()
     wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
     assert ask_all(rig["operator-anna"], KEYS.stop) == 1
@@ -175,7 +175,7 @@ def _answers(session, key):
 
 
 def test_commands_come_from_the_host_alone(rig):
-    told = LawMessage(rig["vehicle-sat1"], "sat1")
+    told = Commanded(rig["vehicle-sat1"], "sat1")
     ears = [(KEYS.of("sat1", "setpoint"), told.setpoints), (KEYS.permit, told.permits)]
     assert list(rig.settle(*ears)) == [[], []]
     for who in (*UNWELCOME, "operator-anna"):
@@ -195,7 +195,7 @@ def _passed_on(rig, who):
 
 @pytest.mark.parametrize("who", UNWELCOME)
 def test_others_can_neither_arm_nor_stop(rig, who):
-    told = LawMessage(rig["vehicle-sat1"], "sat1")
+    told = Commanded(rig["vehicle-sat1"], "sat1")
     order = KEYS.of("sat1", "order")
     wait_for(lambda: _answers(rig.host, order))
     for key in (order, "lab/*/order", "lab/**", "**"):
@@ -247,7 +247,7 @@ def test_a_vehicle_cannot_take_the_orders_of_another(rig):
 
 def test_a_watcher_watches_what_may_be_watched(rig):
     screen, sat1 = rig["watcher-screen"], rig["vehicle-sat1"]
-    told = LawMessage(sat1, "sat1")
+    told = Commanded(sat1, "sat1")
     seen = {word: Subscriber(screen, KEYS.of("sat1", word)) for word in ("state", "tick", "event")}
     hidden = {
         key: Subscriber(screen, key) for key in (KEYS.of("sat1", "setpoint"), KEYS.stop, "lab/**")
@@ -281,7 +281,7 @@ def test_the_ones_struck_out_are_shut_out(folder, endpoint, tmp_path):
         dial(endpoint, 1.0, folder / "vehicle-sat1") as sat1,
         dial(endpoint, 1.0, folder / "operator-anna") as anna,
     ):
-        told = LawMessage(sat1, "sat1")
+        told = Commanded(sat1, "sat1")
         with dial(endpoint, 1.0, folder / "host") as host:
             wait_for(lambda: _answers(host, KEYS.of("sat1", "order")))
         assert ask_all(anna, KEYS.stop) == 0
@@ -538,7 +538,7 @@ def nowhere(tmp_path, monkeypatch):
 
 
 def test_stop_with_an_operators_keys(rig, folder, nowhere, monkeypatch, capsys):
-    told = LawMessage(rig["vehicle-sat1"], "sat1")
+    told = Commanded(rig["vehicle-sat1"], "sat1")
     wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
     assert stop_everything(None, "lab") == FAILED
     assert "nothing flies on this machine" in capsys.readouterr().err
@@ -555,7 +555,7 @@ def test_stop_with_an_operators_keys(rig, folder, nowhere, monkeypatch, capsys):
 
 
 def test_stop_on_the_hosts_machine_needs_no_keys(rig, folder, endpoint, nowhere):
-    told = LawMessage(rig["vehicle-sat1"], "sat1")
+    told = Commanded(rig["vehicle-sat1"], "sat1")
     wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
     with noted(endpoint, "lab", str(folder / "host")):
         assert stop_everything(None, "lab") == OK
@@ -570,7 +570,7 @@ def test_stop_without_the_keys_it_needs_says_what_still_works(nowhere, endpoint,
 def test_bad_keys_at_home_do_not_keep_the_flights_here_from_being_stopped(
     rig, folder, endpoint, nowhere, capsys
 ):
-    told = LawMessage(rig["vehicle-sat1"], "sat1")
+    told = Commanded(rig["vehicle-sat1"], "sat1")
     wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
     (nowhere / "home").mkdir()
     with noted(endpoint, "lab", str(folder / "host")):

@@ -64,10 +64,10 @@ def test_states_and_setpoints_get_across(party):
         now = host.clock.now
         a.publish(state(now))
         b.publish(state(now))
-        a.tell(LawMessage(now, (1.0, 2.0)))
+        a.broadcast(LawMessage(now, (1.0, 2.0)))
         to_a.publish(Demand(now, 1, 2, 3, 0, 0, now + 0.3))
         return (
-            a.setpoint() and to_a.own() and to_a.neighbours() and b.neighbours() and b.told()
+            a.setpoint() and to_a.own() and to_a.neighbours() and b.neighbours() and b.messages()
         )  # vehicles hear each other through the host
 
     wait_for(exchanged)
@@ -75,7 +75,7 @@ def test_states_and_setpoints_get_across(party):
     assert b.setpoint() is None
     assert set(to_a.neighbours()) == {"b"}
     assert set(b.neighbours()) == {"a"}
-    assert b.told()["a"].values == (1.0, 2.0)
+    assert b.messages()["a"].values == (1.0, 2.0)
     assert a.heard.inbox.counts[Verdict.FOREIGN] == 0
 
 

@@ -11,15 +11,15 @@ import pytest
 
 from patience import wait_for
 from testbed.realtime import processes as children
-from testbed.realtime.processes import ChildError, Children
+from testbed.realtime.processes import ChildError, ProcessGroup
 
 ROOT = Path(__file__).resolve().parents[2]
 WAITS = "import sys; sys.stdin.read()"
 IGNORES = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(1000)"
 PARENT = """
 import os, sys
-from testbed.realtime.processes import Children
-with Children(grace_s=0.2) as children:
+from testbed.realtime.processes import ProcessGroup
+with ProcessGroup(grace_s=0.2) as children:
     pids = [children.start(f"c{k}", [sys.executable, "-c", p]) for k, p in enumerate(sys.argv[1:])]
     print(*pids, children.folder, flush=True)
     sys.stdin.read()
@@ -27,7 +27,7 @@ with Children(grace_s=0.2) as children:
 
 
 def test_children_end_with_the_block():
-    with Children(grace_s=0.2) as children:
+    with ProcessGroup(grace_s=0.2) as children:
         pids = [
             children.start("polite", [sys.executable, "-c", WAITS]),
             children.start("deaf", [sys.executable, "-c", IGNORES]),
@@ -39,7 +39,7 @@ def test_children_end_with_the_block():
 
 
 def test_one_that_ends_on_its_own_is_reported_with_its_words():
-    with Children() as children:
+    with ProcessGroup() as children:
         children.start("sat1", [sys.executable, "-c", "import sys; sys.exit('no board')"])
         child = psutil.Process(children.pid("sat1"))
         wait_for(lambda: child.status() == psutil.STATUS_ZOMBIE)
@@ -71,7 +71,7 @@ def test_children_of_a_killed_parent(stop):
 
 def test_a_stopped_guardian_does_not_keep_its_parent(monkeypatch):
     monkeypatch.setattr(children, "LEAVE_S", 0.1)
-    with Children() as some:
+    with ProcessGroup() as some:
         guardian = some._guardian.pid
         os.kill(guardian, signal.SIGSTOP)
         os.waitid(os.P_PID, guardian, os.WSTOPPED)

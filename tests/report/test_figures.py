@@ -17,7 +17,10 @@ T = np.linspace(0.0, 10.0, 101)
 def still(x: float, y: float) -> VehicleHistory:
     """A vehicle that stays where it is."""
     n = len(T)
-    nothing = {name: np.full((n, 3), math.nan) for name in ("reference", "wanted", "planned")}
+    nothing = {
+        name: np.full((n, 3), math.nan)
+        for name in ("reference", "commanded_wrench", "realised_wrench")
+    }
     return VehicleHistory(
         t=T, at=T, pose=np.tile([x, y, 0.0], (n, 1)), twist=np.zeros((n, 3)),
         force_asked=np.full((n, 2), math.nan), on=np.zeros((n, 8)), offset=np.zeros((n, 8)),

@@ -14,7 +14,7 @@ from sim_twin.orbit.relative import chief_on, drift, field, frame_at
 from testbed.core.law import Body, Discs, Goal, Neighbours, World
 from testbed.reproduction.kernel.cluster import cluster, cluster_control, in_metres
 from testbed.reproduction.kernel.fleet import Wave, drifts, fly, goal_at, wave_at, wave_integral
-from testbed.reproduction.scene import Leader, OrbitParams, Rocks, WaveParams, place
+from testbed.reproduction.scene import Leader, Obstacles, OrbitParams, WaveParams, place
 
 ORBIT = OrbitParams(6971.0, 0.01, 30.0, 50.0, 30.0, 20.0)
 SWING = WaveParams((0.0, 0.0, 0.05), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0), 0.06)
@@ -63,11 +63,13 @@ class Plain:
 
     def sight(self, t, p, v, z):
         frame, still = frame_at(self.where.chief, t), np.zeros(3)
-        way, speed = wave_integral(self.where.rocks_v, t), wave_at(self.where.rocks_v, t)
-        rocks = Discs(
-            self.where.rocks + way, np.tile(speed, (len(self.where.rocks), 1)), self.where.radius
+        way, speed = wave_integral(self.where.obstacles_v, t), wave_at(self.where.obstacles_v, t)
+        obstacles = Discs(
+            self.where.obstacles + way,
+            np.tile(speed, (len(self.where.obstacles), 1)),
+            self.where.radius,
         )
-        world, n = World(goal_at(self.where, t), rocks), len(p)
+        world, n = World(goal_at(self.where, t), obstacles), len(p)
         told = [field(frame, p[i]) for i in range(n)]
         if self.coriolis:
             told = [drift(frame, p[i], v[i]) for i in range(n)]
@@ -79,7 +81,7 @@ class Plain:
 
         silent = np.zeros((n, 0))
         said = np.array(
-            [self.module.tell(self.law.gains, z[i], bodies[i], others(i, silent), world, t)
+            [self.module.broadcast(self.law.gains, z[i], bodies[i], others(i, silent), world, t)
              for i in range(n)]
         )  # fmt: skip
         return [(bodies[i], others(i, said), world) for i in range(n)]
@@ -138,8 +140,10 @@ def test_a_fleet_that_talks_and_avoids_flies_as_in_plain_python():
     law, mass = dynamic_law.connectivity_dynamic(params, NAMES, 3), np.array([10.0, 11.0, 11.5])
     start = np.array([[50.0, 70.0, 0.0], [0.0, 0.0, 0.0], [50.0, -70.0, 0.0]])
     v0 = np.tile([2.0, 0.0, 0.0], (3, 1))
-    rocks = Rocks(((60.0, 0.0, 0.0),), 10.0, WaveParams(cosine=(2.0, 0, 0), sine=(0, 2.0, 0)))
-    where = place(ORBIT, rocks=rocks, max_axis=1.0)
+    obstacles = Obstacles(
+        ((60.0, 0.0, 0.0),), 10.0, WaveParams(cosine=(2.0, 0, 0), sine=(0, 2.0, 0))
+    )
+    where = place(ORBIT, obstacles=obstacles, max_axis=1.0)
     flight = fly(law, where, mass, start, v0, step=0.05, steps=100, every=100)
     p, v, z = Plain(dynamic_law, law, where, mass, coriolis=True).fly(start, v0, 0.05, 100)
     assert flight.p[-1] == pytest.approx(p, abs=1e-9)

@@ -5,7 +5,7 @@ import pytest
 
 from testbed.reproduction.kernel.fleet import Flight
 from testbed.reproduction.paper import read_papers
-from testbed.reproduction.scene import Rocks, WaveParams, place
+from testbed.reproduction.scene import Obstacles, WaveParams, place
 from testbed.reproduction.targets import measure_one
 from testbed.reproduction.together import Tracks, obstacles
 
@@ -19,7 +19,7 @@ def standing(p, seconds):
 
 
 def test_an_obstacle_that_circles_is_felt_each_time_it_comes_back():
-    where = place(None, rocks=Rocks(((60.0, 0.0, 0.0),), 10.0, ROUND))
+    where = place(None, obstacles=Obstacles(((60.0, 0.0, 0.0),), 10.0, ROUND))
     found = obstacles(where, standing([100.0, 0.0, 0.0], 700), band=30.0)
     assert found["obstacle_felt_s"][0] == pytest.approx(628.0 + 40.0, abs=30.0)
     assert found["obstacle_m"][0] < 40.0
@@ -28,7 +28,7 @@ def test_an_obstacle_that_circles_is_felt_each_time_it_comes_back():
 
 
 def test_an_obstacle_that_is_never_near_is_never_felt():
-    where = place(None, rocks=Rocks(((60.0, 0.0, 0.0),), 10.0))
+    where = place(None, obstacles=Obstacles(((60.0, 0.0, 0.0),), 10.0))
     assert obstacles(where, standing([200.0, 0.0, 0.0], 9), 30.0)["obstacle_felt_s"] == [0.0]
     assert obstacles(place(None), standing([200.0, 0.0, 0.0], 9), 30.0) == {}
 

@@ -40,8 +40,8 @@ def motion(seed, gain=1.0):
         rng.normal(size=(1, 3)),
         gain * rng.normal(size=(1, 3)),
     )
-    rocks = p + 20.0 * rng.normal(size=(2, 3))
-    return Motion(np.zeros(1), p - 10.0, p, v, a, rocks, 50.0)
+    obstacles = p + 20.0 * rng.normal(size=(2, 3))
+    return Motion(np.zeros(1), p - 10.0, p, v, a, obstacles, 50.0)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -55,8 +55,8 @@ def test_s_and_sigma_are_those_of_the_law(seed):
     others = Neighbours(
         none, none, np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 0)), np.zeros(0)
     )
-    rocks = Discs(way.rocks, 0.0 * way.rocks, np.full(2, way.radius))
-    world = World(Goal(way.p[0] - way.e[0], still, still, still), rocks)
+    obstacles = Discs(way.obstacles, 0.0 * way.obstacles, np.full(2, way.radius))
+    world = World(Goal(way.p[0] - way.e[0], still, still, still), obstacles)
 
     def change(k):
         law = sotsmc(SotsmcParams(k=k, epsilon=0.0), 3)
@@ -70,7 +70,7 @@ def test_the_gradient_is_that_of_the_potential():
 
     def height(p):
         e = p - (way.p[0] - way.e[0])
-        r2 = ((p - way.rocks) ** 2).sum(axis=1) / (u.width_ratio * way.radius) ** 2
+        r2 = ((p - way.obstacles) ** 2).sum(axis=1) / (u.width_ratio * way.radius) ** 2
         repulsion = (u.repel * e) @ e * (u.height * np.exp(-r2)).sum()
         return 0.5 * ((u.attract * e) @ e + repulsion)
 

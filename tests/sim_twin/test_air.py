@@ -42,5 +42,5 @@ def test_nothing_is_used_that_is_not_there(make_vehicle, make_plant, make_plan):
         plant.boards["0"].apply(make_plan(0.1 * k, dict.fromkeys((0, 4), (0.0, 0.1))))
         plant.advance(0.1 * (k + 1))
     assert plant.used[0] == pytest.approx(0.01, abs=1e-15)
-    assert supply_share(plant.metal, 0, plant.used[0]) == 0.0
+    assert supply_share(plant.parameters, 0, plant.used[0]) == 0.0
     assert plant.impulse[0] < 0.01 * 100.0

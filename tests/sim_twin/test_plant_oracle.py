@@ -117,15 +117,21 @@ def flows(openings, valve, times):
 class Oracle:
     """Rate of change of (x, y, theta, vx, vy, omega, gas used) of one drawn vehicle."""
 
-    def __init__(self, metal, table):
-        self.mass0, self.inertia0 = float(metal.mass[0]), float(metal.inertia[0])
-        (self.cx0, self.cy0), (self.tx, self.ty) = metal.com[0].tolist(), metal.tank[0].tolist()
-        self.drag, self.spin_drag = float(metal.drag[0]), float(metal.spin_drag[0])
-        self.gas, self.exhaust = float(metal.gas[0]), float(metal.exhaust_speed[0])
-        self.bearing, self.droop = float(metal.bearing_flow[0]), float(metal.droop[0])
-        self.tank_pressure = float(metal.tank_pressure[0])
-        self.set_pressure, self.dropout = float(metal.set_pressure[0]), float(metal.dropout[0])
-        self.jets = np.vstack([metal.effect[0], metal.thrust[0]])  # (4, jets)
+    def __init__(self, parameters, table):
+        self.mass0, self.inertia0 = float(parameters.mass[0]), float(parameters.inertia[0])
+        (self.cx0, self.cy0), (self.tx, self.ty) = (
+            parameters.com[0].tolist(),
+            parameters.tank[0].tolist(),
+        )
+        self.drag, self.spin_drag = float(parameters.drag[0]), float(parameters.spin_drag[0])
+        self.gas, self.exhaust = float(parameters.gas[0]), float(parameters.exhaust_speed[0])
+        self.bearing, self.droop = float(parameters.bearing_flow[0]), float(parameters.droop[0])
+        self.tank_pressure = float(parameters.tank_pressure[0])
+        self.set_pressure, self.dropout = (
+            float(parameters.set_pressure[0]),
+            float(parameters.dropout[0]),
+        )
+        self.jets = np.vstack([parameters.effect[0], parameters.thrust[0]])  # (4, jets)
         self.uniform = table.tilt.uniform
         # bilinear a + b x + c y + d x y through the four corners
         nodes = np.array(table.tilt.map or np.zeros((2, 2, 2)))
@@ -223,7 +229,7 @@ def compare(make_vehicle, make_table, make_plant, make_plan):
         rng = np.random.default_rng(seed)
         times = np.append(np.sort(rng.uniform(0.0, seconds, 30)), seconds)
         seen, openings = fly(plant, vehicle, make_plan, seconds * 10, rng, times)
-        wanted = Oracle(plant.metal, table).fly(start, openings, vehicle.valve, times)
+        wanted = Oracle(plant.parameters, table).fly(start, openings, vehicle.valve, times)
         error = np.abs(seen - wanted[:, :6]).max(axis=0)
         gas = abs(plant.used[0] - wanted[-1, 6])
         assert len(openings) > 5 * seconds

@@ -25,24 +25,26 @@ def test_streams_are_not_correlated():
 
 def test_a_vehicle_without_tolerances_is_forged_as_drawn(make_vehicle):
     vehicle = make_vehicle(com=(0.01, 0.02))
-    metal = sample_plant({"a": vehicle}, 1)
-    assert metal.effect[0] == pytest.approx(effect_matrix(vehicle.jets), abs=1e-15)
-    assert metal.thrust[0] == pytest.approx(0.6)
-    assert (metal.mass[0], metal.inertia[0]) == (vehicle.mass, vehicle.inertia)
-    assert tuple(metal.com[0]) == vehicle.com
+    parameters = sample_plant({"a": vehicle}, 1)
+    assert parameters.effect[0] == pytest.approx(effect_matrix(vehicle.jets), abs=1e-15)
+    assert parameters.thrust[0] == pytest.approx(0.6)
+    assert (parameters.mass[0], parameters.inertia[0]) == (vehicle.mass, vehicle.inertia)
+    assert tuple(parameters.com[0]) == vehicle.com
 
 
 def test_what_is_forged_spreads_by_the_tolerances(shipped_vehicle):
     fleet = {str(k): shipped_vehicle for k in range(1000)}
-    spread, metal = shipped_vehicle.tolerance, sample_plant(fleet, 1)
-    assert metal.mass.mean() == pytest.approx(shipped_vehicle.mass, rel=0.002)
-    assert metal.mass.std() == pytest.approx(shipped_vehicle.mass * spread.mass, rel=0.1)
-    assert metal.inertia.std() == pytest.approx(shipped_vehicle.inertia * spread.inertia, rel=0.1)
-    assert metal.com.std() == pytest.approx(spread.com, rel=0.1)
-    assert metal.thrust.std() == pytest.approx(0.6 * spread.thrust, rel=0.05)
-    push = np.hypot(metal.effect[:, 0], metal.effect[:, 1])
-    assert push == pytest.approx(metal.thrust)
-    sideways = metal.effect[:, 1, :2] / push[:, :2]  # of two jets that should push along -x
+    spread, parameters = shipped_vehicle.tolerance, sample_plant(fleet, 1)
+    assert parameters.mass.mean() == pytest.approx(shipped_vehicle.mass, rel=0.002)
+    assert parameters.mass.std() == pytest.approx(shipped_vehicle.mass * spread.mass, rel=0.1)
+    assert parameters.inertia.std() == pytest.approx(
+        shipped_vehicle.inertia * spread.inertia, rel=0.1
+    )
+    assert parameters.com.std() == pytest.approx(spread.com, rel=0.1)
+    assert parameters.thrust.std() == pytest.approx(0.6 * spread.thrust, rel=0.05)
+    push = np.hypot(parameters.effect[:, 0], parameters.effect[:, 1])
+    assert push == pytest.approx(parameters.thrust)
+    sideways = parameters.effect[:, 1, :2] / push[:, :2]  # of two jets that should push along -x
     assert np.degrees(sideways.std()) == pytest.approx(spread.direction_deg, rel=0.1)
 
 

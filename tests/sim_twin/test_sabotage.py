@@ -207,9 +207,9 @@ def test_what_befalls_law_process_and_link(plant):
     ],
 )  # fmt: skip
 def test_an_event_begins_a_fault(event, threshold, place, plant):
-    rocks = {"o": Obstacle((2.0, 0.0), 0.8)}
+    obstacles = {"o": Obstacle((2.0, 0.0), 0.8)}
     what = Injection("drop_mocap", "0", event=event, threshold=threshold)
-    broken = sabotage(plant, what, obstacles=rocks)
+    broken = sabotage(plant, what, obstacles=obstacles)
     broken.look(1.0)
     assert broken.began() == [math.inf]
     plant.x[0, :2] = place

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sim_twin.orbit.relative import Chief, coriolis, drift_rate, field, frame_at
 from testbed.core.compiled import borrowed, compiled, keep, pasted
-from testbed.core.law import Body, Discs, Goal, Neighbours, World, jump_of, rate_of, tell_of
+from testbed.core.law import Body, Discs, Goal, Neighbours, World, broadcast_of, jump_of, rate_of
 
 Array = NDArray[np.float64]
 
@@ -37,8 +37,8 @@ class Place(NamedTuple):
     chief: Chief  # of the frame, if orbiting
     goal: Array  # (d,) where the goal, or the leader, is at time 0 [m]
     goal_v: Wave  # its velocity [m/s]
-    rocks: Array  # (k, d) obstacles at time 0 [m]
-    rocks_v: Wave  # the velocity of all of them [m/s]
+    obstacles: Array  # (k, d) obstacles at time 0 [m]
+    obstacles_v: Wave  # the velocity of all of them [m/s]
     radius: Array  # (k,) of them [m]
     push: Wave  # acceleration besides the orbit's [m/s^2]
     told_sign: float  # of g as the laws believe it to be; 1: as it is
@@ -133,15 +133,15 @@ def write_goal(place, t, goal):
 @compiled
 def empty_sight(place, n, words):
     """Room for what a law is handed, to be written before each call of one."""
-    d, k = place.goal.shape[0], place.rocks.shape[0]
+    d, k = place.goal.shape[0], place.obstacles.shape[0]
     goal = Goal(np.empty(d), np.empty(d), np.empty(d), np.empty(d))
     world = World(goal, Discs(np.empty((k, d)), np.empty((k, d)), place.radius))
-    p, v, told_at = np.empty((n - 1, d)), np.empty((n - 1, d)), np.empty(n - 1)
+    p, v, message_t = np.empty((n - 1, d)), np.empty((n - 1, d)), np.empty(n - 1)
     near, who = np.ones(n - 1), np.empty(n - 1, dtype=np.int64)
     return Sight(
         world,
-        Neighbours(p, v, near, who, np.empty((n - 1, words)), told_at),
-        Neighbours(p, v, near, who, np.empty((n - 1, 0)), told_at),
+        Neighbours(p, v, near, who, np.empty((n - 1, words)), message_t),
+        Neighbours(p, v, near, who, np.empty((n - 1, 0)), message_t),
         np.empty((n, d)), np.empty((n, d)), np.zeros(d), np.empty(d),
     )  # fmt: skip
 
@@ -149,25 +149,25 @@ def empty_sight(place, n, words):
 @compiled
 def look_round(place, t, sight):
     """Write the world that all laws see."""
-    goal, rocks = sight.world.goal, sight.world.obstacles
+    goal, obstacles = sight.world.goal, sight.world.obstacles
     write_goal(place, t, goal)
-    for k in range(rocks.p.shape[0]):
-        write_integral(place.rocks_v, t, rocks.p[k])
-        write_wave(place.rocks_v, t, rocks.v[k])
-        for a in range(rocks.p.shape[1]):
-            rocks.p[k, a] += place.rocks[k, a]
+    for k in range(obstacles.p.shape[0]):
+        write_integral(place.obstacles_v, t, obstacles.p[k])
+        write_wave(place.obstacles_v, t, obstacles.v[k])
+        for a in range(obstacles.p.shape[1]):
+            obstacles.p[k, a] += place.obstacles[k, a]
 
 
 @compiled
 def look_at_others(i, t, p, v, said, others):
     """Write where everybody but the i-th is, and what they said."""
-    for k in range(others.who.shape[0]):
+    for k in range(others.vehicle_index.shape[0]):
         j = k if k < i else k + 1
-        others.who[k], others.told_at[k] = j, t
+        others.vehicle_index[k], others.message_t[k] = j, t
         for a in range(p.shape[1]):
             others.p[k, a], others.v[k, a] = p[j, a], v[j, a]
-        for a in range(others.told.shape[1]):
-            others.told[k, a] = said[j, a]
+        for a in range(others.message.shape[1]):
+            others.message[k, a] = said[j, a]
 
 
 @compiled
@@ -214,7 +214,7 @@ def flow(law, place, mass, t, p, v, z, said, sight, a, z_rate, wanted):
         for i in range(n):
             look_at_others(i, t, p, v, said, sight.unheard)
             own = Body(p[i], v[i], mass[i], told[i], still, np.inf, i)
-            word = tell_of(law, z[i], own, sight.unheard, sight.world, t)
+            word = broadcast_of(law, z[i], own, sight.unheard, sight.world, t)
             for k in range(said.shape[1]):
                 said[i, k] = word[k]
     for i in range(n):
@@ -369,4 +369,4 @@ def fly(
     still = np.zeros(p.shape[1])
     bodies = [Body(p[i], v[i], float(mass[i]), still, still, np.inf, i) for i in range(len(p))]
     z = np.array([law.initial(own, None, None) for own in bodies])
-    return Flight(*run(law.gains, place, mass, p, v, z, law.words, step, steps, every))
+    return Flight(*run(law.gains, place, mass, p, v, z, law.message_size, step, steps, every))

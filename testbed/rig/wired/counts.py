@@ -7,12 +7,12 @@ import numpy as np
 from testbed.mocap.poses import MocapPoses
 from testbed.net.commands import Counts
 from testbed.net.links import ZenohVehicleLink
-from testbed.realtime.clock_sync import Offset
+from testbed.realtime.clock_sync import ClockOffset
 from testbed.rig.wired.thrusters import WiredThrusters
 
 
 def count(
-    link: ZenohVehicleLink, thrusters: WiredThrusters, poses: MocapPoses, clock: Offset,
+    link: ZenohVehicleLink, thrusters: WiredThrusters, poses: MocapPoses, clock: ClockOffset,
     unsent: int,
 ) -> Counts:  # fmt: skip
     """The counts; `unsent` plans were refused at the port."""

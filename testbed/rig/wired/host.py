@@ -29,7 +29,7 @@ from testbed.net.roll_call import Roll
 from testbed.net.session import LARGEST, NetworkError, Subscriber, answer_to
 from testbed.net.stop import noted
 from testbed.realtime.heartbeat import in_file
-from testbed.realtime.processes import ChildError, Children
+from testbed.realtime.processes import ChildError, ProcessGroup
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.boards import LOCKSTEP
 from testbed.rig.fault_latch import FaultLatch
@@ -159,7 +159,7 @@ class WireRig(RunResults):
     def _fly(self, stack: ExitStack, observer: Observer, stopped: Callable[[], int]) -> Ending:
         children = None
         if self._bench:
-            children = stack.enter_context(Children())
+            children = stack.enter_context(ProcessGroup())
             self.experiment = loopback(self.experiment, children.folder)
         network = self.experiment.table.lab.network
         opened, self._warned = open_lab(network, self.experiment.vehicles)
@@ -198,7 +198,7 @@ class WireRig(RunResults):
                 self._end_children(children)
         return ending
 
-    def _start_children(self, children: Children) -> None:
+    def _start_children(self, children: ProcessGroup) -> None:
         config = children.folder / "experiment.toml"
         config.write_text(tomli_w.dumps(dump(self.experiment)), encoding="utf-8")
         report = self._keep or children.folder / "report.json"
@@ -217,7 +217,7 @@ class WireRig(RunResults):
             children.start(name, [*python, "testbed.rig.wired.agent_process", words])
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
 
-    def _blamed(self, children: Children, fault: str | None) -> str | None:
+    def _blamed(self, children: ProcessGroup, fault: str | None) -> str | None:
         """The fault, with the law that has ended or blocks the process of its vehicle."""
         for name in self.experiment.vehicles:
             heart = in_file(children.folder / f"{name}.heart")
@@ -234,7 +234,7 @@ class WireRig(RunResults):
             return f"law of {name} ({heart.law}) {how}; {fault}"
         return fault
 
-    def _end_children(self, children: Children) -> None:
+    def _end_children(self, children: ProcessGroup) -> None:
         children.end(list(self.experiment.vehicles))
         children.end(["twin"])  # the boards last: they hold the valves
         report = self._keep or children.folder / "report.json"
@@ -246,7 +246,7 @@ class WireRig(RunResults):
         session: zenoh.Session,
         keys: Keys,
         roll: Roll,
-        children: Children | None,
+        children: ProcessGroup | None,
         stopped: Callable[[], int],
     ) -> "HostFlight | None":
         """Wait for the vehicles, and order them to start; None: the operator has changed his mind.

@@ -26,7 +26,7 @@ from testbed.net.links import Party, ZenohVehicleLink
 from testbed.net.session import Publisher, Subscriber
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.wired.command_server import CommandServer
-from testbed.rig.wired.process_faults import Rehearsal
+from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
 from testbed.rig.wired.thrusters import WiredThrusters
 
@@ -48,10 +48,10 @@ class Flight:
         config: str,
         drift: HostClock,
         link: ZenohVehicleLink,
-        rehearsal: Rehearsal,
+        process_faults: ProcessFaults,
     ) -> None:
         self._link, self._foreign = link, 0
-        self.rehearsal, self.due = rehearsal, 0.0
+        self.process_faults, self.due = process_faults, 0.0
         self._storm = NetworkImpairment(
             party.lab.weather, party.seed, f"permit to {party.name}", party.worse
         )
@@ -176,7 +176,7 @@ class Permitted:
     def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
         """See `VehicleNode`. To come to rest at the end it needs no word of the host."""
         self._flight.due = t
-        self._flight.rehearsal.at_vehicle(self.name, self._clock)
+        self._flight.process_faults.at_vehicle(self.name, self._clock)
         may_fire = self._flight.may_fire or bool(end)
         return self._node.tick(t, armed and may_fire, fleet, end)
 

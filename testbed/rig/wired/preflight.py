@@ -49,11 +49,11 @@ class Stage:
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
 
-    def told(self) -> dict[str, LawMessage]:
+    def messages(self) -> dict[str, LawMessage]:
         """See `HostLink`."""
         return {}
 
-    def tell(self, told: LawMessage) -> None:
+    def broadcast(self, message: LawMessage) -> None:
         """See `HostLink`."""
 
 
@@ -70,7 +70,7 @@ def objection(experiment: Experiment, name: str, states: dict[str, State]) -> st
     except Exception as error:  # whatever a law of one's own dies of
         return f"{type(error).__name__}: {error}"
     node = HostNode(name, guidance, stage, experiment.flight.jet_period_s, lead)
-    return node.tick(0.0).outputs.raised
+    return node.tick(0.0).outputs.law_error
 
 
 class Preflight:
@@ -113,17 +113,17 @@ class Preflight:
         states = {n: one.readiness.state for n, (one, _) in heard.items()}
         known = {n: s for n, s in states.items() if s is not None}
         for name, (one, trip) in heard.items():
-            raised = ""
+            law_error = ""
             if name not in self._sound and len(known) == len(self._experiment.vehicles):
-                raised = objection(self._experiment, name, known)
-                if not raised:
+                law_error = objection(self._experiment, name, known)
+                if not law_error:
                     self._sound.add(name)
             others = {n: s for n, s in states.items() if n != name and s is not None}
             vitals = replace(
                 one.readiness.vitals,
                 disk_free=self._disk_free(),
                 same_config=one.config == self._config,
-                raised=raised,
+                law_error=law_error,
             )
             ready = replace(one.readiness, vitals=vitals, round_trip=trip, neighbours=others)
             expected = expected_of(self._experiment, name)

@@ -18,7 +18,7 @@ OF_PROCESSES: tuple[Kind, ...] = (
 )  # fmt: skip
 
 
-class Rehearsal:
+class ProcessFaults:
     """The injections of a run as one process sees them, by its own clock."""
 
     def __init__(self, injections: Sequence[Injection], now: Callable[[], float]) -> None:

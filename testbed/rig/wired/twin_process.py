@@ -20,7 +20,7 @@ from firmware_interface.serial_board import BoardError
 from testbed.config import ConfigError, Experiment, load
 from testbed.files import write_atomic
 from testbed.realtime.processes import end_on_terminate, orphaned
-from testbed.realtime.scheduling import prefer_process, preferred, steady
+from testbed.realtime.scheduling import no_garbage_collection, prefer_process, realtime_priority
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.server import TableServer, port_of
 
@@ -53,7 +53,11 @@ def serve(
         signal.signal(signal.SIGUSR1, lambda number, frame: server.cut_next())
         for pid in server.pids.values():  # a chip does not wait for a turn either
             prefer_process(pid, PRIORITY + 10)
-        with steady(), preferred(PRIORITY), contextlib.suppress(KeyboardInterrupt):
+        with (
+            no_garbage_collection(),
+            realtime_priority(PRIORITY),
+            contextlib.suppress(KeyboardInterrupt),
+        ):
             server.run(over)
         if report is not None:
             write_atomic(report, msgspec.json.encode(server.report()))

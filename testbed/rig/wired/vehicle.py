@@ -22,7 +22,7 @@ from testbed.config import Experiment
 from testbed.core.error import TestbedError
 from testbed.files import write_atomic
 from testbed.flight.loop import VehicleNode, fly
-from testbed.mocap.body_monitor import BodyWatch
+from testbed.mocap.body_monitor import BodyMonitor
 from testbed.mocap.poses import MocapPoses
 from testbed.mocap.source import make_source
 from testbed.net.clock import HostClock, Reader, read_clock
@@ -38,7 +38,7 @@ from testbed.net.roll_call import Enrolment, last_words
 from testbed.net.session import NetworkError, NobodyError, Publisher, Subscriber, ask, dial
 from testbed.realtime.law_watch import patience
 from testbed.realtime.processes import orphaned
-from testbed.realtime.scheduling import preferred, steady
+from testbed.realtime.scheduling import no_garbage_collection, realtime_priority
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.chain import make_agent, watched
 from testbed.rig.twin import warm_up
@@ -47,7 +47,7 @@ from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.counts import count
 from testbed.rig.wired.onboard import Flight, Permitted, counted, land
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
-from testbed.rig.wired.process_faults import Rehearsal
+from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.thrusters import make_thrusters
 
 PRIORITY = 20
@@ -106,8 +106,8 @@ def fly_vehicle(
             )
         say(f"the host flies {experiment.name}; getting ready (compiles on the first run)")
         clock = WallClock(monotonic_ns())  # until the run's time 0 is known
-        rehearsal = Rehearsal(experiment.inject, lambda: clock.now)
-        spoilt = partial(rehearsal.spoilt, name) if experiment.inject else None
+        process_faults = ProcessFaults(experiment.inject, lambda: clock.now)
+        spoilt = partial(process_faults.spoilt, name) if experiment.inject else None
         stack.enter_context(watched(experiment))
         agent = make_agent(experiment, name, spoilt)
         with patience():
@@ -126,7 +126,8 @@ def fly_vehicle(
         tower = CommandServer(
             session, keys, name, thrusters.board, lookout, enrolment.ticket, clock_of_host.to_own
         )
-        stack.enter_context(steady())  # now: the last collection of garbage takes its time
+        # now: the last collection of garbage takes its time
+        stack.enter_context(no_garbage_collection())
         await_alone(session, keys, name)
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
@@ -145,21 +146,21 @@ def fly_vehicle(
         assert epoch is not None
         clock.epoch_ns = epoch
         thrusters.epoch_us = epoch // 1000
-        worse = partial(rehearsal.air, name)
+        worse = partial(process_faults.air, name)
         party = Party(session, wires, start.session, clock, experiment.seed, name, worse)
         link = ZenohVehicleLink(party, experiment.vehicles)
         event = Publisher(session, keys.of(name, "event"))
         drift = HostClock(session, keys, clock, start.epoch_ns)
-        stack.enter_context(preferred(PRIORITY))
+        stack.enter_context(realtime_priority(PRIORITY))
         thrusters.bearing(on=True)
         while monotonic_ns() < epoch - LOOK_NS:
             lookout.look()
             sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
         for ear in strangers:
             ear.close()
-        poses = MocapPoses(source, wires.mocap, clock, name, BodyWatch())
+        poses = MocapPoses(source, wires.mocap, clock, name, BodyMonitor())
         flight = Flight(
-            party, thrusters, poses, tower, config_id(experiment), drift, link, rehearsal
+            party, thrusters, poses, tower, config_id(experiment), drift, link, process_faults
         )
         if tower.stop_reason is None:
             thrusters.arm()

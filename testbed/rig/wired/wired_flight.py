@@ -29,11 +29,11 @@ from testbed.net.commands import Ended, Flown, Lease, Stop, config_id
 from testbed.net.envelope import Inbox, Outbox, Verdict
 from testbed.net.links import Blackboard, Party, ZenohHostLink, host_states
 from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
-from testbed.realtime.scheduling import preferred
+from testbed.realtime.scheduling import realtime_priority
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.chain import make_guidance
 from testbed.rig.wired.preflight import order
-from testbed.rig.wired.process_faults import Rehearsal
+from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
 
 PRIORITY = 10  # below the vehicles: they hold the valves
@@ -136,7 +136,7 @@ class HostFlight:
         party: Party,
         disk_free: Callable[[], float] = lambda: 1e12,
     ) -> None:
-        self._rehearsal = Rehearsal(experiment.inject, lambda: party.clock.now)
+        self._process_faults = ProcessFaults(experiment.inject, lambda: party.clock.now)
         self._intruders: dict[str, Publisher] = {}
         self._stranger = Outbox(party.run ^ 1)  # the session of a rehearsed intruder
         self._experiment, self._book, self._party = experiment, book, party
@@ -176,7 +176,7 @@ class HostFlight:
         now = self._party.clock.now
         faults = (f"{n.name}: {n.fault}" for n in self._nodes.values() if n.fault)
         fleet = self._fleet or next(faults, "")
-        rehearsed = self._rehearsal.found
+        rehearsed = self._process_faults.found
         if rehearsed("operator_gone"):
             return
         config = "another" if rehearsed("config_differs") else self._config
@@ -190,7 +190,7 @@ class HostFlight:
         period = experiment.flight.jet_period_s
         hosts = [
             HostNode(
-                name, make_guidance(experiment, name, partial(self._rehearsal.spoilt, name)),
+                name, make_guidance(experiment, name, partial(self._process_faults.spoilt, name)),
                 self._links[name], period, lead_time(experiment.vehicles[name].model),
             )
             for name in self._names
@@ -198,7 +198,7 @@ class HostFlight:
         ]  # fmt: skip
         self._observer = observer
         nodes = list(self._nodes.values())
-        with preferred(PRIORITY):
+        with realtime_priority(PRIORITY):
             ending = fly(
                 clock, nodes, hosts, period, experiment.ticks, self,
                 stopped=lambda: max(stopped(), self._asked.times),
@@ -252,9 +252,9 @@ class HostFlight:
 
     def done(self, t: float) -> None:
         """See `Observer`."""
-        self._rehearsal.at_host()
+        self._process_faults.at_host()
         self.permit()
-        if intruder := self._rehearsal.found("foreign_session"):
+        if intruder := self._process_faults.found("foreign_session"):
             self._intrude(intruder.vehicle)
         self._board.tick += 1
         clock = self._party.clock

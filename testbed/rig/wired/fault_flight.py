@@ -1,6 +1,6 @@
 """One rehearsed flight on the bench, in a process of its own: a host that may be killed.
 
-    python -m testbed.rig.wired.rehearse EXPERIMENT.toml FOLDER
+    python -m testbed.rig.wired.fault_flight EXPERIMENT.toml FOLDER
 
 Leaves in FOLDER: start.json (the run's time 0 on the monotonic clock [ns]), the twin's report.json,
 each vehicle's last words, and ending.json when the host lives to see it.
@@ -14,7 +14,7 @@ import msgspec
 
 from testbed.config import load
 from testbed.files import write_atomic
-from testbed.realtime.scheduling import steady
+from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.host import WireRig
@@ -32,7 +32,7 @@ def main() -> int:
         write_atomic(folder / "start.json", msgspec.json.encode((rig.epoch_ns, rig.children)))
 
     rig.on_start = started
-    with steady():
+    with no_garbage_collection():
         ending = rig.fly(NullObserver())
     write_atomic(folder / "ending.json", msgspec.json.encode((ending, rig.supervisor.phase)))
     return 0

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from testbed.config import SHIPPED, load
-from testbed.report.goal_error import Wanted, goal_at
+from testbed.report.goal_error import GoalError, goal_at
 
 T = np.array([0.0, 10.0, 20.0])
 
@@ -20,7 +20,7 @@ def shipped(name: str, *overrides: str):
 
 
 def test_a_goal_that_stands():
-    hold = Wanted(shipped("hold", "duration_s=20"))
+    hold = GoalError(shipped("hold", "duration_s=20"))
     assert hold.title == "Distance to the goal"
     off = hold.parts(T, {"sat1": np.array([[3.0, 4.0]] * 3)})
     assert off["sat1"] == pytest.approx([5.0, 5.0, 5.0])
@@ -31,35 +31,35 @@ def test_a_goal_that_moves():
     name, setup = next(iter(circle.vehicles.items()))
     where = goal_at(setup, T)
     assert np.linalg.norm(where[1] - where[0]) > 0.1
-    assert Wanted(circle).parts(T, {name: where})[name] == pytest.approx(0.0, abs=1e-12)
+    assert GoalError(circle).parts(T, {name: where})[name] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_edges_of_a_formation_and_to_its_leader():
-    wanted = Wanted(shipped("xue2024_table_constant"))
-    lengths = {(e.a, e.b): e.length for e in wanted.edges}
-    off = wanted.parts(T, still((0.0, 0.0), (1.0, 0.0), (2.0, 0.0)))
+    goal_error = GoalError(shipped("xue2024_table_constant"))
+    lengths = {(e.a, e.b): e.length for e in goal_error.edges}
+    off = goal_error.parts(T, still((0.0, 0.0), (1.0, 0.0), (2.0, 0.0)))
     assert off["sat1, sat2"] == pytest.approx(abs(1.0 - lengths["sat1", "sat2"]))
-    led = np.hypot(*(wanted.leader_at(T) - [2.0, 0.0]).T) - lengths["sat3", "leader"]
+    led = np.hypot(*(goal_error.leader_at(T) - [2.0, 0.0]).T) - lengths["sat3", "leader"]
     assert off["sat3, leader"] == pytest.approx(np.abs(led))
     assert led[0] != led[2]  # the leader moves
-    by_vehicle = wanted.by_vehicle(T, still((0.0, 0.0), (1.0, 0.0), (2.0, 0.0)))
+    by_vehicle = goal_error.by_vehicle(T, still((0.0, 0.0), (1.0, 0.0), (2.0, 0.0)))
     assert by_vehicle["sat3"] == pytest.approx(np.maximum(off["sat2, sat3"], off["sat3, leader"]))
 
 
 def test_lengths_in_the_units_of_a_scaled_law():
-    plain = Wanted(shipped("formation"))
+    plain = GoalError(shipped("formation"))
     params = shipped("formation").controller
     half = type(params.scale)(length=2.0)
 
     scaled = msgspec.structs.replace(
         shipped("formation"), controller=msgspec.structs.replace(params, scale=half)
     )
-    assert [e.length for e in Wanted(scaled).edges] == [e.length / 2.0 for e in plain.edges]
+    assert [e.length for e in GoalError(scaled).edges] == [e.length / 2.0 for e in plain.edges]
 
 
 def test_curves_of_a_formation():
-    wanted = Wanted(shipped("ring"))
-    assert wanted.forms
-    assert "curve" in wanted.title
-    off = wanted.parts(T, {"sat1": np.zeros((3, 2))})["sat1"]
+    goal_error = GoalError(shipped("ring"))
+    assert goal_error.forms
+    assert "curve" in goal_error.title
+    off = goal_error.parts(T, {"sat1": np.zeros((3, 2))})["sat1"]
     assert np.all(np.isnan(off) | (off > 0.0))
