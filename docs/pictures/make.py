@@ -1,4 +1,4 @@
-"""Makes the pictures of the README and the docs: one of the dashboard, one of a report.
+"""Make the pictures of the README and the docs: the paths flown, the dashboard, a report.
 
     python docs/pictures/make.py
 
@@ -19,6 +19,7 @@ from browser import Browser
 from PIL import Image
 from rerun.experimental import ViewerClient
 
+import testbed
 from testbed.cli.dash import Dashboard, address_for
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
@@ -30,14 +31,14 @@ PATIENCE_S = 300.0
 
 
 def fly(folder: Path, *overrides: str) -> None:
-    """Into `folder`; the verdict does not matter here."""
+    """Fly the experiment into `folder`; its verdict does not matter here."""
     words = ["run", "zhang2023_table", *overrides, "--out", str(folder)]
     command = [sys.executable, "-m", "testbed", *words]
     subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
 
 
 def cut(whole: Path, half: Path) -> None:
-    """The run as it was in the middle of its way: while it flew, the log was as long as this."""
+    """Copy a run with its log cut at MIDDLE_S, as it was at that time in flight."""
     half.mkdir()
     shutil.copy(whole / "config.toml", half)
     log = (whole / "log.mcap").read_bytes()
@@ -46,7 +47,7 @@ def cut(whole: Path, half: Path) -> None:
 
 
 def keep(png: bytes, name: str, width: int) -> None:
-    """Smaller and with few colours: a picture of a page does not need more."""
+    """Save a picture, reduced in size and in number of colours."""
     picture = Image.open(io.BytesIO(png)).convert("RGB")
     height = round(picture.height * width / picture.width)
     picture = picture.resize((width, height), Image.Resampling.LANCZOS)
@@ -55,7 +56,7 @@ def keep(png: bytes, name: str, width: int) -> None:
 
 
 def dashboard(run: Path) -> bytes:
-    """The viewer without a screen, when it has everything."""
+    """Take a screenshot of the headless viewer when it has received the whole log."""
     end = gather(LogFeed(LogReader(run / "log.mcap")).news()).end
     board = Dashboard(run, "headless", address_for())
     try:
@@ -83,18 +84,25 @@ def dashboard(run: Path) -> bytes:
 
 
 def report(run: Path) -> bytes:
-    """The beginning of the page, and its first figures."""
+    """Take a screenshot of the top of the report."""
     with Browser(1240, 1500) as page:
         page.open((run / "report.html").resolve().as_uri())
         page.value("new Promise(done => setTimeout(done, 500))")
         return page.picture()
 
 
+def trajectory(run: Path) -> None:
+    """Save the report's figure of the paths as flight.svg."""
+    drawing = testbed.open_run(run).plot("trajectory")["trajectory"]
+    (HERE / "flight.svg").write_text(drawing, encoding="utf-8")
+
+
 def main() -> None:
-    """Make both."""
+    """Make all three."""
     with tempfile.TemporaryDirectory() as folder:
         half, whole = Path(folder) / "half", Path(folder) / "whole"
         fly(whole)
+        trajectory(whole)
         cut(whole, half)
         keep(dashboard(half), "dashboard.png", 1600)
         keep(report(whole), "report.png", 1240)

@@ -83,6 +83,30 @@ def test_the_readme_does_not_say_that_nothing_else_is_needed():
         assert package in text
 
 
+def test_the_readme_lists_every_room_in_the_order_of_the_import_contract():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    rooms = [
+        room
+        for line in contracts["contracts"][0]["layers"]
+        for room in sorted(line.replace(".", "/").split(" | "))
+    ]
+    text = (ROOT / "README.md").read_text()
+    (block,) = re.findall(r"^```\n(testbed/cli.*?)^```", text, re.MULTILINE | re.DOTALL)
+    listed = [line.split()[0].removesuffix(".py") for line in block.splitlines()]
+    assert sorted(listed) == sorted({*rooms, "configs"} - {"testbed/__main__"})
+    order = [next(k for k, room in enumerate(rooms) if room == name) for name in listed[:15]]
+    assert order == sorted(order)
+
+
+def test_the_python_of_the_readme_runs(tmp_path, monkeypatch):
+    (code,) = re.findall(
+        r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL
+    )
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+    assert (tmp_path / "figures" / "trajectory.svg").is_file()
+
+
 def test_an_extra_is_installed_from_the_checkout(monkeypatch, tmp_path):
     monkeypatch.chdir(ROOT)
     words = shlex.split(pip_install("campaign"))
