@@ -48,10 +48,10 @@ from pathlib import Path
 from testbed.rig.wired.wired_flight import PERMIT_S
 from testbed.rig.wired.host import WireRig
 from testbed.config import find, load
-from testbed.rig.observers import Nobody
+from testbed.rig.observers import NullObserver
 from testbed.rig.twin import warm_up
 
-class Told(Nobody):
+class Told(NullObserver):
     def host(self, name, tick):
         setpoint = tick.outputs.setpoint
         if setpoint is not None:

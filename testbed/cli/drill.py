@@ -21,7 +21,7 @@ from testbed.run.drill import drill_twin
 
 HEADINGS = (  # numeric columns, narrow so that the table fits into 80 columns
     "n", "not\nfound", "dor-\nmant", "does\n[s]", "worst\n[s]", "shut\n[s]", "moved\n[m]",
-    "con-\ntacts", "after", "a-\ndrift", "mov-\ning", "air\non", "open\nlate",
+    "con-\ntacts", "a-\ndrift", "open\nlate",
 )  # fmt: skip
 
 
@@ -79,8 +79,7 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
             row.kind, row.response or "-", str(row.cases), str(row.undetected),
             str(row.dormant), _number(row.detected_median_s), _number(row.detected_worst_s),
             _number(row.shut_worst_s), _number(row.travelled_worst_m), str(row.contacts),
-            str(row.contacts_after), str(row.adrift), str(row.moving), str(row.air_on),
-            str(row.valves_open_after_deadline), style="red" if bad else None,
+            str(row.adrift), str(row.valves_open_after_deadline), style="red" if bad else None,
         )  # fmt: skip
     out.print(grid)
     out.print(
@@ -88,7 +87,9 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
         f"valves open after the deadline: {drill.valves_open_after_deadline}, "
         f"contacts: {drill.contacts}, {drill.contacts_after} of them in the minute after the end "
         f"(plus {drill.contacts_adrift} by a vehicle adrift), "
-        f"false alarms before the fault: {drill.false_alarms}"
+        f"false alarms before the fault: {drill.false_alarms}; a minute after the end: "
+        f"{sum(row.moving for row in drill.rows)} cases with a vehicle in motion, "
+        f"{sum(row.air_on for row in drill.rows)} with bearing air on"
     )
     for one in cases:
         if (one.detected_s is None and not one.dormant) or one.late or one.contacts or one.early:

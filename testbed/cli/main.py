@@ -340,7 +340,7 @@ def _say_no_more(code: int) -> int:
 def entry() -> None:
     """Run the command as a program, with the exit codes above."""
     try:
-        code = main(standalone_mode=False)
+        code = main(standalone_mode=False, prog_name="testbed")
         sys.stdout.flush()  # here, where an error can still be reported
     except click.Abort:
         sys.exit(INTERRUPTED)

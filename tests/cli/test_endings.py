@@ -5,13 +5,15 @@ import json
 import pytest
 from msgspec.structs import replace
 
-from testbed.cli.main import OK
+from testbed.cli.exit_code import OK
 from testbed.cli.replay import replay_run
-from testbed.cli.run import Interrupt, fly_and_judge, run_experiment
+from testbed.cli.run import run_experiment
 from testbed.config import find, load
 from testbed.logs.log_reader import LogReader
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
+from testbed.run.fly import fly_and_judge
+from testbed.run.interrupt import Interrupt
 
 
 class Kept(NullObserver):

@@ -14,6 +14,7 @@ import pytest
 from testbed.cli import run
 from testbed.cli.main import entry
 from testbed.config import load
+from testbed.run import fly as flying
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -63,7 +64,8 @@ def assert_incomplete(folder: Path, read_log) -> dict:
 def interrupt_before(monkeypatch, where: str, number: int, times: int = 1) -> None:
     """Send a signal just before a function of `testbed run` starts."""
     owner, _, name = where.rpartition(".")
-    place = getattr(run, owner) if owner else run
+    module = flying if owner or name in ("warm_up", "measure") else run
+    place = getattr(module, owner) if owner else module
     original: Callable = getattr(place, name)
 
     def interrupted(*args, **kwargs):
@@ -78,8 +80,8 @@ def interrupt_before(monkeypatch, where: str, number: int, times: int = 1) -> No
 @pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize(
     "moment",
-    ["write_config", "make_twin", "Recorder.__enter__", "warm_up", "Watcher.vehicle",
-     "Watcher.host", "Watcher.done"],
+    ["write_config", "make_twin", "Recorder.__enter__", "warm_up", "FlightLog.vehicle",
+     "FlightLog.host", "FlightLog.done"],
 )  # fmt: skip
 @pytest.mark.parametrize("experiment", ["hold", "zhang2023_table"])
 def test_before_the_end(monkeypatch, stray, read_log, experiment, moment, number):
@@ -101,7 +103,7 @@ def test_after_the_end(monkeypatch, stray, read_log, moment, number):
 
 
 def test_an_impatient_operator(monkeypatch, stray, read_log):
-    interrupt_before(monkeypatch, "Watcher.vehicle", signal.SIGINT, times=5)
+    interrupt_before(monkeypatch, "FlightLog.vehicle", signal.SIGINT, times=5)
     assert exit_code(monkeypatch, "run", "hold", "duration_s=1", "--out", "out") == 130
     assert_incomplete(Path("out"), read_log)
 

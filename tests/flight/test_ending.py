@@ -3,12 +3,13 @@
 import pytest
 from msgspec.structs import replace
 
+from testbed.config import find, load
 from testbed.config.shipped import shipped_faults
 from testbed.core.types import Health, Inputs, Vitals, Wrench
-from testbed.flight.detectors import Detectors
 from testbed.flight.ending import EndingParams, longest_brake
 from testbed.flight.fault_monitor import FaultMonitor
 from testbed.flight.safety import AT_REST, Safety
+from testbed.rig.chain import make_detectors
 
 PERIOD = 0.1  # [s]
 OVER = Vitals(end="the flight is over")
@@ -16,7 +17,7 @@ OVER = Vitals(end="the flight is over")
 
 @pytest.fixture
 def safety(vehicle):
-    detectors = Detectors(vehicle, PERIOD, noisy=True)
+    detectors = make_detectors(load(find("hold")), "sat1")
     return Safety(vehicle, PERIOD, FaultMonitor(shipped_faults()), detectors, None, 0.08)
 
 
@@ -71,7 +72,7 @@ def test_a_stop_is_bounded_by_what_its_speed_needs(speed, decel, longest):
 
 def test_the_bound_holds_also_for_a_vehicle_that_never_seems_to_rest(vehicle, make_state):
     limits = EndingParams(brake_s=1.0)
-    detectors = Detectors(vehicle, PERIOD, noisy=True)
+    detectors = make_detectors(load(find("hold")), "sat1")
     safety = Safety(vehicle, PERIOD, FaultMonitor(shipped_faults()), detectors, None, 0.08, limits)
     moving = make_state((0, 0, 0), (0.1, 0, 0))
     assert act(safety, moving, 0.0).braking

@@ -223,7 +223,7 @@ def test_the_second_ctrl_c_shuts_valves_and_air_without_a_brake():
 def test_stop_knows_nothing_and_loads_nothing(tmp_path):
     program = (
         "import sys; from click.testing import CliRunner; from testbed.cli.main import main;"
-        "from testbed.ops import stop; stop.DEFAULT = 'tcp/127.0.0.1:1';"  # no flight of a tester
+        "from testbed.net import stop; stop.DEFAULT = 'tcp/127.0.0.1:1';"  # no flight of a tester
         "code = CliRunner().invoke(main, ['stop']).exit_code;"
         "print(code, sorted({'numpy', 'numba', 'rerun', 'msgspec'} & set(sys.modules)))"
     )
