@@ -56,9 +56,7 @@ HARDEST = 3.0  # jets: a stronger push in a look is external
 MOST = 1.2  # largest leak of a jet, in multiples of its thrust
 ENOUGH = 0.3  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
-LATELY = 3  # newest blocks in which a leak must still be seen
-OVER = 2.0  # gain by which the newest blocks may speak against a leak
-SURE = 18.0  # gain of a push without a command, 6 sigma; healthy vehicles have shown 5 sigma
+SURE = 12.5  # least gain of a push without a command: 5 sigma
 CLEAR = 3.0  # difference in gain that separates two suspicions (a factor e^3 in likelihood)
 
 
@@ -182,8 +180,8 @@ def factor(known, heard, look):
 
 
 @compiled
-def evidence(row, least, y):
-    """N and S of a suspicion; `row` is x'z, x'x, x'e."""
+def suspect(row, least, y, low, high):
+    """Size of a suspicion within its bounds, and its gain; `row` is x'z, x'x, x'e."""
     m = y.shape[0]
     own, fits = row[m], row[m + 1]
     root = np.empty(m)
@@ -194,14 +192,7 @@ def evidence(row, least, y):
         root[i] = total * least[i, i]
         own -= root[i] * root[i]
         fits -= root[i] * y[i]
-    return own, fits
-
-
-@compiled
-def suspect(row, least, y, low, high):
-    """Size of a suspicion within its bounds, and its gain; `row` is x'z, x'x, x'e."""
-    own, fits = evidence(row, least, y)
-    if own <= 1e-6 * row[y.shape[0]] or own < 1e-9:
+    if own <= 1e-6 * row[m] or own < 1e-9:
         return 0.0, 0.0
     size = min(max(fits / own, low), high)
     return size, size * fits - 0.5 * size * size * own
@@ -240,21 +231,15 @@ def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, coun
         blocks[0] = 0.0
     listen(e, x, heard, look, keep)
     least, y = factor(known, heard, look)
-    since, lately = np.zeros(blocks.shape[1:]), np.zeros(blocks.shape[1:])
+    since = np.zeros(blocks.shape[1:])
     for k in range(blocks.shape[0]):
         since += blocks[k]
-        if k == LATELY:
-            lately[:] = since
         if k not in BEGUN:
             continue
         for h in range(2 * n):
             kind = 0 if h >= n else 1
             low, high = (0.0, MOST) if kind == 0 else (-1.0, 0.0)
             b, found = suspect(since[h], least, y, low, high)
-            if kind == 0 and k > LATELY and found > gain[0]:
-                own, fits = evidence(lately[h], least, y)
-                if b * fits - 0.5 * b * b * own < -OVER:
-                    continue  # it was an external push, such as a contact: a leak goes on
             if found > gain[kind]:
                 best[kind], size[kind], gain[kind] = h - n if kind == 0 else h, b, found
     return best[0], size[0], gain[0], best[1], -size[1], gain[1]

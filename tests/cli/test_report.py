@@ -113,7 +113,7 @@ def test_a_run_without_metrics(testbed):
 def test_a_formation_is_judged_by_its_edges_and_not_by_goals(testbed):
     testbed("run", "xue2024_table_varying", "duration_s=6", "--out", "out")
     page, words = read()
-    for said in ("Edges of the formation", "sat1, sat2", "sat3, leader", "formation settled",
+    for said in ("Formation edges", "sat1, sat2", "sat3, leader", "formation settled",
                  "formation, error at the end", "longest edge", "boundary-layer"):  # fmt: skip
         assert said in words, said
     for said in ("hold RMS", "Distance to the goal", "Relative position error", "goal</th>"):
