@@ -167,7 +167,7 @@ def test_a_sweep_says_which_run_killed_its_process(hold, tmp_path):
         "        os._exit(0) if t > 1.0 else None\n        return 0.0 * own.p\n"
     )
     dies = hold.with_(controller={"type": "python", "law": f"{law}:Dies"})
-    with pytest.raises(testbed.TestbedError, match="died while flying it"):
+    with pytest.raises(testbed.TestbedError, match="process died during the flight"):
         testbed.sweep(dies, seeds=range(2), jobs=2)
 
 
