@@ -34,7 +34,7 @@ def run_drill(rig: str, injections: int | None, seed: int, jobs: int, as_json: b
             count = injections or COUNT
             cases = progress(drill_wires(count, seed, say), count)
         else:
-            count = injections or 513
+            count = injections or 540
             cases = progress(drill_twin(count, seed, jobs), count)
     except ConfigError as error:
         return refuse(error)

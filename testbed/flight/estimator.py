@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 # each other are not a push, and if they continue none is accepted. An identical pose is not
 # accepted while the vehicle moves: it would look like a collision that stopped it.
 PATIENCE = 5  # samples until poses near the prediction are accepted
-AGREED = 3  # of them on the line through the two before
+ON_LINE = 3  # of them on the line through the two before
 LINE = 4.0  # half width of that line [sigmas]
 ROUGH = 11.0  # limit of the mean, in variances of the table file: 3.5 times its noise; healthy
 # cameras stay below 4, and one ghost among good poses gives 10
@@ -268,7 +268,7 @@ def absorb(x, cov, cov_spin, clock, last, samples, now, fired, model, noise, wal
             refused += 1
             near = np.hypot(dx, dy) <= JUMP and abs(turn) <= TURN
             agreed = agreed + 1 if near and off <= LINE * LINE and not same else 0
-            if same or rough > ROUGH or refused < PATIENCE or agreed < AGREED:
+            if same or rough > ROUGH or refused < PATIENCE or agreed < ON_LINE:
                 continue
             refused = 0
             doubt(cov, np.hypot(dx, dy), SHOVE)
