@@ -19,6 +19,7 @@ from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin, warm_up
 from testbed.rig.wired.host import WireRig
 
+AGENT = "testbed.rig.wired.agent_process"
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -254,7 +255,7 @@ def start(tmp_path):
         started.append(process)
         for _ in range(12000):
             tree = process_tree(process)
-            ready = [one for one in tree if "agent" in words_of(one)]
+            ready = [one for one in tree if AGENT in words_of(one)]
             if ready and any("pts" in fd for fd in files(ready[0])):  # it has its board
                 return process, tree
             assert process.poll() is None, process.communicate()
@@ -306,7 +307,7 @@ def test_ctrl_c_ends_everything(start, tmp_path):
 @pytest.mark.parametrize("stopped", [False, True], ids=["", "with a stopped child"])
 def test_a_killed_parent_takes_everything_along(start, stopped):
     process, tree = start()
-    agent = next(one for one in tree if "agent" in one.cmdline())
+    agent = next(one for one in tree if AGENT in one.cmdline())
     ports = [fd for fd in files(agent) if "pts" in fd]
     if stopped:
         agent.suspend()
