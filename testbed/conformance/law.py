@@ -67,7 +67,7 @@ class LawConformance:
             ahead = _ahead(law, state, scene)
             for name, shape in (
                 ("law_state", state.shape), ("p", (d,)), ("v", (d,)),
-                ("mean_force", (d,)), ("told", (law.message_size,)),
+                ("mean_force", (d,)), ("message", (law.message_size,)),
             ):  # fmt: skip
                 found = np.shape(getattr(ahead, name))
                 must(found == shape, f"{name} of propagate {here}", f"shape {shape}", found)

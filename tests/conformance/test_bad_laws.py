@@ -76,7 +76,7 @@ class IsFlat(Law):
 class Whole:
     """A law with a `propagate` of its own, which says too much."""
 
-    words = 0
+    message_size = 0
 
     def initial(self, own, neighbours, world):
         return np.zeros(0)
@@ -102,7 +102,7 @@ BAD = {  # law: (the check, what it says)
     KeepsOutside: ("two_laws_are_alike", "nothing outside it is kept"),
     TakesTheFirstNeighbour: ("finite_numbers", "IndexError"),
     DividesByTheDistance: ("finite_numbers", "nan"),
-    Whole: ("shapes", "told of propagate"),
+    Whole: ("shapes", "message of propagate"),
     NoForce: ("shapes", "NoForce with neither"),
 }
 

@@ -455,7 +455,7 @@ def test_renewing_gives_everybody_new_keys_of_the_same_authority(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "expected --host"), (["--host", "a b"], "a machine"),
+        ([], "expected --host"), (["--host", "a b"], "a host name"),
         (["--host", "127.0.0.1", "--vehicle", "../sat1"], "letters, digits"),
         (["--host", "127.0.0.1", "--vehicle", ""], "letters, digits"),
     ],
