@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -141,14 +141,16 @@ def beside_run(
     )  # fmt: skip
 
 
-def leave(board: "subprocess.Popen[bytes]") -> None:
-    """After the flight, keep the page until Ctrl-C at a terminal; else end it at once."""
+def leave(pages: "Sequence[subprocess.Popen[bytes]]") -> None:
+    """After the flight, keep the pages until Ctrl-C at a terminal; else end them at once."""
     if sys.stdin.isatty() and sys.stderr.isatty():
-        errors.print("the dashboard stays until Ctrl-C")
+        errors.print("the page stays until Ctrl-C")
         with suppress(KeyboardInterrupt):
-            board.wait()
-    board.terminate()
-    board.wait()
+            for page in pages:
+                page.wait()
+    for page in pages:
+        page.terminate()
+        page.wait()
 
 
 def play_run(run: Path) -> None:

@@ -47,6 +47,7 @@ class Flight(NamedTuple):
     name: str = ""
     pid: int = 0  # 0: not known
     started: str = ""  # start time of the process in /proc: process ids are reused
+    folder: str = ""  # run folder; empty: not known
 
 
 class NoteError(TestbedError):
@@ -104,7 +105,7 @@ def _complain(text: str) -> None:
 @contextmanager
 def noted(
     endpoint: str, lab: str, keys: str = "", vehicles: Sequence[str] = (), name: str = "",
-    pid: int = 0, say: Callable[[str], None] = _complain,
+    pid: int = 0, say: Callable[[str], None] = _complain, folder: Path | None = None,
 ) -> Iterator[None]:  # fmt: skip
     """Keep a note of a flight while the context is open.
 
@@ -115,10 +116,12 @@ def noted(
         name: of the experiment.
         pid: process that ends the flight; 0: this one.
         say: called with a warning if the note cannot be written; the flight goes on.
+        folder: run folder, by which an operator's page finds the flight.
     """
     pid = pid or os.getpid()
     keys = str(Path(keys).absolute()) if keys else ""
-    flight = Flight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid))
+    where = "" if folder is None else str(folder.absolute())
+    flight = Flight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid), where)
     try:
         note = _leave(json.dumps(flight._asdict()).encode())
     except (OSError, NoteError) as error:
@@ -158,12 +161,12 @@ def _started(pid: int) -> str:
     return "" if fields[0] == "Z" else fields[19]
 
 
-def _runs(flight: Flight) -> bool:
+def runs(flight: Flight) -> bool:
     """Whether the process of a note still runs."""
     return not flight.pid or _started(flight.pid) == flight.started != ""
 
 
-def _known() -> Iterator[tuple[Path, Flight]]:
+def known_flights() -> Iterator[tuple[Path, Flight]]:
     """Every note on this machine."""
     for folder, uid in _folders():
         try:
@@ -176,7 +179,7 @@ def _known() -> Iterator[tuple[Path, Flight]]:
         for note in sorted(folder.glob("*.json")):
             with suppress(OSError, ValueError, TypeError, RecursionError):
                 flight = Flight(**json.loads(note.read_text()))
-                if [type(value) for value in flight] == [str, str, str, list, str, int, str]:
+                if [type(value) for value in flight] == [str, str, str, list, str, int, str, str]:
                     yield note, flight
 
 
@@ -223,9 +226,9 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
 def _stop_here() -> Iterator[bool]:
     """Stop every flight on this machine, and a host at the default endpoint without a note."""
     tried = set()
-    for note, flight in list(_known()):
+    for note, flight in list(known_flights()):
         tried.add(flight.endpoint)
-        if not _runs(flight):
+        if not runs(flight):
             note.unlink(missing_ok=True)
             if flight.endpoint:
                 words = f"the host, process {flight.pid}, was killed"
@@ -246,19 +249,27 @@ def _listens(endpoint: str) -> bool:
     return False
 
 
-def _stop_twin(note: Path, flight: Flight) -> bool:
-    """Ask the process to end the flight; whether it did."""
-    try:
+def end_twin(note: Path, flight: Flight) -> None:
+    """Ask the process of a flight on the twin to end it.
+
+    Raises:
+        OSError: it belongs to another user.
+    """
+    with suppress(FileNotFoundError, ProcessLookupError):  # the process has just ended
         if Path(f"/proc/{flight.pid}").stat().st_uid != note.stat().st_uid:
             raise PermissionError("its process belongs to another user")
         os.kill(flight.pid, signal.SIGTERM)
-    except FileNotFoundError:
-        pass  # the process has just ended
+
+
+def _stop_twin(note: Path, flight: Flight) -> bool:
+    """Ask the process to end the flight; whether it did."""
+    try:
+        end_twin(note, flight)
     except OSError as error:
         _complain(f"{flight.name} on the twin, process {flight.pid}: not asked: {error}")
         return False
     end = monotonic() + END_S
-    while over := note.exists() and _runs(flight):
+    while over := note.exists() and runs(flight):
         if monotonic() > end:
             break
         threading.Event().wait(LOOK_S)
