@@ -104,7 +104,7 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
                 (SAY, of(own, "state", "message", "tick", "event")),
                 (LIVE, of(own, "alive")),
                 (HEAR, of(own, "alive")),  # is another vehicle using its name?
-                (HEAR, [*of(own, "setpoint"), keys.permit, keys.stop, keys.line, keys.pose]),
+                (HEAR, [*of(own, "setpoint"), keys.permit, keys.stop, keys.pose]),
                 (HEAR, of(everybody, "state", "message")),
                 (ASK, [*of(own, "roll"), keys.clock, keys.experiment]),
                 (ANSWER, [*of(own, "order"), keys.stop]),
@@ -113,7 +113,7 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
             return [(SAY, [keys.truth, keys.pose])]
         case "operator":
             return [
-                (SAY, [keys.stop, keys.line]),
+                (SAY, [keys.stop]),
                 (ASK, [keys.stop, keys.experiment]),
                 (HEAR, [*seen, *of(everybody, "setpoint"), keys.stop]),
             ]

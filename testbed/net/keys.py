@@ -15,7 +15,6 @@
     <lab>/host/experiment      get: the experiment
     <lab>/host/alive           liveliness token
     <lab>/operator/stop        put or get: end the flight, now          operator -> all
-    <lab>/operator/line        port of a second line for stops          operator -> vehicles
 
 States and setpoints may be lost; only the newest counts. Orders are queries and are answered. Stop
 is sent both ways. In a lab with keys `access.py` defines which party may use which key.
@@ -34,7 +33,6 @@ class Keys:
         self.experiment = f"{lab}/host/experiment"
         self.host_alive = f"{lab}/host/alive"
         self.stop = f"{lab}/operator/stop"
-        self.line = f"{lab}/operator/line"
         self.everything = f"{lab}/**"
 
     def of(self, vehicle: str, what: str) -> str:

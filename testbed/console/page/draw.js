@@ -48,10 +48,16 @@ class TopView {
 
   obstacle(svg, one) {
     const group = make('g', { class: 'obstacle', 'data-name': one.name }, svg);
+    this.put(group, one, 0);
     make('circle', { class: 'zone', r: one.radius * CM }, group);
     if (one.solid > 0) make('circle', { class: 'solid', r: one.solid * CM }, group);
     make('text', { 'text-anchor': 'middle', y: 7 }, group).textContent = one.name;
     return { one, group };
+  }
+
+  put(group, one, t) {
+    const [x, y] = one.at.map((p, k) => p + t * one.velocity[k]);
+    group.setAttribute('transform', `translate(${this.x(x)} ${this.y(y)})`);
   }
 
   polyline(svg, kind, points, style) {
@@ -97,10 +103,7 @@ class TopView {
 
   draw(now) {
     const places = {};
-    this.obstacles.forEach(({ one, group }) => {
-      const [x, y] = one.at.map((p, k) => p + now.t * one.velocity[k]);
-      group.setAttribute('transform', `translate(${this.x(x)} ${this.y(y)})`);
-    });
+    this.obstacles.forEach(({ one, group }) => this.put(group, one, now.t));
     now.vehicles.forEach((told, k) => { this.place(this.cars[k], told, now); places[told.name] = told.at; });
     for (const { pair: [a, b], line } of this.edges) {
       if (!places[a]?.length || !places[b]?.length) continue;

@@ -47,8 +47,8 @@ class CommandServer:
         self._obeyed = threading.Event()
         self._kept = [
             answer_to(session, keys.of(name, "order"), self._order),
-            answer_to(session, keys.stop, lambda _: self.stopped()),
-            on_word(session, keys.stop, self.stopped),
+            answer_to(session, keys.stop, lambda _: self._stopped()),
+            on_word(session, keys.stop, self._stopped),
         ]
 
     def take_off(self, close: Callable[[], None]) -> None:
@@ -91,7 +91,7 @@ class CommandServer:
                     answer = Accepted(self._board)
         return msgspec.msgpack.encode(answer)
 
-    def stopped(self) -> bytes:
+    def _stopped(self) -> bytes:
         """Answer an operator's stop."""
         self.asked.hear()
         self._stop("stopped by the operator")

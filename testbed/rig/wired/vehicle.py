@@ -48,7 +48,6 @@ from testbed.rig.wired.counts import count
 from testbed.rig.wired.onboard import Flight, Permitted, counted, land
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.process_faults import ProcessFaults
-from testbed.rig.wired.second_line import SecondLine
 from testbed.rig.wired.thrusters import make_thrusters
 
 PRIORITY = 20
@@ -127,8 +126,6 @@ def fly_vehicle(
         tower = CommandServer(
             session, keys, name, thrusters.board, lookout, enrolment.ticket, clock_of_host.to_own
         )
-        line = SecondLine(session, keys, name, endpoint, badge, tower.stopped)
-        stack.callback(line.close)
         stack.enter_context(
             no_garbage_collection()
         )  # now, because the last garbage collection takes time

@@ -1,0 +1,203 @@
+"""From the press of STOP in a browser to shut valves on the bench, by the boards' own stamps.
+
+    python benchmarks/console_stop.py [--count 5] [--vehicles 3] [--case plain|hang|suspend] [--load 0]
+
+Each count is a flight of real processes and real firmware with the page open in Chromium. The first
+press is given while the vehicles are on their way: they brake. The second comes a second later, in
+the middle of the brake: every valve shuts at once. What counts for the first is the end of the
+vehicle's last flying period, for the second the last edge that its board has reported.
+`hang`: the law on the host hangs and holds Python's lock. `suspend`: the whole host is suspended
+(SIGSTOP) 0.2 s before the first press. `--load N` keeps N processes busy meanwhile.
+"""
+
+import argparse
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from testbed.config import dump, find, load
+from testbed.net.commands import Ended
+from testbed.rig.wired.host import WireRig
+from testbed.rig.wired.table_report import TableReport
+from testbed.run.fly import fly_and_judge
+from testbed.run.folder import write_config
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "pictures"))
+from browser import Browser  # noqa: E402
+
+UNDER_WAY_S = 4.0  # of the run, at the first press
+BETWEEN_S = 1.0  # two presses
+SUSPENDED_S = 0.2  # before the first press
+PATIENCE_S = 300.0
+HANGS = '''
+import ctypes
+from controllers.pd import PD
+
+'''
+
+
+def host(folder: Path, words: list[str], hangs: bool) -> None:
+    """Fly on the bench, as `testbed run --rig bench` does, and keep what the boards report."""
+    experiment = load(find("zhang2023_table"), words)
+    write_config(folder, dump(experiment), "benchmark")
+
+    def make(one):
+        rig = WireRig(one, bench=True, log=folder, keep=folder / "report.json")
+
+        def started(rig):
+            (folder / "start.json").write_text(json.dumps([rig.epoch_ns, os.getpid()]))
+
+        rig.on_start = started
+        return rig
+
+    if hangs:
+        hang_after(UNDER_WAY_S - SUSPENDED_S)
+    fly_and_judge(experiment, folder, make=make)
+    (folder / "done").write_text("")
+
+
+def hang_after(t: float) -> None:
+    """From a time of the run on, a law's call never returns and holds Python's lock."""
+    import ctypes
+
+    from testbed.flight.guidance import Guidance
+
+    step = Guidance.step
+
+    def hang(self, now, *more):
+        if now >= t:
+            ctypes.PyDLL(None).sleep(60)
+        return step(self, now, *more)
+
+    Guidance.step = hang
+
+
+def until(what, look, patience=PATIENCE_S):
+    end = time.monotonic() + patience
+    while time.monotonic() < end:
+        if found := look():
+            return found
+        time.sleep(0.02)
+    raise TimeoutError(what)
+
+
+def page_of(folder: Path):
+    """The page's process, and its address."""
+    page = subprocess.Popen(
+        [sys.executable, "-m", "testbed.console.process", str(folder), "127.0.0.1", "0"],
+        stderr=subprocess.PIPE,
+    )
+    if not select.select([page.stderr], [], [], PATIENCE_S)[0]:
+        raise TimeoutError("the page does not start")
+    return page, page.stderr.readline().decode().split()[-1]
+
+
+def press(browser) -> int:
+    """Click the button as a mouse does; the time before it [ns]."""
+    x, y = browser.value(
+        "(r => [r.x + r.width / 2, r.y + r.height / 2])"
+        "(document.getElementById('stop').getBoundingClientRect())"
+    )
+    at = time.monotonic_ns()
+    for kind in ("mousePressed", "mouseReleased"):
+        browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    return at
+
+
+def one_flight(browser, folder: Path, words: list[str], case: str) -> tuple[list, list, dict]:
+    """Delays of the first and the second press, by vehicle [ms]."""
+    folder.mkdir()
+    pilot = subprocess.Popen(
+        [sys.executable, __file__, "--host", str(folder), *(["--hangs"] * (case == "hang")), *words],
+        stdout=subprocess.DEVNULL,
+    )
+    page, url = page_of(folder)
+    try:
+        browser.open(url)
+        epoch, pid = json.loads(until("a start", lambda: (folder / "start.json").exists()
+                                      and (folder / "start.json").read_text()))  # fmt: skip
+        until("two lines", lambda: "to 3 of 3" in (browser.value(
+            "document.getElementById('ways').textContent") or ""), 60.0)
+        due = epoch + round(1e9 * UNDER_WAY_S)
+        if case == "suspend":
+            time.sleep(max(0.0, 1e-9 * (due - time.monotonic_ns()) - SUSPENDED_S))
+            os.kill(pid, signal.SIGSTOP)
+        time.sleep(max(0.0, 1e-9 * (due - time.monotonic_ns())))
+        first = press(browser)
+        time.sleep(BETWEEN_S)
+        second = press(browser)
+        time.sleep(2.0)
+        told = browser.value("document.getElementById('told').textContent")
+        if case == "suspend":
+            os.kill(pid, signal.SIGCONT)
+        if case == "hang":
+            time.sleep(2.0)
+            os.kill(pid, signal.SIGKILL)
+        pilot.wait(PATIENCE_S)
+    finally:
+        page.terminate()
+        page.wait()
+        if pilot.poll() is None:
+            pilot.kill()
+            pilot.wait()
+    report = until("a report", lambda: (folder / "report.json").exists() and msgspec.json.decode(
+        (folder / "report.json").read_bytes(), type=TableReport), 30.0)  # fmt: skip
+    braked, shut = [], []
+    for name, edges in report.edges.items():
+        ended = msgspec.json.decode((folder / f"{name}.json").read_bytes(), type=Ended)
+        braked.append(1e-6 * (epoch + 1e9 * ended.t - first))
+        late = [1e-3 * (at_us - second / 1e3) for at_us, _ in edges]
+        shut.append(max(0.0, *late))
+        if edges[-1][1]:
+            raise RuntimeError(f"{name}: a valve is open at the end")
+    busy = sum(any(0 < second / 1e3 - at < 3e5 for at, _ in e) for e in report.edges.values())
+    return braked, shut, {"told": told, "busy": busy}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--count", type=int, default=5, help="flights; two presses each")
+    parser.add_argument("--case", choices=["plain", "hang", "suspend"], default="plain")
+    parser.add_argument("--load", type=int, default=0, help="busy processes")
+    parser.add_argument("--host", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--hangs", action="store_true", help=argparse.SUPPRESS)
+    options, words = parser.parse_known_args()
+    words = words or ["duration_s=60"]
+    if options.host is not None:
+        host(options.host, words, options.hangs)
+        return
+    busy = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.load)
+    ]
+    braked, shut, beside = [], [], 0
+    try:
+        with tempfile.TemporaryDirectory() as folder, Browser(1366, 768) as browser:
+            for k in range(options.count):
+                one = one_flight(browser, Path(folder) / str(k), words, options.case)
+                braked += one[0]
+                shut += one[1]
+                beside += one[2]["busy"]
+                print(f"{k}: brake after {max(one[0]):.0f} ms, shut after {max(one[1]):.0f} ms,"
+                      f" {one[2]['told']}", flush=True)  # fmt: skip
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    print(f"{options.case}, {options.count} flights, load {options.load}, {len(shut)} boards, valves"
+          f" of {beside} in use within 0.3 s before the second press")  # fmt: skip
+    for words_, values in (("first press to brake", braked), ("second press to shut", shut)):
+        p50, p95 = np.percentile(values, [50, 95])
+        print(f"{words_:22s} p50 {p50:5.0f} ms, p95 {p95:5.0f} ms, worst {max(values):5.0f} ms")
+
+
+if __name__ == "__main__":
+    main()
