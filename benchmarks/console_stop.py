@@ -1,6 +1,6 @@
 """From the press of STOP in a browser to shut valves on the bench, by the boards' own stamps.
 
-    python benchmarks/console_stop.py [--count 5] [--vehicles 3] [--case plain|hang|suspend] [--load 0]
+    python benchmarks/console_stop.py [--count 5] [--case plain|hang|suspend] [--load 0]
 
 Each count is a flight of real processes and real firmware with the page open in Chromium. The first
 press is given while the vehicles are on their way: they brake. The second comes a second later, in
@@ -20,6 +20,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from threading import Event
 
 import msgspec
 import numpy as np
@@ -32,17 +33,16 @@ from testbed.run.fly import fly_and_judge
 from testbed.run.folder import write_config
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "pictures"))
-from browser import Browser  # noqa: E402
+from browser import Browser
 
 UNDER_WAY_S = 4.0  # of the run, at the first press
 BETWEEN_S = 1.0  # two presses
 SUSPENDED_S = 0.2  # before the first press
 PATIENCE_S = 300.0
-HANGS = '''
-import ctypes
-from controllers.pd import PD
 
-'''
+
+def pause(seconds: float) -> None:
+    Event().wait(seconds)
 
 
 def host(folder: Path, words: list[str], hangs: bool) -> None:
@@ -86,7 +86,7 @@ def until(what, look, patience=PATIENCE_S):
     while time.monotonic() < end:
         if found := look():
             return found
-        time.sleep(0.02)
+        pause(0.02)
     raise TimeoutError(what)
 
 
@@ -117,7 +117,14 @@ def one_flight(browser, folder: Path, words: list[str], case: str) -> tuple[list
     """Delays of the first and the second press, by vehicle [ms]."""
     folder.mkdir()
     pilot = subprocess.Popen(
-        [sys.executable, __file__, "--host", str(folder), *(["--hangs"] * (case == "hang")), *words],
+        [
+            sys.executable,
+            __file__,
+            "--host",
+            str(folder),
+            *(["--hangs"] * (case == "hang")),
+            *words,
+        ],
         stdout=subprocess.DEVNULL,
     )
     page, url = page_of(folder)
@@ -125,22 +132,28 @@ def one_flight(browser, folder: Path, words: list[str], case: str) -> tuple[list
         browser.open(url)
         epoch, pid = json.loads(until("a start", lambda: (folder / "start.json").exists()
                                       and (folder / "start.json").read_text()))  # fmt: skip
-        until("two lines", lambda: "to 3 of 3" in (browser.value(
-            "document.getElementById('ways').textContent") or ""), 60.0)
+        until(
+            "a button",
+            lambda: (
+                "and to the host"
+                in (browser.value("document.getElementById('ways').textContent") or "")
+            ),
+            60.0,
+        )
         due = epoch + round(1e9 * UNDER_WAY_S)
         if case == "suspend":
-            time.sleep(max(0.0, 1e-9 * (due - time.monotonic_ns()) - SUSPENDED_S))
+            pause(max(0.0, 1e-9 * (due - time.monotonic_ns()) - SUSPENDED_S))
             os.kill(pid, signal.SIGSTOP)
-        time.sleep(max(0.0, 1e-9 * (due - time.monotonic_ns())))
+        pause(max(0.0, 1e-9 * (due - time.monotonic_ns())))
         first = press(browser)
-        time.sleep(BETWEEN_S)
+        pause(BETWEEN_S)
         second = press(browser)
-        time.sleep(2.0)
+        pause(2.0)
         told = browser.value("document.getElementById('told').textContent")
         if case == "suspend":
             os.kill(pid, signal.SIGCONT)
         if case == "hang":
-            time.sleep(2.0)
+            pause(2.0)
             os.kill(pid, signal.SIGKILL)
         pilot.wait(PATIENCE_S)
     finally:
@@ -172,6 +185,7 @@ def main() -> None:
     parser.add_argument("--hangs", action="store_true", help=argparse.SUPPRESS)
     options, words = parser.parse_known_args()
     words = words or ["duration_s=60"]
+    print(f"load average {os.getloadavg()[0]:.1f}") if options.host is None else None
     if options.host is not None:
         host(options.host, words, options.hangs)
         return
@@ -192,8 +206,10 @@ def main() -> None:
         for process in busy:
             process.kill()
             process.wait()
-    print(f"{options.case}, {options.count} flights, load {options.load}, {len(shut)} boards, valves"
-          f" of {beside} in use within 0.3 s before the second press")  # fmt: skip
+    print(
+        f"{options.case}, {options.count} flights, load {options.load}, {len(shut)} boards,"
+        f" valves of {beside} in use within 0.3 s before the second press"
+    )
     for words_, values in (("first press to brake", braked), ("second press to shut", shut)):
         p50, p95 = np.percentile(values, [50, 95])
         print(f"{words_:22s} p50 {p50:5.0f} ms, p95 {p95:5.0f} ms, worst {max(values):5.0f} ms")

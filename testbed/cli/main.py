@@ -54,7 +54,11 @@ def main() -> None:
 @click.option("--view", "view", flag_value="window", help="Open the dashboard in a window.")
 @click.option("--web", "view", flag_value="web", help="Serve the dashboard to a browser.")
 @click.option(
-    "--console", type=click.IntRange(0, 65535), is_flag=False, flag_value=0, metavar="[PORT]",
+    "--console",
+    type=click.IntRange(0, 65535),
+    is_flag=False,
+    flag_value=0,
+    metavar="[PORT]",
     help="Serve the operator's page, with its STOP.  [default port: 8765]",
 )
 @click.option("--bind", help="Network address of what is served.  [default: 127.0.0.1]")

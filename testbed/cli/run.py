@@ -124,9 +124,7 @@ def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
     return local(experiment)
 
 
-def noted_on_twin(
-    rig: str, experiment: Experiment, folder: Path
-) -> AbstractContextManager[None]:
+def noted_on_twin(rig: str, experiment: Experiment, folder: Path) -> AbstractContextManager[None]:
     """Registers the flight for `testbed stop`; a host on bench or table does that itself."""
     if rig != "twin":
         return nullcontext()

@@ -57,11 +57,10 @@ class LivePicture:
         """Forget what was new."""
         self.pulses, self.trail, self.said = [], [], []
 
-    def take(self, news: Iterable[News]) -> bool:
-        """Take messages in; whether there were any."""
+    def take(self, news: Iterable[News]) -> None:
+        """Take messages in."""
         rows: list[tuple[float, str, str]] = []
-        count = 0
-        for count, (_, who, t, message) in enumerate(news, 1):
+        for _, who, t, message in news:
             self.t = max(self.t, t)
             match message:
                 case SeenTick() if who in self._pulses:
@@ -81,7 +80,6 @@ class LivePicture:
                     rows.append((at, SUPERVISOR, f"{phase}: {because}"))
         self._trouble.see(self._ticks)
         self.said += self._story.tell(rows)
-        return count > 0
 
     def _tick(self, name: str, tick: SeenTick) -> list[tuple[float, str, str]]:
         previous = [self._ticks[name]] if name in self._ticks else []

@@ -82,16 +82,17 @@ class Gas:
     def number(self, pressure: float, to_fly_s: float) -> Number:
         """The tile's number: minutes at this rate, or per cent."""
         if pressure <= 0.0:
-            return Number("gas", "Gas", "no gauge", "off")
+            return Number("gas", "Gas left", "no gauge", "off")
         share = pressure / self._full
         left = self.left_s(pressure)
         level = "bad" if pressure <= self._empty else "ok"
         if left is None:
-            return Number("gas", "Gas", f"{share:.0%}", level, "no rate yet")
+            return Number("gas", "Gas left", f"{share:.0%}", level, "no rate yet")
         if left < to_fly_s:
             level = "bad" if left < 0.5 * to_fly_s or left < 30.0 else "warn"
-        minutes = "> 99 min" if left >= 5940.0 else f"{left / 60.0:.1f} min"
-        return Number("gas", "Gas", f"{minutes}, {share:.0%}", level,
+        digits = 1 if left < 600.0 else 0
+        minutes = "> 99 min" if left >= 5940.0 else f"{left / 60.0:.{digits}f} min"
+        return Number("gas", "Gas left", f"{minutes}, {share:.0%}", level,
                       f"{to_fly_s / 60.0:.1f} min are still to be flown")  # fmt: skip
 
 
@@ -155,13 +156,13 @@ class Judge:
 
     def _delay(self, delay_s: float | None, lost: float) -> Number:
         if delay_s is None:
-            return Number("link", "Link", "none", "off")
+            return Number("link", "Link, lost", "none", "off")
         level = self._link.level(delay_s)
         if lost > 0.5:
             level = "bad"
         elif lost > 0.1 and level == "ok":
             level = "warn"
-        return Number("link", "Link", f"{1e3 * delay_s:.0f} ms, {lost:.0%} lost", level,
+        return Number("link", "Link, lost", f"{1e3 * delay_s:.0f} ms, {lost:.0%}", level,
                       f"at most {1e3 * self._link.warn:.0f} ms and 10 % lost")  # fmt: skip
 
     def _room(self, t: float, state: State | None, states: Mapping[str, State]) -> Number:
@@ -184,5 +185,5 @@ class Judge:
         speed = math.hypot(state.twist.vx, state.twist.vy)
         braking = speed**2 / (2.0 * scenario.flight.tracker.brake_decel)
         level = "bad" if gap <= 0.0 else "warn" if gap < braking + NEAR_M else "ok"
-        return Number("room", "Clearance", f"{gap:.2f} m, {what}", level,
-                      f"more than the braking distance, {braking:.2f} m, and {NEAR_M:g} m")  # fmt: skip
+        limit = f"more than the braking distance, {braking:.2f} m, and {NEAR_M:g} m"
+        return Number("room", "Clearance", f"{gap:.2f} m, {what}", level, limit)

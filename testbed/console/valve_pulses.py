@@ -1,4 +1,4 @@
-"""The last seconds of every valve: from the boards' reports where there are any, else as planned."""
+"""The last seconds of every valve, as its board reports them, else as planned."""
 
 from typing import NamedTuple
 
