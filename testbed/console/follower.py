@@ -45,7 +45,7 @@ class Follower:
         if scenario is None:
             return
         self.scene = msgspec.json.encode(scene(scenario))
-        self._hub.say(scene=True)
+        self._hub.say(scene=True, trouble="")
         picture, feed, ended = LivePicture(scenario), None, False
         while not ended:
             feed = feed or self._log()

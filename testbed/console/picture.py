@@ -168,8 +168,10 @@ class LivePicture:
         out, silent = tick.outputs, self.t - tick.inputs.t
         if name in culprits:
             return f"FAULT: {culprits[name]}", "bad"
+        if out.fault and follows(self._scenario, out.fault):
+            return STOPPING_TOO, "warn"  # red is for the culprit
         if out.fault:
-            return STOPPING_TOO if follows(self._scenario, out.fault) else out.fault, "bad"
+            return out.fault, "bad"
         if self.over:
             return "flight over", "off"
         if silent > SILENT_S:

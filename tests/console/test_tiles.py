@@ -116,8 +116,8 @@ def test_valves_are_as_planned_until_the_board_reports():
 
 
 def test_the_checklist_says_what_to_do(tmp_path):
-    write_checks(tmp_path, [Check("sat1 pose", "no pose yet", True), Check("sat1 disk", "", True),
-                            Check("sat2 clear of sat1", "0.01 m between the rims", True)])  # fmt: skip
+    found = (("sat1 pose", "no pose yet"), ("sat1 disk", ""), ("sat2 clear of sat1", "0.01 m"))
+    write_checks(tmp_path, [Check(name, reason, True) for name, reason in found])
     pose, disk, clear = read_checks(tmp_path)
     assert (pose.reason, disk.reason) == ("no pose yet", "")
     assert "markers" in pose.to_do

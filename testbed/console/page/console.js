@@ -89,13 +89,14 @@ function refresh() {
   const ready = linked && picture && picture.stop && picture.stop.ready;
   document.body.classList.toggle('stale', stale);
   document.body.classList.toggle('cut', linked && !ready && !over);
+  document.body.classList.toggle('over', Boolean(over && !ready));
   document.body.dataset.link = linked ? 'there' : 'lost';
   const since = old === null ? '' : old < 10 ? `${old.toFixed(1)} s` : `${Math.round(old)} s`;
   show('age', old === null ? 'no picture' : over && linked ? 'flight over' : `picture ${since} old`,
     stale ? 'bad' : old === null || over ? 'off' : 'ok');
   $('veil').textContent = stale ? (linked ? `picture is ${since} old` : `not connected, picture ${since} old`) : '';
-  const phase = now && now.phase || (linked ? 'GETTING READY' : '');
-  show('phase', linked ? phase : 'not connected', !linked ? 'bad' : { RUNNING: 'ok', FAULT: 'bad', ARMED: 'warn' }[phase] || 'off');
+  const phase = now && now.phase || (verdict ? 'NOT STARTED' : 'GETTING READY');
+  show('phase', linked ? phase : 'not connected', !linked ? 'bad' : { RUNNING: 'ok', FAULT: 'bad', ARMED: 'warn', 'NOT STARTED': 'bad' }[phase] || 'off');
   const hangs = linked && stale && ready ? `no news from the host for ${since}: STOP still works` : '';
   const head = !linked ? 'not connected to the host' : now && now.head || (verdict ? verdict.words : '')
     || hangs || picture.trouble || '';
@@ -108,7 +109,7 @@ function refresh() {
 function button(ready, over) {
   const word = !linked || (!ready && !over) ? 'NOT CONNECTED' : presses && !over ? 'STOP AGAIN' : 'STOP';
   if ($('stop-word').textContent !== word) $('stop-word').textContent = word;
-  const hint = word === 'STOP AGAIN' ? 'valves and air off now' : word === 'STOP' ? 'key Esc' : 'a press still tries';
+  const hint = over && !ready && linked ? 'flight over' : word === 'STOP AGAIN' ? 'valves and air off now' : word === 'STOP' ? 'key Esc' : 'a press still tries';
   if ($('stop-hint').textContent !== hint) $('stop-hint').textContent = hint;
   $('stop').classList.toggle('pressed', word === 'STOP AGAIN');
 }
@@ -185,7 +186,7 @@ function arming(checks) {
   const red = checks.filter(one => one.reason), room = $('arming');
   room.hidden = !checks.length;
   document.body.classList.toggle('arming', checks.length > 0);
-  $('arming-title').textContent = red.length ? `Arming checks: ${red.length} red, ${checks.length - red.length} green`
+  $('arming-title').textContent = red.length ? `Arming checks: ${red.length} red${checks.length > red.length ? `, ${checks.length - red.length} green` : ''}`
     : `Arming checks: all ${checks.length} green`;
   $('checks').replaceChildren(...red.map(one => {
     const line = document.createElement('li'), name = document.createElement('b'), to_do = document.createElement('em');

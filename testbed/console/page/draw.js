@@ -76,8 +76,8 @@ class TopView {
   }
 
   car(svg, one, k) {
-    const brake = make('path', { class: 'brake' }, svg);
-    const aim = make('circle', { class: 'aim', r: 6 }, svg);
+    const brake = make('path', { class: 'brake', visibility: 'hidden' }, svg);
+    const aim = make('circle', { class: 'aim', r: 6, visibility: 'hidden' }, svg);
     const group = make('g', { class: 'vehicle', 'data-name': one.name, style: hue(k), visibility: 'hidden' }, svg);
     const turned = make('g', {}, group);
     const jets = one.jets.map(() => make('path', { class: 'plume' }, turned));
