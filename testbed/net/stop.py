@@ -36,7 +36,7 @@ END_S = 2.0  # time for a flight on the twin to end
 LOOK_S = 0.02
 DEFAULT = "tcp/127.0.0.1:7450"  # the host's default endpoint
 LAST_RESORT = "if a vehicle still moves: shut the main valve or pull the cord by hand\n"
-BY_THEMSELVES = "its vehicles brake and shut by themselves after one second without the host"
+BY_THEMSELVES = "vehicles without a host brake and shut by themselves after one second"
 
 
 class Flight(NamedTuple):
@@ -228,10 +228,12 @@ def _stop_here() -> Iterator[bool]:
     for note, flight in list(_known()):
         tried.add(flight.endpoint)
         if not _runs(flight):
-            note.unlink(missing_ok=True)
             if flight.endpoint:
                 _complain(f"{flight.endpoint}: the host, process {flight.pid}, was killed")
-                yield _stop_without_host(flight)
+                shut = _stop_directly(flight, _new_id())
+                yield _report(flight, set(flight.vehicles), shut, "it was killed")
+            if not flight.endpoint or not shut:  # the second stop needs the note
+                note.unlink(missing_ok=True)
         elif flight.endpoint:
             yield _stop_wires(flight)
         else:
@@ -285,15 +287,6 @@ def _stop_directly(flight: Flight, stop: str) -> set[str]:
     return stop_directly(flight.endpoint, flight.lab, keys, flight.vehicles, stop, DIRECT_S)
 
 
-def _stop_without_host(flight: Flight) -> bool:
-    """Stop the vehicles of a host that was killed; whether all of them answered."""
-    shut, names = _stop_directly(flight, _new_id()), set(flight.vehicles)
-    if not shut:
-        _complain(BY_THEMSELVES)
-        return False
-    return _report(flight, names, shut, "killed")
-
-
 def _stop_wires(flight: Flight) -> bool:
     """Stop a host and its vehicles; whether all of them answered."""
     stop, names, trouble = _new_id(), set(flight.vehicles), ""
@@ -304,7 +297,8 @@ def _stop_wires(flight: Flight) -> bool:
     try:
         heard, flown = _stop_host(flight, stop.encode())
     except NetworkError as error:
-        trouble = str(error)
+        process = f", process {flight.pid}," if flight.pid else ""
+        trouble = f"the host{process} did not answer: {error}"
     else:
         shut, names = shut | heard, names or flown
     return _report(flight, names, shut, trouble)
@@ -332,13 +326,13 @@ def _report(flight: Flight, names: set[str], shut: set[str], trouble: str) -> bo
     if trouble and not shut:
         _complain(f"{flight.endpoint}: not stopped: {trouble}")
         if flight.pid:
-            _complain(f"the host, process {flight.pid}, did not answer; {BY_THEMSELVES}")
+            _complain(BY_THEMSELVES)
         return False
     sys.stdout.write(f"{flight.endpoint}\n")
     for name in sorted({*names, *shut}):
         sys.stdout.write(f"  {name}: {'stops' if name in shut else 'did not answer'}\n")
     if trouble:
-        sys.stdout.write(f"  the vehicles were stopped without the host: {trouble}\n")
+        sys.stdout.write(f"  stopped without the host: {trouble}\n")
     if shut:
         sys.stdout.write("  stop again to shut valves and air at once\n")
     if not shut and not names:
