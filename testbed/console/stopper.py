@@ -59,7 +59,9 @@ class Stopper:
         """Find the flight and keep its connection, until `left` is set."""
         while not left.is_set():
             found = next((one for one in known_flights() if one[1].folder == self._run), None)
-            self._note = found if found is not None and runs(found[1]) else None
+            if found is not None and not found[1].endpoint and not runs(found[1]):
+                found = None
+            self._note = found  # that of a killed host stays while its vehicles fly
             if self._note is None:
                 self._hang_up()
                 self.ways = NONE
