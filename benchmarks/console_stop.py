@@ -3,7 +3,7 @@
     python benchmarks/console_stop.py [--count 5] [--case plain|hang|suspend] [--load 0]
 
 Each count is a flight of real processes and real firmware with the page open in Chromium. The first
-press is given while the vehicles are on their way: they brake. The second comes 0.65 s later, in
+press is given while the vehicle is on its way: it brakes. The second comes 0.65 s later, in
 the middle of the brake: every valve shuts at once. What counts for the first is the end of the
 vehicle's last flying period, for the second the last edge that its board has reported.
 `hang`: the law on the host hangs and holds Python's lock. `suspend`: the whole host is suspended
@@ -35,7 +35,10 @@ from testbed.run.folder import write_config
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "pictures"))
 from browser import Browser
 
-UNDER_WAY_S = 15.0  # of the run, at the first press
+FAST = [  # 0.25 m/s from 6 s on, so that the brake takes some seconds
+    "vehicles.sat1.start=[-2.3,0.0,0.0]", "vehicles.sat1.goal=[2.3,0.0,0.0]",
+    "controller.bandwidth=1.0", "criteria={}", "duration_s=40",
+]  # fmt: skip
 BETWEEN_S = 0.65  # two presses; sooner they would count as one
 SUSPENDED_S = 0.2  # before the first press
 PATIENCE_S = 300.0
@@ -50,9 +53,9 @@ def pause(seconds: float) -> None:
     Event().wait(seconds)
 
 
-def host(folder: Path, words: list[str], hangs: bool) -> None:
+def host(folder: Path, words: list[str], at: float, hangs: bool) -> None:
     """Fly on the bench, as `testbed run --rig bench` does, and keep what the boards report."""
-    experiment = load(find("zhang2023_table"), words)
+    experiment = load(find("hold"), words)
     write_config(folder, dump(experiment), "benchmark")
 
     def make(one):
@@ -65,7 +68,7 @@ def host(folder: Path, words: list[str], hangs: bool) -> None:
         return rig
 
     if hangs:
-        hang_after(UNDER_WAY_S - SUSPENDED_S)
+        hang_after(at - SUSPENDED_S)
     fly_and_judge(experiment, folder, make=make)
     (folder / "done").write_text("")
 
@@ -118,12 +121,14 @@ def press(browser) -> int:
     return at
 
 
-def one_flight(browser, folder: Path, words: list[str], case: str) -> tuple[list, list, int]:
+def one_flight(
+    browser, folder: Path, words: list[str], case: str, at: float
+) -> tuple[list, list, int]:
     """Delays of the first and the second press [ms], and how many boards were busy."""
     folder.mkdir()
     hangs = ["--hangs"] if case == "hang" else []
     pilot = subprocess.Popen(
-        [sys.executable, __file__, "--host", str(folder), *hangs, *words],
+        [sys.executable, __file__, "--host", str(folder), "--at", str(at), *hangs, *words],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     page, url = page_of(folder)
@@ -137,7 +142,7 @@ def one_flight(browser, folder: Path, words: list[str], case: str) -> tuple[list
         if pilot.poll() is not None:
             raise LostError("it ended before the page was there")
         epoch, pid = json.loads(start.read_text())
-        due = epoch + round(1e9 * UNDER_WAY_S)
+        due = epoch + round(1e9 * at)
         if case == "suspend":
             pause(max(0.0, 1e-9 * (due - time.monotonic_ns()) - SUSPENDED_S))
             os.kill(pid, signal.SIGSTOP)
@@ -180,13 +185,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=5, help="flights; two presses each")
     parser.add_argument("--case", choices=["plain", "hang", "suspend"], default="plain")
+    parser.add_argument("--at", type=float, default=6.0, help="time of the first press [s]")
     parser.add_argument("--load", type=int, default=0, help="busy processes")
     parser.add_argument("--host", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--hangs", action="store_true", help=argparse.SUPPRESS)
     options, words = parser.parse_known_args()
-    words = words or ["duration_s=60"]
+    words = words or FAST
     if options.host is not None:
-        host(options.host, words, options.hangs)
+        host(options.host, words, options.at, options.hangs)
         return
     print(f"load average {os.getloadavg()[0]:.1f}", flush=True)
     busy = [
@@ -198,7 +204,9 @@ def main() -> None:
             k, lost = 0, 0
             while k < options.count:
                 try:
-                    one = one_flight(browser, Path(folder) / f"{k}_{lost}", words, options.case)
+                    one = one_flight(
+                        browser, Path(folder) / f"{k}_{lost}", words, options.case, options.at
+                    )
                 except LostError as error:
                     lost += 1
                     print(f"not counted: {error}", flush=True)

@@ -1,6 +1,7 @@
 """The page in a real browser: what it shows, at three sizes, light and dark."""
 
 import io
+import shutil
 import subprocess
 import sys
 import threading
@@ -101,7 +102,7 @@ def test_a_run_is_shown(flown, browser, page_of, pictures, size, dark):
         assert bottom <= height
         if size == "phone":
             assert wide > 0.9 * width
-        assert text(page, "#stop-hint") == ("" if size == "phone" else "flight over")
+        assert text(page, "#stop-hint") == "flight over"
         (pictures / f"console_{size}_{'dark' if dark else 'light'}.png").write_bytes(page.picture())
 
 
@@ -145,23 +146,56 @@ def test_a_red_check_says_what_to_do(flown, browser, page_of, pictures):
         (pictures / "console_red.png").write_bytes(page.picture())
 
 
+@pytest.fixture
+def unfinished(flown, tmp_path) -> Path:
+    """A run in the middle of its flight, whose log does not grow."""
+    folder = tmp_path / "unfinished"
+    folder.mkdir()
+    shutil.copy(flown["three"] / "config.toml", folder)
+    log = (flown["three"] / "log.mcap").read_bytes()
+    (folder / "log.mcap").write_bytes(log[: len(log) // 2])
+    return folder
+
+
 @pytest.mark.slow
-def test_the_page_without_its_server_says_so_in_red(flown, browser, page_of, pictures):
+def test_an_old_picture_is_grey_and_says_its_age(unfinished, browser, page_of):
     with browser.Browser(1366, 768) as page:
-        page.open(page_of(flown["three"]))
-        eventually(lambda: "not met" in text(page, "#head"), "the verdict is there")
-        assert not page.value(STALE)
+        page.open(page_of(unfinished))
+        eventually(lambda: page.value(STALE), "it is old")
+        assert text(page, "#phase") == "RUNNING"
+        assert text(page, "#veil").startswith("picture is ")
+        assert "grayscale" in page.value("getComputedStyle(document.getElementById('top')).filter")
+        assert text(page, "#stop-word") == "NOT CONNECTED"  # no flight of this run is there
+        assert "does not fly on this machine" in text(page, "#ways")
+
+
+@pytest.mark.slow
+def test_a_page_without_its_server_says_so_in_red(unfinished, browser, page_of, pictures):
+    with browser.Browser(1366, 768) as page:
+        page.open(page_of(unfinished))
+        eventually(lambda: page.value(STALE), "it is old")
         page.call("Network.enable")
         page.call("Network.emulateNetworkConditions", offline=True, latency=0,
                   downloadThroughput=-1, uploadThroughput=-1)  # fmt: skip
-        eventually(lambda: text(page, "#stop-word") == "NOT CONNECTED", "it says so")
-        assert page.value(STALE)
-        assert text(page, "#phase") == "not connected"
-        assert "picture" in text(page, "#veil")
+        eventually(lambda: text(page, "#phase") == "not connected", "it says so")
+        assert text(page, "#stop-word") == "NOT CONNECTED"
+        assert text(page, "#veil").startswith("not connected, picture is ")
         word = page.value("getComputedStyle(document.getElementById('stop-word')).color")
         assert word == "rgb(192, 31, 38)"
-        assert "grayscale" in page.value("getComputedStyle(document.getElementById('top')).filter")
         (pictures / "console_lost.png").write_bytes(page.picture())
+
+
+@pytest.mark.slow
+def test_a_finished_run_stays_as_it_was_when_the_server_ends(flown, browser, page_of):
+    with browser.Browser(1366, 768) as page:
+        page.open(page_of(flown["stuck"]))
+        eventually(lambda: text(page, "#age") == "flight over", "the flight is over")
+        page.call("Network.enable")
+        page.call("Network.emulateNetworkConditions", offline=True, latency=0,
+                  downloadThroughput=-1, uploadThroughput=-1)  # fmt: skip
+        eventually(lambda: not page.value("linked"), "the server is gone")
+        assert text(page, "#head").startswith("FAULT sat3")
+        assert not page.value(STALE)
 
 
 @pytest.mark.slow

@@ -84,32 +84,40 @@ function take(news) {
 function refresh() {
   const old = picture && picture.age !== null ? picture.age + (performance.now() - answered) / 1000 : null;
   const verdict = picture && picture.verdict, now = picture && picture.now;
-  const over = Boolean(verdict) || (now && ['STOPPED', 'FAULT'].includes(now.phase));
-  const stale = (old !== null && old > STALE_S && !over) || !linked;
+  const lost = !linked && !verdict; // the last picture of a finished run stays true
+  const over = Boolean(verdict) || (linked && now && ['STOPPED', 'FAULT'].includes(now.phase));
+  const stale = lost || (old !== null && old > STALE_S && !over);
   const ready = linked && picture && picture.stop && picture.stop.ready;
-  document.body.classList.toggle('stale', stale);
-  document.body.classList.toggle('cut', linked && !ready && !over);
-  document.body.classList.toggle('over', Boolean(over && !ready));
-  document.body.dataset.link = linked ? 'there' : 'lost';
   const since = old === null ? '' : old < 10 ? `${old.toFixed(1)} s` : `${Math.round(old)} s`;
-  show('age', old === null ? 'no picture' : over && linked ? 'flight over' : `picture ${since} old`,
+  const body = document.body.classList;
+  body.toggle('stale', stale);
+  body.toggle('lost', lost);
+  body.toggle('cut', !lost && !ready && !over);
+  body.toggle('over', over && !ready);
+  show('age', over ? 'flight over' : old === null ? 'no picture' : `picture ${since} old`,
     stale ? 'bad' : old === null || over ? 'off' : 'ok');
-  $('veil').textContent = stale ? (linked ? `picture is ${since} old` : `not connected, picture ${since} old`) : '';
+  $('veil').textContent = !stale ? '' : `${lost ? 'not connected, ' : ''}picture is ${since} old`;
   const phase = now && now.phase || (verdict ? 'NOT STARTED' : 'GETTING READY');
-  show('phase', linked ? phase : 'not connected', !linked ? 'bad' : { RUNNING: 'ok', FAULT: 'bad', ARMED: 'warn', 'NOT STARTED': 'bad' }[phase] || 'off');
-  const hangs = linked && stale && ready ? `no news from the host for ${since}: STOP still works` : '';
-  const head = !linked ? 'not connected to the host' : now && now.head || (verdict ? verdict.words : '')
-    || hangs || picture.trouble || '';
-  show('head', head, !linked || hangs ? 'bad' : now && now.head ? now.level : verdict ? verdict.level : 'warn');
-  show('ways', !linked ? 'this page is not connected' : over ? '' : picture.stop ? picture.stop.words : 'looking for the flight',
-    linked && (ready || over) ? null : 'bad');
-  button(ready, over);
+  show('phase', lost ? 'not connected' : phase,
+    lost ? 'bad' : { RUNNING: 'ok', FAULT: 'bad', ARMED: 'warn', 'NOT STARTED': 'bad' }[phase] || 'off');
+  headline(lost, stale && ready ? `no news from the host for ${since}: STOP still works` : '', now, verdict);
+  show('ways', lost ? 'this page is not connected' : over ? '' : picture && picture.stop ? picture.stop.words : 'looking for the flight',
+    lost || !(ready || over) ? 'bad' : null);
+  button(lost || (!ready && !over), over && !ready);
 }
 
-function button(ready, over) {
-  const word = !linked || (!ready && !over) ? 'NOT CONNECTED' : presses && !over ? 'STOP AGAIN' : 'STOP';
+function headline(lost, hangs, now, verdict) {
+  if (lost) show('head', 'not connected to the host', 'bad');
+  else if (hangs) show('head', hangs, 'bad');
+  else if (now && now.head) show('head', now.head, now.level);
+  else if (verdict) show('head', verdict.words, verdict.level);
+  else show('head', picture && picture.trouble || '', 'warn');
+}
+
+function button(cut, over) {
+  const word = cut ? 'NOT CONNECTED' : presses && !over ? 'STOP AGAIN' : 'STOP';
+  const hint = cut ? 'a press still tries' : over ? 'flight over' : presses ? 'valves and air off now' : 'key Esc';
   if ($('stop-word').textContent !== word) $('stop-word').textContent = word;
-  const hint = over && !ready && linked ? 'flight over' : word === 'STOP AGAIN' ? 'valves and air off now' : word === 'STOP' ? 'key Esc' : 'a press still tries';
   if ($('stop-hint').textContent !== hint) $('stop-hint').textContent = hint;
   $('stop').classList.toggle('pressed', word === 'STOP AGAIN');
 }
@@ -196,6 +204,8 @@ function arming(checks) {
     line.append(name, to_do);
     return line;
   }));
+  const green = checks.filter(one => !one.reason).map(one => one.name);
+  show('green', green.length ? `\u2713 ${green.join(', ')}` : '', null);
 }
 
 $('stop').addEventListener('click', stop);
