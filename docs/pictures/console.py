@@ -53,7 +53,7 @@ def fault(kind: str, at_s: float, more: str = "") -> str:
 
 CASES = {
     "arming": Case(
-        ["hold", "--rig", "bench", "arming.battery=13", "arming.start_turn_deg=0.001"],
+        ["hold", "--rig", "bench", "arming.battery=13", "arming.supply_share=1.1"],
         "document.querySelectorAll('#checks li').length > 0 && "
         "document.getElementById('arming-title').textContent.includes('green')",
         [Shot("console_arming"), Shot("console_arming_phone", PHONE)],
@@ -89,9 +89,9 @@ CASES = {
 
 
 def keep(png: bytes, name: str) -> None:
-    """Save a picture with few colours."""
+    """Save a picture with a palette."""
     picture = Image.open(io.BytesIO(png)).convert("RGB")
-    picture.quantize(128, dither=Image.Dither.NONE).save(HERE / f"{name}.png", optimize=True)
+    picture.quantize(255, dither=Image.Dither.NONE).save(HERE / f"{name}.png", optimize=True)
     sys.stdout.write(f"{name}.png: {(HERE / f'{name}.png').stat().st_size / 1e3:.0f} kB\n")
 
 

@@ -43,6 +43,7 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
         signal.signal(number, leave)
     sys.setswitchinterval(0.0005)  # a press does not wait for a picture
     hub, stopper = Hub(), Stopper(run)
+    hub.say(server=secrets.token_hex(8))  # another one at the same port is another run
     follower = Follower(run, hub)
     token = "" if is_loopback(bind) else secrets.token_urlsafe(16)
     server = open_server(bind, port, token, Answers(hub, lambda: follower.scene, stopper.press))

@@ -27,25 +27,33 @@ def eventually(look: Callable[[], Any], what: str) -> Any:
     raise AssertionError(f"never: {what}")
 
 
-@pytest.fixture
-def page_of():
-    """Start the page of a run; returns its address."""
-    started = []
+class Pages:
+    """Starts the page of a run; returns its address."""
 
-    def start(run: Path) -> str:
+    def __init__(self):
+        self._started = []
+
+    def __call__(self, run: Path, port: str = "0") -> str:
         one = subprocess.Popen(
-            [sys.executable, "-m", "testbed.console.process", str(run), "127.0.0.1", "0"],
+            [sys.executable, "-m", "testbed.console.process", str(run), "127.0.0.1", port],
             stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
-        started.append(one)
+        self._started.append(one)
         line = one.stderr.readline()
         assert line.startswith("console: http://127.0.0.1:"), line
         return line.split()[-1]
 
-    yield start
-    for one in started:
-        one.terminate()
-        one.communicate(timeout=20)
+    def end(self) -> None:
+        for one in self._started:
+            one.terminate()
+            one.communicate(timeout=20)
+
+
+@pytest.fixture
+def page_of():
+    pages = Pages()
+    yield pages
+    pages.end()
 
 
 def text(page, selector: str) -> str:
@@ -196,6 +204,18 @@ def test_a_finished_run_stays_as_it_was_when_the_server_ends(flown, browser, pag
         eventually(lambda: not page.value("linked"), "the server is gone")
         assert text(page, "#head").startswith("FAULT sat3")
         assert not page.value(STALE)
+
+
+@pytest.mark.slow
+def test_a_page_that_meets_another_run_at_its_address_starts_anew(flown, browser, page_of):
+    with browser.Browser(1366, 768) as page:
+        url = page_of(flown["three"])
+        page.open(url)
+        eventually(lambda: text(page, "#clock") == "0:12", "the first run")
+        page_of.end()
+        page_of(flown["stuck"], url.rpartition(":")[2].strip("/"))
+        eventually(lambda: text(page, "#head").startswith("FAULT sat3"), "the second run")
+        assert text(page, "#of") == "of 0:08"
 
 
 @pytest.mark.slow

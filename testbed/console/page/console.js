@@ -6,7 +6,7 @@ const ANSWER_MS = 2500; // without an answer for this long the page is not conne
 const AGAIN_MS = 600; // a second press counts as one from then on
 const $ = id => document.getElementById(id);
 
-let version = -1, scene = null, top_view = null, raster = null, events = [];
+let server = '', version = -1, scene = null, top_view = null, raster = null, events = [];
 let picture = null; // the newest answer
 let answered = 0; // when it came [ms of this page's clock]
 let linked = false;
@@ -32,6 +32,8 @@ async function follow() {
   for (;;) {
     try {
       const news = await ask(`picture?after=${version < 0 ? '' : version}`, ANSWER_MS);
+      if (server && news.server !== server) location.reload(); // another run is served here now
+      server = news.server;
       linked = true;
       answered = performance.now();
       if (news.scene && !scene) await begin(); // the next answer has the whole run
