@@ -149,9 +149,11 @@ def one_flight(
         pause(max(0.0, 1e-9 * (due - time.monotonic_ns())))
         first = press(browser)
         pause(BETWEEN_S)
+        answer = "document.getElementById('told').textContent"
+        told = browser.value(answer)
         second = press(browser)
         pause(2.0)
-        told = browser.value("document.getElementById('told').textContent")
+        told += f"; then {browser.value(answer)}"
         if case == "suspend":
             os.kill(pid, signal.SIGCONT)
         if case == "hang":

@@ -45,10 +45,9 @@ def clock(seconds: int) -> str:
     return f"picture && picture.now && picture.now.t > {seconds}"
 
 
-def fault(kind: str, at_s: float, more: str = "") -> str:
-    """An injected fault of sat2, or of the host."""
-    vehicle = "" if kind.endswith("host") else 'vehicle="sat2",'
-    return f'inject=[{{kind="{kind}",{vehicle}at_s={at_s}{more}}}]'
+def fault(kind: str, vehicle: str, at_s: float, more: str = "") -> str:
+    """An injected fault."""
+    return f'inject=[{{kind="{kind}",vehicle="{vehicle}",at_s={at_s}{more}}}]'
 
 
 CASES = {
@@ -69,18 +68,18 @@ CASES = {
         ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
     ),
     "fault": Case(
-        ["zhang2023_table", "--speed", "2", fault("stick_open", 25.0, ",jet=3"), "duration_s=40"],
+        ["zhang2023_table", "--speed", "2", fault("stick_open", "sat2", 25.0, ",jet=3"), "duration_s=40"],
         "document.getElementById('head').textContent.startsWith('FAULT')",
         [Shot("console_fault"), Shot("console_fault_tablet", TABLET, True)],
     ),
     "cameras": Case(
-        ["zhang2023_table", "--speed", "0.2", fault("drop_mocap", 8.0)],
+        ["zhang2023_table", "--speed", "0.2", fault("drop_mocap", "sat2", 8.0)],
         "document.querySelectorAll('.vehicle.blind').length > 0 && "
         "document.getElementById('head').textContent.startsWith('FAULT')",
         [Shot("console_cameras")],
     ),
     "hung": Case(
-        ["hold", "--rig", "bench", fault("stop_host", 8.0)],
+        ["hold", "--rig", "bench", fault("stop_host", "sat1", 8.0)],
         "document.getElementById('head').textContent.includes('no news from the host')"
         " && (performance.now() - answered) / 1000 + picture.age > 3",
         [Shot("console_hung"), Shot("console_hung_dark", SCREEN, True)],
