@@ -68,7 +68,8 @@ CASES = {
         ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
     ),
     "fault": Case(
-        ["zhang2023_table", "--speed", "2", fault("stick_open", "sat2", 25.0, ",jet=3"), "duration_s=40"],
+        ["zhang2023_table", "--speed", "2", fault("stick_open", "sat2", 25.0, ",jet=3"),
+         "duration_s=40"],
         "document.getElementById('head').textContent.startsWith('FAULT')",
         [Shot("console_fault"), Shot("console_fault_tablet", TABLET, True)],
     ),

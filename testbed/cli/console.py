@@ -18,7 +18,8 @@ def show_page(run: Path | None, bind: str, port: int | None) -> int:
     """Serve the page of a run until Ctrl-C; None: of the flight on this machine."""
     try:
         folder = run or flying()
-        config_of(folder)
+        if not (config := config_of(folder)).exists():
+            raise ConfigError(str(folder), config.name, "a run folder", "no such file in it")
         serve(folder, bind, port)
     except (TestbedError, LogError) as error:
         return refuse(error)

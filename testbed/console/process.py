@@ -40,7 +40,8 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
         left.set()
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, leave)
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
+            signal.signal(number, leave)
     sys.setswitchinterval(0.0005)  # a press does not wait for a picture
     hub, stopper = Hub(), Stopper(run)
     hub.say(server=secrets.token_hex(8))  # another one at the same port is another run
@@ -59,6 +60,7 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
         if alone > LINGER_S:
             left.set()
     server.shutdown()
+    server.server_close()
 
 
 def open_server(bind: str, port: int | None, token: str, answers: Answers) -> Server:

@@ -144,6 +144,13 @@ def orphaned() -> bool:
     return os.read(0, 1) == b""
 
 
+def hung_up(terminal: int) -> bool:
+    """Whether the terminal behind a descriptor was closed."""
+    poll = select.poll()
+    poll.register(terminal, 0)  # hang-ups are always reported
+    return bool(poll.poll(0))
+
+
 def end_on_terminate() -> None:
     """Make SIGTERM and a closed terminal end this process in order, like Ctrl-C."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)

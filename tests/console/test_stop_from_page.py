@@ -69,6 +69,7 @@ def test_stop_ends_the_flight(testbed, browser, tmp_path, rig):
         told = "hold on the twin: stops" if rig == "twin" else "sat1: stops"
         eventually(lambda: told in value(page, "#told"), "the stop is answered")
     assert run.wait(PATIENCE_S) == (INTERRUPTED if rig == "twin" else FAULT)
+    assert (out / "arming.json").exists() == (rig == "bench")
     phases = [one.message for one in LogFeed(LogReader(out / "log.mcap")).news()]
     assert [one.phase for one in phases if isinstance(one, SeenPhase)][-1] in ("STOPPED", "FAULT")
 

@@ -175,8 +175,15 @@ class WireRig(RunResults):
         session = stack.enter_context(opened)
         names, title = list(self.experiment.vehicles), self.experiment.name
         stack.enter_context(
-            noted(network.endpoint, network.lab, network.keys, names, title, say=self._say,
-                  folder=self._log)
+            noted(
+                network.endpoint,
+                network.lab,
+                network.keys,
+                names,
+                title,
+                say=self._say,
+                folder=self._log,
+            )
         )
         keys = Keys(network.lab)
         text = msgspec.json.encode(self.experiment)
