@@ -18,8 +18,8 @@ from testbed.logs.history import History, gather
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 from testbed.metrics.formation import has_formation
 from testbed.metrics.run_metrics import Metrics
-from testbed.report.chart import HUES, Chart, Disc, Item, Limit, Line
 from testbed.report.goal_error import GoalError
+from testbed.report.item import HUES, Chart, Disc, Item, Limit, Line
 from testbed.report.page import (
     OF_A_GOAL,
     ROWS,

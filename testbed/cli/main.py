@@ -304,7 +304,9 @@ def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | No
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print the page for docs/.")
 @click.option(
-    "--plots", type=click.Path(path_type=Path), help="Write the reproduced figures to this folder."
+    "--plots",
+    type=click.Path(path_type=Path),
+    help="Folder for the figures, as SVG.",
 )
 @click.pass_context
 def reproduce(

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from controllers.graph import LEADER
 from testbed.logs.history import History, VehicleHistory
 from testbed.metrics.run_metrics import HOLD_S, Touch
-from testbed.report.chart import WIDTH, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
 from testbed.report.goal_error import GoalError, goal_at
+from testbed.report.item import WIDTH, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
 from testbed.report.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -310,19 +310,22 @@ def openings(edges: Array, jet: int) -> tuple[Array, Array]:
 
 def _valves(scenario: Scenario, history: History) -> Iterator[Chart]:
     rows: list[Item] = []
+    names: list[tuple[float, str]] = []
     for k, name, v in _vehicles(history):
         delay = scenario.vehicles[name].model.command_delay_s
         for jet in range(v.on.shape[1]):
             row = -(k * (v.on.shape[1] + 1) + jet)
+            names.append((row + 0.5, f"{name} {jet + 1}"))
             if len(v.edges):  # its board reports output edges
                 starts, lengths = openings(v.edges, jet)
-                rows.append(Raster(row, starts, lengths, k, f"{name} {jet + 1}"))
+                rows.append(Raster(row, starts, lengths, k))
                 continue
             open_ = v.on[:, jet] > 0.0
             start = v.t[open_] + delay + v.offset[open_, jet]
-            rows.append(Raster(row, start, v.on[open_, jet], k, f"{name} {jet + 1}"))
+            rows.append(Raster(row, start, v.on[open_, jet], k))
     yield Chart("valves", "Valves: when each jet was open", "time [s]", "vehicle and jet", rows,
-                _time(history), height=11 * len(rows) + 12, width=2 * WIDTH)  # fmt: skip
+                _time(history), y_ticks=names, height=11 * len(rows) + 12,
+                width=2 * WIDTH)  # fmt: skip
 
 
 def _air(scenario: Scenario, history: History) -> Iterator[Chart]:

@@ -11,9 +11,10 @@ from testbed.core.error import TestbedError
 from testbed.logs.history import History
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import TO_THE_START, Metrics
-from testbed.report.chart import STYLE, Chart, alone, draw
+from testbed.report.chart import THEME, alone, draw
 from testbed.report.events import happened
 from testbed.report.figures import analogue, figures
+from testbed.report.item import Chart
 from testbed.report.provenance import colophon, timing
 from testbed.report.scenario import Scenario, law_of
 from testbed.report.verdict import CRITERIA, UNCOUNTED, missed, reasons, verdict
@@ -91,12 +92,12 @@ def render(
     return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections))
 
 
-def page(title: str, body: str) -> str:
-    """A complete HTML page around `body`."""
+def page(title: str, body: str, style: str = "") -> str:
+    """A complete HTML page around `body`, with more style if given."""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{CSS}{STYLE}</style></head>\n"
+        f"<title>{escape(title)}</title><style>{THEME}{CSS}{style}</style></head>\n"
         f"<body><main>\n{body}\n</main></body></html>\n"
     )
 
