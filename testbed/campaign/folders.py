@@ -75,7 +75,9 @@ def score_folders(path: Path, whole: BenchmarkFile, file: BenchmarkFile, runs: P
         elif nobody:
             not_flown.append(f"{name}: {', '.join(nobody)}")
     if not table:
-        expected = "run folders in SCENARIO/LAW/: `testbed bench --commands` prints the commands"
+        expected = (
+            "run folders in SCENARIO/LAW/: `testbed benchmark --commands` prints the commands"
+        )
         first = [f"{one.folder}: {one.reason}" for one in pile.passed_over[:5]]
         raise ConfigError(str(runs), "", expected, "; ".join(first) or "none")
     return Record(

@@ -68,7 +68,7 @@ def page(record: Record, path: Path, file: BenchmarkFile, options: str) -> str:
         record: the scores.
         path: path of the benchmark file.
         file: its content, reduced to what was flown.
-        options: options of `testbed bench`.
+        options: options of `testbed benchmark`.
     """
     meaning = list(MEANING)
     if file.trouble and any(row.robust_runs for row in record.scores):
@@ -102,7 +102,7 @@ def head(record: Record, path: Path, options: str) -> str:
         name = path.name
     return (
         "Standard scenarios under all laws, all scored the same way. This page was written "
-        f"by `testbed bench{options}`: {plural(runs, 'run')} on {rigs}, {seeds} "
+        f"by `testbed benchmark{options}`: {plural(runs, 'run')} on {rigs}, {seeds} "
         f"per cell, flown by airbearing-testbed {record.version}{code}. "
         f"`{name}` has the scenarios and the laws' gains, which were not tuned for it; "
         "[campaigns.md](campaigns.md) says how to fly it on a table. The page has no date, "
@@ -154,7 +154,7 @@ def evidence(table: Sequence[Score]) -> str:
         f"of 95 %; of 0 of {runs}: {100 * none_of.low:.0f} to {100 * none_of.high:.0f} %). The "
         "table says which law can fly what, and how well; it does not say how often a law fails, "
         "and one run more or less does not tell two laws apart. For a rate, more seeds: `testbed "
-        "bench --samples 100`."
+        "benchmark --samples 100`."
     )
 
 

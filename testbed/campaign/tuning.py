@@ -159,7 +159,7 @@ def _value(path: Path, tree: Any, gain: Gain) -> float:
         if part == "*":
             value = next(iter(value.values() if isinstance(value, dict) else value))
         else:
-            value = value.get(part) if isinstance(value, dict) else value[part]
+            value = value.get(part) if isinstance(value, dict) else value[int(part) - 1]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(str(path), gain.key, "a key that holds a number", str(value))
     return min(gain.high, max(gain.low, float(value)))

@@ -1,4 +1,4 @@
-"""`testbed bench`: fly the benchmark of record on the twin, or score runs of a table."""
+"""`testbed benchmark`: fly the benchmark of record on the twin, or score runs of a table."""
 
 import shlex
 import sys
@@ -46,7 +46,7 @@ BEFORE = (  # comment above the commands
     "inspect the vehicles, and append `--reset` to the next command. If a run never armed, or was "
     "stopped for a reason other than the law, remove its folder, repeat its command, and report "
     "that with the results.",
-    "Afterwards: testbed bench --from {runs}",
+    "Afterwards: testbed benchmark --from {runs}",
 )
 
 

@@ -14,7 +14,7 @@ import click
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
-from testbed.cli.many import bench, campaign, tune
+from testbed.cli.many import benchmark, campaign, tune
 
 EPILOG = """\b
 Exit codes:
@@ -329,7 +329,7 @@ def reproduce(
     )
 
 
-for verb in (agent, bench, campaign, lab_keys, poses, stop, tune, twin):
+for verb in (agent, benchmark, campaign, lab_keys, poses, stop, tune, twin):
     main.add_command(verb)
 
 

@@ -294,7 +294,7 @@ def test_a_run_that_ends_in_a_fault_keeps_seed_and_time(here):
 # What is wrong is said
 
 
-@pytest.mark.parametrize("verb", ["campaign", "tune", "bench"])
+@pytest.mark.parametrize("verb", ["campaign", "tune", "benchmark"])
 def test_a_file_that_is_not_there(testbed, verb):
     result = testbed(verb, "nothing.toml")
     assert result.exit_code == 2
@@ -311,7 +311,7 @@ def test_a_missing_package_is_named_and_how_to_get_it(testbed, monkeypatch, here
 
 
 def test_bench_says_the_commands_for_a_table(testbed):
-    result = testbed("bench", "--commands", "--only", "hold")
+    result = testbed("benchmark", "--commands", "--only", "hold")
     assert result.exit_code == 0
     assert result.stdout.count("--out runs/benchmark_standard_table/hold/pd/") == 4
 
@@ -321,7 +321,7 @@ def test_the_commands_name_a_shipped_experiment_and_what_a_table_can_do(testbed,
         'name = "b"\ntrouble = ["seed=1"]\ntrouble_hardware = "only the twin"\n[laws]\npd = []\n'
         '[scenarios.s]\nexperiment = "hold"\nhardware = "a card before the lens"\nlaws = ["pd"]\n'
     )
-    lines = testbed("bench", "b.toml", "--commands").stdout.splitlines()
+    lines = testbed("benchmark", "b.toml", "--commands").stdout.splitlines()
     commands = [line for line in lines if line and not line.startswith("#")]
     assert commands[0] == "testbed run hold --seed 0 --out runs/benchmark_b_table/s/pd/0"
     assert len(commands) == 4
@@ -340,10 +340,10 @@ def test_bench_scores_folders_into_a_page_and_never_over_the_twins(testbed, here
         'name = "b"\nsamples = 1\n[laws]\npd = []\n[scenarios.s]\nexperiment = "hold"\n'
         'set = ["duration_s=1", "criteria={}"]\nlaws = ["pd"]\n'
     )
-    words = shlex.split(testbed("bench", "b.toml", "--commands").stdout, comments=True)[1:]
+    words = shlex.split(testbed("benchmark", "b.toml", "--commands").stdout, comments=True)[1:]
     assert testbed(*words).exit_code == 0
     Path("runs/benchmark_b_table/s/pdd").mkdir()
-    result = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table", "--json")
+    result = testbed("benchmark", "b.toml", "--from", "runs/benchmark_b_table", "--json")
     assert result.exit_code == 0
     record = json.loads(result.stdout)
     assert [(one["rig"], one["passed"]) for one in record["scores"]] == [("twin", 1)]
@@ -351,13 +351,13 @@ def test_bench_scores_folders_into_a_page_and_never_over_the_twins(testbed, here
     assert "did you mean `pd`" in result.stderr
     text = Path("runs/benchmark_b_table/benchmark.md").read_text()
     assert "s/pdd" in text
-    again = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table")
+    again = testbed("benchmark", "b.toml", "--from", "runs/benchmark_b_table")
     assert again.exit_code == 0
     assert Path("runs/benchmark_b_table/benchmark.md").read_text() == text
 
     Path("twin/s").mkdir(parents=True)
     Path("twin/s/journal.jsonl").write_text("")
-    result = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table", "--out", "twin")
+    result = testbed("benchmark", "b.toml", "--from", "runs/benchmark_b_table", "--out", "twin")
     assert result.exit_code == 2
     assert "this one holds the twin's benchmark" in result.stderr
 
@@ -372,7 +372,7 @@ def test_no_number_of_the_benchmark_is_cut_in_a_narrow_window(capsys, monkeypatc
 
 
 def test_bench_knows_its_scenarios(testbed):
-    result = testbed("bench", "--only", "holt")
+    result = testbed("benchmark", "--only", "holt")
     assert result.exit_code == 2
     assert "hold" in result.stderr
 

@@ -108,7 +108,7 @@ class WireRig(RunResults):
         for k, one in enumerate(experiment.inject):
             if one.at_s is None and one.kind in OF_PROCESSES:
                 expected = f"`at_s`: on the bench {one.kind} needs a time"
-                raise ConfigError("this rig", f"inject[{k}]", expected, f'event = "{one.event}"')
+                raise ConfigError("this rig", f"inject.{k + 1}", expected, f'event = "{one.event}"')
         size = len(msgspec.json.encode(experiment))
         if size > LARGEST - SPARE:
             expected = f"an experiment of at most {(LARGEST - SPARE) // 1000} kB when encoded"
