@@ -30,7 +30,7 @@ class Strip(Struct, frozen=True):
     words: str
 
 
-class Rate(Struct, frozen=True):
+class RateRow(Struct, frozen=True):
     """A success rate with its interval, 0 to 1."""
 
     name: str
@@ -115,7 +115,7 @@ def heat(
                   y_ticks=[(k + 0.5, name) for k, name in enumerate(rows)])  # fmt: skip
 
 
-def success_rates(rows: Sequence[Rate]) -> Chart:
+def success_rates(rows: Sequence[RateRow]) -> Chart:
     """Success rates with intervals, from 0 to 100 %."""
     items: list[Item] = []
     heights = [len(rows) - k - 0.5 for k in range(len(rows))]

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from testbed.campaign.benchmark import BenchmarkFile, Record, Scenario, Score
+from testbed.campaign.benchmark import BenchmarkFile, BenchmarkScenario, Record, Score
 from testbed.campaign.folders import plays
 from testbed.campaign.interval import success_rate
 from testbed.campaign.sweep import base_experiment
@@ -123,7 +123,7 @@ def scenarios(path: Path, file: BenchmarkFile) -> Iterator[str]:
         yield f"**{name}**: {what}; {many}, {flown.duration_s:g} s. Passed: {limits}."
 
 
-def bounds(scenario: Scenario, flown: Experiment) -> Iterator[str]:
+def bounds(scenario: BenchmarkScenario, flown: Experiment) -> Iterator[str]:
     """The limits of the experiment's criteria and of the benchmark."""
     yield from limits_of("", dump(flown)["criteria"], obstacles=bool(flown.obstacles))
     for sign, those in (("at most", scenario.most), ("at least", scenario.least)):
@@ -180,7 +180,7 @@ def lab(record: Record, file: BenchmarkFile) -> str:
     return text
 
 
-def unseen(row: Score, scenario: Scenario) -> bool:
+def unseen(row: Score, scenario: BenchmarkScenario) -> bool:
     """Whether a row's disturbance was made by people instead of its rig."""
     keys = [assignment(text)[0] for text in scenario.set]
     rigs = row.rig.split(" + ")
@@ -210,15 +210,20 @@ def markdown(table: Sequence[Score]) -> str:
     headings = ["scenario", "law", "passed", *(h for h, *_ in COLUMNS), "robust"]
     headings += ["rig"] * rigs
     lines = ["| " + " | ".join(headings) + " |", "|---|---|" + "---:|" * (len(headings) - 2)]
-    before = ""
+    for scenario, law, *numbers in cells_of(table):
+        lines.append("| " + " | ".join([scenario, f"`{law}`", *numbers]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def cells_of(table: Sequence[Score]) -> Iterator[list[str]]:
+    """The cells of each score; the scenario is named in its first row only."""
+    rigs, before = any(row.rig != "twin" for row in table), ""
     for row in table:
-        cells = [row.scenario if row.scenario != before else "", f"`{row.law}`"]
+        cells = [row.scenario if row.scenario != before else "", row.law]
         cells.append(f"{row.passed}/{row.runs}")
         for _, key, scale, form in COLUMNS:
             value = getattr(row, key)
             cells.append("-" if value is None else form.format(scale * value))
         cells.append(f"{row.robust_passed}/{row.robust_runs}" if row.robust_runs else "-")
-        cells += [row.rig] * rigs
-        lines.append("| " + " | ".join(cells) + " |")
+        yield cells + [row.rig] * rigs
         before = row.scenario
-    return "\n".join(lines) + "\n"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from testbed.campaign.figures import (
     HOLLOW,
-    Rate,
+    RateRow,
     Strip,
     heat,
     histogram,
@@ -17,7 +17,7 @@ from testbed.campaign.figures import (
 from testbed.campaign.flight import failure_folder, replay_command
 from testbed.campaign.grouping import best_front, fields, points_of, thinned
 from testbed.campaign.result import Table
-from testbed.campaign.row import OUTCOMES, Flown
+from testbed.campaign.row import OUTCOMES, FlownRun
 from testbed.campaign.summary import (
     Group,
     Groups,
@@ -47,7 +47,7 @@ MOST_MAPS = 18  # heat maps of one quantity; at most six pairs of parameters
 
 
 def html_report(
-    campaign: Campaign, summary: Summary, runs: Sequence[Flown], table: Table, folder: Path
+    campaign: Campaign, summary: Summary, runs: Sequence[FlownRun], table: Table, folder: Path
 ) -> str:
     """The report as HTML."""
     error = main_error(summary, table)
@@ -133,7 +133,7 @@ def _cases(summary: Summary, apart: Groups) -> str:
     if not summary.cases:
         return ""
     rows = [
-        Rate(
+        RateRow(
             ", ".join(case.name.values()), case.rate.low, case.rate.rate or 0.0, case.rate.high,
             f"{case.rate.succeeded} of {case.rate.runs}",
             apart.place(apart.name_of(case.name)),
@@ -149,7 +149,7 @@ def _cases(summary: Summary, apart: Groups) -> str:
     )
 
 
-def _medians(campaign: Campaign, summary: Summary, runs: Sequence[Flown], apart: Groups) -> str:
+def _medians(campaign: Campaign, summary: Summary, runs: Sequence[FlownRun], apart: Groups) -> str:
     """Medians for each combination of the grid."""
     if not summary.cases:
         return ""
@@ -231,7 +231,7 @@ def _influences(campaign: Campaign, table: Table, error: Quantity, apart: Groups
 
 
 def _maps(
-    campaign: Campaign, runs: Sequence[Flown], table: Table, error: Quantity, told: Groups
+    campaign: Campaign, runs: Sequence[FlownRun], table: Table, error: Quantity, told: Groups
 ) -> str:
     """Heat maps over pairs of numeric parameters; one panel per non-numeric case."""
     names = numeric_parameters(campaign, table)
@@ -273,7 +273,7 @@ def heat_maps(
     spots = dict(zip(table["run"], zip(columns, rows, strict=True), strict=True))
     found: list[dict[tuple[int, int], tuple[float, int]]] = []
     for panel in panels:
-        flown: dict[tuple[int, int], list[Flown]] = {}
+        flown: dict[tuple[int, int], list[FlownRun]] = {}
         for run in sorted(panel.runs, key=lambda run: run.k):
             flown.setdefault(spots[run.k], []).append(run)
         found.append({spot: one for spot, met in flown.items() if (one := in_field(met, what))})
@@ -336,7 +336,7 @@ def _reasons(summary: Summary) -> str:
     )
 
 
-def _worst(campaign: Campaign, runs: Sequence[Flown], error: Quantity, folder: Path) -> str:
+def _worst(campaign: Campaign, runs: Sequence[FlownRun], error: Quantity, folder: Path) -> str:
     rows = []
     for run in worst_runs(runs, error):
         value = run.columns.get(error.column)

@@ -23,9 +23,9 @@ from testbed.reproduction.claim import (
     FAILS,
     HOLDS,
     UNTESTABLE,
+    ClaimRow,
     MeasureError,
     Paper,
-    Row,
     claimed,
     counts,
 )
@@ -101,7 +101,7 @@ def make_all(papers: Mapping[str, Paper], *, quick: bool) -> tuple[Results, bool
     return found, interrupted, time.perf_counter() - began
 
 
-def print_json(rows: Mapping[str, list[Row]], *, as_list: bool) -> None:
+def print_json(rows: Mapping[str, list[ClaimRow]], *, as_list: bool) -> None:
     """Print one object per paper; a list of objects for `all`."""
     papers = [
         {
@@ -115,7 +115,7 @@ def print_json(rows: Mapping[str, list[Row]], *, as_list: bool) -> None:
     sys.stdout.write(msgspec.json.format(content).decode() + "\n")
 
 
-def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
+def print_table(name: str, paper: Paper, rows: list[ClaimRow]) -> None:
     """Print the verdicts as a table."""
     grid = Grid(title=f"{name}: {paper.title}", title_justify="left", title_style="bold",
                 show_lines=False, expand=True)  # fmt: skip
@@ -134,7 +134,7 @@ def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
     Console(highlight=False).print(grid)
 
 
-def measured(row: Row) -> str:
+def measured(row: ClaimRow) -> str:
     """The measured value with its unit."""
     if row.measured is None:
         return "-" if row.outcome == UNTESTABLE else "never"
@@ -142,7 +142,7 @@ def measured(row: Row) -> str:
 
 
 def say_how_it_went(
-    rows: Mapping[str, list[Row]], surprises: list[Row], missing: list[str], wall: float
+    rows: Mapping[str, list[ClaimRow]], surprises: list[ClaimRow], missing: list[str], wall: float
 ) -> None:
     """Print the counts and each unexpected verdict on standard error."""
     every = [row for some in rows.values() for row in some]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from controllers.graph import LEADER
 from testbed.logs.history import History, VehicleHistory
-from testbed.metrics.run_metrics import HOLD_S, Touch
+from testbed.metrics.run_metrics import HOLD_S, Touch, Track
 from testbed.report.goal_error import GoalError, goal_at
 from testbed.report.item import WIDTH, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
 from testbed.report.scenario import Scenario
@@ -173,17 +173,9 @@ def _interpolated(history: History, name: str) -> tuple[Array, Array, Array]:
     known = ~np.isnan(vehicle.at) & ~np.isnan(vehicle.reference[:, 2])
     if len(t) < 2 or not known.any():
         return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+    known &= vehicle.at <= t[-1]
     at = vehicle.at[known]
-    i = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
-    h = (t[i + 1] - t[i])[:, None]
-    s = (at - t[i])[:, None] / h
-    a, b = state[i], state[i + 1]
-    pose = (
-        (1 + 2 * s) * (1 - s) ** 2 * a[:, :3] + s * s * (3 - 2 * s) * b[:, :3]
-        + h * s * (1 - s) ** 2 * a[:, 3:] - h * s * s * (1 - s) * b[:, 3:]
-    )  # fmt: skip
-    inside = at <= t[-1]
-    return at[inside], pose[inside], vehicle.reference[known][inside]
+    return at, Track(t, state[:, None]).at(at, 0), vehicle.reference[known]
 
 
 def _tracking(scenario: Scenario, history: History) -> Iterator[Chart]:

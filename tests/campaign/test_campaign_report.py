@@ -8,11 +8,11 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.campaign import figures
-from testbed.campaign.flight import Ended, replay_command
+from testbed.campaign.flight import CampaignEnd, replay_command
 from testbed.campaign.grouping import MOST_POINTS, best_front, fields
 from testbed.campaign.report import html_report
 from testbed.campaign.result import table_of
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.summary import summarise
 from testbed.campaign.sweep import load_campaign
 from testbed.report.axis import Axis, log_ticks, number, ticks
@@ -30,14 +30,14 @@ RATES = {"key": "table.mocap.rate_hz", "values": [50.0, 100.0, 200.0]}
 
 
 def page_of(campaign, runs, folder):
-    summary = summarise(campaign, "hold", Ended(runs, 0, 1.0, []))
+    summary = summarise(campaign, "hold", CampaignEnd(runs, 0, 1.0, []))
     return html_report(campaign, summary, runs, table_of(campaign, runs), folder)
 
 
 def some_runs(count):
     rng = np.random.default_rng(1)
     return [
-        Flown(
+        FlownRun(
             k, "failed" if k % 5 == 0 else "passed", "settle_s" * (k % 5 == 0),
             {"goal_rms_m": float(rng.lognormal(-7)), "gas_g": float(rng.uniform(5, 20)),
              "settle_s": None if k % 5 == 0 else float(rng.uniform(5, 9))},
@@ -211,7 +211,7 @@ def test_without_a_run_that_passed_there_is_no_front(write, tmp_path):
 
 
 def test_the_longest_words_beside_a_whisker_have_room():
-    rows = [figures.Rate("smc", 0.1, 0.2, 0.3, "10000 of 1000000")]
+    rows = [figures.RateRow("smc", 0.1, 0.2, 0.3, "10000 of 1000000")]
     words = next(
         e for e in ET.fromstring(draw(figures.success_rates(rows))) if e.text == rows[0].words
     )
@@ -238,7 +238,7 @@ def test_the_worst_runs_come_with_the_command_that_flies_them(write, tmp_path):
 def test_words_of_a_file_are_words_on_the_page(write, tmp_path):
     evil = "<script>alert(1)</script>"
     campaign = load_campaign(write(description=evil, draw=[{**MASS, "name": evil}], samples=9))
-    runs = [*some_runs(8), Flown(8, "error", f"Traceback\n{evil}")]
+    runs = [*some_runs(8), FlownRun(8, "error", f"Traceback\n{evil}")]
     assert evil not in page_of(campaign, runs, tmp_path)
 
 
@@ -250,14 +250,14 @@ def test_few_runs_make_a_page_too(write, tmp_path, count):
 
 def test_runs_without_numbers_make_a_page_too(write, tmp_path):
     campaign = load_campaign(write(samples=2))
-    runs = [Flown(0, "error", "boom"), Flown(1, "lost", "two workers died")]
+    runs = [FlownRun(0, "error", "boom"), FlownRun(1, "lost", "two workers died")]
     assert "boom" in page_of(campaign, runs, tmp_path)
 
 
 @pytest.mark.parametrize("columns", [{}, {"goal_rms_m": 1e-3, "gas_g": 1.0}])
 def test_many_runs_of_which_none_passed_make_a_page_too(write, tmp_path, columns):
     campaign = load_campaign(write(grid=[LAWS], draw=[MASS], samples=1000))
-    runs = [Flown(k, "error", "boom", columns) for k in range(3000)]
+    runs = [FlownRun(k, "error", "boom", columns) for k in range(3000)]
     assert "boom" in page_of(campaign, runs, tmp_path)
     campaign = load_campaign(write(draw=[MASS], samples=3000))
     assert "boom" in page_of(campaign, runs, tmp_path)

@@ -17,7 +17,7 @@ from testbed.campaign.engine import EngineError, workers
 from testbed.campaign.flight import Ended, open_journal
 from testbed.campaign.journal import JournalError
 from testbed.campaign.result import write_parquet
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.summary import summarise
 from testbed.campaign.sweep import load_campaign
 from testbed.campaign.trial import fly, fly_with_log
@@ -251,7 +251,7 @@ def test_what_a_law_prints_is_not_what_the_campaign_says(start, here):
 def test_words_in_brackets_are_words(here, capsys):
     (here / "try.toml").write_text(FILE.replace("cases.far", 'cases."[/far]"'))
     campaign = load_campaign(here / "try.toml")
-    runs = [Flown(k, "passed", columns={"gas_g": 1.0}) for k in range(campaign.count)]
+    runs = [FlownRun(k, "passed", columns={"gas_g": 1.0}) for k in range(campaign.count)]
     print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
     assert "[/far]" in capsys.readouterr().out
     start = Trial(0, [0.1], 1e6, 1, "error: [/boom]")
@@ -262,7 +262,7 @@ def test_words_in_brackets_are_words(here, capsys):
 def test_a_flight_that_ended_in_a_fault_is_named_with_its_seed(here, capsys):
     campaign = load_campaign(here / "try.toml")
     stuck = "sat1: valve_stuck_closed: jet 4 gives no thrust"
-    runs = [Flown(k, "fault", stuck, {"gas_g": 1.0}, seed=k, fault_t=12.3) for k in range(12)]
+    runs = [FlownRun(k, "fault", stuck, {"gas_g": 1.0}, seed=k, fault_t=12.3) for k in range(12)]
     print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
     said = capsys.readouterr().out
     assert "  run 7, seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4" in said
@@ -274,7 +274,7 @@ def test_what_is_not_safe_on_other_seeds_is_named(here, capsys):
     gain = {"key": "controller.bandwidth", "low": 0.1, "high": 0.6}
     (here / "tune.toml").write_text(tomli_w.dumps({**tune, "gain": [gain]}))
     tuning = load_tuning(here / "tune.toml")
-    unsafe = Flown(0, "fault", "sat1: leak: 3 %", {"gas_g": 1.0}, seed=1_000_004, fault_t=2.0)
+    unsafe = FlownRun(0, "fault", "sat1: leak: 3 %", {"gas_g": 1.0}, seed=1_000_004, fault_t=2.0)
     trial = judged(tuning, 0, [0.1], [unsafe])
     best = msgspec.structs.replace(trial, cost=1.0, broken=0)
     result = TuningResult(
@@ -364,7 +364,7 @@ def test_bench_scores_folders_into_a_page_and_never_over_the_twins(testbed, here
 
 def test_no_number_of_the_benchmark_is_cut_in_a_narrow_window(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
-    runs = [Flown(0, "passed", columns={"goal_rms_m": 0.000123, "clearance_m": 1.234567})]
+    runs = [FlownRun(0, "passed", columns={"goal_rms_m": 0.000123, "clearance_m": 1.234567})]
     print_scores([score("a_long_scenario", "a_very_long_law", runs)])
     assert {"0.123", "+1.235", "a_very_long_law", "obstacles"} <= set(
         capsys.readouterr().out.split()

@@ -13,8 +13,8 @@ from testbed.cli.drill import print_drill
 from testbed.config import ConfigError, find, load
 from testbed.faults.drill import NAMES, WHEN, Drilled, draw, summarise
 from testbed.metrics.admission import (
+    AdmissionFlight,
     AdmissionParams,
-    Flown,
     judge_flights,
     nearest_edge,
     nearest_rims,
@@ -23,7 +23,7 @@ from testbed.metrics.fault_line import mishap
 from testbed.metrics.run_metrics import Track
 from testbed.run.drill import EXPERIMENTS, drawn, fly_case
 
-GOOD = Flown(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
+GOOD = AdmissionFlight(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
 
 
 @pytest.mark.parametrize(

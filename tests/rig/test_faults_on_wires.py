@@ -58,7 +58,7 @@ def test_a_fault_is_named_and_ends_the_flight(kind, value, names):
     assert ending.fault.startswith("sat1: ")
     assert any(name in ending.fault for name in names), (ending.fault, noted.rows)
     assert rig.supervisor.phase == "FAULT"
-    assert rig.report.edges["sat1"][-1][1] == 0
+    assert rig.results.report.edges["sat1"][-1][1] == 0
     assert rig.touches == []
 
 
@@ -75,4 +75,4 @@ def test_the_law_dies_on_the_host_and_the_vehicle_is_brought_to_rest():
     rig, ending, noted = fly("raise_law", "deploy.law=host")
     assert "law on the host: SabotageError" in ending.fault
     assert "fleet" in noted.rows  # it was told, and stopped by itself
-    assert rig.report.edges["sat1"][-1][1] == 0
+    assert rig.results.report.edges["sat1"][-1][1] == 0
