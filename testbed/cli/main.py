@@ -355,7 +355,9 @@ def entry() -> None:
         from testbed.cli.refusal import refuse
 
         code = _say_no_more(refuse(error))
-    except Exception:  # a bug: errors in files, connections and laws are handled above
+    # Errors in files, connections and laws are handled above, so this is a bug, of any class: it
+    # gets its traceback and exit code 70.
+    except Exception:
         from testbed.cli.refusal import confess
 
         code = confess()

@@ -101,7 +101,9 @@ class Bar(CampaignObserver):
     def _is_nobody_there(self) -> bool:
         try:
             return self._count_workers is not None and self._count_workers() == 0
-        except Exception:  # the main thread reports a lost cluster
+        # Dask raises errors of many classes for a lost cluster, which the main thread reports;
+        # an exception here would only end the progress line.
+        except Exception:
             return False
 
     def line(self, now: float, nobody: bool) -> str:
