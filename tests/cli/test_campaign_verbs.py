@@ -14,7 +14,7 @@ import tomli_w
 
 from testbed.campaign.benchmark import score
 from testbed.campaign.engine import EngineError, workers
-from testbed.campaign.flight import Ended, open_journal
+from testbed.campaign.flight import CampaignEnd, open_journal
 from testbed.campaign.journal import JournalError
 from testbed.campaign.result import write_parquet
 from testbed.campaign.row import FlownRun
@@ -252,7 +252,7 @@ def test_words_in_brackets_are_words(here, capsys):
     (here / "try.toml").write_text(FILE.replace("cases.far", 'cases."[/far]"'))
     campaign = load_campaign(here / "try.toml")
     runs = [FlownRun(k, "passed", columns={"gas_g": 1.0}) for k in range(campaign.count)]
-    print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
+    print_summary(summarise(campaign, "hold", CampaignEnd(runs, 0, 1.0, [])), campaign, runs, here)
     assert "[/far]" in capsys.readouterr().out
     start = Trial(0, [0.1], 1e6, 1, "error: [/boom]")
     print_result(None, TuningResult("t", 1, 0, None, start, 0, None, 0, None, 0, {}), here)
@@ -263,7 +263,7 @@ def test_a_flight_that_ended_in_a_fault_is_named_with_its_seed(here, capsys):
     campaign = load_campaign(here / "try.toml")
     stuck = "sat1: valve_stuck_closed: jet 4 gives no thrust"
     runs = [FlownRun(k, "fault", stuck, {"gas_g": 1.0}, seed=k, fault_t=12.3) for k in range(12)]
-    print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
+    print_summary(summarise(campaign, "hold", CampaignEnd(runs, 0, 1.0, [])), campaign, runs, here)
     said = capsys.readouterr().out
     assert "  run 7, seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4" in said
     assert "and 2 more in summary.json" in said
