@@ -7,8 +7,8 @@ know its origin, the culprit; the other vehicles follow.
 from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple
 
+from testbed.config.experiment import Experiment
 from testbed.logs.feed import SeenTick
-from testbed.report.scenario import Scenario
 
 Level = Literal["INFO", "WARN", "ERROR", "CRITICAL"]
 SHORT = 44  # most letters of a fault in the banner
@@ -25,7 +25,7 @@ STOPPING = ("brake", "coast", "land")
 RANK: tuple[Level, ...] = ("CRITICAL", "ERROR", "WARN", "INFO")
 
 
-def follows(scenario: Scenario, fault: str) -> bool:
+def follows(scenario: Experiment, fault: str) -> bool:
     """Whether a fault only reports the fault of another vehicle."""
     row = scenario.faults.get(fault.partition(":")[0])
     return row is not None and row.detector == "fleet"
@@ -53,7 +53,7 @@ def _state(tick: SeenTick) -> str:
 class Trouble:
     """Vehicles with faults, in order of time, and which of these faults are their own."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Experiment) -> None:
         self._scenario = scenario
         self._since: dict[str, float] = {}
 
@@ -112,7 +112,7 @@ class Said(NamedTuple):
 class Story:
     """Converts events of vehicles and supervisor to lines: each fault once, the culprit first."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Experiment) -> None:
         self._scenario = scenario
         self._known: set[str] = set()  # faults already reported
 
