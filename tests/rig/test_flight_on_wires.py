@@ -201,7 +201,7 @@ def test_an_operator_says_stop(capsys):
         threading.Timer(2.0, stop_everything, (endpoint[0], "lab")).start()
 
     rig, ending, _, met = fly("hold", "duration_s=30", when_started=stop_later)
-    assert ending.fault == "stopped by the operator"
+    assert ending.fault.words == "stopped by the operator"
     assert ending.t < 20.0
     assert rig.report.left_as["sat1"] == ("SAFE", [])
     assert "  sat1: stops\n" in capsys.readouterr().out
