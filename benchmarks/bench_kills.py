@@ -106,7 +106,7 @@ rig.way = way
 signal.signal(signal.SIGUSR1, cut)
 rig.on_start = started
 ending = rig.fly(Told())
-print(json.dumps(["end", ending.t, ending.fault]), flush=True)
+print(json.dumps(["end", ending.t, ending.fault and ending.fault.words]), flush=True)
 """
 
 

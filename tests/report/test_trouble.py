@@ -73,8 +73,9 @@ def test_one_sentence_once():
     rows = [
         ("sat1", response(2.1, "brake", "fleet")), ("sat1", fault(2.1, OTHERS)),
         ("sat2", response(2.1, "brake", "fleet")), ("sat2", fault(2.1, OTHERS)),
-        ("sat3", Happening(2.0, "valves shut")), ("sat3", response(2.0, "land", "valve_stuck_open")),
-        ("sat3", fault(2.0, STUCK)), ("sat3", response(2.2, "land", "pose_stale", "fleet")),
+        ("sat3", Happening(2.0, "valves shut")),
+        ("sat3", response(2.0, "land", "valve_stuck_open")), ("sat3", fault(2.0, STUCK)),
+        ("sat3", response(2.2, "land", "pose_stale", "fleet")),
         ("sat1", Happening(2.8, "valves shut")), (SUPERVISOR, end),
     ]  # fmt: skip
     lines = Story(SCENARIO).tell(rows)

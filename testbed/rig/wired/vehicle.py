@@ -23,7 +23,6 @@ from testbed.config import Experiment
 from testbed.core.error import TestbedError
 from testbed.files import write_atomic
 from testbed.flight.loop import VehicleNode, fly
-from testbed.mocap.body_monitor import BodyMonitor
 from testbed.mocap.poses import MocapPoses
 from testbed.mocap.source import make_source
 from testbed.net.clock import HostClock, Reader, read_clock
@@ -160,7 +159,7 @@ def fly_vehicle(
             sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
         for ear in strangers:
             ear.close()
-        poses = MocapPoses(source, wires.mocap, clock, name, BodyMonitor())
+        poses = MocapPoses(source, wires.mocap, clock, name)
         flight = Flight(
             party, thrusters, poses, tower, config_id(experiment), drift, link, process_faults
         )
