@@ -29,7 +29,9 @@ def watched(experiment: Experiment) -> AbstractContextManager[object]:
     """The timer for calls of the experiment's law, in the process that calls it."""
     deploy, period = experiment.deploy, experiment.flight.jet_period_s
     limit = deploy.call_limit(period)
-    return watching(experiment.controller, limit, deploy.law_memory_mb, period)
+    # the host calls the law for one vehicle after the other
+    calls = len(experiment.vehicles) if deploy.law == "host" else 1
+    return watching(experiment.controller, limit, deploy.law_memory_mb, period / calls)
 
 
 def make_guidance(
