@@ -11,11 +11,13 @@ from testbed.core.types import Inputs, PoseSample, Setpoint, State, Trajectory, 
 from testbed.core.vehicle import Vehicle
 from testbed.flight.gate import is_number
 from testbed.flight.jet_faults import Array, JetFaultDetector, Suspicion
+from testbed.flight.nearby import Nearby, place
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
 TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
 TRUSTED = 8  # most refused poses for evidence about valves
 SAME_CLOCK = 0.005  # largest clock offset for evidence about valves [s]
+ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
 FAR = 0.05  # a pose this far from the own prediction is not the own one [m]
 
 
@@ -34,12 +36,6 @@ class Repeats:
             last, count = s, count + 1 if same else 0
         self._last, self._count = last, count
         return count
-
-
-def place(state: State, t: float) -> tuple[float, float]:
-    """Position of a vehicle at `t` at constant velocity."""
-    h = t - state.t
-    return state.pose.x + h * state.twist.vx, state.pose.y + h * state.twist.vy
 
 
 def jump(before: State | None, samples: Sequence[PoseSample]) -> float:
@@ -73,12 +69,14 @@ def due_at(setpoint: Setpoint) -> float:
 class Detectors:
     """All detectors of one vehicle."""
 
-    def __init__(self, vehicle: Vehicle, evidence: JetFaultDetector, *, noisy: bool) -> None:
+    def __init__(
+        self, vehicle: Vehicle, evidence: JetFaultDetector, nearby: Nearby, *, noisy: bool
+    ) -> None:
         """`noisy` cameras never repeat a pose exactly; others may, for a vehicle at rest."""
         self._set_pressure, self._full = vehicle.air.set_pressure, vehicle.air.tank_pressure
         self._tank: tuple[float, float] | None = None  # time [s] and pressure [Pa] at the last tick
         self._repeats = Repeats() if noisy else None
-        self._evidence = evidence
+        self._evidence, self._nearby = evidence, nearby
         self._before: State | None = None
         self.said: dict[str, str] = {}  # text for a detector's number, if it has one
 
@@ -122,7 +120,7 @@ class Detectors:
         for name, one in inputs.neighbours.items():
             if inputs.t - one.t > oldest:
                 oldest, self.said["neighbour_age"] = inputs.t - one.t, name
-        leak, weak, either = self._suspicions()
+        leak, weak, either = self._suspicions(inputs, state)
         law_error = law_error or vitals.law_error
         if law_error or other or vitals.fleet:
             self.said |= {
@@ -161,18 +159,25 @@ class Detectors:
             1.0 if vitals.fleet else 0.0,
         )
 
-    def _suspicions(self) -> tuple[Suspicion, Suspicion, float]:
+    def _suspicions(
+        self, inputs: Inputs, state: State | None
+    ) -> tuple[Suspicion, Suspicion, float]:
         """The suspected leaking jet, the suspected weak jet, and the sigmas that one is faulty."""
         evidence, said = self._evidence, self.said
         leak, weak = evidence.open, evidence.weak
+        may_leak, or_weak = evidence.either
+        touched = ""
+        if state is not None and may_leak.sigmas > ALERT:
+            self._nearby.look(inputs.t, state, inputs.neighbours)
+            touched = self._nearby.contact(inputs.t)
+            touched = touched and f"{touched} or "
         if leak.gain > 0.0:
             said["jet_open"] = str(leak.jet + 1)
-            said["jet_leaks"] = f"{leak.jet + 1} gives {leak.size:.0%}"
+            said["jet_leaks"] = f"{touched}valve leaks? jet {leak.jet + 1} gives {leak.size:.0%}"
         if weak.gain > 0.0:
             said["jet_missing"] = str(weak.jet + 1)
-        may_leak, or_weak = evidence.either
         if may_leak.gain > 0.0:
-            said["jet_leaks_or_weak"] = f"jet {may_leak.jet + 1} leaks"
+            said["jet_leaks_or_weak"] = f"{touched}jet {may_leak.jet + 1} leaks"
             if leak.gain == 0.0:
                 said["jet_leaks_or_weak"] += f" or jet {or_weak.jet + 1} gives too little"
         return leak, weak, may_leak.sigmas

@@ -17,6 +17,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -32,7 +33,7 @@ READ_S = 30.0  # limit for reading a law's file: it may import large packages
 FIRST_S = 10.0  # limit for the first calls, before the flight, without numba's compilation
 HURRY_S = 0.5  # limit for a call that continues after the operator's stop
 LOOKS = 4  # timer ticks before the limit: a suspended process is not a hanging law
-WAITS = "/proc/thread-self/schedstat"  # second number: waits for a free core [ns]
+WAITS = Path("/proc/thread-self/schedstat")  # second number: waits for a free core [ns]
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 FEW = 3  # calls needed to warn of a slow law; on wires a flight ends after this many slow ones
 MANY = 10  # calls needed to call it a fault
@@ -68,7 +69,7 @@ class LawWatch:
         self._stack.callback(signal.signal, signal.SIGALRM, before)
         self._stack.callback(signal.setitimer, signal.ITIMER_REAL, 0.0)
         self._statm = self._open("/proc/self/statm")
-        self._waits = self._open(WAITS) if os.path.exists(WAITS) else None
+        self._waits = self._open(str(WAITS)) if WAITS.exists() else None
         heartbeat().law, heartbeat().limits = self.name, (self.limit_s, self.memory_mb)
         _open_watches.append(self)
         self._stack.callback(_open_watches.remove, self)
