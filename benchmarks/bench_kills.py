@@ -107,7 +107,7 @@ rig = WireRig(experiment, bench=True, keep=Path(sys.argv[2]), relay=way)
 signal.signal(signal.SIGUSR1, cut)
 rig.on_start = started
 ending = rig.fly(Told())
-print(json.dumps(["end", ending.t, ending.fault]), flush=True)
+print(json.dumps(["end", ending.t, ending.fault and ending.fault.words]), flush=True)
 """
 
 

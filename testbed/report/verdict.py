@@ -9,7 +9,6 @@ from typing import Literal, NamedTuple
 
 from testbed.config.experiment import Experiment
 from testbed.metrics.run_metrics import Metrics, Touch
-from testbed.report.fault_story import short
 
 UNCOUNTED = -1  # contacts of a run that was killed before they were counted
 SHOWN_TOUCHES = 3
@@ -84,8 +83,11 @@ def reasons(scenario: Experiment, metrics: Metrics) -> list[str]:
         found.append(f"{more} more {'contacts' if more > 1 else 'contact'}")
     found += metrics.red
     if metrics.fault and not metrics.red:
-        who, _, fault = metrics.fault.partition(": ")
-        found.append(f"{who}: {short(fault)}" if who in scenario.vehicles else metrics.fault)
+        report = metrics.fault_report
+        if report is None or report.vehicle not in scenario.vehicles:
+            found.append(metrics.fault)
+        else:
+            found.append(f"{report.vehicle}: {report.title}")
     return found
 
 

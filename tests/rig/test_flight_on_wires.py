@@ -207,7 +207,7 @@ def test_an_operator_says_stop(capsys):
         threading.Timer(2.0, stop_everything, (endpoint[0], "lab")).start()
 
     rig, ending, _, met = fly("hold", "duration_s=30", when_started=stop_later)
-    assert ending.fault == "stopped by the operator"
+    assert ending.fault.words == "stopped by the operator"
     assert ending.t < 20.0
     assert rig.results.report.left_as["sat1"] == ("SAFE", [])
     assert "  sat1: stops\n" in capsys.readouterr().out
@@ -223,7 +223,7 @@ def test_a_vehicle_is_stopped_without_its_host():
         threading.Timer(2.0, stop_directly, (endpoint, "lab", None, ["sat1"], "a", 5.0)).start()
 
     rig, ending, _, met = fly("hold", "duration_s=30", when_started=stop_later)
-    assert "stopped by the operator" in ending.fault
+    assert ending.fault.words == "stopped by the operator"
     assert ending.t < 20.0
     after = rig.come_to_rest(ending, NullObserver())
     assert (after.contacts, after.air) == (0, "off")
