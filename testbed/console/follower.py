@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from testbed.config import ConfigError, load
+from testbed.config import ConfigError, Experiment, load
 from testbed.console.checklist import of_reasons, read_checks
 from testbed.console.hub import Hub
 from testbed.console.picture import LivePicture
@@ -19,7 +19,6 @@ from testbed.console.scene import scene
 from testbed.logs.feed import LogFeed
 from testbed.logs.log_reader import LogError, LogReader, config_of
 from testbed.metrics.run_metrics import Metrics
-from testbed.report.scenario import Scenario
 
 PERIOD_S = 0.1
 BATCH = 5000  # messages between two pictures when catching up
@@ -62,7 +61,7 @@ class Follower:
             self._read(feed, picture)
         left.wait()
 
-    def _experiment(self, left: Event) -> Scenario | None:
+    def _experiment(self, left: Event) -> Experiment | None:
         while not left.is_set():
             try:
                 return load(config_of(self._run))

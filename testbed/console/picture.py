@@ -5,8 +5,10 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Any, TypeVar
 
+from testbed.config import Experiment
 from testbed.console.tiles import Judge
 from testbed.console.valve_pulses import Pulse, Pulses
+from testbed.core.codes import Response
 from testbed.logs.feed import (
     News,
     SeenHost,
@@ -17,10 +19,9 @@ from testbed.logs.feed import (
     pose_of,
     stopping_point,
 )
-from testbed.logs.history import camera_events, events
+from testbed.logs.history import Happening, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
-from testbed.report.fault_story import OVER, STOPPING_TOO, SUPERVISOR, Said, Story, Trouble, follows
-from testbed.report.scenario import Scenario
+from testbed.report.fault_story import OVER, STOPPING_TOO, SUPERVISOR, Said, Story, Trouble
 
 SILENT_S = 1.0  # a vehicle without a tick for this long is silent
 LOSS_S = 5.0  # over which the share of lost messages is taken
@@ -32,7 +33,7 @@ T = TypeVar("T")
 class LivePicture:
     """The state of one run; `take` messages, then read `now` and what is new since then."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Experiment) -> None:
         self._scenario, self._names = scenario, list(scenario.vehicles)
         self.t = 0.0  # newest message of the run [s]
         self.phase = SeenPhase(0.0, "")  # of the supervisor
@@ -59,7 +60,7 @@ class LivePicture:
 
     def take(self, news: Iterable[News]) -> None:
         """Take messages in."""
-        rows: list[tuple[float, str, str]] = []
+        rows: list[tuple[str, Happening]] = []
         for _, who, t, message in news:
             self.t = max(self.t, t)
             match message:
@@ -75,20 +76,20 @@ class LivePicture:
                     for name, m in vehicles.items():
                         self._true.add(name)
                         self._stand(name, t, m.x, m.y, m.theta)
-                case SeenPhase(t=at, phase=phase, because=because):
+                case SeenPhase():
                     self.phase = message
-                    rows.append((at, SUPERVISOR, f"{phase}: {because}"))
+                    rows.append((SUPERVISOR, phase_change(message)))
         self._trouble.see(self._ticks)
         self.said += self._story.tell(rows)
 
-    def _tick(self, name: str, tick: SeenTick) -> list[tuple[float, str, str]]:
+    def _tick(self, name: str, tick: SeenTick) -> list[tuple[str, Happening]]:
         previous = [self._ticks[name]] if name in self._ticks else []
         fresh = events([*previous, tick])[len(events(previous)) :]
         self._ticks[name] = tick
         self.pulses += self._pulses[name].planned(tick)
         if (state := tick.outputs.state) is not None and name not in self._true:
             self._stand(name, tick.inputs.t, state.pose.x, state.pose.y, state.pose.theta)
-        return [(t, name, words) for t, words in fresh]
+        return [(name, one) for one in fresh]
 
     def _stand(self, name: str, t: float, x: float, y: float, theta: float) -> None:
         self._places[name] = x, y, theta
@@ -103,11 +104,11 @@ class LivePicture:
         fresh = own is not None and (old is None or own.t > old.t)
         _push(self._fresh[name], host.inputs.t, fresh)
 
-    def _pace(self, name: str, t: float, pace: SeenPace) -> list[tuple[float, str, str]]:
+    def _pace(self, name: str, t: float, pace: SeenPace) -> list[tuple[str, Happening]]:
         seen = self._paces[name]
         before = seen[-1][1].cameras if seen else ""
         _push(seen, t, pace)
-        return [(at, name, words) for at, words in camera_events([(t, pace)], before)]
+        return [(name, one) for one in camera_events([(t, pace)], before)]
 
     # Now
 
@@ -136,7 +137,7 @@ class LivePicture:
         if fault := self._trouble.banner(self._ticks):
             return fault, "bad"
         if self.phase.phase == "FAULT":
-            return f"FAULT {self.phase.because}", "bad"
+            return f"FAULT {phase_change(self.phase).words}", "bad"
         return "", "ok"
 
     def _vehicle(self, name: str, culprits: dict[str, str], known: dict[str, Any]) -> Any:
@@ -168,20 +169,20 @@ class LivePicture:
         out, silent = tick.outputs, self.t - tick.inputs.t
         if name in culprits:
             return f"FAULT: {culprits[name]}", "bad"
-        if out.fault and follows(self._scenario, out.fault):
+        if out.fault is not None and out.fault.cause is not None:
             return STOPPING_TOO, "warn"  # red is for the culprit
-        if out.fault:
-            return out.fault, "bad"
+        if out.fault is not None:
+            return out.fault.title, "bad"
         if self.over:
             return "flight over", "off"
         if silent > SILENT_S:
             return f"silent for {silent:.1f} s", "bad"
         if out.inhibit_reason:
-            return f"waits: {out.inhibit_reason}", "warn"
-        if out.response in ("hold", "brake", "coast", "land"):
-            return out.response, "warn"
+            return f"waits: {out.inhibit_reason.words}", "warn"
+        if out.response >= Response.HOLD:
+            return out.response.words, "warn"
         if out.filtered is not None:
-            return f"flies, filter: {out.filtered.because}", "warn"
+            return f"flies, filter: {out.filtered.words}", "warn"
         return "flies", "ok"
 
     def _link(self, name: str) -> tuple[float | None, float]:

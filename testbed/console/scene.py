@@ -4,13 +4,14 @@ from typing import Any
 
 import numpy as np
 
+from testbed.config import Experiment
 from testbed.report.goal_error import GoalError, goal_at
-from testbed.report.scenario import Scenario, law_of, range_of
+from testbed.report.law import law_of, range_of
 
 POINTS = 121  # of a planned path
 
 
-def scene(scenario: Scenario) -> dict[str, Any]:
+def scene(scenario: Experiment) -> dict[str, Any]:
     """What the page draws once."""
     width, height = scenario.table.size
     reach = max(one.model.radius for one in scenario.vehicles.values())

@@ -19,7 +19,7 @@ import zenoh
 from testbed.net.direct_stop import stop_directly
 from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, answers, dial
-from testbed.net.stop import ANSWER_S, Flight, end_twin, known_flights, runs
+from testbed.net.stop import ANSWER_S, StoppableFlight, end_twin, known_flights, runs
 
 LOOK_S = 0.5  # between two looks at the connections
 OPEN_S = 1.0  # time for a host's handshake
@@ -48,7 +48,7 @@ class Stopper:
 
     def __init__(self, run: Path) -> None:
         self._run, self._lock = str(run.absolute()), Lock()
-        self._note: tuple[Path, Flight] | None = None
+        self._note: tuple[Path, StoppableFlight] | None = None
         self._host: zenoh.Session | None = None
         self.ways = NONE
         self._answered: dict[str, Future[dict[str, Any]]] = {}  # by press
@@ -72,7 +72,7 @@ class Stopper:
             left.wait(LOOK_S)
         self._hang_up()
 
-    def _reaches_host(self, flight: Flight) -> bool:
+    def _reaches_host(self, flight: StoppableFlight) -> bool:
         if self._host is None:
             with suppress(NetworkError):
                 self._host = dial(flight.endpoint, 0.0, _keys(flight), OPEN_S)
@@ -114,7 +114,7 @@ class Stopper:
             return {"lines": [f"{flight.name}: not asked: {error}"], "sent": False}
         return {"lines": [f"{flight.name} on the twin: stops"], "sent": True}
 
-    def _stop_wires(self, flight: Flight) -> dict[str, Any]:
+    def _stop_wires(self, flight: StoppableFlight) -> dict[str, Any]:
         heard, stop = set[str](), secrets.token_hex(8)
         expected = set(flight.vehicles)
 
@@ -140,7 +140,7 @@ class Stopper:
         return {"lines": lines or ["no vehicle answered"], "sent": bool(heard)}
 
 
-def _keys(flight: Flight) -> Path | None:
+def _keys(flight: StoppableFlight) -> Path | None:
     return Path(flight.keys) if flight.keys else None
 
 

@@ -8,9 +8,9 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from testbed.config import Experiment
 from testbed.core.types import State
 from testbed.logs.feed import SeenTick
-from testbed.report.scenario import Scenario
 
 WINDOW_S = 60.0  # over which the rate of gas is taken
 SHORTEST_S = 5.0  # before that there is no rate
@@ -43,7 +43,7 @@ class Bounds(NamedTuple):
         return "warn" if sign * value > sign * self.warn else "ok"
 
 
-def bounds(scenario: Scenario, detector: str) -> Bounds:
+def bounds(scenario: Experiment, detector: str) -> Bounds:
     """The limits of a detector."""
     rows = [row for row in scenario.faults.values() if row.detector == detector]
     is_floor = any(row.below is not None for row in rows)
@@ -99,7 +99,7 @@ class Gas:
 class Judge:
     """Makes the numbers of one vehicle's tile."""
 
-    def __init__(self, scenario: Scenario, name: str) -> None:
+    def __init__(self, scenario: Experiment, name: str) -> None:
         self._scenario, self._name = scenario, name
         model = scenario.vehicles[name].model
         self._model, air = model, model.air

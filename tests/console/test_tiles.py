@@ -11,6 +11,7 @@ from testbed.console.checklist import TO_DO, of_reasons, read_checks, what_to_do
 from testbed.console.picture import LivePicture
 from testbed.console.tiles import Bounds, Gas, bounds
 from testbed.console.valve_pulses import Pulses
+from testbed.core.codes import FaultReport, Response
 from testbed.core.types import Accel, Health, Pose, State, Twist, ValveCommand
 from testbed.flight.arming import Check
 from testbed.logs.feed import News, SeenInputs, SeenOutputs, SeenPhase, SeenTick, SeenValves
@@ -85,8 +86,8 @@ def test_gas_is_told_in_minutes_at_this_rate():
 
 
 def test_a_fault_names_its_vehicle_and_what_it_says(experiment):
-    words = "valve_open: valve stuck open?"
-    picture = seen(experiment, tick(1.0), tick(1.1, fault=words, response="land"))
+    fault = FaultReport("valve_stuck_open", "valve stuck open?", detector="jet_open")
+    picture = seen(experiment, tick(1.0), tick(1.1, fault=fault, response=Response.LAND))
     _, car = numbers(picture)
     assert (car["level"], car["culprit"]) == ("bad", True)
     assert car["state"].startswith("FAULT: valve stuck open")
