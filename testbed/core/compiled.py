@@ -64,7 +64,14 @@ def _is_ours_throughout(kind: Any) -> bool:
         return all(_is_ours_throughout(part) for part in kind)
     if isinstance(kind, types.Array):
         return _is_ours_throughout(kind.dtype)
-    known = (types.Number, types.Boolean, types.UnicodeType, types.Literal, types.NoneType)
+    known = (
+        types.Record,
+        types.Number,
+        types.Boolean,
+        types.UnicodeType,
+        types.Literal,
+        types.NoneType,
+    )
     return isinstance(kind, (*known, types.Omitted))
 
 
@@ -118,6 +125,8 @@ def settled(function: F) -> F:
     This is not checked (tests/experiments/test_settled.py flies with the types compared at every
     call).
     """
+    if config.DISABLE_JIT:  # plain Python, for a debugger
+        return function
     direct: Callable[..., Any] | None = None
     whole: list[int] = []  # indices of integer arguments
 
@@ -155,6 +164,8 @@ def _look(value: Any) -> Any:
         raise TypeError(f"expected arrays, tuples and numbers, found a {type(value).__name__}")
     if isinstance(value, np.ndarray):
         return value.dtype, value.ndim, value.flags.num
+    if isinstance(value, np.void):  # a record
+        return value.dtype
     return (type(value), *map(_look, value)) if isinstance(value, tuple) else type(value)
 
 

@@ -13,9 +13,9 @@ from msgspec import Struct
 from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Vehicle
-from testbed.flight.agent import FlightParams
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import GuidanceParams
+from testbed.flight.parameters import FlightParams
 from testbed.metrics.run_metrics import Criteria
 
 
