@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from testbed.core.codes import InhibitReason, Refusal, Response
+from testbed.core.codes import FaultReport, InhibitReason, Refusal, Response
 from testbed.core.types import Accel, Pose, Reference, State, Trajectory, Twist, Wrench
 from testbed.flight import (
     allocation,
@@ -219,10 +219,26 @@ class JetFaultDetector:
         )
 
 
-def count_repeats():
-    """`detectors.count_repeats` of a new vehicle."""
-    m = np.zeros(1, detectors.MEMORY)[0]
-    return lambda samples: detectors.count_repeats(m, poses(samples))
+class Detectors:
+    """Single detectors of the stage `detectors`."""
+
+    def __init__(self, before=None):
+        self.m = np.zeros(1, detectors.MEMORY)[0]
+        if before is not None:
+            pose, twist = before.pose, before.twist
+            self.m.known, self.m.before[:] = 1, (before.t, pose.x, pose.y, twist.vx, twist.vy)
+
+    def count_repeats(self, samples):
+        return detectors.count_repeats(self.m, poses(samples))
+
+    def jump(self, samples):
+        return detectors.jump(self.m, poses(samples))
+
+    @staticmethod
+    def whose(jumped, samples, others):
+        rows = [(o.pose.x, o.pose.y, o.twist.vx, o.twist.vy, 0.0, o.t) for o in others.values()]
+        k = detectors.whose(jumped, poses(samples), np.array(rows))
+        return list(others)[k] if k >= 0 else None
 
 
 class Gate:
@@ -231,9 +247,7 @@ class Gate:
     def __init__(self, params, fence):
         self.p, self.m = gate.limits_of(params, fence), np.zeros(1, gate.MEMORY)[0]
 
-    def refuse(
-        self, t, armed, state, setpoint, wrench, health, *, session_ok=True, braking=False
-    ):
+    def refuse(self, t, armed, state, setpoint, wrench, health, *, session_ok=True, braking=False):
         row = np.zeros(1, ROW)[0]
         row.told.effect_at, row.told.armed, row.told.session_ok = t, armed, session_ok
         row.told.supply_pressure = health.supply_pressure
@@ -263,21 +277,28 @@ class Verdict(NamedTuple):
 
     response: Response
     holding: tuple
-    fault: str | None
+    fault: FaultReport | None
+
+
+QUIET = Verdict(Response.NONE, (), None)
 
 
 class FaultMonitor:
     """The stage `fault_monitor`."""
 
     def __init__(self, table):
-        self.names, self.p = list(table), fault_monitor.rows_of(table)
+        self.table, self.names, self.p = table, list(table), fault_monitor.rows_of(table)
         self.counters, self.row = make_memory(1, 1, 1, len(table))[0].counters, np.zeros(1, ROW)[0]
+        self.reports = {}
 
-    def look(self, t, armed, numbers):
+    def look(self, t, armed, numbers, said=""):
         done = self.row.done
         fault_monitor.look(self.p, self.counters, float(t), armed, np.array(numbers, float), done)
         holds = tuple(n for n, k in zip(self.names, self.counters.holds, strict=True) if k)
-        fault = None if done.fault < 0 else self.names[done.fault]
+        for name in self.latched:
+            value = self.counters.value[self.names.index(name)]
+            self.reports.setdefault(name, self.table[name].report(name, value, said, None))
+        fault = None if done.fault < 0 else self.reports[self.names[done.fault]]
         return Verdict(Response(done.response), holds, fault)
 
     @property
@@ -287,6 +308,7 @@ class FaultMonitor:
 
     def reset(self):
         fault_monitor.reset(self.counters)
+        self.reports.clear()
 
 
 class Safety:
@@ -330,3 +352,9 @@ class Safety:
 
     def reset(self):
         chain.reset(self.agent.memory)
+
+
+def longest_brake(params, speed, decel):
+    """`safety.longest_brake` with the ending of an experiment."""
+    brakes = safety.Brakes(decel, params.brake_s, params.margin, params.settle_s)
+    return safety.longest_brake(brakes, float(speed), float(decel))

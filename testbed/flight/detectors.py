@@ -63,13 +63,9 @@ def measure(p, m, suspected, row, samples, neighbours, finite, spare):
         spare: room left after a full stop [m].
     """
     told, state, done = row.told, row.state, row.done
-    age = rejected = jumped = 0.0
-    done.other = done.oldest = -1
-    if samples.shape[0] > 0 and m.known == 1:
-        newest = samples[-1]
-        x, y = place(m.before[0], m.before[1:], newest[0])
-        jumped = length(newest[1] - x, newest[2] - y)
-        done.other = whose(jumped, newest, neighbours)
+    age = rejected = 0.0
+    jumped = jump(m, samples)
+    done.other, done.oldest = whose(jumped, samples, neighbours), -1
     m.known = state.known
     if state.known == 1:
         age, rejected = state.pose_age, float(state.rejected)
@@ -126,9 +122,20 @@ def place(then, motion, t):
 
 
 @compiled
-def whose(jumped, newest, neighbours):
+def jump(m, samples):
+    """Distance of the newest pose from the prediction of the last estimate [m]."""
+    if m.known == 0 or samples.shape[0] == 0:
+        return 0.0
+    newest = samples[-1]
+    x, y = place(m.before[0], m.before[1:], newest[0])
+    return length(newest[1] - x, newest[2] - y)
+
+
+@compiled
+def whose(jumped, samples, neighbours):
     """The neighbour whose prediction matches the newest pose; -1: none."""
-    if jumped > FAR:
+    if jumped > FAR and samples.shape[0] > 0:
+        newest = samples[-1]
         for k in range(neighbours.shape[0]):
             x, y = place(neighbours[k, 5], neighbours[k], newest[0])
             if length(newest[1] - x, newest[2] - y) < min(SAME_PLACE, jumped):
