@@ -106,12 +106,13 @@ def inlined(function: F) -> F:
 
 
 def pasted(function: F) -> F:
-    """Compile `function` only as part of its callers.
+    """The same, compiled as part of its callers.
 
-    For a function with many arguments and one caller: it is compiled once and not twice. No call
-    holds references to its arguments, so the caller must `keep` the arguments that it borrows.
+    For a function with one caller: machine code of a function is optimised again in each of its
+    callers, and theirs, so every level of calls costs seconds of compiling. No call holds
+    references to its arguments, so the caller must `keep` the arguments that it borrows.
     """
-    return cast(F, numba.njit(error_model="numpy", inline="always")(function))
+    return _compiled(function, inline="always")
 
 
 def settled(function: F) -> F:
@@ -169,8 +170,8 @@ def _look(value: Any) -> Any:
     return (type(value), *map(_look, value)) if isinstance(value, tuple) else type(value)
 
 
-def _compiled(function: F, *, forceinline: bool = False) -> F:
-    dispatcher: Any = numba.njit(**LEAN, forceinline=forceinline)(function)
+def _compiled(function: F, **options: Any) -> F:
+    dispatcher: Any = numba.njit(**LEAN, **options)(function)
     if is_ours(function):
         dispatcher._cache = OwnTypesCache(function)  # as `cache=True`, with another class
     return cast(F, dispatcher)

@@ -10,9 +10,10 @@ outputs bit for bit, which is what replay checks.
 import math
 
 from testbed.core.codes import InhibitReason
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, pasted
 from testbed.flight import detectors, estimator, fault_monitor, gate, safety, tracker
 from testbed.flight.allocation import allocate
+from testbed.flight.detectors import compare
 from testbed.flight.flow import flow_shares
 from testbed.flight.modulation import pulses
 from testbed.flight.plan import WEAKEST, in_microseconds
@@ -34,7 +35,7 @@ def step(p, memory, row, samples, references, neighbours):
     act(p, memory, row, samples, references, neighbours)
 
 
-@compiled
+@pasted
 def see(p, memory, row, samples):
     """Write the estimate for the time at which the next pulses take effect."""
     m, told = memory.fixed[0].estimator, row.told
@@ -42,7 +43,7 @@ def see(p, memory, row, samples):
     estimator.predict(p.model, m, memory.fired, told.effect_at, told.t, row.state)
 
 
-@compiled
+@pasted
 def act(p, memory, row, samples, references, neighbours):
     """From the estimate and the setpoint to valve times."""
     m, told, state, done = memory.fixed[0], row.told, row.state, row.done
@@ -63,15 +64,13 @@ def act(p, memory, row, samples, references, neighbours):
     plan(p, memory, row, wrench, thrust_scale)
 
 
-@compiled
+@pasted
 def watch(p, memory, row, samples, neighbours, demanded, spare):
     """Detectors and fault monitor: write what they find to `row.done`."""
     m, told, done = memory.fixed[0], row.told, row.done
     armed = told.armed == 1
     if row.state.known == 1 and armed:
-        detectors.compare(
-            p.jets_known, m.jet_faults, memory.heard, row, memory.flowed, m.thrust_scale
-        )
+        compare(p.jets_known, m.jet_faults, memory.heard, row, memory.flowed, m.thrust_scale)
     finite = gate.is_number(demanded)
     detectors.measure(p.sensors, m.detectors, m.jet_faults, row, samples, neighbours, finite, spare)
     # a fault after the end gets its response, but is not latched
@@ -79,7 +78,7 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
     fault_monitor.look(p.rows, memory.counters, told.t, latches, row.numbers, done)
 
 
-@compiled
+@pasted
 def refuse(p, m, row, shut):
     """Ask the gate; `shut` is the reason of the fault table, 0: none."""
     told, done = row.told, row.done
@@ -95,7 +94,7 @@ def refuse(p, m, row, shut):
             done.inhibit = InhibitReason.FLIGHT_OVER.value
 
 
-@compiled
+@pasted
 def plan(p, memory, row, wrench, thrust_scale):
     """The plan for a wrench, or a plan with every valve shut.
 

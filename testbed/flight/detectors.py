@@ -2,9 +2,10 @@
 
 from typing import NamedTuple
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
 from testbed.flight import jet_faults
+from testbed.flight.jet_faults import look, pause
 from testbed.flight.record import NO_SETPOINT, record
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
@@ -34,7 +35,7 @@ MEMORY = record(
 )
 
 
-@compiled
+@pasted
 def compare(p, m, heard, row, duty, thrust_scale):
     """Compare the motion with the flow of the last plan; see `jet_faults.look`.
 
@@ -43,9 +44,9 @@ def compare(p, m, heard, row, duty, thrust_scale):
     state = row.state
     ours = abs(row.told.clock_offset) < SAME_CLOCK
     if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
-        jet_faults.look(p, m, heard, state, duty, thrust_scale)
+        look(p, m, heard, state, duty, thrust_scale)
     else:
-        jet_faults.pause(p, m, heard)
+        pause(p, m, heard)
 
 
 @compiled

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
@@ -106,7 +106,7 @@ class Heard(NamedTuple):
     last: Array  # previous residual, (3,)
 
 
-@compiled
+@pasted
 def look(p, m, heard, state, duty, thrust_scale):
     """Add a tick: the estimate, and the share of the tick for which each jet flowed.
 
