@@ -215,7 +215,7 @@ class JetFaultDetector:
         if not sure(self.m):
             return Suspicion(0, 0.0, 0.0, 0.0)
         return Suspicion(
-            int(one.jet), float(one.size), float(one.gain), float(jet_faults.sigmas(one))
+            int(one.jet), float(one.share), float(one.gain), float(jet_faults.sigmas(one))
         )
 
 

@@ -6,6 +6,7 @@ becomes the outputs, with the names and words that belong to its codes.
 
 from collections.abc import Iterable, Sequence
 from itertools import chain as chained
+from typing import Any
 
 import numpy as np
 from msgspec.structs import astuple
@@ -53,6 +54,7 @@ def lead_time(vehicle: Vehicle) -> float:
 
 
 RESPONSES = tuple(Response)
+REASONS = {one.value: one for one in InhibitReason}
 IN, OUT = packing(TOLD), packing(STATE, DONE)
 NO_REFERENCES = np.zeros((0, 10))
 
@@ -85,7 +87,7 @@ class Agent:
         looks, rows = params.jets_known.shown.shape[0], len(faults)
         self.memory, self.everything = make_memory(self._jets, plans, looks, rows)
         self._row = np.zeros(1, ROW)
-        self._bytes = memoryview(self._row.view(np.uint8))
+        self._bytes = self._row.view(np.uint8).data
         self._law_error = ""  # exception of the law on board
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
         self._see, self._act = settled(chain.see), settled(chain.act)
@@ -192,7 +194,7 @@ class Agent:
 
     def _refusal(self, code: int, gate_fault: int) -> Refusal:
         """The reason with the values of its words."""
-        reason, values = InhibitReason(code), ()
+        reason, values = REASONS[code], ()
         if code == gate_fault:
             values = self.memory.fixed[0].gate.values[: reason.words.count("{")].tolist()
         return Refusal(reason, tuple(values))
@@ -212,7 +214,7 @@ class Agent:
             case Detector.JET_OPEN:
                 return str(m.leak.jet + 1)
             case Detector.JET_LEAKS:
-                return f"{m.leak.jet + 1} gives {m.leak.size:.0%}"
+                return f"{m.leak.jet + 1} gives {m.leak.share:.0%}"
             case Detector.JET_MISSING:
                 return str(m.weak.jet + 1)
             case Detector.JET_LEAKS_OR_WEAK:
@@ -234,7 +236,7 @@ def reported(refusal: Refusal) -> FaultReport:
     return FaultReport(refusal.code.name.lower(), refusal.words)
 
 
-def taken(record: memoryview) -> tuple[State | None, Sequence[float]]:
+def taken(record: memoryview) -> tuple[State | None, Sequence[Any]]:
     """The estimate in a tick's record, and the numbers of its record.DONE."""
     known, t, x, y, theta, vx, vy, omega, ax, ay, alpha, age, rejected, *done = OUT.unpack_from(
         record, IN.size

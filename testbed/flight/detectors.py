@@ -96,7 +96,7 @@ def measure(p, m, suspected, row, samples, neighbours, finite, spare):
         tank_loss(p, m, told.t, told.tank_pressure),
         told.battery,
         told.silent_s,
-        suspected.leak.size if leaks else 0.0,
+        suspected.leak.share if leaks else 0.0,
         jet_faults.sigmas(suspected.leak) if leaks else 0.0,
         jet_faults.sigmas(suspected.leak) if either else 0.0,
         jet_faults.sigmas(suspected.weak) if is_weak else 0.0,

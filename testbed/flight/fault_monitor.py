@@ -42,7 +42,7 @@ def rows_of(table: FaultTable) -> Rows:
 class Counters(NamedTuple):
     """Memory of the monitor, one element a row, changed in place."""
 
-    count: Array  # ticks in a row beyond the bound
+    ticks: Array  # in a row beyond the bound
     since: Array  # the first of them [s]
     holds: Array  # 1: it holds now
     latched: Array  # its place in the order of latching, from 1; 0: not latched
@@ -65,7 +65,7 @@ def look(p, counters, t, latches, numbers, done):
     for k in range(p.detector.shape[0]):
         number = numbers[p.detector[k]]
         if p.low[k] <= number <= p.high[k]:
-            counters.count[k] = counters.holds[k] = 0.0
+            counters.ticks[k] = counters.holds[k] = 0.0
         else:
             count(p, counters, k, t)
             if counters.holds[k] == 1.0 and latches and p.latched[k] == 1:
@@ -81,10 +81,10 @@ def look(p, counters, t, latches, numbers, done):
 @compiled
 def count(p, counters, k, t):
     """Count one more tick of row `k` beyond its bound."""
-    if counters.count[k] == 0.0:
+    if counters.ticks[k] == 0.0:
         counters.since[k] = t
-    counters.count[k] += 1.0
-    lasts = counters.count[k] >= p.misses[k] and t - counters.since[k] >= p.timeout[k]
+    counters.ticks[k] += 1.0
+    lasts = counters.ticks[k] >= p.misses[k] and t - counters.since[k] >= p.timeout[k]
     counters.holds[k] = 1.0 if lasts else 0.0
 
 
@@ -108,4 +108,4 @@ def decides(p, counters, k, other):
 @compiled
 def reset(counters):
     """Clear latched faults; a row that still holds latches again at the next tick."""
-    counters.count[:] = counters.holds[:] = counters.latched[:] = 0.0
+    counters.ticks[:] = counters.holds[:] = counters.latched[:] = 0.0

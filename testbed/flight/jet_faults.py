@@ -79,7 +79,7 @@ class Known(NamedTuple):
 
 SUSPICION = record(  # the best of its kind
     jet=int,
-    size=float,  # share of the jet's thrust
+    share=float,  # of the jet's thrust
     gain=float,  # in log-likelihood; 0: no suspicion
 )
 
@@ -258,7 +258,7 @@ def suspect(row, least, y, low, high):
 @compiled
 def forget(suspicion):
     """No jet is suspected."""
-    suspicion.jet, suspicion.size, suspicion.gain = 0, 0.0, 0.0
+    suspicion.jet, suspicion.share, suspicion.gain = 0, 0.0, 0.0
 
 
 @compiled
@@ -298,30 +298,30 @@ def weigh(known, m, heard, now, duty, thrust_scale):
             if h < n:
                 b, found = suspect(since[h], least, y, -1.0, 0.0)
                 if found > m.weak.gain:
-                    m.weak.jet, m.weak.size, m.weak.gain = h, -b, found
+                    m.weak.jet, m.weak.share, m.weak.gain = h, -b, found
             else:
                 b, found = suspect(since[h], least, y, 0.0, MOST)
                 if found > m.leak.gain:
-                    m.leak.jet, m.leak.size, m.leak.gain = h - n, b, found
+                    m.leak.jet, m.leak.share, m.leak.gain = h - n, b, found
 
 
 @compiled
 def leaks(m):
     """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
     sure = m.leak.gain > m.weak.gain + CLEAR and m.leak.gain > SURE
-    return sure and m.leak.size > TRACE
+    return sure and m.leak.share > TRACE
 
 
 @compiled
 def is_weak(m):
     """Whether the suspected jet is too weak, and nothing else explains the motion."""
-    return m.weak.gain >= m.leak.gain + CLEAR and m.weak.size > ENOUGH
+    return m.weak.gain >= m.leak.gain + CLEAR and m.weak.share > ENOUGH
 
 
 @compiled
 def leaks_or_is_weak(m):
     """Whether one jet may leak; if it does not, the suspected weak jet is weak."""
-    return m.leak.gain > m.weak.gain - CLEAR and m.leak.size > TRACE
+    return m.leak.gain > m.weak.gain - CLEAR and m.leak.share > TRACE
 
 
 @compiled

@@ -53,14 +53,16 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         rows: of the fault table.
     """
     m, size = jets + 4, FIXED.itemsize // 8
+    one_a_row: tuple[int, ...] = (rows,)
+    one_a_jet: tuple[int, ...] = (jets,)
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets)],
         Heard: [
             (jets,), (looks, m + jets, 3), (m, m + 1), (BLOCKS, 2 * jets, m + 2), (2,), (2,), (3,),
         ],
-        Counters: 5 * [(rows,)],
-        Carried: 3 * [(jets,)],
-        Memory: [(jets,), (jets,), (2 * jets,)],
+        Counters: 5 * [one_a_row],
+        Carried: 3 * [one_a_jet],
+        Memory: [one_a_jet, one_a_jet, (2 * jets,)],
     }  # fmt: skip
     everything = np.zeros(size + sum(math.prod(s) for each in shapes.values() for s in each))
     views: dict[type, list[Array]] = {}

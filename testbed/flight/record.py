@@ -17,7 +17,12 @@ Kind = type | np.dtype[Any] | tuple[int, ...]
 
 
 def record(**fields: Kind) -> np.dtype[Any]:
-    """A record's layout; a field is a number, another record, or an array of floats."""
+    """A record's layout; a field is a number, another record, or an array of floats.
+
+    In Python, numpy's own attributes hide fields of the same name: `size` would be 1.
+    """
+    if hidden := fields.keys() & set(dir(np.record)):
+        raise ValueError(f"expected names that numpy does not use itself, found {hidden}")
     kinds = {int: np.dtype(np.int64), float: np.dtype(np.float64)}
     layout = [
         (name, np.float64, kind) if isinstance(kind, tuple) else (name, kinds.get(kind, kind))  # type: ignore[arg-type]

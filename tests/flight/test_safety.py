@@ -146,7 +146,7 @@ def test_a_stop_that_does_not_end_is_given_up(safety, make_state):
 
 def edited(vehicle, name, **changes):
     table = shipped_faults()
-    table |= {name: replace(table[name], **changes)}
+    table = table | {name: replace(table[name], **changes)}
     return Safety(vehicle, EXPERIMENT.table, table, 0.08)
 
 
