@@ -97,18 +97,18 @@ class Agent:
         """One tick: call it once per jet period, with time increasing."""
         setpoint, message = None if inputs.vitals.end else inputs.setpoint, None
         samples, others = poses(inputs.samples), self._others(inputs)
-        row, references = self._row[0], NO_REFERENCES
+        rows, references = self._row, NO_REFERENCES
         if self.guidance is not None:
             self._tell(inputs, None)
-            self._see(self.params, self.memory, row, samples)
+            self._see(self.params, self.memory, rows, samples)
             setpoint, message = self._guided(self.guidance, inputs)
         self._tell(inputs, setpoint)
         if isinstance(setpoint, Trajectory):
             references = rows_of(setpoint.references)
         if self.guidance is None:
-            self._step(self.params, self.memory, row, samples, references, others)
+            self._step(self.params, self.memory, rows, samples, references, others)
         else:
-            self._act(self.params, self.memory, row, samples, references, others)
+            self._act(self.params, self.memory, rows, samples, references, others)
         return self._outputs(inputs, setpoint, message)
 
     def _tell(self, inputs: Inputs, setpoint: Setpoint | None) -> None:

@@ -10,7 +10,7 @@ outputs bit for bit, which is what replay checks.
 import math
 
 from testbed.core.codes import InhibitReason
-from testbed.core.compiled import compiled, pasted
+from testbed.core.compiled import borrowed, compiled, pasted
 from testbed.flight import detectors, estimator, fault_monitor, gate, safety, tracker
 from testbed.flight.allocation import allocate
 from testbed.flight.detectors import compare
@@ -20,32 +20,36 @@ from testbed.flight.plan import WEAKEST, in_microseconds
 
 
 @compiled
-def step(p, memory, row, samples, references, neighbours):
+def step(p, memory, rows, samples, references, neighbours):
     """One tick: call it once per jet period, with time increasing.
 
     Args:
         p: Parameters.
         memory: Memory, changed in place.
-        row: record.ROW; `row.told` is read, `row.state` and `row.done` are written.
+        rows: one record.ROW; its `told` is read, `state` and `done` are written. An array of one,
+            because a record alone takes 7 us to hand over from Python.
         samples: poses since the last tick, rows (captured at, x, y, theta).
         references: of a trajectory, see `tracker.aim`.
         neighbours: rows as in `barrier.around`.
     """
-    see(p, memory, row, samples)
-    act(p, memory, row, samples, references, neighbours)
+    p, memory = borrowed(p), borrowed(memory)  # the caller holds them
+    see(p, memory, rows, samples)
+    act(p, memory, rows, samples, references, neighbours)
 
 
 @pasted
-def see(p, memory, row, samples):
+def see(p, memory, rows, samples):
     """Write the estimate for the time at which the next pulses take effect."""
-    m, told = memory.fixed[0].estimator, row.told
+    p, memory = borrowed(p), borrowed(memory)
+    m, row, told = memory.fixed[0].estimator, rows[0], rows[0].told
     estimator.update(p.filter, p.model, m, memory.fired, samples, told.t)
     estimator.predict(p.model, m, memory.fired, told.effect_at, told.t, row.state)
 
 
 @pasted
-def act(p, memory, row, samples, references, neighbours):
+def act(p, memory, rows, samples, references, neighbours):
     """From the estimate and the setpoint to valve times."""
+    p, memory, row = borrowed(p), borrowed(memory), rows[0]
     m, told, state, done = memory.fixed[0], row.told, row.state, row.done
     thrust_scale = told.supply_pressure / p.sensors.set_pressure
     demanded = tracker.aim(p.gains, m.tracker, state, told.setpoint, references, done.active)

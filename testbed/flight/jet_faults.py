@@ -100,7 +100,7 @@ class Heard(NamedTuple):
     duty: Array  # sum over the ticks since the last look, (n,)
     recent: Array  # z and leaks of the last looks, not yet delayed, (looks, m + n, 3)
     told: Array  # z'z, and z'e as the last column, (m, m + 1)
-    blocks: Array  # of leaks and jets: x'z, x'x, x'e, (BLOCKS, 2 n, m + 2)
+    blocks: Array  # of leaks and jets: x'z, x'x, x'e, (BLOCKS, m + 2, 2 n)
     spread: Array  # variance of the residual, push and turn, (2,)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
     last: Array  # previous residual, (3,)
@@ -208,11 +208,11 @@ def listen(e, x, heard, look, keep):
             for k in range(m):
                 told[i, k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
         if i < n or i >= m:  # possible suspicions: jets and leaks
-            row = heard.blocks[0, i if i < n else i - 4]
+            h = i if i < n else i - 4
             for k in range(m):
-                row[k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
-            row[m] += a * x[i, 0] + b * x[i, 1] + c * x[i, 2]
-            row[m + 1] += explains
+                blocks[0, k, h] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
+            blocks[0, m, h] += a * x[i, 0] + b * x[i, 1] + c * x[i, 2]
+            blocks[0, m + 1, h] += explains
 
 
 @compiled
@@ -237,22 +237,30 @@ def factor(known, heard, look):
 
 
 @compiled
-def suspect(row, least, y, low, high):
-    """Size of a suspicion within its bounds, and its gain; `row` is x'z, x'x, x'e."""
-    m = y.shape[0]
-    own, fits = row[m], row[m + 1]
-    root = np.empty(m)
+def suspect(since, least, y):
+    """S_j and N_j of the module's first lines for every suspicion, both of shape (count,).
+
+    They are computed side by side: a processor does several at a time, and one after the other they
+    took most of a tick.
+
+    Args:
+        since: columns x'z, x'x, x'e, one for each suspicion, shape (m + 2, count).
+        least: see `factor`.
+        y: see `factor`.
+    """
+    m, count = y.shape[0], since.shape[1]
+    root, own, fits = np.empty((m, count)), since[m].copy(), since[m + 1].copy()
     for i in range(m):
-        total = row[i]
+        for h in range(count):
+            root[i, h] = since[i, h]
         for q in range(i):
-            total -= least[i, q] * root[q]
-        root[i] = total * least[i, i]
-        own -= root[i] * root[i]
-        fits -= root[i] * y[i]
-    if own <= 1e-6 * row[m] or own < 1e-9:
-        return 0.0, 0.0
-    size = min(max(fits / own, low), high)
-    return size, size * fits - 0.5 * size * size * own
+            for h in range(count):
+                root[i, h] -= least[i, q] * root[q, h]
+        for h in range(count):
+            root[i, h] *= least[i, i]
+            own[h] -= root[i, h] * root[i, h]
+            fits[h] -= root[i, h] * y[i]
+    return fits, own
 
 
 @compiled
@@ -294,15 +302,15 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         since += blocks[k]
         if k not in BEGUN:
             continue
+        fits, own = suspect(since, least, y)
         for h in range(2 * n):
-            if h < n:
-                b, found = suspect(since[h], least, y, -1.0, 0.0)
-                if found > m.weak.gain:
-                    m.weak.jet, m.weak.share, m.weak.gain = h, -b, found
-            else:
-                b, found = suspect(since[h], least, y, 0.0, MOST)
-                if found > m.leak.gain:
-                    m.leak.jet, m.leak.share, m.leak.gain = h - n, b, found
+            if own[h] <= 1e-6 * since[-2, h] or own[h] < 1e-9:
+                continue
+            one, low, high = (m.weak, -1.0, 0.0) if h < n else (m.leak, 0.0, MOST)
+            share = min(max(fits[h] / own[h], low), high)
+            gain = share * fits[h] - 0.5 * share * share * own[h]
+            if gain > one.gain:
+                one.jet, one.share, one.gain = h % n, abs(share), gain
 
 
 @compiled

@@ -58,7 +58,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets)],
         Heard: [
-            (jets,), (looks, m + jets, 3), (m, m + 1), (BLOCKS, 2 * jets, m + 2), (2,), (2,), (3,),
+            (jets,), (looks, m + jets, 3), (m, m + 1), (BLOCKS, m + 2, 2 * jets), (2,), (2,), (3,),
         ],
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
