@@ -23,6 +23,7 @@ from testbed.flight import (
 from testbed.flight.agent import Agent, lead_time, numbers_of, poses, rows_of
 from testbed.flight.gate import Fence
 from testbed.flight.memory import make_memory
+from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import FlightParams, make_parameters
 from testbed.flight.record import REFERENCE, ROW, SETPOINT, STATE
 
@@ -33,7 +34,8 @@ def agent_of(vehicle, table, faults, params=None, fence=None, barrier=None, guid
     """The chain of a vehicle without an experiment."""
     params, fence = params or FlightParams(), fence or Fence(2.8, 2.8)
     constants = make_parameters(params, vehicle, table, faults, fence, barrier)
-    return Agent(constants, lead_time(vehicle), 48, faults, barrier, guidance)
+    nearby = Nearby(vehicle.radius, table.size, {}, {})
+    return Agent(constants, lead_time(vehicle), 48, faults, barrier, nearby, guidance)
 
 
 def write_state(state, place):

@@ -44,6 +44,7 @@ from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance
 from testbed.flight.jet_faults import leaks
 from testbed.flight.memory import make_memory
+from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
 from testbed.flight.record import DEMAND, DONE, NO_SETPOINT, ROW, STATE, TOLD, TRAJECTORY, packing
 
@@ -56,6 +57,7 @@ def lead_time(vehicle: Vehicle) -> float:
 RESPONSES = tuple(Response)
 REASONS = {one.value: one for one in InhibitReason}
 IN, OUT = packing(TOLD), packing(STATE, DONE)
+ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
 NO_REFERENCES = np.zeros((0, 10))
 
 
@@ -69,6 +71,7 @@ class Agent:
         plans: int,
         faults: FaultTable,
         barrier: Barrier | None,
+        nearby: Nearby,
         guidance: Guidance | None = None,
     ) -> None:
         """Fly with these constants.
@@ -79,9 +82,10 @@ class Agent:
             plans: that the estimator remembers; they must cover the longest pose loss.
             faults: the table that `params.rows` was made from.
             barrier: the same filter as in `params`; None: switched off.
+            nearby: what the vehicle may touch, for the words of a fault.
             guidance: of the law on board.
         """
-        self.params, self.guidance = params, guidance
+        self.params, self.guidance, self._nearby = params, guidance, nearby
         self._lead, self._faults, self._barrier = lead, list(faults.items()), barrier
         self._jets = params.jets.gas.shape[0]
         looks, rows = params.jets_known.shown.shape[0], len(faults)
@@ -154,7 +158,7 @@ class Agent:
         (
             seq, stopping, t, x, y, theta, vx, vy, omega, ax, ay, alpha, fx, fy, tau,
             realised_fx, realised_fy, realised_tau, response, fault, holding, other, oldest,
-            hazard, dfx, dfy, _, inhibit, gate_fault, air_off,
+            leak, hazard, dfx, dfy, _, inhibit, gate_fault, air_off,
         ) = done  # fmt: skip
         active: Reference | Demand | None = None
         if setpoint is not None and state is not None:
@@ -166,6 +170,8 @@ class Agent:
         if hazard >= 0 and self._barrier is not None:
             named = self._barrier.hazard(hazard, inputs.neighbours)
             filtered = Intervention(dfx, dfy, *named)
+        if leak > ALERT and state is not None:
+            self._nearby.look(inputs.t, state, inputs.neighbours)
         if fault != self._fault[0]:
             names = ("", *inputs.neighbours)
             told = inputs, names[other + 1], names[oldest + 1]
@@ -210,16 +216,18 @@ class Agent:
     def _said(self, detector: Detector, inputs: Inputs, other: str, oldest: str) -> str:
         """Text for a detector's number at this tick, if it has one."""
         m, vitals = self.memory.fixed[0].jet_faults, inputs.vitals
+        touched = self._nearby.contact(inputs.t)
+        touched = touched and f"{touched} or "
         match detector:
             case Detector.JET_OPEN:
                 return str(m.leak.jet + 1)
             case Detector.JET_LEAKS:
-                return f"{m.leak.jet + 1} gives {m.leak.share:.0%}"
+                return f"{touched}valve leaks? jet {m.leak.jet + 1} gives {m.leak.share:.0%}"
             case Detector.JET_MISSING:
                 return str(m.weak.jet + 1)
             case Detector.JET_LEAKS_OR_WEAK:
                 or_weak = "" if leaks(m) else f" or jet {m.weak.jet + 1} gives too little"
-                return f"jet {m.leak.jet + 1} leaks{or_weak}"
+                return f"{touched}jet {m.leak.jet + 1} leaks{or_weak}"
             case Detector.LAW_ERROR:
                 return self._law_error or vitals.law_error
             case Detector.POSE_OF_ANOTHER:

@@ -83,6 +83,7 @@ def measure(p, m, suspected, row, samples, neighbours, finite, spare):
             oldest, done.oldest = told.t - neighbours[k, 5], k
     leaks, is_weak = jet_faults.leaks(suspected), jet_faults.is_weak(suspected)
     either = jet_faults.leaks_or_is_weak(suspected)
+    done.leak = jet_faults.sigmas(suspected.leak) if either else 0.0
     numbers = (
         abs(age),
         float(count_repeats(m, samples)) if p.noisy else 0.0,
@@ -98,7 +99,7 @@ def measure(p, m, suspected, row, samples, neighbours, finite, spare):
         told.silent_s,
         suspected.leak.share if leaks else 0.0,
         jet_faults.sigmas(suspected.leak) if leaks else 0.0,
-        jet_faults.sigmas(suspected.leak) if either else 0.0,
+        done.leak,
         jet_faults.sigmas(suspected.weak) if is_weak else 0.0,
         spare,
         float(told.law_failed),

@@ -88,6 +88,7 @@ MEMORY = record(
     before=(4,),  # theta, vx, vy, omega at the last look
     noted=int,  # ticks since then
     look=int,  # number of the last one
+    counted=int,  # looks that count: with poses that were trusted
     wait=int,  # looks until the estimator has settled
     leak=SUSPICION,
     weak=SUSPICION,
@@ -126,6 +127,8 @@ def look(p, m, heard, state, duty, thrust_scale):
     if m.seen == 1:
         m.look += 1
         m.wait = max(0, m.wait - 1)
+        if m.wait == 0:
+            m.counted += 1
         weigh(p, m, heard, now, heard.duty / p.ticks, thrust_scale)
     m.seen, m.noted = 1, 0
     m.before[:] = now
@@ -186,11 +189,11 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
 
 
 @compiled
-def listen(e, x, heard, look, keep):
+def listen(e, x, heard, counted, keep):
     """Update slope, noise and the correlations of e with its possible causes, in place."""
     spread, last, m = heard.spread, heard.last, heard.told.shape[0]
     n = m - 4
-    trust = max(1.0 - keep, 1.0 / (look + BELIEVED))
+    trust = max(1.0 - keep, 1.0 / (counted + BELIEVED))
     dx, dy, turn = e[0] - last[0], e[1] - last[1], e[2] - last[2]
     push = 0.5 * (dx * dx + dy * dy) / WHITE
     spread[0] += trust * (min(push, OUTLIER * spread[0]) - spread[0])
@@ -216,11 +219,11 @@ def listen(e, x, heard, look, keep):
 
 
 @compiled
-def factor(known, heard, look):
+def factor(known, heard, counted):
     """L of z'z + 1 / tolerances^2, with 1 / L_ii in its diagonal, (m, m), and L^-1 z'e, (m,)."""
     told, m = heard.told, heard.told.shape[0]
     least, y = np.zeros((m, m)), np.empty(m)
-    slope = 1.0 / (known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * look))
+    slope = 1.0 / (known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * counted))
     for i in range(m):
         for k in range(i + 1):
             total = told[i, k]
@@ -288,15 +291,15 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     forget(m.weak)
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
         return
-    settling = max(1.0 / look, known.period / SETTLING)
+    settling = max(1.0 / m.counted, known.period / SETTLING)
     for axis in range(2):
         heard.bias[axis] += settling * e[axis] / known.period
     if look % known.block == 0:  # merge the oldest two blocks
         blocks[-2] += blocks[-1]
         blocks[1:] = blocks[:-1].copy()
         blocks[0] = 0.0
-    listen(e, x, heard, look, known.keep)
-    least, y = factor(known, heard, look)
+    listen(e, x, heard, m.counted, known.keep)
+    least, y = factor(known, heard, m.counted)
     since = np.zeros(blocks.shape[1:])
     for k in range(blocks.shape[0]):
         since += blocks[k]

@@ -83,6 +83,7 @@ DONE = record(  # outputs of a tick
     holding=int,  # number of rows that hold now
     other=int,  # the neighbour whose pose the cameras gave; -1: none
     oldest=int,  # the neighbour not heard for longest; -1: none
+    leak=float,  # sigmas of a jet that may leak
     hazard=int,  # avoided by the safety filter, see barrier.guarded; -1: demand not changed
     dfx=float, dfy=float,  # change of the demanded force in W [N]
     braking=int,  # 1: by the fault table

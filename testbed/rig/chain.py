@@ -15,6 +15,7 @@ from testbed.flight.arming import Expected
 from testbed.flight.barrier import Barrier, reaches
 from testbed.flight.gate import Fence
 from testbed.flight.guidance import Guidance
+from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import make_parameters, stopping_force
 from testbed.metrics.formation import FormationContext
 from testbed.realtime.law_watch import timed, watching
@@ -24,7 +25,9 @@ def watched(experiment: Experiment) -> AbstractContextManager[object]:
     """The timer for calls of the experiment's law, in the process that calls it."""
     deploy, period = experiment.deploy, experiment.flight.jet_period_s
     limit = deploy.call_limit(period)
-    return watching(experiment.controller, limit, deploy.law_memory_mb, period)
+    # the host calls the law for one vehicle after the other
+    calls = len(experiment.vehicles) if deploy.law == "host" else 1
+    return watching(experiment.controller, limit, deploy.law_memory_mb, period / calls)
 
 
 def make_guidance(
@@ -95,12 +98,14 @@ def make_agent(experiment: Experiment, name: str, spoilt: Callable[[], str] | No
     flight, table, vehicle = experiment.flight, experiment.table, experiment.vehicles[name].model
     fence, barrier = Fence(*fence_of(experiment, name)), make_barrier(experiment, name)
     blind = max(flight.gate.pose_timeout_s, flight.gate.blind_s) + table.mocap.latency_s
+    radii = {other: one.model.radius for other, one in experiment.vehicles.items()}
     return Agent(
         make_parameters(flight, vehicle, table, experiment.faults, fence, barrier),
         lead_time(vehicle),
         2 + math.ceil(blind / flight.jet_period_s),
         experiment.faults,
         barrier,
+        Nearby(vehicle.radius, table.size, experiment.obstacles, reaches(radii, name)),
         make_guidance(experiment, name, spoilt) if experiment.deploy.law == "vehicle" else None,
     )
 
