@@ -65,7 +65,7 @@ def _is_ours_throughout(kind: Any) -> bool:
     if isinstance(kind, types.Array):
         return _is_ours_throughout(kind.dtype)
     known = (types.Number, types.Boolean, types.UnicodeType, types.Literal, types.NoneType)
-    return isinstance(kind, (*known, types.Omitted))
+    return isinstance(kind, (*known, types.Omitted, types.Record))  # a record has numbers only
 
 
 class OwnTypesCache(FunctionCache):
