@@ -18,11 +18,13 @@ import numpy as np
 
 WORD = 8  # alignment of every message [bytes]
 SCALARS = {
-    "float64": "<f8", "uint64": "<u8", "int64": "<i8", "uint32": "<u4", "int32": "<i4",
-    "uint16": "<u2", "uint8": "u1",
+    "float64": "<f8", "uint64": "<u8", "int64": "<i8", "float32": "<f4", "uint32": "<u4",
+    "int32": "<i4", "uint16": "<u2", "uint8": "u1", "byte": "u1", "bool": "?",
 }  # fmt: skip
+OURS = "testbed_msgs"  # the ROS 2 package of our messages
 
-_LINE = re.compile(r"(\w+)(\[\d*\])? (\w+) *(?:# *(.*))?")
+_LINE = re.compile(r"([\w/]+)(\[\d*\])? (\w+) *(?:# *(.*))?")
+_CONSTANT = re.compile(r"\w+ [A-Z0-9_]+ *=.*")
 
 
 class Field(NamedTuple):
@@ -44,10 +46,15 @@ class Field(NamedTuple):
 class Definition(NamedTuple):
     """One message."""
 
-    name: str
+    name: str  # with its package, except ours
     meaning: str
     fields: tuple[Field, ...]
     codes: dict[str, type[IntEnum]]  # codes of a field
+
+    @property
+    def is_record(self) -> bool:
+        """Whether it is a record: an event with text is not."""
+        return self.name in DTYPES
 
     @property
     def fixed(self) -> tuple[Field, ...]:
@@ -77,12 +84,26 @@ def message(name: str, meaning: str, text: str, **codes: type[IntEnum]) -> np.dt
     Raises:
         ValueError: bytes of its records would differ from CDR.
     """
-    found = Definition(name, meaning, tuple(map(_field, text.strip().splitlines())), codes)
-    MESSAGES[name] = found
-    if any(one.kind == "string" for one in found.fields):
-        return np.dtype([])
-    DTYPES[name] = made = _dtype(found)
+    found = parse(name, text, meaning, **codes)
+    made = _dtype(found)
+    MESSAGES[name], DTYPES[name] = found, made
     return made
+
+
+def text_message(name: str, meaning: str, text: str, **codes: type[IntEnum]) -> None:
+    """Define a message with text in it, which is no record."""
+    MESSAGES[name] = parse(name, text, meaning, **codes)
+
+
+def parse(name: str, text: str, meaning: str = "", **codes: type[IntEnum]) -> Definition:
+    """A definition from the text of a `.msg` file; constants in it are skipped.
+
+    Raises:
+        ValueError: a line is no field.
+    """
+    lines = [line.strip() for line in text.strip().splitlines()]
+    kept = [one for one in lines if one and one[0] != "#" and not _CONSTANT.match(one)]
+    return Definition(name, meaning, tuple(map(_field, kept)), codes)
 
 
 def _field(line: str) -> Field:
@@ -90,7 +111,7 @@ def _field(line: str) -> Field:
         raise ValueError(f"expected `type name  # meaning`, found {line!r}")
     kind, size, name, meaning = match.groups(default="")
     length = int(size[1:-1]) if len(size) > 2 else None
-    return Field(name, kind, length, size == "[]", meaning)
+    return Field(name, kind.removeprefix(f"{OURS}/"), length, size == "[]", meaning)
 
 
 def _dtype(found: Definition) -> np.dtype:

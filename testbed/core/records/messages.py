@@ -6,7 +6,8 @@ obstacles and rows of the fault table are numbered in the order of the experimen
 the message `Names` repeats.
 """
 
-from testbed.core.records.definition import message
+from testbed.core.records.definition import message, text_message
+from testbed.core.records.kinds import Active, EventKind, FaultCode, SetpointKind
 
 POSE = message("Pose", "Position and heading in W.", """
     float64 x  # [m]
@@ -69,9 +70,9 @@ DEMAND = message("Demand", "A mean force for the jet period after t, and a headi
 AIM = message("Aim", "A setpoint without its references.", """
     Demand demand  # if kind is DEMAND
     float64 valid_until  # if kind is TRAJECTORY: not used afterwards [s]
-    uint32 kind  # 0: none
+    uint32 kind
     uint32 reserved
-""")  # fmt: skip
+""", kind=SetpointKind)  # fmt: skip
 
 PULSE = message("Pulse", "The pulse of one valve in a jet period.", """
     uint32 on_us  # open time [us]
@@ -123,7 +124,7 @@ TICK_INPUTS = message("TickInputs", "Inputs of a tick, without its sequences.", 
     Aim setpoint  # the newest one, of any age; `references` has those of a trajectory
     Health health
     Vitals vitals
-    uint8 armed
+    uint8 armed  # valves may open
     uint8 end  # 1: the flight is over: come to rest and turn the air off
     uint8[6] reserved
 """)  # fmt: skip
@@ -143,23 +144,23 @@ TICK_OUTPUTS = message("TickOutputs", "Outputs of a tick, without its sequences.
     float64 fault_value  # number of the detector of `fault`
     uint64 faults  # rows of the fault table that hold now: row k is bit k
     uint32 seq  # of the plan
-    uint16 fault  # ends the run, latched; 0: none, k + 1: row k of the fault table, others below
+    uint16 fault  # ends the run, latched; k + 1: row k of the fault table
     uint8 inhibit  # why valves stay shut; 0: they may open
     uint8 inhibit_length  # number of its values
     uint8 response  # the most severe active one
-    uint8 state_known
-    uint8 active  # input of the tracker; 0: none
+    uint8 state_known  # 0: before the first pose
+    uint8 active  # input of the tracker
     uint8 air_off  # turn the bearing air off for good
     uint8 message_known  # its law on board sends a message
     uint8[3] reserved
-""")  # fmt: skip
+""", active=Active, fault=FaultCode)  # fmt: skip
 
 TICK = message("Tick", "One vehicle's complete tick: inputs and outputs of its flight chain.", """
     TickInputs inputs
     TickOutputs outputs
     uint32 samples_valid  # poses that arrived since the last tick, in order of arrival
     PoseSample[] samples
-    uint32 neighbours_valid
+    uint32 neighbours_valid  # in the order in which they were first heard
     Neighbour[] neighbours
     uint32 references_valid  # of the setpoint, in order of time
     Reference[] references
@@ -176,7 +177,7 @@ TICK = message("Tick", "One vehicle's complete tick: inputs and outputs of its f
 HOST_INPUTS = message("HostInputs", "Inputs of a law on the host, without its sequences.", """
     float64 t  # [s]
     State own  # newest state of the vehicle, of any age, if own_known
-    uint8 own_known
+    uint8 own_known  # 0: the vehicle has sent none
     uint8[7] reserved
 """)  # fmt: skip
 
@@ -193,7 +194,7 @@ HOST_OUTPUTS = message("HostOutputs", "Outputs of a law on the host, without its
 HOST_TICK = message("HostTick", "A complete tick of a law on the host.", """
     HostInputs inputs
     HostOutputs outputs
-    uint32 neighbours_valid
+    uint32 neighbours_valid  # in the order in which they were first heard
     Neighbour[] neighbours
     uint32 references_valid  # of the setpoint, in order of time
     Reference[] references
@@ -273,14 +274,16 @@ FORMATION = message("Formation", "The five elements of a formation.", """
     uint32 reserved
 """)  # fmt: skip
 
-message("Event", "Something that has a text; a row with its code refers to the newest one.", """
+text_message("Event", "Something with a text; a row with its code means the newest one.", """
     float64 t  # [s]
-    uint8 kind
+    uint8 kind  # what it is about
     string id  # of a fault or phase
     string text  # for a person
-""")  # fmt: skip
+    string parts  # all that is known of a fault, as JSON
+""", kind=EventKind)  # fmt: skip
 
-message("Names", "Names that other messages refer to by number.", """
+text_message("Names", "Names that other messages refer to by number.", """
+    float64 t  # [s]
     string[] vehicles
     string[] obstacles
     string[] faults  # rows of the fault table
