@@ -50,6 +50,7 @@ class Schema(NamedTuple):
 
     number: int
     name: str
+    text: str = ""
 
 
 class Channel(NamedTuple):
@@ -143,9 +144,9 @@ def read_name(opcode: int, body: bytes) -> Schema | Channel:
     number = cursor.number(2)
     found: Schema | Channel
     if opcode == Opcode.SCHEMA:
-        found = Schema(number, cursor.text())
+        name = cursor.text()
         cursor.text()  # encoding
-        cursor.bytes(cursor.number(4))
+        found = Schema(number, name, cursor.text())
     else:
         schema = cursor.number(2)
         found = Channel(number, schema, cursor.text())

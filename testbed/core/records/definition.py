@@ -85,7 +85,7 @@ def message(name: str, meaning: str, text: str, **codes: type[IntEnum]) -> np.dt
         ValueError: bytes of its records would differ from CDR.
     """
     found = parse(name, text, meaning, **codes)
-    made = _dtype(found)
+    made = dtype_of(found, DTYPES)
     MESSAGES[name], DTYPES[name] = found, made
     return made
 
@@ -114,10 +114,15 @@ def _field(line: str) -> Field:
     return Field(name, kind.removeprefix(f"{OURS}/"), length, size == "[]", meaning)
 
 
-def _dtype(found: Definition) -> np.dtype:
+def dtype_of(found: Definition, known: dict[str, np.dtype]) -> np.dtype:
+    """The dtype of the fields before any sequence; `known` are those of the messages in it.
+
+    Raises:
+        ValueError: its bytes would differ from CDR.
+    """
     names, formats, offsets, at = [], [], [], 0
     for one in found.fixed:
-        inner = DTYPES[one.kind]
+        inner = known[one.kind]
         step = WORD if one.kind not in SCALARS else inner.itemsize
         if at % step:
             raise ValueError(f"{found.name}.{one.name}: {at % step} bytes before it need a name")
@@ -130,7 +135,7 @@ def _dtype(found: Definition) -> np.dtype:
     for k, one in enumerate(found.fields):
         if one.sequence and found.fields[k - 1].type_text != "uint32":
             raise ValueError(f"{found.name}.{one.name}: expected a uint32 before it, its count")
-        if one.sequence and DTYPES[one.kind].itemsize % WORD:
+        if one.sequence and known[one.kind].itemsize % WORD:
             raise ValueError(f"{found.name}.{one.name}: expected elements of whole words")
     return np.dtype(
         {"names": names, "formats": formats, "offsets": offsets, "itemsize": at}, align=True

@@ -38,15 +38,20 @@ class Layout:
     Args:
         name: of the message.
         capacities: most elements of each of its sequences; at least one is kept.
+        dtypes: of all messages; other ones than ours for a log of another version.
+        definition: of this message there.
     """
 
-    def __init__(self, name: str, capacities: Mapping[str, int] | None = None) -> None:
-        self.definition: Definition = MESSAGES[name]
-        self.fixed = DTYPES[name]
+    def __init__(
+        self, name: str, capacities: Mapping[str, int] | None = None,
+        dtypes: Mapping[str, np.dtype] = DTYPES, definition: Definition | None = None,
+    ) -> None:  # fmt: skip
+        self.definition: Definition = definition or MESSAGES[name]
+        self.fixed = dtypes[name]
         self.parts: list[Part] = []
         at = WORD + self.fixed.itemsize
         for one in self.definition.sequences:
-            part = Part(one, at, max(1, (capacities or {})[one.name]), DTYPES[one.kind])
+            part = Part(one, at, max(1, (capacities or {})[one.name]), dtypes[one.kind])
             self.parts.append(part)
             at += COUNT.itemsize + part.capacity * part.dtype.itemsize
         self.pitch = at  # length of a row [bytes]

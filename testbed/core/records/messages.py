@@ -114,7 +114,7 @@ VITALS = message("Vitals", "Data about a vehicle's process, the network and the 
 INTERVENTION = message("Intervention", "Change of the demanded force by the safety filter.", """
     float64 dfx_w  # change of the mean force in W [N]
     float64 dfy_w  # [N]
-    uint32 subject  # number of the obstacle or vehicle that it avoids
+    uint32 subject  # number of the obstacle or vehicle that it avoids plus one; 0: neither
     uint16 hazard  # what it avoids; 0: the demand was not changed
     uint16 reserved
 """)  # fmt: skip
