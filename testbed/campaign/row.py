@@ -13,7 +13,8 @@ from msgspec.structs import replace
 
 from testbed.config import ConfigError, Experiment
 from testbed.config.error import did_you_mean
-from testbed.metrics.fault_line import mishap
+from testbed.core.codes import FaultReport
+from testbed.metrics.fault_line import fault_line
 from testbed.metrics.run_metrics import TO_THE_START, Metrics, VehicleMetrics
 
 Task = tuple[int, tuple[str, ...]]  # run, "key=value" on top of the base experiment
@@ -63,11 +64,13 @@ class Flown(Struct, frozen=True):
     memory_mb: float = 0.0  # peak of the worker so far
     seed: int | None = None  # None: the experiment could not be read
     fault_t: float | None = None  # detection time of the fault that ended the flight [s]
+    fault: FaultReport | None = None  # that ended the flight
+    limit_s: float | None = None  # of a lost run: how long its workers were waited for [s]
 
     def told(self, reason: str) -> str:
         """The reason with the seed that repeats the run, and the time of a fault."""
-        if self.outcome == "fault":
-            return mishap(self.seed, self.reason, self.fault_t)
+        if self.fault is not None:
+            return fault_line(self.seed, self.fault, self.fault_t)
         return f"seed {self.seed}: {reason}" if self.seed is not None else reason
 
 

@@ -26,7 +26,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     began = time.perf_counter()
     columns: dict[str, Number] = {}
     criteria: dict[str, bool] = {}
-    seed, fault_t = None, None
+    seed, fault_t, fault = None, None, None
     try:
         experiment = read(base, overrides)
         seed = experiment.seed
@@ -37,7 +37,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
         metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)
         columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
         (outcome, reason), criteria = outcome_of(metrics), metrics.criteria or {}
-        fault_t = judge.fault_t
+        fault, fault_t = ending.fault, judge.fault_t
     except ConfigError as error:
         outcome = "refused"
         reason = f"{error.key}: expected {error.expected}, found {error.found}"
@@ -50,7 +50,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     ).decode()  # lone surrogates are not valid UTF-8
     wall = time.perf_counter() - began
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Flown(k, outcome, reason, columns, criteria, wall, memory_mb, seed, fault_t)
+    return Flown(k, outcome, reason, columns, criteria, wall, memory_mb, seed, fault_t, fault)
 
 
 def fly_batch(base: str, batch: Sequence[Task]) -> list[Flown]:

@@ -8,9 +8,9 @@ from controllers.bifurcating import BifurcatingParams
 from controllers.bifurcating_design import reaches
 from controllers.guarantee import Bounded, Start, Unbounded, concerns
 from testbed.config.experiment import Experiment
+from testbed.core.codes import Detector
 from testbed.core.law import Concern, Discs
 from testbed.flight.allocation import weakest_force
-from testbed.flight.faults import DETECTORS
 
 SPARE = 1.1  # allowed ratio of mass and force to the design values
 LOOKS = 200  # samples of a goal's path, for its largest acceleration
@@ -58,7 +58,7 @@ def _unseen(experiment: Experiment) -> list[Concern]:
 def _unwatched(experiment: Experiment) -> list[Concern]:
     """Warn about detectors without a row in the fault table, e.g. in a user's own file."""
     asked = {row.detector for row in experiment.faults.values()}
-    blind = [name for name in DETECTORS if name not in asked]
+    blind = [one.words for one in Detector if one.words not in asked]
     if not blind:
         return []
     return [Concern("faults-unwatched", f"no row of `faults` looks at {', '.join(blind)}")]

@@ -6,6 +6,7 @@ from typing import Literal
 import msgspec
 from msgspec import Struct
 
+from testbed.core.codes import FaultReport, Response
 from testbed.core.types import Tick
 from testbed.flight.arming import Readiness
 
@@ -58,7 +59,7 @@ class Lease(Struct, frozen=True):
     """Permit to fly until the envelope's valid-until, with the host data that a vehicle needs."""
 
     may_fire: bool = True  # by the supervisor; when it becomes false: come to rest
-    fleet: str = ""  # fault of another vehicle that stops all vehicles
+    fleet: FaultReport | None = None  # fault of another vehicle that stops all vehicles
     config: str = ""  # see `config_id`
     disk_free: float = 1e12  # on the disk of the log [bytes]
     at_once: bool = False  # shut valves and air without braking: the operator stopped twice
@@ -115,9 +116,9 @@ class Ended(Struct, frozen=True):
     """A vehicle's report at the end of its flight."""
 
     t: float  # [s]
-    fault: str | None
+    fault: FaultReport | None
     counts: Counts
     rows: dict[str, float] = {}  # rows of the fault table that held, and since when [s]
-    responses: dict[str, float] = {}  # fault responses that were active, and since when [s]
+    responses: dict[Response, float] = {}  # fault responses that were active, and since when [s]
     landed_s: float | None = None  # from the end to the order "air off"; None: never [s]
     air: Literal["off", "on"] = "on"  # bearing air, as the board reported it last

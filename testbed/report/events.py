@@ -15,12 +15,8 @@ LOOKS = {"CRITICAL": "not", "ERROR": "not", "WARN": "warn", "INFO": ""}
 
 def lines(scenario: Scenario, history: History, metrics: Metrics) -> list[Said]:
     """Events in order of time; repeated ones are merged."""
-    rows = [
-        (t, name, words)
-        for name, vehicle in history.vehicles.items()
-        for t, words in vehicle.events
-    ]
-    rows += [(t, SUPERVISOR, words) for t, words in history.phases]
+    rows = [(name, one) for name, vehicle in history.vehicles.items() for one in vehicle.events]
+    rows += [(SUPERVISOR, one) for one in history.phases]
     told = Story(scenario).tell(rows)
     told += [Said(one.t, (one.vehicle,), "CRITICAL", hit(scenario, one)) for one in metrics.touches]
     return sorted(gathered(told), key=lambda one: (one.t, RANK.index(one.level)))

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from testbed.metrics.run_metrics import Metrics, Touch
-from testbed.report.fault_story import short
 from testbed.report.scenario import Scenario
 
 UNCOUNTED = -1  # contacts of a run that was killed before they were counted
@@ -84,8 +83,9 @@ def reasons(scenario: Scenario, metrics: Metrics) -> list[str]:
         found.append(f"{more} more {'contacts' if more > 1 else 'contact'}")
     found += metrics.red
     if metrics.fault and not metrics.red:
-        who, _, fault = metrics.fault.partition(": ")
-        found.append(f"{who}: {short(fault)}" if who in scenario.vehicles else metrics.fault)
+        report = metrics.fault_report
+        short = report is not None and report.vehicle in scenario.vehicles
+        found.append(f"{report.vehicle}: {report.title}" if report and short else metrics.fault)
     return found
 
 

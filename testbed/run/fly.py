@@ -10,6 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.config import Experiment
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
 from testbed.core.types import EndingTick, HostTick, Tick
 from testbed.flight.loop import Ending
@@ -169,7 +170,7 @@ def fly_and_judge(
                     wall = time.perf_counter() - began
                     log.reports()
                     if ending.fault is None and (left := left_running()):
-                        ending = Ending(ending.t, left)
+                        ending = Ending(ending.t, FaultReport(FaultId.LAW_STUCK, left))
                     completed = ending.fault is None and ending.t >= experiment.end_s
                     metrics = measure(rig, references, ending, wall, completed=completed)
                     after = rig.come_to_rest(ending, log, lambda: interrupt.asked)
@@ -177,9 +178,9 @@ def fly_and_judge(
                 if log.trouble is not None:
                     raise RecorderError(log.trouble)
     except RecorderError as error:
-        fault = f"log: {error}"
+        fault = FaultReport(FaultId.LOG_FAILED, f"log: {error}")
         if metrics is not None:
-            metrics = replace(metrics, fault=fault, completed=False)
+            metrics = replace(metrics, fault=fault.words, fault_report=fault, completed=False)
         ending = Ending(rig.now, fault)
     heartbeat().phase = Phase.ENDING
     metrics = metrics or measure(rig, references, ending, wall, completed=False)

@@ -17,6 +17,7 @@ import tomli_w
 import zenoh
 
 from testbed.config import ConfigError, Experiment, dump
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.error import TestbedError
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Answer, Request, Supervisor
@@ -59,7 +60,7 @@ class NotArmedError(TestbedError):
     """The flight must not begin: arming checks failed, or the operator declined."""
 
     def __init__(self, reasons: Sequence[str]) -> None:
-        super().__init__(not_armed(reasons))
+        super().__init__(not_armed(reasons).text)
         self.reasons = reasons
 
 
@@ -91,7 +92,7 @@ class WireRig(RunResults):
         log: Path | None = None,
         agree: Callable[[Sequence[str]], bool] = anybody,
         latch: FaultLatch | None = None,
-        latched: str | None = None,
+        latched: FaultReport | None = None,
         say: Callable[[str], None] = unheard,
     ) -> None:
         super().__init__(experiment)
@@ -132,10 +133,11 @@ class WireRig(RunResults):
                 ending = self._fly(stack, observer, stopped)
         except NotArmedError as error:
             self.red.extend(error.reasons)
-            return Ending(0.0, str(error))
+            return Ending(0.0, not_armed(error.reasons))
         except (NetworkError, ChildError, HostError) as error:
-            self._close(Ending(self.now, str(error)))
-            return Ending(self.now, str(error))
+            ending = Ending(self.now, FaultReport(FaultId.RIG_FAILED, str(error)))
+            self._close(ending)
+            return ending
         self._flown_s = ending.t
         return ending
 
@@ -218,7 +220,7 @@ class WireRig(RunResults):
             children.start(name, [*python, "testbed.rig.wired.agent_process", words])
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
 
-    def _blamed(self, children: ProcessGroup, fault: str | None) -> str | None:
+    def _blamed(self, children: ProcessGroup, fault: FaultReport | None) -> FaultReport | None:
         """The fault, with the name of the law that ended or blocks its vehicle's process."""
         for name in self.experiment.vehicles:
             heart = in_file(children.folder / f"{name}.heart")
@@ -232,7 +234,8 @@ class WireRig(RunResults):
                 how = f"ended its process by {signal.Signals(-code).name}"
             else:
                 how = f"ended its process with exit code {code}"
-            return f"law of {name} ({heart.law}) {how}; {fault}"
+            text = f"law of {name} ({heart.law}) {how}"
+            return FaultReport(FaultId.LAW_STUCK, text, notes=(fault.words,) if fault else ())
         return fault
 
     def _end_children(self, children: ProcessGroup) -> None:

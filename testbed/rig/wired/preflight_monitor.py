@@ -72,7 +72,7 @@ class PreflightMonitor:
             state, rate, at = self._state, float(len(self._seen)), self._looked_at
         trouble = self._thrusters.trouble
         if trouble is not None:
-            return Refused(trouble)
+            return Refused(trouble.text)
         if state is not None:  # the pose is old if this process was busy
             late = max(0.0, self._clock.now - at - self._period)
             state = replace(state, pose_age=state.pose_age + late)

@@ -17,6 +17,7 @@ from queue import Empty
 
 import msgspec
 import zenoh
+from msgspec.structs import replace
 
 from testbed.config import Experiment
 from testbed.core.error import TestbedError
@@ -174,10 +175,11 @@ def fly_vehicle(
                 experiment.ticks, flight, stopped=flight.over,
             )  # fmt: skip
             land(experiment, ending, clock, Permitted(node, flight, clock), flight, thrusters)
-        fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
+        fault = ending.fault or (flight.fault and replace(flight.fault, vehicle=name))
         if poses.trouble is not None and fault is not None:
-            fault += f"; its body is {poses.trouble}"
-            fault += f": {why}" if (why := getattr(source, "complaint", "")) else ""
+            why = getattr(source, "complaint", "")
+            note = f"its body is {poses.trouble}{f': {why}' if why else ''}"
+            fault = replace(fault, notes=(*fault.notes, note))
         counts = count(link, thrusters, poses, clock_of_host, port_gate.refused)
         out = Outbox(start.session)
         ended = Ended(
@@ -188,7 +190,7 @@ def fly_vehicle(
         if report is not None:
             write_atomic(report, msgspec.json.encode(ended))
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
-        say(f"ended after {ending.t:.1f} s{f' by a fault: {fault}' if fault else ''}")
+        say(f"ended after {ending.t:.1f} s{f' by a fault: {fault.words}' if fault else ''}")
         await_end(gone, tower)
         if flight.signals.times:
             raise KeyboardInterrupt
