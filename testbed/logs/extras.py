@@ -20,6 +20,7 @@ from testbed.core.records import cdr
 from testbed.core.records import standard as _standard  # noqa: F401  (fills MESSAGES)
 from testbed.logs.packing import form, leaves
 
+RESPONSES = {one.value: one.name.lower() for one in Response}
 EVERY_NS = 500_000_000  # of the run
 TABLE = "table"  # frame of the table
 OK, WARN, ERROR = 0, 1, 2  # levels of a diagnosis
@@ -83,7 +84,7 @@ class Extras:
         said = {"response": response, "fault": fault, "inhibit": inhibit}
         status = {
             "level": level, "name": name, "hardware_id": name,
-            "message": Response(response).name.lower(),
+            "message": RESPONSES[response],
             "values": [{"key": key, "value": str(value)} for key, value in said.items()],
         }  # fmt: skip
         array = {"header": self._header(stamp, ""), "status": [status]}

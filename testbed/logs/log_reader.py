@@ -299,8 +299,9 @@ class LogReader:
     def _zero(self, records: list[Record]) -> int | None:
         """UTC at time 0 of the run, from a row: it begins with its time of the run."""
         for one in records:
-            channel = self._channels.get(one.channel) if isinstance(one, Message) else None
-            if channel is not None and "/" not in self.kinds[channel.topic]:
+            if not isinstance(one, Message) or (channel := self._channels.get(one.channel)) is None:
+                continue
+            if "/" not in self.kinds[channel.topic]:
                 with suppress(struct.error, ValueError, OverflowError):
                     return one.stamp - round(1e9 * _TIME.unpack_from(one.data, 4)[0])
         return None

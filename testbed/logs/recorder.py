@@ -50,6 +50,7 @@ FAST_SPAN_NS = 2_000_000_000  # the same faster than real time: larger chunks co
 WARN_BELOW = 500_000_000  # free disk space below which to warn [bytes]
 END_BELOW = 20_000_000  # free disk space below which to finish the log [bytes]
 
+SCENE = "visualization_msgs/MarkerArray"
 READY = b"ready\n"  # the writer's first line
 
 
@@ -122,6 +123,7 @@ class Recorder:
         waits: bool = True,
         span_ns: int = SPAN_NS,
         epoch_ns: int = 0,
+        scene: bytes = b"",
     ) -> None:
         self._path, self._waits = path, waits
         self.lost = 0  # rows
@@ -137,7 +139,7 @@ class Recorder:
         self._reason = ""  # the writer's newest line
         self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
-        self._rows = RowWriter(names)
+        self._rows, self._scene = RowWriter(names), scene
 
     def __enter__(self) -> "Recorder":
         self._writer = subprocess.Popen(
@@ -165,6 +167,9 @@ class Recorder:
         """Append one message of time `t` [s] to `topic`."""
         for one in self._rows.rows(topic, t, message):
             self.append(one.topic, one.kind, t, one.data)
+        if self._scene:
+            self.append("/scene", SCENE, t, self._scene)
+            self._scene = b""
 
     def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
         """Append the bytes of one message of a kind of `core/records`."""

@@ -6,7 +6,7 @@ before the first row that has its code; a name is a number in `Names`, written w
 
 from collections.abc import Callable, Iterator
 from itertools import chain
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 from msgspec import Struct
@@ -43,6 +43,10 @@ NAN = float("nan")
 MOST_FAULTS = 64  # rows of the fault table: bits of `faults`
 LOST = "its text is in a damaged part of the log"
 S = TypeVar("S", bound=Struct)
+C = TypeVar("C")
+_REASONS = {one.value: one for one in InhibitReason}
+_RESPONSES = {one.value: one for one in Response}
+_HAZARDS = {one.value: one for one in Hazard}
 
 _state, _reference, _demand = getter("State"), getter("Reference"), getter("Demand")
 _sample, _wrench, _health = getter("PoseSample"), getter("Wrench"), getter("Health")
@@ -290,9 +294,11 @@ class RowReader:
     def report(self, who: str, kind: EventKind) -> FaultReport:
         """The newest fault of a kind."""
         found = self._events.get((who, kind))
-        if found is None or not found["parts"]:
-            return FaultReport("", LOST)
-        return msgspec.json.decode(found["parts"], type=FaultReport)
+        return (None if found is None else fault_of(found)) or FaultReport("", LOST)
+
+    def vehicle(self, k: int) -> str:
+        """The name of a vehicle."""
+        return _name(self.names.vehicles, k)
 
     def tick(self, topic: str, data: bytes) -> Tick:
         """The tick in a row."""
@@ -321,15 +327,15 @@ class RowReader:
         )
         pulses = row.sequences["pulses"]
         outputs = Outputs(
-            out_t, state if known else None, (None, reference, demand)[active], wanted, got,
+            out_t, state if known else None, {Active.REFERENCE: reference, Active.DEMAND: demand}.get(active), wanted, got,
             ValveCommand(
                 seq, issued, until, tuple(on for on, _ in pulses), tuple(at for _, at in pulses)
             ),
-            Refusal(InhibitReason(inhibit), tuple(values[:length])) if inhibit else None,
+            Refusal(_meant(_REASONS, inhibit), tuple(values[:length])) if inhibit else None,
             self.report(who, EventKind.FAULT) if fault else None,
             _own(message_t, row) if sends else None,
-            tuple(self._name(self.names.faults, k) for k in range(MOST_FAULTS) if held >> k & 1),
-            Response(response), filtered, bool(air_off),
+            tuple(_name(self.names.faults, k) for k in range(MOST_FAULTS) if held >> k & 1),
+            _meant(_RESPONSES, response), filtered, bool(air_off),
         )  # fmt: skip
         ending = topic.endswith("/ending")
         return EndingTick(inputs, outputs) if ending else Tick(inputs, outputs)
@@ -351,30 +357,27 @@ class RowReader:
             ),
         )  # fmt: skip
 
-    def _name(self, of: list[str], k: int) -> str:
-        return of[k] if k < len(of) else f"#{k}"
-
     def _states(self, row: Unpacked) -> dict[str, State]:
         found = {}
         for one in row.sequences["neighbours"]:
             take = iter(one)
             state = _made(State, take)
-            found[self._name(self.names.vehicles, next(take))] = state
+            found[self.vehicle(next(take))] = state
         return found
 
     def _messages(self, row: Unpacked) -> dict[str, LawMessage]:
         values = chain.from_iterable(row.sequences["heard_values"])
         return {
-            self._name(self.names.vehicles, k): LawMessage(t, tuple(_some(values, length)))
+            self.vehicle(k): LawMessage(t, tuple(_some(values, length)))
             for t, k, length in row.sequences["heard"]
         }
 
     def _filtered(self, dfx: float, dfy: float, subject: int, hazard: int) -> Intervention | None:
         if not hazard:
             return None
-        code = Hazard(hazard)
+        code = _meant(_HAZARDS, hazard)
         of = self.names.vehicles if code == Hazard.VEHICLE else self.names.obstacles
-        return Intervention(dfx, dfy, code, self._name(of, subject - 1) if subject else "")
+        return Intervention(dfx, dfy, code, _name(of, subject - 1) if subject else "")
 
     def _setpoint(self, kind: int, demand: Demand, until: float, row: Unpacked) -> Setpoint | None:
         if kind == SetpointKind.DEMAND:
@@ -383,6 +386,22 @@ class RowReader:
             return None
         ahead = row.sequences["references"]
         return Trajectory(tuple(_made(Reference, iter(one)) for one in ahead), until)
+
+
+def fault_of(event: cdr.Message) -> FaultReport | None:
+    """The fault in an event."""
+    parts = event["parts"]
+    return msgspec.json.decode(parts, type=FaultReport) if parts else None
+
+
+def _name(of: list[str], k: int) -> str:
+    return of[k] if k < len(of) else f"#{k}"
+
+
+def _meant(codes: dict[int, C], code: int) -> C:
+    if code not in codes:
+        raise ValueError(f"expected one of the codes {sorted(codes)}, found {code}")
+    return codes[code]
 
 
 def _some(take: Iterator[Any], number: int) -> list[Any]:
@@ -403,4 +422,4 @@ def _made(kind: type[S], take: Iterator[Any]) -> S:
             one.type if issubclass(one.type, Struct) else None for one in fields(kind)
         )
     parts = (next(take) if one is None else _made(one, take) for one in _PARTS[kind])
-    return cast(S, kind(*parts))
+    return kind(*parts)
