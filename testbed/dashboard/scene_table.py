@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 
 from testbed.core.codes import Response
+from testbed.core.types import HostTick, Tick
 from testbed.dashboard.banner import AMBER, GREEN, GREY, Banner, picture
 from testbed.dashboard.banner import RED as ALARM
 from testbed.dashboard.columns import Columns, Label, Lines
@@ -22,7 +23,7 @@ from testbed.dashboard.static_scene import (
 from testbed.dashboard.static_scene import (
     GREY as LINK,
 )
-from testbed.logs.feed import SeenHost, SeenPace, SeenPhase, SeenTick, pose_of, stopping_point
+from testbed.logs.feed import SeenPace, SeenPhase, pose_of, stopping_point
 from testbed.logs.history import Happening, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
 from testbed.report.fault_story import OVER, SUPERVISOR, Story, Trouble
@@ -97,7 +98,7 @@ class TableScene:
 
     def _take(
         self, frame: Frame
-    ) -> tuple[dict[str, list[SeenTick]], list[Truth], list[tuple[str, Happening]]]:
+    ) -> tuple[dict[str, list[Tick]], list[Truth], list[tuple[str, Happening]]]:
         """Ticks by vehicle, truths and events of a frame; stores the newest of each."""
         ticks: dict[str, list[Tick]] = {}
         truths: list[Truth] = []

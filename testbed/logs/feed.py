@@ -13,68 +13,15 @@ from typing import NamedTuple, Protocol
 
 from msgspec import Struct
 
-from testbed.core.codes import FaultReport, Intervention, Refusal, Response
-from testbed.core.types import (
-    Demand,
-    Health,
-    Pose,
-    Reference,
-    State,
-    Twist,
-    ValveCommand,
-    Wrench,
-)
+from testbed.core.codes import FaultReport
+from testbed.core.records.definition import MESSAGES
+from testbed.core.records.kinds import EventKind
+from testbed.core.records.ros import schema_text
+from testbed.core.types import Demand, EndingTick, HostTick, Pose, Reference, State, Tick, Twist
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
-from testbed.logs.message import Decoder
-from testbed.logs.recorder import Truth
-
-_ZERO = Wrench(0.0, 0.0, 0.0)
-
-
-class SeenInputs(Struct, frozen=True, gc=False):
-    """The part of a vehicle's inputs that viewers use."""
-
-    t: float  # [s]
-    armed: bool
-    health: Health
-    neighbours: dict[str, State] = {}
-
-
-class SeenOutputs(Struct, frozen=True, gc=False):
-    """The part of a vehicle's outputs that viewers use."""
-
-    t: float  # [s]
-    state: State | None
-    active_setpoint: Reference | Demand | None
-    command: ValveCommand
-    commanded_wrench: Wrench = _ZERO
-    realised_wrench: Wrench = _ZERO
-    inhibit_reason: Refusal | None = None
-    fault: FaultReport | None = None
-    faults: tuple[str, ...] = ()
-    response: Response = Response.NONE
-    filtered: Intervention | None = None
-
-
-class SeenTick(Struct, frozen=True, gc=False):
-    """The part of a vehicle's tick that viewers use."""
-
-    inputs: SeenInputs
-    outputs: SeenOutputs
-
-
-class SeenHostInputs(Struct, frozen=True, gc=False):
-    """The part of the host's inputs that viewers use."""
-
-    t: float  # [s]
-    own: State | None
-    neighbours: dict[str, State] = {}
-
-
-class SeenHost(Struct, frozen=True, gc=False):
-    """The part of a host law's tick that viewers use."""
-
-    inputs: SeenHostInputs
+from testbed.logs.packing import unpack
+from testbed.logs.recorder import Motion, Truth
+from testbed.logs.tick_row import RowReader, fault_of
 
 
 class Loop(Struct, frozen=True, gc=False):

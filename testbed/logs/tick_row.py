@@ -325,9 +325,10 @@ class RowReader:
         _, held, seq, fault, inhibit, length, response, known, active, air_off, sends = _some(
             take, 11
         )
+        aims: dict[int, Reference | Demand] = {Active.REFERENCE: reference, Active.DEMAND: demand}
         pulses = row.sequences["pulses"]
         outputs = Outputs(
-            out_t, state if known else None, {Active.REFERENCE: reference, Active.DEMAND: demand}.get(active), wanted, got,
+            out_t, state if known else None, aims.get(active), wanted, got,
             ValveCommand(
                 seq, issued, until, tuple(on for on, _ in pulses), tuple(at for _, at in pulses)
             ),

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple
 
 from testbed.core.codes import Detector, FaultCause, Response
-from testbed.logs.feed import SeenTick
+from testbed.core.types import Tick
 from testbed.logs.history import Happening
 from testbed.report.scenario import Scenario
 
@@ -28,7 +28,7 @@ STOPPING = tuple(one.words for one in Response if one >= Response.BRAKE)
 RANK: tuple[Level, ...] = ("CRITICAL", "ERROR", "WARN", "INFO")
 
 
-def _state(tick: SeenTick) -> str:
+def _state(tick: Tick) -> str:
     """State of a vehicle with a fault, for the banner."""
     out = tick.outputs
     flying, over = STATES[out.response]
@@ -50,7 +50,7 @@ class Trouble:
             else:
                 self._since.pop(name, None)
 
-    def culprits(self, newest: Mapping[str, SeenTick]) -> dict[str, str]:
+    def culprits(self, newest: Mapping[str, Tick]) -> dict[str, str]:
         """Vehicles with a fault of their own, also as reported by others, and its title."""
         found: dict[str, str] = {}
         cause: FaultCause | None = None
