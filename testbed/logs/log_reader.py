@@ -156,6 +156,11 @@ class LogReader:
         with self.path.open("rb") as file:
             return self.finished and not self.lost and read_summary(file) is not None
 
+    @property
+    def epoch(self) -> int:
+        """UTC at time 0 of the run, as far as it is known [ns]."""
+        return self._epoch or 0
+
     def said(self) -> list[str]:
         """Messages about damage in the part read so far or right after it; empty: none."""
         places = self._places()
@@ -294,7 +299,7 @@ class LogReader:
             if channel is None:
                 self._nameless += 1
                 continue
-            yield Row(channel.topic, record.stamp - (self._epoch or 0), record.data)
+            yield Row(channel.topic, record.stamp - self.epoch, record.data)
 
     def _zero(self, records: list[Record]) -> int | None:
         """UTC at time 0 of the run, from a row: it begins with its time of the run."""
@@ -318,7 +323,7 @@ class LogReader:
 
     def _seconds(self, stamp: int | None) -> float | None:
         """Time of the run [s]."""
-        return None if stamp is None else (stamp - (self._epoch or 0)) * 1e-9
+        return None if stamp is None else (stamp - self.epoch) * 1e-9
 
     def _account(self, message: Message) -> None:
         """Record what is missing before a message."""
