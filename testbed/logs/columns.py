@@ -6,7 +6,7 @@ the log itself are used, so a log of another version has columns, too.
 
 from collections.abc import Mapping
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from testbed.core.records.definition import (
     dtype_of,
     parse,
 )
-from testbed.core.records.layout import HEADER, Layout
+from testbed.core.records.layout import COUNT, HEADER, SPARE, Layout
 from testbed.core.records.ros import LINE, schema_text
 from testbed.logs.log_reader import LogError, LogReader
 
@@ -98,36 +98,43 @@ def shape_of(kind: str, text: str) -> Shape:
 def _stacked(shape: Shape, rows: list[bytes]) -> Rows:
     """All rows as one array, with the largest capacities among them."""
     names = [one.name for one in shape.definition.sequences]
-    lengths = {f"{name}_length" for name in names}
-    parts: list[Rows] = []
-    for _, same in groupby(rows, len):
-        group = list(same)
-        parts += _alike(shape, group, names)
-    most = [max(part[f"{n}_length"][0] for part in parts) for n in names]
+    parts = [one for _, same in groupby(rows, len) for one in _alike(shape, list(same), names)]
+    most = {n: max(part.capacities[k] for part in parts) for k, n in enumerate(names)}
+    layout = shape.layout(most)
     if len(parts) == 1:
-        return parts[0]
-    layout = shape.layout(dict(zip(names, most, strict=True)))
-    out, at = np.zeros(len(rows), layout.dtype()), 0
+        return parts[0].data.view(layout.dtype())[:, 0]
+    out, at = np.zeros((len(rows), layout.size), np.uint8), 0
     for part in parts:
-        to = out[at : at + len(part)]
-        at += len(part)
-        for name in (n for n in part.dtype.names or () if n not in lengths):
-            if name in names:
-                to[name][:, : part[name].shape[1]] = part[name]
-            else:
-                to[name] = part[name]
-    for name, capacity in zip(names, most, strict=True):
-        out[f"{name}_length"] = capacity
-    return out
+        own, to = part.layout, out[at : at + len(part.data)]
+        at += len(part.data)
+        head = len(HEADER) + own.fixed.itemsize
+        to[:, :head] = part.data[:, :head]
+        for mine, there in zip(own.parts, layout.parts, strict=True):
+            size = COUNT.itemsize + mine.capacity * mine.dtype.itemsize
+            begin, end = mine.offset - SPARE, there.offset - SPARE
+            to[:, end : end + size] = part.data[:, begin : begin + size]
+    found = out.view(layout.dtype())[:, 0]
+    for name, capacity in most.items():
+        found[f"{name}_length"] = capacity
+    return found
 
 
-def _alike(shape: Shape, rows: list[bytes], names: list[str]) -> list[Rows]:
-    """Rows of one size as arrays; one array if they have the same capacities."""
+class Part(NamedTuple):
+    """Rows with the same capacities."""
+
+    data: NDArray[np.uint8]  # (rows, bytes)
+    capacities: tuple[int, ...]
+    layout: Layout
+
+
+def _alike(shape: Shape, rows: list[bytes], names: list[str]) -> list[Part]:
+    """Rows of one size; one part if they have the same capacities."""
     capacities = shape.capacities(rows[0])
-    dtype = shape.layout(dict(zip(names, capacities, strict=True))).dtype()
-    if dtype.itemsize != len(rows[0]):
+    layout = shape.layout(dict(zip(names, capacities, strict=True)))
+    if layout.size != len(rows[0]):
         raise ValueError("a sequence of length 0")
-    found = np.frombuffer(b"".join(rows), dtype)
+    data = np.frombuffer(b"".join(rows), np.uint8).reshape(len(rows), layout.size)
+    found = data.view(layout.dtype())[:, 0]
     if all(np.all(found[f"{n}_length"] == k) for n, k in zip(names, capacities, strict=True)):
-        return [found]
+        return [Part(data, capacities, layout)]
     return [one for row in rows for one in _alike(shape, [row], names)]

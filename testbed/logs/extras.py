@@ -22,6 +22,7 @@ from testbed.logs.packing import form, leaves
 
 RESPONSES = {one.value: one.name.lower() for one in Response}
 EVERY_NS = 500_000_000  # of the run
+SELDOM_NS = 5_000_000_000  # between two pressures
 TABLE = "table"  # frame of the table
 OK, WARN, ERROR = 0, 1, 2  # levels of a diagnosis
 BARE = struct.Struct("<4s" + form("Tick"))
@@ -64,11 +65,14 @@ class Extras:
         wrench = {"force": {"x": fx, "y": fy}, "torque": {"z": tau}}
         stamped = {"header": self._header(stamp, name), "wrench": wrench}
         yield Extra(f"/{name}/wrench", WRENCH_KIND, cdr.encode(WRENCH_KIND, stamped))
-        supply = {"header": self._header(stamp, name), "fluid_pressure": values[SUPPLY]}
-        yield Extra(f"/{name}/supply", SUPPLY_KIND, cdr.encode(SUPPLY_KIND, supply))
         move = {"translation": {"x": x, "y": y}, "rotation": turn}
         moved = {"header": header, "child_frame_id": name, "transform": move}
         yield Extra("/tf", TF_KIND, cdr.encode(TF_KIND, {"transforms": [moved]}))
+
+        if stamp >= self._due.get(f"{topic}/slow", 0):
+            self._due[f"{topic}/slow"] = stamp + SELDOM_NS - SELDOM_NS // 100
+            supply = {"header": self._header(stamp, name), "fluid_pressure": values[SUPPLY]}
+            yield Extra(f"/{name}/supply", SUPPLY_KIND, cdr.encode(SUPPLY_KIND, supply))
 
     def _header(self, stamp: int, frame: str) -> cdr.Message:
         sec, nanosec = divmod(self._epoch + stamp, 10**9)

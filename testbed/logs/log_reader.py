@@ -282,24 +282,32 @@ class LogReader:
         return read_summary(file) or Summary([])
 
     def _rows(self, file: BinaryIO, records: list[Record]) -> Iterator[Row]:
-        for name in records:
-            if not isinstance(name, Message):
-                self._learn(name)
         if self._epoch is None:
+            for name in records:
+                if not isinstance(name, Message):
+                    self._learn(name)
+            if any(isinstance(r, Message) and r.channel not in self._channels for r in records):
+                for name in self._repeated(file).records:
+                    self._learn(name)
             self._epoch = self._zero(records)
+        epoch, channels = self.epoch, self._channels
         for record in records:
             if not isinstance(record, Message):
+                self._learn(record)
                 continue
-            self._account(record)
-            channel = self._channels.get(record.channel)
+            number, sequence, stamp, data = record
+            if self._hurt is not None or sequence != self._sequence + 1:
+                self._account(record)
+            self._sequence, self._stamp = sequence, stamp
+            channel = channels.get(number)
             if channel is None and not self._nameless:
                 for name in self._repeated(file).records:
                     self._learn(name)
-                channel = self._channels.get(record.channel)
+                channel = channels.get(number)
             if channel is None:
                 self._nameless += 1
                 continue
-            yield Row(channel.topic, record.stamp - self.epoch, record.data)
+            yield Row(channel.topic, stamp - epoch, data)
 
     def _zero(self, records: list[Record]) -> int | None:
         """UTC at time 0 of the run, from a row: it begins with its time of the run."""

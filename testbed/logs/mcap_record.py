@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 HEAD = struct.Struct("<BQ")  # opcode and length of a record
-LARGEST = 8 * 2**20  # largest chunk, packed or not [bytes]; the writer's have 256 kB
+LARGEST = 8 * 2**20  # largest chunk, packed or not [bytes]; the writer's have 1 MB
 RATIO = 64  # largest compression ratio of a log; real ones have 4 to 30
 NAMES = 2**16  # most schemas and channels in a chunk: their numbers have 16 bits
 

@@ -24,7 +24,7 @@ from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.extras import Extras
 from testbed.logs.recorder import READY, Entry, Frame, Mark, Topic
 
-CHUNK = 256 * 1024  # a chunk is closed at this size or earlier [bytes]
+CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
 WAITING = 1024  # most reads queued for the disk
 

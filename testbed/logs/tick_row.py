@@ -149,7 +149,7 @@ class RowWriter:
             o.t, *(_NO_STATE if o.state is None else _state(o.state)), *reference, *demand,
             *_wrench(o.commanded_wrench), *_wrench(o.realised_wrench), *self._filter(o.filtered),
             c.issued_at, c.valid_until, NAN if own is None else own.t,
-            *values, *(NAN,) * (3 - len(values)), 0.0 if o.fault is None else o.fault.value, held,
+            *values, *(NAN,) * (3 - len(values)), _value(o.fault), held,
             c.seq, self._fault(o.fault), 0 if shut is None else shut.code, len(values), o.response,
             o.state is not None, now, o.air_off, own is not None,
         )  # fmt: skip
@@ -407,6 +407,10 @@ def _meant(codes: dict[int, C], code: int) -> C:
 
 def _some(take: Iterator[Any], number: int) -> list[Any]:
     return [next(take) for _ in range(number)]
+
+
+def _value(fault: FaultReport | None) -> float:
+    return NAN if fault is None or fault.value is None else fault.value
 
 
 def _own(t: float, row: Unpacked) -> LawMessage:

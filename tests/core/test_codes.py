@@ -4,6 +4,7 @@ import string
 
 import msgspec
 import pytest
+from testbed.logs.message import from_json, to_json
 
 from testbed.config.shipped import shipped_faults
 from testbed.core.codes import (
@@ -19,7 +20,6 @@ from testbed.core.codes import (
     Response,
 )
 from testbed.flight.faults import Fault
-from testbed.logs.message import from_json, to_json
 from testbed.net.commands import Lease
 
 CODES = [one for kind in Code.__subclasses__() for one in kind]
