@@ -6,6 +6,7 @@ obstacles and rows of the fault table are numbered in the order of the experimen
 the message `Names` repeats.
 """
 
+from testbed.core.codes import Hazard, InhibitReason, Response
 from testbed.core.records.definition import message, text_message
 from testbed.core.records.kinds import Active, EventKind, FaultCode, SetpointKind
 
@@ -117,7 +118,7 @@ INTERVENTION = message("Intervention", "Change of the demanded force by the safe
     uint32 subject  # number of the obstacle or vehicle that it avoids plus one; 0: neither
     uint16 hazard  # what it avoids; 0: the demand was not changed
     uint16 reserved
-""")  # fmt: skip
+""", hazard=Hazard)  # fmt: skip
 
 TICK_INPUTS = message("TickInputs", "Inputs of a tick, without its sequences.", """
     float64 t  # [s]
@@ -153,7 +154,7 @@ TICK_OUTPUTS = message("TickOutputs", "Outputs of a tick, without its sequences.
     uint8 air_off  # turn the bearing air off for good
     uint8 message_known  # its law on board sends a message
     uint8[3] reserved
-""", active=Active, fault=FaultCode)  # fmt: skip
+""", active=Active, fault=FaultCode, inhibit=InhibitReason, response=Response)  # fmt: skip
 
 TICK = message("Tick", "One vehicle's complete tick: inputs and outputs of its flight chain.", """
     TickInputs inputs
@@ -236,7 +237,7 @@ CONTACT = message("Contact", "A touch of a vehicle and another body.", """
     uint32 other  # number of the vehicle or obstacle; see hazard
     uint16 hazard  # what was touched
     uint16[3] reserved
-""")  # fmt: skip
+""", hazard=Hazard)  # fmt: skip
 
 VALVES = message("Valves", "Outputs of a valve board from t on.", """
     float64 t  # [s]

@@ -99,7 +99,7 @@ def page() -> str:
                 cells = f"`{field.name}`", f"`{field.type_text}`", field.meaning
                 lines.append(f"| {' | '.join(cells)} |")
         for name, codes in one.codes.items():
-            said = ", ".join(f"{code.value} {code.name}" for code in codes)
+            said = ", ".join(f"{code.value} `{code.name}`" for code in codes)
             lines += ["", f"`{name}`: {said}"]
     return "\n".join(lines) + "\n"
 
