@@ -133,7 +133,7 @@ def flown_before(campaign: Campaign, found: Sequence[Flown]) -> dict[int, Flown]
     return {
         run.k: run
         for run in found
-        if run.k < campaign.count and (run.outcome != "lost" or run == gone(limit_s, (run.k, ())))
+        if run.k < campaign.count and (run.outcome != "lost" or run.limit_s == limit_s)
     }
 
 
@@ -200,7 +200,7 @@ def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> Fleet[Task, Flown
 def gone(limit_s: float, task: Task) -> Flown:
     """The result of a run whose workers died."""
     words = f"its workers died while flying it, or it took longer than {limit_s:g} s (limit_s)"
-    return Flown(task[0], "lost", words)
+    return Flown(task[0], "lost", words, limit_s=limit_s)
 
 
 def failure_folder(folder: Path, k: int) -> Path:

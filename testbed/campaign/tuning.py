@@ -46,6 +46,7 @@ from testbed.config import ConfigError, dump, load
 from testbed.config.error import show
 from testbed.config.experiment import Seed
 from testbed.config.key import assignment
+from testbed.core.error import MismatchError
 from testbed.core.vehicle import Positive
 
 BROKEN = 1e6  # cost of each run that breaks a safety bound
@@ -63,11 +64,11 @@ class Gain(Struct, frozen=True, forbid_unknown_fields=True):
     log: bool = False
 
     def __post_init__(self) -> None:
-        found = f"found {self.low:g} and {self.high:g} for {self.key}"
+        found = f"{self.low:g} and {self.high:g} for {self.key}"
         if not self.low < self.high:
-            raise ValueError(f"expected low < high, {found}")
+            raise MismatchError("low < high", found)
         if self.log and self.low <= 0.0:
-            raise ValueError(f"expected low > 0 for log, {found}")
+            raise MismatchError("low > 0 for log", found)
 
 
 class TuningFile(Struct, frozen=True, forbid_unknown_fields=True):

@@ -14,6 +14,7 @@ from testbed.cli.refusal import errors
 from testbed.cli.result import print_result
 from testbed.config import Experiment, read_toml
 from testbed.config.guarantee import warnings_of
+from testbed.core.codes import FaultId, FaultReport
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.metrics.run_metrics import Metrics
@@ -30,6 +31,7 @@ def finish_run(folder: Path, rig: str, fault: str | None, *, as_json: bool) -> N
         _of_what_is_there(folder / "log.mcap", experiment),
         rig=rig,
         fault=fault,
+        fault_report=None if fault is None else FaultReport(FaultId.PROCESS_ENDED, fault),
         phase="FAULT" if fault else "STOPPED",
         warnings=list(warnings_of(experiment)),
     )

@@ -19,6 +19,7 @@ from testbed.core.codes import (
     Response,
     ResponseName,
 )
+from testbed.core.error import MismatchError
 from testbed.core.vehicle import NonNegative
 
 LONGEST_FORMAT = 6  # characters after the colon, as in {value:>9.2e}
@@ -39,9 +40,9 @@ class Fault(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if (self.above is None) == (self.below is None):
-            raise ValueError("expected one of `above` and `below`, found both or neither")
+            raise MismatchError("one of `above` and `below`", "both or neither")
         if not _is_plain(self.text):
-            raise ValueError("expected a text with {value} and {said} only, found another field")
+            raise MismatchError("a text with {value} and {said} only", "another field")
 
     @property
     def code(self) -> Response:

@@ -87,7 +87,7 @@ class Pace(Struct, frozen=True, gc=False):
     setpoints_lost: int = 0  # so far, from gaps in their sequence numbers
     refused: int = 0  # messages that were late, expired, foreign etc., so far
     round_trip_s: float | None = None  # of the newest query to the host
-    cameras: str = ""  # fault of this vehicle's rigid body, see `mocap.body_monitor`
+    cameras: str = ""  # fault of this vehicle's rigid body, see `mocap.poses.Trouble`
     frames_lost: int = 0  # camera frames, so far
 
 
@@ -98,6 +98,7 @@ class Flown(Struct, frozen=True, gc=False):
     tick: Tick
     pace: Pace
     edges: tuple[tuple[float, int], ...] = ()  # valve edges the board reported: t [s], mask
+    stops: int = 0  # the operator's stops that this vehicle has heard
 
 
 class Counts(Struct, frozen=True):
@@ -105,7 +106,7 @@ class Counts(Struct, frozen=True):
 
     commands: dict[str, int]  # setpoints, by `envelope.Verdict`
     refusals: dict[str, int]  # plans, by the board's reason; not_sent: by the command guard
-    mocap: dict[str, int]  # faults of its rigid body, by `body_monitor.Trouble`
+    mocap: dict[str, int]  # faults of its rigid body, by `mocap.poses.Trouble`
     lost_frames: int
     reconnects: int  # of the serial line
     mocap_latency_ms: float | None  # median, exposure to arrival

@@ -26,6 +26,7 @@ from testbed.cli.benchmark import print_scores
 from testbed.cli.campaign import print_summary
 from testbed.cli.tune import TuningResult, print_result
 from testbed.config import dump, find, load
+from testbed.core.codes import FaultReport
 from testbed.core.extra import pip_install
 
 FILE = """
@@ -261,8 +262,9 @@ def test_words_in_brackets_are_words(here, capsys):
 
 def test_a_flight_that_ended_in_a_fault_is_named_with_its_seed(here, capsys):
     campaign = load_campaign(here / "try.toml")
-    stuck = "sat1: valve_stuck_closed: jet 4 gives no thrust"
-    runs = [Flown(k, "fault", stuck, {"gas_g": 1.0}, seed=k, fault_t=12.3) for k in range(12)]
+    stuck = FaultReport("valve_stuck_closed", "jet 4 gives no thrust", "sat1", "jet_missing")
+    more = {"fault_t": 12.3, "fault": stuck}
+    runs = [Flown(k, "fault", stuck.words, {"gas_g": 1.0}, seed=k, **more) for k in range(12)]
     print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
     said = capsys.readouterr().out
     assert "  run 7, seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4" in said
@@ -274,7 +276,9 @@ def test_what_is_not_safe_on_other_seeds_is_named(here, capsys):
     gain = {"key": "controller.bandwidth", "low": 0.1, "high": 0.6}
     (here / "tune.toml").write_text(tomli_w.dumps({**tune, "gain": [gain]}))
     tuning = load_tuning(here / "tune.toml")
-    unsafe = Flown(0, "fault", "sat1: leak: 3 %", {"gas_g": 1.0}, seed=1_000_004, fault_t=2.0)
+    leak = FaultReport("leak", "3 %", "sat1", "tank_loss")
+    more = {"seed": 1_000_004, "fault_t": 2.0, "fault": leak}
+    unsafe = Flown(0, "fault", leak.words, {"gas_g": 1.0}, **more)
     trial = judged(tuning, 0, [0.1], [unsafe])
     best = msgspec.structs.replace(trial, cost=1.0, broken=0)
     result = TuningResult(

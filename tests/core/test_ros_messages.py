@@ -38,7 +38,12 @@ def test_every_field_has_a_meaning_or_a_message() -> None:
         assert name in said
         for k, field in enumerate(one.fields):
             counted = field.sequence and one.fields[k - 1].meaning
-            plain = counted or field.name == "reserved" or field.kind in MESSAGES or field.kind == "string"
+            plain = (
+                counted
+                or field.name == "reserved"
+                or field.kind in MESSAGES
+                or field.kind == "string"
+            )
             coded = field.name in one.codes
             assert plain or coded or field.meaning, (name, field.name)
 

@@ -187,7 +187,7 @@ def test_the_run_after_a_fault_says_so_and_resets_it():
     first = run("--rig", "bench", "duration_s=3", "faults.battery_low.below=12.5", "--out", "one")
     assert first.exit_code == FAULT
     assert phases("one") == ["ARMED", "RUNNING", "FAULT"]
-    assert "battery_low" in FaultLatch("bench", "lab", "").fault
+    assert FaultLatch("bench", "lab", "").fault.id == "battery_low"
 
     again = run("--rig", "bench", "duration_s=1", "--out", "two")
     assert again.exit_code != FAULT

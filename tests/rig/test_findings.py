@@ -74,7 +74,7 @@ def test_what_comes_after_the_end_is_not_of_the_flight(findings):
     one = flown(1)
     findings.note_tick("sat1", one)
     before = findings.spent("sat1"), len(findings.track().t)
-    inputs = replace(one.tick.inputs, vitals=Vitals(end="the flight is over"))
+    inputs = replace(one.tick.inputs, vitals=Vitals(end=True))
     command = replace(one.tick.outputs.command, on_us=(50_000,) * 8)
     outputs = replace(one.tick.outputs, command=command)
     findings.note_tick("sat1", replace(one, tick=Tick(inputs, outputs)))

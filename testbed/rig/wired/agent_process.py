@@ -16,7 +16,7 @@ from firmware_interface.limits import LimitsError
 from firmware_interface.serial_board import BoardError
 from firmware_interface.serial_thrusters import ThrustersError
 from testbed.core.lab import Network
-from testbed.net.credentials import BadgeError, read_badge, trouble
+from testbed.net.credentials import BadgeError, read_badge, untrusted
 from testbed.net.session import NetworkError
 from testbed.realtime.heartbeat import attach, in_file
 from testbed.realtime.processes import end_on_terminate
@@ -56,7 +56,7 @@ def fly(agent: Agent, say: Callable[[str], None], *, child: bool) -> None:
             say(badge.ending)
         endpoint, lab = endpoint or badge.endpoint, lab or badge.lab
     endpoint, lab = endpoint or Network().endpoint, lab or Network().lab
-    if (why := trouble(endpoint, agent.keys)) is not None:
+    if (why := untrusted(endpoint, agent.keys)) is not None:
         raise BadgeError(f"{endpoint} is not opened: {why}")
     if agent.heart is not None:
         attach(in_file(agent.heart))
