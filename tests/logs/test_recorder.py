@@ -171,7 +171,7 @@ def stopped(tmp_path, monkeypatch):
     return begin
 
 
-def test_a_flight_on_wires_does_not_wait_for_a_stopped_writer(stopped, tmp_path):
+def test_a_flight_on_wires_does_not_wait_for_a_stopped_writer(stopped, tmp_path, monkeypatch):
     recorder, said = stopped(waits=False), []
     for k in range(1, 30_001):
         recorder.write("/truth", 0.1 * k, truth(0.1 * k))
@@ -180,6 +180,7 @@ def test_a_flight_on_wires_does_not_wait_for_a_stopped_writer(stopped, tmp_path)
     assert len(said) == 1
     assert "rows of it are lost" in said[0]
     os.kill(recorder._writer.pid, signal.SIGCONT)
+    monkeypatch.setattr(recording, "PATIENCE_S", 5.0)
     recorder.__exit__(None, None, None)
     assert len(read(tmp_path / "log.mcap")) == 30_001 - recorder.lost
 
