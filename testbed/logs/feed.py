@@ -21,7 +21,7 @@ from testbed.core.types import Demand, EndingTick, HostTick, Pose, Reference, St
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
 from testbed.logs.packing import unpack
 from testbed.logs.recorder import Motion, Truth
-from testbed.logs.tick_row import RowReader, fault_of
+from testbed.logs.row_reader import RowReader, fault_of
 
 
 class Loop(Struct, frozen=True, gc=False):

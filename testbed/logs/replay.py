@@ -21,7 +21,8 @@ from testbed.core.types import (
     State,
 )
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader, Row
-from testbed.logs.tick_row import RowReader, RowWriter
+from testbed.logs.row_reader import RowReader
+from testbed.logs.tick_row import RowWriter
 
 
 class Difference(Struct, frozen=True):

@@ -22,7 +22,8 @@ from testbed.core.records.cdr import decode
 from testbed.core.records.definition import MESSAGES
 from testbed.core.records.kinds import EventKind
 from testbed.flight.faults import Fault
-from testbed.logs.tick_row import event_of, fault_of
+from testbed.logs.row_reader import fault_of
+from testbed.logs.tick_row import event_of
 from testbed.net.commands import Lease
 
 CODES = [one for kind in Code.__subclasses__() for one in kind]

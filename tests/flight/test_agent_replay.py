@@ -30,7 +30,8 @@ from testbed.core.types import (
     Wrench,
 )
 from testbed.flight.agent import lead_time
-from testbed.logs.tick_row import RowReader, RowWriter
+from testbed.logs.row_reader import RowReader
+from testbed.logs.tick_row import RowWriter
 from testbed.rig.chain import make_agent, make_guidance
 from testbed.rig.twin import make_twin
 
