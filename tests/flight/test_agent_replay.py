@@ -55,8 +55,17 @@ class Keeper:
 
 
 def bits(message):
-    """All of a message's content, floats included, to the last bit."""
-    return msgspec.msgpack.encode(message)
+    """All of a message's content in order, floats to the last bit."""
+    match message:
+        case msgspec.Struct():
+            return [type(message), *map(bits, msgspec.structs.astuple(message))]
+        case dict():
+            return [(name, bits(one)) for name, one in message.items()]
+        case tuple() | list():
+            return [bits(one) for one in message]
+        case float():
+            return message.hex()
+    return message
 
 
 def through_rows(message, writer=None, reader=None):
