@@ -44,9 +44,8 @@ class Columns:
             if kind in MESSAGES and not MESSAGES[kind].is_record:
                 self.texts[topic] = rows
                 continue
-            shape = shape_of(kind, book.texts.get(topic, ""))
             try:
-                self.rows[topic] = _stacked(shape, rows)
+                self.rows[topic] = _stacked(shape_of(kind, book.texts.get(topic, "")), rows)
             except (ValueError, IndexError, KeyError) as error:
                 raise LogError(f"{topic}: expected records of {kind}, found {error}") from None
 

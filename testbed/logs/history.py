@@ -15,7 +15,7 @@ from testbed.core.records.kinds import Active
 from testbed.core.types import Tick
 from testbed.logs.columns import Columns
 from testbed.logs.feed import Rows, SeenPace, SeenPhase, same_version
-from testbed.logs.log_reader import LogReader
+from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
 
 Array = NDArray[np.float64]
 
@@ -108,6 +108,13 @@ def gather(book: LogReader) -> History:
     log = Columns(book)
     for topic in log.rows:
         same_version(book, topic)
+    try:
+        return _history(log)
+    except UNREADABLE as error:
+        raise LogError(f"{book.path}: {error}") from None
+
+
+def _history(log: Columns) -> History:
     reader, vehicles, none = Rows(), dict[str, VehicleHistory](), np.zeros(0)
     for data in log.texts.get("/names", [])[-1:]:
         reader.message("/names", "Names", data)

@@ -19,6 +19,7 @@ from testbed.core.types import Demand, HostTick, LawMessage, Reference, Setpoint
 from testbed.logs.packing import Packer, getter
 
 NAN = float("nan")
+REPEAT_S = 30.0  # names are repeated: a log may lose its beginning
 MOST_FAULTS = 64  # rows of the fault table: bits of `faults`
 
 
@@ -58,6 +59,7 @@ class RowWriter:
     def __init__(self, names: Names | None = None) -> None:
         self.names = names or Names()
         self._said = (-1, -1, -1)  # sizes of the names in the log
+        self._again = 0.0  # when to write them again [s]
         self._packers: dict[str, Packer] = {}
         self._texts: dict[tuple[str, int], Any] = {}  # newest event by topic and kind
 
@@ -77,8 +79,8 @@ class RowWriter:
                     return [Made(topic, name, fixed)]
                 made = Made(topic, name, self._packer(topic, name).pack(fixed, sequences))
         sizes = len(self.names.vehicles), len(self.names.obstacles), len(self.names.faults)
-        if sizes != self._said:
-            self._said = sizes
+        if sizes != self._said or t >= self._again:
+            self._said, self._again = sizes, t + REPEAT_S
             known = {"t": t, **msgspec.structs.asdict(self.names)}
             out.insert(0, Made("/names", "Names", cdr.encode("Names", known)))
         return [*out, made]
