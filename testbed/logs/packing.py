@@ -29,7 +29,8 @@ def _form(field: Field) -> str:
 
 
 @cache
-def _several(kind: str, number: int) -> struct.Struct:
+def several(kind: str, number: int) -> struct.Struct:
+    """Packs the numbers of so many elements."""
     return struct.Struct("<" + form(kind) * number)
 
 
@@ -62,21 +63,23 @@ class Packer:
         definition = MESSAGES[name]
         self.name, self._kinds = name, [one.kind for one in definition.sequences]
         self._head = struct.Struct("<4s" + form(name))
+        self._sizes = [DTYPES[kind].itemsize for kind in self._kinds]
         self._most = [1] * len(self._kinds)
 
-    def pack(self, fixed: Sequence[Any], sequences: Sequence[tuple[int, Sequence[Any]]]) -> bytes:
+    def pack(self, fixed: Sequence[Any], sequences: Sequence[tuple[int, bytes]]) -> bytes:
         """One message.
 
         Args:
             fixed: numbers of the fixed part.
-            sequences: for each, the number of its elements and their numbers.
+            sequences: for each, the number of its elements and their bytes.
         """
-        parts = [self._head.pack(HEADER, *fixed)]
-        for k, (number, values) in enumerate(sequences):
-            kind = self._kinds[k]
-            most = self._most[k] = max(self._most[k], number)
-            parts += [_COUNT.pack(number, most), _several(kind, number).pack(*values)]
-            parts.append(bytes((most - number) * DTYPES[kind].itemsize))
+        parts, most = [self._head.pack(HEADER, *fixed)], self._most
+        for k, (number, data) in enumerate(sequences):
+            if number > most[k]:
+                most[k] = number
+            parts += (_COUNT.pack(number, most[k]), data)
+            if number < most[k]:
+                parts.append(bytes((most[k] - number) * self._sizes[k]))
         return b"".join(parts)
 
 
@@ -86,7 +89,7 @@ def unpack(name: str, data: bytes) -> Unpacked:
     Raises:
         ValueError: it is no such message.
     """
-    head = _several(name, 1)
+    head = several(name, 1)
     at = len(HEADER) + head.size
     found: dict[str, list[tuple[Any, ...]]] = {}
     try:
@@ -98,7 +101,7 @@ def unpack(name: str, data: bytes) -> Unpacked:
             if valid > length or at > len(data):
                 raise ValueError(f"{one.name} of {valid} in {length} elements")
             elements = data[begin : begin + valid * size]
-            found[one.name] = list(_several(one.kind, 1).iter_unpack(elements))
+            found[one.name] = list(several(one.kind, 1).iter_unpack(elements))
     except struct.error as error:
         raise ValueError(f"expected a {name}, found {error}") from None
     if at != len(data) or data[:4] != HEADER:

@@ -204,8 +204,10 @@ class Recorder:
         if now - self._marked >= self._span:
             self._marked = now
             self._send(Mark())
+            self._hand_over()
+        elif self._span <= SPAN_NS:  # faster than real time a write per tick costs more than rows
+            self._hand_over()
         assert self._writer.stderr is not None
-        self._hand_over()
         try:
             heard = os.read(self._writer.stderr.fileno(), 4096)
         except BlockingIOError:

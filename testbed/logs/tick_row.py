@@ -4,9 +4,10 @@ A row holds numbers. A text, such as a law's exception, is an `Event` of the sam
 before the first row that has its code; a name is a number in `Names`, written when it is new.
 """
 
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Iterable
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 from msgspec import Struct
@@ -16,9 +17,11 @@ from testbed.core.error import TestbedError
 from testbed.core.records import cdr
 from testbed.core.records.kinds import Active, EventKind, FaultCode, SetpointKind
 from testbed.core.types import Demand, HostTick, LawMessage, Reference, Setpoint, State, Tick
-from testbed.logs.packing import Packer, getter
+from testbed.logs.packing import Packer, getter, several
 
 NAN = float("nan")
+S = TypeVar("S")
+MOST_KEPT = 1000  # values whose bytes are kept
 REPEAT_S = 30.0  # names are repeated: a log may lose its beginning
 MOST_FAULTS = 64  # rows of the fault table: bits of `faults`
 
@@ -26,6 +29,7 @@ MOST_FAULTS = 64  # rows of the fault table: bits of `faults`
 _state, _reference, _demand = getter("State"), getter("Reference"), getter("Demand")
 _sample, _wrench, _health = getter("PoseSample"), getter("Wrench"), getter("Health")
 _NO_STATE, _NO_REFERENCE, _NO_DEMAND = (NAN,) * 11 + (0,), (NAN,) * 10, (NAN,) * 7
+_STATE, _VEHICLE = several("State", 1), struct.Struct("<II")
 _NO_FILTER = (0.0, 0.0, 0, 0)
 
 
@@ -46,11 +50,13 @@ class Names(Struct):
 
     def number(self, of: list[str], name: str) -> int:
         """The number of a name, which is appended if it is new."""
-        if name not in of:
+        try:
+            return of.index(name)
+        except ValueError:
             of.append(name)
         if len(self.faults) > MOST_FAULTS:
             raise TestbedError(f"expected at most {MOST_FAULTS} rows in the fault table")
-        return of.index(name)
+        return len(of) - 1
 
 
 class RowWriter:
@@ -62,6 +68,7 @@ class RowWriter:
         self._again = 0.0  # when to write them again [s]
         self._packers: dict[str, Packer] = {}
         self._texts: dict[tuple[str, int], Any] = {}  # newest event by topic and kind
+        self._bytes: dict[int, tuple[object, bytes]] = {}  # of values, by their identity
 
     def rows(self, topic: str, t: float, message: Struct) -> list[Made]:
         """The messages for a struct: its row, after what its row refers to."""
@@ -108,7 +115,7 @@ class RowWriter:
         law_error = said(EventKind.LAW_ERROR, v.law_error, who, t, out)
         fleet = said(EventKind.FLEET, v.fleet, who, t, out)
         said(EventKind.FAULT, o.fault, who, t, out)
-        aim, references = _aim(i.setpoint)
+        aim, references = self._aim(i.setpoint)
         at, now = o.active_setpoint, Active.NONE
         reference, demand = _NO_REFERENCE, _NO_DEMAND
         if isinstance(at, Reference):
@@ -130,10 +137,10 @@ class RowWriter:
             o.state is not None, now, o.air_off, own is not None,
         )  # fmt: skip
         sequences = (
-            (len(i.samples), _flat(map(_sample, i.samples))),
+            _elements("PoseSample", map(_sample, i.samples)),
             self._neighbours(i.neighbours),
             references,
-            (len(c.on_us), _flat(zip(c.on_us, c.offset_us, strict=True))),
+            _elements("Pulse", zip(c.on_us, c.offset_us, strict=True)),
             heard, heard_values,
             _message(own),
         )  # fmt: skip
@@ -142,7 +149,7 @@ class RowWriter:
     def _host(self, topic: str, t: float, tick: HostTick, who: str, out: list[Made]) -> Made:
         i, o = tick.inputs, tick.outputs
         fault = self.event(EventKind.LAW_FAULT, o.fault, who, t, out)
-        aim, references = _aim(o.setpoint)
+        aim, references = self._aim(o.setpoint)
         own = o.message
         fixed = (
             i.t, *(_NO_STATE if i.own is None else _state(i.own)), i.own is not None,
@@ -169,38 +176,64 @@ class RowWriter:
             return self.names.number(self.names.faults, fault.id) + 1
         return FaultCode.GATE if fault.id.upper() in InhibitReason.__members__ else FaultCode.OTHER
 
-    def _neighbours(self, states: dict[str, State]) -> tuple[int, list[Any]]:
+    def _neighbours(self, states: dict[str, State]) -> tuple[int, bytes]:
         names = self.names
-        return len(states), _flat(
-            (*_state(one), names.number(names.vehicles, name)) for name, one in states.items()
+        return len(states), b"".join(
+            self._kept(one, _state_bytes) + _VEHICLE.pack(names.number(names.vehicles, name), 0)
+            for name, one in states.items()
         )
 
+    def _kept(self, thing: S, make: Callable[[S], bytes]) -> bytes:
+        """The bytes of a value that never changes and that several rows have."""
+        found = self._bytes.get(id(thing))
+        if found is not None and found[0] is thing:
+            return found[1]
+        if len(self._bytes) > MOST_KEPT:
+            self._bytes.clear()
+        self._bytes[id(thing)] = thing, (data := make(thing))
+        return data
+
     def _heard(self, messages: dict[str, LawMessage]) -> tuple[Any, Any]:
+        if not messages:
+            return _EMPTY, _EMPTY
         names = self.names
         heads = (
             (one.t, names.number(names.vehicles, name), len(one.values))
             for name, one in messages.items()
         )
-        values = _flat(one.values for one in messages.values())
-        return (len(messages), _flat(heads)), (len(values), values)
+        values = ((value,) for one in messages.values() for value in one.values)
+        return _elements("Heard", heads), _elements("float64", values)
+
+    def _aim(self, setpoint: Setpoint | None) -> tuple[tuple[Any, ...], tuple[int, bytes]]:
+        if setpoint is None:
+            return (*_NO_DEMAND, NAN, SetpointKind.NONE), _EMPTY
+        if isinstance(setpoint, Demand):
+            return (*_demand(setpoint), NAN, SetpointKind.DEMAND), _EMPTY
+        ahead = setpoint.references
+        fixed = (*_NO_DEMAND, setpoint.valid_until, SetpointKind.TRAJECTORY)
+        data = self._kept(ahead, _reference_bytes)
+        return fixed, (len(ahead), data)
 
 
-def _flat(parts: Any) -> list[Any]:
-    return list(chain.from_iterable(parts))
+_EMPTY = 0, b""
 
 
-def _aim(setpoint: Setpoint | None) -> tuple[tuple[Any, ...], tuple[int, list[Any]]]:
-    if setpoint is None:
-        return (*_NO_DEMAND, NAN, SetpointKind.NONE), (0, [])
-    if isinstance(setpoint, Demand):
-        return (*_demand(setpoint), NAN, SetpointKind.DEMAND), (0, [])
-    ahead = setpoint.references
-    fixed = (*_NO_DEMAND, setpoint.valid_until, SetpointKind.TRAJECTORY)
-    return fixed, (len(ahead), _flat(map(_reference, ahead)))
+def _state_bytes(state: State) -> bytes:
+    return _STATE.pack(*_state(state))
 
 
-def _message(message: LawMessage | None) -> tuple[int, tuple[float, ...]]:
-    return (0, ()) if message is None else (len(message.values), message.values)
+def _reference_bytes(references: tuple[Reference, ...]) -> bytes:
+    return _elements("Reference", map(_reference, references))[1]
+
+
+def _elements(kind: str, rows: Iterable[Any]) -> tuple[int, bytes]:
+    """Number and bytes of the elements of a sequence."""
+    found = list(rows)
+    return len(found), several(kind, len(found)).pack(*chain.from_iterable(found))
+
+
+def _message(message: LawMessage | None) -> tuple[int, bytes]:
+    return _EMPTY if message is None else _elements("float64", ((v,) for v in message.values))
 
 
 def event_of(t: float, kind: EventKind, what: str | FaultReport) -> bytes:
@@ -214,7 +247,7 @@ def event_of(t: float, kind: EventKind, what: str | FaultReport) -> bytes:
 def _motions(writer: RowWriter, t: float, truth: Any, who: str, out: list[Made]) -> Any:
     writer.names.vehicles += [n for n in truth.vehicles if n not in writer.names.vehicles]
     rows = [(m.x, m.y, m.theta, m.vx, m.vy, m.omega) for m in truth.vehicles.values()]
-    return "Truth", (t,), [(len(rows), _flat(rows))]
+    return "Truth", (t,), [_elements("Motion", rows)]
 
 
 def _pace(writer: RowWriter, t: float, pace: Any, who: str, out: list[Made]) -> Any:

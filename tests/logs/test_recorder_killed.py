@@ -81,7 +81,7 @@ def test_a_flight_killed_at_twenty_instants_loses_nothing(tmp_path):
 
 def row_at(stamp: int) -> bytes:
     """A row of a time [ns]."""
-    return Packer("Truth").pack((1e-9 * stamp,), [(0, ())])
+    return Packer("Truth").pack((1e-9 * stamp,), [(0, b"")])
 
 
 def chunked(count: int) -> list:
