@@ -84,8 +84,10 @@ def reasons(scenario: Scenario, metrics: Metrics) -> list[str]:
     found += metrics.red
     if metrics.fault and not metrics.red:
         report = metrics.fault_report
-        short = report is not None and report.vehicle in scenario.vehicles
-        found.append(f"{report.vehicle}: {report.title}" if report and short else metrics.fault)
+        if report is None or report.vehicle not in scenario.vehicles:
+            found.append(metrics.fault)
+        else:
+            found.append(f"{report.vehicle}: {report.title}")
     return found
 
 

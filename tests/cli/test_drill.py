@@ -222,7 +222,7 @@ def test_an_injected_fault_is_named_and_answered(inject, named, response, within
     assert found.early == ()
     assert found.named.startswith(named)
     assert found.detected_s <= within
-    assert found.response == response
+    assert found.response.words == response
     assert (found.contacts, found.late) == (0, 0)
     # who is dead keeps its bearing air, and drifts
     dead = "kill_process" in inject
@@ -232,7 +232,7 @@ def test_an_injected_fault_is_named_and_answered(inject, named, response, within
 def test_an_obstacle_that_runs_into_a_vehicle_at_rest_is_no_fault_of_the_response():
     inject = '{kind="drop_mocap",vehicle="sat3",at_s=5.8}'
     found = flown("xue2021_table_dynamic", inject, 15.0)
-    assert found.response == "brake"
+    assert found.response.words == "brake"
     assert (found.contacts, found.adrift) == (0, 2)  # it pushes the vehicle on
 
 
@@ -250,7 +250,7 @@ KINDS = 19  # in the drills that these cases are of
 )  # fmt: skip
 def test_what_once_ended_in_a_contact_does_not_any_more(number, kind):
     found = drawn(kind, EXPERIMENTS[number // KINDS % 2], np.random.default_rng([0, number]))
-    assert found.response == "brake"
+    assert found.response.words == "brake"
     assert found.detected_s < (0.6 if kind == "drop_mocap" else 0.3)
     assert found.at_rest_s < 0.5
     assert found.air == "off"
