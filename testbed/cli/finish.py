@@ -42,7 +42,8 @@ def finish_run(folder: Path, rig: str, fault: str | None, *, as_json: bool) -> N
         else:
             print_result(metrics, experiment, folder)
         sys.stdout.flush()
-    write_page(folder, experiment)
+    with suppress(LogError):  # the warning above says why there is no page
+        write_page(folder, experiment)
 
 
 def _of_what_is_there(log: Path, experiment: Experiment) -> Metrics:

@@ -118,6 +118,7 @@ class FaultId(StrEnum):
     HOST_LAW_RAISED = auto()
     HOST_LAW_NOT_A_NUMBER = auto()
     LAW_STUCK = auto()  # it did not return, left threads running, or ended its process
+    LAW_SLOW = auto()  # too slow for the bench and the table
     BOARD_FAILED = auto()  # it no longer executes plans
     BOARD_LEFT_ARMED = auto()
     LINE_LOST = auto()  # the serial line to the board

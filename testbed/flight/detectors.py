@@ -12,11 +12,13 @@ from testbed.core.types import Inputs, PoseSample, Setpoint, State, Trajectory, 
 from testbed.core.vehicle import Vehicle
 from testbed.flight.gate import is_number
 from testbed.flight.jet_faults import Array, JetFaultDetector
+from testbed.flight.nearby import Nearby, place
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
 TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
 TRUSTED = 8  # most refused poses for evidence about valves
 SAME_CLOCK = 0.005  # largest clock offset for evidence about valves [s]
+ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
 FAR = 0.05  # a pose this far from the own prediction is not the own one [m]
 
 
@@ -35,12 +37,6 @@ class Repeats:
             last, count = s, count + 1 if same else 0
         self._last, self._count = last, count
         return count
-
-
-def place(state: State, t: float) -> tuple[float, float]:
-    """Position of a vehicle at `t` at constant velocity."""
-    h = t - state.t
-    return state.pose.x + h * state.twist.vx, state.pose.y + h * state.twist.vy
 
 
 def jump(before: State | None, samples: Sequence[PoseSample]) -> float:
@@ -74,14 +70,17 @@ def due_at(setpoint: Setpoint) -> float:
 class Detectors:
     """All detectors of one vehicle."""
 
-    def __init__(self, vehicle: Vehicle, evidence: JetFaultDetector, *, noisy: bool) -> None:
+    def __init__(
+        self, vehicle: Vehicle, evidence: JetFaultDetector, nearby: Nearby, *, noisy: bool
+    ) -> None:
         """`noisy` cameras never repeat a pose exactly; others may, for a vehicle at rest."""
         self._set_pressure, self._full = vehicle.air.set_pressure, vehicle.air.tank_pressure
         self._tank: tuple[float, float] | None = None  # time [s] and pressure [Pa] at the last tick
         self._repeats = Repeats() if noisy else None
-        self._evidence = evidence
+        self._evidence, self._nearby = evidence, nearby
         self._before: State | None = None
         self._law_error, self._other, self._oldest = "", "", ""  # see `said`
+        self._t = 0.0  # of this tick [s]
         self.fleet: FaultReport | None = None  # fault of another vehicle, at this tick
 
     def compare(self, inputs: Inputs, state: State, duty: Array, thrust_scale: float) -> None:
@@ -127,6 +126,10 @@ class Detectors:
             if inputs.t - one.t > oldest:
                 oldest, self._oldest = inputs.t - one.t, name
         leak, weak = self._evidence.open, self._evidence.weak
+        may_leak = self._evidence.either[0]
+        if state is not None and may_leak.sigmas > ALERT:
+            self._nearby.look(inputs.t, state, inputs.neighbours)
+        self._t = inputs.t
         return (
             abs(age),
             self._repeats.count(samples) if self._repeats is not None else 0,
@@ -161,17 +164,19 @@ class Detectors:
     def said(self, detector: Detector) -> str:
         """Text for a detector's number at this tick, if it has one."""
         leak, weak = self._evidence.open, self._evidence.weak
+        touched = self._nearby.contact(self._t)
+        touched = touched and f"{touched} or "
         match detector:
             case Detector.JET_OPEN:
                 return str(leak.jet + 1)
             case Detector.JET_LEAKS:
-                return f"{leak.jet + 1} gives {leak.size:.0%}"
+                return f"{touched}valve leaks? jet {leak.jet + 1} gives {leak.size:.0%}"
             case Detector.JET_MISSING:
                 return str(weak.jet + 1)
             case Detector.JET_LEAKS_OR_WEAK:
                 may_leak, or_weak = self._evidence.either
                 other = "" if leak.gain > 0.0 else f" or jet {or_weak.jet + 1} gives too little"
-                return f"jet {may_leak.jet + 1} leaks{other}"
+                return f"{touched}jet {may_leak.jet + 1} leaks{other}"
             case Detector.LAW_ERROR:
                 return self._law_error
             case Detector.POSE_OF_ANOTHER:

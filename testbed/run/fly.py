@@ -27,7 +27,7 @@ from testbed.logs.tick_row import Names
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Metrics, ReferenceLog
 from testbed.realtime.heartbeat import Phase, heartbeat
-from testbed.realtime.law_watch import left_running, patience
+from testbed.realtime.law_watch import complaint, patience
 from testbed.realtime.pacer import Pace
 from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.interface import Rig
@@ -187,8 +187,8 @@ def fly_and_judge(
                     )
                     wall = time.perf_counter() - began
                     log.reports()
-                    if ending.fault is None and (left := left_running()):
-                        ending = Ending(ending.t, FaultReport(FaultId.LAW_STUCK, left))
+                    if ending.fault is None and (fault := complaint()):
+                        ending = Ending(ending.t, fault)
                     completed = ending.fault is None and ending.t >= experiment.end_s
                     metrics = measure(rig, references, ending, wall, completed=completed)
                     after = rig.come_to_rest(ending, log, lambda: interrupt.asked)
