@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from testbed.config import find, load
+from testbed.logs.log_reader import LogReader
 
 pytestmark = pytest.mark.usefixtures("here")
 
@@ -181,12 +182,18 @@ def test_what_does_not_apply_is_null(testbed):
     assert metrics["vehicles"]["sat1"]["heading_rms_deg"] is not None
 
 
+def rows_of(folder):
+    """All rows of a log; the standard messages beside them have the time of day."""
+    book = LogReader(Path(folder) / "log.mcap")
+    return [row for row in book.read() if "/" not in book.kinds[row.topic]]
+
+
 @pytest.mark.parametrize(("experiment", "duration"), [("hold", 3), ("zhang2023_table_wrench", 1)])
 def test_the_folder_s_config_repeats_the_run(testbed, experiment, duration):
     first = testbed("run", experiment, f"duration_s={duration}", "--seed", "7", "--out", "a")
     again = testbed("run", "a/config.toml", "--out", "b")
     assert again.exit_code == first.exit_code
-    assert Path("a/log.mcap").read_bytes() == Path("b/log.mcap").read_bytes()
+    assert rows_of("a") == rows_of("b")
     a, b = metrics_of(Path("a")), metrics_of(Path("b"))
     for metrics in (a, b):
         assert metrics.pop("wall_s") > 0.0
