@@ -30,7 +30,7 @@ from testbed.rig.twin import make_twin
 from testbed.run.drill import Notes, shipped
 
 VEHICLES = {  # thrust [N], mass [kg], inertia [kg m^2]
-    "floater": (0.6, 12.5, 0.20),
+    "generic_8jet": (0.6, 12.5, 0.20),
     "15 kg": (0.5, 15.0, 0.24),
     "0.2 N, 16 kg": (0.2, 16.0, 0.18),
     "1.5 N, 17.8 kg": (1.5, 17.8, 0.315),
@@ -172,7 +172,7 @@ def cases_of(options):
             for how in ("steep and unequal", "off balance")
         ],
         "open": list(VEHICLES),
-        "leaks": ["floater"],
+        "leaks": ["generic_8jet"],
         "shut": ["hold and zhang2023_table"],
     }
     for kind, names in whats.items():

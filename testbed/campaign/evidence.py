@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from testbed.campaign.row import Flown, columns_of, outcome_of, within
+from testbed.campaign.row import FlownRun, columns_of, outcome_of, within
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, load
 from testbed.logs.columns import Columns
@@ -47,7 +47,7 @@ def track_of(folder: Path, experiment: Experiment) -> Track:
     return Track(common, np.stack(states, axis=1))
 
 
-def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, float]) -> Flown:
+def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, float]) -> FlownRun:
     """Read a run folder as a run of a campaign.
 
     Raises:
@@ -73,4 +73,4 @@ def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, floa
     extra = beside_metrics(experiment, track)
     outcome, reason = outcome_of(metrics)
     columns = columns_of(metrics, experiment, extra)
-    return within(Flown(k, outcome, reason, columns, metrics.criteria or {}), most, least)
+    return within(FlownRun(k, outcome, reason, columns, metrics.criteria or {}), most, least)

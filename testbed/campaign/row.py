@@ -52,7 +52,7 @@ OF_A_VEHICLE = (*VehicleMetrics.__struct_fields__, *BESIDE)
 COLUMNS = ("run", "outcome", "reason", *SINGLE, *OF_A_VEHICLE)  # beside the file's parameters
 
 
-class Flown(Struct, frozen=True):
+class FlownRun(Struct, frozen=True):
     """A finished run."""
 
     k: int
@@ -159,7 +159,7 @@ def column(columns: Mapping[str, Number], name: str) -> Number:
     return columns[name]
 
 
-def within(run: Flown, most: Mapping[str, float], least: Mapping[str, float]) -> Flown:
+def within(run: FlownRun, most: Mapping[str, float], least: Mapping[str, float]) -> FlownRun:
     """The run; changed to failed if it passed but breaks a bound."""
     reason = broken_bound(run.columns, most, least) if run.outcome == "passed" else ""
     return replace(run, outcome="failed", reason=reason) if reason else run

@@ -63,7 +63,7 @@ Overrides = tuple[str, ...]
 Parameters = dict[str, float | int | bool | str]
 
 
-class Axis(Struct, frozen=True, forbid_unknown_fields=True):
+class GridAxis(Struct, frozen=True, forbid_unknown_fields=True):
     """One axis of the grid: the values of a key, or named cases of several keys."""
 
     key: str = ""
@@ -151,7 +151,7 @@ class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
     samples: Count = 1
     seed: Seed = 0
     design: Literal["random", "latin_hypercube"] = "random"
-    grid: list[Axis] = []
+    grid: list[GridAxis] = []
     draw: list[Draw] = []
     most: dict[str, float] = {}  # upper bounds of columns; a run above one has failed
     least: dict[str, float] = {}  # lower bounds

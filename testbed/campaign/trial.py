@@ -10,7 +10,7 @@ from importlib.metadata import version
 from io import StringIO
 from pathlib import Path
 
-from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_of
+from testbed.campaign.row import FlownRun, Kept, Number, Task, columns_of, outcome_of
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, dump, loads
 from testbed.realtime.scheduling import no_garbage_collection, settle
@@ -21,7 +21,7 @@ from testbed.run.folder import write_config, write_metrics
 from testbed.run.judge import measure
 
 
-def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
+def fly(base: str, k: int, overrides: Sequence[str]) -> FlownRun:
     """Fly run k, the base experiment with overrides; errors are returned in the result."""
     began = time.perf_counter()
     columns: dict[str, Number] = {}
@@ -50,10 +50,10 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     ).decode()  # lone surrogates are not valid UTF-8
     wall = time.perf_counter() - began
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Flown(k, outcome, reason, columns, criteria, wall, memory_mb, seed, fault_t, fault)
+    return FlownRun(k, outcome, reason, columns, criteria, wall, memory_mb, seed, fault_t, fault)
 
 
-def fly_batch(base: str, batch: Sequence[Task]) -> list[Flown]:
+def fly_batch(base: str, batch: Sequence[Task]) -> list[FlownRun]:
     """Fly some runs in sequence."""
     return [fly(base, *task) for task in batch]
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 
+from testbed.config.experiment import Experiment
 from testbed.core.codes import Response
 from testbed.core.types import HostTick, Tick
 from testbed.dashboard.banner import AMBER, GREEN, GREY, Banner, picture
@@ -27,7 +28,7 @@ from testbed.logs.feed import SeenPace, SeenPhase, pose_of, stopping_point
 from testbed.logs.history import Happening, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
 from testbed.report.fault_story import OVER, SUPERVISOR, Story, Trouble
-from testbed.report.scenario import Scenario, law_of, range_of
+from testbed.report.law import law_of, range_of
 
 STALE_S = 1.0  # links of a vehicle are not drawn from messages older than this
 TRAIL_S = 0.5  # between two updates of a trail, which is redrawn completely
@@ -47,7 +48,7 @@ def grouped(states: Mapping[str, str]) -> list[str]:
 class TableScene:
     """Draws the table, the headline and the events of one run."""
 
-    def __init__(self, scenario: Scenario, columns: Columns) -> None:
+    def __init__(self, scenario: Experiment, columns: Columns) -> None:
         self._scenario, self._columns = scenario, columns
         self._names = list(scenario.vehicles)
         self._newest: dict[str, Tick] = {}

@@ -30,7 +30,7 @@ class AdmissionParams(Struct, frozen=True, forbid_unknown_fields=True):
     faults: int = 0
 
 
-class Flown(Struct, frozen=True):
+class AdmissionFlight(Struct, frozen=True):
     """One flight on the twin."""
 
     seed: int
@@ -84,7 +84,9 @@ def nearest_edge(track: Track, half: Sequence[tuple[float, float]]) -> float:
     return min(room)
 
 
-def judge_flights(experiment: str, flights: Sequence[Flown], limits: AdmissionParams) -> Admission:
+def judge_flights(
+    experiment: str, flights: Sequence[AdmissionFlight], limits: AdmissionParams
+) -> Admission:
     """Compare the worst of all flights with every limit."""
     findings: list[Finding] = []
 

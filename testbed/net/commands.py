@@ -91,7 +91,7 @@ class Pace(Struct, frozen=True, gc=False):
     frames_lost: int = 0  # camera frames, so far
 
 
-class Flown(Struct, frozen=True, gc=False):
+class TickReport(Struct, frozen=True, gc=False):
     """One tick of a vehicle, for the log."""
 
     k: int

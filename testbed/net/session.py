@@ -222,11 +222,6 @@ def answer_to(
     )
 
 
-def ask_all(session: zenoh.Session, key: str, wait_s: float = 0.5) -> int:
-    """Number of answers to a query to all parties."""
-    return len(answers(session, key, wait_s))
-
-
 def answers(session: zenoh.Session, key: str, wait_s: float, question: bytes = b"") -> list[bytes]:
     """Answers of all parties to a query."""
     replies = session.get(

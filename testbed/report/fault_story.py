@@ -7,10 +7,10 @@ know its origin, the culprit; the other vehicles follow.
 from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple
 
+from testbed.config.experiment import Experiment
 from testbed.core.codes import Detector, FaultCause, Response
 from testbed.core.types import Tick
 from testbed.logs.history import Happening
-from testbed.report.scenario import Scenario
 
 Level = Literal["INFO", "WARN", "ERROR", "CRITICAL"]
 OVER = ("DISARMED", "STOPPED", "FAULT")  # phases of the supervisor after the flight
@@ -38,7 +38,7 @@ def _state(tick: Tick) -> str:
 class Trouble:
     """Vehicles with faults, in order of time, and which of these faults are their own."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Experiment) -> None:
         self._scenario = scenario
         self._since: dict[str, float] = {}
 
@@ -94,7 +94,7 @@ class Said(NamedTuple):
 class Story:
     """Converts events of vehicles and supervisor to lines: each fault once, the culprit first."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Experiment) -> None:
         self._scenario = scenario
         self._known: set[tuple[str, str, str]] = set()  # faults already reported, by `_key`
 

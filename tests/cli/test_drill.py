@@ -14,8 +14,8 @@ from testbed.config import ConfigError, find, load
 from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.faults.drill import NAMES, WHEN, Drilled, draw, summarise
 from testbed.metrics.admission import (
+    AdmissionFlight,
     AdmissionParams,
-    Flown,
     judge_flights,
     nearest_edge,
     nearest_rims,
@@ -24,7 +24,7 @@ from testbed.metrics.fault_line import fault_line
 from testbed.metrics.run_metrics import Track
 from testbed.run.drill import EXPERIMENTS, drawn, fly_case
 
-GOOD = Flown(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
+GOOD = AdmissionFlight(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
 
 
 @pytest.mark.parametrize(

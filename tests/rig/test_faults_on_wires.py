@@ -59,7 +59,7 @@ def test_a_fault_is_named_and_ends_the_flight(kind, value, names):
     assert ending.fault.vehicle == "sat1"
     assert ending.fault.id in names, (ending.fault, noted.rows)
     assert rig.supervisor.phase == "FAULT"
-    assert rig.report.edges["sat1"][-1][1] == 0
+    assert rig.results.report.edges["sat1"][-1][1] == 0
     assert rig.touches == []
 
 
@@ -76,4 +76,4 @@ def test_the_law_dies_on_the_host_and_the_vehicle_is_brought_to_rest():
     rig, ending, noted = fly("raise_law", "deploy.law=host")
     assert ending.fault.id == FaultId.HOST_LAW_RAISED
     assert "fleet" in noted.rows  # it was told, and stopped by itself
-    assert rig.report.edges["sat1"][-1][1] == 0
+    assert rig.results.report.edges["sat1"][-1][1] == 0

@@ -7,7 +7,7 @@ from testbed.config import find, load
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
 from testbed.flight.loop import Ending
 from testbed.metrics.afterwards import After, Left
-from testbed.net.commands import Counts, Ended, Flown, Pace
+from testbed.net.commands import Counts, Ended, Pace, TickReport
 from testbed.rig.observers import NullObserver
 from testbed.rig.wired.run_results import RunResults
 
@@ -19,7 +19,7 @@ def flown(k):
     t = 0.1 * k
     inputs = Inputs(t, True, (), None, {}, Health(t, 5e5, 2e7))
     outputs = Outputs(t, None, None, STILL, STILL, ValveCommand(k, t, t + 0.1, SHUT, SHUT))
-    return Flown(k, Tick(inputs, outputs), Pace(0.001 * k, None), ((t, 1), (t + 0.05, 0)))
+    return TickReport(k, Tick(inputs, outputs), Pace(0.001 * k, None), ((t, 1), (t + 0.05, 0)))
 
 
 @pytest.fixture

@@ -52,7 +52,7 @@ def test_a_watcher_stops_nobody_and_an_operator_everybody(tmp_path):
     assert ending.fault.words == "stopped by the operator"
     assert 1.0 < ending.t < 20.0
     assert told == [FAILED, "no answer on lab/sat1/order: no party is there", 0]
-    assert rig.report.left_as["sat1"] == ("SAFE", [])
+    assert rig.results.report.left_as["sat1"] == ("SAFE", [])
     assert set(dict(rig.truth())) == {"sat1"}  # as the table's own keys allow
 
 

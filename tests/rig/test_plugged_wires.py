@@ -107,7 +107,7 @@ def test_a_vehicle_flies_with_both(site, tmp_path, monkeypatch):
         cameras.join()
     assert (rig.red, ending.fault) == ([], None)
     assert ending.t == 1.0
-    assert rig._boards["sat1"] == "[lab.thrusters] system = 'file'"
+    assert rig.results.boards["sat1"] == "[lab.thrusters] system = 'file'"
     levels = {}
     lines = (tmp_path / "pins-sat1").read_text().splitlines()
     for line in lines:

@@ -17,9 +17,9 @@ from testbed.flight.safety import SPARE_S
 from testbed.mocap.poses import MocapPoses
 from testbed.net.clock import HostClock
 from testbed.net.commands import (
-    Flown,
     Lease,
     Pace,
+    TickReport,
 )
 from testbed.net.envelope import Inbox, Outbox, Verdict
 from testbed.net.impairment import NetworkImpairment
@@ -37,7 +37,7 @@ AIR_S = 1.0  # time for a board to report that its bearing air is off
 PERMITTED_S = 3.0  # without a permit by then the flight ends
 
 
-class Flight:
+class VehicleFlight:
     """Observes the flight and decides when it is over."""
 
     def __init__(
@@ -89,7 +89,7 @@ class Flight:
             self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
         clock = self._clock
         edges = tuple(self._thrusters.edges())
-        flown = Flown(
+        flown = TickReport(
             self._k, tick, self._pace(tick.inputs.vitals.late_s), edges, self._tower.operator_stops
         )
         self._k += 1
@@ -174,7 +174,7 @@ class Flight:
 class Permitted:
     """A node that is armed only while the host's supervisor permits it."""
 
-    def __init__(self, node: VehicleNode, flight: Flight, clock: WallClock) -> None:
+    def __init__(self, node: VehicleNode, flight: VehicleFlight, clock: WallClock) -> None:
         self.name, self._node, self._flight, self._clock = node.name, node, flight, clock
 
     def tick(
@@ -207,8 +207,8 @@ def counted(asked: Asked) -> Iterator[None]:
 
 
 def land(
-    experiment: Experiment, ending: Ending, clock: WallClock, node: Permitted, flight: Flight,
-    thrusters: WiredThrusters,
+    experiment: Experiment, ending: Ending, clock: WallClock, node: Permitted,
+    flight: VehicleFlight, thrusters: WiredThrusters,
 ) -> None:  # fmt: skip
     """Come to rest and turn the air off, after any end of the flight."""
     params, period = experiment.flight.ending, experiment.flight.jet_period_s

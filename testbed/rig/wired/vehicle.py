@@ -46,7 +46,7 @@ from testbed.rig.twin import warm_up
 from testbed.rig.wired.command_guard import CommandGuard
 from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.counts import count
-from testbed.rig.wired.onboard import Flight, Permitted, counted, land
+from testbed.rig.wired.onboard import Permitted, VehicleFlight, counted, land
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.thrusters import make_thrusters
@@ -162,7 +162,7 @@ def fly_vehicle(
         for ear in strangers:
             ear.close()
         poses = MocapPoses(source, wires.mocap, clock, name)
-        flight = Flight(
+        flight = VehicleFlight(
             party, thrusters, poses, tower, config_id(experiment), drift, link, process_faults
         )
         if tower.stop_reason is None:

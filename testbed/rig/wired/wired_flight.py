@@ -27,7 +27,7 @@ from testbed.core.types import (
 )
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import Ending, HostNode, Observer, fly
-from testbed.net.commands import Ended, Flown, Lease, Stop, config_id
+from testbed.net.commands import Ended, Lease, Stop, TickReport, config_id
 from testbed.net.envelope import Inbox, Outbox, Verdict
 from testbed.net.links import Blackboard, Party, ZenohHostLink, host_states
 from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
@@ -54,7 +54,7 @@ class Book(Protocol):
         """Record the newest truth."""
         ...
 
-    def note_tick(self, name: str, flown: Flown) -> None:
+    def note_tick(self, name: str, flown: TickReport) -> None:
         """Record a vehicle's tick."""
         ...
 
@@ -154,7 +154,7 @@ class HostFlight:
         self.bad_truth = 0  # invalid messages of the truth
         self._ticks = {n: Subscriber(party.session, keys.of(n, "tick")) for n in self._names}
         self._events = {n: Subscriber(party.session, keys.of(n, "event")) for n in self._names}
-        open_tick = msgspec.msgpack.Decoder(Flown).decode
+        open_tick = msgspec.msgpack.Decoder(TickReport).decode
         open_event = msgspec.msgpack.Decoder(Ended).decode
         self._flown = {n: Inbox(open_tick, party.run, LOST_S) for n in self._names}
         self._ended = {n: Inbox(open_event, party.run, LOST_S) for n in self._names}
