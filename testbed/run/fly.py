@@ -157,7 +157,7 @@ def fly_and_judge(
         make: builds the rig; default: the twin.
         speed: of the twin, as a multiple of real time; None: as fast as possible.
         screen: display during the flight.
-        epoch_ns: time of the log, UTC, at time 0 of the run.
+        epoch_ns: time of the log, UTC, at time 0 of the run; 0: two runs give the same bytes.
     """
     interrupt, screen = interrupt or Interrupt(), screen or FlightScreen()
     rig, ending, wall = make(experiment), Ending(0.0, None), 0.0
