@@ -27,6 +27,7 @@ the twin, which is faster than a disk, the flight waits for the writer, unless t
 
 import os
 import select
+import struct
 import subprocess
 import sys
 from contextlib import suppress
@@ -164,8 +165,16 @@ class Recorder:
             raise RecorderError(said)
 
     def write(self, topic: str, t: float, message: Struct) -> None:
-        """Append one message of time `t` [s] to `topic`."""
-        for one in self._rows.rows(topic, t, message):
+        """Append one message of time `t` [s] to `topic`.
+
+        Raises:
+            RecorderError: the writer failed, or a number does not fit its field.
+        """
+        try:
+            rows = self._rows.rows(topic, t, message)
+        except (struct.error, OverflowError) as error:
+            raise RecorderError(f"a message of {topic} at {t:.3f} s: {error}") from None
+        for one in rows:
             self.append(one.topic, one.kind, t, one.data)
         if self._scene:
             self.append("/scene", SCENE, t, self._scene)

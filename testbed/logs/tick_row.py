@@ -13,7 +13,6 @@ import msgspec
 from msgspec import Struct
 
 from testbed.core.codes import FaultReport, Hazard, InhibitReason, Intervention
-from testbed.core.error import TestbedError
 from testbed.core.records import cdr
 from testbed.core.records.kinds import Active, EventKind, FaultCode, SetpointKind
 from testbed.core.types import Demand, HostTick, LawMessage, Reference, Setpoint, State, Tick
@@ -23,7 +22,7 @@ NAN = float("nan")
 S = TypeVar("S")
 MOST_KEPT = 1000  # values whose bytes are kept
 REPEAT_S = 30.0  # names are repeated: a log may lose its beginning
-MOST_FAULTS = 64  # rows of the fault table: bits of `faults`
+MOST_FAULTS = 64  # bits of `faults`; later rows of the fault table are not in it
 
 
 _state, _reference, _demand = getter("State"), getter("Reference"), getter("Demand")
@@ -54,8 +53,6 @@ class Names(Struct):
             return of.index(name)
         except ValueError:
             of.append(name)
-        if len(self.faults) > MOST_FAULTS:
-            raise TestbedError(f"expected at most {MOST_FAULTS} rows in the fault table")
         return len(of) - 1
 
 
@@ -124,7 +121,8 @@ class RowWriter:
             now, demand = Active.DEMAND, _demand(at)
         shut = o.inhibit_reason
         values = () if shut is None else shut.values
-        held = sum(1 << self.names.number(self.names.faults, one) for one in o.faults)
+        rows = {self.names.number(self.names.faults, one) for one in o.faults}
+        held = sum(1 << k for k in rows if k < MOST_FAULTS)
         heard, heard_values = self._heard(i.messages)
         fixed = (
             i.t, *aim, *_health(i.health), v.operator_age, v.clock_offset, v.late_s, v.disk_free,
@@ -173,7 +171,7 @@ class RowWriter:
         if fault is None:
             return FaultCode.NONE
         if fault.detector:
-            return self.names.number(self.names.faults, fault.id) + 1
+            return min(self.names.number(self.names.faults, fault.id) + 1, FaultCode.GATE - 1)
         return FaultCode.GATE if fault.id.upper() in InhibitReason.__members__ else FaultCode.OTHER
 
     def _neighbours(self, states: dict[str, State]) -> tuple[int, bytes]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from testbed.core.records.definition import DTYPES, MESSAGES
 from testbed.core.records.ros import schema_text
@@ -21,7 +22,8 @@ from testbed.logs.columns import Columns, shape_of
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.logs.mcap_writer import Disk, write_log
-from testbed.logs.recorder import Entry, Mark, Recorder, Topic
+from testbed.logs.recorder import Entry, Mark, Recorder, RecorderError, Topic
+from testbed.logs.row_reader import RowReader
 from testbed.logs.tick_row import RowWriter
 
 STILL = Wrench(0.0, 0.0, 0.0)
@@ -52,6 +54,28 @@ def test_a_burst_of_poses_loses_none(tmp_path):
     history = gather(LogReader(tmp_path / "log.mcap")).vehicles["sat1"]
     np.testing.assert_array_equal(history.t, [0.1 * k for k in range(6)])
     np.testing.assert_array_equal(history.on[:, 3], 1e-6 * np.arange(6))
+
+
+def test_a_number_that_fits_no_row_is_an_error_of_the_recorder(tmp_path):
+    wrong = replace(tick(1, 0), outputs=replace(tick(1, 0).outputs, t=10**400))
+
+    def write() -> None:
+        with Recorder(tmp_path / "log.mcap") as recorder:
+            recorder.write("/sat1/tick", 0.1, wrong)
+
+    with pytest.raises(RecorderError, match="a message of /sat1/tick at"):
+        write()
+
+
+def test_a_long_fault_table_is_no_error():
+    """The record has a bit for each of the first rows; a fault is an event as well."""
+    faults = tuple(f"row {k}" for k in range(70))
+    one = tick(1, 0)
+    wrong = replace(one, outputs=replace(one.outputs, faults=faults))
+    writer, reader = RowWriter(), RowReader()
+    for made in writer.rows("/sat1/tick", 0.1, wrong):
+        reader.learn(made.topic, made.kind, made.data)
+    assert reader.tick("/sat1/tick", made.data).outputs.faults == faults[:64]
 
 
 def test_a_log_of_another_version_has_columns(tmp_path, monkeypatch):
