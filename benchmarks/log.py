@@ -21,6 +21,7 @@ from testbed.logs.columns import Columns
 from testbed.logs.log_reader import LogReader
 from testbed.logs.recorder import FAST_SPAN_NS, Recorder
 from testbed.metrics.run_metrics import ReferenceLog
+from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin, warm_up
 from testbed.run.fly import FlightLog, FlightScreen, names_of
@@ -35,7 +36,8 @@ def flown(experiment: Experiment, path: Path | None) -> tuple[float, float]:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     if path is None:
         began = time.process_time()
-        rig.fly(MetricsObserver(experiment.vehicles))
+        with no_garbage_collection():
+            rig.fly(MetricsObserver(experiment.vehicles))
         return time.process_time() - began, 0.0
     recorder = Recorder(
         path, names=names_of(experiment), span_ns=FAST_SPAN_NS, scene=scene_of(experiment)
@@ -44,7 +46,8 @@ def flown(experiment: Experiment, path: Path | None) -> tuple[float, float]:
     with recorder:
         log = FlightLog(rig, references, recorder, FlightScreen())
         began = time.process_time()
-        rig.fly(log)
+        with no_garbage_collection():
+            rig.fly(log)
         used = time.process_time() - began
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

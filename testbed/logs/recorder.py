@@ -265,13 +265,10 @@ class Recorder:
         """Write without waiting; returns the number of bytes."""
         assert self._writer.stdin is not None
         done = 0
-        try:
-            while self._pending:
-                step = os.write(self._writer.stdin.fileno(), self._pending[:BUFFER])
-                del self._pending[:step]
-                done += step
-        except BlockingIOError:
-            pass
+        with suppress(BlockingIOError), memoryview(self._pending) as pending:
+            while done < len(pending):
+                done += os.write(self._writer.stdin.fileno(), pending[done : done + BUFFER])
+        del self._pending[:done]
         return done
 
     def _takes_more(self, wait_s: float) -> bool:
