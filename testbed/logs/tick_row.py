@@ -234,11 +234,20 @@ def _message(message: LawMessage | None) -> tuple[int, bytes]:
     return _EMPTY if message is None else _elements("float64", ((v,) for v in message.values))
 
 
+def _json(fault: FaultReport) -> str:
+    """A fault as JSON; half a character in the words of an exception is spelled."""
+    try:
+        return msgspec.json.encode(fault).decode()
+    except UnicodeEncodeError:
+        text = fault.text.encode(errors="backslashreplace").decode()
+        return msgspec.json.encode(FaultReport(fault.id, text, fault.vehicle)).decode()
+
+
 def event_of(t: float, kind: EventKind, what: str | FaultReport) -> bytes:
     """An event for a text or a fault."""
     found: cdr.Message = {"t": t, "kind": kind, "text": what}
     if isinstance(what, FaultReport):
-        found |= {"id": what.id, "text": what.words, "parts": msgspec.json.encode(what).decode()}
+        found |= {"id": what.id, "text": what.words, "parts": _json(what)}
     return cdr.encode("Event", found)
 
 
@@ -263,7 +272,7 @@ def _formation(writer: RowWriter, t: float, one: Any, who: str, out: list[Made])
 
 
 def _phase(writer: RowWriter, t: float, one: Any, who: str, out: list[Made]) -> Any:
-    parts = "" if one.fault is None else msgspec.json.encode(one.fault).decode()
+    parts = "" if one.fault is None else _json(one.fault)
     found = {"t": one.t, "kind": EventKind.PHASE, "id": one.phase, "text": one.because}
     return "Event", cdr.encode("Event", found | {"parts": parts}), ()
 

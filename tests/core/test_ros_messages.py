@@ -6,10 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from testbed.core.codes import FaultReport
 from testbed.core.records import cdr, ros, standard
 from testbed.core.records import messages as _messages  # noqa: F401
 from testbed.core.records.definition import DTYPES, MESSAGES, parse
+from testbed.core.records.kinds import EventKind
 from testbed.core.records.layout import Layout
+from testbed.logs.row_reader import fault_of
+from testbed.logs.tick_row import event_of
 
 ROOT = Path(ros.__file__).parents[3]
 SHIPPED = Path(ros.__file__).parent / "testbed_msgs"
@@ -83,6 +87,14 @@ def _value(kind: str, noise: np.random.Generator) -> Any:
 def test_a_message_survives_cdr(name: str) -> None:
     message = sample(name, np.random.default_rng(1))
     assert cdr.decode(MESSAGES[name], cdr.encode(name, message)) == message
+
+
+def test_half_a_character_is_spelled() -> None:
+    found = cdr.decode(MESSAGES["Event"], cdr.encode("Event", EVENT | {"text": "a\udc80"}))
+    assert found["text"] == r"a\udc80"
+    report = FaultReport("law", "raised \udc80", "sat1")
+    found = cdr.decode(MESSAGES["Event"], event_of(1.0, EventKind.FAULT, report))
+    assert fault_of(found) == FaultReport("law", r"raised \udc80", "sat1")
 
 
 def test_broken_bytes_are_refused() -> None:

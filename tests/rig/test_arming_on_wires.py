@@ -208,7 +208,7 @@ def test_a_host_that_was_killed_is_a_fault_too():
     FaultLatch("table", "lab", "runs/yesterday").set()
     done = run("--rig", "table", "--arm", "--out", "out")
     assert done.exit_code == BAD_INPUT
-    assert KILLED in " ".join(done.output.split())
+    assert KILLED.text in " ".join(done.output.split())
 
 
 def test_on_the_twin_the_same_checks_are_asked():

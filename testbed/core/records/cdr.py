@@ -39,7 +39,7 @@ def _write(definition: Definition, message: Message, out: bytearray) -> None:
             _put(out, code, *(x or 0 for x in values))
         elif one.kind == "string":
             for text in values:
-                data = (text or "").encode() + b"\0"
+                data = (text or "").encode(errors="backslashreplace") + b"\0"
                 _put(out, "I", len(data))
                 out += data
         elif one.kind in MESSAGES:
