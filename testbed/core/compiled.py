@@ -64,15 +64,8 @@ def _is_ours_throughout(kind: Any) -> bool:
         return all(_is_ours_throughout(part) for part in kind)
     if isinstance(kind, types.Array):
         return _is_ours_throughout(kind.dtype)
-    known = (
-        types.Record,
-        types.Number,
-        types.Boolean,
-        types.UnicodeType,
-        types.Literal,
-        types.NoneType,
-    )
-    return isinstance(kind, (*known, types.Omitted))
+    known = (types.Number, types.Boolean, types.UnicodeType, types.Literal, types.NoneType)
+    return isinstance(kind, (*known, types.Omitted, types.Record))  # a record has numbers only
 
 
 class OwnTypesCache(FunctionCache):
