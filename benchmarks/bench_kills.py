@@ -64,6 +64,7 @@ class Told(NullObserver):
             print(json.dumps(["permit", name, until]), flush=True)
 
 def started(rig):
+    print(json.dumps(["endpoint", rig.experiment.table.lab.network.endpoint]), flush=True)
     print(json.dumps(["start", rig.children, rig._clock.epoch_ns]), flush=True)
 
 class Relay:
@@ -113,11 +114,11 @@ print(json.dumps(["end", ending.t, ending.fault]), flush=True)
 class Host:
     """The host's process, and what it has said."""
 
-    def __init__(self, words, report):
+    def __init__(self, words, report, env=None, program=HOST):
         self.said, self.lock = [], threading.Lock()
         self.process = subprocess.Popen(
-            [sys.executable, "-c", HOST, words[0], str(report), *words[1:]],
-            stdout=subprocess.PIPE, text=True, start_new_session=True,
+            [sys.executable, "-c", program, words[0], str(report), *words[1:]],
+            stdout=subprocess.PIPE, text=True, start_new_session=True, env=env,
         )  # fmt: skip
         self.thread = threading.Thread(target=self._read, daemon=True)
         self.thread.start()

@@ -97,6 +97,7 @@ class Flown(Struct, frozen=True, gc=False):
     tick: Tick
     pace: Pace
     edges: tuple[tuple[float, int], ...] = ()  # valve edges the board reported: t [s], mask
+    stops: int = 0  # the operator's stops that this vehicle has heard
 
 
 class Counts(Struct, frozen=True):

@@ -179,11 +179,11 @@ class Subscriber:
         return sorted((m for m in messages if m[0] <= now), key=lambda m: m[0])
 
 
-def on_word(session: zenoh.Session, key: str, do: Callable[[], object]) -> Any:
-    """Call `do` in Zenoh's thread whenever a message arrives on a key."""
+def on_word(session: zenoh.Session, key: str, do: Callable[[bytes], object]) -> Any:
+    """Call `do` with the message, in Zenoh's thread, whenever one arrives on a key."""
 
     def hear(sample: Any) -> None:
-        do()
+        do(sample.payload.to_bytes())
 
     return session.declare_subscriber(key, zenoh.handlers.Callback(hear, indirect=False))
 
@@ -227,10 +227,11 @@ def ask_all(session: zenoh.Session, key: str, wait_s: float = 0.5) -> int:
     return len(answers(session, key, wait_s))
 
 
-def answers(session: zenoh.Session, key: str, wait_s: float) -> list[bytes]:
+def answers(session: zenoh.Session, key: str, wait_s: float, question: bytes = b"") -> list[bytes]:
     """Answers of all parties to a query."""
     replies = session.get(
         key,
+        payload=question,
         timeout=wait_s,
         target=zenoh.QueryTarget.ALL,
         consolidation=zenoh.ConsolidationMode.NONE,

@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from testbed.config import ConfigError, find, load
+from testbed.net.direct_stop import stop_directly
 from testbed.net.stop import stop_everything
 from testbed.rig.chain import make_agent
 from testbed.rig.observers import NullObserver
@@ -208,6 +209,19 @@ def test_an_operator_says_stop(capsys):
     after = rig.come_to_rest(ending, NullObserver())
     assert (after.contacts, after.air) == (0, "off")
     assert after.at_rest_s < 3.0
+    assert_nothing_is_left(met)
+
+
+def test_a_vehicle_is_stopped_without_its_host():
+    def stop_later(rig):
+        endpoint = rig.experiment.table.lab.network.endpoint
+        threading.Timer(2.0, stop_directly, (endpoint, "lab", None, ["sat1"], "a", 5.0)).start()
+
+    rig, ending, _, met = fly("hold", "duration_s=30", when_started=stop_later)
+    assert "stopped by the operator" in ending.fault
+    assert ending.t < 20.0
+    after = rig.come_to_rest(ending, NullObserver())
+    assert (after.contacts, after.air) == (0, "off")
     assert_nothing_is_left(met)
 
 

@@ -88,7 +88,9 @@ class Flight:
             self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
         clock = self._clock
         edges = tuple(self._thrusters.edges())
-        flown = Flown(self._k, tick, self._pace(tick.inputs.vitals.late_s), edges)
+        flown = Flown(
+            self._k, tick, self._pace(tick.inputs.vitals.late_s), edges, self._tower.operator_stops
+        )
         self._k += 1
         self._mouth.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
 

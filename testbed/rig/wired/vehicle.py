@@ -31,6 +31,7 @@ from testbed.net.commands import (
     Start,
     config_id,
 )
+from testbed.net.direct_stop import StopListener
 from testbed.net.envelope import Outbox
 from testbed.net.keys import Keys
 from testbed.net.links import Party, ZenohVehicleLink
@@ -130,6 +131,7 @@ def fly_vehicle(
             no_garbage_collection()
         )  # now, because the last garbage collection takes time
         await_alone(session, keys, name)
+        listen_for_stops(name, lab, endpoint, badge, tower, stack, say)
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
         say(f"ready, {thrusters.board}; waiting for the host's order to start")
@@ -192,6 +194,21 @@ def fly_vehicle(
         await_end(gone, tower)
         if flight.signals.times:
             raise KeyboardInterrupt
+
+
+def listen_for_stops(
+    name: str, lab: str, endpoint: str, badge: Path | None, tower: CommandServer,
+    stack: ExitStack, say: Callable[[str], None],
+) -> None:  # fmt: skip
+    """Let the operator stop this vehicle without its host, until the stack is closed."""
+    try:
+        listener = StopListener(
+            name, lab, endpoint, badge, lambda stop: tower.operator_stop(stop.encode())
+        )
+    except (ImportError, OSError, ValueError) as error:
+        say(f"warning: `testbed stop` reaches {name} through its host only: {error}")
+    else:
+        stack.callback(listener.close)
 
 
 def await_host(endpoint: str, badge: Path | None, gone: Callable[[], bool]) -> zenoh.Session:

@@ -286,6 +286,7 @@ class HostFlight:
                 if box.take(data, clock.of(at)) is Verdict.TAKEN and box.newest is not None:
                     node = self._nodes[name]
                     node.heard_at, node.newest = clock.of(at), box.newest.tick
+                    self._asked.at_least(box.newest.stops)  # a stop may reach a vehicle only
                     book.note_tick(name, box.newest)
                     assert self._observer is not None
                     self._observer.vehicle(name, box.newest.tick)
