@@ -118,7 +118,7 @@ def settled(function: F) -> F:
     This is not checked (tests/experiments/test_settled.py flies with the types compared at every
     call).
     """
-    if config.DISABLE_JIT:  # plain Python, for a debugger
+    if cast(Any, config).DISABLE_JIT:  # plain Python, for a debugger
         return function
     direct: Callable[..., Any] | None = None
     whole: list[int] = []  # indices of integer arguments

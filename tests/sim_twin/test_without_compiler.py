@@ -49,4 +49,4 @@ def test_without_the_compiler_every_bit_is_the_same():
 
 
 if __name__ == "__main__":
-    print(flown())
+    sys.stdout.write(flown())
