@@ -55,17 +55,18 @@ class Told(NullObserver):
     def host(self, name, tick):
         setpoint = tick.outputs.setpoint
         if setpoint is not None:
-            print(json.dumps(["setpoint", name, rig._clock.epoch_ns + setpoint.valid_until * 1e9]),
+            until = rig.results.epoch_ns + setpoint.valid_until * 1e9
+            print(json.dumps(["setpoint", name, until]),
                   flush=True)
 
     def done(self, t):
-        until = rig._clock.epoch_ns + (t + PERMIT_S) * 1e9  # the permit was said just before
+        until = rig.results.epoch_ns + (t + PERMIT_S) * 1e9  # the permit was said just before
         for name in rig.experiment.vehicles:
             print(json.dumps(["permit", name, until]), flush=True)
 
 def started(rig):
     print(json.dumps(["endpoint", rig.experiment.table.lab.network.endpoint]), flush=True)
-    print(json.dumps(["start", rig.children, rig._clock.epoch_ns]), flush=True)
+    print(json.dumps(["start", rig.children, rig.results.epoch_ns]), flush=True)
 
 class Relay:
     # A cable between host and vehicles, until it is cut: nothing comes through, nothing ends.
@@ -102,12 +103,11 @@ def cut(number, frame):
 
 experiment = load(find(sys.argv[1]), sys.argv[3:])
 warm_up(experiment)
-rig = WireRig(experiment, bench=True, keep=Path(sys.argv[2]))
-rig.way = way
+rig = WireRig(experiment, bench=True, keep=Path(sys.argv[2]), relay=way)
 signal.signal(signal.SIGUSR1, cut)
 rig.on_start = started
 ending = rig.fly(Told())
-print(json.dumps(["end", ending.t, ending.fault]), flush=True)
+print(json.dumps(["end", ending.t, ending.fault and ending.fault.words]), flush=True)
 """
 
 

@@ -33,7 +33,7 @@ from testbed.rig.wired.table_report import TableReport
 CONDITIONS = ("plain", "other-env", "no-note", "squatted", "host-hangs", "host-dead")
 HOG = "while True: pass"
 GAP_NS = 600_000_000
-PROGRAM = HOST.replace("rig.way = way\n", "")  # the vehicles know the port of the host
+PROGRAM = HOST.replace(", relay=way", "")  # the vehicles know the port of the host
 
 
 def surroundings(condition, folder):

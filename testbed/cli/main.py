@@ -14,7 +14,7 @@ import click
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
-from testbed.cli.many import bench, campaign, tune
+from testbed.cli.many import benchmark, campaign, tune
 
 EPILOG = """\b
 Exit codes:
@@ -304,7 +304,9 @@ def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | No
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print the page for docs/.")
 @click.option(
-    "--plots", type=click.Path(path_type=Path), help="Write the reproduced figures to this folder."
+    "--plots",
+    type=click.Path(path_type=Path),
+    help="Folder for the figures, as SVG.",
 )
 @click.pass_context
 def reproduce(
@@ -327,7 +329,7 @@ def reproduce(
     )
 
 
-for verb in (agent, bench, campaign, lab_keys, poses, stop, tune, twin):
+for verb in (agent, benchmark, campaign, lab_keys, poses, stop, tune, twin):
     main.add_command(verb)
 
 
@@ -353,7 +355,9 @@ def entry() -> None:
         from testbed.cli.refusal import refuse
 
         code = _say_no_more(refuse(error))
-    except Exception:  # a bug: errors in files, connections and laws are handled above
+    # Errors in files, connections and laws are handled above, so this is a bug, of any class: it
+    # gets its traceback and exit code 70.
+    except Exception:
         from testbed.cli.refusal import confess
 
         code = confess()

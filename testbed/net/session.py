@@ -17,7 +17,7 @@ from typing import Any
 import zenoh
 
 from testbed.core.error import TestbedError
-from testbed.net.credentials import BadgeError, read_badge, tls, trouble
+from testbed.net.credentials import BadgeError, read_badge, tls, untrusted
 from testbed.realtime.wall_clock import monotonic_ns
 
 LARGEST = 1 << 18  # largest message [bytes]; an experiment has 20 kB
@@ -84,7 +84,7 @@ def _words(error: zenoh.ZError) -> str:
 
 def _checked(endpoint: str, keys: Path | None) -> None:
     """Raise a NetworkError if the endpoint must not be opened with these keys."""
-    if (why := trouble(endpoint, keys)) is not None:
+    if (why := untrusted(endpoint, keys)) is not None:
         raise NetworkError(f"{endpoint} is not opened: {why}")
     if keys is not None:
         try:
@@ -220,11 +220,6 @@ def answer_to(
     return session.declare_queryable(
         key, zenoh.handlers.Callback(on, indirect=False), complete=True
     )
-
-
-def ask_all(session: zenoh.Session, key: str, wait_s: float = 0.5) -> int:
-    """Number of answers to a query to all parties."""
-    return len(answers(session, key, wait_s))
 
 
 def answers(session: zenoh.Session, key: str, wait_s: float, question: bytes = b"") -> list[bytes]:

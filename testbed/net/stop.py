@@ -39,7 +39,7 @@ LAST_RESORT = "if a vehicle still moves: shut the main valve or pull the cord by
 BY_THEMSELVES = "vehicles without a host brake and shut by themselves after one second"
 
 
-class Flight(NamedTuple):
+class StoppableFlight(NamedTuple):
     """A flight that can be stopped."""
 
     endpoint: str  # of its host; empty: a flight on the twin
@@ -70,11 +70,6 @@ def _folders() -> list[tuple[Path, int]]:
     if users == [0] and os.environ.get("SUDO_UID", "").isdecimal():
         users.append(int(os.environ["SUDO_UID"]))
     return [(base / f"airbearing-testbed-{uid}", uid) for uid in users for base in _bases(uid)]
-
-
-def _notes() -> Path:
-    """The folder for this process's note."""
-    return _folders()[0][0]
 
 
 def _check(folder: Path, uid: int) -> None:
@@ -120,7 +115,7 @@ def noted(
     """
     pid = pid or os.getpid()
     keys = str(Path(keys).absolute()) if keys else ""
-    flight = Flight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid))
+    flight = StoppableFlight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid))
     try:
         note = _leave(json.dumps(flight._asdict()).encode())
     except (OSError, NoteError) as error:
@@ -160,12 +155,12 @@ def _started(pid: int) -> str:
     return "" if fields[0] == "Z" else fields[19]
 
 
-def _runs(flight: Flight) -> bool:
+def _runs(flight: StoppableFlight) -> bool:
     """Whether the process of a note still runs."""
     return not flight.pid or _started(flight.pid) == flight.started != ""
 
 
-def _known() -> Iterator[tuple[Path, Flight]]:
+def _known() -> Iterator[tuple[Path, StoppableFlight]]:
     """Every note on this machine."""
     for folder, uid in _folders():
         try:
@@ -177,19 +172,19 @@ def _known() -> Iterator[tuple[Path, Flight]]:
             continue
         for note in sorted(folder.glob("*.json")):
             with suppress(OSError, ValueError, TypeError, RecursionError):
-                flight = Flight(**json.loads(note.read_text()))
+                flight = StoppableFlight(**json.loads(note.read_text()))
                 if [type(value) for value in flight] == [str, str, str, list, str, int, str]:
                     yield note, flight
 
 
-def _of(keys: Path, connect: str | None) -> Flight:
+def _of(keys: Path, connect: str | None) -> StoppableFlight:
     """The flight that the owner of a key folder can stop."""
     from testbed.net.credentials import read_badge
 
     badge = read_badge(keys)
     if badge.ending:
         _complain(badge.ending)
-    return Flight(connect or badge.endpoint, badge.lab, str(keys))
+    return StoppableFlight(connect or badge.endpoint, badge.lab, str(keys))
 
 
 def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> int:
@@ -205,7 +200,7 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
     stopped: list[bool] = []
     try:
         if keys is None and connect and not connect.startswith(("tls/", "quic/")):
-            stopped.append(_stop_wires(Flight(connect, lab)))
+            stopped.append(_stop_wires(StoppableFlight(connect, lab)))
         elif keys is None and not connect:
             stopped += _stop_here()
             if own_keys().exists():
@@ -239,7 +234,7 @@ def _stop_here() -> Iterator[bool]:
         else:
             yield _stop_twin(note, flight)
     if DEFAULT not in tried:
-        flight = Flight(DEFAULT)
+        flight = StoppableFlight(DEFAULT)
         if _listens(DEFAULT):
             yield _stop_wires(flight)
         elif shut := _stop_directly(flight, _new_id()):
@@ -253,7 +248,7 @@ def _listens(endpoint: str) -> bool:
     return False
 
 
-def _stop_twin(note: Path, flight: Flight) -> bool:
+def _stop_twin(note: Path, flight: StoppableFlight) -> bool:
     """Ask the process to end the flight; whether it did."""
     try:
         if Path(f"/proc/{flight.pid}").stat().st_uid != note.stat().st_uid:
@@ -279,7 +274,7 @@ def _new_id() -> str:
     return secrets.token_hex(8)
 
 
-def _stop_directly(flight: Flight, stop: str) -> set[str]:
+def _stop_directly(flight: StoppableFlight, stop: str) -> set[str]:
     """Stop the vehicles of a host without it; returns those that answered."""
     from testbed.net.direct_stop import stop_directly
 
@@ -287,7 +282,7 @@ def _stop_directly(flight: Flight, stop: str) -> set[str]:
     return stop_directly(flight.endpoint, flight.lab, keys, flight.vehicles, stop, DIRECT_S)
 
 
-def _stop_wires(flight: Flight) -> bool:
+def _stop_wires(flight: StoppableFlight) -> bool:
     """Stop a host and its vehicles; whether all of them answered."""
     stop, names, trouble = _new_id(), set(flight.vehicles), ""
     shut = _stop_directly(flight, stop)  # first, because it is faster
@@ -304,7 +299,7 @@ def _stop_wires(flight: Flight) -> bool:
     return _report(flight, names, shut, trouble)
 
 
-def _stop_host(flight: Flight, stop: bytes) -> tuple[set[str], set[str]]:
+def _stop_host(flight: StoppableFlight, stop: bytes) -> tuple[set[str], set[str]]:
     """Stop a host and its vehicles over Zenoh: vehicles that answered, and vehicles that fly.
 
     Raises:
@@ -321,7 +316,7 @@ def _stop_host(flight: Flight, stop: bytes) -> tuple[set[str], set[str]]:
     return {data.decode(errors="replace") for data in heard}, set(flown)
 
 
-def _report(flight: Flight, names: set[str], shut: set[str], trouble: str) -> bool:
+def _report(flight: StoppableFlight, names: set[str], shut: set[str], trouble: str) -> bool:
     """Print which vehicles stopped, and the host's trouble; whether all vehicles stopped."""
     if trouble and not shut:
         _complain(f"{flight.endpoint}: not stopped: {trouble}")

@@ -17,12 +17,12 @@ from queue import Empty
 
 import msgspec
 import zenoh
+from msgspec.structs import replace
 
 from testbed.config import Experiment
 from testbed.core.error import TestbedError
 from testbed.files import write_atomic
 from testbed.flight.loop import VehicleNode, fly
-from testbed.mocap.body_monitor import BodyMonitor
 from testbed.mocap.poses import MocapPoses
 from testbed.mocap.source import make_source
 from testbed.net.clock import HostClock, Reader, read_clock
@@ -46,7 +46,7 @@ from testbed.rig.twin import warm_up
 from testbed.rig.wired.command_guard import CommandGuard
 from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.counts import count
-from testbed.rig.wired.onboard import Flight, Permitted, counted, land
+from testbed.rig.wired.onboard import Permitted, VehicleFlight, counted, land
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.thrusters import make_thrusters
@@ -161,8 +161,8 @@ def fly_vehicle(
             sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
         for ear in strangers:
             ear.close()
-        poses = MocapPoses(source, wires.mocap, clock, name, BodyMonitor())
-        flight = Flight(
+        poses = MocapPoses(source, wires.mocap, clock, name)
+        flight = VehicleFlight(
             party, thrusters, poses, tower, config_id(experiment), drift, link, process_faults
         )
         if tower.stop_reason is None:
@@ -176,10 +176,11 @@ def fly_vehicle(
                 experiment.ticks, flight, stopped=flight.over,
             )  # fmt: skip
             land(experiment, ending, clock, Permitted(node, flight, clock), flight, thrusters)
-        fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
+        fault = ending.fault or (flight.fault and replace(flight.fault, vehicle=name))
         if poses.trouble is not None and fault is not None:
-            fault += f"; its body is {poses.trouble}"
-            fault += f": {why}" if (why := getattr(source, "complaint", "")) else ""
+            why = getattr(source, "complaint", "")
+            note = f"its body is {poses.trouble}{f': {why}' if why else ''}"
+            fault = replace(fault, notes=(*fault.notes, note))
         counts = count(link, thrusters, poses, clock_of_host, port_gate.refused)
         out = Outbox(start.session)
         ended = Ended(
@@ -190,7 +191,7 @@ def fly_vehicle(
         if report is not None:
             write_atomic(report, msgspec.json.encode(ended))
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
-        say(f"ended after {ending.t:.1f} s{f' by a fault: {fault}' if fault else ''}")
+        say(f"ended after {ending.t:.1f} s{f' by a fault: {fault.words}' if fault else ''}")
         await_end(gone, tower)
         if flight.signals.times:
             raise KeyboardInterrupt
