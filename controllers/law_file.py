@@ -11,16 +11,16 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from testbed.core import plugin
-from testbed.core.error import TestbedError
+from testbed.core.error import MismatchError
 
 _IMPORTED: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # digests, when first asked for
 
 
-class UnusableLawError(TestbedError, ValueError):
+class UnusableLawError(MismatchError):
     """A law cannot be made; `key` is the key of [controller] to correct."""
 
     def __init__(self, key: str, expected: str, found: str) -> None:
-        super().__init__(f"expected {expected}, found {found}")
+        super().__init__(expected, found)
         self.key = key
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 from msgspec import Struct
 
-from testbed.core.error import TestbedError
+from testbed.core.error import MismatchError
 from testbed.core.spelling import did_you_mean
 
 if TYPE_CHECKING:
@@ -37,12 +37,8 @@ TOLD = {  # parameters that the testbed fills in: they are no options
 Plugin = Callable[..., Any]
 
 
-class PluginError(TestbedError, ValueError):
+class PluginError(MismatchError):
     """A plug-in cannot be used: what was expected, what was found."""
-
-    def __init__(self, expected: str, found: str) -> None:
-        super().__init__(f"expected {expected}, found {found}")
-        self.expected, self.found = expected, found
 
 
 class UnknownPluginError(PluginError):

@@ -207,8 +207,8 @@ def flown(name, inject, duration):
         ('{kind="leak_valve",vehicle="sat1",at_s=2.03,jet=3}', "valve_leaks", "land", 2.5),
         ('{kind="brown_out",vehicle="sat1",at_s=2.03}', "battery_low", "land", 0.15),
         ('{kind="clock_step",vehicle="sat1",at_s=2.03}', "clock_off", "brake", 0.3),
-        ('{kind="nan_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.3),
-        ('{kind="raise_law",vehicle="sat1",at_s=2.03}', "law on the host", "brake", 0.2),
+        ('{kind="nan_law",vehicle="sat1",at_s=2.03}', "host_law", "brake", 0.3),
+        ('{kind="raise_law",vehicle="sat1",at_s=2.03}', "host_law", "brake", 0.2),
         ('{kind="kill_process",vehicle="sat1",at_s=2.03}', "vehicle_silent", "", 1.6),
         ('{kind="leak",vehicle="sat1",at_s=2.03,value=0.2}', "leak", "brake", 0.3),
         (
