@@ -145,9 +145,9 @@ HYPERCUBE = {"design": "latin_hypercube", "draw": [MASS], "samples": 2}
         ({}, {"most": {"gas_g": 1.0}}, "`most.gas_g` was nothing and is 1.0"),
         (
             {"grid": [GRID]}, {"grid": [{**GRID, "values": [0.1, 0.2, 0.3]}]},
-            r"`grid\[0\].values\[2\]` was nothing and is 0.3",
+            r"`grid.1.values.3` was nothing and is 0.3",
         ),
-        ({"set": ["duration_s=9"]}, {}, r'`set\[0\]` was "duration_s=9" and is nothing'),
+        ({"set": ["duration_s=9"]}, {}, r'`set.1` was "duration_s=9" and is nothing'),
     ],
 )  # fmt: skip
 def test_what_would_be_another_run_is_refused_by_its_key(
