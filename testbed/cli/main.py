@@ -252,7 +252,8 @@ def log(context: click.Context, run: Path, as_json: bool) -> None:
 @main.command()
 @click.argument("run", type=click.Path(exists=True, path_type=Path))
 @click.option(
-    "--to", "kind", type=click.Choice(["parquet", "csv", "npz", "rrd"]), required=True,
+    "--to", "kind", type=click.Choice(["parquet", "csv", "mat", "npz", "bag", "rrd"]),
+    required=True,
     help="Output format.",
 )  # fmt: skip
 @click.option(
@@ -260,7 +261,7 @@ def log(context: click.Context, run: Path, as_json: bool) -> None:
 )
 @click.pass_context
 def export(context: click.Context, run: Path, kind: str, out: Path | None) -> None:
-    """Export the log of a RUN as tables or as a rerun recording."""
+    """Export the log of a RUN as tables, as a ROS 2 bag or as a rerun recording."""
     from testbed.cli.log import export_run
 
     context.exit(export_run(run, kind, out))

@@ -25,7 +25,14 @@ from testbed.rig.chain import watched
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
 from testbed.run.fly import fly_and_judge
-from testbed.run.folder import FolderError, new_folder, take_back, write_config, write_metrics
+from testbed.run.folder import (
+    FolderError,
+    new_folder,
+    take_back,
+    utc_ns,
+    write_config,
+    write_metrics,
+)
 from testbed.run.interrupt import Interrupt
 from testbed.run.report import write_page
 
@@ -82,7 +89,9 @@ def run_experiment(
             # without a terminal, a flight in real time prints status lines
             operator.live = LiveTable(experiment, errors, None if rig == "twin" else LINE_S)
             with redirect_stdout(sys.stderr), noted_on_twin(rig, experiment, folder):
-                metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator.live)
+                metrics = fly_and_judge(
+                    experiment, folder, interrupt, make, speed, operator.live, utc_ns()
+                )
             write_metrics(folder, metrics)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())

@@ -9,12 +9,11 @@ from testbed.config import Experiment
 from testbed.console.tiles import Judge
 from testbed.console.valve_pulses import Pulse, Pulses
 from testbed.core.codes import Response
+from testbed.core.types import HostTick, Tick
 from testbed.logs.feed import (
     News,
-    SeenHost,
     SeenPace,
     SeenPhase,
-    SeenTick,
     SeenValves,
     pose_of,
     stopping_point,
@@ -37,8 +36,8 @@ class LivePicture:
         self._scenario, self._names = scenario, list(scenario.vehicles)
         self.t = 0.0  # newest message of the run [s]
         self.phase = SeenPhase(0.0, "")  # of the supervisor
-        self._ticks: dict[str, SeenTick] = {}
-        self._hosts: dict[str, SeenHost] = {}
+        self._ticks: dict[str, Tick] = {}
+        self._hosts: dict[str, HostTick] = {}
         self._paces: dict[str, deque[tuple[float, SeenPace]]] = {n: deque() for n in self._names}
         self._fresh: dict[str, deque[tuple[float, bool]]] = {n: deque() for n in self._names}
         self._places: dict[str, tuple[float, ...]] = {}
@@ -64,9 +63,9 @@ class LivePicture:
         for _, who, t, message in news:
             self.t = max(self.t, t)
             match message:
-                case SeenTick() if who in self._pulses:
+                case Tick() if who in self._pulses:
                     rows += self._tick(who, message)
-                case SeenHost() if who in self._pulses:
+                case HostTick() if who in self._pulses:
                     self._host(who, message)
                 case SeenPace() if who in self._pulses:
                     rows += self._pace(who, t, message)
@@ -82,7 +81,7 @@ class LivePicture:
         self._trouble.see(self._ticks)
         self.said += self._story.tell(rows)
 
-    def _tick(self, name: str, tick: SeenTick) -> list[tuple[str, Happening]]:
+    def _tick(self, name: str, tick: Tick) -> list[tuple[str, Happening]]:
         previous = [self._ticks[name]] if name in self._ticks else []
         fresh = events([*previous, tick])[len(events(previous)) :]
         self._ticks[name] = tick
@@ -97,7 +96,7 @@ class LivePicture:
             self._traced[name] = t
             self.trail.append((self._names.index(name), round(x, 3), round(y, 3)))
 
-    def _host(self, name: str, host: SeenHost) -> None:
+    def _host(self, name: str, host: HostTick) -> None:
         before, own = self._hosts.get(name), host.inputs.own
         self._hosts[name] = host
         old = before.inputs.own if before is not None else None
@@ -164,7 +163,7 @@ class LivePicture:
             "numbers": self._judges[name].numbers(self.t, tick, known, delay, lost),
         }
 
-    def _state(self, name: str, tick: SeenTick, culprits: dict[str, str]) -> tuple[str, str]:
+    def _state(self, name: str, tick: Tick, culprits: dict[str, str]) -> tuple[str, str]:
         """A vehicle's state in words, and its level."""
         out, silent = tick.outputs, self.t - tick.inputs.t
         if name in culprits:

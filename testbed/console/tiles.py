@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from testbed.config import Experiment
-from testbed.core.types import State
-from testbed.logs.feed import SeenTick
+from testbed.core.types import State, Tick
 
 WINDOW_S = 60.0  # over which the rate of gas is taken
 SHORTEST_S = 5.0  # before that there is no rate
@@ -115,7 +114,7 @@ class Judge:
         return self._pose.warn
 
     def numbers(
-        self, t: float, tick: SeenTick, states: Mapping[str, State],
+        self, t: float, tick: Tick, states: Mapping[str, State],
         delay_s: float | None, lost: float,
     ) -> list[Number]:  # fmt: skip
         """All numbers.

@@ -2,7 +2,8 @@
 
 from typing import NamedTuple
 
-from testbed.logs.feed import SeenTick, SeenValves
+from testbed.core.types import Tick
+from testbed.logs.feed import SeenValves
 
 KEPT_S = 10.0  # of the raster
 
@@ -24,7 +25,7 @@ class Pulses:
         self._since: list[float | None] = [None] * jets  # open since then, as the board reports
         self.reported = False  # by the board
 
-    def planned(self, tick: SeenTick) -> list[Pulse]:
+    def planned(self, tick: Tick) -> list[Pulse]:
         """Pulses of a plan; none once the board reports."""
         if self.reported:
             return []

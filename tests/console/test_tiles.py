@@ -12,11 +12,23 @@ from testbed.console.picture import LivePicture
 from testbed.console.tiles import Bounds, Gas, bounds
 from testbed.console.valve_pulses import Pulses
 from testbed.core.codes import FaultReport, Response
-from testbed.core.types import Accel, Health, Pose, State, Twist, ValveCommand
+from testbed.core.types import (
+    Accel,
+    Health,
+    Inputs,
+    Outputs,
+    Pose,
+    State,
+    Tick,
+    Twist,
+    ValveCommand,
+    Wrench,
+)
 from testbed.flight.arming import Check
-from testbed.logs.feed import News, SeenInputs, SeenOutputs, SeenPhase, SeenTick, SeenValves
+from testbed.logs.feed import News, SeenPhase, SeenValves
 
 JETS = (0,) * 8
+STILL = Wrench(0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +39,9 @@ def experiment():
 def tick(t=1.0, *, age=0.02, x=0.1, y=-1.4, vy=0.0, on=JETS, health=None, **out):
     state = State(t, Pose(x, y, 0.0), Twist(0.0, vy, 0.0), Accel(0.0, 0.0, 0.0), age, 0)
     command = ValveCommand(1, t, t + 0.1, on, JETS)
-    return SeenTick(
-        SeenInputs(t, True, health or Health(t, 5e5, 3e7)),
-        SeenOutputs(t, state, None, command, **out),
+    return Tick(
+        Inputs(t, True, (), None, {}, health or Health(t, 5e5, 3e7)),
+        Outputs(t, state, None, STILL, STILL, command, **out),
     )
 
 
