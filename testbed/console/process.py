@@ -25,7 +25,7 @@ from testbed.core.error import TestbedError
 PORT = 8765  # preferred
 LINGER_S = 20.0
 LOOK_S = 0.5
-LAST_S = 0.8  # for readers to get the end of the flight
+LAST_S = 2.0  # for readers to get the end of the flight
 BAD_INPUT = 2
 
 
