@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 
 from testbed.config import dump, find, load
-from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader
 from testbed.rig.wired.wired_flight import PRIORITY
@@ -82,7 +81,7 @@ def lateness(folder: Path, case: str, seconds: float, speed: float, pictures: li
             fly_and_judge(experiment, folder, speed=speed)
         finally:
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    return gather(LogFeed(LogReader(folder / "log.mcap")).news()).loop[10:, 1]
+    return gather(LogReader(folder / "log.mcap")).loop[10:, 1]
 
 
 def main() -> None:

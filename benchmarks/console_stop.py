@@ -62,7 +62,7 @@ def host(folder: Path, words: list[str], at: float, hangs: bool) -> None:
         rig = WireRig(one, bench=True, log=folder, keep=folder / "report.json")
 
         def started(rig):
-            (folder / "start.json").write_text(json.dumps([rig.epoch_ns, os.getpid()]))
+            (folder / "start.json").write_text(json.dumps([rig.results.epoch_ns, os.getpid()]))
 
         rig.on_start = started
         return rig

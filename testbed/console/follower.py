@@ -54,12 +54,10 @@ class Follower:
                 except LogError as error:
                     self._hub.say(trouble=str(error))
                     return
-            ended = self._status(picture)
-            if left.wait(PERIOD_S):
-                return
+            ended = self._status(picture) or left.wait(PERIOD_S)
         if feed is not None:
             self._read(feed, picture)
-        left.wait()
+        self._status(picture)
 
     def _experiment(self, left: Event) -> Experiment | None:
         while not left.is_set():

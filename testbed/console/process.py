@@ -25,6 +25,7 @@ from testbed.core.error import TestbedError
 PORT = 8765  # preferred
 LINGER_S = 20.0
 LOOK_S = 0.5
+LAST_S = 2.0  # for readers to get the end of the flight
 BAD_INPUT = 2
 
 
@@ -59,6 +60,7 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
         alone = alone + LOOK_S if parent and not is_there(parent) else 0.0
         if alone > LINGER_S:
             left.set()
+    Event().wait(LAST_S)
     server.shutdown()
     server.server_close()
 

@@ -23,11 +23,12 @@ from testbed.core.types import (
     Twist,
     ValveCommand,
     Wrench,
-)  # fmt: skip
+)
 from testbed.flight.arming import Check
 from testbed.logs.feed import News, SeenPhase, SeenValves
 
 JETS = (0,) * 8
+STILL = Wrench(0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +39,9 @@ def experiment():
 def tick(t=1.0, *, age=0.02, x=0.1, y=-1.4, vy=0.0, on=JETS, health=None, **out):
     state = State(t, Pose(x, y, 0.0), Twist(0.0, vy, 0.0), Accel(0.0, 0.0, 0.0), age, 0)
     command = ValveCommand(1, t, t + 0.1, on, JETS)
-    still = Wrench(0.0, 0.0, 0.0)
     return Tick(
         Inputs(t, True, (), None, {}, health or Health(t, 5e5, 3e7)),
-        Outputs(t, state, None, still, still, command, **out),
+        Outputs(t, state, None, STILL, STILL, command, **out),
     )
 
 
