@@ -14,11 +14,12 @@ MAP_STEP = 0.02  # [s] on a map, or with forces in W
 
 
 @compiled
-def shoot(x0, begin, marks, schedule, parameters, ground, in_table):
+def shoot(x0, used0, begin, marks, schedule, parameters, ground, in_table):
     """States at the marks of several windows, each from its own initial state.
 
     Args:
         x0: initial states, shape (w, 6), see body.py.
+        used0: gas consumed before each, shape (w,) [kg].
         begin: time of each, shape (w,) [s].
         marks: increasing times at which to record the state, shape (w, m); NaN: none [s].
         schedule: the body wrench.
@@ -39,7 +40,7 @@ def shoot(x0, begin, marks, schedule, parameters, ground, in_table):
     seen = np.full((marks.shape[0], marks.shape[1], 6), np.nan)
     now, rate = np.zeros(4), np.zeros(4)
     for w in range(x0.shape[0]):
-        x, t, used = x0[w].copy(), begin[w], 0.0
+        x, t, used = x0[w].copy(), begin[w], used0[w]
         i = np.searchsorted(start, t, side="right") - 1
         for m in range(marks.shape[1]):
             if np.isnan(marks[w, m]):

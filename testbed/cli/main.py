@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
+from testbed.cli.identify import calibrate, validate
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
 from testbed.cli.many import bench, campaign, tune
@@ -327,7 +328,7 @@ def reproduce(
     )
 
 
-for verb in (agent, bench, campaign, lab_keys, poses, stop, tune, twin):
+for verb in (agent, bench, calibrate, campaign, lab_keys, poses, stop, tune, twin, validate):
     main.add_command(verb)
 
 

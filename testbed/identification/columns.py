@@ -81,6 +81,30 @@ def read_columns(path: Path, wanted: Iterable[str] | None = None) -> Columns:
         ) from None
 
 
+def read_sources(path: Path, source: str, time: str, value: str) -> dict[str, Array]:
+    """A CSV with one row per sample of several sources: (t, value) of each by its name.
+
+    Raises:
+        LogRefusedError: it has other columns, or holds something else than numbers.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LogRefusedError(where=str(path), expected="a CSV", found=str(error)) from None
+    found: dict[str, list[tuple[float, float]]] = {}
+    for number, row in enumerate(rows, 1):
+        try:
+            found.setdefault(row[source], []).append((float(row[time]), float(row[value])))
+        except (KeyError, TypeError, ValueError) as error:
+            raise LogRefusedError(
+                where=f"{path}, data row {number}",
+                expected=f"columns {source}, {time}, {value}; the last two are numbers",
+                found=str(error),
+            ) from None
+    return {name: np.array(samples) for name, samples in found.items()}
+
+
 def _read_csv(path: Path, wanted: set[str] | None) -> dict[str, Array]:
     opened = gzip.open if path.suffix == ".gz" else open
     with opened(path, "rt", encoding="utf-8-sig", newline="") as file:

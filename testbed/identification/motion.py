@@ -186,19 +186,22 @@ def told_by(calibration: Calibration, k: int) -> bool:
 
 
 def interval(calibration: Calibration, k: int) -> tuple[float, float]:
-    """95 % interval of the number `k`: around the fitted value, or the file's where it was kept."""
+    """95 % interval of the number `k`.
+
+    It is that of the fit of all groups, widened by what the choice of groups changed.
+    """
     c = calibration
-    source = c.estimate if k in c.estimate.free else c.wide
     own: Parameter = c.model.parameters[k]
-    reach = SURE * source.sigma[k]
-    return max(own.least, source.p[k] - reach), source.p[k] + reach
+    value, wide = c.estimate.p[k], c.wide.p[k]
+    sigma = max(c.wide.sigma[k], c.estimate.sigma[k] if k in c.estimate.free else 0.0)
+    reach = SURE * float(np.hypot(sigma, value - wide))
+    return max(own.least, value - reach), value + reach
 
 
 def thrusts(calibration: Calibration) -> list[dict[str, Any]]:
     """Thrust of each jet with its interval [N]."""
     c, jets = calibration, len(calibration.model.vehicle.jets)
-    source = c.estimate if "jets" in c.chosen else c.wide
-    p, free = source.p, list(source.free)
+    p, free = c.wide.p, list(c.wide.free)
     own = float(np.hypot(c.model.sigma[0], c.model.sigma[1]))
     rows = []
     for j in range(jets):
@@ -206,7 +209,8 @@ def thrusts(calibration: Calibration) -> list[dict[str, Any]]:
         slope[free.index(0)] = p[1 + j]
         if 1 + j in free:
             slope[free.index(1 + j)] = p[0]
-        sigma = float(np.sqrt(slope @ source.covariance @ slope))
+        sigma = float(np.sqrt(slope @ c.wide.covariance @ slope))
+        sigma = float(np.hypot(sigma, c.model.thrust(p)[j] - c.model.thrust(c.estimate.p)[j]))
         nominal = c.model.vehicle.jets[j].thrust
         value = float(nominal * c.model.thrust(c.estimate.p)[j])
         reach = SURE * sigma * nominal

@@ -73,6 +73,20 @@ def schedule_of(inputs: Inputs, metal: Metal, delay: float) -> Schedule:
     return schedule_of_wrenches(inputs.t, inputs.wrench, delay + timing[0], timing[2])
 
 
+def used_before(schedule: Schedule, metal: Metal, t: Array) -> Array:
+    """Gas that jets and bearings have used since the first command, at most half a tank [kg].
+
+    The tank's level at the start of a log is not known: it is taken as full, and the supply of a long
+    log is not predicted to end.
+    """
+    width = np.diff(schedule.start)
+    impulse = width * (schedule.value[:, 3] + 0.5 * width * schedule.slope[:, 3])
+    total = np.concatenate([[0.0], np.cumsum(impulse)]) / metal.exhaust_speed[0]
+    used = np.interp(t, schedule.start, total)
+    used += metal.bearing_flow[0] * np.maximum(t - schedule.start[0], 0.0)
+    return np.minimum(used, 0.5 * metal.gas[0])
+
+
 def predict(
     vehicle: Vehicle, table: Table | None, inputs: Inputs, x0: Any, times: Any
 ) -> Array:
@@ -108,4 +122,4 @@ def predict(
     ground = LEVEL if table is None else lay(table)
     schedule = schedule_of(inputs, metal, vehicle.command_delay_s)
     in_table = isinstance(inputs, Wrenches) and inputs.in_table
-    return shoot(start[None], marks[:1], marks[None], schedule, metal, ground, in_table)[0]
+    return shoot(start[None], np.zeros(1), marks[:1], marks[None], schedule, metal, ground, in_table)[0]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sim_twin.prediction import shoot
 from testbed.identification.model import Model
 from testbed.identification.motion_log import PAUSE, MotionLog
-from testbed.identification.prediction import Wrenches
+from testbed.identification.prediction import Wrenches, used_before
 
 Array = NDArray[np.float64]
 NUDGE = {2: 1e-2, 5: 1e-2}  # differences of the initial heading [rad] and rate [rad/s]
@@ -87,7 +87,8 @@ def fly(model: Model, p: Array, windows: Windows, x0: Array, effect: Array | Non
     inputs = windows.log.inputs
     in_table = isinstance(inputs, Wrenches) and inputs.in_table
     plant = model.build(p, inputs, effect)
-    return shoot(x0, windows.begin, windows.marks, *plant, in_table)[..., :3]
+    used = used_before(*plant[:2], windows.begin)
+    return shoot(x0, used, windows.begin, windows.marks, *plant, in_table)[..., :3]
 
 
 def fly_with_slopes(
