@@ -239,14 +239,18 @@ def mocap(
         else:
             if vehicle is None:
                 raise TestbedError(where="--vehicle", expected="a vehicle", found="nothing")
-            result = seen_in_flight(read_logs([path], mapping, None, None)[0], load_vehicle(vehicle))
+            result = seen_in_flight(
+                read_logs([path], mapping, None, None)[0], load_vehicle(vehicle)
+            )
     except TestbedError as error:
         return refused(error, as_json=as_json)
     if as_json:
         print_json(result)
         return OK
     for name, value in result.items():
-        screen.print(f"{name:<22} {value:.6g}" if isinstance(value, float) else f"{name:<22} {value}")
+        screen.print(
+            f"{name:<22} {value:.6g}" if isinstance(value, float) else f"{name:<22} {value}"
+        )
     return OK
 
 

@@ -120,7 +120,9 @@ def link(context: click.Context, log: Path, sent: str, received: str, as_json: b
 @click.command()
 @of_flights
 @click.option("--against", help="Compare with this vehicle file, or name of a shipped one.")
-@click.option("--table", help="Table file with a slope map; the compared file flies on a level one.")
+@click.option(
+    "--table", help="Table file with a slope map; the compared file flies on a level one."
+)
 @click.option("--out", type=OUT, help="Also write an HTML page with figures.")
 @click.pass_context
 def validate(

@@ -13,7 +13,6 @@ from testbed.identification.motion_log import MotionLog
 from testbed.identification.vehicle_file import write_vehicle
 
 
-
 def report_of(c: Calibration, name: str, logs: Sequence[MotionLog]) -> dict[str, Any]:
     """The calibration for --json."""
     rows = {}
@@ -67,9 +66,7 @@ def used_s(log: MotionLog) -> float:
     return float(np.median(np.diff(log.t)) * log.whole.sum())
 
 
-def save(
-    path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: date
-) -> None:
+def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: date) -> None:
     """Write the fitted vehicle with the origin of each number."""
     notes = {}
     for k, own in enumerate(c.model.parameters):
@@ -106,8 +103,6 @@ PLACES = {
     "spin_drag": "spin_drag", "delay": "valve.open_delay_s", "hold": "valve.close_delay_s",
     "droop": "air.droop",
 }  # fmt: skip
-
-
 
 
 def _add(before: str | None, text: str) -> str:

@@ -91,9 +91,9 @@ class Model:
             return np.ones(len(self.vehicle.jets))
         return p[0] * p[1 : 1 + len(self.vehicle.jets)]
 
-    def build(self, p: Array, inputs: Inputs, effect: Array | None = None) -> tuple[
-        Schedule, Metal, Ground
-    ]:
+    def build(
+        self, p: Array, inputs: Inputs, effect: Array | None = None
+    ) -> tuple[Schedule, Metal, Ground]:
         """Arguments of `sim_twin.prediction.shoot`; `effect` replaces the jets' wrenches."""
         at = dict(zip(self.names, p, strict=True))
         m = self.metal
@@ -126,9 +126,7 @@ class Model:
         ]
         shift = max(0.0, at["delay"])
         hold = at.get("hold", v.valve.close_delay_s - v.valve.open_delay_s)
-        valve = structs.replace(
-            v.valve, open_delay_s=shift, close_delay_s=max(0.0, shift + hold)
-        )
+        valve = structs.replace(v.valve, open_delay_s=shift, close_delay_s=max(0.0, shift + hold))
         return structs.replace(
             v,
             mass=v.mass * at.get("mass", 1.0),

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 LENGTH = 2.5  # [s] of a window of the fit
 TOLD = 0.6  # standard deviation over that of the prior: above, the log does not tell the number
 SURE = 1.96  # standard deviations of a 95 % interval
-TOO_STRONG = 0.10  # of common thrust over the file's, beyond its tolerance
+TOO_STRONG = 0.08  # of common thrust over the file's, beyond its tolerance
 TOO_WEAK = 0.3
 
 
@@ -135,20 +135,25 @@ def start_of(model: Model, logs: Sequence[MotionLog], vehicle: Vehicle) -> Array
     return p
 
 
-def other_vehicle(
-    model: Model, estimate: Estimate, windows: Sequence[Windows]
-) -> list[Suspicion]:
+def other_vehicle(model: Model, estimate: Estimate, windows: Sequence[Windows]) -> list[Suspicion]:
     """Whether the fit says that this is another vehicle than the file's."""
     if not model.valves:
         return []
-    bare = fit(model, windows, ["thrust", "delay", "inertia"], estimate.p.copy() * 1.0)
-    found = []
+    start = estimate.p.copy()
+    droop = model.index("droop")
+    start[droop] = model.prior[droop]
+    bare = fit(model, windows, ["thrust", "delay", "inertia"], start)
     limit = 1.0 + TOO_STRONG + model.vehicle.tolerance.thrust
-    scale, sigma = float(np.median(model.thrust(bare.p))), bare.sigma[0]
-    if scale - sigma > limit and estimate.p[model.index("droop")] < 0.05:
-        text = f"thrust over mass is {scale:.2f} times the file's: lighter, or another supply"
-        found.append(Suspicion("other-vehicle", text))
-    return found
+    scale, sigma = float(np.median(model.thrust(bare.p))), float(bare.sigma[0])
+    if scale - sigma > limit:
+        text = f"thrust over mass is {scale:.2f} times the file's: a lighter vehicle, or another supply"
+        return [Suspicion("other-vehicle", text)]
+    if scale + 2.0 * sigma < TOO_WEAK:
+        text = (
+            f"thrust over mass is {scale:.2f} times the file's: a heavier vehicle, or little supply"
+        )
+        return [Suspicion("other-vehicle", text, refuses=False)]
+    return []
 
 
 def _untold_by_wrenches(logs: Sequence[MotionLog]) -> list[str]:
@@ -195,7 +200,7 @@ def interval(calibration: Calibration, k: int) -> tuple[float, float]:
     value, wide = c.estimate.p[k], c.wide.p[k]
     sigma = max(c.wide.sigma[k], c.estimate.sigma[k] if k in c.estimate.free else 0.0)
     reach = SURE * float(np.hypot(sigma, value - wide))
-    return max(own.least, value - reach), value + reach
+    return float(max(own.least, value - reach)), float(value + reach)
 
 
 def thrusts(calibration: Calibration) -> list[dict[str, Any]]:

@@ -102,7 +102,9 @@ def gaps(t: Array, where: str) -> list[str]:
 def _poses(columns: Columns, mapping: Mapping) -> tuple[Array, NDArray[np.bool_]]:
     own = mapping.pose
     x, y, theta = (columns[name] for name in (own.x, own.y, own.theta))
-    pose = np.stack([x * METRES[own.unit], y * METRES[own.unit], theta * RADIANS[own.angle_unit]], 1)
+    pose = np.stack(
+        [x * METRES[own.unit], y * METRES[own.unit], theta * RADIANS[own.angle_unit]], 1
+    )
     measured = np.isfinite(pose).all(axis=1)
     if own.new:
         measured &= columns[own.new] == 1.0

@@ -87,9 +87,7 @@ def used_before(schedule: Schedule, metal: Metal, t: Array) -> Array:
     return np.minimum(used, 0.5 * metal.gas[0])
 
 
-def predict(
-    vehicle: Vehicle, table: Table | None, inputs: Inputs, x0: Any, times: Any
-) -> Array:
+def predict(vehicle: Vehicle, table: Table | None, inputs: Inputs, x0: Any, times: Any) -> Array:
     """Predict the motion of a vehicle from a state under known commands.
 
     Delays are smooth parameters: the result is differentiable in every number of the vehicle.
@@ -122,4 +120,6 @@ def predict(
     ground = LEVEL if table is None else lay(table)
     schedule = schedule_of(inputs, metal, vehicle.command_delay_s)
     in_table = isinstance(inputs, Wrenches) and inputs.in_table
-    return shoot(start[None], np.zeros(1), marks[:1], marks[None], schedule, metal, ground, in_table)[0]
+    return shoot(
+        start[None], np.zeros(1), marks[:1], marks[None], schedule, metal, ground, in_table
+    )[0]

@@ -177,8 +177,15 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
     found = look_at(logs, vehicle)
     for unit, factor in UNITS.items():
         if 0.3 < found.scale / factor < 3.0 and found.plain > 0.2:
-            text = f"positions move {found.scale:.3g} times as far as commanded: are they in {unit}?"
+            text = (
+                f"positions move {found.scale:.3g} times as far as commanded: are they in {unit}?"
+            )
             yield Suspicion("unit-position", text)
+            return
+    for factor, unit in ((57.3, "degrees"), (1 / 57.3, "radians")):
+        if 0.4 < found.turn_scale / factor < 2.5 and found.turn > 0.2:
+            text = f"the heading turns {found.turn_scale:.3g} times as far as commanded: in {unit}?"
+            yield Suspicion("unit-angle", text)
             return
     if found.other and found.explained > max(0.25, found.plain + CLEARLY):
         yield Suspicion(
@@ -194,11 +201,6 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
             " commands, another vehicle, swapped columns or a clock error",
         )
         return
-    for factor, unit in ((57.3, "degrees"), (1 / 57.3, "radians")):
-        if 0.4 < found.turn_scale / factor < 2.5 and found.turn > 0.2:
-            text = f"the heading turns {found.turn_scale:.3g} times as far as commanded: in {unit}?"
-            yield Suspicion("unit-angle", text)
-            return
     turns = any(np.ptp(log.pose[:, 2]) > 0.3 for log in logs)
     if found.turn_scale < -0.2 and found.turn > 0.3 and turns:
         text = "the vehicle turns against its commanded torque: heading or jets mirrored"
@@ -209,9 +211,7 @@ def _plausible(log: MotionLog) -> Iterator[Suspicion]:
     kept = log.pose[log.whole]
     reach = np.ptp(kept[:, :2], axis=0)
     if reach.max() > 100.0:
-        yield Suspicion(
-            "unit-position", f"{log.where}: the path spans {reach.max():.4g} m: in mm?"
-        )
+        yield Suspicion("unit-position", f"{log.where}: the path spans {reach.max():.4g} m: in mm?")
     elif max(reach.max(), 0.2 * float(np.ptp(kept[:, 2]))) < 1e-3:
         yield Suspicion("no-motion", f"{log.where}: the vehicle moves less than 1 mm")
     step = np.abs(np.diff(kept[:, 2]))
@@ -219,8 +219,6 @@ def _plausible(log: MotionLog) -> Iterator[Suspicion]:
     if len(step) and float(np.quantile(step / dt, 0.9)) > 6.0:
         text = f"{log.where}: the heading turns faster than a turn per second: degrees read as rad?"
         yield Suspicion("unit-angle", text)
-
-
 
 
 def _twice(a: Array) -> Array:

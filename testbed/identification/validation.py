@@ -183,7 +183,9 @@ def verdict(result: dict[str, Any]) -> str:
     if other and other["count"] and other["position_rms_m"] > 0.0:
         ratio = seen[h]["position_rms_m"] / other["position_rms_m"]
         sense = "better than" if ratio < 0.95 else "worse than" if ratio > 1.05 else "as good as"
-        words[0] += f", {sense} the other file ({1e3 * other['position_rms_m']:.1f} mm, x {ratio:.2f})"
+        words[0] += (
+            f", {sense} the other file ({1e3 * other['position_rms_m']:.1f} mm, x {ratio:.2f})"
+        )
     noise = 1e3 * result["noise"]["position_m"]
     words.append(f"the cameras' noise is {noise:.2g} mm")
     if result["whiteness"] is not None and abs(result["whiteness"]) > 0.3:

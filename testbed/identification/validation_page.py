@@ -75,10 +75,18 @@ def _charts(errors: dict[str, list[Ahead]], noise: float) -> Sequence[Chart]:
             spread.append(Line(np.sort(size), share, hue, NAMES[who]))
         h = f"{own.horizon:g}"
         span = float(own.t.min()), float(max(own.t.max(), own.t.min() + 1.0))
-        charts.append(Chart(f"error_{h}s", f"Error {h} s ahead", "t [s]", "error [mm]", items, span))
+        charts.append(
+            Chart(f"error_{h}s", f"Error {h} s ahead", "t [s]", "error [mm]", items, span)
+        )
         largest = max(float(line.x.max()) for line in spread)
         charts.append(
-            Chart(f"share_{h}s", f"Share of predictions with a smaller error, {h} s ahead",
-                  "error [mm]", "share [%]", spread, (0.0, max(largest, 1e-3)))  # fmt: skip
+            Chart(
+                f"share_{h}s",
+                f"Share of predictions with a smaller error, {h} s ahead",
+                "error [mm]",
+                "share [%]",
+                spread,
+                (0.0, max(largest, 1e-3)),
+            )  # fmt: skip
         )
     return charts

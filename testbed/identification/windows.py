@@ -91,9 +91,7 @@ def fly(model: Model, p: Array, windows: Windows, x0: Array, effect: Array | Non
     return shoot(x0, used, windows.begin, windows.marks, *plant, in_table)[..., :3]
 
 
-def fly_with_slopes(
-    model: Model, p: Array, windows: Windows, x0: Array
-) -> tuple[Array, Array]:
+def fly_with_slopes(model: Model, p: Array, windows: Windows, x0: Array) -> tuple[Array, Array]:
     """Poses at the marks, and their derivatives by the initial state, (w, m, 3, 6).
 
     Those by position and velocity are 1 and the time: exact without drag and map, and close enough
