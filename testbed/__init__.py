@@ -5,8 +5,8 @@
     run = testbed.fly(testbed.load("hold", seed=3))
     run.passed, run["sat1"].pose
 
-`load` an experiment, `fly` it, `open_run` a folder, `replay` a run, `sweep` a parameter, `predict` a
-motion, or drive the `Twin` tick by tick. Names are imported on first use.
+`load` an experiment, `fly` it, `open_run` a folder, `replay` a run, `sweep` a parameter, `predict`
+a motion, or drive the `Twin` tick by tick. Names are imported on first use.
 """
 
 from importlib import import_module

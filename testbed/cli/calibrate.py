@@ -7,17 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec import structs
 from rich.console import Console
 
 from testbed.cli.exit_code import BAD_INPUT, OK
 from testbed.cli.refusal import refuse, warn
 from testbed.core.error import TestbedError
+from testbed.core.table import Table
 from testbed.identification.calibration_file import report_of, save
+from testbed.identification.cameras import latency_of, seen_in_flight
 from testbed.identification.columns import LogRefusedError, read_columns, read_sources
+from testbed.identification.excite import design, write_commands
 from testbed.identification.floor import as_table, flat_fit, learn_floor
 from testbed.identification.link import link_of
 from testbed.identification.mapping import load_mapping
-from testbed.identification.cameras import latency_of, seen_in_flight
 from testbed.identification.motion import RefusedError, calibrate_motion
 from testbed.identification.motion_log import MotionLog, read_motion_log
 from testbed.identification.suspicion import suspicions
@@ -71,9 +74,9 @@ def read_logs(
 
 def motion(
     paths: Sequence[Path], mapping: str, vehicle: str, out: Path | None, since: float | None,
-    until: float | None, *, force: bool, as_json: bool,
+    until: float | None, table_out: Path | None = None, *, force: bool, as_json: bool,
 ) -> int:  # fmt: skip
-    """Fit a vehicle and write its file."""
+    """Fit a vehicle and write its file, and the slope of the table."""
     try:
         logs = read_logs(paths, mapping, since, until)
         found = calibrate_motion(
@@ -82,6 +85,10 @@ def motion(
         )  # fmt: skip
         if out is not None:
             save(out, found, vehicle, logs, today())
+        if table_out is not None:
+            slope = [float(found.estimate.p[found.model.index(a)]) for a in ("slope_x", "slope_y")]
+            origin = [f"{Path(log.where).name}, sha256 {log.digest}" for log in logs]
+            write_table(table_out, tilted(load_table(None), slope), origin, today())
     except RefusedError as error:
         return refused(error, as_json=as_json)
     except TestbedError as error:
@@ -193,6 +200,12 @@ def floor(
     return OK
 
 
+def tilted(table: Table, slope: list[float]) -> Table:
+    """The table with this uniform slope [m/s^2]."""
+    tilt = structs.replace(table.tilt, uniform=(slope[0], slope[1]), map=[])
+    return structs.replace(table, tilt=tilt)
+
+
 def np_max(slope: Any, known: Any) -> float:
     """Largest slope at known nodes [m/s^2]."""
     return float(abs(slope[known]).max()) if known.any() else 0.0
@@ -266,4 +279,35 @@ def link(path: Path, columns: tuple[str, str], as_json: bool) -> int:
     screen.print("[link]", markup=False)
     for name, value in result.items():
         screen.print(f"{name} = {value:.4g}")
+    return OK
+
+
+def excite(
+    vehicle: str, table: str, seconds: float, room: float, gas_g: float | None, period: float,
+    seed: int, out: Path | None, *, as_json: bool,
+) -> int:  # fmt: skip
+    """Design an experiment and write its commands."""
+    try:
+        own = load_vehicle(vehicle)
+        gas = None if gas_g is None else 1e-3 * gas_g
+        found = design(own, load_table(table), seconds, room, gas, period, seed)
+        if out is not None:
+            write_commands(out, found, len(own.jets), period)
+    except TestbedError as error:
+        return refused(error, as_json=as_json)
+    result = {
+        "seconds": seconds, "gas_g": 1e3 * found.gas, "reach_m": found.reach,
+        "information": found.information, "parameters": found.intervals,
+        "pulses": len(found.inputs.up), "out": None if out is None else str(out),
+    }  # fmt: skip
+    if as_json:
+        print_json(result)
+        return OK
+    screen.print(
+        f"{len(found.inputs.up)} pulses, {1e3 * found.gas:.1f} g of gas, at most"
+        f" {found.reach:.2f} m from the start"
+    )
+    for name, row in found.intervals.items():
+        told = "" if row["identifiable"] else "  not identifiable"
+        screen.print(f"{name:<16} +- {row['half_width']:.3g} {row['unit']}{told}")
     return OK

@@ -32,17 +32,21 @@ def calibrate() -> None:
 @calibrate.command()
 @of_flights
 @click.option("--out", type=OUT, help="Write the fitted vehicle to this file.")
+@click.option("--table-out", type=OUT, help="Write a table with the fitted slope to this file.")
 @click.option("--force", is_flag=True, help="Fit in spite of a suspicion.")
 @click.pass_context
 def motion(
     context: click.Context, logs: tuple[Path, ...], mapping: str, vehicle: str,
     since: float | None, until: float | None, as_json: bool, out: Path | None, force: bool,
+    table_out: Path | None,
 ) -> None:  # fmt: skip
     """Fit a vehicle to LOGS of free flight."""
     from testbed.cli import calibrate as work
 
     context.exit(
-        work.motion(logs, mapping, vehicle, out, since, until, force=force, as_json=as_json)
+        work.motion(
+            logs, mapping, vehicle, out, since, until, table_out, force=force, as_json=as_json
+        )
     )
 
 
@@ -137,4 +141,30 @@ def validate(
         work.check_against(
             logs, mapping, vehicle, against, table, out, since, until, as_json=as_json
         )
+    )
+
+
+@click.command()
+@click.option("--vehicle", required=True, help="Vehicle file, or name of a shipped one.")
+@click.option("--table", default="marble_6m", show_default=True, help="Table file or name.")
+@click.option("--seconds", type=click.FloatRange(10.0, 600.0), default=120.0, show_default=True)
+@click.option("--room", type=click.FloatRange(min=0.1), default=1.5, show_default=True,
+              help="Distance from the start that it may use [m].")  # fmt: skip
+@click.option("--gas", type=click.FloatRange(min=0.0, min_open=True),
+              help="Gas that it may use [g].  [default: half a tank]")  # fmt: skip
+@click.option("--period", type=click.FloatRange(0.02, 1.0), default=0.1, show_default=True,
+              help="Period of the valve commands [s].")  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--out", type=OUT, help="Write the commands to this CSV file.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+@click.pass_context
+def excite(
+    context: click.Context, vehicle: str, table: str, seconds: float, room: float,
+    gas: float | None, period: float, seed: int, out: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Design valve commands that tell most about a vehicle, within room, gas and time."""
+    from testbed.cli import calibrate as work
+
+    context.exit(
+        work.excite(vehicle, table, seconds, room, gas, period, seed, out, as_json=as_json)
     )

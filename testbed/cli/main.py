@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
-from testbed.cli.identify import calibrate, validate
+from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
 from testbed.cli.many import bench, campaign, tune
@@ -328,7 +328,9 @@ def reproduce(
     )
 
 
-for verb in (agent, bench, calibrate, campaign, lab_keys, poses, stop, tune, twin, validate):
+for verb in (
+    agent, bench, calibrate, campaign, excite, lab_keys, poses, stop, tune, twin, validate
+):  # fmt: skip
     main.add_command(verb)
 
 

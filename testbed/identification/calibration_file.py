@@ -43,7 +43,9 @@ def report_of(c: Calibration, name: str, logs: Sequence[MotionLog]) -> dict[str,
         "chosen": c.chosen,
         "gains": c.gains,
         "suspicions": [{"name": one.name, "text": one.text} for one in c.suspicions],
-        "noise": {"position_m": float(c.estimate.noise[0]), "heading_rad": float(c.estimate.noise[2])},
+        "noise": {
+            "position_m": float(c.estimate.noise[0]), "heading_rad": float(c.estimate.noise[2]),
+        },
     }  # fmt: skip
 
 
@@ -68,7 +70,7 @@ def used_s(log: MotionLog) -> float:
 
 def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: date) -> None:
     """Write the fitted vehicle with the origin of each number."""
-    notes = {}
+    notes: dict[str, str] = {}
     for k, own in enumerate(c.model.parameters):
         place = PLACES.get(own.name)
         if place is None:

@@ -1,9 +1,9 @@
 """`testbed calibrate floor`: the slope of a table as a map, from the drift of a vehicle.
 
-The map has values on an even grid that spans the table, bilinear between (as `tilt.map` of a table
-file). A smoothness prior carries it to places between the paths; where no path was, the map is 0 and
-its uncertainty is that of the prior. Common thrust and delay are fitted with it: a controller pushes
-against the slope, so either alone would be wrong.
+The map has values on an even grid that spans the table, bilinear between (as `tilt.map` of a
+table file). A smoothness prior carries it to places between the paths; where no path was, the map
+is 0 and its uncertainty is that of the prior. Common thrust and delay are fitted with it: a
+controller pushes against the slope, so either alone would be wrong.
 """
 
 from collections.abc import Sequence

@@ -7,8 +7,8 @@ import msgspec
 from msgspec import Meta, Struct
 
 from testbed.config.error import ConfigError, did_you_mean
-from testbed.config.number import bad_numbers
 from testbed.config.key import spell
+from testbed.config.number import bad_numbers
 from testbed.config.shipped import SHIPPED
 from testbed.config.tree import read_toml, trouble_at
 from testbed.config.validation import first_misfit
@@ -76,7 +76,7 @@ def load_mapping(name: str) -> Mapping:
     """
     path = named_file(name, "mappings", "a mapping file")
     tree = read_toml(path)
-    mapping: Mapping = convert(tree, Mapping, path)
+    mapping: Mapping = convert(tree, Mapping, path)  # type: ignore[assignment]
     if (mapping.valves is None) == (mapping.wrench is None):
         found = "both" if mapping.valves else "neither"
         raise ConfigError(str(path), "", "either [valves] or [wrench]", found)

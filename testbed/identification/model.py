@@ -48,27 +48,30 @@ class Model:
         v, jets = vehicle, len(vehicle.jets) if valves else 0
         spread = max(0.15, 2.0 * v.tolerance.thrust)
         delay = v.valve.open_delay_s
-        P = Parameter
+        turning, slow = max(0.2, 2.0 * v.tolerance.inertia), max(v.drag, 0.05 * v.mass)
+        own = [
+            Parameter(f"thrust_{j + 1}", "", 1.0, spread, 0.01, "jets", TINY) for j in range(jets)
+        ]
         self.parameters = [
-            P("thrust", "", 1.0, 0.3, 0.01, "thrust", TINY)
+            Parameter("thrust", "", 1.0, 0.3, 0.01, "thrust", TINY)
             if valves
-            else P("mass", "", 1.0, 0.5, 0.01, "thrust", TINY),
-            *(P(f"thrust_{j + 1}", "", 1.0, spread, 0.01, "jets", TINY) for j in range(jets)),
-            P("inertia", "", 1.0, max(0.2, 2.0 * v.tolerance.inertia), 0.01, "inertia", TINY),
-            P("delay", "s", delay, 0.15, 0.002, "delay"),
-            P("com_x", "m", v.com[0], 0.01, 0.001, "com"),
-            P("com_y", "m", v.com[1], 0.01, 0.001, "com"),
-            P("slope_x", "m/s^2", 0.0, 0.01, 0.001, "slope"),
-            P("slope_y", "m/s^2", 0.0, 0.01, 0.001, "slope"),
-            P("drag", "N s/m", v.drag, max(v.drag, 0.05 * v.mass), 0.005 * v.mass, "drag", 0.0),
-            P("spin_drag", "N m s/rad", v.spin_drag, max(v.spin_drag, 0.1 * v.inertia), 0.005 * v.inertia,
-              "spin_drag", 0.0),
+            else Parameter("mass", "", 1.0, 0.5, 0.01, "thrust", TINY),
+            *own,
+            Parameter("inertia", "", 1.0, turning, 0.01, "inertia", TINY),
+            Parameter("delay", "s", delay, 0.15, 0.002, "delay"),
+            Parameter("com_x", "m", v.com[0], 0.01, 0.001, "com"),
+            Parameter("com_y", "m", v.com[1], 0.01, 0.001, "com"),
+            Parameter("slope_x", "m/s^2", 0.0, 0.01, 0.001, "slope"),
+            Parameter("slope_y", "m/s^2", 0.0, 0.01, 0.001, "slope"),
+            Parameter("drag", "N s/m", v.drag, slow, 0.005 * v.mass, "drag", 0.0),
+            Parameter("spin_drag", "N m s/rad", v.spin_drag, max(v.spin_drag, 0.1 * v.inertia),
+                      0.005 * v.inertia, "spin_drag", 0.0),
         ]  # fmt: skip
         if valves:
             gap = v.valve.close_delay_s - delay
             self.parameters += [
-                P("droop", "", v.air.droop, 0.3, 0.01, "droop", 0.0),
-                P("hold", "s", gap, 0.02, 0.001, "hold"),
+                Parameter("droop", "", v.air.droop, 0.3, 0.01, "droop", 0.0),
+                Parameter("hold", "s", gap, 0.02, 0.001, "hold"),
             ]
         self.names = [p.name for p in self.parameters]
         self.prior = np.array([p.value for p in self.parameters])

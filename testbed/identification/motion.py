@@ -146,7 +146,7 @@ def other_vehicle(model: Model, estimate: Estimate, windows: Sequence[Windows]) 
     limit = 1.0 + TOO_STRONG + model.vehicle.tolerance.thrust
     scale, sigma = float(np.median(model.thrust(bare.p))), float(bare.sigma[0])
     if scale - sigma > limit:
-        text = f"thrust over mass is {scale:.2f} times the file's: a lighter vehicle, or another supply"
+        text = f"thrust over mass is {scale:.2f} times the file's: lighter, or another supply"
         return [Suspicion("other-vehicle", text)]
     if scale + 2.0 * sigma < TOO_WEAK:
         text = (

@@ -53,7 +53,8 @@ def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:
     notes = gaps(t, str(path))
     if kept.sum() < FEWEST_POSES:
         raise LogRefusedError(
-            where=str(path), expected=f"at least {FEWEST_POSES} measured poses in undisturbed flight",
+            where=str(path),
+            expected=f"at least {FEWEST_POSES} measured poses in undisturbed flight",
             found=f"{kept.sum()} of {len(t)} rows",
             hint=f"the mapping keeps rows with {mapping.use}" if mapping.use else "",
         )  # fmt: skip
@@ -105,7 +106,7 @@ def _poses(columns: Columns, mapping: Mapping) -> tuple[Array, NDArray[np.bool_]
     pose = np.stack(
         [x * METRES[own.unit], y * METRES[own.unit], theta * RADIANS[own.angle_unit]], 1
     )
-    measured = np.isfinite(pose).all(axis=1)
+    measured: NDArray[np.bool_] = np.asarray(np.isfinite(pose).all(axis=1))
     if own.new:
         measured &= columns[own.new] == 1.0
     if not own.new:  # a pose repeated to the last digit is an old one

@@ -76,8 +76,8 @@ def schedule_of(inputs: Inputs, metal: Metal, delay: float) -> Schedule:
 def used_before(schedule: Schedule, metal: Metal, t: Array) -> Array:
     """Gas that jets and bearings have used since the first command, at most half a tank [kg].
 
-    The tank's level at the start of a log is not known: it is taken as full, and the supply of a long
-    log is not predicted to end.
+    The tank's level at the start of a log is not known: it is taken as full, and the supply of a
+    long log is not predicted to end.
     """
     width = np.diff(schedule.start)
     impulse = width * (schedule.value[:, 3] + 0.5 * width * schedule.slope[:, 3])

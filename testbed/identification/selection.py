@@ -1,7 +1,7 @@
 """Which groups of parameters a log supports: cross-validation by time and by region.
 
-Around the fit of all parameters the errors are linear, so leaving a part of the log out, and a group
-at its prior, is one linear solve.
+Around the fit of all parameters the errors are linear, so leaving a part of the log out, and a
+group at its prior, is one linear solve.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,9 @@
 """Checks that a log is what its mapping says, before anything is fitted.
 
-The second integral of the commanded acceleration, turned by the measured heading, must look like the
-measured path. In complex numbers, a scaled, turned or mirrored path is the predicted one (or its
-conjugate) times a complex number; so wrong units, axes and signs are told from one regression each.
+The second integral of the commanded acceleration, turned by the measured heading, must look like
+the measured path. In complex numbers, a scaled, turned or mirrored path is the predicted one (or
+its conjugate) times a complex number; so wrong units, axes and signs are told from one regression
+each.
 """
 
 import cmath
@@ -85,7 +86,7 @@ class _Parts:
         self.in_table = isinstance(log.inputs, Wrenches) and log.inputs.in_table
         self.heading = np.interp(self.grid, log.t, log.pose[:, 2])
 
-    def at(self, delay: float) -> list[tuple[Array, ...]]:
+    def at(self, delay: float) -> list[Array]:
         """Path, readings of the commands and heading, window by window, without a straight line."""
         shift = round(delay / GRID)
         force, spin = np.roll(self.force, shift), np.roll(self.spin, shift)
@@ -99,7 +100,7 @@ class _Parts:
         paths = [_twice(a) for a in turned]
         q = _twice(spin)
         z = self.log.pose[:, 0] + 1j * self.log.pose[:, 1]
-        found = []
+        found: list[Array] = []
         for rows in self.windows:
             t = self.log.t[rows]
             base = np.stack([np.ones(len(t)), t - t[0]], axis=1)

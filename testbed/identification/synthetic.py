@@ -1,4 +1,4 @@
-"""A flight of the plant with known numbers, as a motion log: for tests and for designing excitations."""
+"""Flights of the plant with known numbers, as motion logs: for tests and to design excitations."""
 
 from typing import NamedTuple
 
@@ -24,7 +24,10 @@ class Spread(NamedTuple):
     droop: float = 0.05
 
 
-def drawn(vehicle: Vehicle, rng: np.random.Generator, spread: Spread = Spread()) -> Vehicle:
+USUAL = Spread()
+
+
+def drawn(vehicle: Vehicle, rng: np.random.Generator, spread: Spread = USUAL) -> Vehicle:
     """A vehicle with true values near those of the file."""
     jets = [
         structs.replace(j, thrust=j.thrust * float(np.exp(spread.thrust * rng.standard_normal())))

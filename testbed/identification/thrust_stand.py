@@ -32,7 +32,8 @@ def thrust_of(columns: Columns, time: str, force: str, unit: str, pulse: str) ->
     known = np.isfinite(reading)
     edges = np.flatnonzero(np.diff(on.astype(int))) + 1
     parts = np.split(np.arange(len(t)), edges)
-    levels, rests = [], []
+    levels: list[tuple[float, float]] = []  # time [s] and reading [N] of each pulse
+    rests: list[tuple[float, float]] = []
     for rows in parts:
         steady = rows[(t[rows] > t[rows[0]] + SETTLING) & known[rows]]
         if len(steady) < 3 or t[steady[-1]] - t[steady[0]] < LEAST:

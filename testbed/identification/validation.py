@@ -57,8 +57,13 @@ def errors_ahead(
         error = ahead_of(model, model.prior, windows, BEFORE, WEIGHT)
         last = np.array([len(rows) - 1 for rows in windows.rows])
         begin = windows.begin + BEFORE
-        first = [int(np.searchsorted(log.t[rows], b)) for rows, b in zip(windows.rows, begin)]
-        start = np.array([log.pose[r[min(k, len(r) - 1)]] for r, k in zip(windows.rows, first)])
+        first = [
+            int(np.searchsorted(log.t[rows], b))
+            for rows, b in zip(windows.rows, begin, strict=True)
+        ]
+        start = np.array(
+            [log.pose[r[min(k, len(r) - 1)]] for r, k in zip(windows.rows, first, strict=True)]
+        )
         parts.append((begin, start, error[np.arange(len(last)), last],
                       _open_time(log, begin, begin + horizon, len(vehicle.jets))))  # fmt: skip
     if not parts:

@@ -30,7 +30,8 @@ def write_page(
     )
     table = (
         '<div class="wide"><table><tr><th>ahead</th><th></th><th>position RMS [mm]</th>'
-        f"<th>median [mm]</th><th>heading RMS [deg]</th><th>predictions</th></tr>{rows}</table></div>"
+        "<th>median [mm]</th><th>heading RMS [deg]</th><th>predictions</th></tr>"
+        f"{rows}</table></div>"
     )
     noise = result["noise"]
     words = (
@@ -87,6 +88,6 @@ def _charts(errors: dict[str, list[Ahead]], noise: float) -> Sequence[Chart]:
                 "share [%]",
                 spread,
                 (0.0, max(largest, 1e-3)),
-            )  # fmt: skip
+            )
         )
     return charts

@@ -1,5 +1,6 @@
 """Short windows of a log, each flown by the model from a state of its own."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -44,8 +45,7 @@ def tiled(log: MotionLog, length: float) -> Windows:
             continue
         edges = log.t[rows[0]] + span * np.arange(parts + 1) / parts
         found += [
-            rows[(log.t[rows] >= a - 1e-9) & (log.t[rows] <= b + 1e-9)]
-            for a, b in zip(edges[:-1], edges[1:], strict=True)
+            rows[(log.t[rows] >= a - 1e-9) & (log.t[rows] <= b + 1e-9)] for a, b in pairwise(edges)
         ]
     return packed(log, found)
 

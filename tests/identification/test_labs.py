@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from shared_data import shared
 from testbed.identification.cameras import latency_of
 from testbed.identification.columns import read_columns, read_sources
 from testbed.identification.floor import flat_fit, learn_floor
@@ -14,7 +15,6 @@ from testbed.identification.thrust_stand import thrust_of
 from testbed.identification.validation import HORIZONS, errors_ahead
 from testbed.identification.vehicle_file import load_vehicle
 from testbed.identification.windows import ahead_of, sliding
-from shared_data import shared
 
 STAND = (0.4415, 0.4307, 0.4277, 0.4380, 0.4689, 0.4468, 0.4670, 0.4841)  # [N]
 

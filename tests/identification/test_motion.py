@@ -139,8 +139,7 @@ def test_a_suspicion_is_a_refusal_and_writes_nothing(files, tmp_path):
     assert not out.exists()
 
 
-def test_another_vehicle_is_not_fitted_over(flight, floater, files):
-    mapping, log, _ = files
+def test_another_vehicle_is_not_fitted_over(flight, floater):
     heavy = structs.replace(floater, mass=1.7 * floater.mass, inertia=1.7 * floater.inertia)
     with pytest.raises(Exception, match="other-vehicle"):
         calibrate_motion([flight[1]], heavy)

@@ -27,7 +27,7 @@ def test_a_good_log_is_not_suspected(flight, floater):
         (lambda p: p * [1, -1, 1], "mirrored-y"),
         (lambda p: p * [-1, -1, 1], "signs-turned"),
         (lambda p: p * [1, 1, -1], "heading-sign"),
-        (lambda p: p + [0, 0, np.pi / 2], "frame-turned"),
+        (lambda p: np.add(p, [0, 0, np.pi / 2]), "frame-turned"),
         (lambda p: p * [1, 1, 180 / np.pi], "unit-angle"),
         (lambda p: p * [1, 1, np.pi / 180], "unit-angle"),
         (lambda p: p * [1000, 1000, 1], "unit-position"),
