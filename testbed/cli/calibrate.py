@@ -23,6 +23,7 @@ from testbed.identification.link import link_of
 from testbed.identification.mapping import load_mapping
 from testbed.identification.motion import RefusedError, calibrate_motion
 from testbed.identification.motion_log import MotionLog, read_motion_log
+from testbed.identification.own_run import read_run_log
 from testbed.identification.suspicion import suspicions
 from testbed.identification.table_file import load_table, write_table
 from testbed.identification.thrust_stand import thrust_of
@@ -55,14 +56,23 @@ def refused(error: TestbedError, *, as_json: bool) -> int:
     return refuse(error, BAD_INPUT)
 
 
-def read_logs(
-    paths: Sequence[Path], mapping: str, since: float | None, until: float | None
-) -> list[MotionLog]:
-    """Logs, restricted to a part of their time."""
-    shape = load_mapping(mapping)
+Asked = tuple[Sequence[Path], str | None, str | None, float | None, float | None]
+
+
+def read_logs(asked: Asked) -> list[MotionLog]:
+    """Logs or run folders: paths, mapping, vehicle of a run, and the part of their time [s]."""
+    paths, mapping, body, since, until = asked
     logs = []
     for path in paths:
-        log = read_motion_log(path, shape)
+        if path.is_dir():
+            log = read_run_log(path, body)
+        elif mapping is None:
+            raise TestbedError(
+                where="--mapping", expected="a mapping for a log that is no run folder",
+                found="nothing",
+            )  # fmt: skip
+        else:
+            log = read_motion_log(path, load_mapping(mapping))
         whole = log.whole.copy()
         if since is not None:
             whole &= log.t >= since
@@ -73,12 +83,12 @@ def read_logs(
 
 
 def motion(
-    paths: Sequence[Path], mapping: str, vehicle: str, out: Path | None, since: float | None,
-    until: float | None, table_out: Path | None = None, *, force: bool, as_json: bool,
+    asked: Asked, vehicle: str, out: Path | None, table_out: Path | None, *, force: bool,
+    as_json: bool,
 ) -> int:  # fmt: skip
     """Fit a vehicle and write its file, and the slope of the table."""
     try:
-        logs = read_logs(paths, mapping, since, until)
+        logs = read_logs(asked)
         found = calibrate_motion(
             logs, load_vehicle(vehicle), force=force,
             told=lambda text: None if as_json else screen.print(f"[dim]{text}"),
@@ -118,12 +128,12 @@ def motion(
 
 
 def check_against(
-    paths: Sequence[Path], mapping: str, vehicle: str, against: str | None, table: str | None,
-    out: Path | None, since: float | None, until: float | None, *, as_json: bool,
+    asked: Asked, vehicle: str, against: str | None, table: str | None, out: Path | None, *,
+    as_json: bool,
 ) -> int:  # fmt: skip
     """Predict logs and print how far off the twin is."""
     try:
-        logs = read_logs(paths, mapping, since, until)
+        logs = read_logs(asked)
         own = load_vehicle(vehicle)
         other = load_vehicle(against) if against else None
         surface = load_table(table) if table else None
@@ -165,15 +175,15 @@ def _knows(vehicle: str, digest: str) -> bool:
 
 
 def floor(
-    paths: Sequence[Path], mapping: str, vehicle: str, table: str | None,
-    size: tuple[float, float] | None, nodes: int, out: Path | None, since: float | None,
-    until: float | None, *, as_json: bool,
+    asked: Asked, vehicle: str, table: str | None, size: tuple[float, float] | None, nodes: int,
+    out: Path | None, *, as_json: bool,
 ) -> int:  # fmt: skip
     """Learn the slope map and write it as a table file."""
     try:
-        logs = read_logs(paths, mapping, since, until)
+        logs = read_logs(asked)
         own, base = load_vehicle(vehicle), load_table(table)
-        span = size or load_mapping(mapping).table or base.size
+        named = load_mapping(asked[1]).table if asked[1] else None
+        span = size or named or base.size
         found = learn_floor(logs, own, (float(span[0]), float(span[1])), nodes)
         model, p = flat_fit(logs, own)
         if out is not None:
@@ -253,7 +263,7 @@ def mocap(
             if vehicle is None:
                 raise TestbedError(where="--vehicle", expected="a vehicle", found="nothing")
             result = seen_in_flight(
-                read_logs([path], mapping, None, None)[0], load_vehicle(vehicle)
+                read_motion_log(path, load_mapping(mapping)), load_vehicle(vehicle)
             )
     except TestbedError as error:
         return refused(error, as_json=as_json)

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
+FLIGHT = click.Path(exists=True, path_type=Path)  # also a run folder
 OUT = click.Path(path_type=Path, dir_okay=False)
 
 
@@ -17,8 +18,11 @@ def of_flights(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--until", type=float, help="Use only rows before this time [s]."),
         click.option("--from", "since", type=float, help="Use only rows from this time on [s]."),
         click.option("--vehicle", required=True, help="Vehicle file, or name of a shipped one."),
-        click.option("--mapping", required=True, help="Mapping file, or name of a shipped one."),
-        click.argument("logs", nargs=-1, required=True, type=LOG),
+        click.option("--body", help="Which vehicle of a run folder.  [default: the only one]"),
+        click.option(
+            "--mapping", help="Mapping file, or name of a shipped one; a run folder needs none."
+        ),
+        click.argument("logs", nargs=-1, required=True, type=FLIGHT),
     ):
         command = option(command)
     return command
@@ -36,16 +40,21 @@ def calibrate() -> None:
 @click.option("--force", is_flag=True, help="Fit in spite of a suspicion.")
 @click.pass_context
 def motion(
-    context: click.Context, logs: tuple[Path, ...], mapping: str, vehicle: str,
-    since: float | None, until: float | None, as_json: bool, out: Path | None, force: bool,
-    table_out: Path | None,
+    context: click.Context, logs: tuple[Path, ...], mapping: str | None, body: str | None,
+    vehicle: str, since: float | None, until: float | None, as_json: bool, out: Path | None,
+    force: bool, table_out: Path | None,
 ) -> None:  # fmt: skip
     """Fit a vehicle to LOGS of free flight."""
     from testbed.cli import calibrate as work
 
     context.exit(
         work.motion(
-            logs, mapping, vehicle, out, since, until, table_out, force=force, as_json=as_json
+            (logs, mapping, body, since, until),
+            vehicle,
+            out,
+            table_out,
+            force=force,
+            as_json=as_json,
         )
     )
 
@@ -58,15 +67,17 @@ def motion(
 @click.option("--out", type=OUT, help="Write the table with its slope map to this file.")
 @click.pass_context
 def floor(
-    context: click.Context, logs: tuple[Path, ...], mapping: str, vehicle: str,
-    since: float | None, until: float | None, as_json: bool, table: str | None,
+    context: click.Context, logs: tuple[Path, ...], mapping: str | None, body: str | None,
+    vehicle: str, since: float | None, until: float | None, as_json: bool, table: str | None,
     size: tuple[float, float] | None, nodes: int, out: Path | None,
 ) -> None:  # fmt: skip
     """Learn the slope map of a table from LOGS of flights."""
     from testbed.cli import calibrate as work
 
     context.exit(
-        work.floor(logs, mapping, vehicle, table, size, nodes, out, since, until, as_json=as_json)
+        work.floor(
+            (logs, mapping, body, since, until), vehicle, table, size, nodes, out, as_json=as_json
+        )
     )
 
 
@@ -130,8 +141,8 @@ def link(context: click.Context, log: Path, sent: str, received: str, as_json: b
 @click.option("--out", type=OUT, help="Also write an HTML page with figures.")
 @click.pass_context
 def validate(
-    context: click.Context, logs: tuple[Path, ...], mapping: str, vehicle: str,
-    since: float | None, until: float | None, as_json: bool, against: str | None,
+    context: click.Context, logs: tuple[Path, ...], mapping: str | None, body: str | None,
+    vehicle: str, since: float | None, until: float | None, as_json: bool, against: str | None,
     table: str | None, out: Path | None,
 ) -> None:  # fmt: skip
     """Predict LOGS 1, 3 and 5 s ahead and say how far off the twin is."""
@@ -139,7 +150,7 @@ def validate(
 
     context.exit(
         work.check_against(
-            logs, mapping, vehicle, against, table, out, since, until, as_json=as_json
+            (logs, mapping, body, since, until), vehicle, against, table, out, as_json=as_json
         )
     )
 

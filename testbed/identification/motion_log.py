@@ -50,7 +50,7 @@ def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:
     for name, values in mapping.use.items():
         usable &= np.isin(columns[name], values)
     kept = measured & usable
-    notes = gaps(t, str(path))
+    notes = gaps(t)
     if kept.sum() < FEWEST_POSES:
         raise LogRefusedError(
             where=str(path),
@@ -85,7 +85,7 @@ def check_clock(t: Array, where: str, mapping: Mapping) -> None:
         )  # fmt: skip
 
 
-def gaps(t: Array, where: str) -> list[str]:
+def gaps(t: Array) -> list[str]:
     """Notes about missing rows, or jumps of the clock; no prediction crosses them."""
     step = np.diff(t)
     usual = float(np.median(step))

@@ -143,3 +143,22 @@ def test_another_vehicle_is_not_fitted_over(flight, floater):
     heavy = structs.replace(floater, mass=1.7 * floater.mass, inertia=1.7 * floater.inertia)
     with pytest.raises(Exception, match="other-vehicle"):
         calibrate_motion([flight[1]], heavy)
+
+
+def test_a_run_folder_needs_no_mapping(tmp_path):
+    folder = tmp_path / "run"
+    words = ["run", "hold", "duration_s=30", "criteria={}", "--seed", "3", "--json", "--out"]
+    assert run(*words, folder)[0] == 0
+    code, text = run("validate", folder, "--vehicle", "floater", "--json")
+    assert code == 0
+    verdict = json.loads(text)
+    assert verdict["horizons"]["3"]["vehicle"]["position_rms_m"] < 0.02
+    code, text = run("validate", folder, "--vehicle", "floater", "--body", "sat9", "--json")
+    assert code == 2
+    assert "sat1" in json.loads(text)["expected"]
+
+
+def test_a_log_without_a_mapping_is_refused(files):
+    code, text = run("validate", files[1], "--vehicle", "floater", "--json")
+    assert code == 2
+    assert json.loads(text)["where"] == "--mapping"
