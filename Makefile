@@ -2,7 +2,7 @@
 
 PYTHON ?= python3
 JOBS ?= 4
-VEHICLE ?= configs/vehicles/floater.toml
+VEHICLE ?= configs/vehicles/generic_8jet.toml
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -38,7 +38,7 @@ lint: $(DEV)  ## Check format, style, types and the direction of imports
 
 check: lint test  ## Everything CI runs: lint, then test
 
-firmware: $(DEV)  ## Build the valve board's image (VEHICLE=configs/vehicles/floater.toml)
+firmware: $(DEV)  ## Build the valve board's image (VEHICLE=configs/vehicles/generic_8jet.toml)
 	@$(BIN)/python -m firmware_interface.compiler $(VEHICLE) build/firmware
 
 mutants: $(DEV)  ## Put every small fault into the firmware's core; do the tests notice? 10 minutes

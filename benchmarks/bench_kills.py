@@ -55,16 +55,18 @@ class Told(NullObserver):
     def host(self, name, tick):
         setpoint = tick.outputs.setpoint
         if setpoint is not None:
-            print(json.dumps(["setpoint", name, rig._clock.epoch_ns + setpoint.valid_until * 1e9]),
+            until = rig.results.epoch_ns + setpoint.valid_until * 1e9
+            print(json.dumps(["setpoint", name, until]),
                   flush=True)
 
     def done(self, t):
-        until = rig._clock.epoch_ns + (t + PERMIT_S) * 1e9  # the permit was said just before
+        until = rig.results.epoch_ns + (t + PERMIT_S) * 1e9  # the permit was said just before
         for name in rig.experiment.vehicles:
             print(json.dumps(["permit", name, until]), flush=True)
 
 def started(rig):
-    print(json.dumps(["start", rig.children, rig._clock.epoch_ns]), flush=True)
+    print(json.dumps(["endpoint", rig.experiment.table.lab.network.endpoint]), flush=True)
+    print(json.dumps(["start", rig.children, rig.results.epoch_ns]), flush=True)
 
 class Relay:
     # A cable between host and vehicles, until it is cut: nothing comes through, nothing ends.
@@ -101,23 +103,22 @@ def cut(number, frame):
 
 experiment = load(find(sys.argv[1]), sys.argv[3:])
 warm_up(experiment)
-rig = WireRig(experiment, bench=True, keep=Path(sys.argv[2]))
-rig.way = way
+rig = WireRig(experiment, bench=True, keep=Path(sys.argv[2]), relay=way)
 signal.signal(signal.SIGUSR1, cut)
 rig.on_start = started
 ending = rig.fly(Told())
-print(json.dumps(["end", ending.t, ending.fault]), flush=True)
+print(json.dumps(["end", ending.t, ending.fault and ending.fault.words]), flush=True)
 """
 
 
 class Host:
     """The host's process, and what it has said."""
 
-    def __init__(self, words, report):
+    def __init__(self, words, report, env=None, program=HOST):
         self.said, self.lock = [], threading.Lock()
         self.process = subprocess.Popen(
-            [sys.executable, "-c", HOST, words[0], str(report), *words[1:]],
-            stdout=subprocess.PIPE, text=True, start_new_session=True,
+            [sys.executable, "-c", program, words[0], str(report), *words[1:]],
+            stdout=subprocess.PIPE, text=True, start_new_session=True, env=env,
         )  # fmt: skip
         self.thread = threading.Thread(target=self._read, daemon=True)
         self.thread.start()

@@ -45,9 +45,9 @@ def main():
     print(
         f"lateness p99 {wires['lateness_p99_ms']:.1f} ms; longest silence of an armed board [ms]:"
     )
-    if rig.report is not None:
-        print("  " + ", ".join(f"{n} {ms:.0f}" for n, ms in rig.report.silence_ms.items()))
-        print(f"  late edges {rig.report.late_edges}, contacts {len(rig.touches)}")
+    if rig.results.report is not None:
+        print("  " + ", ".join(f"{n} {ms:.0f}" for n, ms in rig.results.report.silence_ms.items()))
+        print(f"  late edges {rig.results.report.late_edges}, contacts {len(rig.touches)}")
     return int(ending.fault is not None)
 
 

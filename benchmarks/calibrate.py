@@ -45,7 +45,7 @@ WEIGHT = np.array([1e3, 1e3, 3e2])
 
 def synthetic(count, seconds):
     """Random vehicles on a rough table: errors, coverage, dead jets, unexcited jets."""
-    floater, table = load_vehicle("floater"), load_table("marble_6m")
+    floater, table = load_vehicle("generic_8jet"), load_table("marble_6m")
     worst, inside, total, dead, silent = {}, 0, 0, 0, 0
     for k in range(count):
         rng = np.random.default_rng(k)

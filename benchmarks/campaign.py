@@ -18,13 +18,13 @@ import tomli_w
 
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.trial import fly_batch, read, warm
 from testbed.config import dump, find, load
 
 
 def lost(task):
-    return Flown(task[0], "lost")
+    return FlownRun(task[0], "lost")
 
 
 def fleet(client, base):

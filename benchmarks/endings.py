@@ -64,7 +64,7 @@ def fly(number: int, seed: int) -> Flown:
     ending = rig.fly(NullObserver(), stopped)
     after = rig.come_to_rest(ending, NullObserver(), stopped)
     assert after is not None, rig.red
-    return Flown(end, after, ending.fault or "")
+    return Flown(end, after, ending.fault.words if ending.fault else "")
 
 
 def seconds(value: float | None) -> str:

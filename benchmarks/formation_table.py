@@ -18,6 +18,7 @@ import numpy as np
 
 from controllers.graph import formation
 from testbed.config import find, load
+from testbed.core.codes import FaultReport
 from testbed.metrics.run_metrics import obstacle_distances
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
@@ -47,7 +48,7 @@ class Flight(NamedTuple):
     nearest: float  # pair [m]
     obstacle: float  # nearest, centre to centre [m]
     contacts: int
-    fault: str | None
+    fault: FaultReport | None
 
 
 def settling(t, off):

@@ -86,7 +86,7 @@ def main() -> None:
         radius = experiment.vehicles[names[0]].model.radius  # they are all alike
         gaps.append(smallest_separation(track) - 2.0 * radius)
         if ending.fault:
-            print(f"seed {seed}: {ending.fault}", flush=True)
+            print(f"seed {seed}: {ending.fault.words}", flush=True)
             continue
         rows = phase_errors(track, experiment.controller, experiment.duration_s)
         good = all(error <= FORMED for error, _ in rows) and touches == 0

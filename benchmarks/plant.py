@@ -104,7 +104,7 @@ def fastest(*make_rounds: Callable[[], Callable[[], object]]) -> list[float]:
 
 
 def main(seconds: float) -> None:
-    vehicle = msgspec.convert(read_toml(SHIPPED / "vehicles" / "floater.toml"), Vehicle)
+    vehicle = msgspec.convert(read_toml(SHIPPED / "vehicles" / "generic_8jet.toml"), Vehicle)
     table = msgspec.convert(read_toml(SHIPPED / "tables" / "marble_6m.toml"), Table)
     plans = draw_plans(seconds)
 

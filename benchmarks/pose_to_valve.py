@@ -63,7 +63,6 @@ from testbed.core.lab import MocapWire
 from testbed.core.types import Accel, Inputs, Pose, Reference, Trajectory, Twist
 from testbed.mocap.natnet_client import NatNetClient
 from testbed.mocap.poses import MocapPoses
-from testbed.mocap.body_monitor import BodyMonitor
 from testbed.realtime.scheduling import realtime_priority, no_garbage_collection
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
 from testbed.rig.chain import make_agent
@@ -75,7 +74,7 @@ setup = experiment.vehicles[name]
 agent = make_agent(experiment, name)
 client = NatNetClient(MocapWire(command_port=command))
 clock = WallClock(monotonic_ns())
-poses = MocapPoses(client, MocapWire(), clock, name, BodyMonitor())
+poses = MocapPoses(client, MocapWire(), clock, name)
 goal = Reference(0.0, Pose(*setup.start), Twist(0, 0, 0), Accel(0, 0, 0))
 setpoint = Trajectory((goal,), 1e9)
 with no_garbage_collection(), SerialThrusters(port, limits_of(setup.model), 0.0, 7) as thrusters:

@@ -23,13 +23,14 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
+from testbed.core.codes import Response
 from testbed.core.fault_injection import Injection
 from testbed.faults.drill import ASKED
 from testbed.rig.twin import make_twin
 from testbed.run.drill import Notes, shipped
 
 VEHICLES = {  # thrust [N], mass [kg], inertia [kg m^2]
-    "floater": (0.6, 12.5, 0.20),
+    "generic_8jet": (0.6, 12.5, 0.20),
     "15 kg": (0.5, 15.0, 0.24),
     "0.2 N, 16 kg": (0.2, 16.0, 0.18),
     "1.5 N, 17.8 kg": (1.5, 17.8, 0.315),
@@ -137,27 +138,28 @@ def fly(case):
         way = rng.uniform(0.0, 2.0 * np.pi)
         rig.twin.plant.parameters.com[:] += OFF_BALANCE * np.array([np.cos(way), np.sin(way)])
     ending = rig.fly(notes)
-    words = ending.fault or ""
+    report = ending.fault
+    words = "" if report is None else report.words
     if fault is None:
-        about_valves = "wrong" if ": valve_" in words else "other"
+        about_valves = "wrong" if report and report.id.startswith("valve_") else "other"
         return Found(case, about_valves if words else "well", ending.t, words)
     asked = sum(on[fault.jet - 1] for t, who, on in notes.asked if who == "sat1" and t > fault.at_s)
     if not words and case.kind == "shut" and asked < 1e6 * ASKED:
         return Found(case, "dormant", 0.0, words)
-    right = ending.t > fault.at_s and named_right(case.kind, fault.jet, words, notes)
+    right = ending.t > fault.at_s and named_right(case.kind, fault.jet, report, notes)
     return Found(case, "well" if right else "wrong", ending.t - fault.at_s, f"{fault}: {words}")
 
 
-def named_right(kind, jet, words, notes):
-    """Whether the words are about this jet, and a valve that cannot be shut has made it land."""
-    row = words.removeprefix("sat1: ").partition(":")[0]
+def named_right(kind, jet, report, notes):
+    """Whether the report is of this jet, and a valve that cannot be shut has made it land."""
     rows = {
         "open": ("valve_stuck_open",),
         "leaks": ("valve_leaks", "valve_leaks_or_weak", "valve_stuck_open"),
         "shut": ("valve_stuck_closed", "valve_leaks_or_weak"),
     }[kind]
-    landed = any(response == "land" for _, _, response in notes.responses)
-    return row in rows and f"jet {jet} " in words and (kind == "shut" or landed)
+    landed = any(response == Response.LAND for _, _, response in notes.responses)
+    named = report is not None and report.id in rows and f"jet {jet} " in report.text
+    return named and (kind == "shut" or landed)
 
 
 def cases_of(options):
@@ -170,7 +172,7 @@ def cases_of(options):
             for how in ("steep and unequal", "off balance")
         ],
         "open": list(VEHICLES),
-        "leaks": ["floater"],
+        "leaks": ["generic_8jet"],
         "shut": ["hold and zhang2023_table"],
     }
     for kind, names in whats.items():

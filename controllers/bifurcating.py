@@ -54,6 +54,7 @@ from controllers.bifurcating_design import Field, Fleet, Shape, design
 from controllers.graph import FormationKind
 from controllers.scale import Scale
 from testbed.core.compiled import compiled
+from testbed.core.error import MismatchError
 from testbed.core.law import CompiledLaw, Law, bounded, compiled_rate, no_state
 from testbed.core.vehicle import NonNegative, Positive
 
@@ -83,7 +84,7 @@ class Phase(Struct, frozen=True, forbid_unknown_fields=True):
                 name for name in ("a", "b", "mu", "k_f", "k_v") if getattr(self, name) is None
             ]
             if missing:
-                raise ValueError(f"expected a shape or {', '.join(missing)}, found neither")
+                raise MismatchError(f"a shape or {', '.join(missing)}", "neither")
 
     def given(self) -> dict[str, float]:
         """Numbers of the field that the phase sets explicitly."""
@@ -110,16 +111,14 @@ class BifurcatingParams(Struct, frozen=True, forbid_unknown_fields=True, tag="bi
 
     def __post_init__(self) -> None:
         if not self.phases:
-            raise ValueError("expected at least one phase, found none")
+            raise MismatchError("at least one phase", "none")
         if self.phases[0].at != 0.0:
-            raise ValueError(f"expected a first phase at 0 s, found {self.phases[0].at:g} s")
+            raise MismatchError("a first phase at 0 s", f"{self.phases[0].at:g} s")
         for one, two in pairwise(self.phases):
             if two.at <= one.at:
-                raise ValueError(
-                    f"expected phases in order of time, found {two.at:g} s after {one.at:g} s"
-                )
+                raise MismatchError("phases in order of time", f"{two.at:g} s after {one.at:g} s")
         if self.fleet is None and any(phase.shape for phase in self.phases):
-            raise ValueError("expected `fleet`, the vehicles to design the shapes for, found none")
+            raise MismatchError("`fleet`, the vehicles to design the shapes for", "none")
 
     def field(self, phase: Phase) -> Field:
         """The field of a phase, designed where the phase gives no numbers."""
@@ -215,13 +214,13 @@ def _geometry(field: Field, d: int) -> tuple[Array, float, Array]:
     """Squared weights of q (d,), value of q on the curve, stiffness across the plane (d,)."""
     a, b, c = field.a, field.b, field.c
     if d not in (2, 3):
-        raise ValueError(f"expected 2 or 3 dimensions, found {d}")
+        raise MismatchError("2 or 3 dimensions", f"{d}")
     if c is None:
         plane = (b * b, a * a) if d == 2 else (b * b, 0.0, a * a)
         lift = (0.0, 0.0) if d == 2 else (0.0, field.sigma, 0.0)
         return np.array(plane), a * b * field.r, np.array(lift)
     if d == 2:
-        raise ValueError("expected no c on a table (c defines a surface in space), found one")
+        raise MismatchError("no c on a table (c defines a surface in space)", "one")
     weight = np.array([b * b * c * c, a * a * c * c, a * a * b * b])
     return weight, a * b * c * field.r, np.zeros(3)
 
@@ -232,7 +231,7 @@ def bifurcating(params: BifurcatingParams, d: int) -> Law:
     weight, level, lift = zip(*(_geometry(field, d) for field in fields), strict=True)
     centre = np.zeros(d) if params.centre is None else np.array(params.centre, dtype=float)
     if centre.shape != (d,):
-        raise ValueError(f"expected a centre of {d} coordinates, found {len(centre)}")
+        raise MismatchError(f"a centre of {d} coordinates", f"{len(centre)}")
 
     def row(name: str) -> Array:
         return np.array([getattr(field, name) for field in fields], dtype=float)

@@ -30,6 +30,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from testbed.core.error import MismatchError
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -129,7 +130,7 @@ def _repulsion(fleet: Fleet, s: float) -> float:
     if s == 0.0:
         return 0.0
     if s <= CLOSEST:
-        raise ValueError(f"expected room for {fleet.count} vehicles, found {s:.2f} m for each")
+        raise MismatchError(f"room for {fleet.count} vehicles", f"{s:.2f} m for each")
     return 1.2 * fleet.force / (s - CLOSEST)
 
 

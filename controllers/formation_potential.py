@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from controllers.graph import Formation, FormationParams, distance, formation, remember
 from controllers.log_potential import LogPotential, log_potential, repulsion
 from testbed.core.compiled import compiled
+from testbed.core.error import MismatchError
 from testbed.core.law import compiled_jump
 from testbed.core.vehicle import NonNegative, Positive
 
@@ -61,9 +62,10 @@ def formation_potential(
     """Convert the parameters for compiled code; epsilon is the smaller of the two margins."""
     margin = min(shape.far_margin, shape.near_margin)
     if 0.0 < params.obstacle_band <= margin:
-        raise ValueError(
-            f"obstacle_band: expected 0 or more than the smaller margin, {margin:g} m, "
-            f"found {params.obstacle_band:g} m"
+        raise MismatchError(
+            f"0 or more than the smaller margin, {margin:g} m",
+            f"{params.obstacle_band:g} m",
+            "obstacle_band",
         )
     return FormationPotential(
         formation(shape, names),

@@ -34,6 +34,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled
+from testbed.core.error import MismatchError
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -70,9 +71,8 @@ class FormationParams(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if not self.near < self.far:
-            raise ValueError(
-                f"expected safe + near_margin < range - far_margin, "
-                f"found {self.near:g} m and {self.far:g} m"
+            raise MismatchError(
+                "safe + near_margin < range - far_margin", f"{self.near:g} m and {self.far:g} m"
             )
 
     @property
@@ -110,12 +110,12 @@ def pair(text: str, names: Sequence[str]) -> tuple[int, int]:
     found = [(a, b) for a, b in splits if a in names and b in names]
     known = ", ".join(names)
     if not found:
-        raise ValueError(f'expected a pair "a-b" of {known}, found "{text}"')
+        raise MismatchError(f'a pair "a-b" of {known}', f'"{text}"')
     if len(found) > 1:
         raise ValueError(f'"{text}" is ambiguous, it matches several pairs of {known}: rename one')
     a, b = found[0]
     if a == b:
-        raise ValueError(f'expected two different names, found "{text}"')
+        raise MismatchError("two different names", f'"{text}"')
     return names.index(a), names.index(b)
 
 
@@ -127,9 +127,10 @@ def _desired(params: FormationParams, names: Sequence[str], led: bool) -> Array:
         if desired[i, j] != 0.0:
             raise ValueError(f'the distance of "{text}" is given twice: remove one')
         if distance <= params.near:
-            raise ValueError(
-                f'distance of "{text}": expected more than safe + near_margin = {params.near:g} m, '
-                f"found {distance:g} m"
+            raise MismatchError(
+                f"more than safe + near_margin = {params.near:g} m",
+                f"{distance:g} m",
+                f'distance of "{text}"',
             )
         desired[i, j] = desired[j, i] = distance
     for i, name in enumerate(names):
@@ -151,9 +152,10 @@ def _first(params: FormationParams, names: Sequence[str], desired: Array, led: b
         if desired[i, j] == 0.0:
             raise ValueError(f'edge "{text}" has no desired distance: give one')
         if desired[i, j] >= params.far:
-            raise ValueError(
-                f'edge "{text}" cannot reach its desired distance: expected less than '
-                f"range - far_margin = {params.far:g} m, found {desired[i, j]:g} m"
+            raise MismatchError(
+                f"less than range - far_margin = {params.far:g} m",
+                f"{desired[i, j]:g} m",
+                f'edge "{text}" cannot reach its desired distance',
             )
         first[i, j] = first[j, i] = 1.0
     return first

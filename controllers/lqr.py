@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from controllers.sampled import Sampled, feedback, generator, sampled, weights
 from controllers.scale import Scale
+from testbed.core.error import MismatchError
 from testbed.core.law import Body, Concern, Law, Neighbours, World, bounded
 from testbed.core.vehicle import NonNegative, Positive
 
@@ -36,9 +37,9 @@ Feed = Literal["disturbance", "orbit", "none"]
 def check_orbit(feed: Feed, mean_motion: float) -> None:
     """Raise unless a mean motion is given exactly with feed = "orbit"."""
     if (feed == "orbit") != (mean_motion > 0.0):
-        raise ValueError(
-            f'expected mean_motion > 0 with feed = "orbit" and 0 otherwise, '
-            f'found {mean_motion:g} rad/s with feed = "{feed}"'
+        raise MismatchError(
+            'mean_motion > 0 with feed = "orbit" and 0 otherwise',
+            f'{mean_motion:g} rad/s with feed = "{feed}"',
         )
 
 

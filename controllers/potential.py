@@ -33,6 +33,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from testbed.core.compiled import inlined
+from testbed.core.error import MismatchError
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -68,7 +69,7 @@ def diagonal(value: float | tuple[float, ...], d: int) -> Array:
     """Diagonal (d,) of a weight; surplus elements are dropped."""
     if isinstance(value, tuple):
         if len(value) < d:
-            raise ValueError(f"expected {d} diagonal elements or one number, found {len(value)}")
+            raise MismatchError(f"{d} diagonal elements or one number", f"{len(value)}")
         return np.array(value[:d], dtype=float)
     return np.full(d, float(value))
 

@@ -43,6 +43,7 @@ from numpy.typing import NDArray
 from controllers.bounded_potential import BoundedPotential, bounded_potential
 from controllers.graph import Formation, FormationParams, distance, formation, remember
 from testbed.core.compiled import compiled
+from testbed.core.error import MismatchError
 from testbed.core.law import Body, compiled_broadcast, compiled_jump
 from testbed.core.vehicle import NonNegative, Positive
 
@@ -78,9 +79,10 @@ def coupling(
 ) -> Coupling:
     """Convert the parameters for compiled code."""
     if 0.0 < params.obstacle_band <= shape.near_margin:
-        raise ValueError(
-            f"obstacle_band: expected 0 or more than near_margin = {shape.near_margin:g} m, "
-            f"found {params.obstacle_band:g} m"
+        raise MismatchError(
+            f"0 or more than near_margin = {shape.near_margin:g} m",
+            f"{params.obstacle_band:g} m",
+            "obstacle_band",
         )
     return Coupling(
         formation(shape, names, led),

@@ -44,6 +44,7 @@ from controllers.potential import (
 )
 from controllers.scale import Scale
 from testbed.core.compiled import inlined
+from testbed.core.error import MismatchError
 from testbed.core.law import Body, CompiledLaw, Law, bounded, compiled_rate
 from testbed.core.vehicle import NonNegative, Positive
 
@@ -68,7 +69,7 @@ class SotsmcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="sotsmc"
 
     def __post_init__(self) -> None:
         if not 1.0 < self.p / self.q < 2.0:
-            raise ValueError(f"expected 1 < p/q < 2, found p/q = {self.p / self.q:g}")
+            raise MismatchError("1 < p/q < 2", f"p/q = {self.p / self.q:g}")
 
 
 class Gains(NamedTuple):

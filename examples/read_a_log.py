@@ -8,7 +8,7 @@ import testbed
 with TemporaryDirectory() as home:
     folder = sys.argv[1] if len(sys.argv) > 1 else f"{home}/run"
     if len(sys.argv) < 2:
-        testbed.fly(testbed.load("hold", "duration_s=10", seed=5), log=folder)
+        testbed.fly(testbed.load("hold", "duration_s=10", "criteria={}", seed=5), log=folder)
     run = testbed.open_run(folder)
     print(run)
     for name in run:

@@ -17,6 +17,7 @@ from firmware_interface.frame import WRAP
 from firmware_interface.messages import Config, Result, State
 from firmware_interface.serial_board import BAUD, SerialBoard, monotonic_us
 from firmware_interface.session import Session, SessionError
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.error import TestbedError
 from testbed.core.types import Health, ValveCommand
 from testbed.core.vehicle import Gauges
@@ -63,7 +64,7 @@ class SerialThrusters:
         self._set_pressure, self._gauges = set_pressure, gauges
         self.epoch_us = 0
         self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plan numbers and times [us]
-        self.trouble: str | None = None  # latched
+        self.trouble: FaultReport | None = None  # latched
         self._armed = False
         self._heard_us = 0  # time of the last frame from the board
 
@@ -111,7 +112,7 @@ class SerialThrusters:
             if self._session.receive(self._board.read(), now):
                 self._heard_us = now
         except SessionError as error:
-            self.trouble = str(error)
+            self.trouble = FaultReport(FaultId.BOARD_FAILED, str(error))
         self._judge()
         if self._waiting is not None:
             left = self._start_us(self._waiting) - now
@@ -128,13 +129,14 @@ class SerialThrusters:
         if self.trouble is not None or not self._armed:
             return
         if not self._board.connected:
-            self.trouble = "the serial line to the board is lost"
+            self.trouble = FaultReport(FaultId.LINE_LOST, "the serial line to the board is lost")
         elif session.state is not State.ARMED and session.status is not None:
             status = session.status
             if status.state is State.ARMED:
                 return  # the report with the reason follows the answer with the state
             why = ", ".join(f.name or "" for f in status.faults) or "no fault, it was disarmed"
-            self.trouble = f"the board has left ARMED: {why.lower()}"
+            text = f"the board has left ARMED: {why.lower()}"
+            self.trouble = FaultReport(FaultId.BOARD_LEFT_ARMED, text)
 
     def _feed(self, data: bytes) -> None:
         if data:
@@ -146,7 +148,7 @@ class SerialThrusters:
         with self._lock:
             while not done():
                 if self.trouble is not None:
-                    raise ThrustersError(self.trouble)
+                    raise ThrustersError(self.trouble.text)
                 if monotonic_us() > end:
                     raise ThrustersError(
                         f"{self._port_name}: the board does not answer {what}; check its power, the"

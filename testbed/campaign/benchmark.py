@@ -14,11 +14,11 @@ from typing import Annotated
 import tomli_w
 from msgspec import Meta, Struct, field
 
-from testbed.campaign.row import FLOWN, Flown, Number, check_columns
+from testbed.campaign.row import FLOWN, FlownRun, Number, check_columns
 from testbed.campaign.sweep import (
-    Axis,
     Campaign,
     CampaignFile,
+    GridAxis,
     base_experiment,
     check_corners,
     check_name,
@@ -31,7 +31,7 @@ from testbed.config.experiment import Seed
 SHIPPED, OFF = "as its file", "off"
 
 
-class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
+class BenchmarkScenario(Struct, frozen=True, forbid_unknown_fields=True):
     """An experiment and the laws that fly it."""
 
     experiment: str
@@ -48,7 +48,7 @@ class BenchmarkFile(Struct, frozen=True, forbid_unknown_fields=True):
 
     name: str
     laws: dict[str, list[str]]  # "key=value" overrides that select a law and its gains
-    scenarios: Annotated[dict[str, Scenario], Meta(min_length=1)]
+    scenarios: Annotated[dict[str, BenchmarkScenario], Meta(min_length=1)]
     samples: Annotated[int, Meta(ge=1, le=10_000)] = 4
     seed: Seed = 0
     trouble: list[str] = field(default_factory=list)
@@ -130,8 +130,8 @@ def scenario_campaign(path: Path, file: BenchmarkFile, name: str) -> Campaign:
         samples=file.samples,
         seed=file.seed,
         grid=[
-            Axis(name="law", cases={law: file.laws[law] for law in scenario.laws}),
-            Axis(name="vehicle", cases=states),
+            GridAxis(name="law", cases={law: file.laws[law] for law in scenario.laws}),
+            GridAxis(name="vehicle", cases=states),
         ],
         most=scenario.most,
         least=scenario.least,
@@ -143,9 +143,9 @@ def scenario_campaign(path: Path, file: BenchmarkFile, name: str) -> Campaign:
     return campaign
 
 
-def scores(campaign: Campaign, scenario: str, runs: Sequence[Flown]) -> list[Score]:
+def scores(campaign: Campaign, scenario: str, runs: Sequence[FlownRun]) -> list[Score]:
     """Score every law of a scenario."""
-    by_law: dict[str, tuple[list[Flown], list[Flown]]] = {}
+    by_law: dict[str, tuple[list[FlownRun], list[FlownRun]]] = {}
     for run in runs:
         parameters = campaign.parameters(run.k)
         pair = by_law.setdefault(str(parameters["law"]), ([], []))
@@ -153,7 +153,7 @@ def scores(campaign: Campaign, scenario: str, runs: Sequence[Flown]) -> list[Sco
     return [score(scenario, law, nominal, off) for law, (nominal, off) in by_law.items()]
 
 
-def score(scenario: str, law: str, runs: Sequence[Flown], off: Sequence[Flown] = ()) -> Score:
+def score(scenario: str, law: str, runs: Sequence[FlownRun], off: Sequence[FlownRun] = ()) -> Score:
     """Score one law in one scenario.
 
     A run that ended early counts as infinitely bad, not with the small error or gas of its first

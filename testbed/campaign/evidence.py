@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from testbed.campaign.row import Flown, columns_of, outcome_of, within
+from testbed.campaign.row import FlownRun, columns_of, outcome_of, within
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, load
 from testbed.core.types import Tick
@@ -45,7 +45,7 @@ def track_of(folder: Path, experiment: Experiment) -> Track:
     return Track(np.array(list(whole)), np.array(states).reshape(-1, len(names), 6))
 
 
-def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, float]) -> Flown:
+def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, float]) -> FlownRun:
     """Read a run folder as a run of a campaign.
 
     Raises:
@@ -71,4 +71,4 @@ def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, floa
     extra = beside_metrics(experiment, track)
     outcome, reason = outcome_of(metrics)
     columns = columns_of(metrics, experiment, extra)
-    return within(Flown(k, outcome, reason, columns, metrics.criteria or {}), most, least)
+    return within(FlownRun(k, outcome, reason, columns, metrics.criteria or {}), most, least)

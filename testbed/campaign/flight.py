@@ -26,7 +26,7 @@ from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import Read, Warm, compile_first
 from testbed.campaign.engine import Fleet, count_workers, workers
 from testbed.campaign.journal import Head, Journal, JournalError
-from testbed.campaign.row import Flown, Kept, Task, within
+from testbed.campaign.row import FlownRun, Kept, Task, within
 from testbed.campaign.sweep import Campaign, CampaignFile, deciding, difference, read_file
 from testbed.config import ConfigError, read_toml
 from testbed.files import named, write_atomic
@@ -38,7 +38,7 @@ MOST_WARMED = 20  # combinations compiled in advance; workers compile the others
 class Fliers(Struct, frozen=True):
     """Functions that fly runs, given by the caller; they run in a worker."""
 
-    fly: Callable[[str, Sequence[Task]], list[Flown]]
+    fly: Callable[[str, Sequence[Task]], list[FlownRun]]
     fly_with_log: Callable[[str, Sequence[Task]], list[Kept]]
     warm: Warm  # flies each for a moment, to compile the code
     read: Read  # makes the experiment of a task
@@ -59,23 +59,23 @@ class Fliers(Struct, frozen=True):
 class CampaignObserver:
     """Observer of a campaign; this one does nothing."""
 
-    def begun(self, total: int, runs: Sequence[Flown]) -> None:
+    def begun(self, total: int, runs: Sequence[FlownRun]) -> None:
         """The campaign begins: number of runs, and the runs flown before."""
 
     def flying(self, count_workers: Callable[[], int]) -> None:
         """The flights begin; `count_workers` may be called in any thread."""
 
-    def flown(self, run: Flown) -> None:
+    def flown(self, run: FlownRun) -> None:
         """A run is finished."""
 
     def keeping(self, count: int) -> None:
         """`count` failures are flown again for their logs."""
 
 
-class Ended(Struct, frozen=True):
+class CampaignEnd(Struct, frozen=True):
     """A finished campaign."""
 
-    runs: list[Flown]
+    runs: list[FlownRun]
     resumed: int  # number of runs flown by an earlier call
     wall_s: float  # wall time of the others
     unlike: list[int]  # runs whose second flight differed
@@ -102,11 +102,11 @@ def make_folder(folder: Path) -> None:
         ) from None
 
 
-def open_journal(campaign: Campaign, folder: Path) -> Journal[Flown]:
+def open_journal(campaign: Campaign, folder: Path) -> Journal[FlownRun]:
     """The journal in the campaign's folder."""
     make_folder(folder)
     words = partial(what_changed, campaign, folder)
-    return Journal(folder / "journal.jsonl", head_of(campaign), Flown, words)
+    return Journal(folder / "journal.jsonl", head_of(campaign), FlownRun, words)
 
 
 def what_changed(campaign: Campaign, folder: Path) -> str:
@@ -123,7 +123,7 @@ def what_changed(campaign: Campaign, folder: Path) -> str:
     return "another"
 
 
-def flown_before(campaign: Campaign, found: Sequence[Flown]) -> dict[int, Flown]:
+def flown_before(campaign: Campaign, found: Sequence[FlownRun]) -> dict[int, FlownRun]:
     """The valid runs of a journal by number; of duplicates, the later one.
 
     Leaves out runs beyond the last sample, if the file has fewer now, and runs lost to another
@@ -133,7 +133,7 @@ def flown_before(campaign: Campaign, found: Sequence[Flown]) -> dict[int, Flown]
     return {
         run.k: run
         for run in found
-        if run.k < campaign.count and (run.outcome != "lost" or run == gone(limit_s, (run.k, ())))
+        if run.k < campaign.count and (run.outcome != "lost" or run.limit_s == limit_s)
     }
 
 
@@ -143,8 +143,8 @@ def fly_campaign(
     folder: Path,
     fliers: Fliers,
     watch: CampaignObserver,
-    finish: Callable[[Ended], object] = lambda ended: None,
-) -> Ended:
+    finish: Callable[[CampaignEnd], object] = lambda ended: None,
+) -> CampaignEnd:
     """Fly the runs that the journal does not have yet, and keep logs of failures.
 
     Args:
@@ -186,21 +186,21 @@ def fly_campaign(
         unlike = [
             k for k in kept_runs(campaign, runs) if (failure_folder(folder, k) / UNLIKE).exists()
         ]
-        ended = Ended([runs[k] for k in sorted(runs)], resumed, wall, unlike)
+        ended = CampaignEnd([runs[k] for k in sorted(runs)], resumed, wall, unlike)
         finish(ended)
     return ended
 
 
-def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> Fleet[Task, Flown]:
+def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> Fleet[Task, FlownRun]:
     fly = partial(fliers.fly, campaign.base)
     limit_s = campaign.file.limit_s
     return Fleet(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
 
 
-def gone(limit_s: float, task: Task) -> Flown:
+def gone(limit_s: float, task: Task) -> FlownRun:
     """The result of a run whose workers died."""
     words = f"its workers died while flying it, or it took longer than {limit_s:g} s (limit_s)"
-    return Flown(task[0], "lost", words)
+    return FlownRun(task[0], "lost", words, limit_s=limit_s)
 
 
 def failure_folder(folder: Path, k: int) -> Path:
@@ -208,18 +208,18 @@ def failure_folder(folder: Path, k: int) -> Path:
     return folder / "failures" / f"run_{k:06d}"
 
 
-def kept_runs(campaign: Campaign, runs: dict[int, Flown]) -> list[int]:
+def kept_runs(campaign: Campaign, runs: dict[int, FlownRun]) -> list[int]:
     """Runs that get a folder: the first ones that did not pass."""
     failed = [k for k in sorted(runs) if runs[k].outcome not in ("passed", "lost")]
     return failed[: campaign.file.keep]
 
 
-def missing_folders(campaign: Campaign, runs: dict[int, Flown], folder: Path) -> list[int]:
+def missing_folders(campaign: Campaign, runs: dict[int, FlownRun], folder: Path) -> list[int]:
     """Kept runs whose folder does not exist yet."""
     return [k for k in kept_runs(campaign, runs) if not failure_folder(folder, k).exists()]
 
 
-def differences(first: Flown, again: Kept) -> list[str]:
+def differences(first: FlownRun, again: Kept) -> list[str]:
     """Columns that differ between two flights of a run."""
     if bool(first.columns) != bool(again.columns):  # an exception ended one of them
         return ["how it ended"]
@@ -230,7 +230,7 @@ def differences(first: Flown, again: Kept) -> list[str]:
 def keep_failures(
     client: Any,
     campaign: Campaign,
-    runs: dict[int, Flown],
+    runs: dict[int, FlownRun],
     folder: Path,
     fliers: Fliers,
     watch: CampaignObserver,

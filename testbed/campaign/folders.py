@@ -20,7 +20,7 @@ import msgspec
 
 from testbed.campaign.benchmark import BenchmarkFile, PassedOver, Record, score
 from testbed.campaign.evidence import read_run
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.sweep import covers, experiment_path
 from testbed.config import ConfigError, Experiment, dump, load
 from testbed.config.error import did_you_mean, show
@@ -75,7 +75,9 @@ def score_folders(path: Path, whole: BenchmarkFile, file: BenchmarkFile, runs: P
         elif nobody:
             not_flown.append(f"{name}: {', '.join(nobody)}")
     if not table:
-        expected = "run folders in SCENARIO/LAW/: `testbed bench --commands` prints the commands"
+        expected = (
+            "run folders in SCENARIO/LAW/: `testbed benchmark --commands` prints the commands"
+        )
         first = [f"{one.folder}: {one.reason}" for one in pile.passed_over[:5]]
         raise ConfigError(str(runs), "", expected, "; ".join(first) or "none")
     return Record(
@@ -102,13 +104,13 @@ class Pile:
         place = folder.relative_to(self._runs).as_posix()
         self.passed_over.append(PassedOver(printable(place), printable(reason)))
 
-    def cell(self, name: str, law: str) -> tuple[list[Flown], set[str], list[int]]:
+    def cell(self, name: str, law: str) -> tuple[list[FlownRun], set[str], list[int]]:
         """The runs of a law in a scenario, their rigs, and the missing seeds."""
         scenario, place = self._file.scenarios[name], self._runs / name / law
         texts = [*scenario.set, *self._file.laws[law]]
         wanted = load(experiment_path(self._path, scenario.experiment), texts)
         played = [assignment(text)[0] for text in scenario.set]
-        first, flown = self._file.seed, list[Flown]()
+        first, flown = self._file.seed, list[FlownRun]()
         rigs: set[str] = set()
         left = list(range(first, first + self._file.samples))
         for folder in below(place):

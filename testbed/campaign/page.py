@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from testbed.campaign.benchmark import BenchmarkFile, Record, Scenario, Score
+from testbed.campaign.benchmark import BenchmarkFile, BenchmarkScenario, Record, Score
 from testbed.campaign.folders import plays
 from testbed.campaign.interval import success_rate
 from testbed.campaign.sweep import base_experiment
@@ -68,7 +68,7 @@ def page(record: Record, path: Path, file: BenchmarkFile, options: str) -> str:
         record: the scores.
         path: path of the benchmark file.
         file: its content, reduced to what was flown.
-        options: options of `testbed bench`.
+        options: options of `testbed benchmark`.
     """
     meaning = list(MEANING)
     if file.trouble and any(row.robust_runs for row in record.scores):
@@ -102,7 +102,7 @@ def head(record: Record, path: Path, options: str) -> str:
         name = path.name
     return (
         "Standard scenarios under all laws, all scored the same way. This page was written "
-        f"by `testbed bench{options}`: {plural(runs, 'run')} on {rigs}, {seeds} "
+        f"by `testbed benchmark{options}`: {plural(runs, 'run')} on {rigs}, {seeds} "
         f"per cell, flown by airbearing-testbed {record.version}{code}. "
         f"`{name}` has the scenarios and the laws' gains, which were not tuned for it; "
         "[campaigns.md](campaigns.md) says how to fly it on a table. The page has no date, "
@@ -123,7 +123,7 @@ def scenarios(path: Path, file: BenchmarkFile) -> Iterator[str]:
         yield f"**{name}**: {what}; {many}, {flown.duration_s:g} s. Passed: {limits}."
 
 
-def bounds(scenario: Scenario, flown: Experiment) -> Iterator[str]:
+def bounds(scenario: BenchmarkScenario, flown: Experiment) -> Iterator[str]:
     """The limits of the experiment's criteria and of the benchmark."""
     yield from limits_of("", dump(flown)["criteria"], obstacles=bool(flown.obstacles))
     for sign, those in (("at most", scenario.most), ("at least", scenario.least)):
@@ -154,7 +154,7 @@ def evidence(table: Sequence[Score]) -> str:
         f"of 95 %; of 0 of {runs}: {100 * none_of.low:.0f} to {100 * none_of.high:.0f} %). The "
         "table says which law can fly what, and how well; it does not say how often a law fails, "
         "and one run more or less does not tell two laws apart. For a rate, more seeds: `testbed "
-        "bench --samples 100`."
+        "benchmark --samples 100`."
     )
 
 
@@ -180,7 +180,7 @@ def lab(record: Record, file: BenchmarkFile) -> str:
     return text
 
 
-def unseen(row: Score, scenario: Scenario) -> bool:
+def unseen(row: Score, scenario: BenchmarkScenario) -> bool:
     """Whether a row's disturbance was made by people instead of its rig."""
     keys = [assignment(text)[0] for text in scenario.set]
     rigs = row.rig.split(" + ")
@@ -210,15 +210,20 @@ def markdown(table: Sequence[Score]) -> str:
     headings = ["scenario", "law", "passed", *(h for h, *_ in COLUMNS), "robust"]
     headings += ["rig"] * rigs
     lines = ["| " + " | ".join(headings) + " |", "|---|---|" + "---:|" * (len(headings) - 2)]
-    before = ""
+    for scenario, law, *numbers in cells_of(table):
+        lines.append("| " + " | ".join([scenario, f"`{law}`", *numbers]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def cells_of(table: Sequence[Score]) -> Iterator[list[str]]:
+    """The cells of each score; the scenario is named in its first row only."""
+    rigs, before = any(row.rig != "twin" for row in table), ""
     for row in table:
-        cells = [row.scenario if row.scenario != before else "", f"`{row.law}`"]
+        cells = [row.scenario if row.scenario != before else "", row.law]
         cells.append(f"{row.passed}/{row.runs}")
         for _, key, scale, form in COLUMNS:
             value = getattr(row, key)
             cells.append("-" if value is None else form.format(scale * value))
         cells.append(f"{row.robust_passed}/{row.robust_runs}" if row.robust_runs else "-")
-        cells += [row.rig] * rigs
-        lines.append("| " + " | ".join(cells) + " |")
+        yield cells + [row.rig] * rigs
         before = row.scenario
-    return "\n".join(lines) + "\n"

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from testbed.campaign.row import Flown, Task
+from testbed.campaign.row import FlownRun, Task
 from testbed.campaign.trial import fly, read
 from testbed.config import Experiment, dump
 from testbed.core.error import TestbedError
@@ -61,12 +61,12 @@ def sweep(
     return _table(axes, rows, runs)
 
 
-def _fly_beside(base: str, tasks: Sequence[Task], jobs: int) -> list[Flown]:
+def _fly_beside(base: str, tasks: Sequence[Task], jobs: int) -> list[FlownRun]:
     """Fly in worker processes; each takes the next task when it is done."""
     waiting: SimpleQueue[Task] = SimpleQueue()
     for task in tasks:
         waiting.put(task)
-    runs: dict[int, Flown] = {}
+    runs: dict[int, FlownRun] = {}
     workers = [
         subprocess.Popen(
             [sys.executable, "-m", "testbed.campaign.worker"],
@@ -89,7 +89,7 @@ def _fly_beside(base: str, tasks: Sequence[Task], jobs: int) -> list[Flown]:
                     where=f"run {task[0]} ({', '.join(task[1])})", expected="a result",
                     found="the process died during the flight",
                 )  # fmt: skip
-            runs[task[0]] = msgspec.json.decode(line, type=Flown)
+            runs[task[0]] = msgspec.json.decode(line, type=FlownRun)
 
     try:
         with ThreadPoolExecutor(len(workers)) as threads:
@@ -111,7 +111,7 @@ def _fly_beside(base: str, tasks: Sequence[Task], jobs: int) -> list[Flown]:
 
 def _table(
     axes: Mapping[str, Sequence[Any]], rows: Sequence[tuple[tuple[Any, ...], int]],
-    runs: Sequence[Flown],
+    runs: Sequence[FlownRun],
 ) -> Table:  # fmt: skip
     columns: dict[str, Any] = {
         key: _column([values[k] for values, _ in rows]) for k, key in enumerate(axes)

@@ -4,14 +4,20 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from testbed.campaign import chart
-from testbed.campaign.axis import number
-from testbed.campaign.chart import Cell, Point, Strip, Whisker
+from testbed.campaign.figures import (
+    HOLLOW,
+    RateRow,
+    Strip,
+    heat,
+    histogram,
+    scatter,
+    strips,
+    success_rates,
+)
 from testbed.campaign.flight import failure_folder, replay_command
-from testbed.campaign.grouping import best_front, fields
+from testbed.campaign.grouping import best_front, fields, points_of, thinned
 from testbed.campaign.result import Table
-from testbed.campaign.row import OUTCOMES, Flown
-from testbed.campaign.style import SCRIPT, STYLE
+from testbed.campaign.row import OUTCOMES, FlownRun
 from testbed.campaign.summary import (
     Group,
     Groups,
@@ -28,14 +34,20 @@ from testbed.campaign.summary import (
     worst_runs,
 )
 from testbed.campaign.sweep import Campaign
+from testbed.report.axis import number
+from testbed.report.chart import draw, mark
+from testbed.report.item import Box, Mark
+from testbed.report.page import page
 
-MOST_POINTS = 1500  # points of a scatter plot; more make the page large but not clearer
+STYLE = Path(__file__).with_name("campaign.css").read_text(encoding="utf-8")
+SCRIPT = Path(__file__).with_name("campaign.js").read_text(encoding="utf-8")
+
 MOST_CASES = 40
 MOST_MAPS = 18  # heat maps of one quantity; at most six pairs of parameters
 
 
 def html_report(
-    campaign: Campaign, summary: Summary, runs: Sequence[Flown], table: Table, folder: Path
+    campaign: Campaign, summary: Summary, runs: Sequence[FlownRun], table: Table, folder: Path
 ) -> str:
     """The report as HTML."""
     error = main_error(summary, table)
@@ -52,13 +64,8 @@ def html_report(
         _worst(campaign, runs, error, folder),
         _again(campaign, folder),
     ]
-    title = escape(f"{campaign.file.name}: campaign report")
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{STYLE}</style></head><body><main>{''.join(sections)}</main>"
-        f"<script>{SCRIPT}</script></body></html>\n"
-    )
+    body = f"{''.join(sections)}<script>{SCRIPT}</script>"
+    return page(f"{campaign.file.name}: campaign report", body, STYLE)
 
 
 def _head(campaign: Campaign, summary: Summary, apart: Groups) -> str:
@@ -103,30 +110,30 @@ def _median(quantity: Quantity, of_all: float, apart: Groups) -> tuple[str, str]
 
 
 def _key(apart: Groups) -> str:
-    disc = '<circle class="good" cx="6" cy="6" r="4"/>'
-    cross = '<path class="bad-mark" d="M2.5 2.5l7 7m0 -7l-7 7"/>'
-    ring = '<circle class="case open" cx="6" cy="6" r="4"/>'
-    keys = [(chart.case_mark(k, 6, 6, 4), group.name) for k, group in enumerate(apart.shown)]
-    keys += [(ring, chart.HOLLOW)] if keys else [(disc, "passed"), (cross, "did not pass")]
-    spans = [
-        f'<span class="key"><svg viewBox="0 0 12 12">{mark}</svg>{escape(words)}</span>'
-        for mark, words in keys
-    ]
-    return f"<p>{''.join(spans)}</p>"
+    keys = [(swatch(k), group.name) for k, group in enumerate(apart.shown)]
+    if keys:
+        keys.append((swatch(None, '<circle class="hollow" cx="6" cy="6" r="4"/>'), HOLLOW))
+    else:
+        keys = [
+            (swatch(None, mark(Mark(0, 0, passed=passed, radius=4), 6, 6)), words)
+            for passed, words in ((True, "passed"), (False, "did not pass"))
+        ]
+    spans = "".join(f'<span class="key">{one}{escape(words)}</span>' for one, words in keys)
+    return f"<p>{spans}</p>"
 
 
-def swatch(apart: Groups, name: str) -> str:
-    """The mark of a group; empty if it has none."""
-    if (place := apart.place(name)) is None:
-        return ""
-    return f'<svg class="swatch" viewBox="0 0 12 12">{chart.case_mark(place, 6, 6, 4)}</svg>'
+def swatch(case: int | None, drawn: str = "") -> str:
+    """The mark of a case beside its name; empty if it has none."""
+    if case is not None:
+        drawn = mark(Mark(0, 0, case=case, style="full", radius=4), 6, 6)
+    return f'<svg class="swatch" viewBox="0 0 12 12">{drawn}</svg>' if drawn else ""
 
 
 def _cases(summary: Summary, apart: Groups) -> str:
     if not summary.cases:
         return ""
     rows = [
-        Whisker(
+        RateRow(
             ", ".join(case.name.values()), case.rate.low, case.rate.rate or 0.0, case.rate.high,
             f"{case.rate.succeeded} of {case.rate.runs}",
             apart.place(apart.name_of(case.name)),
@@ -138,11 +145,11 @@ def _cases(summary: Summary, apart: Groups) -> str:
     axes = escape(", ".join(summary.cases[0].name))
     return (
         f'<h2>Success by case</h2><p class="soft">{axes}. Bars are confidence intervals.{note}</p>'
-        f'<div class="charts"><figure>{chart.whiskers(rows)}</figure></div>'
+        f'<div class="charts"><figure>{draw(success_rates(rows))}</figure></div>'
     )
 
 
-def _medians(campaign: Campaign, summary: Summary, runs: Sequence[Flown], apart: Groups) -> str:
+def _medians(campaign: Campaign, summary: Summary, runs: Sequence[FlownRun], apart: Groups) -> str:
     """Medians for each combination of the grid."""
     if not summary.cases:
         return ""
@@ -151,14 +158,14 @@ def _medians(campaign: Campaign, summary: Summary, runs: Sequence[Flown], apart:
     rows = []
     for point, flown in list(by_axes(campaign, runs, axes).items())[:MOST_CASES]:
         name = dict(zip(axes, point, strict=True))
-        mark = swatch(apart, apart.name_of(name))
+        dot = swatch(apart.place(apart.name_of(name)))
         found = [spread(quantity, flown) for quantity in quantities]
         cells = "".join(f'<td class="n">{number(one.median) if one else "-"}</td>' for one in found)
-        rows.append(f'<tr><td class="name">{mark}{escape(", ".join(point))}</td>{cells}</tr>')
+        rows.append(f'<tr><td class="name">{dot}{escape(", ".join(point))}</td>{cells}</tr>')
     heads = "".join(f'<th class="n">{escape(quantity.titled)}</th>' for quantity in quantities)
     return (
         '<h2>Numbers by case</h2><p class="soft">Median of the runs that have the number, whether '
-        f'they passed or not. {escape(apart.told(campaign.combinations))}</p><div class="card">'
+        f'they passed or not. {escape(apart.told(campaign.combinations))}</p><div class="wide">'
         f"<table><tr><th>case</th>{heads}</tr>{''.join(rows)}</table></div>"
     )
 
@@ -172,7 +179,7 @@ def _distributions(summary: Summary, table: Table, apart: Groups) -> str:
             if any(row.median is not None for row in rows):
                 words = f"The line is the median. The worst is in run {one.worst_run}: "
                 words += f"{number(one.worst)} {quantity.unit}".strip()
-                picture = chart.strips(rows, quantity.titled)
+                picture = draw(strips(rows, quantity.titled))
                 figures.append(f"<figure>{picture}<figcaption>{words}</figcaption></figure>")
             continue
         pairs = zip(table[quantity.column], table["outcome"], strict=True)
@@ -184,7 +191,7 @@ def _distributions(summary: Summary, table: Table, apart: Groups) -> str:
             f"{few}median {number(one.median)}, 95 % within {number(one.p95)}, "
             f"worst {number(one.worst)} in run {one.worst_run}"
         )
-        picture = chart.histogram(good, bad, quantity.titled)
+        picture = draw(histogram(good, bad, quantity.titled))
         figures.append(f"<figure>{picture}<figcaption>{words}</figcaption></figure>")
     if not figures:
         return ""
@@ -208,51 +215,12 @@ def _strip(quantity: Quantity, group: Group) -> Strip:
     return Strip(group.name, good, bad, one.median, words)
 
 
-def points_of(
-    table: Table, x: str, y: str, scales: tuple[float, float], apart: Groups
-) -> list[Point]:
-    """One point per drawn run that has both numbers."""
-    if x not in table or y not in table:  # no run lasted long enough to have numbers
-        return []
-    case = {run.k: place for place, group in enumerate(apart.shown) for run in group.runs}
-    return [
-        Point(
-            float(a) * scales[0], float(b) * scales[1], outcome == "passed",
-            f"run {run}: {number(a * scales[0])}, {number(b * scales[1])}, {outcome}",
-            case.get(run, 0),
-        )
-        for run, a, b, outcome in zip(
-            table["run"], table[x], table[y], table["outcome"], strict=True
-        )
-        if a is not None and b is not None and (run in case or not case)
-    ]  # fmt: skip
-
-
-def thinned(points: list[Point]) -> list[Point]:
-    """At most MOST_POINTS points, evenly from all cases; failed runs have priority."""
-    if len(points) <= MOST_POINTS:
-        return points
-    cases = {point.case for point in points}
-    most, kept = MOST_POINTS // len(cases), []
-    for case in cases:
-        bad = [point for point in points if point.case == case and not point.passed][:most]
-        good = [point for point in points if point.case == case and point.passed]
-        stride = max(1, -(-len(good) // max(1, most - len(bad))))
-        kept += good[::stride] + bad
-    if len(cases) == 1:
-        return kept
-    drawn = set(kept)
-    return [
-        point for point in points if point in drawn
-    ]  # the original order: no case covers another
-
-
 def _influences(campaign: Campaign, table: Table, error: Quantity, apart: Groups) -> str:
     figures, names = [], [group.name for group in apart.shown]
     for name in numeric_parameters(campaign, table):
         points = points_of(table, name, error.column, (1.0, error.scale), apart)
         if points:
-            picture = chart.scatter(thinned(points), name, error.titled, names=names)
+            picture = draw(scatter(thinned(points), name, error.titled, names=names))
             figures.append(f"<figure>{picture}</figure>")
     if not figures:
         return ""
@@ -263,7 +231,7 @@ def _influences(campaign: Campaign, table: Table, error: Quantity, apart: Groups
 
 
 def _maps(
-    campaign: Campaign, runs: Sequence[Flown], table: Table, error: Quantity, told: Groups
+    campaign: Campaign, runs: Sequence[FlownRun], table: Table, error: Quantity, told: Groups
 ) -> str:
     """Heat maps over pairs of numeric parameters; one panel per non-numeric case."""
     names = numeric_parameters(campaign, table)
@@ -276,7 +244,7 @@ def _maps(
         for what in (None, error):
             words = "passed [%]" if what is None else f"median {what.titled}"
             figures = [
-                f"<figure>{picture}<figcaption>{swatch(told, panel.name)}"
+                f"<figure>{picture}<figcaption>{swatch(told.place(panel.name))}"
                 f"{escape(': '.join(filter(None, (panel.name, words))))}</figcaption></figure>"
                 for panel, picture in zip(panels, heat_maps(table, a, b, what, panels), strict=True)
                 if picture
@@ -305,24 +273,25 @@ def heat_maps(
     spots = dict(zip(table["run"], zip(columns, rows, strict=True), strict=True))
     found: list[dict[tuple[int, int], tuple[float, int]]] = []
     for panel in panels:
-        flown: dict[tuple[int, int], list[Flown]] = {}
+        flown: dict[tuple[int, int], list[FlownRun]] = {}
         for run in sorted(panel.runs, key=lambda run: run.k):
             flown.setdefault(spots[run.k], []).append(run)
         found.append({spot: one for spot, met in flown.items() if (one := in_field(met, what))})
     values = [value for fields_of in found for value, _ in fields_of.values()]
     low, high = (min(values, default=0.0), max(values, default=0.0)) if what else (0.0, 100.0)
     return [
-        chart.heat(
+        draw(heat(
             [
-                Cell(
-                    column, row, (value - low) / (high - low) if high > low else 0.5,
-                    f"{value:.3g}",
+                Box(
+                    (column, column + 1), (row, row + 1), "heat",
                     f"{a} {column_names[column]}, {b} {row_names[row]}: {value:.4g} ({count} runs)",
+                    words=f"{value:.3g}",
+                    share=(value - low) / (high - low) if high > low else 0.5,
                 )
                 for (column, row), (value, count) in fields_of.items()
             ],
             column_names, row_names, a, b,
-        ) if fields_of else ""
+        )) if fields_of else ""
         for fields_of in found
     ]  # fmt: skip
 
@@ -334,11 +303,11 @@ def _front(table: Table, error: Quantity, apart: Groups) -> str:
     names = [group.name for group in apart.shown]
     every = [
         best_front([point for point in points if point.case == case])  # also of undrawn points
-        for case in range(max(1, len(names)))
+        for case in (range(len(names)) if names else (None,))
     ]
     fronts = [front for front in every if front]
     shown = list(dict.fromkeys([*thinned(points), *(p for front in fronts for p in front)]))
-    picture = chart.scatter(shown, "gas [g]", error.titled, fronts, names)
+    picture = draw(scatter(shown, "gas [g]", error.titled, fronts, names))
     words = "No run passed: there is no Pareto front."
     if fronts and names:
         none = [name for name, front in zip(names, every, strict=True) if not front]
@@ -362,12 +331,12 @@ def _reasons(summary: Summary) -> str:
         for reason, count in summary.reasons.items()
     )
     return (
-        f'<h2>Why runs did not pass</h2><div class="card"><table><tr><th class="n">runs</th>'
+        f'<h2>Why runs did not pass</h2><div class="wide"><table><tr><th class="n">runs</th>'
         f"<th>reason</th></tr>{rows}</table></div>"
     )
 
 
-def _worst(campaign: Campaign, runs: Sequence[Flown], error: Quantity, folder: Path) -> str:
+def _worst(campaign: Campaign, runs: Sequence[FlownRun], error: Quantity, folder: Path) -> str:
     rows = []
     for run in worst_runs(runs, error):
         value = run.columns.get(error.column)
@@ -383,7 +352,7 @@ def _worst(campaign: Campaign, runs: Sequence[Flown], error: Quantity, folder: P
         )
     return (
         '<h2>Worst runs</h2><p class="soft">The command repeats a run bit '
-        'for bit.</p><div class="card"><table><tr><th class="n">run</th>'
+        'for bit.</p><div class="wide"><table><tr><th class="n">run</th>'
         f'<th>ended</th><th class="n">{escape(error.titled)}</th><th>why</th><th>replay</th></tr>'
         f"{''.join(rows)}</table></div>"
     )

@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import Any
 
 from testbed.campaign.extra import needs_extra
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.sweep import Campaign
 from testbed.files import atomic_write
 
 Table = dict[str, list[Any]]
 
 
-def table_of(campaign: Campaign, runs: Sequence[Flown]) -> Table:
+def table_of(campaign: Campaign, runs: Sequence[FlownRun]) -> Table:
     """Columns of equal length, one entry per run, in the order of the runs.
 
     First the parameters that were set and drawn, named as in the campaign file; then the outcome;

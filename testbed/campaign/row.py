@@ -13,7 +13,8 @@ from msgspec.structs import replace
 
 from testbed.config import ConfigError, Experiment
 from testbed.config.error import did_you_mean
-from testbed.metrics.fault_line import mishap
+from testbed.core.codes import FaultReport
+from testbed.metrics.fault_line import fault_line
 from testbed.metrics.run_metrics import TO_THE_START, Metrics, VehicleMetrics
 
 Task = tuple[int, tuple[str, ...]]  # run, "key=value" on top of the base experiment
@@ -51,7 +52,7 @@ OF_A_VEHICLE = (*VehicleMetrics.__struct_fields__, *BESIDE)
 COLUMNS = ("run", "outcome", "reason", *SINGLE, *OF_A_VEHICLE)  # beside the file's parameters
 
 
-class Flown(Struct, frozen=True):
+class FlownRun(Struct, frozen=True):
     """A finished run."""
 
     k: int
@@ -63,11 +64,13 @@ class Flown(Struct, frozen=True):
     memory_mb: float = 0.0  # peak of the worker so far
     seed: int | None = None  # None: the experiment could not be read
     fault_t: float | None = None  # detection time of the fault that ended the flight [s]
+    fault: FaultReport | None = None  # that ended the flight
+    limit_s: float | None = None  # of a lost run: how long its workers were waited for [s]
 
     def told(self, reason: str) -> str:
         """The reason with the seed that repeats the run, and the time of a fault."""
-        if self.outcome == "fault":
-            return mishap(self.seed, self.reason, self.fault_t)
+        if self.fault is not None:
+            return fault_line(self.seed, self.fault, self.fault_t)
         return f"seed {self.seed}: {reason}" if self.seed is not None else reason
 
 
@@ -156,7 +159,7 @@ def column(columns: Mapping[str, Number], name: str) -> Number:
     return columns[name]
 
 
-def within(run: Flown, most: Mapping[str, float], least: Mapping[str, float]) -> Flown:
+def within(run: FlownRun, most: Mapping[str, float], least: Mapping[str, float]) -> FlownRun:
     """The run; changed to failed if it passed but breaks a bound."""
     reason = broken_bound(run.columns, most, least) if run.outcome == "passed" else ""
     return replace(run, outcome="failed", reason=reason) if reason else run

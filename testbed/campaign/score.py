@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.graph import formation_kind
-from testbed.config import Experiment, VehicleSetup
+from testbed.config import Experiment
 from testbed.metrics.run_metrics import HOLD_S, Track, obstacle_distances
+from testbed.report.goal_error import goal_at
 
 Array = NDArray[np.float64]
 
@@ -44,14 +45,6 @@ def beside_metrics(
             "clearance_m": min(gaps) if gaps else None,
         }
     return numbers
-
-
-def goal_at(setup: VehicleSetup, times: Array) -> Array:
-    """A vehicle's goal over time, shape (len(times), 2) [m]."""
-    start = np.array(setup.goal[:2])
-    if setup.path is None:
-        return np.broadcast_to(start, (len(times), 2))
-    return start + np.array([setup.path.at(t).p for t in times.tolist()]).reshape(-1, 2)
 
 
 def wanted_distances(experiment: Experiment) -> dict[tuple[str, str], float]:

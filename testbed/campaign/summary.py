@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from msgspec import Struct
 
-from testbed.campaign.flight import Ended
+from testbed.campaign.flight import CampaignEnd
 from testbed.campaign.interval import Rate, success_rate
 from testbed.campaign.result import Table
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.sweep import Campaign
 
 FAULTS = 100  # faults that a summary lists; results.parquet has all
@@ -71,7 +71,7 @@ class Group(Struct, frozen=True):
     """Runs with the same colour and mark."""
 
     name: str
-    runs: list[Flown]
+    runs: list[FlownRun]
 
 
 class Groups(Struct, frozen=True):
@@ -136,7 +136,7 @@ class Summary(Struct, frozen=True):
     faults: list[str] = []  # of the first flights with a fault: run, seed, fault, time
 
 
-def summarise(campaign: Campaign, experiment: str, ended: Ended) -> Summary:
+def summarise(campaign: Campaign, experiment: str, ended: CampaignEnd) -> Summary:
     """Summarise the finished runs."""
     runs, file = ended.runs, campaign.file
     passed = sum(run.outcome == "passed" for run in runs)
@@ -167,14 +167,16 @@ def summarise(campaign: Campaign, experiment: str, ended: Ended) -> Summary:
     )
 
 
-def short_reason(run: Flown) -> str:
+def short_reason(run: FlownRun) -> str:
     """The reason without numbers, so that equal reasons can be counted."""
+    if run.fault is not None:
+        return f"{run.outcome}: {' '.join(filter(None, (run.fault.vehicle, run.fault.title)))}"
     text = run.reason.strip().splitlines()[-1] if run.reason.strip() else run.outcome
     words = ["#" if any(c.isdigit() for c in word) else word for word in text.split()]
     return f"{run.outcome}: {' '.join(words)}"[:120]
 
 
-def cases(campaign: Campaign, runs: Sequence[Flown]) -> list[Case]:
+def cases(campaign: Campaign, runs: Sequence[FlownRun]) -> list[Case]:
     """Success rate of each combination of the grid; empty if there is only one."""
     axes = [axis.label for axis in campaign.file.grid]
     found = by_axes(campaign, runs, axes)
@@ -192,11 +194,11 @@ def cases(campaign: Campaign, runs: Sequence[Flown]) -> list[Case]:
 
 
 def by_axes(
-    campaign: Campaign, runs: Sequence[Flown], axes: Sequence[str]
-) -> dict[tuple[str, ...], list[Flown]]:
+    campaign: Campaign, runs: Sequence[FlownRun], axes: Sequence[str]
+) -> dict[tuple[str, ...], list[FlownRun]]:
     """The runs by their values on some axes, in the order of the grid."""
     points: dict[int, tuple[str, ...]] = {}
-    found: dict[tuple[str, ...], list[Flown]] = {}
+    found: dict[tuple[str, ...], list[FlownRun]] = {}
     for run in sorted(runs, key=lambda run: run.k % campaign.combinations):
         place = run.k % campaign.combinations
         if place not in points:
@@ -226,7 +228,7 @@ def numeric_parameters(campaign: Campaign, table: Table) -> list[str]:
     ]
 
 
-def groups(campaign: Campaign, runs: Sequence[Flown]) -> Groups:
+def groups(campaign: Campaign, runs: Sequence[FlownRun]) -> Groups:
     """The runs by case, or by the non-numeric axes if there are too many cases."""
     axes = [axis.label for axis in campaign.file.grid]
     if len(by_axes(campaign, runs, axes)) > MOST_GROUPS:
@@ -234,7 +236,7 @@ def groups(campaign: Campaign, runs: Sequence[Flown]) -> Groups:
     return groups_by(campaign, runs, axes)
 
 
-def groups_by(campaign: Campaign, runs: Sequence[Flown], axes: list[str]) -> Groups:
+def groups_by(campaign: Campaign, runs: Sequence[FlownRun], axes: list[str]) -> Groups:
     """The runs grouped by some axes of the grid."""
     found = by_axes(campaign, runs, axes)
     if len(found) < 2:
@@ -244,7 +246,7 @@ def groups_by(campaign: Campaign, runs: Sequence[Flown], axes: list[str]) -> Gro
     return Groups(axes, every[:MOST_GROUPS], len(every[MOST_GROUPS:]), pooled)
 
 
-def spread(quantity: Quantity, runs: Sequence[Flown]) -> Spread | None:
+def spread(quantity: Quantity, runs: Sequence[FlownRun]) -> Spread | None:
     """Distribution of a number over the runs that have it."""
     have = [(run.columns.get(quantity.column), run.k) for run in runs]
     known = [(float(value) * quantity.scale, k) for value, k in have if value is not None]
@@ -259,7 +261,7 @@ def spread(quantity: Quantity, runs: Sequence[Flown]) -> Spread | None:
     )  # fmt: skip
 
 
-def in_field(runs: Sequence[Flown], what: Quantity | None) -> tuple[float, int] | None:
+def in_field(runs: Sequence[FlownRun], what: Quantity | None) -> tuple[float, int] | None:
     """The value of a field of a heat map, and its number of runs."""
     if what is None:
         return 100.0 * sum(run.outcome == "passed" for run in runs) / len(runs), len(runs)
@@ -277,12 +279,12 @@ def main_error(summary: Summary, table: Table) -> Quantity:
     return known[names[0]] if names else Quantity("duration_s", "flown", "s")
 
 
-def worst_runs(runs: Sequence[Flown], quantity: Quantity, count: int = 10) -> list[Flown]:
+def worst_runs(runs: Sequence[FlownRun], quantity: Quantity, count: int = 10) -> list[FlownRun]:
     """The worst runs: first by outcome, then by the number."""
     order = {"lost": 0, "error": 1, "refused": 2, "fault": 3, "failed": 4, "passed": 5}
     sign = -1.0 if quantity.largest_is_worst else 1.0
 
-    def rank(run: Flown) -> tuple[int, float, int]:
+    def rank(run: FlownRun) -> tuple[int, float, int]:
         value = run.columns.get(quantity.column)
         return order[run.outcome], float("-inf") if value is None else sign * float(value), run.k
 

@@ -48,6 +48,7 @@ from testbed.config.experiment import Seed
 from testbed.config.key import ANY, Key, assignment, spell
 from testbed.config.tree import leaves
 from testbed.config.validation import first_misfit
+from testbed.core.error import MismatchError
 from testbed.core.table import Probability
 from testbed.core.vehicle import Positive
 
@@ -62,7 +63,7 @@ Overrides = tuple[str, ...]
 Parameters = dict[str, float | int | bool | str]
 
 
-class Axis(Struct, frozen=True, forbid_unknown_fields=True):
+class GridAxis(Struct, frozen=True, forbid_unknown_fields=True):
     """One axis of the grid: the values of a key, or named cases of several keys."""
 
     key: str = ""
@@ -77,8 +78,8 @@ class Axis(Struct, frozen=True, forbid_unknown_fields=True):
         if given == (False, True) and not self.values and not self.key:
             return
         if (self.key or self.name) and not self.values and not self.cases:
-            raise ValueError(f"expected values, or cases, found none for {self.label}")
-        raise ValueError("expected either key and values, or name and cases, found neither or both")
+            raise MismatchError("values, or cases", f"none for {self.label}")
+        raise MismatchError("either key and values, or name and cases", "neither or both")
 
     @property
     def label(self) -> str:
@@ -107,17 +108,17 @@ class Draw(Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         ends, bell = (self.low, self.high), (self.mean, self.sd)
         if {ends.count(None), bell.count(None)} != {0, 2}:
-            raise ValueError("expected low and high, or mean and sd, found neither or both")
+            raise MismatchError("low and high, or mean and sd", "neither or both")
         if self.low is not None and self.high is not None:
-            found = f"found {self.low:g} and {self.high:g} for {self.key}"
+            found = f"{self.low:g} and {self.high:g} for {self.key}"
             if not self.low < self.high:
-                raise ValueError(f"expected low < high, {found}")
+                raise MismatchError("low < high", found)
             if self.log and self.low <= 0.0:
-                raise ValueError(f"expected low > 0 for log, {found}")
+                raise MismatchError("low > 0 for log", found)
             if self.whole and not (self.low.is_integer() and self.high.is_integer()):
-                raise ValueError(f"expected whole ends for whole, {found}")
+                raise MismatchError("whole ends for whole", found)
         elif self.log:
-            raise ValueError(f"expected low and high for log, found mean and sd for {self.key}")
+            raise MismatchError("low and high for log", f"mean and sd for {self.key}")
 
     @property
     def label(self) -> str:
@@ -150,7 +151,7 @@ class CampaignFile(Struct, frozen=True, forbid_unknown_fields=True):
     samples: Count = 1
     seed: Seed = 0
     design: Literal["random", "latin_hypercube"] = "random"
-    grid: list[Axis] = []
+    grid: list[GridAxis] = []
     draw: list[Draw] = []
     most: dict[str, float] = {}  # upper bounds of columns; a run above one has failed
     least: dict[str, float] = {}  # lower bounds

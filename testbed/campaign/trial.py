@@ -10,7 +10,7 @@ from importlib.metadata import version
 from io import StringIO
 from pathlib import Path
 
-from testbed.campaign.row import Flown, Kept, Number, Task, columns_of, outcome_of
+from testbed.campaign.row import FlownRun, Kept, Number, Task, columns_of, outcome_of
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, dump, loads
 from testbed.realtime.scheduling import no_garbage_collection, settle
@@ -21,12 +21,12 @@ from testbed.run.folder import write_config, write_metrics
 from testbed.run.judge import measure
 
 
-def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
+def fly(base: str, k: int, overrides: Sequence[str]) -> FlownRun:
     """Fly run k, the base experiment with overrides; errors are returned in the result."""
     began = time.perf_counter()
     columns: dict[str, Number] = {}
     criteria: dict[str, bool] = {}
-    seed, fault_t = None, None
+    seed, fault_t, fault = None, None, None
     try:
         experiment = read(base, overrides)
         seed = experiment.seed
@@ -37,7 +37,7 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
         metrics = measure(rig, judge.aims, ending, 0.0, completed=completed)
         columns = columns_of(metrics, experiment, beside_metrics(experiment, rig.track()))
         (outcome, reason), criteria = outcome_of(metrics), metrics.criteria or {}
-        fault_t = judge.fault_t
+        fault, fault_t = ending.fault, judge.fault_t
     except ConfigError as error:
         outcome = "refused"
         reason = f"{error.key}: expected {error.expected}, found {error.found}"
@@ -50,10 +50,10 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> Flown:
     ).decode()  # lone surrogates are not valid UTF-8
     wall = time.perf_counter() - began
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Flown(k, outcome, reason, columns, criteria, wall, memory_mb, seed, fault_t)
+    return FlownRun(k, outcome, reason, columns, criteria, wall, memory_mb, seed, fault_t, fault)
 
 
-def fly_batch(base: str, batch: Sequence[Task]) -> list[Flown]:
+def fly_batch(base: str, batch: Sequence[Task]) -> list[FlownRun]:
     """Fly some runs in sequence."""
     return [fly(base, *task) for task in batch]
 

@@ -33,7 +33,7 @@ import tomli_w
 from msgspec import Meta, Struct
 
 from testbed.campaign.extra import needs_extra
-from testbed.campaign.row import Flown, Task, broken_bound, check_columns, check_vehicles, column
+from testbed.campaign.row import FlownRun, Task, broken_bound, check_columns, check_vehicles, column
 from testbed.campaign.sweep import (
     Count,
     Limit,
@@ -46,12 +46,13 @@ from testbed.config import ConfigError, dump, load
 from testbed.config.error import show
 from testbed.config.experiment import Seed
 from testbed.config.key import assignment
+from testbed.core.error import MismatchError
 from testbed.core.vehicle import Positive
 
 BROKEN = 1e6  # cost of each run that breaks a safety bound
 PROOF_SEEDS = 1_000_000  # offset of the seeds that the tuning does not use
 
-Fly = Callable[[Sequence[Task]], Iterator[Flown]]
+Fly = Callable[[Sequence[Task]], Iterator[FlownRun]]
 
 
 class Gain(Struct, frozen=True, forbid_unknown_fields=True):
@@ -63,11 +64,11 @@ class Gain(Struct, frozen=True, forbid_unknown_fields=True):
     log: bool = False
 
     def __post_init__(self) -> None:
-        found = f"found {self.low:g} and {self.high:g} for {self.key}"
+        found = f"{self.low:g} and {self.high:g} for {self.key}"
         if not self.low < self.high:
-            raise ValueError(f"expected low < high, {found}")
+            raise MismatchError("low < high", found)
         if self.log and self.low <= 0.0:
-            raise ValueError(f"expected low > 0 for log, {found}")
+            raise MismatchError("low > 0 for log", found)
 
 
 class TuningFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -159,13 +160,13 @@ def _value(path: Path, tree: Any, gain: Gain) -> float:
         if part == "*":
             value = next(iter(value.values() if isinstance(value, dict) else value))
         else:
-            value = value.get(part) if isinstance(value, dict) else value[part]
+            value = value.get(part) if isinstance(value, dict) else value[int(part) - 1]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ConfigError(str(path), gain.key, "a key that holds a number", str(value))
     return min(gain.high, max(gain.low, float(value)))
 
 
-def judged(tuning: Tuning, number: int, gains: list[float], runs: Sequence[Flown]) -> Trial:
+def judged(tuning: Tuning, number: int, gains: list[float], runs: Sequence[FlownRun]) -> Trial:
     """The cost of a choice.
 
     Raises:
@@ -182,7 +183,7 @@ def judged(tuning: Tuning, number: int, gains: list[float], runs: Sequence[Flown
     return Trial(number, gains, cost + BROKEN * len(reasons), len(reasons), first, reasons)
 
 
-def broken(file: TuningFile, run: Flown) -> str:
+def broken(file: TuningFile, run: FlownRun) -> str:
     """Why a run is unsafe; empty if it is safe."""
     if run.outcome != "passed":
         return f"{run.outcome}: {run.reason}"
@@ -269,7 +270,7 @@ def tune(
             if number not in found
             for task in tuning.tasks(number * file.samples, gains, seeds)
         ]
-        runs: dict[int, list[Flown]] = {}
+        runs: dict[int, list[FlownRun]] = {}
         for run in fly(tasks) if tasks else ():
             number = run.k // file.samples
             runs.setdefault(number, []).append(run)

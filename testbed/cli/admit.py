@@ -17,8 +17,8 @@ from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.metrics.admission import (
     Admission,
+    AdmissionFlight,
     AdmissionParams,
-    Flown,
     judge_flights,
     nearest_edge,
     nearest_rims,
@@ -29,7 +29,7 @@ from testbed.rig.observers import Witness
 from testbed.rig.twin import make_twin
 
 
-def fly_once(experiment: Experiment, seed: int) -> Flown:
+def fly_once(experiment: Experiment, seed: int) -> AdmissionFlight:
     """One flight in the twin, without injected faults."""
     rig = make_twin(replace(experiment, seed=seed, inject=[]))
     witness = Witness()
@@ -43,7 +43,7 @@ def fly_once(experiment: Experiment, seed: int) -> Flown:
         for name, distance in obstacle_distances(track, k, solid).items()
     ]
     spent = {name: rig.spent(name) for name in models}
-    return Flown(
+    return AdmissionFlight(
         seed,
         ending.fault,
         len(rig.twin.plant.touches),

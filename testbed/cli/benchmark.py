@@ -1,4 +1,4 @@
-"""`testbed bench`: fly the benchmark of record on the twin, or score runs of a table."""
+"""`testbed benchmark`: fly the benchmark of record on the twin, or score runs of a table."""
 
 import shlex
 import sys
@@ -24,7 +24,7 @@ from testbed.campaign.code import code_digest
 from testbed.campaign.engine import workers
 from testbed.campaign.flight import Fliers, fly_campaign
 from testbed.campaign.folders import score_folders
-from testbed.campaign.page import COLUMNS, page
+from testbed.campaign.page import COLUMNS, cells_of, page
 from testbed.campaign.sweep import experiment_path
 from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.campaign import TROUBLE, Bar, find_campaign, write_results
@@ -46,7 +46,7 @@ BEFORE = (  # comment above the commands
     "inspect the vehicles, and append `--reset` to the next command. If a run never armed, or was "
     "stopped for a reason other than the law, remove its folder, repeat its command, and report "
     "that with the results.",
-    "Afterwards: testbed bench --from {runs}",
+    "Afterwards: testbed benchmark --from {runs}",
 )
 
 
@@ -192,17 +192,8 @@ def print_scores(table: list[Score]) -> None:
     rigs = any(row.rig != "twin" for row in table)
     for heading in ("passed", *headings, "robust", *["rig"] * rigs):
         grid.add_column(heading, justify="right")
-    before = ""
-    for row in table:
-        cells = [row.scenario if row.scenario != before else "", row.law]
-        cells.append(f"{row.passed}/{row.runs}")
-        for _, key, scale, form in COLUMNS:
-            value = getattr(row, key)
-            cells.append("-" if value is None else form.format(scale * value))
-        cells.append(f"{row.robust_passed}/{row.robust_runs}" if row.robust_runs else "-")
-        cells += [row.rig] * rigs
+    for row, cells in zip(table, cells_of(table), strict=True):
         grid.add_row(*cells, style="red" if row.passed < row.runs else None)
-        before = row.scenario
     out = Console(highlight=False)
     out.width = max(out.width, out.measure(grid, options=out.options.update(width=WIDEST)).maximum)
     out.print(grid)

@@ -13,7 +13,7 @@ from rich.table import Table as Grid
 from testbed.campaign.engine import EngineError
 from testbed.campaign.extra import MissingExtraError
 from testbed.campaign.flight import (
-    Ended,
+    CampaignEnd,
     Fliers,
     flown_before,
     fly_campaign,
@@ -23,7 +23,7 @@ from testbed.campaign.flight import (
 from testbed.campaign.journal import JournalError
 from testbed.campaign.report import html_report
 from testbed.campaign.result import table_of, write_parquet
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.summary import Summary, summarise, worst_runs
 from testbed.campaign.sweep import Campaign, load_campaign
 from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
@@ -89,7 +89,7 @@ def say_interrupted(campaign: Campaign, folder: Path) -> None:
     )  # fmt: skip
 
 
-def write_results(campaign: Campaign, ended: Ended, folder: Path) -> Summary:
+def write_results(campaign: Campaign, ended: CampaignEnd, folder: Path) -> Summary:
     """Write Parquet, summary and report. The caller holds the journal, so no two write at once."""
     summary = summarise(campaign, experiment_name(campaign), ended)
     table = table_of(campaign, ended.runs)
@@ -112,7 +112,7 @@ def experiment_name(campaign: Campaign) -> str:
 
 
 def print_summary(
-    summary: Summary, campaign: Campaign, runs: Sequence[Flown], folder: Path
+    summary: Summary, campaign: Campaign, runs: Sequence[FlownRun], folder: Path
 ) -> None:
     """Print the success rate, the faults, the spreads and the worst runs."""
     out = Console(highlight=False)

@@ -18,8 +18,8 @@ from testbed.logs.history import History, gather
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 from testbed.metrics.formation import has_formation
 from testbed.metrics.run_metrics import Metrics
-from testbed.report.chart import HUES, Chart, Disc, Item, Limit, Line
 from testbed.report.goal_error import GoalError
+from testbed.report.item import HUES, Chart, Disc, Item, Limit, Line
 from testbed.report.page import (
     OF_A_GOAL,
     ROWS,
@@ -45,7 +45,7 @@ STYLES = ("", "dashed", "dotted")  # keeps identical curves visible
 FIRST_COLUMN = 25  # width of the first column and its frame [characters]
 
 
-class Run(msgspec.Struct, frozen=True):
+class ComparedRun(msgspec.Struct, frozen=True):
     """A run to compare."""
 
     label: str
@@ -79,22 +79,22 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
     return OK
 
 
-def read_run(folder: Path, label: str) -> Run:
+def read_run(folder: Path, label: str) -> ComparedRun:
     """Read a run folder."""
     log, experiment = log_of(folder), load(config_of(folder))
     book = LogReader(log)
     history = gather(LogFeed(book).news())
     warn(book.said())
-    return Run(label, experiment, history, judged(log.parent, log, experiment, history))
+    return ComparedRun(label, experiment, history, judged(log.parent, log, experiment, history))
 
 
-def rows_for(runs: Sequence[Run]) -> Sequence[tuple[str, str, float, int, str]]:
+def rows_for(runs: Sequence[ComparedRun]) -> Sequence[tuple[str, str, float, int, str]]:
     """Rows of the table; formation rows only if a run flies a formation."""
     some = any(has_formation(run.experiment.controller) for run in runs)
     return (*FORMATION_ROWS, *ROWS) if some else ROWS
 
 
-def worst(run: Run, key: str) -> float | None:
+def worst(run: ComparedRun, key: str) -> float | None:
     """The worst value of all vehicles (the smallest distance), or the formation's own value."""
     if key in TOGETHER:
         return getattr(together_of(run.experiment, run.metrics), TOGETHER[key], None)
@@ -107,7 +107,7 @@ def worst(run: Run, key: str) -> float | None:
     return min(there) if key.startswith("min_") else max(there)
 
 
-def print_table(runs: Sequence[Run]) -> None:
+def print_table(runs: Sequence[ComparedRun]) -> None:
     """Print one column per run, the worst vehicle in each row; long names become numbers."""
     out = Console(highlight=False)
     fits = FIRST_COLUMN + sum(len(run.label) + 3 for run in runs) <= out.width
@@ -139,7 +139,7 @@ def verdict(metrics: Metrics) -> str:
     return "passed" if all((metrics.criteria or {}).values()) else "failed"
 
 
-def render(runs: Sequence[Run]) -> str:
+def render(runs: Sequence[ComparedRun]) -> str:
     """The page: a table, then the figures with all runs overlaid, one colour per run."""
     heads = "".join(
         f'<th><span class="dot" style="background:var(--h{k % HUES})"></span>'
@@ -165,7 +165,7 @@ def render(runs: Sequence[Run]) -> str:
     )
 
 
-def charts(runs: Sequence[Run]) -> list[Chart]:
+def charts(runs: Sequence[ComparedRun]) -> list[Chart]:
     """Figures with all runs overlaid; the table and obstacles are those of the first run."""
     first = runs[0].experiment
     half_x, half_y = first.table.size[0] / 2, first.table.size[1] / 2

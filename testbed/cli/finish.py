@@ -14,6 +14,7 @@ from testbed.cli.refusal import errors
 from testbed.cli.result import print_result
 from testbed.config import Experiment, read_toml
 from testbed.config.guarantee import warnings_of
+from testbed.core.codes import FaultId, FaultReport
 from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogError, LogReader
@@ -31,6 +32,7 @@ def finish_run(folder: Path, rig: str, fault: str | None, *, as_json: bool) -> N
         _of_what_is_there(folder / "log.mcap", experiment),
         rig=rig,
         fault=fault,
+        fault_report=None if fault is None else FaultReport(FaultId.PROCESS_ENDED, fault),
         phase="FAULT" if fault else "STOPPED",
         warnings=list(warnings_of(experiment)),
     )
@@ -41,7 +43,8 @@ def finish_run(folder: Path, rig: str, fault: str | None, *, as_json: bool) -> N
         else:
             print_result(metrics, experiment, folder)
         sys.stdout.flush()
-    write_page(folder, experiment)
+    with suppress(LogError):  # the warning above says why there is no page
+        write_page(folder, experiment)
 
 
 def _of_what_is_there(log: Path, experiment: Experiment) -> Metrics:

@@ -60,9 +60,9 @@ def agent(
 ) -> None:  # fmt: skip
     """Run the agent of a VEHICLE on its on-board computer."""
     from testbed.cli.wires import fly_agent
-    from testbed.rig.wired.agent_process import Agent
+    from testbed.rig.wired.agent_process import AgentOptions
 
-    context.exit(fly_agent(Agent(vehicle, connect, lab, serial, keys)))
+    context.exit(fly_agent(AgentOptions(vehicle, connect, lab, serial, keys)))
 
 
 @click.command()

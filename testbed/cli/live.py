@@ -17,7 +17,7 @@ from rich.table import Table as Grid
 
 from testbed.config import Experiment
 from testbed.core.types import Tick
-from testbed.report.fault_story import STOPPING_TOO, follows, short
+from testbed.report.fault_story import STOPPING_TOO
 from testbed.report.goal_error import GoalError
 from testbed.run.fly import FlightScreen
 
@@ -85,7 +85,7 @@ class LiveTable(FlightScreen):
             parts.append(f"{name} {1e3 * error:.1f} mm off")
         for name, tick in list(self._ticks.items()):
             if said := tick.outputs.fault or tick.outputs.inhibit_reason:
-                parts.append(f"{name}: {said}")
+                parts.append(f"{name}: {said.words}")
         return f"{self._experiment.name}: {', '.join(parts)}"
 
     @contextmanager
@@ -141,11 +141,11 @@ class LiveTable(FlightScreen):
         setup, out = self._experiment.vehicles[name], tick.outputs
         left = tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
         gas = f"{100.0 * left:.0f}" if left > 0.0 else "-"  # no pressure gauge
-        state = f"[yellow]{escape(out.inhibit_reason)}[/]" if out.inhibit_reason else "flies"
-        if out.fault and follows(self._experiment, out.fault):
+        state = f"[yellow]{escape(out.inhibit_reason.words)}[/]" if out.inhibit_reason else "flies"
+        if out.fault is not None and out.fault.cause is not None:
             state = f"[red]{STOPPING_TOO}[/]"
-        elif out.fault:
-            state = f"[bold white on red]FAULT {escape(short(out.fault))}[/]"
+        elif out.fault is not None:
+            state = f"[bold white on red]FAULT {escape(out.fault.title)}[/]"
         if (now := out.state) is None:
             return name, state, "-", "-", "-", gas, "-"
         pose = now.pose

@@ -83,7 +83,11 @@ def list_everything(as_json: bool) -> None:
         )[0]
         for kind in get_args(catalogue.Controller)
     }
-    vehicles = {p.stem: _first_comment(p) for p in sorted((SHIPPED / "vehicles").glob("*.toml"))}
+    vehicles = {
+        p.stem: _first_comment(p)
+        for p in sorted((SHIPPED / "vehicles").glob("*.toml"))
+        if not p.is_symlink()
+    }  # a link is an old name
     everything = {"experiments": experiments, "laws": laws, "vehicles": vehicles}
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(everything)).decode() + "\n")

@@ -15,7 +15,7 @@ from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
 from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
-from testbed.cli.many import bench, campaign, tune
+from testbed.cli.many import benchmark, campaign, tune
 
 EPILOG = """\b
 Exit codes:
@@ -305,7 +305,9 @@ def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | No
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--markdown", "as_markdown", is_flag=True, help="Print the page for docs/.")
 @click.option(
-    "--plots", type=click.Path(path_type=Path), help="Write the reproduced figures to this folder."
+    "--plots",
+    type=click.Path(path_type=Path),
+    help="Folder for the figures, as SVG.",
 )
 @click.pass_context
 def reproduce(
@@ -329,7 +331,7 @@ def reproduce(
 
 
 for verb in (
-    agent, bench, calibrate, campaign, excite, lab_keys, poses, stop, tune, twin, validate
+    agent, benchmark, calibrate, campaign, excite, lab_keys, poses, stop, tune, twin, validate
 ):  # fmt: skip
     main.add_command(verb)
 
@@ -356,7 +358,9 @@ def entry() -> None:
         from testbed.cli.refusal import refuse
 
         code = _say_no_more(refuse(error))
-    except Exception:  # a bug: errors in files, connections and laws are handled above
+    # Errors in files, connections and laws are handled above, so this is a bug, of any class: it
+    # gets its traceback and exit code 70.
+    except Exception:
         from testbed.cli.refusal import confess
 
         code = confess()

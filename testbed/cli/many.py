@@ -78,7 +78,7 @@ def tune(
     "--commands", is_flag=True, help="Print one `testbed run` command per run instead of flying."
 )
 @click.pass_context
-def bench(
+def benchmark(
     context: click.Context,
     file: str | None,
     out: Path | None,

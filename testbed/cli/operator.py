@@ -9,6 +9,7 @@ import click
 from testbed.cli.live import LiveTable
 from testbed.cli.refusal import errors
 from testbed.config import ConfigError, Experiment
+from testbed.core.codes import FaultReport
 from testbed.rig.fault_latch import FaultLatch
 
 
@@ -44,7 +45,7 @@ class Operator:
 
     def latched(
         self, rig: str, experiment: Experiment, folder: str
-    ) -> tuple[FaultLatch, str | None]:
+    ) -> tuple[FaultLatch, FaultReport | None]:
         """The lab's fault latch, and its fault, which the operator has confirmed to reset.
 
         On the bench the fault is printed and reset without a question: the vehicles are simulated
@@ -57,13 +58,13 @@ class Operator:
         fault = latch.fault
         if fault is None or self._reset:
             return latch, fault
-        errors.print(f"latched: {fault}", style="red", markup=False, soft_wrap=True)
+        errors.print(f"latched: {fault.words}", style="red", markup=False, soft_wrap=True)
         if rig != "table":
             errors.print("on the table a reset needs --reset", style="yellow")
             return latch, fault
         if not self._says_yes("Have you inspected every vehicle, and may the fault be reset?"):
             expected = "confirmation that the vehicles were inspected, or --reset"
-            raise ConfigError("the run before", "--reset", expected, fault)
+            raise ConfigError("the run before", "--reset", expected, fault.words)
         return latch, fault
 
     def agree(self, names: Sequence[str]) -> bool:

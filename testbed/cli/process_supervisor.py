@@ -56,7 +56,7 @@ def supervised() -> int | None:
         _begin(libc, parent)
         attach(heart, parent)
         return None
-    return Supervisor(child, heart, libc).watch()
+    return ProcessSupervisor(child, heart, libc).watch()
 
 
 def _begin(libc: ctypes.CDLL, parent: int) -> None:
@@ -67,7 +67,7 @@ def _begin(libc: ctypes.CDLL, parent: int) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, HEARD)
 
 
-class Supervisor:
+class ProcessSupervisor:
     """Watches one child process and finishes its run."""
 
     def __init__(self, child: int, heart: Heartbeat, libc: ctypes.CDLL) -> None:

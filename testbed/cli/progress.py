@@ -20,7 +20,7 @@ from rich.progress import (
 )
 
 from testbed.campaign.flight import CampaignObserver
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.cli.refusal import errors
 
 LINE_S = 60.0  # interval of lines without a terminal [s]
@@ -57,7 +57,7 @@ class Bar(CampaignObserver):
         self._teller.join(1.0)  # a lost cluster may block the thread
         self._progress.stop()
 
-    def begun(self, total: int, runs: Sequence[Flown]) -> None:
+    def begun(self, total: int, runs: Sequence[FlownRun]) -> None:
         """See `CampaignObserver`."""
         self._total, self._over = total, len(runs)
         self._passed = sum(run.outcome == "passed" for run in runs)
@@ -68,7 +68,7 @@ class Bar(CampaignObserver):
         self._count_workers = count_workers
         self._say("flying")
 
-    def flown(self, run: Flown) -> None:
+    def flown(self, run: FlownRun) -> None:
         """See `CampaignObserver`."""
         self._over += 1
         self._here += 1
@@ -101,7 +101,9 @@ class Bar(CampaignObserver):
     def _is_nobody_there(self) -> bool:
         try:
             return self._count_workers is not None and self._count_workers() == 0
-        except Exception:  # the main thread reports a lost cluster
+        # Dask raises errors of many classes for a lost cluster, which the main thread reports;
+        # an exception here would only end the progress line.
+        except Exception:
             return False
 
     def line(self, now: float, nobody: bool) -> str:

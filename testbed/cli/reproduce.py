@@ -15,7 +15,7 @@ from rich.text import Text
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError
-from testbed.core.extra import pip_install
+from testbed.report.chart import alone
 from testbed.reproduction.audit import Made, RunError, made, rows_of, tasks_of
 from testbed.reproduction.claim import (
     CHECK,
@@ -23,14 +23,15 @@ from testbed.reproduction.claim import (
     FAILS,
     HOLDS,
     UNTESTABLE,
+    ClaimRow,
     MeasureError,
     Paper,
-    Row,
     claimed,
     counts,
 )
 from testbed.reproduction.page import page
 from testbed.reproduction.paper import EVERY, chosen, read_papers
+from testbed.reproduction.plot import chart_of
 
 STYLES = {HOLDS: "green", CORRECTED: "cyan", FAILS: "red", UNTESTABLE: "yellow"}
 
@@ -61,7 +62,7 @@ def reproduce_papers(
     surprises = [row for some in rows.values() for row in some if not row.as_expected]
     say_how_it_went(rows, surprises, missing, wall)
     if plots is not None:
-        draw_all(plots, papers, found)
+        draw_all(plots, found)
     if interrupted:
         return INTERRUPTED
     return FAILED if surprises else OK
@@ -100,7 +101,7 @@ def make_all(papers: Mapping[str, Paper], *, quick: bool) -> tuple[Results, bool
     return found, interrupted, time.perf_counter() - began
 
 
-def print_json(rows: Mapping[str, list[Row]], *, as_list: bool) -> None:
+def print_json(rows: Mapping[str, list[ClaimRow]], *, as_list: bool) -> None:
     """Print one object per paper; a list of objects for `all`."""
     papers = [
         {
@@ -114,7 +115,7 @@ def print_json(rows: Mapping[str, list[Row]], *, as_list: bool) -> None:
     sys.stdout.write(msgspec.json.format(content).decode() + "\n")
 
 
-def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
+def print_table(name: str, paper: Paper, rows: list[ClaimRow]) -> None:
     """Print the verdicts as a table."""
     grid = Grid(title=f"{name}: {paper.title}", title_justify="left", title_style="bold",
                 show_lines=False, expand=True)  # fmt: skip
@@ -133,7 +134,7 @@ def print_table(name: str, paper: Paper, rows: list[Row]) -> None:
     Console(highlight=False).print(grid)
 
 
-def measured(row: Row) -> str:
+def measured(row: ClaimRow) -> str:
     """The measured value with its unit."""
     if row.measured is None:
         return "-" if row.outcome == UNTESTABLE else "never"
@@ -141,7 +142,7 @@ def measured(row: Row) -> str:
 
 
 def say_how_it_went(
-    rows: Mapping[str, list[Row]], surprises: list[Row], missing: list[str], wall: float
+    rows: Mapping[str, list[ClaimRow]], surprises: list[ClaimRow], missing: list[str], wall: float
 ) -> None:
     """Print the counts and each unexpected verdict on standard error."""
     every = [row for some in rows.values() for row in some]
@@ -161,28 +162,22 @@ def say_how_it_went(
 
 
 def ready_for_plots(folder: Path) -> None:
-    """Check before the runs that plots can be written.
+    """Make the folder before the runs.
 
     Raises:
-        ConfigError: matplotlib is not installed, or the folder cannot be made.
+        ConfigError: the folder cannot be made.
     """
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        what = f"matplotlib: {pip_install('plots')}"
-        raise ConfigError("--plots", "", what, "it is not installed") from None
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError("--plots", "", "a folder", f"{folder}: {error.strerror}") from None
 
 
-def draw_all(folder: Path, papers: Mapping[str, Paper], found: Results) -> None:
-    """Write one file per figure of each run."""
-    from testbed.reproduction.plot import draw
-
+def draw_all(folder: Path, found: Results) -> None:
+    """Write one SVG file per figure of each run."""
     for done in found.made:
         for figure in done.figures:
-            name = f"{done.paper} {done.run} {figure.name}".replace(" ", "_").replace(",", "")
-            draw(folder / f"{name}.png", f"{done.paper}, {done.run}", figure)
+            key = f"{done.paper} {done.run} {figure.name}".replace(" ", "_").replace(",", "")
+            chart = chart_of(key, f"{done.paper}, {done.run}", figure)
+            (folder / f"{key}.svg").write_text(alone(chart), encoding="utf-8")
     errors.print(f"plots: {folder}", markup=False, soft_wrap=True)

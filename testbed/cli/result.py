@@ -10,24 +10,8 @@ from testbed.config import Experiment
 from testbed.metrics.afterwards import left_in_words
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import FormationCriteria, Metrics
-from testbed.report.page import known
+from testbed.report.page import OF_A_GOAL, ROWS, known
 from testbed.report.verdict import SHOWN_TOUCHES, UNCOUNTED, missed, touched
-
-OF_A_GOAL = ("final_error_m", "settle_s", "track_rms_m", "hold_rms_m")
-
-ROWS = (  # heading, key, scale, format, criterion
-    ("final error \\[mm]", "final_error_m", 1e3, "{:.2f}", "final_error_m"),
-    ("settled after \\[s]", "settle_s", 1.0, "{:.1f}", "settle_s"),
-    ("tracking RMS \\[mm]", "track_rms_m", 1e3, "{:.2f}", "track_rms_m"),
-    ("hold RMS \\[mm]", "hold_rms_m", 1e3, "{:.2f}", "hold_rms_m"),
-    ("heading RMS \\[deg]", "heading_rms_deg", 1.0, "{:.3f}", "heading_rms_deg"),
-    ("nearest obstacle \\[m]", "min_obstacle_distance_m", 1.0, "{:.3f}", "clear_of_obstacles"),
-    ("impulse \\[N s]", "impulse_ns", 1.0, "{:.1f}", "impulse_ns"),
-    ("gas \\[g]", "gas_g", 1.0, "{:.1f}", None),
-    ("valve pulses", "valve_pulses", 1.0, "{:.0f}", None),
-    ("filtered by safety \\[N s]", "filtered_ns", 1.0, "{:.2f}", None),
-    ("largest force \\[N]", "max_force_n", 1.0, "{:.2f}", None),
-)
 
 
 def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None:
@@ -45,17 +29,17 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
     grid.add_column("limit", justify="right", style="dim")
     together = metrics.formation
     has_goals = not has_formation(experiment.controller)
-    for heading, key, scale, form, criterion in ROWS:
+    for heading, key, scale, digits, criterion in ROWS:
         if key in OF_A_GOAL and not has_goals:
             continue
         cells = [
             _cell(
-                known(experiment, metrics, n, key), scale, form,
-                is_missed=missed(experiment, metrics, n, key, criterion or ""),
+                known(experiment, metrics, n, key), scale, digits,
+                is_missed=missed(experiment, metrics, n, key, criterion),
             )
             for n in metrics.vehicles
         ]  # fmt: skip
-        grid.add_row(heading, *cells, _limit(experiment, criterion, scale))
+        grid.add_row(escape(heading), *cells, _limit(experiment, criterion, scale))
     out.print(grid)
     separation = metrics.min_vehicle_distance_m
     pieces = [f"contacts: {'not known' if metrics.contacts == UNCOUNTED else metrics.contacts}"]
@@ -100,13 +84,13 @@ def print_formation(out: Console, f: FormationMetrics, experiment: Experiment) -
     out.print(f"formation: {', '.join(pieces) or 'no error known'}")
 
 
-def _cell(value: float | None, scale: float, form: str, *, is_missed: bool) -> str:
-    words = "-" if value is None else form.format(scale * value)
+def _cell(value: float | None, scale: float, digits: int, *, is_missed: bool) -> str:
+    words = "-" if value is None else f"{scale * value:.{digits}f}"
     return f"[red]{words}[/]" if is_missed else words
 
 
-def _limit(experiment: Experiment, criterion: str | None, scale: float) -> str:
-    if criterion is None:
+def _limit(experiment: Experiment, criterion: str, scale: float) -> str:
+    if not criterion:
         return ""
     limit = getattr(experiment.criteria, criterion)
     if criterion == "clear_of_obstacles":

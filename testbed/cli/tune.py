@@ -19,7 +19,7 @@ from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.flight import gone, make_folder
 from testbed.campaign.journal import Head, Journal
-from testbed.campaign.row import Flown, Task
+from testbed.campaign.row import FlownRun, Task
 from testbed.campaign.trial import fly_batch, read, warm
 from testbed.campaign.tuning import (
     PROOF_SEEDS,
@@ -103,7 +103,7 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
             compile_first(tuning.base, first, read, warm, tuning.file.limit_s)
         with workers(jobs, scheduler) as client:
 
-            def fly(tasks: Sequence[Task]) -> Iterator[Flown]:
+            def fly(tasks: Sequence[Task]) -> Iterator[FlownRun]:
                 return _fleet(client, tuning).results(tasks)
 
             def done(trial: Trial) -> None:
@@ -116,7 +116,7 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
             return compare(tuning, trials, fly)
 
 
-def _fleet(client: object, tuning: Tuning) -> Fleet[Task, Flown]:
+def _fleet(client: object, tuning: Tuning) -> Fleet[Task, FlownRun]:
     fly = partial(fly_batch, tuning.base)
     limit_s = tuning.file.limit_s
     return Fleet(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)

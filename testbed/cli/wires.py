@@ -9,7 +9,7 @@ from testbed.config import ConfigError, find, load
 from testbed.net.credentials import BadgeError
 from testbed.realtime.processes import end_on_terminate
 from testbed.rig.wired import agent_process, twin_process
-from testbed.rig.wired.agent_process import Agent
+from testbed.rig.wired.agent_process import AgentOptions
 from testbed.rig.wired.local import local
 
 
@@ -31,7 +31,7 @@ def serve_twin(name: str, overrides: Sequence[str], ports: Path | None, *, here:
     return OK
 
 
-def fly_agent(agent: Agent) -> int:
+def fly_agent(agent: AgentOptions) -> int:
     """Run the agent of one vehicle; returns the exit code."""
     end_on_terminate()
 

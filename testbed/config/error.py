@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from testbed.config.key import Key, printable, quoted, spell
-from testbed.core.error import TestbedError
+from testbed.core.error import MismatchError, TestbedError
 from testbed.core.spelling import did_you_mean as did_you_mean
 
 LONGEST = 72  # shown characters of a value
@@ -27,13 +27,12 @@ class ConfigError(TestbedError):
 
 
 def refused(key: Key, error: Exception) -> Mistake:
-    """The error of a struct or law as a Mistake; parses "expected ..., found ..." if present."""
-    about, wanted, wish = str(error).partition("expected ")
-    if not wanted:
-        return Mistake(key, "values that fit together", about)
-    expected, _, found = wish.partition(", found ")
-    found = found or "values that do not fit it"
-    return Mistake(key, expected, f"{found}: {about.rstrip(': ')}" if about else found)
+    """The error of a struct's own check, or of a law, as a Mistake."""
+    cause = error if isinstance(error, MismatchError) else error.__cause__
+    if not isinstance(cause, MismatchError):
+        return Mistake(key, "values that fit together", str(error))
+    expected, found, about = cause.args
+    return Mistake(key, expected, f"{found}: {about}" if about else found)
 
 
 def show(value: object) -> str:

@@ -29,7 +29,7 @@ OTHER_KINDS = {  # by a first key that experiments do not have
     "mass": "a vehicle, which `vehicles.NAME.model` of an experiment names",
     "size": "a table, which `table` of an experiment names",
     "experiment": "a campaign (`testbed campaign`), or of tuning (`testbed tune`)",
-    "samples": "a benchmark (`testbed bench`)",
+    "samples": "a benchmark (`testbed benchmark`)",
 }
 
 

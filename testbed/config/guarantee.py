@@ -8,9 +8,9 @@ from controllers.bifurcating import BifurcatingParams
 from controllers.bifurcating_design import reaches
 from controllers.guarantee import Bounded, Start, Unbounded, concerns
 from testbed.config.experiment import Experiment
+from testbed.core.codes import Detector
 from testbed.core.law import Concern, Discs
 from testbed.flight.allocation import weakest_force
-from testbed.flight.faults import DETECTORS
 
 SPARE = 1.1  # allowed ratio of mass and force to the design values
 LOOKS = 200  # samples of a goal's path, for its largest acceleration
@@ -58,7 +58,7 @@ def _unseen(experiment: Experiment) -> list[Concern]:
 def _unwatched(experiment: Experiment) -> list[Concern]:
     """Warn about detectors without a row in the fault table, e.g. in a user's own file."""
     asked = {row.detector for row in experiment.faults.values()}
-    blind = [name for name in DETECTORS if name not in asked]
+    blind = [one.words for one in Detector if one.words not in asked]
     if not blind:
         return []
     return [Concern("faults-unwatched", f"no row of `faults` looks at {', '.join(blind)}")]
@@ -78,10 +78,10 @@ def _field(experiment: Experiment, force: float) -> list[Concern]:
             f"{plan.force:g} N; here are {n} of up to {mass:.4g} kg and {force:.4g} N"
         )
         found.append(Concern("fleet-differs", text))
-    for k, phase in enumerate(params.phases):
+    for k, phase in enumerate(params.phases, 1):
         if phase.at >= experiment.duration_s:
             text = (
-                f"phases[{k}] begins at {phase.at:g} s, the run ends at {experiment.duration_s:g} s"
+                f"phases.{k} begins at {phase.at:g} s, the run ends at {experiment.duration_s:g} s"
             )
             found.append(Concern("phase-never-flown", text))
             break
@@ -98,11 +98,11 @@ def _off_the_table(experiment: Experiment, params: BifurcatingParams) -> list[Co
             need = (abs(middle[axis]) + reach) / params.scale.length
             if need > room:
                 text = (
-                    f"the curve of phases[{k}] goes out to {need:.4g} m along {'xy'[axis]}, a "
+                    f"the curve of phases.{k + 1} goes out to {need:.4g} m along {'xy'[axis]}, a "
                     f"vehicle on this table to {room:.4g} m"
                 )
                 return [Concern("curve-off-table", text)]
             if params.wall and need > params.wall.at / params.scale.length:
-                text = f"the curve of phases[{k}] goes out to {need:.4g} m, the wall is nearer"
+                text = f"the curve of phases.{k + 1} goes out to {need:.4g} m, the wall is nearer"
                 return [Concern("curve-behind-wall", text)]
     return []

@@ -1,7 +1,7 @@
 """Keys: the place of a value in a tree of tables and lists, and its spelling.
 
-("vehicles", "sat1", "start", 0) is `vehicles.sat1.start[0]`, in error messages as on the command
-line. A name that is not a bare TOML key is quoted.
+("vehicles", "sat1", "start", 0) is `vehicles.sat1.start.1`, in error messages as on the command
+line: entries of a list count from 1, as jets do. A name that is not a bare TOML key is quoted.
 """
 
 import re
@@ -14,23 +14,22 @@ DEEPEST = 32  # nesting depth; experiments have 7
 LONGEST = 64  # shown characters of a name
 
 _NAME = r"""[\w-]+|\*|"(?:[^"\\]|\\.)*"|'[^']*'"""
-_INDEX = r"\[\s*(?:\d{1,6}|\*)\s*\]"
-_STEP = rf"(?:{_NAME})(?:\s*{_INDEX})*"
-_PART = re.compile(rf"{_INDEX}|{_NAME}")
-_ASSIGNMENT = re.compile(rf"\s*({_STEP}(?:\s*\.\s*{_STEP})*)\s*=\s*(.*)", re.DOTALL)
+_PART = re.compile(_NAME)
+_ASSIGNMENT = re.compile(rf"\s*((?:{_NAME})(?:\s*\.\s*(?:{_NAME}))*)\s*=\s*(.*)", re.DOTALL)
+_BRACKET = re.compile(r"""[^="']*\[""")
 
 
 def spell(key: Key) -> str:
     """The key as a string."""
-    text = ""
-    for part in key:
-        if isinstance(part, int):
-            text += f"[{part}]"
-        else:
-            name = part if len(part) <= LONGEST else part[:LONGEST] + "..."
-            bare = re.fullmatch(r"[A-Za-z0-9_.-]+", name) and "." not in part
-            text += "." * bool(text) + (name if bare else quoted(name))
-    return text
+    return ".".join(_spell(part) for part in key)
+
+
+def _spell(part: str | int) -> str:
+    if isinstance(part, int):
+        return str(part + 1)
+    name = part if len(part) <= LONGEST else part[:LONGEST] + "..."
+    bare = re.fullmatch(r"[A-Za-z0-9_.-]+", name) and "." not in part
+    return name if bare else quoted(name)
 
 
 def quoted(text: str) -> str:
@@ -45,24 +44,22 @@ def printable(text: str) -> str:
 
 
 def assignment(text: str) -> tuple[Key, str]:
-    """Key and value of "key = value".
+    """Key and value of "key = value"; a list's entry is its number as text.
 
     Raises:
-        ValueError: the text does not have this form.
+        ValueError: the text does not have this form; says what was expected.
     """
     match = _ASSIGNMENT.fullmatch(text)
     if match is None:
-        raise ValueError("expected key=value")
+        lists = " with `jets.1` for the first entry of a list, `jets.*` for all"
+        raise ValueError("key=value" + lists * bool(_BRACKET.match(text)))
     key = tuple(_part(part) for part in _PART.findall(match[1]))
     if len(key) > DEEPEST:
-        raise ValueError(f"a key of more than {DEEPEST} parts")
+        raise ValueError(f"key=value with a key of at most {DEEPEST} parts")
     return key, match[2].strip()
 
 
-def _part(text: str) -> str | int:
-    if text[0] == "[":
-        index = text[1:-1].strip()
-        return ANY if index == ANY else int(index)
+def _part(text: str) -> str:
     if text[0] in "\"'":
         return tomllib.loads(f"name = {text}")["name"]
     return text

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from testbed.config.error import Mistake, show
 from testbed.config.experiment import Experiment
-from testbed.net.credentials import trouble
+from testbed.net.credentials import untrusted
 
 NAME = r"(?=.*[A-Za-z])[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"  # of a machine
 
@@ -23,9 +23,9 @@ def bad_network(experiment: Experiment) -> Iterator[Mistake]:
     yield from _shared(experiment)
     network = experiment.table.lab.network
     keys = Path(network.keys) if network.keys else None
-    if (why := trouble(network.endpoint, keys)) is not None:
+    if (why := untrusted(network.endpoint, keys)) is not None:
         at = ("table", "lab", "network", "endpoint")
-        yield Mistake(at, why.partition("expected ")[2], show(network.endpoint))
+        yield Mistake(at, why.expected, show(network.endpoint))
 
 
 def _mocap(experiment: Experiment) -> Iterator[Mistake]:

@@ -1,7 +1,7 @@
 """Warns about implausible values: a wrong unit, a missing jet, a typing error.
 
 Only `testbed check` prints these. The ranges are wide: they contain every published vehicle and
-table that the survey in configs/vehicles/floater.toml names, with a factor of ten to spare.
+table that the survey in configs/vehicles/generic_8jet.toml names, with a factor of ten to spare.
 """
 
 import math
@@ -41,7 +41,7 @@ def _vehicle(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
     air, valve = vehicle.air, vehicle.valve
     for name, what, value, low, high in (
         ("mass", "mass", vehicle.mass, 0.5, 500.0),
-        ("thrust", "jets[].thrust", strongest if strongest > 20.0 else weakest, 0.005, 20.0),
+        ("thrust", "thrust of a jet", strongest if strongest > 20.0 else weakest, 0.005, 20.0),
         ("pressure", "air.set_pressure", air.set_pressure, 2e4, 3e6),
         ("pressure", "air.tank_pressure", air.tank_pressure, 1e5, 1e8),
     ):

@@ -50,8 +50,9 @@ class Source:
         try:
             text.encode()  # a shell may pass bytes that are not text
             key, raw = assignment(text)
-        except ValueError:
-            raise ConfigError("command line", "", "key=value", show(text)) from None
+        except ValueError as error:
+            wanted = str(error) if str(error).startswith("key=value") else "key=value"
+            raise ConfigError("command line", "", wanted, show(text)) from None
         origin = Origin(f"command line: {text}")
         value = _parse(origin, key, raw)
         spots: list[tuple[Key, Any]] = [((), self.tree)]
@@ -129,17 +130,14 @@ def _meant(origin: Origin, key: Key, parent: Any, part: str | int) -> list[tuple
             names, expected = list(parent), "at least one entry"
         case list(), "*":
             names, expected = list(range(len(parent))), "at least one entry"
-        case dict(), str():
-            names, expected = [part], "a table"
         case dict(), _:
-            expected = "the name of an entry"
+            names, expected = [part], "a table"
         case list(), _:
-            names = [i for i in range(len(parent)) if i == part]
-            last, name = len(parent) - 1, spell(key[-1:])
-            expected = f"an index from [0] to [{last}]: `{name}` has {len(parent)} entries"
+            names = [i for i in range(len(parent)) if str(i + 1) == part]
+            expected = f"a number from 1 to {len(parent)}, an entry of `{spell(key[-1:])}`"
             if not parent:
-                expected = f"no index: `{name}` is empty"
-            found = f"[{part}]" if isinstance(part, int) else show(part)
+                expected = f"nothing: `{spell(key[-1:])}` is empty"
+            found = str(part)
         case _:
             expected = "a table"
     if not names:

@@ -40,7 +40,7 @@ def some_vehicle() -> Vehicle:
     return Vehicle(12.0, 0.3, (0.0, 0.0), 0.3, 0.0, 0.0, 0.0, jets, valve, air, exact)
 
 
-class Flown:
+class BoardDriver:
     """One bench and its clock."""
 
     def __init__(self, bench: ThrusterBench, clock: ManualClock, jets: int) -> None:
@@ -86,12 +86,12 @@ class ThrustersConformance:
     vehicle: Vehicle = some_vehicle()
 
     @contextmanager
-    def _flown(self) -> Iterator[Flown]:
+    def _flown(self) -> Iterator[BoardDriver]:
         clock, before = ManualClock(), set(threading.enumerate())
         bench = factory_of(self)(self.vehicle, clock)
         try:
             clock.meet(set(threading.enumerate()) - before)
-            yield Flown(bench, clock, len(self.vehicle.jets))
+            yield BoardDriver(bench, clock, len(self.vehicle.jets))
         finally:
             clock.let_go()  # a thread that waits for time must not keep `close` waiting
             at_once("close", bench.board.close)

@@ -22,3 +22,21 @@ class TestbedError(Exception):
         parts = (("expected", expected), ("found", found), ("hint", hint))
         lines = [f"  {name:<8}  {part}" for name, part in parts if part]
         super().__init__("\n".join([text or where, *lines]))
+
+
+class MismatchError(TestbedError, ValueError):
+    """A value that its struct or law refuses.
+
+    Args:
+        expected: a valid value.
+        found: the actual value.
+        about: which part of the struct it is.
+    """
+
+    def __init__(self, expected: str, found: str, about: str = "") -> None:
+        super().__init__(expected=expected, found=found)
+        self.args = (expected, found, about)
+
+    def __str__(self) -> str:
+        expected, found, about = self.args
+        return f"{about}{': ' * bool(about)}expected {expected}, found {found}"

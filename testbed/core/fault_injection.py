@@ -11,6 +11,7 @@ from typing import Literal
 
 from msgspec import Struct
 
+from testbed.core.error import MismatchError
 from testbed.core.vehicle import NonNegative, Positive
 
 Kind = Literal[
@@ -79,11 +80,11 @@ class Injection(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if (self.at_s is None) == (self.event is None):
-            raise ValueError("expected one of `at_s` and `event`, found both or neither")
+            raise MismatchError("one of `at_s` and `event`", "both or neither")
         if (self.event is None) != (self.threshold is None):
-            raise ValueError("expected `threshold` with `event` and only then, found otherwise")
+            raise MismatchError("`threshold` with `event` and only then", "otherwise")
         if (self.kind == "swap_bodies") != bool(self.other):
-            raise ValueError("expected `other` with a swap and only then, found otherwise")
+            raise MismatchError("`other` with a swap and only then", "otherwise")
 
     @property
     def size(self) -> float:

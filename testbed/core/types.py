@@ -10,6 +10,8 @@ so the garbage collector does not track it (`gc=False`): a flight creates half a
 
 from msgspec import Struct
 
+from testbed.core.codes import FaultReport, Intervention, Refusal, Response
+
 
 class Pose(Struct, frozen=True, gc=False):
     """Position and heading in W."""
@@ -141,20 +143,12 @@ class Vitals(Struct, frozen=True, gc=False, omit_defaults=True):
     disk_free: float = 1e12  # on the disk of the log [bytes]
     same_config: bool = True  # host and vehicle have the same configuration hash
     law_error: str = ""  # exception of the law on the host
-    fleet: str = ""  # a fault of another vehicle that stops all
+    fleet: FaultReport | None = None  # a fault of another vehicle that stops all
     foreign: int = 0  # messages of another session since the last tick; none was obeyed
-    end: str = ""  # why the flight is over; not empty: come to rest and turn the air off
+    end: bool = False  # the flight is over: come to rest and turn the air off
 
 
 ALL_WELL = Vitals()
-
-
-class Intervention(Struct, frozen=True, gc=False):
-    """Change of the demanded force by the safety filter."""
-
-    dfx_w: float  # change of the mean force in W [N]
-    dfy_w: float  # [N]
-    because: str  # the hazard that it avoids
 
 
 class Inputs(Struct, frozen=True, gc=False, omit_defaults=True):
@@ -179,11 +173,11 @@ class Outputs(Struct, frozen=True, gc=False, omit_defaults=True):
     commanded_wrench: Wrench  # demanded by tracker or law, mean over the period
     realised_wrench: Wrench  # mean wrench of the pulses of `command`, by the vehicle's jet table
     command: ValveCommand
-    inhibit_reason: str | None = None  # the gate's reason, None while it is open
-    fault: str | None = None  # a reason that ends the run, latched
+    inhibit_reason: Refusal | None = None  # why valves stay shut; None: they may open
+    fault: FaultReport | None = None  # ends the run, latched
     message: LawMessage | None = None  # message of its law, if it runs on board and sends one
     faults: tuple[str, ...] = ()  # ids of all rows of the fault table that hold now
-    response: str = ""  # the most severe active response; empty: none
+    response: Response = Response.NONE  # the most severe active one
     filtered: Intervention | None = None  # None: the demand was not changed
     air_off: bool = False  # turn the bearing air off for good
 
@@ -214,7 +208,7 @@ class HostOutputs(Struct, frozen=True, gc=False, omit_defaults=True):
     t: float  # [s]
     setpoint: Setpoint | None
     message: LawMessage | None = None  # message of the law, if it sends one
-    law_error: str = ""  # exception of the law
+    fault: FaultReport | None = None  # of the law
     filtered: Intervention | None = None  # change of the reference model's force
 
 

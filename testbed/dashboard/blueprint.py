@@ -9,17 +9,17 @@ from rerun.blueprint.archetypes import (
 )
 from rerun.blueprint.encodings import TimelineColumn
 
+from testbed.config.experiment import Experiment
 from testbed.dashboard.banner import HEIGHT, WIDTH
 from testbed.dashboard.static_scene import plain
 from testbed.report.goal_error import GoalError
-from testbed.report.scenario import Scenario
 
 FIELD = 57.0  # [deg] vertical, of rerun's eye
 WINDOW_S = 60.0  # of the plots
 VALVES_S = 10.0
 
 
-def blueprint(scenario: Scenario, *, live: bool) -> rrb.Blueprint:
+def blueprint(scenario: Experiment, *, live: bool) -> rrb.Blueprint:
     """The views, and a time panel that follows a live flight or is paused for replay."""
     half = max(scenario.table.size) / 2
     height = 1.08 * half / math.tan(math.radians(FIELD / 2))

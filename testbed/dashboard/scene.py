@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import rerun as rr
 
+from testbed.config.experiment import Experiment
 from testbed.dashboard.columns import Columns
 from testbed.dashboard.frame import Frames
 from testbed.dashboard.scene_plots import PlotScene
@@ -19,13 +20,12 @@ from testbed.dashboard.scene_table import TableScene
 from testbed.dashboard.scene_wires import WireScene
 from testbed.dashboard.static_scene import setting
 from testbed.logs.feed import News
-from testbed.report.scenario import Scenario
 
 
 class Scene:
     """Draws the log of one run."""
 
-    def __init__(self, scenario: Scenario, recording: rr.RecordingStream) -> None:
+    def __init__(self, scenario: Experiment, recording: rr.RecordingStream) -> None:
         setting(recording, scenario)
         self._columns, self._frames = Columns(recording), Frames()
         self._plots = PlotScene(scenario, recording)

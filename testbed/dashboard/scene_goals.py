@@ -4,17 +4,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from testbed.config.experiment import Experiment
 from testbed.dashboard.columns import Columns
 from testbed.dashboard.static_scene import plain
 from testbed.logs.feed import SeenTick
 from testbed.report.goal_error import GoalError, goal_at
-from testbed.report.scenario import Scenario
 
 
 class AimScene:
     """Draws moving goals and the errors to what the experiment asks for."""
 
-    def __init__(self, scenario: Scenario, columns: Columns) -> None:
+    def __init__(self, scenario: Experiment, columns: Columns) -> None:
         self._scenario, self._columns = scenario, columns
         self._goal_error = GoalError(scenario)
 

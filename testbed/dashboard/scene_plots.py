@@ -9,11 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
+from testbed.config.experiment import Experiment
 from testbed.core.types import State
 from testbed.dashboard.scene_wires import VALVE_STATES
 from testbed.dashboard.static_scene import FLAME, LAYER, PLUME
 from testbed.logs.feed import Loop, News, SeenHost, SeenTick
-from testbed.report.scenario import Scenario
 
 MEAN_S = 1.0  # averaging time of forces: single pulses last milliseconds
 
@@ -21,7 +21,7 @@ MEAN_S = 1.0  # averaging time of forces: single pulses last milliseconds
 class PlotScene:
     """Draws plots, jets and valves of one run."""
 
-    def __init__(self, scenario: Scenario, recording: rr.RecordingStream) -> None:
+    def __init__(self, scenario: Experiment, recording: rr.RecordingStream) -> None:
         self._scenario, self._rec = scenario, recording
         self._names = list(scenario.vehicles)
         self._open: dict[tuple[str, int], bool] = {}

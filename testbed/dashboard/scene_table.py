@@ -3,6 +3,8 @@
 import math
 from collections.abc import Mapping
 
+from testbed.config.experiment import Experiment
+from testbed.core.codes import Response
 from testbed.dashboard.banner import AMBER, GREEN, GREY, Banner, picture
 from testbed.dashboard.banner import RED as ALARM
 from testbed.dashboard.columns import Columns, Label, Lines
@@ -22,10 +24,10 @@ from testbed.dashboard.static_scene import (
     GREY as LINK,
 )
 from testbed.logs.feed import SeenHost, SeenPace, SeenPhase, SeenTick, pose_of, stopping_point
-from testbed.logs.history import camera_events, events
+from testbed.logs.history import Happening, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
 from testbed.report.fault_story import OVER, SUPERVISOR, Story, Trouble
-from testbed.report.scenario import Scenario, law_of, range_of
+from testbed.report.law import law_of, range_of
 
 STALE_S = 1.0  # links of a vehicle are not drawn from messages older than this
 TRAIL_S = 0.5  # between two updates of a trail, which is redrawn completely
@@ -45,7 +47,7 @@ def grouped(states: Mapping[str, str]) -> list[str]:
 class TableScene:
     """Draws the table, the headline and the events of one run."""
 
-    def __init__(self, scenario: Scenario, columns: Columns) -> None:
+    def __init__(self, scenario: Experiment, columns: Columns) -> None:
         self._scenario, self._columns = scenario, columns
         self._names = list(scenario.vehicles)
         self._newest: dict[str, SeenTick] = {}
@@ -96,11 +98,11 @@ class TableScene:
 
     def _take(
         self, frame: Frame
-    ) -> tuple[dict[str, list[SeenTick]], list[Truth], list[tuple[float, str, str]]]:
+    ) -> tuple[dict[str, list[SeenTick]], list[Truth], list[tuple[str, Happening]]]:
         """Ticks by vehicle, truths and events of a frame; stores the newest of each."""
         ticks: dict[str, list[SeenTick]] = {}
         truths: list[Truth] = []
-        said: list[tuple[float, str, str]] = []
+        said: list[tuple[str, Happening]] = []
         for _, who, t, message in frame.news:
             match message:
                 case SeenTick() if who in self._trails:
@@ -109,17 +111,16 @@ class TableScene:
                     self._heard[who] = message
                 case Truth():
                     truths.append(message)
-                case SeenPhase(t=at, phase=phase, because=because):
+                case SeenPhase():
                     self._phase = message
-                    said.append((at, SUPERVISOR, f"{phase}: {because}"))
+                    said.append((SUPERVISOR, phase_change(message)))
                 case SeenPace(cameras=cameras):
-                    for at, words in camera_events([(t, message)], self._cameras.get(who, "")):
-                        said.append((at, who, words))
+                    before = self._cameras.get(who, "")
+                    said += [(who, one) for one in camera_events([(t, message)], before)]
                     self._cameras[who] = cameras
         for name, flown in ticks.items():
-            before = [self._newest[name]] if name in self._newest else []
-            fresh = events([*before, *flown])[len(events(before)) :]
-            said += [(t, name, words) for t, words in fresh]
+            known = [self._newest[name]] if name in self._newest else []
+            said += [(name, one) for one in events([*known, *flown])[len(events(known)) :]]
             self._newest[name] = flown[-1]
         return ticks, truths, said
 
@@ -219,21 +220,21 @@ class TableScene:
         if fault := self._trouble.banner(self._newest):
             return Banner(plain(fault), ALARM)
         if phase == "FAULT":
-            return Banner(plain(f"FAULT {self._phase.because}"), ALARM)
-        over, colour, states = phase in OVER, GREEN, {}
+            return Banner(plain(f"FAULT {phase_change(self._phase).words}"), ALARM)
+        over, flies, states = phase in OVER, set[str](), dict[str, str]()
         for who in self._names:
             tick = self._newest.get(who)
             if tick is None:
                 words = "silent"
             elif tick.outputs.inhibit_reason:
-                words = f"waits: {tick.outputs.inhibit_reason}"
-            elif tick.outputs.response in ("hold", "brake", "coast", "land"):
-                words = tick.outputs.response
+                words = f"waits: {tick.outputs.inhibit_reason.words}"
+            elif tick.outputs.response >= Response.HOLD:
+                words = tick.outputs.response.words
             else:
+                flies.add(who)
                 words = "in flight" + ", filter intervenes" * (tick.outputs.filtered is not None)
-            if not words.startswith("in flight"):
-                colour = AMBER
             states[who] = "flown" if over and tick is not None else words
         head = f"{phase}   |   " if phase else ""
         said = f"{head}{'   |   '.join(grouped(states))}   |   {name}, law {law_of(self._scenario)}"
+        colour = GREEN if flies.issuperset(self._names) else AMBER
         return Banner(plain(said), GREY if over else colour)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import rerun as rr
 
+from testbed.config.experiment import Experiment
 from testbed.logs.feed import News, SeenPace, SeenValves
 from testbed.logs.history import lost_share
-from testbed.report.scenario import Scenario
 
 VALVE_STATES = rr.StateConfiguration(
     values=["open", "shut"], labels=["", ""], colors=[0xFFD666FF, 0x1A2028FF]
@@ -16,7 +16,7 @@ VALVE_STATES = rr.StateConfiguration(
 class WireScene:
     """Draws network and board messages of one run."""
 
-    def __init__(self, scenario: Scenario, recording: rr.RecordingStream) -> None:
+    def __init__(self, scenario: Experiment, recording: rr.RecordingStream) -> None:
         self._scenario, self._rec = scenario, recording
         self._open: dict[tuple[str, int], bool] = {}
 

@@ -8,9 +8,10 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from testbed.config.experiment import Experiment
 from testbed.core.table import Obstacle
 from testbed.report.goal_error import GoalError
-from testbed.report.scenario import Scenario, range_of
+from testbed.report.law import range_of
 
 Array = NDArray[np.float64]
 
@@ -96,7 +97,7 @@ def dashes(line: Array, length: float) -> list[Array]:
     return out
 
 
-def setting(rec: rr.RecordingStream, scenario: Scenario) -> None:
+def setting(rec: rr.RecordingStream, scenario: Experiment) -> None:
     """Draw table, fence, obstacles, goals, and each vehicle's shape."""
     log = rec.log
     half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
@@ -163,7 +164,7 @@ def setting(rec: rr.RecordingStream, scenario: Scenario) -> None:
         log(path, rr.SeriesLines(colors=[RED], names=label, widths=2), static=True)
 
 
-def vehicle(rec: rr.RecordingStream, scenario: Scenario, k: int, name: str) -> None:
+def vehicle(rec: rr.RecordingStream, scenario: Experiment, k: int, name: str) -> None:
     """Draw one vehicle to scale: body, heading, nozzles, rim; and its goal."""
     setup, log = scenario.vehicles[name], rec.log
     model, colour = setup.model, hue(k)
@@ -247,7 +248,7 @@ def goal(
     )
 
 
-def moving_goals(rec: rr.RecordingStream, scenario: Scenario) -> None:
+def moving_goals(rec: rr.RecordingStream, scenario: Experiment) -> None:
     """Draw the shapes of moving goals and of a formation's leader, about their own centres."""
     goal_error = GoalError(scenario)
     if goal_error.led:

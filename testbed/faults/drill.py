@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
+from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.fault_injection import VALUES, Injection
-from testbed.flight.faults import SEVERITY
 
-# kind of injection -> rows of the fault table, or texts of a gate, that identify it
+# kind of injection -> ids of the faults that identify it
 NAMES: dict[str, tuple[str, ...]] = {
     "drop_mocap": ("pose_stale", "pose_lost"),
     "freeze_mocap": ("pose_frozen",),
@@ -22,23 +22,23 @@ NAMES: dict[str, tuple[str, ...]] = {
     "swap_bodies": ("pose_swapped",),
     "delay_link": ("link_late", "link_out", "link_lost", "neighbour_late", "neighbour_silent"),
     "lose_link": ("link_late", "link_out", "link_lost", "neighbour_late", "neighbour_silent"),
-    "kill_process": ("neighbour_late", "neighbour_silent", "vehicle_silent"),
+    "kill_process": ("neighbour_late", "neighbour_silent", FaultId.VEHICLE_SILENT),
     "stick_open": ("valve_stuck_open", "valve_leaks", "valve_leaks_or_weak"),
     "stick_closed": ("valve_stuck_closed", "valve_leaks_or_weak"),
     "leak_valve": ("valve_leaks", "valve_leaks_or_weak", "valve_stuck_open"),
     "leak": ("leak", "supply_weak", "supply_low"),
     "brown_out": ("battery_low", "board_silent"),
     "clock_step": ("clock_off",),
-    "nan_law": ("not_a_number", "law on the host: asks for something that is not a number"),
-    "raise_law": ("law_raised", "law on the host: SabotageError"),
+    "nan_law": ("not_a_number", FaultId.HOST_LAW_NOT_A_NUMBER),
+    "raise_law": ("law_raised", FaultId.HOST_LAW_RAISED),
     "operator_gone": ("operator_gone",),
     "disk_full": ("disk_full",),
     "config_differs": ("config_differs",),
     "overrun": ("overrun",),
 }
 # time from detection until every valve must be shut: a plan in flight, or a stop; see docs
-SHUT_WITHIN = {"": math.inf, "warn": math.inf, "hold": math.inf, "coast": 0.15, "land": 0.15}
-BRAKE_WITHIN = 7.0  # the longest stop on board, and the ticks before and after it [s]
+# [s]; braking: the longest stop on board, and the ticks before and after it
+SHUT_WITHIN = {Response.BRAKE: 7.0, Response.COAST: 0.15, Response.LAND: 0.15}
 DEAD_WITHIN = 0.25  # the last plan of a dead process, and its time to live [s]
 ASKED = 1.5  # commanded open time before a jet without thrust can be noticed [s]
 WHEN = (2.0, 12.0)  # range of the injection time [s]
@@ -64,14 +64,14 @@ class Drilled(Struct, frozen=True):
     vehicle: str
     seed: int
     at_s: float
-    named: str  # the first row or text that identifies it; empty: undetected
+    named: str  # id of the first fault that identifies it; empty: undetected
     detected_s: float | None  # from its beginning to the response of the affected vehicle
-    response: str  # the most severe one of the affected vehicle
+    response: Response  # the most severe one of the affected vehicle
     shut_s: float | None  # from its beginning until all valves were shut; None: the run continued
     late: int  # valves still open after the deadline
     contacts: int  # during the flight, and hard ones in the minute after
     travelled_m: float  # longest distance of any vehicle from its position at the beginning
-    fault: str | None  # fault that ended the run
+    fault: FaultReport | None  # that ended the run
     early: tuple[str, ...]  # faults latched before it began
     adrift: int  # contacts of a vehicle without thrust, or caused by a moving obstacle
     dormant: bool  # it had no effect: for example a valve stuck shut that was not commanded
@@ -130,8 +130,13 @@ def draw(kind: Any, vehicles: Sequence[str], jets: int, rng: np.random.Generator
     )
 
 
+def names_of(fault: FaultReport) -> set[str]:
+    """Ids of a fault, and of the other vehicle's fault with which it stops."""
+    return {fault.id, fault.origin.id}
+
+
 def answered(
-    named: Sequence[tuple[float, str]], responses: Sequence[tuple[float, str]], began: float
+    named: Sequence[tuple[float, str]], responses: Sequence[tuple[float, Response]], began: float
 ) -> tuple[str, float | None]:
     """The correct name of a fault, and the time from its beginning to the vehicle's response.
 
@@ -148,15 +153,15 @@ def answered(
     for t, name in sorted(named):
         since.setdefault(name, t)
     first = min(since.values())
-    acted = min((t for t, one in responses if t >= began and one != "warn"), default=first)
+    acted = min((t for t, one in responses if t >= began and one != Response.WARN), default=first)
     # the last name before the response caused it; a host may report it later
     known = {name: t for name, t in since.items() if t <= acted} or since
     return max(known, key=known.__getitem__), acted - began
 
 
-def deadline(response: str) -> float:
+def deadline(response: Response) -> float:
     """Time from detection until every valve must be shut [s]."""
-    return BRAKE_WITHIN if response == "brake" else SHUT_WITHIN[response]
+    return SHUT_WITHIN.get(response, math.inf)
 
 
 def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
@@ -175,7 +180,7 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
                 sum(one.dormant for one in own),
                 float(np.median(found)) if found else None,
                 max(found, default=None),
-                ", ".join(sorted(responses, key=SEVERITY.__getitem__)),
+                ", ".join(one.words for one in sorted(responses)),
                 max(shut, default=None),
                 max(one.travelled_m for one in own),
                 sum(one.contacts for one in own),

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from testbed.core.codes import FaultReport, InhibitReason, Refusal
 from testbed.core.error import TestbedError
 from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
@@ -67,10 +68,13 @@ class CrashableNode:
         """See `VehicleNode`."""
         return self._node.guidance
 
-    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
+    def tick(
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
+    ) -> Tick:
         """The node's tick, or a tick without state if the process is dead."""
         if not self._dead():
-            return self._node.tick(t, armed, fleet, end)
+            return self._node.tick(t, armed, fleet, end=end)
         still, command = Wrench(0.0, 0.0, 0.0), ValveCommand(0, t, t, self._shut, self._shut)
         inputs = Inputs(t, armed, (), None, {}, Health(t, 0.0, 0.0), vitals=Vitals(end=end))
-        return Tick(inputs, Outputs(t, None, None, still, still, command, "its process is dead"))
+        dead = Refusal(InhibitReason.PROCESS_DEAD)
+        return Tick(inputs, Outputs(t, None, None, still, still, command, dead))

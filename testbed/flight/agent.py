@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
+from testbed.core.codes import FaultReport, InhibitReason, Refusal
 from testbed.core.compiled import compiled, settled
 from testbed.core.types import (
     Demand,
@@ -129,7 +130,7 @@ class Agent:
         # a vehicle that the gate has shut, or that is disarmed at the end, cannot brake
         air_off = acted.air_off or (inputs.armed and self._gate.fault is not None)
         if end and (not inputs.armed or self._safety is None):
-            refused, air_off = refused or end, True
+            refused, air_off = refused or Refusal(InhibitReason.FLIGHT_OVER), True
         command, realised_wrench = self._plan(
             t, commanded_wrench if refused is None else STILL, thrust_scale
         )
@@ -140,7 +141,7 @@ class Agent:
             self._safety.remember(command, thrust_scale)
         return Outputs(
             t, state, active_setpoint, commanded_wrench, realised_wrench, command,
-            refused, acted.fault or self._gate.fault, message,
+            refused, acted.fault or reported(self._gate.fault), message,
             acted.holding, acted.response, acted.filtered, air_off,
         )  # fmt: skip
 
@@ -200,6 +201,11 @@ class Agent:
             self._seq, t, t + period, tuple(times_us[:jets]), tuple(times_us[jets:])
         )
         return command, Wrench(fx * thrust_scale, fy * thrust_scale, tau * thrust_scale)
+
+
+def reported(refusal: Refusal | None) -> FaultReport | None:
+    """The report of a reason that the gate has latched."""
+    return None if refusal is None else FaultReport(refusal.code.name.lower(), refusal.words)
 
 
 @compiled

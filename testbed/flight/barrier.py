@@ -40,9 +40,10 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from testbed.core.codes import Hazard, Intervention
 from testbed.core.compiled import compiled, settled
 from testbed.core.table import Obstacle
-from testbed.core.types import Intervention, State
+from testbed.core.types import State
 from testbed.core.vehicle import NonNegative, Positive
 
 Array = NDArray[np.float64]
@@ -53,6 +54,7 @@ TIGHT = 1e-9  # rounding tolerance of a half-plane [N]
 HALVINGS = 40
 FASTER = 0.1  # margin of speed in the selection of near neighbours [m/s]
 KEPT = 1.0  # a silent neighbour is extrapolated for this long, then taken as at rest [s]
+EDGES = tuple(Hazard)[Hazard.RIGHT_EDGE - 1 :]  # in the order of `filtered`
 WORST_SHARE = 0.1  # lowest share of the supply pressure used for planning
 
 
@@ -308,9 +310,6 @@ def guarded(t, fx, fy, px, py, vx, vy, bx, by, obstacles, others, limits, thrust
     return x, y, hazard, spare
 
 
-EDGES = ("the right edge", "the left edge", "the upper edge", "the lower edge", "its top speed")
-
-
 class Barrier:
     """One vehicle's safety filter, with the obstacles and the other vehicles."""
 
@@ -377,8 +376,14 @@ class Barrier:
         )  # fmt: skip
         if hazard < 0:
             return fx, fy, None
-        hazards = (*self._names, *neighbours, *EDGES)
-        return x, y, Intervention(x - fx, y - fy, hazards[hazard])
+        return x, y, Intervention(x - fx, y - fy, *self._hazard(hazard, neighbours))
+
+    def _hazard(self, row: int, neighbours: Mapping[str, State]) -> tuple[Hazard, str]:
+        """Kind and name of a hazard by its row: obstacles, neighbours, edges, speed limit."""
+        names = (*self._names, *neighbours)
+        if row >= len(names):
+            return EDGES[row - len(names)], ""
+        return Hazard.OBSTACLE if row < len(self._names) else Hazard.VEHICLE, names[row]
 
 
 def reaches(radii: Mapping[str, float], name: str) -> dict[str, float]:

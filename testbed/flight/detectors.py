@@ -1,21 +1,24 @@
 """The detectors of the fault table: each gives a number that measures a deviation.
 
 Each detector gets its data as arguments; only those that compare with earlier ticks have a memory.
-`Detectors.numbers` returns all numbers in the order of `faults.DETECTORS`.
+`Detectors.numbers` returns all numbers in the order of `codes.Detector`.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 
+from testbed.core.codes import Detector, FaultReport
 from testbed.core.types import Inputs, PoseSample, Setpoint, State, Trajectory, Wrench
 from testbed.core.vehicle import Vehicle
 from testbed.flight.gate import is_number
-from testbed.flight.jet_faults import Array, JetFaultDetector, Suspicion
+from testbed.flight.jet_faults import Array, JetFaultDetector
+from testbed.flight.nearby import Nearby, place
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
 TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
 TRUSTED = 8  # most refused poses for evidence about valves
 SAME_CLOCK = 0.005  # largest clock offset for evidence about valves [s]
+ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
 FAR = 0.05  # a pose this far from the own prediction is not the own one [m]
 
 
@@ -34,12 +37,6 @@ class Repeats:
             last, count = s, count + 1 if same else 0
         self._last, self._count = last, count
         return count
-
-
-def place(state: State, t: float) -> tuple[float, float]:
-    """Position of a vehicle at `t` at constant velocity."""
-    h = t - state.t
-    return state.pose.x + h * state.twist.vx, state.pose.y + h * state.twist.vy
 
 
 def jump(before: State | None, samples: Sequence[PoseSample]) -> float:
@@ -73,14 +70,18 @@ def due_at(setpoint: Setpoint) -> float:
 class Detectors:
     """All detectors of one vehicle."""
 
-    def __init__(self, vehicle: Vehicle, evidence: JetFaultDetector, *, noisy: bool) -> None:
+    def __init__(
+        self, vehicle: Vehicle, evidence: JetFaultDetector, nearby: Nearby, *, noisy: bool
+    ) -> None:
         """`noisy` cameras never repeat a pose exactly; others may, for a vehicle at rest."""
         self._set_pressure, self._full = vehicle.air.set_pressure, vehicle.air.tank_pressure
         self._tank: tuple[float, float] | None = None  # time [s] and pressure [Pa] at the last tick
         self._repeats = Repeats() if noisy else None
-        self._evidence = evidence
+        self._evidence, self._nearby = evidence, nearby
         self._before: State | None = None
-        self.said: dict[str, str] = {}  # text for a detector's number, if it has one
+        self._law_error, self._other, self._oldest = "", "", ""  # see `said`
+        self._t = 0.0  # of this tick [s]
+        self.fleet: FaultReport | None = None  # fault of another vehicle, at this tick
 
     def compare(self, inputs: Inputs, state: State, duty: Array, thrust_scale: float) -> None:
         """Compare the motion with the flow of the last plan; see `JetFaultDetector.look`.
@@ -109,11 +110,13 @@ class Detectors:
             raised: exception of the law.
         """
         vitals, health, samples = inputs.vitals, inputs.health, inputs.samples
+        law_error = law_error or vitals.law_error
         age = rejected = 0.0
         if state is not None:
             age, rejected = state.pose_age, state.rejected
         jumped = jump(self._before, samples)
         other = whose(jumped, samples, inputs.neighbours) if jumped > FAR else None
+        self.fleet, self._law_error, self._other = vitals.fleet, law_error, other or ""
         self._before = state
         waited = overdue = 0.0
         if setpoint is not None:
@@ -121,15 +124,12 @@ class Detectors:
         oldest = 0.0
         for name, one in inputs.neighbours.items():
             if inputs.t - one.t > oldest:
-                oldest, self.said["neighbour_age"] = inputs.t - one.t, name
-        leak, weak, either = self._suspicions()
-        law_error = law_error or vitals.law_error
-        if law_error or other or vitals.fleet:
-            self.said |= {
-                "law_error": law_error,
-                "pose_of_another": other or "",
-                "fleet": vitals.fleet,
-            }
+                oldest, self._oldest = inputs.t - one.t, name
+        leak, weak = self._evidence.open, self._evidence.weak
+        may_leak = self._evidence.either[0]
+        if state is not None and may_leak.sigmas > ALERT:
+            self._nearby.look(inputs.t, state, inputs.neighbours)
+        self._t = inputs.t
         return (
             abs(age),
             self._repeats.count(samples) if self._repeats is not None else 0,
@@ -145,7 +145,7 @@ class Detectors:
             health.silent_s,
             leak.size,
             leak.sigmas,
-            either,
+            self._evidence.either[0].sigmas,
             weak.sigmas,
             spare,
             1.0 if law_error else 0.0,
@@ -158,24 +158,34 @@ class Detectors:
             0.0 if vitals.same_config else 1.0,
             vitals.disk_free,
             vitals.foreign,
-            1.0 if vitals.fleet else 0.0,
+            0.0 if vitals.fleet is None else 1.0,
         )
 
-    def _suspicions(self) -> tuple[Suspicion, Suspicion, float]:
-        """The suspected leaking jet, the suspected weak jet, and the sigmas that one is faulty."""
-        evidence, said = self._evidence, self.said
-        leak, weak = evidence.open, evidence.weak
-        if leak.gain > 0.0:
-            said["jet_open"] = str(leak.jet + 1)
-            said["jet_leaks"] = f"{leak.jet + 1} gives {leak.size:.0%}"
-        if weak.gain > 0.0:
-            said["jet_missing"] = str(weak.jet + 1)
-        may_leak, or_weak = evidence.either
-        if may_leak.gain > 0.0:
-            said["jet_leaks_or_weak"] = f"jet {may_leak.jet + 1} leaks"
-            if leak.gain == 0.0:
-                said["jet_leaks_or_weak"] += f" or jet {or_weak.jet + 1} gives too little"
-        return leak, weak, may_leak.sigmas
+    def said(self, detector: Detector) -> str:
+        """Text for a detector's number at this tick, if it has one."""
+        leak, weak = self._evidence.open, self._evidence.weak
+        touched = self._nearby.contact(self._t)
+        touched = touched and f"{touched} or "
+        match detector:
+            case Detector.JET_OPEN:
+                return str(leak.jet + 1)
+            case Detector.JET_LEAKS:
+                return f"{touched}valve leaks? jet {leak.jet + 1} gives {leak.size:.0%}"
+            case Detector.JET_MISSING:
+                return str(weak.jet + 1)
+            case Detector.JET_LEAKS_OR_WEAK:
+                may_leak, or_weak = self._evidence.either
+                other = "" if leak.gain > 0.0 else f" or jet {or_weak.jet + 1} gives too little"
+                return f"{touched}jet {may_leak.jet + 1} leaks{other}"
+            case Detector.LAW_ERROR:
+                return self._law_error
+            case Detector.POSE_OF_ANOTHER:
+                return self._other
+            case Detector.NEIGHBOUR_AGE:
+                return self._oldest
+            case Detector.FLEET:
+                return "" if self.fleet is None else self.fleet.words
+        return ""
 
     def _tank_loss(self, t: float, pressure: float) -> float:
         """Loss of the tank since the last tick, as a share of a full tank per second [1/s]."""

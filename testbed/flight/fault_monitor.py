@@ -3,23 +3,32 @@
 Pure: detector numbers in, response out. Without a fault a tick costs one comparison per row.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
-from testbed.flight.faults import DETECTORS, SEVERITY, Fault, FaultTable, most_severe
-
-LONGEST_WORDS = 300  # longest text of a fault [characters]: it is sent over the network
+from testbed.core.codes import Detector, FaultReport, Response
+from testbed.flight.faults import FaultTable
 
 
 class Verdict(NamedTuple):
     """Result of a tick."""
 
-    response: str  # the most severe active response; empty: none
+    response: Response  # the most severe active one
     holding: tuple[str, ...]  # ids of all rows that hold now
-    fault: str | None  # text of the latched fault, the first of the most severe
+    fault: FaultReport | None  # the latched fault, the first of the most severe
 
 
-QUIET = Verdict("", (), None)
+QUIET = Verdict(Response.NONE, (), None)
+
+
+class Explains(Protocol):
+    """What a detector's number means; asked only when a fault is latched."""
+
+    fleet: FaultReport | None  # fault of another vehicle
+
+    def said(self, detector: Detector) -> str:
+        """Text for the detector's number, if it has one."""
+        ...
 
 
 class FaultMonitor:
@@ -27,26 +36,25 @@ class FaultMonitor:
 
     def __init__(self, table: FaultTable) -> None:
         self._table = table
-        self._rows = [(name, DETECTORS.index(row.detector), row) for name, row in table.items()]
+        self._rows = [(name, row.measures, row) for name, row in table.items()]
         inf = float("inf")
         self._bounds = [
             (k, -inf if row.below is None else row.below, inf if row.above is None else row.above)
             for _, k, row in self._rows
         ]
         self._counts: dict[str, tuple[int, float]] = {}  # ticks in a row, and since when [s]
-        self._latched: dict[str, str] = {}  # id and text, in order of appearance
+        self._latched: dict[str, FaultReport] = {}  # by id, in order of appearance
+        self._severity = {name: row.code for name, row in table.items()}
         self._verdict = QUIET
 
-    def look(
-        self, t: float, armed: bool, numbers: Sequence[float], said: Mapping[str, str]
-    ) -> Verdict:
+    def look(self, t: float, armed: bool, numbers: Sequence[float], explains: Explains) -> Verdict:
         """Judge a tick.
 
         Args:
             t: now [s].
             armed: faults of a disarmed vehicle are not latched.
-            numbers: of the detectors, in the order of DETECTORS.
-            said: text for a detector's number, if it has one.
+            numbers: of the detectors, in the order of `codes.Detector`.
+            explains: gives the text for a detector's number.
         """
         out = [
             row for row, (k, low, high) in enumerate(self._bounds) if not low <= numbers[k] <= high
@@ -62,23 +70,18 @@ class FaultMonitor:
             if count + 1 >= row.misses and t - since >= row.timeout_s:
                 holding.append(name)
                 if armed and row.latched and name not in self._latched:
-                    words = said.get(row.detector, "")[:LONGEST_WORDS]
-                    value = float(numbers[k])  # some are integers, which {value:.3} rejects
-                    self._latched[name] = f"{name}: " + row.text.format(value=value, said=words)
+                    fleet = explains.fleet if k == Detector.FLEET else None
+                    cause = None if fleet is None else fleet.origin
+                    self._latched[name] = row.report(name, numbers[k], explains.said(k), cause)
         self._counts = counts
-        in_force = [
-            self._table[name].response for name in dict.fromkeys((*self._latched, *holding))
-        ]
-        self._verdict = Verdict(most_severe(in_force), tuple(holding), self._worst())
+        severity = self._severity
+        response = max(
+            (severity[name] for name in (*self._latched, *holding)), default=Response.NONE
+        )
+        worst = max(self._latched, key=severity.__getitem__, default=None)
+        fault = None if worst is None else self._latched[worst]
+        self._verdict = Verdict(response, tuple(holding), fault)
         return self._verdict
-
-    def _worst(self) -> str | None:
-        """Text of the deciding latched fault: the first of the most severe."""
-        if not self._latched:
-            return None
-        return self._latched[
-            max(self._latched, key=lambda name: SEVERITY[self._table[name].response])
-        ]
 
     @property
     def latched(self) -> tuple[str, ...]:
@@ -88,8 +91,3 @@ class FaultMonitor:
     def reset(self) -> None:
         """Clear latched faults; a row that still holds latches again at the next tick."""
         self._latched, self._counts, self._verdict = {}, {}, QUIET
-
-
-def row_of(table: FaultTable, fault: str) -> Fault | None:
-    """The row that a fault's text belongs to."""
-    return table.get(fault.partition(":")[0])

@@ -4,60 +4,33 @@ A row holds when its detector's number is above or below the row's bound for `mi
 row and for `timeout_s`. The most severe response of all rows that hold is taken. A latched
 response stays until an explicit reset.
 
-`warn`   report it
-`hold`   come to rest and wait; continue when the row no longer holds
-`brake`  stop relative to the table with the force of the jets, then close every valve
-`coast`  close every valve at once and drift
-`land`   close every valve and turn the air off, including the bearings'
 """
 
 from string import Formatter
-from typing import Annotated, Literal, get_args
+from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from testbed.core.codes import (
+    Detector,
+    DetectorName,
+    FaultCause,
+    FaultReport,
+    Response,
+    ResponseName,
+)
+from testbed.core.error import MismatchError
 from testbed.core.vehicle import NonNegative
 
-Response = Literal["warn", "hold", "brake", "coast", "land"]
 LONGEST_FORMAT = 6  # characters after the colon, as in {value:>9.2e}
-SEVERITY = {name: k for k, name in enumerate(("", *get_args(Response)))}
-
-Detector = Literal[
-    "pose_age",  # [s] since the newest accepted pose was captured
-    "pose_repeats",  # equal poses in a row
-    "pose_jump",  # [m] of the newest pose from where it was expected
-    "pose_of_another",  # 1: the newest pose is where another vehicle should be
-    "poses_rejected",  # recently, by the estimator
-    "setpoint_age",  # [s] since the newest setpoint was due
-    "setpoint_overdue",  # [s] since the newest setpoint expired
-    "neighbour_age",  # [s] age of the state of the vehicle not heard for longest
-    "supply_share",  # supply pressure over set pressure
-    "tank_loss",  # [1/s] share of a full tank lost per second
-    "battery",  # [V]
-    "board_silent",  # [s]
-    "jet_open",  # share of its thrust that a jet gives without a command
-    "jet_leaks",  # standard deviations from a jet without thrust while not commanded
-    "jet_leaks_or_weak",  # the same, if a weak jet may explain it as well
-    "jet_missing",  # standard deviations by which a jet is too weak
-    "spare_room",  # [m] left after a full stop, to the nearest hazard
-    "law_error",  # 1: the law raised an exception
-    "not_a_number",  # 1: the output of law or tracker is not finite
-    "tick_late",  # [s]
-    "operator_age",  # [s] since the operator's presence was last heard
-    "clock_offset",  # [s] between host and vehicle, absolute
-    "config_differs",  # 1: host and vehicle do not have the same configuration
-    "disk_free",  # [bytes]
-    "foreign",  # messages of another session since the last tick
-    "fleet",  # 1: another vehicle has a fault that stops all vehicles
-]
-DETECTORS: tuple[str, ...] = get_args(Detector)
+LONGEST_WORDS = 300  # longest text of a detector [characters]: it is sent over the network
 
 
 class Fault(Struct, frozen=True, forbid_unknown_fields=True):
     """One row of the fault table."""
 
-    detector: Detector
-    response: Response
+    detector: DetectorName  # see `codes.Detector`
+    response: ResponseName  # see `codes.Response`
     text: str  # for the operator; `{value:.2f}` is the detector's number, `{said}` its text
     latched: bool
     above: float | None = None  # the row holds above this
@@ -67,9 +40,25 @@ class Fault(Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if (self.above is None) == (self.below is None):
-            raise ValueError("expected one of `above` and `below`, found both or neither")
+            raise MismatchError("one of `above` and `below`", "both or neither")
         if not _is_plain(self.text):
-            raise ValueError("expected a text with {value} and {said} only, found another field")
+            raise MismatchError("a text with {value} and {said} only", "another field")
+
+    @property
+    def code(self) -> Response:
+        """The response's code."""
+        return Response[self.response.upper()]
+
+    @property
+    def measures(self) -> Detector:
+        """The detector's code."""
+        return Detector[self.detector.upper()]
+
+    def report(self, name: str, value: float, said: str, cause: FaultCause | None) -> FaultReport:
+        """The report of this row `name`; `said` is the detector's text."""
+        value = float(value)  # some are integers, which {value:.3} rejects
+        text = self.text.format(value=value, said=said[:LONGEST_WORDS])
+        return FaultReport(name, text, "", self.detector, value, cause)
 
 
 def _is_plain(text: str) -> bool:
@@ -90,8 +79,3 @@ def _is_short(how: str) -> bool:
 
 
 FaultTable = dict[str, Fault]
-
-
-def most_severe(responses: list[Response]) -> str:
-    """The most severe response; empty: none."""
-    return max(responses, key=SEVERITY.__getitem__, default="")

@@ -15,6 +15,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from testbed.core.codes import InhibitReason, Refusal
 from testbed.core.types import Health, Setpoint, State, ValveCommand, Wrench
 from testbed.core.vehicle import NonNegative, Positive
 
@@ -55,10 +56,10 @@ class Gate:
 
     def __init__(self, params: GateParams, fence: Fence) -> None:
         self._p, self._fence = params, fence
-        self._fault: str | None = None
+        self._fault: Refusal | None = None
 
     @property
-    def fault(self) -> str | None:
+    def fault(self) -> Refusal | None:
         """The latched reason."""
         return self._fault
 
@@ -73,21 +74,21 @@ class Gate:
         *,
         session_ok: bool = True,
         braking: bool = False,
-    ) -> str | None:
+    ) -> Refusal | None:
         """Reason why the valves must stay shut now; None: they may open."""
         if self._fault:
             return self._fault
         if not armed:
-            return "not armed"
+            return Refusal(InhibitReason.NOT_ARMED)
         if not session_ok and not braking:
-            return "setpoints are of another session"
+            return Refusal(InhibitReason.OTHER_SESSION)
         if state is None:
-            return "no pose yet"
+            return Refusal(InhibitReason.NO_POSE_YET)
         if setpoint is None and not braking:
-            return "no setpoint yet"
+            return Refusal(InhibitReason.NO_SETPOINT_YET)
         self._fault = self._trouble(t, state, None if braking else setpoint, commanded_wrench)
         if self._fault is None and not is_number(health.supply_pressure):
-            self._fault = "supply pressure is not a number"
+            self._fault = Refusal(InhibitReason.SUPPLY_NOT_FINITE)
         return self._fault
 
     def reset(self) -> None:
@@ -96,32 +97,32 @@ class Gate:
 
     def _trouble(
         self, t: float, state: State, setpoint: Setpoint | None, commanded_wrench: Wrench
-    ) -> str | None:
+    ) -> Refusal | None:
         """Reason to latch a fault; `setpoint` is None when braking and is then not checked."""
         p, pose, twist = self._p, state.pose, state.twist
         pose_timeout = (
             p.pose_timeout_s if setpoint is not None else max(p.blind_s, p.pose_timeout_s)
         )
         if not is_number(pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega):
-            return "estimate is not a number"
+            return Refusal(InhibitReason.ESTIMATE_NOT_FINITE)
         if not is_number(commanded_wrench.fx, commanded_wrench.fy, commanded_wrench.tau):
-            return "law or tracker asks for something that is not a number"
+            return Refusal(InhibitReason.DEMAND_NOT_FINITE)
         if not -EARLY < state.pose_age <= pose_timeout:
-            return f"no pose for {state.pose_age:.2f} s (limit {pose_timeout} s)"
+            return Refusal(InhibitReason.POSE_TOO_OLD, (state.pose_age, pose_timeout))
         if setpoint is not None and state.rejected > p.max_rejected:
-            return f"{state.rejected} poses contradict the estimate"
+            return Refusal(InhibitReason.POSES_REJECTED, (state.rejected,))
         if setpoint is not None and not t - setpoint.valid_until <= p.link_timeout_s:
             waited = t - setpoint.valid_until
-            return f"no setpoint for {waited:.2f} s (limit {p.link_timeout_s} s)"
+            return Refusal(InhibitReason.SETPOINT_TOO_OLD, (waited, p.link_timeout_s))
         if abs(pose.x) > self._fence.half_x or abs(pose.y) > self._fence.half_y:
-            return f"outside the fence at ({pose.x:.2f}, {pose.y:.2f}) m"
+            return Refusal(InhibitReason.OUTSIDE_FENCE, (pose.x, pose.y))
         fast = twist.vx**2 + twist.vy**2 > p.max_speed**2 or abs(twist.omega) > p.max_spin
         if fast and setpoint is not None:
-            return f"too fast: ({twist.vx:.2f}, {twist.vy:.2f}) m/s, {twist.omega:.2f} rad/s"
+            return Refusal(InhibitReason.TOO_FAST, (twist.vx, twist.vy, twist.omega))
         return None
 
 
-def refuse_plan(command: ValveCommand, now: float, newest: int, longest: float) -> str | None:
+def refuse_plan(command: ValveCommand, now: float, newest: int, longest: float) -> Refusal | None:
     """Reason why a plan must not reach the board (too old, too long, invalid); None: it may.
 
     Args:
@@ -132,19 +133,19 @@ def refuse_plan(command: ValveCommand, now: float, newest: int, longest: float) 
     """
     life = command.valid_until - command.issued_at
     if not 0.0 < life <= longest + EARLY:
-        return f"a plan of {life:.3f} s (limit {longest} s)"
+        return Refusal(InhibitReason.PLAN_TOO_LONG, (life, longest))
     if not command.issued_at <= now + AHEAD:
-        return "a plan from the future"
+        return Refusal(InhibitReason.PLAN_FROM_FUTURE)
     if not now < command.valid_until:
-        return "a plan that has expired"
+        return Refusal(InhibitReason.PLAN_EXPIRED)
     if command.seq <= newest:
-        return f"plan {command.seq} after plan {newest}"
+        return Refusal(InhibitReason.PLAN_REPLAYED, (command.seq, newest))
     if len(command.on_us) != len(command.offset_us):
-        return "a plan that does not say when its pulses begin"
+        return Refusal(InhibitReason.PLAN_INCOMPLETE)
     whole = round(1e6 * life) + 1  # rounded to microseconds
     for on, offset in zip(command.on_us, command.offset_us, strict=True):
         if not 0 <= on <= whole or not 0 <= offset <= whole - on:
-            return f"a pulse of {on} us after {offset} us in a plan of {whole - 1} us"
+            return Refusal(InhibitReason.PULSE_INVALID, (on, offset, whole - 1))
     return None
 
 

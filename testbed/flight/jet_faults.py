@@ -130,11 +130,11 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
 
 
 @compiled
-def listen(e, x, heard, look, keep):
+def listen(e, x, heard, counted, keep):
     """Update slope, noise and the correlations of e with its possible causes, in place."""
     spread, last, m = heard.spread, heard.last, heard.told.shape[0]
     n = m - 4
-    trust = max(1.0 - keep, 1.0 / (look + BELIEVED))
+    trust = max(1.0 - keep, 1.0 / (counted + BELIEVED))
     push = 0.5 * ((e[0] - last[0]) ** 2 + (e[1] - last[1]) ** 2) / WHITE
     spread[0] += trust * (min(push, OUTLIER * spread[0]) - spread[0])
     spread[1] += trust * (min((e[2] - last[2]) ** 2 / WHITE, OUTLIER * spread[1]) - spread[1])
@@ -159,11 +159,11 @@ def listen(e, x, heard, look, keep):
 
 
 @compiled
-def factor(known, heard, look):
+def factor(known, heard, counted):
     """L of z'z + 1 / tolerances^2, with 1 / L_ii in its diagonal, (m, m), and L^-1 z'e, (m,)."""
     told, m = heard.told, heard.told.shape[0]
     least, y = np.zeros((m, m)), np.empty(m)
-    slope = 1.0 / (known.bumps**2 + known.slope**2 / (1.0 + 0.1 * look))
+    slope = 1.0 / (known.bumps**2 + known.slope**2 / (1.0 + 0.1 * counted))
     for i in range(m):
         for k in range(i + 1):
             total = told[i, k]
@@ -199,7 +199,7 @@ def suspect(row, least, y, low, high):
 
 
 @compiled
-def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, counts):
+def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, counted):
     """Add one look, in place, and return the best suspicion of each kind.
 
     Args:
@@ -212,7 +212,8 @@ def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, coun
         look: number of this one.
         block: looks in a block.
         keep: factor of forgetting.
-        counts: false: recent poses were not trusted, so this look is only stored.
+        counted: looks that count, with this one; 0: recent poses were not trusted, so this look
+            is only stored.
 
     Returns:
         jet, size, gain of the best leak, then of the most likely weak jet.
@@ -220,17 +221,17 @@ def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, coun
     e, x = residual(before, now, duty, thrust_scale, known, heard, look)
     n, blocks = duty.shape[0], heard.blocks
     best, size, gain = np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros(2)
-    if not counts:
+    if counted == 0:
         return best[0], size[0], gain[0], best[1], size[1], gain[1]
-    settling = max(1.0 / look, known.period / SETTLING)
+    settling = max(1.0 / counted, known.period / SETTLING)
     for axis in range(2):
         heard.bias[axis] += settling * e[axis] / known.period
     if look % block == 0:  # merge the oldest two blocks
         blocks[-2] += blocks[-1]
         blocks[1:] = blocks[:-1].copy()
         blocks[0] = 0.0
-    listen(e, x, heard, look, keep)
-    least, y = factor(known, heard, look)
+    listen(e, x, heard, counted, keep)
+    least, y = factor(known, heard, counted)
     since = np.zeros(blocks.shape[1:])
     for k in range(blocks.shape[0]):
         since += blocks[k]
@@ -297,7 +298,7 @@ class JetFaultDetector:
         self._keep, self._block = 1.0 - min(0.5, period / MEMORY), max(1, round(BLOCK / period))
         self._before: Array | None = None
         self._duty, self._noted = np.zeros(n), 0  # sum over the ticks since the last look
-        self._look, self._wait = 0, 0
+        self._look, self._counted, self._wait = 0, 0, 0
         self._leak, self._weak = Suspicion(), Suspicion()
         self._weigh = settled(weigh)
 
@@ -312,9 +313,10 @@ class JetFaultDetector:
         if self._before is not None:
             self._look += 1
             self._wait = max(0, self._wait - 1)
+            self._counted += self._wait == 0
             found = self._weigh(
                 self._before, now, self._duty / self._ticks, thrust_scale, self._known, self._heard,
-                self._look, self._block, self._keep, self._wait == 0,
+                self._look, self._block, self._keep, 0 if self._wait else self._counted,
             )  # fmt: skip
             self._leak, self._weak = Suspicion(*found[:3]), Suspicion(*found[3:])
         self._before = now

@@ -11,6 +11,7 @@ from typing import Protocol
 from msgspec import Struct
 from msgspec.structs import replace
 
+from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.ports import Clock, HostLink, PoseSource, Thrusters, VehicleLink
 from testbed.core.types import (
     ALL_WELL,
@@ -24,10 +25,10 @@ from testbed.core.types import (
     Vitals,
 )
 from testbed.flight.agent import Agent
+from testbed.flight.faults import LONGEST_WORDS
 from testbed.flight.guidance import Guidance
 
 SILENT = 1.2  # the host stops all if a vehicle is silent for this long [s]
-LONGEST_WORDS = 300  # longest text of a law's exception [characters]: it is sent over the network
 LONGEST_STOP = 15.0  # after a fault the flight ends at the latest after this time [s]
 
 
@@ -55,14 +56,16 @@ class VehicleNode:
         """The guidance, if the law runs on board."""
         return self._agent.guidance
 
-    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
+    def tick(
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
+    ) -> Tick:
         """Receive, step, act, send.
 
         Args:
             t: now [s].
             armed: whether valves may open.
             fleet: a fault of another vehicle that stops all.
-            end: why the flight is over; empty: it is not over.
+            end: the flight is over.
         """
         link, vitals = self._link, self._vitals()
         if fleet or end:
@@ -79,7 +82,7 @@ class VehicleNode:
         )
         outputs = self._agent.step(inputs)
         self._thrusters.apply(outputs.command)
-        if outputs.air_off or outputs.response == "land":
+        if outputs.air_off or outputs.response == Response.LAND:
             self._thrusters.land()
         if outputs.state is not None:
             link.publish(outputs.state)
@@ -101,7 +104,9 @@ class Node(Protocol):
 
     name: str
 
-    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
+    def tick(
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
+    ) -> Tick:
         """See `VehicleNode`."""
         ...
 
@@ -118,38 +123,41 @@ class HostNode:
     ) -> None:
         self.name, self.guidance, self._link = name, guidance, link
         self._ahead = period + lead
-        self._law_error = ""  # exception of the law
+        self._fault: FaultReport | None = None  # of the law
 
     def tick(self, t: float, armed: bool = True) -> HostTick:
         """Receive, step, send. The law starts when the vehicle is armed."""
         link, guidance = self._link, self.guidance
         inputs = HostInputs(t, link.own(), link.neighbours(), link.messages())
-        if inputs.own is None or not armed or self._law_error:
-            return HostTick(inputs, HostOutputs(t, None, law_error=self._law_error))
+        if inputs.own is None or not armed or self._fault is not None:
+            return HostTick(inputs, HostOutputs(t, None, fault=self._fault))
         try:
             setpoint = guidance.step(
                 t + self._ahead, inputs.own, inputs.neighbours, inputs.messages
             )
         except Exception as error:  # after any exception of a law the vehicles are stopped
-            self._law_error = f"{type(error).__name__}: {error}"[:LONGEST_WORDS]
-            return HostTick(inputs, HostOutputs(t, None, law_error=self._law_error))
+            text = f"{type(error).__name__}: {error}"[:LONGEST_WORDS]
+            return self._fail(inputs, FaultId.HOST_LAW_RAISED, text)
         if not _is_number(setpoint):
-            self._law_error = "asks for something that is not a number"
-            return HostTick(inputs, HostOutputs(t, None, law_error=self._law_error))
+            text = "asks for something that is not a number"
+            return self._fail(inputs, FaultId.HOST_LAW_NOT_A_NUMBER, text)
         link.publish(setpoint)
         if guidance.message is not None:
             link.broadcast(guidance.message)
-        return HostTick(inputs, HostOutputs(t, setpoint, guidance.message, "", guidance.filtered))
+        return HostTick(inputs, HostOutputs(t, setpoint, guidance.message, None, guidance.filtered))
+
+    def _fail(self, inputs: HostInputs, what: FaultId, text: str) -> HostTick:
+        self._fault = FaultReport(what, f"law on the host: {text}", self.name)
+        return HostTick(inputs, HostOutputs(inputs.t, None, fault=self._fault))
 
 
-def complaint(tick: HostTick) -> str:
-    """Fault that the host finds: its law failed, or a vehicle is silent."""
-    if tick.outputs.law_error:
-        return f"law on the host: {tick.outputs.law_error}"
+def host_fault(name: str, tick: HostTick) -> FaultReport | None:
+    """Fault that the host finds: the vehicle's law failed, or the vehicle is silent."""
     own, t = tick.inputs.own, tick.inputs.t
-    if own is not None and not t - own.t <= SILENT:
-        return f"vehicle_silent: nothing heard for {t - own.t:.2f} s"
-    return ""
+    if tick.outputs.fault is None and own is not None and not t - own.t <= SILENT:
+        text = f"vehicle silent: nothing heard for {t - own.t:.2f} s"
+        return FaultReport(FaultId.VEHICLE_SILENT, text, name)
+    return tick.outputs.fault
 
 
 class Observer(Protocol):
@@ -172,7 +180,7 @@ class Ending(Struct, frozen=True):
     """How a flight ended."""
 
     t: float  # [s]
-    fault: str | None  # None: flown to the end
+    fault: FaultReport | None  # None: flown to the end
 
 
 def fly(
@@ -191,22 +199,23 @@ def fly(
     table. `stopped()` is the operator's number of stops. One ends the flight with this tick, but
     lets a stop after a fault continue; the second one ends that, too.
     """
-    fault, failed_at, stop = None, 0.0, False
+    fault: FaultReport | None = None
+    failed_at, stop = 0.0, False
     for k in range(ticks):
         t = k * period
         clock.wait_until(t)
-        armed, shut, fleet = not stop, True, fault or ""
+        armed, shut, fleet = not stop, True, fault
         for node in vehicles:
             tick = node.tick(t, armed, fleet)
             observer.vehicle(node.name, tick)
             shut = shut and tick.outputs.inhibit_reason is not None
-            if tick.outputs.fault and fault is None:
-                fault, failed_at = f"{node.name}: {tick.outputs.fault}", t
+            if tick.outputs.fault is not None and fault is None:
+                fault, failed_at = replace(tick.outputs.fault, vehicle=node.name), t
         for host in hosts:
             answer = host.tick(t, armed)
             observer.host(host.name, answer)
-            if fault is None and (trouble := complaint(answer)):
-                fault, failed_at = f"{host.name}: {trouble}", t
+            if fault is None and (trouble := host_fault(host.name, answer)) is not None:
+                fault, failed_at = trouble, t
         observer.done(t)
         if not armed:
             return Ending(t, fault)
@@ -227,7 +236,6 @@ def come_to_rest(
     first: int,
     ticks: int,
     observer: Observer,
-    why: str,
     *,
     stopped: Callable[[], int] = lambda: 0,
 ) -> None:
@@ -240,14 +248,13 @@ def come_to_rest(
         first: number of the first tick, counted from the flight's beginning.
         ticks: at most; a vehicle that still moves then lands anyway.
         observer: receives these ticks, too: their vitals have `end`.
-        why: text of the reason.
         stopped: the operator's number of stops: two shut valves and air at once.
     """
     for k in range(first, first + ticks + 1):
         clock.wait_until(k * period)
         may_brake, down = k < first + ticks and stopped() <= 1, True
         for node in vehicles:
-            tick = node.tick(k * period, may_brake, "", why)
+            tick = node.tick(k * period, may_brake, end=True)
             observer.vehicle(node.name, tick)
             down = down and tick.outputs.air_off
         if down or not may_brake:

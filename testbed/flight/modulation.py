@@ -19,6 +19,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled, settled
+from testbed.core.error import MismatchError
 from testbed.core.jets import opposing_pairs
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 
@@ -51,7 +52,7 @@ class PwpfParams(Struct, frozen=True, forbid_unknown_fields=True, tag="pwpf"):
         off, on, gain = self.trigger_off, self.trigger_on, self.gain
         if not off < on < gain:  # else the valve would never close, or never open
             found = f"{off:g}, {on:g}, {gain:g}"
-            raise ValueError(f"expected trigger_off < trigger_on < gain, found {found}")
+            raise MismatchError("trigger_off < trigger_on < gain", found)
 
 
 ModulatorParams = PwmParams | SigmaDeltaParams | PwpfParams

@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from testbed.core.codes import FaultReport, InhibitReason, Intervention, Refusal, Response
 from testbed.core.se2 import to_body, to_table
-from testbed.core.types import Inputs, Intervention, Setpoint, State, ValveCommand, Wrench
+from testbed.core.types import Inputs, Setpoint, State, ValveCommand, Wrench
 from testbed.core.vehicle import Vehicle
 from testbed.flight.barrier import Barrier
 from testbed.flight.detectors import Detectors
 from testbed.flight.ending import EndingParams, longest_brake
 from testbed.flight.fault_monitor import FaultMonitor
-from testbed.flight.faults import SEVERITY
 from testbed.flight.flow import Flow
 from testbed.flight.tracker import braking_wrench
 
@@ -29,12 +29,12 @@ class Acted(NamedTuple):
     """Result of judging a demand."""
 
     commanded_wrench: Wrench
-    response: str = ""
+    response: Response = Response.NONE
     holding: tuple[str, ...] = ()  # rows of the fault table
-    fault: str | None = None  # latched
+    fault: FaultReport | None = None  # latched
     filtered: Intervention | None = None
     braking: bool = False
-    inhibit_reason: str | None = None
+    inhibit_reason: Refusal | None = None
     air_off: bool = False
 
 
@@ -61,7 +61,7 @@ class Safety:
         self._flow = Flow(vehicle, period)
         self._duty, self._thrust_scale = np.zeros(len(vehicle.jets)), 1.0
         self._braking_since: float | None = None
-        self._stopped: str | None = None
+        self._stopped = False
 
     def act(
         self, inputs: Inputs, effect_at: float, state: State | None, setpoint: Setpoint | None,
@@ -85,14 +85,14 @@ class Safety:
         # a fault after the end gets its response, but is not latched
         end = inputs.vitals.end
         latches = inputs.armed and not end
-        verdict = self._watch.look(inputs.t, latches, numbers, detectors.said)
+        verdict = self._watch.look(inputs.t, latches, numbers, detectors)
         response, holding, fault = verdict
-        if end and SEVERITY[response] < SEVERITY["brake"]:
-            response = "brake"
-        if not response or response == "warn" or not inputs.armed:
+        if end:
+            response = max(response, Response.BRAKE)
+        if response <= Response.WARN or not inputs.armed:
             self._braking_since = None  # an unlatched row ended: the next stop starts anew
             return Acted(through, response, holding, fault, filtered)
-        if response == "hold":
+        if response == Response.HOLD:
             self._braking_since = None
             # the tracker already brakes when setpoints have expired
             if state is not None and setpoint is not None and effect_at <= setpoint.valid_until:
@@ -101,16 +101,19 @@ class Safety:
                 )
                 return Acted(stop, response, holding, fault)
             return Acted(through, response, holding, fault, filtered)
-        if self._stopped is None and response == "brake" and state is not None:
+        if not self._stopped and response == Response.BRAKE and state is not None:
             stop = braking_wrench(state, self._vehicle, thrust_scale * self._decel, self._period)
             if not self._is_over(inputs.t, state, max(thrust_scale, WEAKEST_SHARE) * self._decel):
                 return Acted(stop, response, holding, fault, None, braking=True)
-        self._stopped = self._stopped or fault or end or None
+        self._stopped = self._stopped or fault is not None or end
         # at the end a coasting vehicle lands; a vehicle that has braked needs no more air
-        air_off = bool(end) or (response != "coast" and fault is not None)
+        air_off = end or (response != Response.COAST and fault is not None)
+        why = InhibitReason.FLIGHT_OVER if end else InhibitReason.RESPONSE
+        if fault is not None:
+            why = InhibitReason.FAULT
         return Acted(
             commanded_wrench, response, holding, fault,
-            inhibit_reason=fault or end or response, air_off=air_off,
+            inhibit_reason=Refusal(why), air_off=air_off,
         )  # fmt: skip
 
     def remember(self, command: ValveCommand, thrust_scale: float) -> None:
@@ -125,7 +128,7 @@ class Safety:
     def reset(self) -> None:
         """Clear latched faults and the stop that they caused."""
         self._watch.reset()
-        self._braking_since, self._stopped = None, None
+        self._braking_since, self._stopped = None, False
 
     def _is_over(self, t: float, state: State, decel: float) -> bool:
         """Whether a stop has ended: at rest, or too long."""

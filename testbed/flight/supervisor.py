@@ -18,6 +18,7 @@ from typing import Literal, NamedTuple
 
 from msgspec import Struct
 
+from testbed.core.codes import FaultReport
 from testbed.flight.arming import Check
 
 Phase = Literal["DISARMED", "ARMED", "RUNNING", "STOPPED", "FAULT"]
@@ -44,18 +45,19 @@ class Answer(NamedTuple):
     reasons: tuple[str, ...]  # why it was refused, one per failed check
 
 
-class Event(Struct, frozen=True):
+class Event(Struct, frozen=True, omit_defaults=True):
     """A change of phase, for the log."""
 
     t: float  # [s]
     phase: Phase
-    because: str
+    because: str  # a request, a timeout, the end; empty: the fault
+    fault: FaultReport | None = None
 
 
 class Supervisor:
     """The supervisor of a table: either all vehicles may fire or none."""
 
-    def __init__(self, fault: str | None = None) -> None:
+    def __init__(self, fault: FaultReport | None = None) -> None:
         """Start DISARMED, or in FAULT with a `fault` latched by an earlier run."""
         self._phase: Phase = "DISARMED" if fault is None else "FAULT"
         self._since = 0.0
@@ -73,7 +75,7 @@ class Supervisor:
         return self._phase == "RUNNING"
 
     @property
-    def fault(self) -> str | None:
+    def fault(self) -> FaultReport | None:
         """The latched fault, None without one."""
         return self._fault
 
@@ -102,19 +104,19 @@ class Supervisor:
         """Arm and run in one step, without asking the operator; returns reasons of a refusal."""
         return self.request(t, "arm", checks).reasons or self.request(t, "run", checks).reasons
 
-    def fail(self, t: float, fault: str) -> None:
+    def fail(self, t: float, fault: FaultReport) -> None:
         """A fault that ends the run: latched; the first one is kept."""
         if self._fault is None:
             self._fault = fault
         if self._phase != "FAULT":
-            self._move(t, "FAULT", fault)
+            self._move(t, "FAULT", "", fault)
 
     def end(self, t: float) -> None:
         """The run ends normally."""
         if self._phase == "RUNNING":
             self._move(t, "STOPPED", "the end of the run")
 
-    def close(self, t: float, fault: str | None, *, flown: bool) -> None:
+    def close(self, t: float, fault: FaultReport | None, *, flown: bool) -> None:
         """The flight is over: by a fault, at its end (`flown`), or by a stop."""
         if self._phase not in ("ARMED", "RUNNING"):
             return
@@ -130,6 +132,6 @@ class Supervisor:
         if self._phase == "ARMED" and not t - self._since <= ARMED_FOR:
             self._move(t, "DISARMED", f"armed for {ARMED_FOR:g} s without a run")
 
-    def _move(self, t: float, phase: Phase, because: str) -> None:
+    def _move(self, t: float, phase: Phase, because: str, fault: FaultReport | None = None) -> None:
         self._phase, self._since = phase, t
-        self.events.append(Event(t, phase, because))
+        self.events.append(Event(t, phase, because, fault))

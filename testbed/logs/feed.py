@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 from msgspec import Struct
 
+from testbed.core.codes import FaultReport, Intervention, Refusal, Response
 from testbed.core.types import (
     Demand,
     Health,
@@ -29,14 +30,6 @@ from testbed.logs.message import Decoder
 from testbed.logs.recorder import Truth
 
 _ZERO = Wrench(0.0, 0.0, 0.0)
-
-
-class SeenFilter(Struct, frozen=True, gc=False):
-    """Change of a force by the safety filter."""
-
-    dfx_w: float = 0.0  # [N]
-    dfy_w: float = 0.0  # [N]
-    because: str = ""
 
 
 class SeenInputs(Struct, frozen=True, gc=False):
@@ -57,11 +50,11 @@ class SeenOutputs(Struct, frozen=True, gc=False):
     command: ValveCommand
     commanded_wrench: Wrench = _ZERO
     realised_wrench: Wrench = _ZERO
-    inhibit_reason: str | None = None
-    fault: str | None = None
+    inhibit_reason: Refusal | None = None
+    fault: FaultReport | None = None
     faults: tuple[str, ...] = ()
-    response: str = ""
-    filtered: SeenFilter | None = None
+    response: Response = Response.NONE
+    filtered: Intervention | None = None
 
 
 class SeenTick(Struct, frozen=True, gc=False):
@@ -116,6 +109,7 @@ class SeenPhase(Struct, frozen=True, gc=False):
     t: float  # [s]
     phase: str
     because: str = ""
+    fault: FaultReport | None = None
 
 
 Message = SeenTick | SeenHost | Truth | Loop | SeenPace | SeenValves | SeenPhase

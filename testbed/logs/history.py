@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
+from testbed.core.codes import LATCHED, FaultReport, Response
 from testbed.core.types import Demand, Pose
 from testbed.logs.feed import (
     Loop,
@@ -22,6 +24,27 @@ from testbed.logs.recorder import Truth
 
 Array = NDArray[np.float64]
 NAN3 = (math.nan,) * 3
+
+
+class Happening(NamedTuple):
+    """A change that a vehicle or the supervisor reported."""
+
+    t: float  # [s]
+    kind: str  # "valves shut", "flies", "fault", "filter", "cameras", a response or a phase
+    words: str = ""
+    fault: FaultReport | None = None
+    rows: tuple[str, ...] = ()  # of the fault table, for a response
+
+    @property
+    def text(self) -> str:
+        """The whole line."""
+        return f"{self.kind}: {self.words}" if self.words else self.kind
+
+
+def phase_change(change: SeenPhase) -> Happening:
+    """A phase change of the supervisor."""
+    words = change.because if change.fault is None else change.fault.words
+    return Happening(change.t, change.phase, words, change.fault)
 
 
 class VehicleHistory(Struct, frozen=True):
@@ -41,7 +64,7 @@ class VehicleHistory(Struct, frozen=True):
     tank: Array  # (n,) [Pa]
     pose_age: Array  # (n,) [s]
     filtered: Array  # (n, 2) change of force by the safety filter, in W [N]
-    events: list[tuple[float, str]]  # times and texts from gate, fault table, filter and cameras
+    events: list[Happening]  # from gate, fault table, filter and cameras
     edges: Array  # (e, 2) t [s] and mask of its valves; empty: its board reported none
     wires: Array  # (n, 4) t, lateness, setpoint delay [s], share lost; empty: no wires
     true: Array  # (m, 6) x, y, theta, vx, vy, omega; empty if unknown
@@ -54,7 +77,7 @@ class History(Struct, frozen=True):
     true_t: Array  # (m,) [s]
     heard: dict[str, tuple[Array, Array]]  # per vehicle: t, age of its newest state at the host
     loop: Array  # (k, 3) t, late, busy [s]; empty if the clock was virtual
-    phases: list[tuple[float, str]] = []  # of the supervisor: time, "phase: reason"
+    phases: list[Happening] = []  # of the supervisor
 
     @property
     def end(self) -> float:
@@ -95,7 +118,7 @@ def gather(news: Iterable[News]) -> History:
     true_t: list[float] = []
     heard: dict[str, list[tuple[float, float]]] = {}
     loop: list[tuple[float, float, float]] = []
-    phases: list[tuple[float, str]] = []
+    phases: list[Happening] = []
     for one in news:
         match one.message:
             case SeenTick() as tick:
@@ -115,8 +138,8 @@ def gather(news: Iterable[News]) -> History:
                 vehicles.setdefault(one.who, _Vehicle()).paces.append((one.t, pace))
             case SeenValves(t=t, mask=mask):
                 vehicles.setdefault(one.who, _Vehicle()).edges.append((t, float(mask)))
-            case SeenPhase(t=t, phase=phase, because=because):
-                phases.append((t, f"{phase}: {because}"))
+            case SeenPhase() as change:
+                phases.append(phase_change(change))
     return History(
         {name: _arrays(v) for name, v in vehicles.items()},
         np.array(true_t),
@@ -169,7 +192,9 @@ def _arrays(vehicle: _Vehicle) -> VehicleHistory:
         tank=np.array([tick.inputs.health.tank_pressure for tick in ticks]),
         pose_age=np.array([math.nan if s is None else s.pose_age for s in states]),
         filtered=_table(changed, 2),
-        events=sorted([*events(ticks), *camera_events(vehicle.paces)]),
+        events=sorted(
+            [*events(ticks), *camera_events(vehicle.paces)], key=lambda one: (one.t, one.text)
+        ),
         edges=_table(vehicle.edges, 2),
         wires=_table(
             [(t, p.late_s, _or_nan(p.setpoint_delay_s), lost_share(p)) for t, p in vehicle.paces], 4
@@ -187,43 +212,40 @@ def lost_share(pace: SeenPace) -> float:
     return pace.setpoints_lost / max(1, pace.setpoints_heard + pace.setpoints_lost)
 
 
-def camera_events(
-    paces: Iterable[tuple[float, SeenPace]], said: str = ""
-) -> list[tuple[float, str]]:
+def camera_events(paces: Iterable[tuple[float, SeenPace]], said: str = "") -> list[Happening]:
     """Changes of the camera fault and their times [s]; `said` is the previous one."""
     found = []
     for t, pace in paces:
         if pace.cameras != said:
-            found.append((t, f"cameras: {pace.cameras or 'well again'}"))
+            found.append(Happening(t, "cameras", pace.cameras or "well again"))
         said = pace.cameras
     return found
 
 
-def events(ticks: Iterable[SeenTick]) -> list[tuple[float, str]]:
+def events(ticks: Iterable[SeenTick]) -> list[Happening]:
     """Changes reported by gate, fault table and filter, and their times [s].
 
     A response is listed with the active rows of the fault table, and again when a row is added.
     """
-    said: list[tuple[float, str]] = []
-    shut, fault, response, kept = None, None, "", ""
+    said: list[Happening] = []
+    shut, fault, response, kept = None, None, Response.NONE, ""
     held: frozenset[str] = frozenset()
     for tick in ticks:
         t, out = tick.inputs.t, tick.outputs
-        because = out.filtered.because if out.filtered else ""
-        if out.inhibit_reason != shut:
-            said.append(
-                (t, f"valves shut: {out.inhibit_reason}" if out.inhibit_reason else "flies")
-            )
-        fresh = [row for row in out.faults if row not in held]
+        hazard = out.filtered.words if out.filtered else ""
+        if (why := out.inhibit_reason) != shut:
+            words = "" if why is None or why.code in LATCHED else why.words
+            said.append(Happening(t, "flies" if why is None else "valves shut", words))
+        fresh = tuple(row for row in out.faults if row not in held)
         if out.response and (fresh or out.response != response):
-            rows = ", ".join(fresh or out.faults)
-            said.append((t, f"{out.response}: {rows}" if rows else out.response))
-        elif response == "hold" and not out.response:
-            said.append((t, "goes on"))
-        if out.fault and out.fault != fault:
-            said.append((t, f"fault: {out.fault}"))
-        if because and because != kept:
-            said.append((t, f"filter: {because}"))
-        shut, fault, response, kept = out.inhibit_reason, out.fault, out.response, because
+            rows = fresh or out.faults
+            said.append(Happening(t, out.response.words, ", ".join(rows), rows=rows))
+        elif response == Response.HOLD and not out.response:
+            said.append(Happening(t, "goes on"))
+        if out.fault is not None and out.fault != fault:
+            said.append(Happening(t, "fault", out.fault.words, out.fault))
+        if hazard and hazard != kept:
+            said.append(Happening(t, "filter", hazard))
+        shut, fault, response, kept = why, out.fault, out.response, hazard
         held = frozenset(out.faults)
     return said

@@ -37,8 +37,10 @@ def _plain(node: Schema, named: dict[str, Schema], vehicles: Sequence[str]) -> S
         options = [_plain(one, named, vehicles) for one in node["anyOf"] if not _is_none(one)]
         return _either(options)
     if "enum" in node:
-        words = node["enum"]
-        return {"type": "string", "enum": words} if all(isinstance(w, str) for w in words) else None
+        codes = node["enum"]
+        if all(isinstance(one, int) for one in codes):
+            return {"type": "integer"}
+        return {"type": "string", "enum": codes} if all(isinstance(w, str) for w in codes) else None
     kind = node.get("type")
     if kind in PLAIN:
         return {"type": kind}

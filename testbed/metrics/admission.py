@@ -10,8 +10,9 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from testbed.core.codes import FaultReport
 from testbed.core.vehicle import NonNegative, Positive
-from testbed.metrics.fault_line import mishap
+from testbed.metrics.fault_line import fault_line
 from testbed.metrics.run_metrics import Track
 
 Array = NDArray[np.float64]
@@ -29,11 +30,11 @@ class AdmissionParams(Struct, frozen=True, forbid_unknown_fields=True):
     faults: int = 0
 
 
-class Flown(Struct, frozen=True):
+class AdmissionFlight(Struct, frozen=True):
     """One flight on the twin."""
 
     seed: int
-    fault: str | None
+    fault: FaultReport | None
     contacts: int
     edge_m: float  # nearest rim to the fence
     separation_m: float | None  # nearest two rims; None: only one vehicle
@@ -83,7 +84,9 @@ def nearest_edge(track: Track, half: Sequence[tuple[float, float]]) -> float:
     return min(room)
 
 
-def judge_flights(experiment: str, flights: Sequence[Flown], limits: AdmissionParams) -> Admission:
+def judge_flights(
+    experiment: str, flights: Sequence[AdmissionFlight], limits: AdmissionParams
+) -> Admission:
     """Compare the worst of all flights with every limit."""
     findings: list[Finding] = []
 
@@ -117,5 +120,5 @@ def judge_flights(experiment: str, flights: Sequence[Flown], limits: AdmissionPa
         "openings of a valve", each("openings_per_valve"), limits.openings_per_valve, "openings"
     )
     kept = all(one.kept for one in findings)
-    words = [mishap(f.seed, f.fault, f.fault_t) for f in flights if f.fault is not None]
+    words = [fault_line(f.seed, f.fault, f.fault_t) for f in flights if f.fault is not None]
     return Admission(experiment, len(flights), kept, findings, words)

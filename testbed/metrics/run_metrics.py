@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from testbed.core.codes import FaultReport
 from testbed.core.law import Concern
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
@@ -106,6 +107,7 @@ class Metrics(Struct, frozen=True):
     warnings: list[Concern] = []  # for example assumptions of a law's proof that do not hold
     phase: str = ""  # of the supervisor at the end: DISARMED, STOPPED or FAULT
     red: list[str] = []  # failed arming checks that kept the run from starting
+    fault_report: FaultReport | None = None  # of `fault`
     touches: list[Touch] = []  # contacts with known time and place
     after: After | None = None  # state of the vehicles after the flight; null: not known
 

@@ -1,38 +1,47 @@
 """One vehicle's `PoseSource` on top of any motion-capture system."""
 
+import math
 from collections import deque
 from collections.abc import Sequence
+from enum import StrEnum
 
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose, PoseSample
-from testbed.mocap.body_monitor import BodyMonitor
-from testbed.mocap.exposure import Axes, Exposure, MocapSource, Sighting
+from testbed.mocap.exposure import Axes, MocapSource, Sighting
 from testbed.realtime.wall_clock import WallClock
 
 OLDEST_NS = 2_000_000_000  # longest time from exposure to arrival
 EARLIEST_NS = 100_000_000  # arrival before exposure by clock error is accepted up to this
 FARTHEST = 1e4  # largest plausible coordinate [m]
+LATE_S = 0.1  # without a frame, or without the body in the frames
+
+
+class Trouble(StrEnum):
+    """Why no poses arrive."""
+
+    SILENT = "silent"  # no frames arrive
+    STALE = "stale"  # frames arrive, but the body is not tracked in them
 
 
 class MocapPoses:
     """Poses of one vehicle, in W and in the run's time.
 
-    Every tracked pose is passed on, plausible or not: the fault table judges it, as on the twin.
-    The body watch only names faults for the log; it gets all bodies, as a swap involves two.
+    Every tracked pose is passed on, plausible or not: the fault table's detectors judge it, as on
+    the twin. Only why no poses arrive is found here: the detectors do not see the frames.
     """
 
-    def __init__(
-        self, source: MocapSource, wire: MocapWire, clock: WallClock, name: str, watch: BodyMonitor
-    ) -> None:
+    def __init__(self, source: MocapSource, wire: MocapWire, clock: WallClock, name: str) -> None:
         self._source, self._axes, self._clock = source, Axes(wire), clock
         self._body = wire.bodies.get(name, name)
-        self.watch = watch
+        self.trouble: Trouble | None = None
+        self.troubles: dict[Trouble, int] = {}  # how often each began
+        self._frame_at: float | None = None  # exposure of the newest frame [s]
+        self._pose_at = -math.inf  # of the newest one in which the body is tracked [s]
         self.arrived_ns: int | None = None  # arrival of the newest pose passed on
         self.latencies: deque[float] = deque(maxlen=1000)  # exposure to arrival [s]
         self.lost_frames = 0  # from gaps in the frame numbers
         self._number: int | None = None
         self.implausible = 0  # exposures with a wrong time, and own poses not finite
-        self._unseen: deque[tuple[float, Exposure]] = deque(maxlen=1000)
 
     def samples(self) -> Sequence[PoseSample]:
         """See `PoseSource`."""
@@ -46,7 +55,7 @@ class MocapPoses:
                 self.implausible += 1
                 continue
             t = self._clock.of(exposure.exposed_ns)
-            self._unseen.append((t, exposure))
+            self._frame_at = t
             self.latencies.append(1e-9 * age)
             seen = exposure.bodies.get(self._body)
             pose = None if seen is None else self._seen(seen)
@@ -54,15 +63,22 @@ class MocapPoses:
                 self.implausible += 1
             if pose is not None:
                 samples.append(PoseSample(t, pose.x, pose.y, pose.theta))
+                self._pose_at = t
                 self.arrived_ns = exposure.arrived_ns
         return samples
 
     def review(self) -> None:
-        """Check all bodies; called after the plan is sent, so that the plan does not wait."""
-        while self._unseen:
-            t, exposure = self._unseen.popleft()
-            self.watch.look(t, {n: self._seen(seen) for n, seen in exposure.bodies.items()})
-        self.watch.pass_time(self._clock.now)
+        """Note whether frames arrive, and whether the body is tracked in them."""
+        now, trouble = self._clock.now, None
+        if self._frame_at is None:
+            return
+        if now - self._frame_at > LATE_S:
+            trouble = Trouble.SILENT
+        elif now - self._pose_at > LATE_S:
+            trouble = Trouble.STALE
+        if trouble is not None and trouble is not self.trouble:
+            self.troubles[trouble] = self.troubles.get(trouble, 0) + 1
+        self.trouble = trouble
 
     def _seen(self, sighting: Sighting) -> Pose | None:
         """The pose of a body; None if it is not plausible."""
@@ -71,8 +87,3 @@ class MocapPoses:
         if not all(abs(x) < FARTHEST for x in (*sighting.position, *sighting.rotation)):
             return None
         return self._axes.to_table(sighting)
-
-    @property
-    def trouble(self) -> str | None:
-        """The current fault of this vehicle's body."""
-        return self.watch.troubles.get(self._body)

@@ -4,6 +4,7 @@ The result is a lower bound of the offset: a long round trip makes the bound sma
 network never looks like a clock that was set.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import zenoh
@@ -32,6 +33,17 @@ def read_clock(session: zenoh.Session, keys: Keys) -> ClockOffset:
     return clock
 
 
+def query(session: zenoh.Session, key: str, answered: Callable[[int], None]) -> None:
+    """Ask for the host's clock; `answered` gets it [ns] if an answer comes, without waiting."""
+
+    def hear(reply: Any) -> None:
+        said = b"" if reply.ok is None else reply.ok.payload.to_bytes()
+        if len(said) == STAMP:
+            answered(int.from_bytes(said, "little"))
+
+    session.get(key, zenoh.handlers.Callback(hear, indirect=False), timeout=1.0)
+
+
 class Reader:
     """Keeps reading the host's clock while a vehicle waits, because clocks drift apart."""
 
@@ -42,17 +54,12 @@ class Reader:
     def look(self) -> None:
         """Query the clock if a query is due."""
         asked = monotonic_ns()
-        if asked < self._due:
-            return
-        self._due = asked + READ_NS
-
-        def answered(reply: Any) -> None:
-            said = b"" if reply.ok is None else reply.ok.payload.to_bytes()
-            if len(said) == STAMP:
-                self._offset.exchanged(asked, int.from_bytes(said, "little"), monotonic_ns())
-
-        answers = zenoh.handlers.Callback(answered, indirect=False)
-        self._session.get(self._key, answers, timeout=1.0)
+        if asked >= self._due:
+            self._due = asked + READ_NS
+            query(
+                self._session, self._key,
+                lambda host_ns: self._offset.exchanged(asked, host_ns, monotonic_ns()),
+            )  # fmt: skip
 
     def unsure(self) -> float:
         """Uncertainty of the offset to the host's clock [s]."""
@@ -83,14 +90,7 @@ class HostClock:
         if now >= self._due:
             self._due = now + ASK_NS
             asked = self._clock.now
-
-            def answered(reply: Any) -> None:
-                said = b"" if reply.ok is None else reply.ok.payload.to_bytes()
-                if len(said) == STAMP:
-                    self._take(asked, int.from_bytes(said, "little"))
-
-            answers = zenoh.handlers.Callback(answered, indirect=False)
-            self._session.get(self._key, answers, timeout=1.0)
+            query(self._session, self._key, lambda host_ns: self._take(asked, host_ns))
         return self._off
 
     def _take(self, asked: float, host_ns: int) -> None:

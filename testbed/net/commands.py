@@ -6,6 +6,7 @@ from typing import Literal
 import msgspec
 from msgspec import Struct
 
+from testbed.core.codes import FaultReport, Response
 from testbed.core.types import Tick
 from testbed.flight.arming import Readiness
 
@@ -58,7 +59,7 @@ class Lease(Struct, frozen=True):
     """Permit to fly until the envelope's valid-until, with the host data that a vehicle needs."""
 
     may_fire: bool = True  # by the supervisor; when it becomes false: come to rest
-    fleet: str = ""  # fault of another vehicle that stops all vehicles
+    fleet: FaultReport | None = None  # fault of another vehicle that stops all vehicles
     config: str = ""  # see `config_id`
     disk_free: float = 1e12  # on the disk of the log [bytes]
     at_once: bool = False  # shut valves and air without braking: the operator stopped twice
@@ -86,17 +87,18 @@ class Pace(Struct, frozen=True, gc=False):
     setpoints_lost: int = 0  # so far, from gaps in their sequence numbers
     refused: int = 0  # messages that were late, expired, foreign etc., so far
     round_trip_s: float | None = None  # of the newest query to the host
-    cameras: str = ""  # fault of this vehicle's rigid body, see `mocap.body_monitor`
+    cameras: str = ""  # fault of this vehicle's rigid body, see `mocap.poses.Trouble`
     frames_lost: int = 0  # camera frames, so far
 
 
-class Flown(Struct, frozen=True, gc=False):
+class TickReport(Struct, frozen=True, gc=False):
     """One tick of a vehicle, for the log."""
 
     k: int
     tick: Tick
     pace: Pace
     edges: tuple[tuple[float, int], ...] = ()  # valve edges the board reported: t [s], mask
+    stops: int = 0  # the operator's stops that this vehicle has heard
 
 
 class Counts(Struct, frozen=True):
@@ -104,7 +106,7 @@ class Counts(Struct, frozen=True):
 
     commands: dict[str, int]  # setpoints, by `envelope.Verdict`
     refusals: dict[str, int]  # plans, by the board's reason; not_sent: by the command guard
-    mocap: dict[str, int]  # faults of its rigid body, by `body_monitor.Trouble`
+    mocap: dict[str, int]  # faults of its rigid body, by `mocap.poses.Trouble`
     lost_frames: int
     reconnects: int  # of the serial line
     mocap_latency_ms: float | None  # median, exposure to arrival
@@ -115,9 +117,9 @@ class Ended(Struct, frozen=True):
     """A vehicle's report at the end of its flight."""
 
     t: float  # [s]
-    fault: str | None
+    fault: FaultReport | None
     counts: Counts
     rows: dict[str, float] = {}  # rows of the fault table that held, and since when [s]
-    responses: dict[str, float] = {}  # fault responses that were active, and since when [s]
+    responses: dict[Response, float] = {}  # fault responses that were active, and since when [s]
     landed_s: float | None = None  # from the end to the order "air off"; None: never [s]
     air: Literal["off", "on"] = "on"  # bearing air, as the board reported it last

@@ -139,20 +139,29 @@ def is_endpoint(endpoint: str) -> bool:
     return protocol in PROTOCOLS and bool(host) and whole
 
 
-def trouble(endpoint: str, keys: Path | None) -> str | None:
+class Untrusted(NamedTuple):
+    """Why an endpoint must not be opened."""
+
+    about: str
+    expected: str
+
+    def __str__(self) -> str:
+        return f"{self.about}: expected {self.expected}"
+
+
+def untrusted(endpoint: str, keys: Path | None) -> Untrusted | None:
     """Why an endpoint must not be opened with these keys; None: it may be."""
     if not is_endpoint(endpoint):
         example = "tcp/127.0.0.1:7450" if keys is None else "tls/192.168.1.2:7450"
-        return f"not an endpoint: expected PROTOCOL/HOST:PORT, such as {example}"
+        return Untrusted("not an endpoint", f"PROTOCOL/HOST:PORT, such as {example}")
+    protocol, _, address = endpoint.partition("/")
     if keys is None:
         if is_local(endpoint):
             return None
-        return (
-            "without keys only this machine is trusted: expected a loopback address, or"
-            " keys (`testbed lab-keys`) and an endpoint that begins with tls/"
-        )
-    if endpoint.partition("/")[0] not in ("tls", "quic"):
-        return f"keys need a tls endpoint: expected tls/{endpoint.partition('/')[2]}"
+        local = "a loopback address, or keys (`testbed lab-keys`) and an endpoint that begins with"
+        return Untrusted("without keys only this machine is trusted", f"{local} tls/")
+    if protocol not in ("tls", "quic"):
+        return Untrusted("keys need a tls endpoint", f"tls/{address}")
     return None
 
 

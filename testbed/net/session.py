@@ -17,7 +17,7 @@ from typing import Any
 import zenoh
 
 from testbed.core.error import TestbedError
-from testbed.net.credentials import BadgeError, read_badge, tls, trouble
+from testbed.net.credentials import BadgeError, read_badge, tls, untrusted
 from testbed.realtime.wall_clock import monotonic_ns
 
 LARGEST = 1 << 18  # largest message [bytes]; an experiment has 20 kB
@@ -84,7 +84,7 @@ def _words(error: zenoh.ZError) -> str:
 
 def _checked(endpoint: str, keys: Path | None) -> None:
     """Raise a NetworkError if the endpoint must not be opened with these keys."""
-    if (why := trouble(endpoint, keys)) is not None:
+    if (why := untrusted(endpoint, keys)) is not None:
         raise NetworkError(f"{endpoint} is not opened: {why}")
     if keys is not None:
         try:
@@ -179,11 +179,11 @@ class Subscriber:
         return sorted((m for m in messages if m[0] <= now), key=lambda m: m[0])
 
 
-def on_word(session: zenoh.Session, key: str, do: Callable[[], object]) -> Any:
-    """Call `do` in Zenoh's thread whenever a message arrives on a key."""
+def on_word(session: zenoh.Session, key: str, do: Callable[[bytes], object]) -> Any:
+    """Call `do` with the message, in Zenoh's thread, whenever one arrives on a key."""
 
     def hear(sample: Any) -> None:
-        do()
+        do(sample.payload.to_bytes())
 
     return session.declare_subscriber(key, zenoh.handlers.Callback(hear, indirect=False))
 
@@ -222,15 +222,11 @@ def answer_to(
     )
 
 
-def ask_all(session: zenoh.Session, key: str, wait_s: float = 0.5) -> int:
-    """Number of answers to a query to all parties."""
-    return len(answers(session, key, wait_s))
-
-
-def answers(session: zenoh.Session, key: str, wait_s: float) -> list[bytes]:
+def answers(session: zenoh.Session, key: str, wait_s: float, question: bytes = b"") -> list[bytes]:
     """Answers of all parties to a query."""
     replies = session.get(
         key,
+        payload=question,
         timeout=wait_s,
         target=zenoh.QueryTarget.ALL,
         consolidation=zenoh.ConsolidationMode.NONE,

@@ -11,6 +11,7 @@ Flights and vehicles that did not answer are listed; the exit code is 0 only if 
 
 import json
 import os
+import secrets
 import signal
 import socket
 import stat
@@ -30,14 +31,15 @@ OK, FAILED = 0, 1
 WAIT_S = 0.0  # time for a host to start listening
 OPEN_S = 1.0  # time for a host's handshake
 ANSWER_S = 0.5  # time for vehicles to answer
+DIRECT_S = 0.3  # time for vehicles to answer without their host
 END_S = 2.0  # time for a flight on the twin to end
 LOOK_S = 0.02
 DEFAULT = "tcp/127.0.0.1:7450"  # the host's default endpoint
 LAST_RESORT = "if a vehicle still moves: shut the main valve or pull the cord by hand\n"
-BY_THEMSELVES = "its vehicles brake and shut by themselves after one second without the host"
+BY_THEMSELVES = "vehicles without a host brake and shut by themselves after one second"
 
 
-class Flight(NamedTuple):
+class StoppableFlight(NamedTuple):
     """A flight that can be stopped."""
 
     endpoint: str  # of its host; empty: a flight on the twin
@@ -68,11 +70,6 @@ def _folders() -> list[tuple[Path, int]]:
     if users == [0] and os.environ.get("SUDO_UID", "").isdecimal():
         users.append(int(os.environ["SUDO_UID"]))
     return [(base / f"airbearing-testbed-{uid}", uid) for uid in users for base in _bases(uid)]
-
-
-def _notes() -> Path:
-    """The folder for this process's note."""
-    return _folders()[0][0]
 
 
 def _check(folder: Path, uid: int) -> None:
@@ -118,7 +115,7 @@ def noted(
     """
     pid = pid or os.getpid()
     keys = str(Path(keys).absolute()) if keys else ""
-    flight = Flight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid))
+    flight = StoppableFlight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid))
     try:
         note = _leave(json.dumps(flight._asdict()).encode())
     except (OSError, NoteError) as error:
@@ -158,12 +155,12 @@ def _started(pid: int) -> str:
     return "" if fields[0] == "Z" else fields[19]
 
 
-def _runs(flight: Flight) -> bool:
+def _runs(flight: StoppableFlight) -> bool:
     """Whether the process of a note still runs."""
     return not flight.pid or _started(flight.pid) == flight.started != ""
 
 
-def _known() -> Iterator[tuple[Path, Flight]]:
+def _known() -> Iterator[tuple[Path, StoppableFlight]]:
     """Every note on this machine."""
     for folder, uid in _folders():
         try:
@@ -175,19 +172,19 @@ def _known() -> Iterator[tuple[Path, Flight]]:
             continue
         for note in sorted(folder.glob("*.json")):
             with suppress(OSError, ValueError, TypeError, RecursionError):
-                flight = Flight(**json.loads(note.read_text()))
+                flight = StoppableFlight(**json.loads(note.read_text()))
                 if [type(value) for value in flight] == [str, str, str, list, str, int, str]:
                     yield note, flight
 
 
-def _of(keys: Path, connect: str | None) -> Flight:
+def _of(keys: Path, connect: str | None) -> StoppableFlight:
     """The flight that the owner of a key folder can stop."""
     from testbed.net.credentials import read_badge
 
     badge = read_badge(keys)
     if badge.ending:
         _complain(badge.ending)
-    return Flight(connect or badge.endpoint, badge.lab, str(keys))
+    return StoppableFlight(connect or badge.endpoint, badge.lab, str(keys))
 
 
 def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> int:
@@ -203,7 +200,7 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
     stopped: list[bool] = []
     try:
         if keys is None and connect and not connect.startswith(("tls/", "quic/")):
-            stopped.append(_stop_wires(Flight(connect, lab)))
+            stopped.append(_stop_wires(StoppableFlight(connect, lab)))
         elif keys is None and not connect:
             stopped += _stop_here()
             if own_keys().exists():
@@ -226,17 +223,22 @@ def _stop_here() -> Iterator[bool]:
     for note, flight in list(_known()):
         tried.add(flight.endpoint)
         if not _runs(flight):
-            note.unlink(missing_ok=True)
             if flight.endpoint:
-                words = f"the host, process {flight.pid}, was killed"
-                _complain(f"{flight.endpoint}: {words}; {BY_THEMSELVES}")
-                yield False
+                _complain(f"{flight.endpoint}: the host, process {flight.pid}, was killed")
+                shut = _stop_directly(flight, _new_id())
+                yield _report(flight, set(flight.vehicles), shut, "it was killed")
+            if not flight.endpoint or not shut:  # the second stop needs the note
+                note.unlink(missing_ok=True)
         elif flight.endpoint:
             yield _stop_wires(flight)
         else:
             yield _stop_twin(note, flight)
-    if DEFAULT not in tried and _listens(DEFAULT):
-        yield _stop_wires(Flight(DEFAULT))
+    if DEFAULT not in tried:
+        flight = StoppableFlight(DEFAULT)
+        if _listens(DEFAULT):
+            yield _stop_wires(flight)
+        elif shut := _stop_directly(flight, _new_id()):
+            yield _report(flight, set(), shut, "no host listens")
 
 
 def _listens(endpoint: str) -> bool:
@@ -246,7 +248,7 @@ def _listens(endpoint: str) -> bool:
     return False
 
 
-def _stop_twin(note: Path, flight: Flight) -> bool:
+def _stop_twin(note: Path, flight: StoppableFlight) -> bool:
     """Ask the process to end the flight; whether it did."""
     try:
         if Path(f"/proc/{flight.pid}").stat().st_uid != note.stat().st_uid:
@@ -267,31 +269,70 @@ def _stop_twin(note: Path, flight: Flight) -> bool:
     return not over
 
 
-def _stop_wires(flight: Flight) -> bool:
-    """Stop a host and its vehicles; whether all of them answered."""
-    from testbed.net.keys import Keys
-    from testbed.net.session import NetworkError, answers, dial
+def _new_id() -> str:
+    """An id for a stop: its copies arrive by several routes and count once."""
+    return secrets.token_hex(8)
 
-    keys = Keys(flight.lab)
-    folder = Path(flight.keys) if flight.keys else None
+
+def _stop_directly(flight: StoppableFlight, stop: str) -> set[str]:
+    """Stop the vehicles of a host without it; returns those that answered."""
+    from testbed.net.direct_stop import stop_directly
+
+    keys = Path(flight.keys) if flight.keys else None
+    return stop_directly(flight.endpoint, flight.lab, keys, flight.vehicles, stop, DIRECT_S)
+
+
+def _stop_wires(flight: StoppableFlight) -> bool:
+    """Stop a host and its vehicles; whether all of them answered."""
+    stop, names, trouble = _new_id(), set(flight.vehicles), ""
+    shut = _stop_directly(flight, stop)  # first, because it is faster
+
+    from testbed.net.session import NetworkError
+
     try:
-        with dial(flight.endpoint, WAIT_S, folder, open_s=OPEN_S) as session:
-            session.put(keys.stop, b"stop")
-            shut = {data.decode(errors="replace") for data in answers(session, keys.stop, ANSWER_S)}
-            names = flight.vehicles or _vehicles(answers(session, keys.experiment, ANSWER_S))
+        heard, flown = _stop_host(flight, stop.encode())
     except NetworkError as error:
-        _complain(f"{flight.endpoint}: not stopped: {error}")
+        process = f", process {flight.pid}," if flight.pid else ""
+        trouble = f"the host{process} did not answer: {error}"
+    else:
+        shut, names = shut | heard, names or flown
+    return _report(flight, names, shut, trouble)
+
+
+def _stop_host(flight: StoppableFlight, stop: bytes) -> tuple[set[str], set[str]]:
+    """Stop a host and its vehicles over Zenoh: vehicles that answered, and vehicles that fly.
+
+    Raises:
+        NetworkError: the host does not answer.
+    """
+    from testbed.net.keys import Keys
+    from testbed.net.session import answers, dial
+
+    keys, folder = Keys(flight.lab), Path(flight.keys) if flight.keys else None
+    with dial(flight.endpoint, WAIT_S, folder, open_s=OPEN_S) as session:
+        session.put(keys.stop, stop)
+        heard = answers(session, keys.stop, ANSWER_S, stop)
+        flown = _vehicles(answers(session, keys.experiment, ANSWER_S))
+    return {data.decode(errors="replace") for data in heard}, set(flown)
+
+
+def _report(flight: StoppableFlight, names: set[str], shut: set[str], trouble: str) -> bool:
+    """Print which vehicles stopped, and the host's trouble; whether all vehicles stopped."""
+    if trouble and not shut:
+        _complain(f"{flight.endpoint}: not stopped: {trouble}")
         if flight.pid:
-            _complain(f"the host, process {flight.pid}, did not answer; {BY_THEMSELVES}")
+            _complain(BY_THEMSELVES)
         return False
     sys.stdout.write(f"{flight.endpoint}\n")
     for name in sorted({*names, *shut}):
         sys.stdout.write(f"  {name}: {'stops' if name in shut else 'did not answer'}\n")
+    if trouble:
+        sys.stdout.write(f"  stopped without the host: {trouble}\n")
     if shut:
         sys.stdout.write("  stop again to shut valves and air at once\n")
     if not shut and not names:
         sys.stdout.write("  no vehicle answered\n")
-    return bool(shut) and shut >= set(names)
+    return bool(shut) and shut >= names
 
 
 def _vehicles(experiments: Sequence[bytes]) -> list[str]:

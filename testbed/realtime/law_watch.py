@@ -17,6 +17,7 @@ import time
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -25,6 +26,7 @@ import numba.core.compiler_lock as compiling
 from controllers.law_file import LawStoppedError, UnusableLawError, file_of
 from controllers.own_law import OwnLawParams
 from controllers.plain_law import LawError
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World
 from testbed.realtime.heartbeat import Phase, heartbeat
 
@@ -32,8 +34,11 @@ READ_S = 30.0  # limit for reading a law's file: it may import large packages
 FIRST_S = 10.0  # limit for the first calls, before the flight, without numba's compilation
 HURRY_S = 0.5  # limit for a call that continues after the operator's stop
 LOOKS = 4  # timer ticks before the limit: a suspended process is not a hanging law
+WAITS = Path("/proc/thread-self/schedstat")  # second number: waits for a free core [ns]
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
-FEW = 3  # calls needed to judge a law; on wires a flight ends after this many slow ones
+FEW = 3  # calls needed to warn of a slow law; on wires a flight ends after this many slow ones
+MANY = 10  # calls needed to call it a fault
+FAR = 2.0  # a median call that takes this many times its budget is a fault
 
 _open_watches: "list[LawWatch]" = []  # at most the one of this process
 
@@ -45,13 +50,14 @@ class LawWatch:
         law: its name in the experiment, "my_law.py:Mine".
         limit_s: for one call [s].
         memory_mb: limit of memory that all calls together add to the process [MB].
-        period_s: between two calls for a vehicle, for the warning about a slow law [s].
+        budget_s: time that a call has on the bench and on the table [s].
     """
 
-    def __init__(self, law: str, limit_s: float, memory_mb: float, period_s: float) -> None:
+    def __init__(self, law: str, limit_s: float, memory_mb: float, budget_s: float) -> None:
         path = file_of(law)
         self.name = law if path is None else path.name
-        self.limit_s, self.memory_mb, self.period_s = limit_s, memory_mb, period_s
+        self.limit_s, self.memory_mb, self.budget_s = limit_s, memory_mb, budget_s
+        self.laws: list[TimedLaw] = []
         self._now_s = limit_s  # the current limit
         self._inside = False
         self._late, self._grown, self._entered_mb = 0, 0.0, 0.0
@@ -63,9 +69,8 @@ class LawWatch:
         before = signal.signal(signal.SIGALRM, self._tick)
         self._stack.callback(signal.signal, signal.SIGALRM, before)
         self._stack.callback(signal.setitimer, signal.ITIMER_REAL, 0.0)
-        statm = os.open("/proc/self/statm", os.O_RDONLY)
-        self._stack.callback(os.close, statm)
-        self._statm = statm
+        self._statm = self._open("/proc/self/statm")
+        self._waits = self._open(str(WAITS)) if WAITS.exists() else None
         heartbeat().law, heartbeat().limits = self.name, (self.limit_s, self.memory_mb)
         _open_watches.append(self)
         self._stack.callback(_open_watches.remove, self)
@@ -109,14 +114,35 @@ class LawWatch:
         if self._grown > self.memory_mb:
             raise LawError(f"{self.name}: {self._too_much(self._grown)}")
 
-    def left_running(self) -> str:
-        """Message about threads that would keep the process alive; empty: none."""
+    def complaint(self) -> FaultReport | None:
+        """Fault of the law that shows at the end of the flight.
+
+        It has left threads that would keep the process alive, or is far too slow to fly on wires.
+        """
         left = [
             one.name for one in threading.enumerate()
             if one not in self._threads and not one.daemon
         ]  # fmt: skip
-        count = "a thread" if len(left) == 1 else f"{len(left)} threads"
-        return f"law {self.name} has left {count} running: {left[0]}" if left else ""
+        if left:
+            count = "a thread" if len(left) == 1 else f"{len(left)} threads"
+            text = f"law {self.name} has left {count} running: {left[0]}"
+            return FaultReport(FaultId.LAW_STUCK, text)
+        usual = max((one.median() for one in self.laws if len(one.took) >= MANY), default=0.0)
+        slow = usual > FAR * self.budget_s
+        return FaultReport(FaultId.LAW_SLOW, self.slow(usual)) if slow else None
+
+    def slow(self, usual: float) -> str:
+        """Text about a law whose median call takes this long [s]."""
+        return (
+            f"law {self.name} takes {usual:.2g} s per call, {usual / self.budget_s:.1f} times the"
+            f" {self.budget_s:.2g} s that it has on the bench and on the table"
+        )
+
+    def clock(self) -> float:
+        """Time without this thread's waits for a free core: they are not the law's [s]."""
+        if self._waits is None:
+            return time.perf_counter()
+        return time.perf_counter() - 1e-9 * int(os.pread(self._waits, 64, 0).split()[1])
 
     def hurry(self) -> None:
         """The operator stopped the run: shorten the limit of the active call."""
@@ -135,6 +161,11 @@ class LawWatch:
         self._late += 1
         if self._late >= LOOKS:
             raise LawStoppedError(f"did not return within {self._now_s:g} s")
+
+    def _open(self, path: str) -> int:
+        file = os.open(path, os.O_RDONLY)
+        self._stack.callback(os.close, file)
+        return file
 
     def _resident_mb(self) -> float:
         return PAGE_MB * int(os.pread(self._statm, 64, 0).split()[1])
@@ -215,10 +246,10 @@ def hurry() -> None:
         watch.hurry()
 
 
-def left_running() -> str:
-    """Message about threads that the law left running; empty: none."""
+def complaint() -> FaultReport | None:
+    """Fault of the law that shows at the end of the flight."""
     watch = current()
-    return "" if watch is None else watch.left_running()
+    return None if watch is None else watch.complaint()
 
 
 class TimedLaw:
@@ -227,22 +258,22 @@ class TimedLaw:
     def __init__(self, law: Law, watch: LawWatch, vehicle: str) -> None:
         self._law, self._watch, self._vehicle = law, watch, vehicle.encode()
         self.message_size = law.message_size
-        self._took = array("d")  # duration of each call of `propagate` [s]
+        self.took = array("d")  # duration of each call of `propagate` [s]
+        watch.laws.append(self)
+
+    def median(self, last: int = 0) -> float:
+        """Median duration of the last calls, or of all [s]."""
+        return statistics.median(self.took[-last:])
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """The law's concerns, and one more if it is too slow."""
         say = getattr(self._law, "concerns", None)
         found = [] if say is None else list(say(law_state))
-        period = self._watch.period_s
-        if len(self._took) < FEW:
+        if len(self.took) < FEW:
             return found
-        usual = max(map(statistics.median, (self._took, self._took[-FEW:])))
-        if usual > period:
-            text = (
-                f"law {self._watch.name} takes {usual:.2g} s per call, {usual / period:.1f} times"
-                f" the jet period of {period:g} s: too slow for real time"
-            )
-            found.append(Concern("slow_law", text))
+        usual = max(self.median(), self.median(FEW))
+        if usual > self._watch.budget_s:
+            found.append(Concern("slow_law", self._watch.slow(usual)))
         return found
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
@@ -262,12 +293,12 @@ class TimedLaw:
         t: float, duration: float, steps: int,
     ) -> Ahead:  # fmt: skip
         """See `Law`."""
-        began = time.perf_counter()
+        began = self._watch.clock()
         with self._watch.call(self._vehicle):
             ahead = self._law.propagate(
                 law_state, own, neighbours, world, t, duration, steps
             )  # fmt: skip
-        self._took.append(time.perf_counter() - began)
+        self.took.append(self._watch.clock() - began)
         return ahead
 
 
@@ -282,10 +313,10 @@ def timed(make: Callable[[], Law], vehicle: str) -> Law:
 
 
 def watching(
-    controller: Any, limit_s: float, memory_mb: float, period_s: float
+    controller: Any, limit_s: float, memory_mb: float, budget_s: float
 ) -> AbstractContextManager[Any]:
     """The watch of a run; does nothing if its law is not a user's file."""
     here = threading.current_thread() is threading.main_thread()
     if not isinstance(controller, OwnLawParams) or not here:
         return nullcontext()
-    return LawWatch(controller.law, limit_s, memory_mb, period_s)
+    return LawWatch(controller.law, limit_s, memory_mb, budget_s)

@@ -13,38 +13,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from testbed.core.error import TestbedError
 
 GRACE_S = 12.0  # time for a vehicle to brake
 LEAVE_S = 2.0  # time for a guardian without children to exit
-GUARDIAN = """
-import os, select, shutil, signal, sys
-grace, folder, fds = float(sys.argv[1]), sys.argv[2], []
-for line in sys.stdin:
-    try:
-        fds.append(os.pidfd_open(int(line)))
-    except OSError:
-        pass
-left = set(fds)
-poll = select.poll()
-for fd in fds:
-    poll.register(fd, select.POLLIN)
-import time
-end = time.monotonic() + grace
-while left and (rest := end - time.monotonic()) > 0:
-    for fd, _ in poll.poll(1e3 * rest):
-        poll.unregister(fd)
-        left.discard(fd)
-for fd in left:
-    try:
-        signal.pidfd_send_signal(fd, signal.SIGKILL)
-    except OSError:
-        pass
-shutil.rmtree(folder, ignore_errors=True)
-"""
+GUARDIAN = Path(__file__).with_name("guardian.py")
 
 
 class ChildError(TestbedError):
@@ -61,7 +37,7 @@ class ProcessGroup:
     def __enter__(self) -> "ProcessGroup":
         self.folder = Path(tempfile.mkdtemp(prefix="airbearing-"))
         self._guardian = subprocess.Popen(
-            [sys.executable, "-SEI", "-c", GUARDIAN, str(self._grace_s), str(self.folder)],
+            [sys.executable, "-SEI", GUARDIAN, str(self._grace_s), str(self.folder)],
             stdin=subprocess.PIPE,
             start_new_session=True,
         )
@@ -142,6 +118,19 @@ def orphaned() -> bool:
     if not select.select([0], [], [], 0)[0]:
         return False
     return os.read(0, 1) == b""
+
+
+def run_as_child(work: Callable[[], None], failures: tuple[type[Exception], ...]) -> int:
+    """Run `work` as the child of a host; returns the exit code."""
+    end_on_terminate()
+    try:
+        work()
+    except failures as error:
+        sys.stderr.write(f"error: {error}\n")
+        return 1
+    except KeyboardInterrupt:
+        return 1
+    return 0
 
 
 def end_on_terminate() -> None:

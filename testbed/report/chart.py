@@ -1,158 +1,99 @@
-"""Draws figures as SVG without a plotting library.
+"""Draws charts as SVG, for every page and every file with figures.
 
-A chart has axes with units and a list of items. Every colour is a class of the style sheet below,
-so a figure follows the light or dark theme of its page; a stand-alone file includes the light one.
-Long series are reduced to the largest and smallest value per pixel column, which looks the same.
+Every colour is a class of theme.css, so a figure follows the light or dark theme of its page; a
+stand-alone file includes the light one. Long series are reduced to the largest and smallest value
+per pixel column, which looks the same.
 """
 
 import math
-from collections.abc import Sequence
+import re
 from html import escape
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
-from msgspec import Struct
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from testbed.report.axis import Axis, number
+from testbed.report.item import (
+    HUES,
+    Array,
+    Box,
+    Chart,
+    Disc,
+    Item,
+    Key,
+    Limit,
+    Line,
+    Mark,
+    Moment,
+    Point,
+    Raster,
+    Words,
+)
 
-WIDTH = 600  # of a figure; it scales with the page
-HUES = 6
+THEME = Path(__file__).with_name("theme.css").read_text(encoding="utf-8")
 APART = 14.0  # least distance of two limits' names, baseline to baseline
 THINNEST = 0.7  # width of a bar, so that a pulse of milliseconds is visible in a run of minutes
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 44
 LETTER, ROW = 7.2, 18  # of a legend: width of a letter, height of a row
 
-LIGHT = {
-    "ink": "#1c2430", "soft": "#5b6675", "grid": "#e3e7ec", "stone": "#eef1f4",
-    "danger": "#c62828", "h0": "#0069b4", "h1": "#d95f02", "h2": "#00876c", "h3": "#b0479a",
-    "h4": "#7a6a00", "h5": "#4b4fa8",
-}  # fmt: skip
-STYLE = """
-text { font: 12px system-ui, 'Helvetica Neue', Arial, sans-serif; fill: var(--soft); }
-.name { fill: var(--ink); } .grid { stroke: var(--grid); stroke-width: 1; fill: none; }
-.axis { stroke: var(--soft); stroke-width: 1; fill: none; }
-.line { fill: none; stroke-width: 1.6; stroke-linejoin: round; stroke-linecap: round; }
-.line.hit { stroke: var(--danger); stroke-width: 2.2; }
-.line.way { stroke: var(--danger); opacity: .7; } .line.edge { stroke: var(--soft); opacity: .8; }
-.thin { stroke-width: 1; opacity: .55; } .dashed { stroke-dasharray: 5 4; }
-.dotted { stroke-dasharray: 1.5 4; }
-.limit { stroke: var(--danger); stroke-width: 1.3; stroke-dasharray: 7 4; fill: none; }
-.limitname { fill: var(--danger); } .table { fill: var(--stone); stroke: var(--soft); }
-.danger { fill: var(--danger); fill-opacity: .09; stroke: var(--danger); stroke-dasharray: 5 4; }
-.solid { fill: var(--soft); fill-opacity: .55; stroke: none; }
-.ghost { fill-opacity: .10; stroke-opacity: .5; stroke-width: 1; }
-""" + "".join(
-    f".s{k} {{ stroke: var(--h{k}); }} .f{k} {{ fill: var(--h{k}); }}\n" for k in range(HUES)
-)
-
-
-class Line(Struct, frozen=True):
-    """A series of points; NaN interrupts the line."""
-
-    x: Array
-    y: Array
-    hue: int
-    name: str = ""  # in the legend
-    style: str = ""  # thin, dashed, dotted
-
-
-class Limit(Struct, frozen=True):
-    """A horizontal line at a limit of y."""
-
-    y: float
-    name: str
-
-
-class Moment(Struct, frozen=True):
-    """A vertical line at the time of an event."""
-
-    x: float
-    name: str
-
-
-class Disc(Struct, frozen=True):
-    """A circle in the figure's units."""
-
-    x: float
-    y: float
-    radius: float
-    style: str  # danger, solid, or ghost with a hue
-    hue: int = 0
-
-
-class Point(Struct, frozen=True):
-    """A marker with a name."""
-
-    x: float
-    y: float
-    hue: int
-    shape: str  # ring: a start; cross: a goal; hit: a contact
-    name: str = ""
-    room: float = 0.0  # radius of the object, which the name stays outside of
-
-
-class Raster(Struct, frozen=True):
-    """One row of bars, such as a valve's pulses."""
-
-    row: int
-    start: Array
-    length: Array
-    hue: int
-    name: str
-
-
-Item = Line | Limit | Moment | Disc | Point | Raster
-
-
-class Chart(Struct, frozen=True):
-    """A figure: axes and items."""
-
-    key: str  # name of its file
-    title: str
-    x_label: str
-    y_label: str
-    items: Sequence[Item]
-    x_range: tuple[float, float]
-    y_range: tuple[float, float] | None = None  # None: from the items
-    log: bool = False  # y
-    equal: bool = False  # equal scales of x and y; the range is a table
-    height: int = 210
-    width: int = WIDTH
-    note: str = ""  # below the figure
+# Corners of the cases' marks about their centre, in radii of the disc, which is the first.
+SHAPES: tuple[tuple[tuple[float, float], ...], ...] = (
+    (),
+    ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
+    ((0.0, -1.25), (1.2, 0.9), (-1.2, 0.9)),
+    ((0.0, -1.4), (1.1, 0.0), (0.0, 1.4), (-1.1, 0.0)),
+    ((0.0, 1.25), (1.2, -0.9), (-1.2, -0.9)),
+    ((-0.4, -1.3), (0.4, -1.3), (0.4, -0.4), (1.3, -0.4), (1.3, 0.4), (0.4, 0.4),
+     (0.4, 1.3), (-0.4, 1.3), (-0.4, 0.4), (-1.3, 0.4), (-1.3, -0.4), (-0.4, -0.4)),
+)  # fmt: skip
 
 
 def draw(chart: Chart) -> str:
-    """The figure as an SVG element."""
+    """The figure as an SVG element of an HTML page."""
     frame = _Frame(chart)
     body = [*frame.axes(), *(frame.item(item) for item in chart.items), *frame.legend()]
     return (
-        f'<svg viewBox="0 0 {chart.width} {frame.height:.0f}" xmlns="http://www.w3.org/2000/svg" '
-        f'role="img" aria-label="{escape(chart.title)}">' + "".join(body) + "</svg>"
+        f'<svg viewBox="0 0 {chart.width} {frame.height:.0f}" role="img" '
+        f'aria-label="{escape(chart.title)}">' + "".join(body) + "</svg>"
     )
 
 
 def alone(chart: Chart) -> str:
     """The figure as a stand-alone file, on white."""
-    svg = draw(chart)
-    head, _, rest = svg.partition(">")
+    head, _, rest = draw(chart).partition(">")
     height = head.split()[4].rstrip('"')
-    style = STYLE
-    for name, colour in LIGHT.items():  # drawing programs do not support var()
-        style = style.replace(f"var(--{name})", colour)
+    colours, _, style = THEME.partition("}")
+    style = style[style.index("svg text") :]
+    for name, colour in re.findall(r"--(\w+): (#\w+)", colours):
+        style = style.replace(f"var(--{name})", colour)  # drawing programs do not support var()
+    style = re.sub(r"\.heat \{[^}]*\}", "", style)
     return (
-        f'{head} width="{chart.width}" height="{height}"><style>{style}</style>'
-        f'<rect width="100%" height="100%" fill="#ffffff"/>{rest}\n'
+        f'{head} xmlns="http://www.w3.org/2000/svg" width="{chart.width}" height="{height}">'
+        f'<style>{style}</style><rect width="100%" height="100%" fill="#ffffff"/>{rest}\n'
     )
 
 
-def ticks(low: float, high: float, about: int) -> list[float]:
-    """Round numbers between `low` and `high`."""
-    raw = max(high - low, 1e-300) / max(about, 1)
-    unit = 10.0 ** math.floor(math.log10(raw))
-    step = next(k * unit for k in (1.0, 2.0, 5.0, 10.0) if k * unit >= raw * 0.999)
-    first = math.ceil(low / step - 1e-9)
-    return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
+def mark(item: Mark, x: float, y: float) -> str:
+    """A mark at a position in pixels."""
+    hint = f"<title>{escape(item.hint)}</title>" if item.hint else ""
+    r, looks = item.radius, f"mark {item.style}"
+    if item.case is None and not item.passed:
+        cross = f"M{x - r:.1f} {y - r:.1f}l{2 * r:g} {2 * r:g}m0 {-2 * r:g}l{-2 * r:g} {2 * r:g}"
+        return f'<path class="{looks} cross" d="{cross}">{hint}</path>'
+    if item.case is None:
+        return f'<circle class="{looks} good" cx="{x:.1f}" cy="{y:.1f}" r="{r:g}">{hint}</circle>'
+    looks += f" s{item.case} f{item.case}" + " open" * (not item.passed)
+    if not (corners := SHAPES[item.case]):
+        return f'<circle class="{looks}" cx="{x:.1f}" cy="{y:.1f}" r="{r:g}">{hint}</circle>'
+    path = "M" + "L".join(f"{x + r * a:.1f} {y + r * b:.1f}" for a, b in corners)
+    return f'<path class="{looks}" d="{path}z">{hint}</path>'
+
+
+def text(x: float, y: float, words: str, look: str = "", anchor: str = "start") -> str:
+    """A text element at a position in pixels."""
+    look = f'class="{look}" ' if look else ""
+    return f'<text {look}x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>'
 
 
 def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
@@ -171,29 +112,27 @@ def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
     return x[index], y[index]
 
 
-def number(value: float) -> str:
-    """Label of a tick."""
-    return f"{0.0 if abs(value) < 1e-12 else value:.10g}".replace("-", "\N{MINUS SIGN}")
-
-
 class _Frame:
     """Converts data to positions in the figure and draws its parts."""
 
     def __init__(self, chart: Chart) -> None:
         self.chart = chart
-        self.x0, self.x1 = chart.x_range
-        self.y0, self.y1 = chart.y_range or _range(chart)
-        self.left = max(LEFT, 22 + 7 * max([len(r.name) for r in chart.items
-                                             if isinstance(r, Raster)], default=0))  # fmt: skip
-        self.right = chart.width - RIGHT
-        self.width = self.right - self.left
+        x0, x1 = chart.x_range
+        y0, y1 = chart.y_range or _range(chart)
+        self.left = max(
+            LEFT, 22 + 7 * max((len(name) for _, name in chart.y_ticks or ()), default=0)
+        )
+        beside = max((len(words) for _, words in chart.side), default=0)
+        self.right = chart.width - RIGHT - round(LETTER * beside)
+        width = self.right - self.left
         rows = 1 + max([row for _, _, row in self._placed()], default=-1)
         self.top = TOP + (ROW * rows + 4 if rows else 0)
-        inner = float(chart.height)
-        if chart.equal:
-            inner = self.width * (self.y1 - self.y0) / (self.x1 - self.x0)
+        inner = width * (y1 - y0) / (x1 - x0) if chart.equal else float(chart.height)
         self.bottom = self.top + inner
         self.height = self.bottom + BOTTOM
+        self.x = Axis(x0, x1, self.left, self.right, chart.x_log)
+        self.y_axis = Axis(y0, y1, self.bottom, self.top, chart.log, chart.whole)
+        self.per = width / (x1 - x0)  # pixels per unit of x
         self._name_at = self._names_of_limits()
 
     def _names_of_limits(self) -> dict[str, float]:
@@ -207,91 +146,72 @@ class _Frame:
             found[name] = last
         return found
 
-    def x(self, value: float) -> float:
-        return self.left + self.width * (value - self.x0) / (self.x1 - self.x0)
-
     def y(self, value: float) -> float:
-        low, high = self.y0, self.y1
-        if self.chart.log:
-            value, low, high = math.log10(max(value, low)), math.log10(low), math.log10(high)
-        share = (value - low) / (high - low)
-        return self.bottom - (self.bottom - self.top) * min(max(share, -0.02), 1.02)
+        share = min(max(self.y_axis.share(value), -0.02), 1.02)
+        return self.bottom - (self.bottom - self.top) * share
 
     def axes(self) -> list[str]:
         chart, out = self.chart, []
+        x0, x1, y0, y1 = self.left, self.right, self.top, self.bottom
         if chart.equal:
-            out.append(f'<rect class="table" x="{self.left}" y="{self.top}" width="{self.width}" '
-                       f'height="{self.bottom - self.top:.1f}"/>')  # fmt: skip
-        for value in ticks(self.x0, self.x1, 8):
-            at = self.x(value)
-            out.append(f'<path class="grid" d="M{at:.1f} {self.top}V{self.bottom:.1f}"/>'
-                       f'<text x="{at:.1f}" y="{self.bottom + 17:.1f}" text-anchor="middle">'
-                       f"{number(value)}</text>")  # fmt: skip
-        rasters = [i for i in chart.items if isinstance(i, Raster)]
-        for value in () if rasters else self._y_ticks():
-            at = self.y(value)
-            out.append(f'<path class="grid" d="M{self.left} {at:.1f}H{self.right}"/>'
-                       f'<text x="{self.left - 7}" y="{at + 4:.1f}" text-anchor="end">'
-                       f"{number(value)}</text>")  # fmt: skip
-        for raster in rasters:
-            at = self.y(raster.row + 0.5)
-            out.append(f'<text x="{self.left - 7}" y="{at + 3:.1f}" text-anchor="end" '
-                       f'style="font-size:10px">{escape(raster.name)}</text>')  # fmt: skip
-        middle = (self.top + self.bottom) / 2
-        out.append(f'<path class="axis" d="M{self.left} {self.bottom:.1f}H{self.right}'
-                   f'M{self.left} {self.top}V{self.bottom:.1f}"/>'
-                   f'<text class="name" x="{self.left + self.width / 2:.0f}" '
-                   f'y="{self.bottom + 36:.1f}" text-anchor="middle">{escape(chart.x_label)}</text>'
-                   f'<text class="name" transform="translate(13 {middle:.1f}) rotate(-90)" '
-                   f'text-anchor="middle">{escape(chart.y_label)}</text>')  # fmt: skip
+            out.append(f'<rect class="table" x="{x0}" y="{y0}" width="{x1 - x0}" '
+                       f'height="{y1 - y0:.1f}"/>')  # fmt: skip
+        if chart.x_ticks is None:
+            for value in self.x.ticks(round((x1 - x0) / 65)):
+                at = self.x.at(value)
+                out.append(f'<path class="grid" d="M{at:.1f} {y0}V{y1:.1f}"/>'
+                           + text(at, y1 + 17, number(value, 10), "", "middle"))  # fmt: skip
+        out += [
+            text(self.x.at(x), y1 + 17, words, "", "middle") for x, words in chart.x_ticks or ()
+        ]
+        if chart.y_ticks is None:
+            for value in self.y_axis.ticks(round((y1 - y0) / 38)):
+                at = self.y(value)
+                out.append(f'<path class="grid" d="M{x0} {at:.1f}H{x1}"/>'
+                           + text(x0 - 7, at + 4, number(value, 10), "", "end"))  # fmt: skip
+        crowded = "small" if (y1 - y0) < 13 * len(chart.y_ticks or ()) else ""
+        for y, words in chart.y_ticks or ():
+            out.append(text(x0 - 7, self.y(y) + (3 if crowded else 4), words, crowded, "end"))
+        out += [text(x1 + 10, self.y(y) + 4, words, "name") for y, words in chart.side]
+        out.append(f'<path class="axis" d="M{x0} {y1:.1f}H{x1}M{x0} {y0}V{y1:.1f}"/>'
+                   + text((x0 + x1) / 2, y1 + 36, chart.x_label, "name", "middle"))  # fmt: skip
+        if chart.y_label:
+            middle = f"translate(13 {(y0 + y1) / 2:.1f}) rotate(-90)"
+            out.append(f'<text class="name" transform="{middle}" text-anchor="middle">'
+                       f"{escape(chart.y_label)}</text>")  # fmt: skip
         return out
-
-    def _y_ticks(self) -> list[float]:
-        if not self.chart.log:
-            return ticks(self.y0, self.y1, round((self.bottom - self.top) / 38))
-        decades = range(math.ceil(math.log10(self.y0)), math.floor(math.log10(self.y1)) + 1)
-        return [10.0**k for k in decades]
 
     def item(self, item: Item) -> str:
         match item:
             case Line(x, y, hue, _, style):
                 return f'<path class="line s{hue % HUES} {style}" d="{self._path(x, y)}"/>'
             case Limit(y, name):
-                at = self.y(y)
-                return (f'<path class="limit" d="M{self.left} {at:.1f}H{self.right}"/>'
-                        f'<text class="limitname" x="{self.right - 4}" '
-                        f'y="{self._name_at[name]:.1f}" '
-                        f'text-anchor="end">{escape(name)}</text>')  # fmt: skip
+                name = text(self.right - 4, self._name_at[name], name, "limitname", "end")
+                return f'<path class="limit" d="M{self.left} {self.y(y):.1f}H{self.right}"/>{name}'
             case Moment(x, name):
-                at = self.x(x)
+                at = self.x.at(x)
                 moments = [i.x for i in self.chart.items if isinstance(i, Moment)]
                 row = self.top + 12.0 + APART * sum(other < x for other in moments)
                 late = at + LETTER * len(name) > self.right  # no room on the right
+                side = (at - 5, "end") if late else (at + 5, "start")
                 return (f'<path class="limit" d="M{at:.1f} {self.top}V{self.bottom:.1f}"/>'
-                        f'<text class="limitname" x="{at - 5 if late else at + 5:.1f}" '
-                        f'y="{row:.1f}" text-anchor="{"end" if late else "start"}">'
-                        f"{escape(name)}</text>")  # fmt: skip
+                        + text(side[0], row, name, "limitname", side[1]))  # fmt: skip
             case Disc(x, y, radius, style, hue):
-                r = radius * self.width / (self.x1 - self.x0)
                 paint = f"{style} s{hue % HUES} f{hue % HUES}" if style == "ghost" else style
-                return (f'<circle class="{paint}" cx="{self.x(x):.1f}" cy="{self.y(y):.1f}" '
-                        f'r="{r:.1f}"/>')  # fmt: skip
+                return (f'<circle class="{paint}" cx="{self.x.at(x):.1f}" cy="{self.y(y):.1f}" '
+                        f'r="{radius * self.per:.1f}"/>')  # fmt: skip
             case Point():
                 return self._point(item)
-            case Raster(row, start, length, hue):
-                at = self.y(row + 0.5)
-                thick = 0.72 * abs(self.y(1.0) - self.y(0.0))
-                per = self.width / (self.x1 - self.x0)
-                inside = (start + length > self.x0) & (start < self.x1)
-                bars = "".join(
-                    f"M{self.x(max(s, self.x0)):.1f} {at:.1f}h{w:.2f}"
-                    for s, w in zip(
-                        start[inside].tolist(),
-                        np.maximum(length[inside] * per, THINNEST).tolist(),
-                        strict=True,
-                    )
-                )
-                return f'<path class="s{hue % HUES}" style="stroke-width:{thick:.1f}" d="{bars}"/>'
+            case Raster():
+                return self._raster(item)
+            case Mark(x, y):
+                return mark(item, self.x.at(x) + item.shift, self.y(y))
+            case Box():
+                return self._box(item)
+            case Words(x, y, words, anchor, style, shift):
+                return text(self.x.at(x) + shift, self.y(y), words, style, anchor)
+            case Key():
+                return ""  # in the legend
 
     def _path(self, x: Array, y: Array) -> str:
         if not self.chart.equal:
@@ -303,18 +223,44 @@ class _Frame:
             if math.isnan(a) or math.isnan(b):
                 pen = "M"
                 continue
-            pieces.append(f"{pen}{self.x(a):.1f} {self.y(b):.1f}")
+            pieces.append(f"{pen}{self.x.at(a):.1f} {self.y(b):.1f}")
             pen = "L"
         return "".join(pieces)
 
+    def _raster(self, raster: Raster) -> str:
+        start, length = raster.start, raster.length
+        at = self.y(raster.row + 0.5)
+        thick = 0.72 * abs(self.y(1.0) - self.y(0.0))
+        inside = (start + length > self.x.low) & (start < self.x.high)
+        widths = np.maximum(length[inside] * self.per, THINNEST).tolist()
+        bars = "".join(
+            f"M{self.x.at(max(s, self.x.low)):.1f} {at:.1f}h{w:.2f}"
+            for s, w in zip(start[inside].tolist(), widths, strict=True)
+        )
+        return f'<path class="s{raster.hue % HUES}" style="stroke-width:{thick:.1f}" d="{bars}"/>'
+
+    def _box(self, box: Box) -> str:
+        left, right = (self.x.at(x) for x in box.x)
+        bottom, top = (self.y(y) for y in box.y)
+        hue = "" if box.hue is None else f" s{box.hue} f{box.hue}"
+        share = f' style="--share:{box.share:.3f}"' if box.style == "heat" else ""
+        words = ""
+        if box.words and right - left > LETTER * len(box.words):
+            look = "on-heat dark" if box.share > 0.75 else "on-heat"
+            words = text((left + right) / 2, (top + bottom) / 2 + 4, box.words, look, "middle")
+        return (f'<rect class="box {box.style}{hue}"{share} x="{left + 0.75:.1f}" y="{top:.1f}" '
+                f'width="{right - left - 1.5:.1f}" height="{bottom - top:.1f}">'
+                f"<title>{escape(box.hint)}</title></rect>{words}")  # fmt: skip
+
     def _point(self, point: Point) -> str:
-        a, b, hue = self.x(point.x), self.y(point.y), point.hue % HUES
-        away = max(9.0, 3.0 + 0.72 * point.room * self.width / (self.x1 - self.x0))
+        a, b, hue = self.x.at(point.x), self.y(point.y), point.hue % HUES
+        away = max(9.0, 3.0 + 0.72 * point.room * self.per)
         late = a + away + LETTER * len(point.name) > self.right  # no room on the right
-        name = (f'<text class="name f{hue}" x="{a - away if late else a + away:.1f}" '
-                f'y="{max(b - away, self.top + 11):.1f}" '
-                f'text-anchor="{"end" if late else "start"}">'
-                f"{escape(point.name)}</text>" if point.name else "")  # fmt: skip
+        side = (a - away, "end") if late else (a + away, "start")
+        name = ""
+        if point.name:
+            height = max(b - away, self.top + 11)
+            name = text(side[0], height, point.name, f"name f{hue}", side[1])
         if point.shape == "hit":
             return (f'<path class="line hit" d="M{a - 7:.1f} {b:.1f}h14m-7 -7v14m-5 -12l10 10m0 -10'
                     f'l-10 10"/>{name}')  # fmt: skip
@@ -325,25 +271,35 @@ class _Frame:
     def legend(self) -> list[str]:
         out = []
         for item, at, row in self._placed():
-            y = TOP + ROW * row
-            out.append(f'<path class="line s{item.hue % HUES} {item.style}" '
-                       f'd="M{at:.0f} {y + 4}h22"/>'
-                       f'<text class="name" x="{at + 28:.0f}" y="{y + 8}">'
-                       f"{escape(item.name)}</text>")  # fmt: skip
+            y = TOP + ROW * row + 4
+            if isinstance(item, Line):
+                look = f"line s{item.hue % HUES} {item.style}"
+                out.append(f'<path class="{look}" d="M{at:.0f} {y}h22"/>')
+            elif item.case is None:
+                out.append(f'<circle class="hollow" cx="{at + 5:.1f}" cy="{y}" r="3.6"/>')
+            else:
+                out.append(mark(Mark(0.0, 0.0, case=item.case, style="full", radius=4), at + 5, y))
+            out.append(text(at + _sample(item), y + 4, item.name, "name"))
         return out
 
-    def _placed(self) -> list[tuple[Line, float, int]]:
+    def _placed(self) -> list[tuple[Line | Key, float, int]]:
         """Entries of the legend, each with its position along x and its row."""
-        out, at, row = [], float(self.left), 0
+        out: list[tuple[Line | Key, float, int]] = []
+        at, row = float(self.left), 0
         for item in self.chart.items:
-            if not isinstance(item, Line) or not item.name:
+            if not isinstance(item, Line | Key) or not item.name:
                 continue
-            wide = 28 + LETTER * len(item.name)
+            wide = _sample(item) + LETTER * len(item.name)
             if at + wide > self.right and at > self.left:
                 at, row = float(self.left), row + 1
             out.append((item, at, row))
             at += wide + 18
         return out
+
+
+def _sample(item: Line | Key) -> int:
+    """Width of a legend's line or mark [px]."""
+    return 28 if isinstance(item, Line) else 14
 
 
 def _range(chart: Chart) -> tuple[float, float]:

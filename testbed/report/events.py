@@ -2,10 +2,10 @@
 
 from html import escape
 
+from testbed.config.experiment import Experiment
 from testbed.logs.history import History
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.fault_story import RANK, SUPERVISOR, Said, Story
-from testbed.report.scenario import Scenario
 from testbed.report.verdict import hit
 
 SHOWN = 40  # most lines in the list
@@ -13,14 +13,10 @@ REPEATED = 3  # repetitions from which an event becomes one line
 LOOKS = {"CRITICAL": "not", "ERROR": "not", "WARN": "warn", "INFO": ""}
 
 
-def lines(scenario: Scenario, history: History, metrics: Metrics) -> list[Said]:
+def lines(scenario: Experiment, history: History, metrics: Metrics) -> list[Said]:
     """Events in order of time; repeated ones are merged."""
-    rows = [
-        (t, name, words)
-        for name, vehicle in history.vehicles.items()
-        for t, words in vehicle.events
-    ]
-    rows += [(t, SUPERVISOR, words) for t, words in history.phases]
+    rows = [(name, one) for name, vehicle in history.vehicles.items() for one in vehicle.events]
+    rows += [(SUPERVISOR, one) for one in history.phases]
     told = Story(scenario).tell(rows)
     told += [Said(one.t, (one.vehicle,), "CRITICAL", hit(scenario, one)) for one in metrics.touches]
     return sorted(gathered(told), key=lambda one: (one.t, RANK.index(one.level)))
@@ -44,7 +40,7 @@ def gathered(told: list[Said]) -> list[Said]:
     return found
 
 
-def happened(scenario: Scenario, history: History, metrics: Metrics) -> str:
+def happened(scenario: Experiment, history: History, metrics: Metrics) -> str:
     """The report's section of faults and interventions, as HTML."""
     rows = [_row(one) for one in lines(scenario, history, metrics)]
     if not rows:

@@ -7,53 +7,38 @@ know its origin, the culprit; the other vehicles follow.
 from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple
 
+from testbed.config.experiment import Experiment
+from testbed.core.codes import Detector, FaultCause, Response
 from testbed.logs.feed import SeenTick
-from testbed.report.scenario import Scenario
+from testbed.logs.history import Happening
 
 Level = Literal["INFO", "WARN", "ERROR", "CRITICAL"]
-SHORT = 44  # most letters of a fault in the banner
 OVER = ("DISARMED", "STOPPED", "FAULT")  # phases of the supervisor after the flight
 SUPERVISOR = "supervisor"
 STATES = {  # by response: text while valves may open, and afterwards
-    "hold": ("holding", "holding"),
-    "brake": ("braking", "stopped"),
-    "coast": ("drifting", "drifting"),
-    "land": ("landing", "landed"),
+    Response.NONE: ("", "stopped"),
+    Response.WARN: ("warn", "warn"),
+    Response.HOLD: ("holding", "holding"),
+    Response.BRAKE: ("braking", "stopped"),
+    Response.COAST: ("drifting", "drifting"),
+    Response.LAND: ("landing", "landed"),
 }
 STOPPING_TOO = "stopping with the others"
-STOPPING = ("brake", "coast", "land")
+STOPPING = tuple(one.words for one in Response if one >= Response.BRAKE)
 RANK: tuple[Level, ...] = ("CRITICAL", "ERROR", "WARN", "INFO")
-
-
-def follows(scenario: Scenario, fault: str) -> bool:
-    """Whether a fault only reports the fault of another vehicle."""
-    row = scenario.faults.get(fault.partition(":")[0])
-    return row is not None and row.detector == "fleet"
-
-
-def short(fault: str) -> str:
-    """A fault without its identifier, numbers and reasons, for a banner."""
-    row, _, text = fault.partition(": ")
-    words = text if text and " " not in row else fault  # the gate's faults have no identifier
-    words = words.partition(": ")[0].partition(" (")[0]
-    if len(words) > SHORT and "? " in words:
-        return words.partition("? ")[0] + "?"
-    if len(words) > SHORT:
-        return words[:SHORT].rpartition(" ")[0] + " ..."
-    return words
 
 
 def _state(tick: SeenTick) -> str:
     """State of a vehicle with a fault, for the banner."""
     out = tick.outputs
-    flying, over = STATES.get(out.response, (out.response, out.response or "stopped"))
+    flying, over = STATES[out.response]
     return over if out.inhibit_reason else flying
 
 
 class Trouble:
     """Vehicles with faults, in order of time, and which of these faults are their own."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Experiment) -> None:
         self._scenario = scenario
         self._since: dict[str, float] = {}
 
@@ -66,20 +51,17 @@ class Trouble:
                 self._since.pop(name, None)
 
     def culprits(self, newest: Mapping[str, SeenTick]) -> dict[str, str]:
-        """Vehicles with a fault of their own, also as reported by others, with a short text."""
+        """Vehicles with a fault of their own, also as reported by others, and its title."""
         found: dict[str, str] = {}
-        said = ""
+        cause: FaultCause | None = None
         for name in sorted(self._since, key=self._since.__getitem__):
-            fault = newest[name].outputs.fault or ""
-            if follows(self._scenario, fault):
-                said = said or fault
-            else:
-                found[name] = short(fault)
-        if not found and said:
-            for name in self._scenario.vehicles:  # for a silent vehicle, or its law on the host
-                before, found_it, words = said.partition(f" {name}: ")
-                if found_it and before:
-                    return {name: short(words)}
+            fault = newest[name].outputs.fault
+            if fault is not None and fault.cause is not None:
+                cause = cause or fault.cause
+            elif fault is not None:
+                found[name] = fault.title
+        if not found and cause is not None and cause.vehicle in self._scenario.vehicles:
+            return {cause.vehicle: cause.title}  # a silent vehicle, or its law on the host
         return found
 
     def banner(self, newest: Mapping[str, SeenTick]) -> str:
@@ -112,46 +94,54 @@ class Said(NamedTuple):
 class Story:
     """Converts events of vehicles and supervisor to lines: each fault once, the culprit first."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Experiment) -> None:
         self._scenario = scenario
-        self._known: set[str] = set()  # faults already reported
+        self._known: set[tuple[str, str, str]] = set()  # faults already reported, by `_key`
 
-    def tell(self, rows: Iterable[tuple[float, str, str]]) -> list[Said]:
-        """Lines of rows (time, who, words); each call must be later than the previous one."""
-        ordered = sorted(rows, key=lambda row: row[0])
-        for _, _, words in ordered:
-            kind, _, fault = words.partition(": ")
-            if kind == "fault" and not follows(self._scenario, fault):
-                self._known.add(fault)  # "valves shut" arrives with it, or before
+    def tell(self, rows: Iterable[tuple[str, Happening]]) -> list[Said]:
+        """Lines of rows (who, what); each call must be later than the previous one."""
+        ordered = sorted(rows, key=lambda row: row[1].t)
+        for who, one in ordered:
+            if one.kind == "fault" and one.fault is not None and one.fault.cause is None:
+                self._known.add(_key(who, one.fault))  # "valves shut" arrives with it, or before
         lines: dict[tuple[float, Level, str], list[str]] = {}
-        for t, who, words in ordered:
-            if (line := self._line(t, who, words)) is not None:
-                lines.setdefault((t, *line), []).append(who)
+        for who, one in ordered:
+            if (line := self._line(who, one)) is not None:
+                lines.setdefault((one.t, *line), []).append(who)
         said = [Said(t, tuple(who), level, words) for (t, level, words), who in lines.items()]
         return sorted(said, key=lambda one: (one.t, RANK.index(one.level)))
 
-    def _line(self, t: float, who: str, words: str) -> tuple[Level, str] | None:
+    def _line(self, who: str, one: Happening) -> tuple[Level, str] | None:
         """Level and text of a line; None if it repeats known information."""
-        kind, _, rest = words.partition(": ")
+        kind, fault = one.kind, one.fault
         if who == SUPERVISOR:
-            culprit, _, fault = rest.partition(": ")
-            if kind != "FAULT":
-                return "INFO", words
-            return "CRITICAL", f"FAULT: {culprit}" if fault in self._known else words
-        if kind == "fault":
-            if not follows(self._scenario, rest):
-                return "CRITICAL", words
-            if any(fault in rest for fault in self._known):
+            if fault is None:
+                return ("CRITICAL" if kind == "FAULT" else "INFO"), one.text
+            known = _key("", fault) in self._known
+            return "CRITICAL", f"FAULT: {fault.vehicle}" if known else one.text
+        if kind == "fault" and fault is not None:
+            if fault.cause is None:
+                return "CRITICAL", one.text
+            if _key("", fault.cause) in self._known:
                 return "ERROR", STOPPING_TOO
-            self._known.add(rest)  # no vehicle has reported it as its own
-            return "CRITICAL", words
+            self._known.add(_key("", fault.cause))  # no vehicle has reported it as its own
+            return "CRITICAL", one.text
         if kind == "valves shut":
-            if rest in self._known or follows(self._scenario, rest):
-                return "ERROR", "valves shut"
-            return ("WARN" if t > 0.0 else "INFO"), words
+            if not one.words:  # by a fault, which has a line of its own
+                return "ERROR", one.text
+            return ("WARN" if one.t > 0.0 else "INFO"), one.text
         if kind in STOPPING:
-            asked = [row for row in rest.split(", ") if row and not follows(self._scenario, row)]
-            if rest and not asked:
+            asked = [row for row in one.rows if not self._follows(row)]
+            if one.rows and not asked:
                 return None  # its fault line already reports that it stops with the others
             return "ERROR", ": ".join(filter(None, (kind, ", ".join(asked))))
-        return ("WARN" if kind in ("warn", "hold", "cameras") else "INFO"), words
+        return ("WARN" if kind in ("warn", "hold", "cameras") else "INFO"), one.text
+
+    def _follows(self, name: str) -> bool:
+        """Whether a row of the fault table only reports the fault of another vehicle."""
+        row = self._scenario.faults.get(name)
+        return row is not None and row.measures == Detector.FLEET
+
+
+def _key(who: str, fault: FaultCause) -> tuple[str, str, str]:
+    return fault.vehicle or who, fault.id, fault.text

@@ -7,11 +7,11 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from controllers.graph import LEADER
+from testbed.config.experiment import Experiment
 from testbed.logs.history import History, VehicleHistory
-from testbed.metrics.run_metrics import HOLD_S, Touch
-from testbed.report.chart import WIDTH, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
+from testbed.metrics.run_metrics import HOLD_S, Touch, Track
 from testbed.report.goal_error import GoalError, goal_at
-from testbed.report.scenario import Scenario
+from testbed.report.item import WIDTH, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ PAPERS = {  # corresponding figures of the papers
 }  # fmt: skip
 
 
-def figures(scenario: Scenario, history: History, touches: Sequence[Touch] = ()) -> list[Chart]:
+def figures(scenario: Experiment, history: History, touches: Sequence[Touch] = ()) -> list[Chart]:
     """All applicable figures, in the order of the report, with contacts marked."""
     makers = (
         _trajectory, _error, _error_xy, _tracking, _heading, _distances, _separations, _speed,
@@ -65,7 +65,7 @@ def _shows(item: Item) -> bool:
     return True
 
 
-def analogue(scenario: Scenario, key: str) -> str:
+def analogue(scenario: Experiment, key: str) -> str:
     """Text naming the paper's figure that this one corresponds to; empty if there is none."""
     paper = scenario.name.partition("_")[0]
     figure = PAPERS.get(paper, {}).get(key)
@@ -81,7 +81,7 @@ def _vehicles(history: History) -> Iterator[tuple[int, str, VehicleHistory]]:
         yield k, name, vehicle
 
 
-def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _trajectory(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     goal_error = GoalError(scenario)
     has_goals = not goal_error.forms
@@ -138,7 +138,7 @@ def _trajectory(scenario: Scenario, history: History) -> Iterator[Chart]:
                 (-half_x, half_x), (-half_y, half_y), equal=True, note=note)  # fmt: skip
 
 
-def _error(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _error(scenario: Experiment, history: History) -> Iterator[Chart]:
     goal_error, (t, places) = GoalError(scenario), history.together()
     settled = 1e3 * goal_error.settled_m
     items: list[Item] = [Limit(settled, f"settled below {settled:.0f} mm")]
@@ -154,7 +154,7 @@ def _error(scenario: Scenario, history: History) -> Iterator[Chart]:
                 items, _time(history), log=True)  # fmt: skip
 
 
-def _error_xy(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _error_xy(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     if GoalError(scenario).forms:
         return  # vehicles have no individual goals
@@ -173,20 +173,12 @@ def _interpolated(history: History, name: str) -> tuple[Array, Array, Array]:
     known = ~np.isnan(vehicle.at) & ~np.isnan(vehicle.reference[:, 2])
     if len(t) < 2 or not known.any():
         return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))
+    known &= vehicle.at <= t[-1]
     at = vehicle.at[known]
-    i = np.clip(np.searchsorted(t, at) - 1, 0, len(t) - 2)
-    h = (t[i + 1] - t[i])[:, None]
-    s = (at - t[i])[:, None] / h
-    a, b = state[i], state[i + 1]
-    pose = (
-        (1 + 2 * s) * (1 - s) ** 2 * a[:, :3] + s * s * (3 - 2 * s) * b[:, :3]
-        + h * s * (1 - s) ** 2 * a[:, 3:] - h * s * s * (1 - s) * b[:, 3:]
-    )  # fmt: skip
-    inside = at <= t[-1]
-    return at[inside], pose[inside], vehicle.reference[known][inside]
+    return at, Track(t, state[:, None]).at(at, 0), vehicle.reference[known]
 
 
-def _tracking(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _tracking(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     limit = scenario.criteria.track_rms_m
     for k, name, vehicle in _vehicles(history):
@@ -200,7 +192,7 @@ def _tracking(scenario: Scenario, history: History) -> Iterator[Chart]:
                 "error [mm]", items, _time(history))  # fmt: skip
 
 
-def _heading(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _heading(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     for k, name, _ in _vehicles(history):
         t, state = history.where(name)
@@ -210,7 +202,7 @@ def _heading(scenario: Scenario, history: History) -> Iterator[Chart]:
                 _time(history), height=170)  # fmt: skip
 
 
-def _distances(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _distances(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     radii = sorted({obstacle.radius for obstacle in scenario.obstacles.values()})
     for k, name, _ in _vehicles(history):
@@ -228,7 +220,7 @@ def _distances(scenario: Scenario, history: History) -> Iterator[Chart]:
                 "time [s]", "distance [m]", items, _time(history))  # fmt: skip
 
 
-def _separations(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _separations(scenario: Experiment, history: History) -> Iterator[Chart]:
     names, items = list(history.vehicles), []
     pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     if len(pairs) > MOST_PAIRS:
@@ -244,13 +236,13 @@ def _separations(scenario: Scenario, history: History) -> Iterator[Chart]:
                 "distance [m]", [*items, *limits], _time(history), height=190)  # fmt: skip
 
 
-def _touch(scenario: Scenario) -> Limit:
+def _touch(scenario: Experiment) -> Limit:
     radii = sorted(setup.model.radius for setup in scenario.vehicles.values())
     touch = radii[-1] + radii[-2]
     return Limit(touch, f"touch, {touch:g} m")
 
 
-def _nearest(scenario: Scenario, history: History) -> Chart:
+def _nearest(scenario: Experiment, history: History) -> Chart:
     """Separation of many vehicles: one line per vehicle instead of per pair."""
     t, places = history.together()
     items: list[Item] = [
@@ -264,7 +256,7 @@ def _nearest(scenario: Scenario, history: History) -> Chart:
     return Chart("separation", title, "time [s]", "distance [m]", items, _time(history), height=190)
 
 
-def _speed(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _speed(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     for k, name, _ in _vehicles(history):
         t, state = history.where(name)
@@ -282,7 +274,7 @@ def _smooth(values: Array, width: int) -> Array:
     return inner / count
 
 
-def _force(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _force(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     width = max(1, round(1.0 / scenario.flight.jet_period_s))
     for k, name, v in _vehicles(history):
@@ -308,24 +300,27 @@ def openings(edges: Array, jet: int) -> tuple[Array, Array]:
     return starts[: len(ends)], ends - starts[: len(ends)]
 
 
-def _valves(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _valves(scenario: Experiment, history: History) -> Iterator[Chart]:
     rows: list[Item] = []
+    names: list[tuple[float, str]] = []
     for k, name, v in _vehicles(history):
         delay = scenario.vehicles[name].model.command_delay_s
         for jet in range(v.on.shape[1]):
             row = -(k * (v.on.shape[1] + 1) + jet)
+            names.append((row + 0.5, f"{name} {jet + 1}"))
             if len(v.edges):  # its board reports output edges
                 starts, lengths = openings(v.edges, jet)
-                rows.append(Raster(row, starts, lengths, k, f"{name} {jet + 1}"))
+                rows.append(Raster(row, starts, lengths, k))
                 continue
             open_ = v.on[:, jet] > 0.0
             start = v.t[open_] + delay + v.offset[open_, jet]
-            rows.append(Raster(row, start, v.on[open_, jet], k, f"{name} {jet + 1}"))
+            rows.append(Raster(row, start, v.on[open_, jet], k))
     yield Chart("valves", "Valves: when each jet was open", "time [s]", "vehicle and jet", rows,
-                _time(history), height=11 * len(rows) + 12, width=2 * WIDTH)  # fmt: skip
+                _time(history), y_ticks=names, height=11 * len(rows) + 12,
+                width=2 * WIDTH)  # fmt: skip
 
 
-def _air(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _air(scenario: Experiment, history: History) -> Iterator[Chart]:
     tank: list[Item] = []
     supply: list[Item] = []
     for k, name, v in _vehicles(history):
@@ -339,7 +334,7 @@ def _air(scenario: Scenario, history: History) -> Iterator[Chart]:
                 supply, _time(history), height=140)  # fmt: skip
 
 
-def _timing(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _timing(scenario: Experiment, history: History) -> Iterator[Chart]:
     poses: list[Item] = [Line(v.t, 1e3 * v.pose_age, k, name) for k, name, v in _vehicles(history)]
     limit = scenario.flight.gate.pose_timeout_s
     worst = max((float(np.nanmax(v.pose_age, initial=0.0)) for v in history.vehicles.values()),
@@ -367,7 +362,7 @@ def _timing(scenario: Scenario, history: History) -> Iterator[Chart]:
                 height=150)  # fmt: skip
 
 
-def _filter(scenario: Scenario, history: History) -> Iterator[Chart]:
+def _filter(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = [
         Line(v.t, np.hypot(*v.filtered.T), k, name)
         for k, name, v in _vehicles(history)

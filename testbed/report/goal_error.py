@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from controllers.bifurcating import BifurcatingParams
 from controllers.bifurcating_design import distance_to
 from controllers.graph import LEADER, formation, formation_kind
+from testbed.config.experiment import Experiment, VehicleSetup
 from testbed.metrics.formation import CURVE_M, EDGE_M
 from testbed.metrics.run_metrics import SETTLED_M
-from testbed.report.scenario import Scenario, Setup
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class Edge(NamedTuple):
     length: float  # [m]
 
 
-def goal_at(setup: Setup, t: Array) -> Array:
+def goal_at(setup: VehicleSetup, t: Array) -> Array:
     """Goal position of a vehicle, shape (len(t), 2) [m]."""
     start = np.tile(np.array(setup.goal[:2]), (len(t), 1))
     if setup.path is None or len(t) == 0:
@@ -40,7 +40,7 @@ def goal_at(setup: Setup, t: Array) -> Array:
 class GoalError:
     """The goals, edges or curves of a scenario, and errors to them."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Experiment) -> None:
         self._scenario, self._law = scenario, cast(Any, scenario.controller)
         kind = formation_kind(self._law)
         self.forms = kind is not None  # vehicles have no individual goals

@@ -7,15 +7,17 @@ from pathlib import Path
 
 import msgspec
 
+from testbed.config.experiment import Experiment
 from testbed.core.error import TestbedError
 from testbed.logs.history import History
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import TO_THE_START, Metrics
-from testbed.report.chart import STYLE, Chart, alone, draw
+from testbed.report.chart import THEME, alone, draw
 from testbed.report.events import happened
 from testbed.report.figures import analogue, figures
+from testbed.report.item import Chart
+from testbed.report.law import law_of
 from testbed.report.provenance import colophon, timing
-from testbed.report.scenario import Scenario, law_of
 from testbed.report.verdict import CRITERIA, UNCOUNTED, missed, reasons, verdict
 
 CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
@@ -48,7 +50,7 @@ class ReportError(TestbedError):
 
 
 def write_report(
-    folder: Path, scenario: Scenario, history: History, metrics: Metrics, config: str
+    folder: Path, scenario: Experiment, history: History, metrics: Metrics, config: str
 ) -> list[Path]:
     """Write report.html and figures/*.svg to a run folder; returns the files, the report first."""
     charts = figures(scenario, history, metrics.touches)
@@ -70,7 +72,7 @@ def write_report(
 
 
 def render(
-    scenario: Scenario, history: History, metrics: Metrics, config: str, charts: Iterable[Chart]
+    scenario: Experiment, history: History, metrics: Metrics, config: str, charts: Iterable[Chart]
 ) -> str:
     """The page as HTML."""
     drawn = list(charts)
@@ -91,17 +93,17 @@ def render(
     return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections))
 
 
-def page(title: str, body: str) -> str:
-    """A complete HTML page around `body`."""
+def page(title: str, body: str, style: str = "") -> str:
+    """A complete HTML page around `body`, with more style if given."""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{CSS}{STYLE}</style></head>\n"
+        f"<title>{escape(title)}</title><style>{THEME}{CSS}{style}</style></head>\n"
         f"<body><main>\n{body}\n</main></body></html>\n"
     )
 
 
-def _header(scenario: Scenario, metrics: Metrics) -> str:
+def _header(scenario: Experiment, metrics: Metrics) -> str:
     look, words = verdict(scenario, metrics)
     where = f"on the {metrics.rig}, seed {metrics.seed}"
     story = "".join(f'<p class="not">{escape(one)}</p>' for one in reasons(scenario, metrics))
@@ -113,14 +115,14 @@ def _header(scenario: Scenario, metrics: Metrics) -> str:
     )
 
 
-def together_of(scenario: Scenario, metrics: Metrics) -> FormationMetrics | None:
+def together_of(scenario: Experiment, metrics: Metrics) -> FormationMetrics | None:
     """Metrics of the formation; None if the law controls no formation."""
     if metrics.formation is None or not has_formation(scenario.controller):
         return None
     return msgspec.convert(metrics.formation, FormationMetrics, from_attributes=True)
 
 
-def known(scenario: Scenario, metrics: Metrics, name: str, key: str) -> float | None:
+def known(scenario: Experiment, metrics: Metrics, name: str, key: str) -> float | None:
     """A vehicle's metric; None where it refers to the start of a moving goal."""
     if key in TO_THE_START and scenario.vehicles[name].path is not None:
         return None
@@ -128,7 +130,7 @@ def known(scenario: Scenario, metrics: Metrics, name: str, key: str) -> float | 
     return found
 
 
-def _tiles(scenario: Scenario, metrics: Metrics) -> str:
+def _tiles(scenario: Experiment, metrics: Metrics) -> str:
     def worst(key: str) -> float | None:
         values = [known(scenario, metrics, name, key) for name in metrics.vehicles]
         return max((v for v in values if v is not None), default=None)
@@ -184,7 +186,7 @@ def _pose(pose: tuple[float, float, float]) -> str:
     return _signed(f"({x:.2f}, {y:.2f}) m, {math.degrees(theta):.0f}\N{DEGREE SIGN}")
 
 
-def _flown(scenario: Scenario) -> str:
+def _flown(scenario: Experiment) -> str:
     size = scenario.table.size
     obstacles = [
         f"{escape(name)} at {_signed(f'({o.position[0]:g}, {o.position[1]:g})')} m, "
@@ -223,7 +225,7 @@ def _warnings(metrics: Metrics) -> str:
     return f'<div class="warnings"><b>Warnings</b><ul>{rows}</ul></div>' if rows else ""
 
 
-def _criteria(scenario: Scenario, metrics: Metrics) -> str:
+def _criteria(scenario: Experiment, metrics: Metrics) -> str:
     if metrics.criteria is None:
         why = "The flight was not completed, so no criterion is judged."
         if metrics.red:
@@ -263,7 +265,7 @@ def _criteria(scenario: Scenario, metrics: Metrics) -> str:
     )
 
 
-def _results(scenario: Scenario, metrics: Metrics) -> str:
+def _results(scenario: Experiment, metrics: Metrics) -> str:
     has_goals = not has_formation(scenario.controller)
     names = "".join(
         f'<th><span class="dot" style="background:var(--h{k % 6})"></span>{escape(name)}</th>'
@@ -285,7 +287,7 @@ def _results(scenario: Scenario, metrics: Metrics) -> str:
     )
 
 
-def _figures(scenario: Scenario, charts: Iterable[Chart]) -> str:
+def _figures(scenario: Experiment, charts: Iterable[Chart]) -> str:
     return '<div class="figures">' + "".join(
         figure(chart, analogue(scenario, chart.key)) for chart in charts
     ) + "</div>"  # fmt: skip

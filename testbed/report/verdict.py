@@ -7,9 +7,8 @@ was a contact. Grey: not judged, because an operator interrupted it or it was ki
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
+from testbed.config.experiment import Experiment
 from testbed.metrics.run_metrics import Metrics, Touch
-from testbed.report.fault_story import short
-from testbed.report.scenario import Scenario
 
 UNCOUNTED = -1  # contacts of a run that was killed before they were counted
 SHOWN_TOUCHES = 3
@@ -34,7 +33,7 @@ class Verdict(NamedTuple):
     words: str
 
 
-def verdict(scenario: Scenario, metrics: Metrics) -> Verdict:
+def verdict(scenario: Experiment, metrics: Metrics) -> Verdict:
     """The verdict on a run."""
     end = f"{metrics.duration_s:.1f} s"
     if metrics.contacts == UNCOUNTED:
@@ -54,7 +53,7 @@ def verdict(scenario: Scenario, metrics: Metrics) -> Verdict:
     return Verdict("passed", "passed")
 
 
-def touched(scenario: Scenario, touches: Sequence[Touch]) -> list[str]:
+def touched(scenario: Experiment, touches: Sequence[Touch]) -> list[str]:
     """Contacts as sentences."""
     return [
         f"{one.vehicle} hit {_other(scenario, one)} at {one.t:.1f} s, {_speed(one)}"
@@ -62,12 +61,12 @@ def touched(scenario: Scenario, touches: Sequence[Touch]) -> list[str]:
     ]
 
 
-def hit(scenario: Scenario, touch: Touch) -> str:
+def hit(scenario: Experiment, touch: Touch) -> str:
     """Object and speed of a contact, as text."""
     return f"hit {_other(scenario, touch)}, {_speed(touch)}"
 
 
-def _other(scenario: Scenario, touch: Touch) -> str:
+def _other(scenario: Experiment, touch: Touch) -> str:
     if touch.other in scenario.obstacles:
         return f"obstacle {touch.other}"
     return touch.other if touch.other in scenario.vehicles else f"the table's {touch.other}"
@@ -77,19 +76,22 @@ def _speed(touch: Touch) -> str:
     return f"{100.0 * touch.speed:.0f} cm/s"
 
 
-def reasons(scenario: Scenario, metrics: Metrics) -> list[str]:
+def reasons(scenario: Experiment, metrics: Metrics) -> list[str]:
     """Short reasons why the run did not pass, the most important first."""
     found = touched(scenario, metrics.touches[:SHOWN_TOUCHES])
     if (more := len(metrics.touches) - SHOWN_TOUCHES) > 0:
         found.append(f"{more} more {'contacts' if more > 1 else 'contact'}")
     found += metrics.red
     if metrics.fault and not metrics.red:
-        who, _, fault = metrics.fault.partition(": ")
-        found.append(f"{who}: {short(fault)}" if who in scenario.vehicles else metrics.fault)
+        report = metrics.fault_report
+        if report is None or report.vehicle not in scenario.vehicles:
+            found.append(metrics.fault)
+        else:
+            found.append(f"{report.vehicle}: {report.title}")
     return found
 
 
-def missed(scenario: Scenario, metrics: Metrics, name: str, key: str, criterion: str) -> bool:
+def missed(scenario: Experiment, metrics: Metrics, name: str, key: str, criterion: str) -> bool:
     """Whether this vehicle's metric violates a criterion."""
     if (metrics.criteria or {}).get(criterion) is not False:
         return False

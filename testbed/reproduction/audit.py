@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from testbed.config import ConfigError
 from testbed.core.error import TestbedError
-from testbed.reproduction.claim import Paper, Row, Values, judge, needed
+from testbed.reproduction.claim import ClaimRow, Paper, Values, judge, needed
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.run import Run, execute
 
@@ -124,7 +124,7 @@ def made(tasks: Sequence[Task], cores: int | None = None) -> Iterator[Made]:
 
 def rows_of(
     key: str, paper: Paper, values: Mapping[str, Values], *, quick: bool
-) -> tuple[list[Row], list[str]]:
+) -> tuple[list[ClaimRow], list[str]]:
     """The rows of a paper, and the ids of claims whose runs were not executed."""
     rows, missing = [], []
     for claim in paper.claims:

@@ -115,7 +115,7 @@ def needed(claim: Claim) -> list[str]:
     return [] if claim.untestable else [name for name in (claim.run, claim.over) if name]
 
 
-class Row(Struct, frozen=True):
+class ClaimRow(Struct, frozen=True):
     """A claim and its outcome; the first eight fields are for the reader."""
 
     id: str
@@ -192,7 +192,9 @@ def values_of(key: str, claim: Claim, made: Mapping[str, Values]) -> list[float 
     return [None if a is None or not b else a / b for a, b in zip(*found, strict=False)]
 
 
-def judge(key: str, paper: Paper, claim: Claim, made: Mapping[str, Values], *, quick: bool) -> Row:
+def judge(
+    key: str, paper: Paper, claim: Claim, made: Mapping[str, Values], *, quick: bool
+) -> ClaimRow:
     """One row of the audit.
 
     Args:
@@ -220,7 +222,7 @@ def judge(key: str, paper: Paper, claim: Claim, made: Mapping[str, Values], *, q
         measured, seeds = worst(claim, found), len(found)
         kind = FAILS if not met(claim, measured) else CORRECTED if assumption else HOLDS
         outcome = cast(Outcome, kind)
-    return Row(
+    return ClaimRow(
         f"{key}.{claim.id}", claim.source, claim.claim, claim.paper, measured, claim.unit,
         verdict(claim, outcome, measured, assumption), assumption, outcome, claim.expected,
         claim.must, claim.limit if isinstance(claim.paper, str) else limit_of(claim),
@@ -243,7 +245,7 @@ def verdict(claim: Claim, outcome: str, measured: float | None, assumption: str)
     return f"not reproducible: {found.rstrip()}, claimed {wanted.rstrip()}"
 
 
-def claimed(row: Row) -> str:
+def claimed(row: ClaimRow) -> str:
     """The claimed value with its unit; a text with the limit used for it."""
     sign = {"at most": "<= ", "at least": ">= ", "equal": ""}[row.must]
     slack = f" (+- {row.tolerance:g})" if row.tolerance and row.must == "equal" else ""
@@ -263,7 +265,7 @@ def _names(words: str, limit: float) -> bool:
         return False
 
 
-class Counts(Struct, frozen=True):
+class VerdictCounts(Struct, frozen=True):
     """Number of claims by outcome; input checks are counted separately."""
 
     claims: dict[str, int]
@@ -279,7 +281,7 @@ class Counts(Struct, frozen=True):
         return f"{total} claims: {said}{apart}"
 
 
-def counts(rows: Iterable[Row]) -> Counts:
+def counts(rows: Iterable[ClaimRow]) -> VerdictCounts:
     """Count the outcomes of rows."""
     claims = dict.fromkeys((HOLDS, CORRECTED, FAILS, UNTESTABLE), 0)
     checks = {"passed": 0, "failed": 0}
@@ -288,4 +290,4 @@ def counts(rows: Iterable[Row]) -> Counts:
             checks["passed" if row.outcome == HOLDS else "failed"] += 1
         else:
             claims[row.outcome] += 1
-    return Counts(claims, checks)
+    return VerdictCounts(claims, checks)

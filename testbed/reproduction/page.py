@@ -1,11 +1,11 @@
 """A paper's page for the docs: claims, results, how to reproduce them."""
 
-from testbed.reproduction.claim import CHECK, CLAIM, UNTESTABLE, Paper, Row, claimed, counts
+from testbed.reproduction.claim import CHECK, CLAIM, UNTESTABLE, ClaimRow, Paper, claimed, counts
 
 QUICK = " These numbers are of `--quick`: fewer seeds, coarser steps."
 
 
-def page(key: str, paper: Paper, rows: list[Row]) -> str:
+def page(key: str, paper: Paper, rows: list[ClaimRow]) -> str:
     """The page as Markdown."""
     lines = [
         f"# {key}: {paper.title}", "", paper.source, "", paper.remark.strip(), "",
@@ -44,7 +44,7 @@ def _line(*cells: str) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
 
 
-def _found(row: Row) -> str:
+def _found(row: ClaimRow) -> str:
     if row.outcome == UNTESTABLE:
         return row.verdict.partition(": ")[2]
     return "never" if row.measured is None else f"{row.measured:.4g} {row.unit}".strip()

@@ -1,28 +1,36 @@
-"""Writes figures to files; the only module that imports matplotlib."""
+"""The figures of a run as charts."""
 
-from pathlib import Path
+from itertools import cycle
 
-from matplotlib.figure import Figure as Sheet
+import numpy as np
 
+from testbed.report.axis import span
+from testbed.report.item import HUES, Chart, Item, Line, Mark
 from testbed.reproduction.figure import Figure
 
 MOST = 12  # most curves in a legend
+HEIGHT = 300
+STYLES = ("", "dashed", "dotted")  # of the curves after the first HUES, and so on
 
 
-def draw(path: Path, title: str, figure: Figure) -> None:
-    """Draw one figure to a PNG file."""
-    sheet = Sheet(figsize=(7.0, 4.5), layout="constrained")
-    axes = sheet.subplots()
-    for name, (x, y) in figure.curves.items():
-        axes.plot(x, y, label=name, linewidth=1.0)
-        if figure.dots:
-            axes.plot(x[-1:], y[-1:], "o", markersize=3.0, color="black")
-    axes.set_xlabel(figure.x)
-    axes.set_ylabel(figure.y)
-    axes.set_title(f"{title}: {figure.name}", fontsize=10)
-    axes.grid(visible=True, linewidth=0.3)
+def chart_of(key: str, title: str, figure: Figure) -> Chart:
+    """The chart of one figure; positions are drawn on a square with equal scales."""
+    named = 1 < len(figure.curves) <= MOST
+    items: list[Item] = []
+    styles = (style for style in cycle(STYLES) for _ in range(HUES))
+    for k, ((name, (x, y)), style) in enumerate(zip(figure.curves.items(), styles, strict=False)):
+        items.append(Line(x, y, k, name if named else "", style))
+        if figure.dots and len(x):
+            items.append(Mark(float(x[-1]), float(y[-1]), name, case=0, style="rest"))
+    x_range, y_range = (_span([curve[k] for curve in figure.curves.values()]) for k in (0, 1))
     if figure.dots:
-        axes.set_aspect("equal", adjustable="datalim")
-    if 1 < len(figure.curves) <= MOST:
-        axes.legend(fontsize=7)
-    sheet.savefig(path, dpi=110)
+        half = 0.52 * max(x_range[1] - x_range[0], y_range[1] - y_range[0])
+        x_range, y_range = ((0.5 * sum(r) - half, 0.5 * sum(r) + half) for r in (x_range, y_range))
+    return Chart(key, f"{title}: {figure.name}", figure.x, figure.y, items, x_range,
+                 y_range if figure.dots else None, equal=figure.dots, height=HEIGHT)  # fmt: skip
+
+
+def _span(values: list[np.ndarray]) -> tuple[float, float]:
+    every = np.concatenate([np.asarray(one, float) for one in values] or [np.zeros(1)])
+    seen = every[np.isfinite(every)]
+    return span((seen if len(seen) else np.zeros(1)).tolist(), room=0.0)

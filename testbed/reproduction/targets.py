@@ -10,7 +10,7 @@ from sim_twin.orbit.relative import drift, frame_at
 from testbed.core.vehicle import Positive
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
-from testbed.reproduction.kernel.fleet import Flight, fly, wave_at
+from testbed.reproduction.kernel.fleet import FleetFlight, fly, wave_at
 from testbed.reproduction.scene import STILL, Obstacles, OrbitParams, Vector, WaveParams, place
 from testbed.reproduction.settled import settled_after
 from testbed.reproduction.sliding import Motion, vanishing
@@ -49,7 +49,7 @@ class Targets(Struct, frozen=True, forbid_unknown_fields=True, tag="targets"):
     assumptions: tuple[str, ...] = ()
 
 
-def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
+def fly_one(run: Targets, satellite: Satellite, step: float) -> FleetFlight:
     """Fly one satellite; the others do not affect it."""
     law = gains_of(run.controller, ["sat"], 3)
     obstacles = Obstacles(satellite.obstacles, run.radius)
@@ -66,7 +66,7 @@ def fly_one(run: Targets, satellite: Satellite, step: float) -> Flight:
     )  # fmt: skip
 
 
-def motion_of(run: Targets, satellite: Satellite, flight: Flight) -> Motion:
+def motion_of(run: Targets, satellite: Satellite, flight: FleetFlight) -> Motion:
     """The trajectory with the accelerations known to the law."""
     chief, push = run.orbit.chief(), run.disturbance.wave()
     p, v = flight.p[:, 0], flight.v[:, 0]
@@ -79,7 +79,7 @@ def motion_of(run: Targets, satellite: Satellite, flight: Flight) -> Motion:
     return Motion(flight.t, p - np.array(satellite.goal), p, v, a, obstacles, run.radius)
 
 
-def measure_one(run: Targets, satellite: Satellite, flight: Flight) -> dict[str, float | None]:
+def measure_one(run: Targets, satellite: Satellite, flight: FleetFlight) -> dict[str, float | None]:
     """Measures of one flight."""
     t, p = flight.t, flight.p[:, 0]
     error = np.linalg.norm(p - np.array(satellite.goal), axis=1)

@@ -41,7 +41,14 @@ from testbed.core.law import CompiledLaw
 from testbed.core.vehicle import NonNegative, Positive
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
-from testbed.reproduction.kernel.fleet import Flight, Place, fly, goal_at, wave_at, wave_integral
+from testbed.reproduction.kernel.fleet import (
+    FleetFlight,
+    Place,
+    fly,
+    goal_at,
+    wave_at,
+    wave_integral,
+)
 from testbed.reproduction.scene import NO_OBSTACLES, Leader, Obstacles, OrbitParams, Vector, place
 from testbed.reproduction.settled import settled_after
 from testbed.reproduction.targets import Measures
@@ -120,7 +127,9 @@ def scene_of(run: Together, edges_at: int) -> Place:
     )  # fmt: skip
 
 
-def tracks_of(run: Together, where: Place, shape: Formation, edges_at: int, f: Flight) -> Tracks:
+def tracks_of(
+    run: Together, where: Place, shape: Formation, edges_at: int, f: FleetFlight
+) -> Tracks:
     """Positions and edges, the leader last; a law without a_ij has those of the start."""
     goals = [goal_at(where, t) for t in f.t]
     p = np.concatenate([f.p, np.array([g.p for g in goals])[:, None]], axis=1)
@@ -176,7 +185,7 @@ def obstacles(where: Place, track: Tracks, band: float) -> Measures:
     }
 
 
-def efforts(run: Together, track: Tracks, f: Flight) -> Measures:
+def efforts(run: Together, track: Tracks, f: FleetFlight) -> Measures:
     """Measures of forces and velocities."""
     last = track.t >= (1.0 - END) * track.t[-1]
     relative = track.v[:, :-1] - (track.v[:, -1:] if run.leader else 0.0)
@@ -187,7 +196,7 @@ def efforts(run: Together, track: Tracks, f: Flight) -> Measures:
     }
 
 
-def proxies(track: Tracks, f: Flight) -> Measures:
+def proxies(track: Tracks, f: FleetFlight) -> Measures:
     """Differences of position and velocity between satellites and proxies."""
     last = track.t >= (1.0 - END) * track.t[-1]
     gap = np.linalg.norm(f.p - f.z[:, :, :3], axis=2)
@@ -199,7 +208,7 @@ def proxies(track: Tracks, f: Flight) -> Measures:
     }
 
 
-def energies(run: Together, c: Coupling, track: Tracks, f: Flight) -> Array:
+def energies(run: Together, c: Coupling, track: Tracks, f: FleetFlight) -> Array:
     """V over a flight, with the edges at each time."""
     mass, still = np.array(run.mass), np.zeros(3)
     led = run.leader is not None
@@ -272,7 +281,7 @@ def bars(c: Coupling, fleet: proof.Fleet) -> Measures:
     return {"longer_than_bar_m": [beyond]}
 
 
-def gravity(run: Together, where: Place, f: Flight) -> Measures:
+def gravity(run: Together, where: Place, f: FleetFlight) -> Measures:
     """Largest gravity force, for Assumption 3."""
     frames = [frame_at(where.chief, t) for t in f.t]
     pulls = [
@@ -283,7 +292,7 @@ def gravity(run: Together, where: Place, f: Flight) -> Measures:
     return {"gravity_n": [float(max(pulls))]}
 
 
-def static_energy(run: Together, law: CompiledLaw, track: Tracks, f: Flight) -> Array:
+def static_energy(run: Together, law: CompiledLaw, track: Tracks, f: FleetFlight) -> Array:
     """V_1 of xue2021, Eq. (10), over a flight; psi^d is constant for pairs out of range."""
     gains: Any = law.gains
     u: FormationPotential = gains.potential
@@ -340,7 +349,7 @@ def run_together(run: Together, *, quick: bool) -> tuple[Measures, list[Figure]]
     return found, figures(run, track, f)
 
 
-def figures(run: Together, track: Tracks, f: Flight) -> list[Figure]:
+def figures(run: Together, track: Tracks, f: FleetFlight) -> list[Figure]:
     """Figures of distances, velocities and forces."""
     names = [*run.names, "leader"] if run.leader else run.names
     t = thinned(track.t)

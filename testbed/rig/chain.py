@@ -20,6 +20,7 @@ from testbed.flight.fault_monitor import FaultMonitor
 from testbed.flight.gate import Fence, Gate
 from testbed.flight.guidance import Guidance
 from testbed.flight.jet_faults import JetFaultDetector
+from testbed.flight.nearby import Nearby
 from testbed.flight.safety import Safety
 from testbed.metrics.formation import FormationContext
 from testbed.realtime.law_watch import timed, watching
@@ -29,7 +30,9 @@ def watched(experiment: Experiment) -> AbstractContextManager[object]:
     """The timer for calls of the experiment's law, in the process that calls it."""
     deploy, period = experiment.deploy, experiment.flight.jet_period_s
     limit = deploy.call_limit(period)
-    return watching(experiment.controller, limit, deploy.law_memory_mb, period)
+    # the host calls the law for one vehicle after the other
+    calls = len(experiment.vehicles) if deploy.law == "host" else 1
+    return watching(experiment.controller, limit, deploy.law_memory_mb, period / calls)
 
 
 def make_guidance(
@@ -103,7 +106,9 @@ def make_detectors(experiment: Experiment, name: str) -> Detectors:
     vehicle, table = experiment.vehicles[name].model, experiment.table
     flight = experiment.flight
     evidence = JetFaultDetector(vehicle, flight.jet_period_s, flight.estimator, table)
-    return Detectors(vehicle, evidence, noisy=table.mocap.noise > 0.0)
+    radii = {other: one.model.radius for other, one in experiment.vehicles.items()}
+    nearby = Nearby(vehicle.radius, table.size, experiment.obstacles, reaches(radii, name))
+    return Detectors(vehicle, evidence, nearby, noisy=table.mocap.noise > 0.0)
 
 
 def make_safety(experiment: Experiment, name: str) -> Safety:

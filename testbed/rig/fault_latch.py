@@ -5,14 +5,19 @@ open and removed when the run ends in order, so it also holds after the host was
 one latch per rig and lab, on the host.
 """
 
-import json
 import os
 from contextlib import suppress
 from pathlib import Path
 
+import msgspec
+from msgspec.structs import replace
+
+from testbed.core.codes import FaultId, FaultReport
 from testbed.files import write_atomic
 
-KILLED = "the run did not end in order: its host was killed or lost power"
+KILLED = FaultReport(
+    FaultId.PROCESS_ENDED, "the run did not end in order: its host was killed or lost power"
+)
 
 
 def state_folder() -> Path:
@@ -35,24 +40,25 @@ class FaultLatch:
         self._run = run
 
     @property
-    def fault(self) -> str | None:
+    def fault(self) -> FaultReport | None:
         """Fault of the previous run; None: it ended in order."""
         try:
-            run, fault = json.loads(self.path.read_text(encoding="utf-8"))
+            return msgspec.json.decode(self.path.read_bytes(), type=FaultReport)
         except FileNotFoundError:
             return None
-        except (OSError, ValueError) as error:
-            return f"the fault latch of the previous run cannot be read ({error})"
-        return f"{run}: {fault}"
+        except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            text = f"the fault latch of the previous run cannot be read ({error})"
+            return FaultReport(FaultId.PROCESS_ENDED, text)
 
-    def set(self, fault: str = KILLED) -> None:
+    def set(self, fault: FaultReport = KILLED) -> None:
         """Latch a fault.
 
         Raises:
             OSError: the file cannot be written.
         """
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(self.path, json.dumps([self._run, fault]).encode())
+        kept = replace(fault, notes=(*fault.notes, f"in {self._run}"))
+        write_atomic(self.path, msgspec.json.encode(kept))
 
     def clear(self) -> None:
         """Remove the latch: the run has ended in order."""

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol
 
 from testbed.config import Experiment
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Supervisor
@@ -92,6 +93,6 @@ class Rig(Protocol):
         ...
 
 
-def not_armed(reasons: Sequence[str]) -> str:
-    """Message of a run that was not started."""
-    return "not started: " + "; ".join(reasons)
+def not_armed(reasons: Sequence[str]) -> FaultReport:
+    """The report of a run that was not started."""
+    return FaultReport(FaultId.NOT_STARTED, "not started: " + "; ".join(reasons))

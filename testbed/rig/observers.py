@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from testbed.core.types import HostTick, Tick
-from testbed.flight.loop import complaint
+from testbed.flight.loop import host_fault
 from testbed.metrics.run_metrics import ReferenceLog
 
 
@@ -28,12 +28,12 @@ class Witness(NullObserver):
 
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
-        if self.fault_t is None and tick.outputs.fault:
+        if self.fault_t is None and tick.outputs.fault is not None:
             self.fault_t = tick.outputs.t
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
-        if self.fault_t is None and complaint(tick):
+        if self.fault_t is None and host_fault(name, tick) is not None:
             self.fault_t = tick.inputs.t
 
 

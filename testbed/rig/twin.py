@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from sim_twin.board import FirmwareBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.config import ConfigError, Experiment
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.fault_injection import ON_WIRES
 from testbed.core.law import Concern
 from testbed.core.ports import Clock
@@ -77,7 +78,6 @@ class TwinRig(Struct, frozen=True):
         come_to_rest(
             self.pace or twin, self.vehicles, period, first,
             math.ceil((flight.ending.brake_s + SPARE_S) / period), observer,
-            ending.fault or "the flight is over",
             stopped=lambda: 2 if self._trouble() else stopped(),
         )  # fmt: skip
         return self._minute(began)
@@ -118,10 +118,12 @@ class TwinRig(Struct, frozen=True):
         """See `Rig`."""
         return iter(())
 
-    def _trouble(self) -> str | None:
+    def _trouble(self) -> FaultReport | None:
         """The first board that no longer executes plans, and why."""
         found = ((name, board.trouble) for name, board in self.boards.items())
-        return next((f"{name}: {trouble}" for name, trouble in found if trouble), None)
+        return next(
+            (FaultReport(FaultId.BOARD_FAILED, why, name) for name, why in found if why), None
+        )
 
     def concerns(self) -> list[Concern]:
         """See `Rig`."""

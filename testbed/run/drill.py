@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from sim_twin.board import last_closing
 from testbed.config import Experiment, find, load
+from testbed.core.codes import FaultReport, Response
 from testbed.core.fault_injection import Injection
 from testbed.core.types import HostTick, Tick
 from testbed.faults.drill import (
@@ -24,9 +25,9 @@ from testbed.faults.drill import (
     answered,
     deadline,
     draw,
+    names_of,
 )
-from testbed.flight.faults import SEVERITY
-from testbed.flight.loop import complaint
+from testbed.flight.loop import host_fault
 from testbed.metrics.afterwards import HARD
 from testbed.rig.chain import fence_of
 from testbed.rig.twin import TwinRig, make_twin
@@ -43,8 +44,8 @@ class Notes:
 
     def __init__(self) -> None:
         self.rows: list[tuple[float, str, str]] = []  # time, vehicle, row of the fault table
-        self.responses: list[tuple[float, str, str]] = []  # time, vehicle, response
-        self.words: list[tuple[float, str, str]] = []  # time, vehicle, fault
+        self.responses: list[tuple[float, str, Response]] = []  # time, vehicle, response
+        self.faults: list[tuple[float, str, FaultReport]] = []  # time, vehicle, fault
         self.asked: list[tuple[float, str, tuple[int, ...]]] = []  # time, vehicle, open times
 
     def vehicle(self, name: str, tick: Tick) -> None:
@@ -56,13 +57,13 @@ class Notes:
         if out.response:
             self.responses.append((out.t, name, out.response))
         if out.fault:
-            self.words.append((out.t, name, out.fault))
+            self.faults.append((out.t, name, out.fault))
         self.asked.append((out.t, name, out.command.on_us))
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
-        if words := complaint(tick):
-            self.words.append((tick.inputs.t, name, words))
+        if fault := host_fault(name, tick):
+            self.faults.append((tick.inputs.t, name, fault))
 
     def done(self, t: float) -> None:
         """See `Observer`."""
@@ -81,7 +82,7 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
     after = [(t, name, one) for t, name, one in notes.responses if t >= began]
     own = [(t, one) for t, name, one in after if concerned(what, name)]
     named, found = answered(_named(what, notes, began), own, began)
-    response = max((one for _, one in own), key=SEVERITY.__getitem__, default="")
+    response = max((one for _, one in own), default=Response.NONE)
     over = ending.fault is not None
     limits = {name: _limit(name, what, after, began) for name in plant.names}
     touches = [
@@ -94,7 +95,7 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
         or (touch.t > ending.t and _moves(experiment, touch.other))
     ]  # fmt: skip
     adrift = len(helpless)
-    early = tuple(sorted({words for t, _, words in notes.words if t < began}))
+    early = tuple(sorted({fault.words for t, _, fault in notes.faults if t < began}))
     asked = sum(
         on[what.jet - 1] for t, name, on in notes.asked if name == what.vehicle and t >= began
     )
@@ -135,13 +136,13 @@ def _moves(experiment: Experiment, obstacle: str) -> bool:
 
 
 def _limit(
-    name: str, what: Injection, after: Sequence[tuple[float, str, str]], began: float
+    name: str, what: Injection, after: Sequence[tuple[float, str, Response]], began: float
 ) -> float:
     """Deadline for closing a vehicle's valves, from its severest response or its death [s]."""
     if what.kind == "kill_process" and name == what.vehicle:
         return began + DEAD_WITHIN
     own = [(t, one) for t, who, one in after if who == name]
-    severest = max((one for _, one in own), key=SEVERITY.__getitem__, default="")
+    severest = max((one for _, one in own), default=Response.NONE)
     return min((t for t, one in own if one == severest), default=0.0) + deadline(severest)
 
 
@@ -152,8 +153,8 @@ def _named(what: Injection, notes: Notes, began: float) -> list[tuple[float, str
         (t, row) for t, who, row in notes.rows
         if t >= began and row in names and concerned(what, who)
     ]  # fmt: skip
-    for t, _, words in notes.words:
-        right += [(t, name) for name in names if name in words and t >= began]
+    for t, _, fault in notes.faults:
+        right += [(t, name) for name in names if name in names_of(fault) and t >= began]
     return right
 
 

@@ -15,10 +15,20 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.config import dump
+from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.error import TestbedError
 from testbed.core.fault_injection import Injection
-from testbed.faults.drill import ADRIFT, DEAD_WITHIN, NAMES, Drilled, answered, deadline, draw
-from testbed.flight.faults import SEVERITY
+from testbed.faults.drill import (
+    ADRIFT,
+    DEAD_WITHIN,
+    NAMES,
+    Drilled,
+    answered,
+    deadline,
+    draw,
+    names_of,
+)
+from testbed.flight.loop import Ending
 from testbed.metrics.afterwards import HARD
 from testbed.net.commands import Ended
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
@@ -35,13 +45,13 @@ TWIN_ONLY = ("stick_closed",)  # needs a flight of a minute to show
 # names that only occur on wires; the others are the twin's
 ON_THE_WAY: dict[str, tuple[str, ...]] = {
     "drop_mocap": NAMES["drop_mocap"],
-    "brown_out": ("board_silent", "battery_low", "the serial line"),
+    "brown_out": ("board_silent", "battery_low", FaultId.LINE_LOST),
     "delay_link": (*NAMES["delay_link"], "operator_gone"),
     "lose_link": (*NAMES["lose_link"], "operator_gone"),
-    "overrun": ("overrun", "watchdog"),
+    "overrun": ("overrun", FaultId.BOARD_LEFT_ARMED),
     "clock_step": ("clock_off", "pose_stale", "pose_lost"),
     "stop_process": NAMES["kill_process"],
-    "cut_serial": ("board_silent", "watchdog"),
+    "cut_serial": ("board_silent", FaultId.BOARD_LEFT_ARMED),
     "sag": ("supply_low", "supply_weak"),
     "flat_battery": ("battery_low",),
     "foreign_session": ("foreign",),
@@ -61,7 +71,7 @@ class Flown(Struct, frozen=True):
     epoch_ns: int
     report: TableReport
     ended: dict[str, Ended]
-    fault: str | None  # as reported by the host
+    fault: FaultReport | None  # as reported by the host
 
 
 def kinds() -> list[Any]:
@@ -141,7 +151,8 @@ def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
     }
     fault = None
     if (folder / "ending.json").exists():
-        fault = msgspec.json.decode((folder / "ending.json").read_bytes())[0]["fault"]
+        data = (folder / "ending.json").read_bytes()
+        fault = msgspec.json.decode(data, type=tuple[Ending, str])[0].fault
     return Flown(
         msgspec.json.decode(start.read_bytes())[0],
         msgspec.json.decode(report.read_bytes(), type=TableReport), ended, fault,
@@ -158,7 +169,8 @@ def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: 
     ]  # fmt: skip
     faults = [flown.fault, *(one.fault for one in flown.ended.values())]
     for fault in faults:
-        right += [(_said_at(flown, fault), w) for w in wanted if fault is not None and w in fault]
+        if fault is not None:
+            right += [(_said_at(flown, fault), w) for w in wanted if w in names_of(fault)]
     shut, late = 0.0, 0
     own = [
         (t, one) for name, words in flown.ended.items() for one, t in words.responses.items()
@@ -167,10 +179,10 @@ def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: 
     named, found = answered(right, own, began)
     end = max((one.t for one in flown.ended.values()), default=began)
     for name in names:
-        severest, since = "", began
+        severest, since = Response.NONE, began
         if (one := flown.ended.get(name)) is not None:
             told = [r for r, t in one.responses.items() if t >= began]
-            severest = max(told, default="", key=SEVERITY.__getitem__)
+            severest = max(told, default=Response.NONE)
             since = one.responses.get(severest, began)
         limit = since + deadline(severest)
         if what.kind in MUTE and name == what.vehicle:
@@ -189,11 +201,11 @@ def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: 
     ]  # fmt: skip
     adrift = len(helpless)
     over = any(fault is not None for fault in faults)
-    early = sorted({o.fault for o in flown.ended.values() if o.fault and o.t < began})
+    early = sorted({o.fault.words for o in flown.ended.values() if o.fault and o.t < began})
     return Drilled(
         what.kind, experiment, what.vehicle, seed, began, named,
         found,
-        max((one for _, one in own), default="", key=SEVERITY.__getitem__),
+        max((one for _, one in own), default=Response.NONE),
         shut - began if over else None, late, len(touches) - adrift, _travelled(flown, began),
         next((fault for fault in faults if fault is not None), None), tuple(early), adrift,
         dormant=False,
@@ -202,7 +214,7 @@ def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: 
     )  # fmt: skip
 
 
-def _said_at(flown: Flown, fault: str) -> float:
+def _said_at(flown: Flown, fault: FaultReport) -> float:
     """When a vehicle's flight ended with this fault [s]; the end of the run for the host's."""
     at = [one.t for one in flown.ended.values() if one.fault == fault]
     return min(at, default=max((one.t for one in flown.ended.values()), default=0.0))

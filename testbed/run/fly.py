@@ -10,6 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.config import Experiment
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
 from testbed.core.types import EndingTick, HostTick, Tick
 from testbed.flight.loop import Ending
@@ -18,7 +19,7 @@ from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Metrics, ReferenceLog
 from testbed.realtime.heartbeat import Phase, heartbeat
-from testbed.realtime.law_watch import left_running, patience
+from testbed.realtime.law_watch import complaint, patience
 from testbed.realtime.pacer import Pace
 from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.interface import Rig
@@ -168,8 +169,8 @@ def fly_and_judge(
                     )
                     wall = time.perf_counter() - began
                     log.reports()
-                    if ending.fault is None and (left := left_running()):
-                        ending = Ending(ending.t, left)
+                    if ending.fault is None and (fault := complaint()):
+                        ending = Ending(ending.t, fault)
                     completed = ending.fault is None and ending.t >= experiment.end_s
                     metrics = measure(rig, references, ending, wall, completed=completed)
                     after = rig.come_to_rest(ending, log, lambda: interrupt.asked)
@@ -177,9 +178,9 @@ def fly_and_judge(
                 if log.trouble is not None:
                     raise RecorderError(log.trouble)
     except RecorderError as error:
-        fault = f"log: {error}"
+        fault = FaultReport(FaultId.LOG_FAILED, f"log: {error}")
         if metrics is not None:
-            metrics = replace(metrics, fault=fault, completed=False)
+            metrics = replace(metrics, fault=fault.words, fault_report=fault, completed=False)
         ending = Ending(rig.now, fault)
     heartbeat().phase = Phase.ENDING
     metrics = metrics or measure(rig, references, ending, wall, completed=False)

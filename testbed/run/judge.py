@@ -64,7 +64,8 @@ def measure(
         real_time_factor=ending.t / wall if wall > 0.0 else None,
         contacts=len(touches),
         min_vehicle_distance_m=smallest_separation(track),
-        fault=ending.fault,
+        fault=ending.fault.words if ending.fault else None,
+        fault_report=ending.fault,
         criteria=judge(experiment.criteria, vehicles, len(touches), clear)
         | (judge_formation(wanted, together) if wanted else {})
         if is_judged

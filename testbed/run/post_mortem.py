@@ -9,6 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from testbed.config import Experiment
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.types import Tick
 from testbed.logs.history import Array, History
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
@@ -64,6 +65,7 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
         contacts=UNCOUNTED,
         min_vehicle_distance_m=smallest_separation(track),
         fault=why,
+        fault_report=FaultReport(FaultId.PROCESS_ENDED, why),
         criteria=None,
         vehicles={
             name: _vehicle(track, k, experiment, name, aims[name].aim())

@@ -4,11 +4,11 @@ import os
 from collections.abc import Sequence
 from threading import Event
 
-from testbed.campaign.row import Flown, Kept, Task
+from testbed.campaign.row import FlownRun, Kept, Task
 from testbed.config import Experiment, find, load
 
 
-def pretend(base: str, batch: Sequence[Task]) -> list[Flown]:
+def pretend(base: str, batch: Sequence[Task]) -> list[FlownRun]:
     """Every third run fails.
 
     `deadly.<k>.` in the experiment's description kills run k's worker, `endless.<k>.` keeps it.
@@ -22,7 +22,7 @@ def pretend(base: str, batch: Sequence[Task]) -> list[Flown]:
         number = float(len(" ".join(overrides)) + k)
         outcome = "failed" if k % 3 == 0 else "passed"
         columns = {"goal_rms_m": 1e-3 * number, "gas_g": 100.0 - number, "contacts": k % 2}
-        flown.append(Flown(k, outcome, "settle_s" * (k % 3 == 0), columns, {"settle_s": True}))
+        flown.append(FlownRun(k, outcome, "settle_s" * (k % 3 == 0), columns, {"settle_s": True}))
     return flown
 
 
@@ -51,7 +51,7 @@ def hold(base: str, overrides: Sequence[str]) -> Experiment:
     return load(find("hold"))
 
 
-def of_another_version(base: str, batch: Sequence[Task]) -> list[Flown]:
+def of_another_version(base: str, batch: Sequence[Task]) -> list[FlownRun]:
     """As a worker that joins late with other code."""
     from testbed.campaign import engine
 

@@ -13,8 +13,8 @@ from controllers.own_law import OwnLawParams
 from testbed.campaign.benchmark import (
     SHIPPED,
     BenchmarkFile,
+    BenchmarkScenario,
     Record,
-    Scenario,
     load_benchmark,
     scenario_campaign,
     score,
@@ -23,7 +23,7 @@ from testbed.campaign.benchmark import (
 from testbed.campaign.evidence import read_run, track_of
 from testbed.campaign.folders import differences, same_law, score_folders
 from testbed.campaign.page import markdown, page
-from testbed.campaign.row import Flown, columns_of
+from testbed.campaign.row import FlownRun, columns_of
 from testbed.campaign.score import beside_metrics, goal_at, wanted_distances
 from testbed.config import SHIPPED as CONFIGS
 from testbed.config import ConfigError, dump, find, load
@@ -74,7 +74,7 @@ def test_a_law_that_is_not_there_is_said(tmp_path):
 
 
 def run(k, outcome="passed", **columns):
-    return Flown(k, outcome, "", {"contacts": 0, **columns})
+    return FlownRun(k, outcome, "", {"contacts": 0, **columns})
 
 
 def test_a_score_is_the_middle_and_the_worst():
@@ -115,7 +115,7 @@ def test_what_is_no_number_of_one_vehicle_is_none_of_all(first):
 
 
 def test_a_law_that_raises_has_a_row_without_numbers():
-    table = markdown([score("step", "pd", [Flown(0, "error", "boom")])])
+    table = markdown([score("step", "pd", [FlownRun(0, "error", "boom")])])
     assert "| step | `pd` | 0/1 | - | - | - | - | - | 0 | - | - | - |" in table
 
 
@@ -241,8 +241,8 @@ def small(**changes):
             "lqr": ["controller={type='lqr'}"],
         },
         "scenarios": {
-            "still": Scenario("hold", ["pd", "lqr"], short),
-            "dark": Scenario("hold", ["pd"], dropouts, hardware="a card before the lens"),
+            "still": BenchmarkScenario("hold", ["pd", "lqr"], short),
+            "dark": BenchmarkScenario("hold", ["pd"], dropouts, hardware="a card before the lens"),
         },
         "samples": 2,
     } | changes)  # fmt: skip
@@ -361,7 +361,7 @@ def test_on_a_table_it_is_the_labs_and_the_page_says_so(put, tmp_path):
 
 @pytest.mark.parametrize(("key", "said"), [("mocap.dropout_rate=0.3", 0), ("link.loss=0.3", 1)])
 def test_the_bench_plays_the_cameras_but_not_the_network(put, tmp_path, key, said):
-    file = small(scenarios={"dark": Scenario(
+    file = small(scenarios={"dark": BenchmarkScenario(
         "hold", ["pd"], ["duration_s=1", "criteria={}", f"table.{key}"], hardware="somehow",
     )})  # fmt: skip
     put("dark/pd/0", f"table.{key}", rig="bench")

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from testbed.campaign import chart
-from testbed.campaign.axis import Axis, log_ticks, ticks
-from testbed.campaign.chart import Point, Whisker
-from testbed.campaign.flight import Ended, replay_command
-from testbed.campaign.grouping import best_front, fields
-from testbed.campaign.report import MOST_POINTS, html_report
+from testbed.campaign import figures
+from testbed.campaign.flight import CampaignEnd, replay_command
+from testbed.campaign.grouping import MOST_POINTS, best_front, fields
+from testbed.campaign.report import html_report
 from testbed.campaign.result import table_of
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.summary import summarise
 from testbed.campaign.sweep import load_campaign
+from testbed.report.axis import Axis, log_ticks, number, ticks
+from testbed.report.chart import draw
+from testbed.report.item import Box, Mark
 
 MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
 GRID = {"key": "controller.bandwidth", "values": [0.1, 0.2, 0.3]}
@@ -29,14 +30,14 @@ RATES = {"key": "table.mocap.rate_hz", "values": [50.0, 100.0, 200.0]}
 
 
 def page_of(campaign, runs, folder):
-    summary = summarise(campaign, "hold", Ended(runs, 0, 1.0, []))
+    summary = summarise(campaign, "hold", CampaignEnd(runs, 0, 1.0, []))
     return html_report(campaign, summary, runs, table_of(campaign, runs), folder)
 
 
 def some_runs(count):
     rng = np.random.default_rng(1)
     return [
-        Flown(
+        FlownRun(
             k, "failed" if k % 5 == 0 else "passed", "settle_s" * (k % 5 == 0),
             {"goal_rms_m": float(rng.lognormal(-7)), "gas_g": float(rng.uniform(5, 20)),
              "settle_s": None if k % 5 == 0 else float(rng.uniform(5, 9))},
@@ -76,7 +77,7 @@ def drawn(page, label):
 
 def marks_of(svg, case):
     """A case's runs in a scatter, by what is written on them."""
-    found = [e for e in svg if {"case", f"c{case}"} <= set(e.get("class", "").split())]
+    found = [e for e in svg if {"mark", f"f{case}"} <= set(e.get("class", "").split())]
     return {e.find("{*}title").text: e for e in found if e.find("{*}title") is not None}
 
 
@@ -85,19 +86,23 @@ def test_each_case_has_a_colour_and_a_mark_in_every_picture(write, tmp_path):
     runs = some_runs(60)
     page = page_of(campaign, runs, tmp_path)
     for scatter in (*drawn(page, "against vehicles"), *drawn(page, "against gas")):
-        names = [e.text for e in scatter if e.get("class") == "row"]
-        assert names == ["soft", "stiff", "a<b", chart.HOLLOW]
+        names = [
+            e.text
+            for e in scatter
+            if e.get("class") == "name" and e.get("y") and float(e.get("y")) < 60.0
+        ]
+        assert names == ["soft", "stiff", "a<b", figures.HOLLOW]
         for case in range(3):
             found = marks_of(scatter, case)
             assert {int(hint.split(":")[0][4:]) for hint in found} == set(range(case, 60, 3))
             for hint, e in found.items():
                 assert ("open" in e.get("class")) == hint.endswith("failed")
     shapes = {
-        re.sub(r"[\d.]+", "", next(iter(marks_of(scatter, case).values())).get("d"))
+        re.sub(r"[\d.]+", "", next(iter(marks_of(scatter, case).values())).get("d", "disc"))
         for case in range(3)
     }
     assert len(shapes) == 3
-    assert all(f".c{case} {{" in page for case in range(6))
+    assert all(f".f{case} {{" in page for case in range(6))
 
 
 def test_a_distribution_has_a_row_for_each_case_with_the_numbers_of_the_summary(write, tmp_path):
@@ -108,7 +113,7 @@ def test_a_distribution_has_a_row_for_each_case_with_the_numbers_of_the_summary(
     for case in range(3):
         values = sorted(run.columns["gas_g"] for run in runs[case::3])
         assert words[case] == f"median {np.median(values):.4g}, 95 % within {values[18]:.4g}"
-        kinds = [f"case solid c{case}", f"case open c{case}"]
+        kinds = [f"box {look} s{case} f{case}" for look in ("full", "open")]
         hints = [e.find("*").text for e in svg if e.get("class") in kinds and e.tag == "rect"]
         counts = {hint: re.search(r": (\d+) passed, (\d+) not", hint).groups() for hint in hints}
         assert sum(int(g) + int(b) for g, b in counts.values()) == 20
@@ -125,7 +130,7 @@ def test_a_front_is_of_one_case(write, tmp_path):
         unbeaten = {k for x, y, k in good if not any(a < x and b < y for a, b, _ in good)}
         front = [
             e.find("*").text for e in scatter
-            if {"front-mark", f"c{case}"} <= set(e.get("class", "").split())
+            if {"best", f"f{case}"} <= set(e.get("class", "").split())
         ]  # fmt: skip
         assert {int(hint.split(":")[0][4:]) for hint in front} == unbeaten
 
@@ -143,7 +148,7 @@ def test_a_map_is_of_one_law_and_all_are_of_one_scale(write, tmp_path):
     maps = drawn(page, "vehicles.*.model.mass by table.mocap.rate_hz")
     assert len(maps) == 6
     for case, svg in enumerate(maps[:3]):
-        hints = [e.find("*").text for e in svg if e.get("class") == "heat"]
+        hints = [e.find("*").text for e in svg if "box heat" in e.get("class", "")]
         fields = [re.search(r": ([\d.]+) \((\d+) runs\)", hint).groups() for hint in hints]
         met = sum(r.outcome == "passed" for r in runs if r.k % 9 // 3 == case)
         assert sum(float(share) * int(count) for share, count in fields) == pytest.approx(
@@ -151,7 +156,7 @@ def test_a_map_is_of_one_law_and_all_are_of_one_scale(write, tmp_path):
         )
     medians = {}
     for case, svg in enumerate(maps[3:]):
-        for e in (e for e in svg if e.get("class") == "heat"):
+        for e in (e for e in svg if "box heat" in e.get("class", "")):
             count = int(re.search(r"\((\d+) runs\)", e.find("*").text)[1])
             value = float(re.search(r": ([\d.]+) \(", e.find("*").text)[1])
             medians[case, e.find("*").text] = value, float(e.get("style").split(":")[1]), count
@@ -186,7 +191,7 @@ def test_numbers_alone_that_are_many_are_drawn_together(write, tmp_path):
     many = {"key": "controller.bandwidth", "values": [0.1 + 0.01 * k for k in range(7)]}
     page = page_of(load_campaign(write(grid=[many], samples=5)), some_runs(35), tmp_path)
     assert "The figures below pool all cases." in page
-    assert not re.search(r'class="case ', page)
+    assert not re.search(r'class="mark [^"]*s\d', page)
 
 
 def test_a_crowd_is_thinned_alike_in_each_case(write, tmp_path):
@@ -206,15 +211,17 @@ def test_without_a_run_that_passed_there_is_no_front(write, tmp_path):
 
 
 def test_the_longest_words_beside_a_whisker_have_room():
-    rows = [Whisker("smc", 0.1, 0.2, 0.3, "10000 of 1000000")]
-    words = next(e for e in ET.fromstring(chart.whiskers(rows)) if e.text == rows[0].words)
-    assert float(words.get("x")) + 6.0 * len(words.text) < chart.WIDTH
+    rows = [figures.RateRow("smc", 0.1, 0.2, 0.3, "10000 of 1000000")]
+    words = next(
+        e for e in ET.fromstring(draw(figures.success_rates(rows))) if e.text == rows[0].words
+    )
+    assert float(words.get("x")) + 7.2 * len(words.text) < figures.WIDTH
 
 
 def test_an_axis_says_that_it_is_logarithmic():
     for high, words in ((1000.0, ", log scale"), (2.0, "")):
-        points = [Point(1.0, 1.0, True, ""), Point(2.0, high, True, "")]
-        titles = [e.text for e in ET.fromstring(chart.scatter(points, "a", "b")) if e.text]
+        points = [Mark(1.0, 1.0), Mark(2.0, high)]
+        titles = [e.text for e in ET.fromstring(draw(figures.scatter(points, "a", "b"))) if e.text]
         assert f"b{words}" in titles
         assert "a" in titles
 
@@ -231,7 +238,7 @@ def test_the_worst_runs_come_with_the_command_that_flies_them(write, tmp_path):
 def test_words_of_a_file_are_words_on_the_page(write, tmp_path):
     evil = "<script>alert(1)</script>"
     campaign = load_campaign(write(description=evil, draw=[{**MASS, "name": evil}], samples=9))
-    runs = [*some_runs(8), Flown(8, "error", f"Traceback\n{evil}")]
+    runs = [*some_runs(8), FlownRun(8, "error", f"Traceback\n{evil}")]
     assert evil not in page_of(campaign, runs, tmp_path)
 
 
@@ -243,14 +250,14 @@ def test_few_runs_make_a_page_too(write, tmp_path, count):
 
 def test_runs_without_numbers_make_a_page_too(write, tmp_path):
     campaign = load_campaign(write(samples=2))
-    runs = [Flown(0, "error", "boom"), Flown(1, "lost", "two workers died")]
+    runs = [FlownRun(0, "error", "boom"), FlownRun(1, "lost", "two workers died")]
     assert "boom" in page_of(campaign, runs, tmp_path)
 
 
 @pytest.mark.parametrize("columns", [{}, {"goal_rms_m": 1e-3, "gas_g": 1.0}])
 def test_many_runs_of_which_none_passed_make_a_page_too(write, tmp_path, columns):
     campaign = load_campaign(write(grid=[LAWS], draw=[MASS], samples=1000))
-    runs = [Flown(k, "error", "boom", columns) for k in range(3000)]
+    runs = [FlownRun(k, "error", "boom", columns) for k in range(3000)]
     assert "boom" in page_of(campaign, runs, tmp_path)
     campaign = load_campaign(write(draw=[MASS], samples=3000))
     assert "boom" in page_of(campaign, runs, tmp_path)
@@ -268,7 +275,7 @@ def test_ten_thousand_runs_make_a_page_of_some_megabytes_with_every_failure(writ
     page = page_of(campaign, some_runs(7000), tmp_path)
     assert len(page) < 3e6
     scatter = next(s for s in pictures(page) if "against vehicles" in (s.get("aria-label") or ""))
-    marks = [e for e in scatter if "bad-mark" in e.get("class", "")]
+    marks = [e for e in scatter if "cross" in e.get("class", "")]
     assert len(marks) == 1400
     assert len(scatter) < MOST_POINTS + 100
 
@@ -280,13 +287,13 @@ def test_the_front_is_of_all_runs_also_of_those_that_are_not_drawn(write, tmp_pa
     unbeaten = {k for x, y, k in good if not any(a < x and b < y for a, b, _ in good)}
     page = page_of(campaign, runs, tmp_path)
     scatter = next(s for s in pictures(page) if "against gas" in (s.get("aria-label") or ""))
-    hints = [e.find("*").text for e in scatter if "front-mark" in e.get("class", "")]
+    hints = [e.find("*").text for e in scatter if "best" in e.get("class", "")]
     assert {int(hint.split(":")[0].removeprefix("run ")) for hint in hints} == unbeaten
 
 
 def test_the_front_is_what_nobody_beats():
     rng = np.random.default_rng(2)
-    points = [Point(*rng.uniform(0, 1, 2), bool(rng.integers(2)), "") for _ in range(300)]
+    points = [Mark(*rng.uniform(0, 1, 2), passed=bool(rng.integers(2))) for _ in range(300)]
     good = [p for p in points if p.passed]
     unbeaten = {
         p for p in good
@@ -311,7 +318,7 @@ def test_log_ticks_are_inside():
 
 def test_a_histogram_counts_every_run_once():
     values = np.random.default_rng(3).lognormal(0, 2, 500)
-    svg = ET.fromstring(chart.histogram(values[:300].tolist(), values[300:].tolist(), "x"))
+    svg = ET.fromstring(draw(figures.histogram(values[:300].tolist(), values[300:].tolist(), "x")))
     hints = {e.find("title").text for e in svg if e.find("title") is not None}
     counts = [re.search(r": (\d+) passed, (\d+) not", hint).groups() for hint in hints]
     assert sum(int(g) for g, _ in counts) == 300
@@ -327,21 +334,20 @@ def test_fields_of_a_map_hold_every_value():
 
 
 def test_a_histogram_has_no_half_runs():
-    drawn = ET.fromstring(chart.histogram([1.0, 2.0, 2.0, 3.0], [], "x"))
+    drawn = ET.fromstring(draw(figures.histogram([1.0, 2.0, 2.0, 3.0], [], "x")))
     ends = [e.text for e in drawn.iter("text") if e.get("text-anchor") == "end"]
     assert ends == ["0", "1", "2"]
 
 
 def test_a_map_has_room_for_the_names_of_its_rows():
-    cells = [chart.Cell(0, 0, 0.5, "1", "hint")]
-    drawn = ET.fromstring(chart.heat(cells, ["0.1"], ["0.00001234"], "x", "a key [s]"))
+    cells = [Box((0, 1), (0, 1), "heat", "hint", words="1", share=0.5)]
+    drawn = ET.fromstring(draw(figures.heat(cells, ["0.1"], ["0.00001234"], "x", "a key [s]")))
     row = next(e for e in drawn.iter("text") if e.text == "0.00001234")
-    title = next(e for e in drawn.iter("text") if e.text == "a key [s]")
-    assert float(row.get("x")) - 6.0 * len(row.text) > float(title.get("x")) + 4.0
+    assert float(row.get("x")) - 7.0 * len(row.text) > 13.0  # the title is turned at x = 13
 
 
 def test_numbers_along_a_narrow_axis_are_told_apart():
-    words = [one for _, one in Axis(1.19990, 1.20001, 0.0, 1.0, "").labels()]
+    words = [number(value, 10) for value in Axis(1.19990, 1.20001, 0.0, 1.0).ticks()]
     assert len(words) > 2
     assert len(set(words)) == len(words)
-    assert dict(Axis(0.0, 1.0, 0.0, 1.0, "").labels())[0.2] == "0.2"
+    assert "0.2" in [number(value, 10) for value in Axis(0.0, 1.0, 0.0, 1.0).ticks()]

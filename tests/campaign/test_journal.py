@@ -4,10 +4,10 @@ import msgspec
 import pytest
 
 from testbed.campaign.journal import Head, Journal, JournalError
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 
 HEAD = Head("campaign", "code")
-RUNS = [Flown(k, "passed", columns={"gas_g": 0.1 * k}) for k in range(5)]
+RUNS = [FlownRun(k, "passed", columns={"gas_g": 0.1 * k}) for k in range(5)]
 
 
 @pytest.fixture
@@ -16,13 +16,13 @@ def path(tmp_path):
 
 
 def write(path, runs, head=HEAD):
-    with Journal(path, head, Flown) as journal:
+    with Journal(path, head, FlownRun) as journal:
         for run in runs:
             journal.append(run)
 
 
 def read(path, head=HEAD):
-    with Journal(path, head, Flown) as journal:
+    with Journal(path, head, FlownRun) as journal:
         return journal.found
 
 
@@ -83,9 +83,9 @@ def test_runs_of_two_campaigns_are_not_mixed(path, head, words):
 
 def test_one_writes_at_a_time(path):
     with (
-        Journal(path, HEAD, Flown),
+        Journal(path, HEAD, FlownRun),
         pytest.raises(JournalError, match="another process"),
-        Journal(path, HEAD, Flown),
+        Journal(path, HEAD, FlownRun),
     ):
         pass
     assert read(path) == []
@@ -98,7 +98,7 @@ def test_a_full_disk_is_said_and_leaves_whole_lines(path, monkeypatch):
 
     write(path, RUNS[:1])
     whole = os.write
-    with Journal(path, HEAD, Flown) as journal:
+    with Journal(path, HEAD, FlownRun) as journal:
         monkeypatch.setattr(module.os, "write", lambda file, data: whole(file, data[:9]))
         with pytest.raises(JournalError, match="No space left"):
             journal.append(RUNS[1])

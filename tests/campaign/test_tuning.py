@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.tuning import OptunaOptimiser, best_of, load_tuning, tune
 from testbed.config import ConfigError
 
@@ -33,7 +33,7 @@ def formula(tasks, order=None):
         error += 0.01 * (int(values["seed"]) % 3)
         outcome = "passed" if bandwidth < 0.4 else "failed"
         columns = {"goal_rms_m": error, "max_force_n": bandwidth, "settle_s": None}
-        runs.append(Flown(k, outcome, "settle_s", columns))
+        runs.append(FlownRun(k, outcome, "settle_s", columns))
     rng = np.random.default_rng(order) if order is not None else None
     return iter(runs if rng is None else [runs[i] for i in rng.permutation(len(runs))])
 

@@ -14,10 +14,10 @@ import tomli_w
 
 from testbed.campaign.benchmark import score
 from testbed.campaign.engine import EngineError, workers
-from testbed.campaign.flight import Ended, open_journal
+from testbed.campaign.flight import CampaignEnd, open_journal
 from testbed.campaign.journal import JournalError
 from testbed.campaign.result import write_parquet
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.campaign.summary import summarise
 from testbed.campaign.sweep import load_campaign
 from testbed.campaign.trial import fly, fly_with_log
@@ -26,6 +26,7 @@ from testbed.cli.benchmark import print_scores
 from testbed.cli.campaign import print_summary
 from testbed.cli.tune import TuningResult, print_result
 from testbed.config import dump, find, load
+from testbed.core.codes import FaultReport
 from testbed.core.extra import pip_install
 
 FILE = """
@@ -251,8 +252,8 @@ def test_what_a_law_prints_is_not_what_the_campaign_says(start, here):
 def test_words_in_brackets_are_words(here, capsys):
     (here / "try.toml").write_text(FILE.replace("cases.far", 'cases."[/far]"'))
     campaign = load_campaign(here / "try.toml")
-    runs = [Flown(k, "passed", columns={"gas_g": 1.0}) for k in range(campaign.count)]
-    print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
+    runs = [FlownRun(k, "passed", columns={"gas_g": 1.0}) for k in range(campaign.count)]
+    print_summary(summarise(campaign, "hold", CampaignEnd(runs, 0, 1.0, [])), campaign, runs, here)
     assert "[/far]" in capsys.readouterr().out
     start = Trial(0, [0.1], 1e6, 1, "error: [/boom]")
     print_result(None, TuningResult("t", 1, 0, None, start, 0, None, 0, None, 0, {}), here)
@@ -261,9 +262,10 @@ def test_words_in_brackets_are_words(here, capsys):
 
 def test_a_flight_that_ended_in_a_fault_is_named_with_its_seed(here, capsys):
     campaign = load_campaign(here / "try.toml")
-    stuck = "sat1: valve_stuck_closed: jet 4 gives no thrust"
-    runs = [Flown(k, "fault", stuck, {"gas_g": 1.0}, seed=k, fault_t=12.3) for k in range(12)]
-    print_summary(summarise(campaign, "hold", Ended(runs, 0, 1.0, [])), campaign, runs, here)
+    stuck = FaultReport("valve_stuck_closed", "jet 4 gives no thrust", "sat1", "jet_missing")
+    more = {"fault_t": 12.3, "fault": stuck}
+    runs = [FlownRun(k, "fault", stuck.words, {"gas_g": 1.0}, seed=k, **more) for k in range(12)]
+    print_summary(summarise(campaign, "hold", CampaignEnd(runs, 0, 1.0, [])), campaign, runs, here)
     said = capsys.readouterr().out
     assert "  run 7, seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4" in said
     assert "and 2 more in summary.json" in said
@@ -274,7 +276,9 @@ def test_what_is_not_safe_on_other_seeds_is_named(here, capsys):
     gain = {"key": "controller.bandwidth", "low": 0.1, "high": 0.6}
     (here / "tune.toml").write_text(tomli_w.dumps({**tune, "gain": [gain]}))
     tuning = load_tuning(here / "tune.toml")
-    unsafe = Flown(0, "fault", "sat1: leak: 3 %", {"gas_g": 1.0}, seed=1_000_004, fault_t=2.0)
+    leak = FaultReport("leak", "3 %", "sat1", "tank_loss")
+    more = {"seed": 1_000_004, "fault_t": 2.0, "fault": leak}
+    unsafe = FlownRun(0, "fault", leak.words, {"gas_g": 1.0}, **more)
     trial = judged(tuning, 0, [0.1], [unsafe])
     best = msgspec.structs.replace(trial, cost=1.0, broken=0)
     result = TuningResult(
@@ -294,7 +298,7 @@ def test_a_run_that_ends_in_a_fault_keeps_seed_and_time(here):
 # What is wrong is said
 
 
-@pytest.mark.parametrize("verb", ["campaign", "tune", "bench"])
+@pytest.mark.parametrize("verb", ["campaign", "tune", "benchmark"])
 def test_a_file_that_is_not_there(testbed, verb):
     result = testbed(verb, "nothing.toml")
     assert result.exit_code == 2
@@ -311,7 +315,7 @@ def test_a_missing_package_is_named_and_how_to_get_it(testbed, monkeypatch, here
 
 
 def test_bench_says_the_commands_for_a_table(testbed):
-    result = testbed("bench", "--commands", "--only", "hold")
+    result = testbed("benchmark", "--commands", "--only", "hold")
     assert result.exit_code == 0
     assert result.stdout.count("--out runs/benchmark_standard_table/hold/pd/") == 4
 
@@ -321,7 +325,7 @@ def test_the_commands_name_a_shipped_experiment_and_what_a_table_can_do(testbed,
         'name = "b"\ntrouble = ["seed=1"]\ntrouble_hardware = "only the twin"\n[laws]\npd = []\n'
         '[scenarios.s]\nexperiment = "hold"\nhardware = "a card before the lens"\nlaws = ["pd"]\n'
     )
-    lines = testbed("bench", "b.toml", "--commands").stdout.splitlines()
+    lines = testbed("benchmark", "b.toml", "--commands").stdout.splitlines()
     commands = [line for line in lines if line and not line.startswith("#")]
     assert commands[0] == "testbed run hold --seed 0 --out runs/benchmark_b_table/s/pd/0"
     assert len(commands) == 4
@@ -340,10 +344,10 @@ def test_bench_scores_folders_into_a_page_and_never_over_the_twins(testbed, here
         'name = "b"\nsamples = 1\n[laws]\npd = []\n[scenarios.s]\nexperiment = "hold"\n'
         'set = ["duration_s=1", "criteria={}"]\nlaws = ["pd"]\n'
     )
-    words = shlex.split(testbed("bench", "b.toml", "--commands").stdout, comments=True)[1:]
+    words = shlex.split(testbed("benchmark", "b.toml", "--commands").stdout, comments=True)[1:]
     assert testbed(*words).exit_code == 0
     Path("runs/benchmark_b_table/s/pdd").mkdir()
-    result = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table", "--json")
+    result = testbed("benchmark", "b.toml", "--from", "runs/benchmark_b_table", "--json")
     assert result.exit_code == 0
     record = json.loads(result.stdout)
     assert [(one["rig"], one["passed"]) for one in record["scores"]] == [("twin", 1)]
@@ -351,20 +355,20 @@ def test_bench_scores_folders_into_a_page_and_never_over_the_twins(testbed, here
     assert "did you mean `pd`" in result.stderr
     text = Path("runs/benchmark_b_table/benchmark.md").read_text()
     assert "s/pdd" in text
-    again = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table")
+    again = testbed("benchmark", "b.toml", "--from", "runs/benchmark_b_table")
     assert again.exit_code == 0
     assert Path("runs/benchmark_b_table/benchmark.md").read_text() == text
 
     Path("twin/s").mkdir(parents=True)
     Path("twin/s/journal.jsonl").write_text("")
-    result = testbed("bench", "b.toml", "--from", "runs/benchmark_b_table", "--out", "twin")
+    result = testbed("benchmark", "b.toml", "--from", "runs/benchmark_b_table", "--out", "twin")
     assert result.exit_code == 2
     assert "this one holds the twin's benchmark" in result.stderr
 
 
 def test_no_number_of_the_benchmark_is_cut_in_a_narrow_window(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
-    runs = [Flown(0, "passed", columns={"goal_rms_m": 0.000123, "clearance_m": 1.234567})]
+    runs = [FlownRun(0, "passed", columns={"goal_rms_m": 0.000123, "clearance_m": 1.234567})]
     print_scores([score("a_long_scenario", "a_very_long_law", runs)])
     assert {"0.123", "+1.235", "a_very_long_law", "obstacles"} <= set(
         capsys.readouterr().out.split()
@@ -372,7 +376,7 @@ def test_no_number_of_the_benchmark_is_cut_in_a_narrow_window(capsys, monkeypatc
 
 
 def test_bench_knows_its_scenarios(testbed):
-    result = testbed("bench", "--only", "holt")
+    result = testbed("benchmark", "--only", "holt")
     assert result.exit_code == 2
     assert "hold" in result.stderr
 

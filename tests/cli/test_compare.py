@@ -27,7 +27,7 @@ def test_runs_side_by_side(testbed):
     assert len(svgs) == 4
     for svg in svgs:
         drawn = ET.fromstring("<svg" + svg.partition("</svg>")[0] + "</svg>")
-        texts = [t.text for t in drawn.iter("{http://www.w3.org/2000/svg}text")]
+        texts = [t.text for t in drawn.iter("text")]
         assert {"seed1", "seed2"} <= set(texts)
     found = json.loads(testbed("compare", "seed1", "seed2", "--json").stdout)
     for seed in ("seed1", "seed2"):

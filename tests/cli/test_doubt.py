@@ -11,8 +11,8 @@ MODEL = "vehicles.sat1.model"
 SHIPPED_ONES = sorted(path.stem for path in (SHIPPED / "experiments").glob("*.toml"))
 BLIND = {"zhang2023_table_pd", "zhang2023_table_lqr"}  # they show what avoidance avoids
 DOUBTED = {  # what is changed: what is said
-    "thrust": ([f"{MODEL}.jets[*].thrust=250"], ["thrust", "acceleration"]),
-    "one jet": ([f"{MODEL}.jets[3].thrust=0.06"], ["jets-unequal", "jets-unequal"]),
+    "thrust": ([f"{MODEL}.jets.*.thrust=250"], ["thrust", "acceleration"]),
+    "one jet": ([f"{MODEL}.jets.4.thrust=0.06"], ["jets-unequal", "jets-unequal"]),
     "mass": ([f"{MODEL}.mass=20000", f"{MODEL}.inertia=100"], ["mass", "acceleration"]),
     "pressure": ([f"{MODEL}.air.set_pressure=5"], ["pressure"]),
     "noise": (["table.mocap.noise=0.2"], ["cameras"]),
@@ -50,7 +50,7 @@ WAYS = ["towards -x", "towards -x", "towards +y", "towards +y", "towards +x", "t
 
 @pytest.mark.parametrize("lost", range(8))
 def test_a_forgotten_jet_is_missed_by_its_direction(testbed, tmp_path, lost):
-    whole = (SHIPPED / "vehicles" / "floater.toml").read_text()
+    whole = (SHIPPED / "vehicles" / "generic_8jet.toml").read_text()
     rows = re.findall(r"^  \{ position = .*\n", whole, re.MULTILINE)
     assert len(rows) == 8
     file = tmp_path / "seven.toml"
@@ -65,7 +65,7 @@ def test_a_forgotten_jet_is_missed_by_its_direction(testbed, tmp_path, lost):
 
 
 def test_the_jets_that_are_missing_altogether_are_named(testbed, tmp_path):
-    whole = (SHIPPED / "vehicles" / "floater.toml").read_text()
+    whole = (SHIPPED / "vehicles" / "generic_8jet.toml").read_text()
     rows = re.findall(r"^  \{ position = .*\n", whole, re.MULTILINE)
     file = tmp_path / "six.toml"
     file.write_text(whole.replace(rows[0], "").replace(rows[1], ""))

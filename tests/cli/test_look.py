@@ -47,7 +47,7 @@ def test_check_writes_nothing(testbed, tmp_path, monkeypatch):
 def test_list_names_everything(testbed):
     result = testbed("list")
     assert result.exit_code == 0
-    for name in [path.stem for path in EXPERIMENTS] + ["sotsmc", "smc", "pd", "floater"]:
+    for name in [path.stem for path in EXPERIMENTS] + ["sotsmc", "smc", "pd", "generic_8jet"]:
         assert name in result.stdout
     assert "\x1b" not in result.stdout
 

@@ -7,9 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from testbed.cli.operator import Operator
 from testbed.config import ConfigError, find, load
+from testbed.core.codes import FaultReport
 
 ROOT = Path(__file__).resolve().parents[2]
 ASK = "from testbed.cli.operator import Operator; print(Operator().agree(['sat1', 'sat2']))"
@@ -60,9 +62,10 @@ def test_a_latched_fault_needs_somebody_who_has_looked(tmp_path, monkeypatch):
     experiment = load(find("hold"))
     latch, fault = Operator().latched("table", experiment, "runs/1")
     assert fault is None
-    latch.set("sat1: pose_lost")
+    lost = FaultReport("pose_lost", "no pose", "sat1", "pose_age")
+    latch.set(lost)
     with pytest.raises(ConfigError, match="--reset"):
         Operator().latched("table", experiment, "runs/2")
-    assert Operator(reset=True).latched("table", experiment, "runs/2")[1] == (
-        "runs/1: sat1: pose_lost"
+    assert Operator(reset=True).latched("table", experiment, "runs/2")[1] == replace(
+        lost, notes=("in runs/1",)
     )

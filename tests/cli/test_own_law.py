@@ -213,7 +213,7 @@ BAD = {  # name: (content of my_law.py, [controller] law, parameters, key, expec
         PARAMETERS + "        pass\n", NAMED, "{gain='x'}", "parameters.gain", "a number", '"x"',
     ),
     "deeper": (
-        PARAMETERS + "        pass\n", NAMED, "{gain=1.0,axes=[0,0.5]}", "parameters.axes[1]",
+        PARAMETERS + "        pass\n", NAMED, "{gain=1.0,axes=[0,0.5]}", "parameters.axes.2",
         "a whole number", "0.5",
     ),
     "unknown parameter": (

@@ -4,7 +4,7 @@ from threading import Event
 
 import pytest
 
-from testbed.campaign.row import Flown
+from testbed.campaign.row import FlownRun
 from testbed.cli import progress
 from testbed.cli.progress import Bar
 
@@ -26,11 +26,11 @@ def test_a_line_says_how_far_it_is_how_fast_and_how_long_still(monkeypatch):
     monkeypatch.setattr(progress.time, "monotonic", lambda: 100.0)
     with Bar("margins") as bar:
         assert bar.line(50.0, nobody=False) == "getting ready (compiles on the first run)"
-        bar.begun(1000, [Flown(0, "passed"), Flown(1, "failed")])
+        bar.begun(1000, [FlownRun(0, "passed"), FlownRun(1, "failed")])
         bar.flying(lambda: 2)
         assert bar.line(100.0, nobody=False) == "margins 2 of 1000 runs, flying"
         for k in range(2, 23):
-            bar.flown(Flown(k, "passed"))
+            bar.flown(FlownRun(k, "passed"))
         assert bar.line(110.0, nobody=False) == (  # 20 more than the first in 10 s
             "margins 23 of 1000 runs, passed 95.7 %, 2 per second, 0:08:08 left"
         )
@@ -80,5 +80,5 @@ def test_a_cluster_that_does_not_answer_is_left_to_who_flies(heard):
 def test_a_short_campaign_says_nothing(capsys):
     with Bar() as bar:
         bar.begun(1, [])
-        bar.flown(Flown(0, "passed"))
+        bar.flown(FlownRun(0, "passed"))
     assert capsys.readouterr() == ("", "")

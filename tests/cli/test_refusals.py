@@ -78,8 +78,9 @@ def test_an_experiment_without_its_ending(testbed, flown):
 
 @pytest.mark.parametrize(
     ("file", "kind"),
-    [("vehicles/floater", "vehicle"), ("tables/marble_6m", "table"), ("benchmark", "benchmark"),
-     ("campaigns/hold_gains", "campaign"), ("campaigns/tune_hold_pd", "campaign")],
+    [("vehicles/generic_8jet", "vehicle"), ("tables/marble_6m", "table"),
+     ("benchmark", "benchmark"), ("campaigns/hold_gains", "campaign"),
+     ("campaigns/tune_hold_pd", "campaign")],
 )  # fmt: skip
 def test_another_kind_of_file_for_an_experiment(testbed, file, kind):
     path = Path(__file__).resolve().parents[2] / "configs" / f"{file}.toml"
@@ -227,8 +228,8 @@ def test_a_reader_that_has_seen_enough_is_no_error():
     os.close(reader)
     code = "from testbed.cli.main import entry; entry()"
     result = subprocess.run(
-        [sys.executable, "-c", code, "bench", "--commands"], stdout=writer, stderr=subprocess.PIPE,
-        text=True, check=False, env=os.environ | {"PYTHONUNBUFFERED": ""},
+        [sys.executable, "-c", code, "benchmark", "--commands"], stdout=writer,
+        stderr=subprocess.PIPE, text=True, check=False, env=os.environ | {"PYTHONUNBUFFERED": ""},
     )  # fmt: skip
     os.close(writer)
     assert result.stderr == ""

@@ -175,7 +175,6 @@ def test_input_checks_are_counted_and_printed_apart(testbed, small):
 
 
 def test_plots_are_files(testbed, small, tmp_path):
-    pytest.importorskip("matplotlib")
     folder = tmp_path / "plots"
     assert testbed("reproduce", "small", "--json", "--plots", folder).exit_code == 0
     assert folder.is_dir()

@@ -81,7 +81,8 @@ def test_3_when_a_fault_ends_the_run(testbed, read_log, overrides, reason):
     assert metrics["duration_s"] < 3.0
     assert metrics["fault"].startswith(reason)
     last = read_log(Path("out")).messages["/sat1/tick"][-1][1]["outputs"]
-    assert last["fault"]
+    assert last["fault"]["text"] == metrics["fault_report"]["text"]
+    assert metrics["fault_report"]["vehicle"] == "sat1"
     assert not any(last["command"]["on_us"])  # every valve is shut
 
 
@@ -146,7 +147,7 @@ def test_a_terminal_without_unicode(start, tmp_path, encoding):
 def test_metrics_have_the_keys_of_the_contract(testbed):
     testbed("run", "zhang2023_table", "duration_s=1", "--seed", "5", "--out", "out")
     metrics = metrics_of(Path("out"))
-    assert set(metrics) == METRICS | WIRES | {"fault"}
+    assert set(metrics) == METRICS | WIRES | {"fault", "fault_report"}
     assert {metrics[key] for key in WIRES} == {None}  # there are none
     assert (metrics["experiment"], metrics["rig"], metrics["seed"]) == (
         "zhang2023_table", "twin", 5,

@@ -86,26 +86,26 @@ def test_a_bare_word_is_a_string():
 
 def test_the_later_one_wins():
     assert hold("seed=1", "seed=2").seed == 2
-    assert hold("table.size=[5,5]", "table.size[0]=4").table.size == (4.0, 5.0)
+    assert hold("table.size=[5,5]", "table.size.1=4").table.size == (4.0, 5.0)
 
 
 def test_a_star_is_every_entry_of_a_table_or_list():
-    experiment = load(find("zhang2023_table"), ["vehicles.*.model.jets[*].thrust=0.3"])
+    experiment = load(find("zhang2023_table"), ["vehicles.*.model.jets.*.thrust=0.3"])
     thrusts = {j.thrust for s in experiment.vehicles.values() for j in s.model.jets}
     assert thrusts == {0.3}
 
 
 def test_entries_of_a_star_are_separate():
-    floater = str(SHIPPED / "vehicles" / "floater.toml")
+    generic = str(SHIPPED / "vehicles" / "generic_8jet.toml")
     experiment = load(
-        find("zhang2023_table"), [f"vehicles.*.model={floater}", "vehicles.sat2.model.mass=13.0"]
+        find("zhang2023_table"), [f"vehicles.*.model={generic}", "vehicles.sat2.model.mass=13.0"]
     )
     masses = [setup.model.mass for setup in experiment.vehicles.values()]
     assert masses == [12.5, 13.0, 12.5]
 
 
-def test_one_jet_is_changed_by_its_index():
-    jets = hold("vehicles.sat1.model.jets[3].thrust=0.3").vehicles["sat1"].model.jets
+def test_one_jet_is_changed_by_its_number():
+    jets = hold("vehicles.sat1.model.jets.4.thrust=0.3").vehicles["sat1"].model.jets
     assert [jet.thrust for jet in jets] == [0.6] * 3 + [0.3] + [0.6] * 4
 
 
@@ -116,9 +116,9 @@ def test_tables_that_are_not_in_the_file_are_made():
 
 
 def test_a_vehicle_can_be_added():
-    floater = SHIPPED / "vehicles" / "floater.toml"
+    generic = SHIPPED / "vehicles" / "generic_8jet.toml"
     experiment = hold(
-        f"vehicles.b={{model='{floater}', start=[1,1,0], goal=[1,2,0]}}", "vehicles.b.start[0]=2"
+        f"vehicles.b={{model='{generic}', start=[1,1,0], goal=[1,2,0]}}", "vehicles.b.start.1=2"
     )
     assert experiment.vehicles["b"].start == (2.0, 1.0, 0.0)
     assert experiment.vehicles["b"].model == experiment.vehicles["sat1"].model
@@ -200,3 +200,9 @@ def test_a_file_that_is_read_twice_gives_two_trees(tmp_path):
     assert read_toml(path) == {"a": {"list": [1]}}
     path.write_text("[a]\nlist = [3]\n", encoding="utf-8")
     assert read_toml(path) == {"a": {"list": [3]}}
+
+
+def test_the_old_names_of_the_vehicles_are_links():
+    for old, new in (("floater", "generic_8jet"), ("floater_15kg", "generic_8jet_15kg")):
+        folder = SHIPPED / "vehicles"
+        assert (folder / f"{old}.toml").samefile(folder / f"{new}.toml")

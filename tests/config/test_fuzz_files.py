@@ -57,7 +57,7 @@ def with_faults(path):
 
 
 FILES = {
-    "vehicles/floater.toml": ("experiments/hold.toml", load),
+    "vehicles/generic_8jet.toml": ("experiments/hold.toml", load),
     "tables/marble_6m.toml": ("experiments/hold.toml", load),
     "faults.toml": ("experiments/hold.toml", with_faults),
     "campaigns/hold_gains.toml": ("campaigns/hold_gains.toml", load_campaign),

@@ -17,7 +17,8 @@ def test_a_spelt_key_is_read_back(key):
     text = spell(key)
     assert printable(text) == text
     if text.isascii() and "\\x" not in text:  # TOML has no \x, an error message may
-        assert assignment(f"{text} = 1") == (key, "1")
+        words = tuple(str(part + 1) if isinstance(part, int) else part for part in key)
+        assert assignment(f"{text} = 1") == (words, "1")
 
 
 @pytest.mark.parametrize(
@@ -26,9 +27,7 @@ def test_a_spelt_key_is_read_back(key):
         ("a=1", ("a",), "1"),
         (" a . b = 1 ", ("a", "b"), "1"),
         ("a.b-c_d.0=1", ("a", "b-c_d", "0"), "1"),
-        ("a[3].b=1", ("a", 3, "b"), "1"),
-        ("a[3][0]=1", ("a", 3, 0), "1"),
-        ("a[*].*.b=1", ("a", ANY, ANY, "b"), "1"),
+        ("a.*.*.b=1", ("a", ANY, ANY, "b"), "1"),
         ('a."b.c = d".e=1', ("a", "b.c = d", "e"), "1"),
         ("a.'b[0]'=1", ("a", "b[0]"), "1"),
         ('"\\u00e9\\t\\""=1', ('\u00e9\t"',), "1"),
@@ -43,7 +42,7 @@ def test_assignment(text, key, value):
 
 
 def test_a_key_looks_like_toml():
-    assert spell(("vehicles", "sat1", "start", 0)) == "vehicles.sat1.start[0]"
+    assert spell(("vehicles", "sat1", "start", 0)) == "vehicles.sat1.start.1"
     assert spell(("vehicles", "sat 1.5", "model")) == 'vehicles."sat 1.5".model'
     assert spell(("", "\x1b[31m")) == '"".' + '"\\x1b[31m"'
     assert spell(()) == ""

@@ -203,7 +203,7 @@ class BrokenChip(MockChip):
 
 def test_a_chip_that_fails_is_said_and_the_bearing_is_shut():
     from testbed.conformance.manual_clock import ManualClock
-    from testbed.conformance.thrusters import Flown
+    from testbed.conformance.thrusters import BoardDriver
 
     clock, vehicle = ManualClock(), some_vehicle()
     pins = list(range(8))
@@ -211,7 +211,7 @@ def test_a_chip_that_fails_is_said_and_the_bearing_is_shut():
     before = set(threading.enumerate())
     board = GpioBoard(vehicle, clock, pins, 26, chip)
     clock.meet(set(threading.enumerate()) - before)
-    one = Flown(ThrusterBench(board, list, lambda: True), clock, 8)
+    one = BoardDriver(ThrusterBench(board, list, lambda: True), clock, 8)
     board.bearing(on=True)
     one.plan({0: (0, 50)})
     chip.broken = True

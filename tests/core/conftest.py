@@ -13,4 +13,4 @@ settings.load_profile("seeded")
 
 @pytest.fixture(scope="session")
 def shipped_vehicle():
-    return msgspec.convert(read_toml(SHIPPED / "vehicles" / "floater.toml"), Vehicle)
+    return msgspec.convert(read_toml(SHIPPED / "vehicles" / "generic_8jet.toml"), Vehicle)

@@ -92,7 +92,7 @@ def test_a_cut_line_trips_the_watchdog_and_ends_the_flight():
     rig = make_twin(load(find("zhang2023_table"), ["board=inproc"]))
     rig.boards["sat2"]._there.send = lambda t_us, data: None
     ending = rig.fly(NullObserver())
-    assert ending.fault == "sat2: board in SAFE, faults WATCHDOG"
+    assert ending.fault.words == "sat2: board in SAFE, faults WATCHDOG"
     assert 0.15 <= ending.t <= 0.4
 
 
@@ -105,7 +105,7 @@ def test_plans_that_the_board_refuses_end_the_flight_and_are_named(monkeypatch):
     monkeypatch.setattr(boards, "limits_of", limits_of)
     rig, ending = fly("inproc")
     assert ending.t < 1.0
-    assert "refused plans: TTL_TOO_LONG" in ending.fault
+    assert "refused plans: TTL_TOO_LONG" in ending.fault.text
     assert all(mask == 0 for b in rig.twin.plant.boards.values() for _, mask in b.edges)
 
 

@@ -3,7 +3,8 @@
 On a wall clock only assertions about exact times are left out: a machine may stall between any two
 of its instructions. A board in the lab takes part with
 
-    ABT_BOARD=/dev/ttyUSB0 ABT_VEHICLE=configs/vehicles/floater.toml pytest tests/firmware -k serial
+    export ABT_BOARD=/dev/ttyUSB0 ABT_VEHICLE=configs/vehicles/generic_8jet.toml
+    pytest tests/firmware -k serial
 
 Its valves will click: shut off the air.
 """

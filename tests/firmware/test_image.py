@@ -16,7 +16,7 @@ from testbed.core.vehicle import Vehicle
 pytestmark = pytest.mark.usefixtures("a_cross_compiler")
 
 ROOT = Path(__file__).parents[2]
-FLOATER = ROOT / "configs" / "vehicles" / "floater.toml"
+FLOATER = ROOT / "configs" / "vehicles" / "generic_8jet.toml"
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def test_a_vehicle_file_becomes_an_image_with_its_limits(tmp_path):
     assert result.returncode == 0, result.stderr
     limits = limits_of(msgspec.toml.decode(FLOATER.read_bytes(), type=Vehicle))
     assert f"limits {config_hash(limits):08x}" in result.stdout
-    flat = (tmp_path / "out" / "floater.bin").read_bytes()
+    flat = (tmp_path / "out" / "generic_8jet.bin").read_bytes()
     assert 4_000 < len(flat) < 16_384
     assert int.from_bytes(flat[:4], "little") == 0x2000_2000  # the stack, at the bottom of RAM
 

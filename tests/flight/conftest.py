@@ -15,7 +15,7 @@ settings.load_profile("seeded")
 
 @pytest.fixture(scope="session")
 def vehicle():
-    return msgspec.convert(read_toml(SHIPPED / "vehicles" / "floater.toml"), Vehicle)
+    return msgspec.convert(read_toml(SHIPPED / "vehicles" / "generic_8jet.toml"), Vehicle)
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.config import find, load
+from testbed.core.codes import InhibitReason, Refusal
 from testbed.core.pulse import open_time, timing
 from testbed.core.types import (
     Accel,
@@ -121,10 +122,10 @@ def test_agents_share_nothing(make_agent, make_inputs):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"armed": False}, "not armed"),
-        ({"samples": ()}, "no pose yet"),
-        ({"setpoint": None}, "no setpoint yet"),
-        ({"armed": False, "samples": (), "setpoint": None}, "not armed"),
+        ({"armed": False}, InhibitReason.NOT_ARMED),
+        ({"samples": ()}, InhibitReason.NO_POSE_YET),
+        ({"setpoint": None}, InhibitReason.NO_SETPOINT_YET),
+        ({"armed": False, "samples": (), "setpoint": None}, InhibitReason.NOT_ARMED),
     ],
 )
 def test_no_valve_opens_before_all_is_there(change, reason, make_agent, make_inputs):
@@ -132,7 +133,7 @@ def test_no_valve_opens_before_all_is_there(change, reason, make_agent, make_inp
     for k in range(20):
         outputs = agent.step(replace(make_inputs(k * PERIOD, (0.5, 0.0, 0.0)), **change))
         assert shut(outputs)
-        assert outputs.inhibit_reason == reason
+        assert outputs.inhibit_reason == Refusal(reason)
         assert outputs.fault is None
         assert outputs.realised_wrench == Wrench(0.0, 0.0, 0.0)
     outputs = agent.step(make_inputs(20 * PERIOD, (0.5, 0.0, 0.0)))
@@ -166,11 +167,12 @@ def test_a_fault_shuts_the_valves_for_good(make_agent, make_inputs):
     assert outputs.fault is None  # one strange pose is none
     for k in range(2, 10):  # the cameras fail
         outputs = agent.step(make_inputs(k * PERIOD, samples=()))
-    assert "no pose" in outputs.fault
+    assert outputs.fault.id == "pose_too_old"
+    assert "no pose" in outputs.fault.text
     for k in range(10, 15):
         outputs = agent.step(make_inputs(k * PERIOD, (0.5, 0.0, 0.0)))
         assert shut(outputs)
-        assert outputs.inhibit_reason == outputs.fault
+        assert outputs.inhibit_reason.words == outputs.fault.text
 
 
 def test_a_pose_stamped_in_the_future_does_not_blind_the_vehicle(make_agent, make_inputs):
@@ -235,7 +237,7 @@ def test_when_no_setpoint_comes_the_gate_gives_up(make_agent, make_inputs):
         faults.append(agent.step(make_inputs(k * PERIOD, setpoint=setpoint)).fault)
     began = next(k for k, fault in enumerate(faults) if fault)
     assert began * PERIOD + 0.008 - 0.5 == pytest.approx(2.0, abs=PERIOD)
-    assert "no setpoint" in faults[-1]
+    assert "no setpoint" in faults[-1].text
 
 
 def test_a_demand_is_flown_as_it_is(make_agent, make_inputs, vehicle):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from testbed.config import find, load
+from testbed.core.codes import FaultCause, FaultReport, InhibitReason, Refusal, Response
 from testbed.core.types import (
     Accel,
     Demand,
@@ -150,7 +151,12 @@ trajectories = st.builds(
     Trajectory, st.lists(references, min_size=1, max_size=3).map(tuple), numbers
 )
 setpoints = st.none() | trajectories | demands
-words = st.none() | st.text(max_size=20)
+words = st.text(max_size=20)
+refusals = st.builds(Refusal, st.sampled_from(InhibitReason), st.lists(numbers).map(tuple))
+faults = st.builds(
+    FaultReport, words, words, words, words, st.none() | numbers,
+    st.none() | st.builds(FaultCause, words, words, words), st.lists(words, max_size=2).map(tuple),
+)  # fmt: skip
 heard = st.dictionaries(st.text(max_size=8), states, max_size=2)
 valves = st.lists(whole, min_size=8, max_size=8).map(tuple)
 commands = st.builds(ValveCommand, whole, numbers, numbers, valves, valves)
@@ -163,7 +169,8 @@ ticks = st.builds(
     ),
     st.builds(
         Outputs, numbers, st.none() | states, st.none() | references | demands,
-        wrenches, wrenches, commands, words, words,
+        wrenches, wrenches, commands, st.none() | refusals, st.none() | faults,
+        response=st.sampled_from(Response),
     ),
 )  # fmt: skip
 host_ticks = st.builds(

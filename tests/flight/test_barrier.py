@@ -298,7 +298,7 @@ def test_a_moving_obstacle_is_where_it_is_now(barrier):
     at = (0.9, 0.0, *STILL)
     assert barrier.filter(0.0, (0.3, 0.0), at, {})[2] is None
     late = barrier.filter(11.0, (0.3, 0.0), at, {})[2]
-    assert late.because == "o2"
+    assert late.words == "o2"
     assert late.dfx_w < 0.0
 
 
@@ -309,7 +309,7 @@ def test_neighbours_are_named(barrier, make_state, other, place):
     far = {"b": make_state((2.5, 2.5, 0.0), t=1.0), "c": make_state((2.5, -2.5, 0.0), t=1.0)}
     heard = far | {other: make_state(place, t=1.0)}
     change = barrier.filter(1.0, (0.0, 1.0 * np.sign(place[1])), (0.5, 0.0, *STILL), heard)[2]
-    assert change.because == other
+    assert change.words == other
 
 
 def test_a_neighbour_that_is_not_heard_any_more_is_given_more_room(barrier, make_state):
@@ -335,4 +335,4 @@ def test_reaches_are_of_the_others():
 def test_a_margin_moves_what_is_kept():
     wide = replace(PARAMS, obstacle_margin=0.5)
     near = Barrier(wide, MASS, FORCE, PERIOD, (2.8, 2.8), ROCKS, {})
-    assert near.filter(0.0, (-0.3, 0.0), (0.2, 0.0, *STILL), {})[2].because == "o1"
+    assert near.filter(0.0, (-0.3, 0.0), (0.2, 0.0, *STILL), {})[2].words == "o1"

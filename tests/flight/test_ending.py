@@ -5,6 +5,7 @@ from msgspec.structs import replace
 
 from testbed.config import find, load
 from testbed.config.shipped import shipped_faults
+from testbed.core.codes import InhibitReason, Refusal, Response
 from testbed.core.types import Health, Inputs, Vitals, Wrench
 from testbed.flight.ending import EndingParams, longest_brake
 from testbed.flight.fault_monitor import FaultMonitor
@@ -12,7 +13,7 @@ from testbed.flight.safety import AT_REST, Safety
 from testbed.rig.chain import make_detectors
 
 PERIOD = 0.1  # [s]
-OVER = Vitals(end="the flight is over")
+OVER = Vitals(end=True)
 
 
 @pytest.fixture
@@ -32,7 +33,7 @@ def test_a_vehicle_that_sees_itself_brakes_and_at_rest_shuts_its_air_off(safety,
     assert braking.commanded_wrench.fx < 0.0
     rested = act(safety, make_state((0, 0, 0), (0.9 * AT_REST, 0, 0)), 1.0)
     assert (rested.braking, rested.air_off) == (False, True)
-    assert rested.inhibit_reason == "the flight is over"
+    assert rested.inhibit_reason == Refusal(InhibitReason.FLIGHT_OVER)
     assert act(safety, make_state((0, 0, 0), (0.1, 0, 0)), 1.1).air_off  # and stays down
 
 
@@ -46,7 +47,7 @@ def test_a_vehicle_that_does_not_know_where_it_is_lands_at_once(safety):
 )
 def test_a_vehicle_whose_jets_cannot_be_trusted_lands_at_once(safety, make_state, changes):
     acted = act(safety, make_state((0, 0, 0), (0.1, 0, 0)), **changes)
-    assert (acted.response, acted.braking, acted.air_off) == ("land", False, True)
+    assert (acted.response, acted.braking, acted.air_off) == (Response.LAND, False, True)
 
 
 def test_what_is_found_after_the_end_is_no_fault_of_the_flight(safety, make_state):

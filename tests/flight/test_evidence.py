@@ -185,3 +185,17 @@ def test_what_the_estimate_shows_of_a_push_comes_later_with_noisier_cameras(vehi
         assert shown.sum(axis=0) == pytest.approx([1.0, 1.0], abs=0.15)
     assert np.all(sharp[:5].sum(axis=0) > 0.9)
     assert np.all(blurred[:5].sum(axis=0) < 0.7)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_slope_is_learned_from_looks_that_count(seed, vehicle, table):
+    """The first look is poor, and no pose is trusted for a second after it."""
+    body = Body(vehicle, table, np.ones(len(vehicle.jets)), seed)
+    rng, still = np.random.default_rng(seed), np.zeros(len(vehicle.jets))
+    body.tick(still)
+    body._seen -= (5e-3, 2e-3, 0.0)
+    body.tick(still)
+    body.evidence.pause()
+    for _ in range(60):
+        body.tick(some(rng, len(vehicle.jets)))
+        assert body.evidence.either[0].sigmas < BOUND

@@ -7,10 +7,12 @@ import pytest
 from msgspec.structs import replace
 
 from testbed.config import SHIPPED, read_toml
-from testbed.flight.fault_monitor import FaultMonitor, row_of
-from testbed.flight.faults import DETECTORS, SEVERITY, Fault, FaultTable, most_severe
+from testbed.core.codes import Detector, FaultCause, FaultReport, Response
+from testbed.flight.fault_monitor import QUIET, FaultMonitor
+from testbed.flight.faults import Fault, FaultTable
 
 TABLE = msgspec.convert(read_toml(SHIPPED / "faults.toml"), FaultTable)
+DETECTORS = [one.words for one in Detector]
 WELL = {  # what every detector says when all is well
     **dict.fromkeys(DETECTORS, 0.0),
     "pose_age": 0.03,
@@ -46,11 +48,21 @@ def good(row):
     return row.above if row.above is not None else row.below
 
 
+class Said:
+    """A detector's text, and the fault of another vehicle."""
+
+    def __init__(self, text="", fleet=None):
+        self.text, self.fleet = text, fleet
+
+    def said(self, detector):
+        return self.text
+
+
 def run(watch, row, value, ticks, armed=True, t=0.0):
     verdict = None
     for k in range(ticks):
         now = numbers(**{row.detector: value})
-        verdict = watch.look(t + k * PERIOD, armed, now, {row.detector: "somebody"})
+        verdict = watch.look(t + k * PERIOD, armed, now, Said("somebody"))
     return verdict
 
 
@@ -61,16 +73,16 @@ def ticks_of(row):
 
 def test_every_detector_has_a_row_and_every_row_is_well_when_all_is():
     assert {row.detector for row in TABLE.values()} == set(DETECTORS) == NEEDED
-    verdict = FaultMonitor(TABLE).look(0.0, True, numbers(), {})
-    assert verdict == ("", (), None)
+    verdict = FaultMonitor(TABLE).look(0.0, True, numbers(), Said())
+    assert verdict == QUIET
 
 
 @pytest.mark.parametrize("name", TABLE)
 def test_a_row_holds_after_its_misses_and_its_time_and_not_before(name):
     row, watch = TABLE[name], FaultMonitor({name: TABLE[name]})
-    assert run(watch, row, bad(row), ticks_of(row) - 1) in (None, ("", (), None))
+    assert run(watch, row, bad(row), ticks_of(row) - 1) in (None, QUIET)
     verdict = run(watch, row, bad(row), 1, t=(ticks_of(row) - 1) * PERIOD)
-    assert verdict.response == row.response
+    assert verdict.response == row.code
     assert verdict.holding == (name,)
     assert (verdict.fault is not None) == row.latched
 
@@ -79,14 +91,14 @@ def test_a_row_holds_after_its_misses_and_its_time_and_not_before(name):
 def test_a_row_does_not_hold_at_its_bound(name):
     row = TABLE[name]
     watch = FaultMonitor({name: row})
-    assert run(watch, row, good(row), 50) == ("", (), None)
+    assert run(watch, row, good(row), 50) == QUIET
 
 
 @pytest.mark.parametrize("name", TABLE)
 def test_a_number_that_is_none_is_beyond_every_bound(name):
     row = TABLE[name]
     verdict = run(FaultMonitor({name: row}), row, math.nan, ticks_of(row))
-    assert verdict.response == row.response
+    assert verdict.response == row.code
 
 
 @pytest.mark.parametrize("name", TABLE)
@@ -96,7 +108,7 @@ def test_one_good_tick_begins_the_count_again(name):
     run(watch, row, bad(row), before)
     run(watch, row, good(row), 1, t=before * PERIOD)
     verdict = run(watch, row, bad(row), max(before, 0), t=(before + 1) * PERIOD)
-    assert verdict is None or verdict.response == ""
+    assert verdict is None or verdict.response == Response.NONE
 
 
 @pytest.mark.parametrize("name", TABLE)
@@ -105,10 +117,10 @@ def test_a_latched_row_stays_until_a_reset_and_others_go(name):
     first = run(watch, row, bad(row), ticks_of(row))
     after = run(watch, row, good(row), 3, t=10.0)
     assert after.holding == ()
-    assert after.response == (row.response if row.latched else "")
+    assert after.response == (row.code if row.latched else Response.NONE)
     assert after.fault == first.fault
     watch.reset()
-    assert run(watch, row, good(row), 1, t=20.0) == ("", (), None)
+    assert run(watch, row, good(row), 1, t=20.0) == QUIET
     assert watch.latched == ()
 
 
@@ -125,29 +137,34 @@ def test_a_disarmed_vehicle_has_faults_but_none_is_latched(name):
 def test_the_operator_reads_what_and_how_much(name):
     row = TABLE[name]
     said = run(FaultMonitor({name: row}), row, bad(row), ticks_of(row)).fault
-    assert said.startswith(f"{name}: ")
-    assert "{" not in said
-    assert row_of(TABLE, said) == row
+    assert said.words == f"{name}: {said.text}"
+    assert "{" not in said.text
+    assert (said.id, said.detector, said.value) == (name, row.detector, bad(row))
 
 
 def test_the_most_severe_wins():
-    assert sorted(SEVERITY, key=SEVERITY.get) == ["", "warn", "hold", "brake", "coast", "land"]
+    assert [one.words for one in sorted(Response)] == ["", "warn", "hold", "brake", "coast", "land"]
     watch = FaultMonitor(TABLE)
     warn, brake = TABLE["link_late"], TABLE["battery_low"]
     both = numbers(setpoint_age=bad(warn), battery=bad(brake))
-    assert watch.look(0.0, True, both, {}).response == "brake"
+    assert watch.look(0.0, True, both, Said()).response == Response.BRAKE
     land = numbers(battery=bad(brake), board_silent=1.0)
-    verdict = watch.look(0.1, True, land, {})
-    assert verdict.response == "land"
-    assert verdict.fault.startswith("board_silent")
+    verdict = watch.look(0.1, True, land, Said())
+    assert verdict.response == Response.LAND
+    assert verdict.fault.id == "board_silent"
     # and it does not get milder again
-    assert watch.look(0.2, True, numbers(), {}).response == "land"
+    assert watch.look(0.2, True, numbers(), Said()).response == Response.LAND
     assert watch.latched == ("battery_low", "board_silent")
 
 
-def test_no_response_is_the_mildest():
-    assert most_severe([]) == ""
-    assert most_severe(["warn", "land", "brake"]) == "land"
+def test_a_vehicle_that_stops_with_others_reports_whose_fault_it_is():
+    first = FaultReport("leak", "a leak", "sat2")
+    followed = FaultReport("fleet", "stopped with the others", "sat3", cause=first.origin)
+    for fleet in (first, followed):
+        watch, row = FaultMonitor(TABLE), TABLE["fleet"]
+        fault = watch.look(0.0, True, numbers(fleet=1.0), Said(fleet.words, fleet)).fault
+        assert fault.text == row.text.format(said=fleet.words)
+        assert fault.cause == FaultCause("leak", "a leak", "sat2")
 
 
 ROW = TABLE["pose_lost"]
@@ -177,10 +194,10 @@ def test_a_row_that_says_nothing_is_refused(change, words):
 @pytest.mark.parametrize("value", [13, 13.7, math.nan, math.inf])
 def test_words_that_are_taken_can_be_said_of_every_number(text, value):
     watch = FaultMonitor({"row": Fault("poses_rejected", "brake", text, latched=True, above=12)})
-    said = {"poses_rejected": "long " * 1000}
+    said = Said("long " * 1000)
     verdict = watch.look(0.0, True, numbers(poses_rejected=value), said)
-    assert verdict.fault.startswith("row: ")
-    assert len(verdict.fault) < 400
+    assert verdict.fault.id == "row"
+    assert len(verdict.fault.text) < 400
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import math
 import pytest
 from msgspec.structs import replace
 
+from testbed.core.codes import InhibitReason, Refusal
 from testbed.core.types import Demand, Health, Pose, Twist, ValveCommand, Wrench
 from testbed.flight.gate import AHEAD, EARLY, Fence, Gate, GateParams, closed, refuse_plan
 
@@ -52,22 +53,25 @@ def test_open_when_all_is_well(gate, healthy):
 
 @pytest.mark.parametrize(
     ("change", "reason"),
-    [({"armed": False}, "not armed"), ({"setpoint": None}, "no setpoint yet")],
+    [
+        ({"armed": False}, InhibitReason.NOT_ARMED),
+        ({"setpoint": None}, InhibitReason.NO_SETPOINT_YET),
+    ],
 )
 def test_waiting_is_not_a_fault(change, reason, gate, healthy):
-    assert ask(gate, healthy, **change) == reason
+    assert ask(gate, healthy, **change) == Refusal(reason)
     assert gate.fault is None
     assert ask(gate, healthy) is None
 
 
 def test_waiting_for_the_first_pose_is_not_a_fault(gate, healthy):
-    assert ask(gate, None) == "no pose yet"
+    assert ask(gate, None) == Refusal(InhibitReason.NO_POSE_YET)
     assert gate.fault is None
     assert ask(gate, healthy) is None
 
 
 def test_a_disarmed_vehicle_may_stand_outside(gate, make_state):
-    assert ask(gate, make_state((9.0, 0.0, 0.0)), armed=False) == "not armed"
+    assert ask(gate, make_state((9.0, 0.0, 0.0)), armed=False) == Refusal(InhibitReason.NOT_ARMED)
     assert gate.fault is None
 
 
@@ -120,7 +124,7 @@ def verdict(gate, reason, said):
     """Whether it said what it should, and keeps a fault for ever."""
     if reason is OK:
         return said is None and gate.fault is None
-    return said is not None and reason in said and gate.fault == said
+    return said is not None and reason in said.words and gate.fault == said
 
 
 @pytest.mark.parametrize(("row", "change", "reason"), ROWS)
@@ -203,13 +207,13 @@ def test_closed_is_the_same_plan_with_every_valve_shut():
 @pytest.mark.parametrize("pressure", [math.nan, math.inf])
 def test_a_pressure_that_is_no_number_shuts_the_valves_and_says_so(pressure, gate, healthy):
     health = Health(NOW, pressure, 20e6)
-    assert ask(gate, healthy, health=health) == "supply pressure is not a number"
-    assert gate.fault == "supply pressure is not a number"
+    assert ask(gate, healthy, health=health) == Refusal(InhibitReason.SUPPLY_NOT_FINITE)
+    assert gate.fault.words == "supply pressure is not a number"
 
 
 def test_the_first_reason_stays_when_there_are_two(gate, healthy):
     said = ask(gate, replace(healthy, rejected=99), health=Health(NOW, math.nan, 2e7))
-    assert "contradict" in said
+    assert "contradict" in said.words
 
 
 def test_an_unusual_gate_is_asked_for():
@@ -224,7 +228,7 @@ def test_an_unusual_gate_is_asked_for():
 
 
 def test_setpoints_of_another_session_open_nothing_and_are_no_fault(gate, healthy):
-    assert ask(gate, healthy, session_ok=False) == "setpoints are of another session"
+    assert ask(gate, healthy, session_ok=False) == Refusal(InhibitReason.OTHER_SESSION)
     assert gate.fault is None
     assert ask(gate, healthy) is None
 
@@ -254,7 +258,7 @@ BRAKING = [
 @pytest.mark.parametrize(("change", "options", "reason"), BRAKING)
 def test_braking(change, options, reason, gate, healthy):
     said = ask(gate, replace(healthy, **change), braking=True, **options)
-    assert said is None if reason is OK else reason in said
+    assert said is None if reason is OK else reason in said.words
 
 
 def test_braking_does_not_shorten_the_patience_for_poses(healthy):
@@ -263,7 +267,7 @@ def test_braking_does_not_shorten_the_patience_for_poses(healthy):
 
 
 def test_a_vehicle_that_never_saw_itself_does_not_brake(gate):
-    assert ask(gate, None, braking=True) == "no pose yet"
+    assert ask(gate, None, braking=True) == Refusal(InhibitReason.NO_POSE_YET)
 
 
 def test_a_reset_forgets_the_fault(gate, healthy):
@@ -305,7 +309,7 @@ PLAN = ValveCommand(8, NOW, NOW + 0.1, (5000, 0, 100_000), (10_000, 0, 0))
 )
 def test_a_plan_at_the_port(change, now, newest, reason):
     said = refuse_plan(replace(PLAN, **change), now, newest, longest=0.1)
-    assert said is None if reason is OK else reason in said
+    assert said is None if reason is OK else reason in said.words
 
 
 LONGEST, WHOLE = 0.1, 100_001  # [s], [us]: a pulse may be one longer, for rounding
@@ -325,7 +329,7 @@ LONGEST, WHOLE = 0.1, 100_001  # [s], [us]: a pulse may be one longer, for round
 def test_the_times_of_a_plan_to_the_last_bit(issued_at, valid_until, now, reason):
     plan = ValveCommand(8, issued_at, valid_until, (0,), (0,))
     said = refuse_plan(plan, now, 7, LONGEST)
-    assert said is None if reason is OK else reason in said
+    assert said is None if reason is OK else reason in said.words
 
 
 @pytest.mark.parametrize(
@@ -341,4 +345,4 @@ def test_the_pulses_of_a_plan_to_the_microsecond(on, offset, ok):
     if ok:
         assert said is None
     else:
-        assert said == f"a pulse of {on} us after {offset} us in a plan of 100000 us"
+        assert said.words == f"a pulse of {on} us after {offset} us in a plan of 100000 us"

@@ -3,6 +3,7 @@
 import pytest
 from msgspec.structs import replace
 
+from testbed.core.codes import FaultId, FaultReport, InhibitReason, Refusal, Response
 from testbed.core.types import (
     Demand,
     Health,
@@ -30,6 +31,7 @@ from testbed.flight.loop import (
 
 PERIOD = 0.1  # [s]
 STILL = Wrench(0.0, 0.0, 0.0)
+BROKE, OVER = FaultReport("broke", "broke"), Refusal(InhibitReason.FLIGHT_OVER)
 SAMPLE = PoseSample(0.08, 1.0, 2.0, 3.0)
 
 
@@ -53,10 +55,10 @@ class Node:
 
     def tick(self, t, *armed):
         self.diary.append((self.name, t, *armed))
-        fault = "broke" if self.fails_at is not None and self.ticks >= self.fails_at else None
+        fault = BROKE if self.fails_at is not None and self.ticks >= self.fails_at else None
         self.ticks += 1
-        self.told += armed[-1] not in (True, False, "")
-        shut = fault or ("as the others" if self.told > self.slow else None)
+        self.told += armed[-1] not in (True, False, None)
+        shut = OVER if fault or self.told > self.slow else None
         health = Health(t, 0.0, 0.0)
         command = ValveCommand(self.ticks, t, t, (), ())
         return Tick(
@@ -90,6 +92,10 @@ def diary():
     return []
 
 
+def broke(name):
+    return replace(BROKE, vehicle=name)
+
+
 def flown(diary, vehicles, hosts=(), ticks=3, **options):
     return fly(Clock(diary), vehicles, hosts, PERIOD, ticks, Observer(diary), **options)
 
@@ -100,8 +106,8 @@ def test_vehicles_first_then_hosts_then_everybody_waits(diary):
     ending = flown(diary, nodes, hosts, ticks=1)
     assert diary == [
         ("wait", 0.0),
-        ("a", 0.0, True, ""), ("saw", "a"),
-        ("b", 0.0, True, ""), ("saw", "b"),
+        ("a", 0.0, True, None), ("saw", "a"),
+        ("b", 0.0, True, None), ("saw", "b"),
         ("host a", 0.0, True), ("saw", "host a"),
         ("done", 0.0),
         ("wait", PERIOD),
@@ -120,13 +126,13 @@ def test_ticks_are_due_at_multiples_of_the_period(diary):
 def test_a_fault_is_told_to_all_and_followed_by_one_disarmed_tick(diary):
     nodes = [Node(diary, "a"), Node(diary, "b", fails_at=1), Node(diary, "c", slow=2)]
     ending = flown(diary, nodes, ticks=9)
-    assert ending == Ending(5 * PERIOD, "b: broke")
+    assert ending == Ending(5 * PERIOD, broke("b"))
     told = [(entry[0], *entry[2:]) for entry in diary if entry[0] in "abc"]
     # in the tick of the fault the others had their turn already, or have it without knowing
-    assert told[:6] == [(name, True, "") for name in "abcabc"]
+    assert told[:6] == [(name, True, None) for name in "abcabc"]
     # then they come to rest, and the flight waits for the slowest of them
-    assert told[6:-3] == [(name, True, "b: broke") for name in "abcabcabc"]
-    assert told[-3:] == [(name, False, "b: broke") for name in "abc"]
+    assert told[6:-3] == [(name, True, broke("b")) for name in "abcabcabc"]
+    assert told[-3:] == [(name, False, broke("b")) for name in "abc"]
 
 
 def test_who_does_not_come_to_rest_is_not_waited_for_for_ever(diary):
@@ -145,7 +151,9 @@ def test_a_law_that_dies_on_the_host_is_a_fault_of_all(diary, make_state):
     ports = Ports({}, own=make_state())
     host = HostNode("a", Dying(), ports, PERIOD, lead=0.0)
     ending = flown(diary, [Node(diary, "a")], [host], ticks=9)
-    assert ending == Ending(2 * PERIOD, "a: law on the host: ZeroDivisionError: of zero")
+    fault = FaultReport(FaultId.HOST_LAW_RAISED, "law on the host: ZeroDivisionError: of zero", "a")
+    assert ending == Ending(2 * PERIOD, fault)
+    assert fault.words == "a: law on the host: ZeroDivisionError: of zero"
     assert ports.published == []
 
 
@@ -157,18 +165,18 @@ def test_long_last_words_of_a_law_are_cut(make_state):
             raise ValueError("o" * 10_000)
 
     host = HostNode("a", Wordy(), Ports({}, own=make_state()), PERIOD, lead=0.0)
-    raised = host.tick(0.0).outputs.law_error
-    assert raised.startswith("ValueError: ooo")
-    assert len(raised) == LONGEST_WORDS
+    text = host.tick(0.0).outputs.fault.text
+    assert text.startswith("law on the host: ValueError: ooo")
+    assert len(text) == len("law on the host: ") + LONGEST_WORDS
 
 
 def test_the_first_fault_is_the_reason(diary):
     ending = flown(diary, [Node(diary, "a", fails_at=2), Node(diary, "b", fails_at=2)], ticks=9)
-    assert ending.fault == "a: broke"
+    assert ending.fault == broke("a")
 
 
 def test_a_fault_in_the_last_tick_is_told(diary):
-    assert flown(diary, [Node(diary, "a", fails_at=2)], ticks=3).fault == "a: broke"
+    assert flown(diary, [Node(diary, "a", fails_at=2)], ticks=3).fault == broke("a")
 
 
 def test_a_stop_ends_the_flight_with_its_tick(diary):
@@ -193,24 +201,24 @@ class Lander:
     def __init__(self, diary, name, at):
         self.diary, self.name, self.at, self.ticks = diary, name, at, 0
 
-    def tick(self, t, armed, fleet, end):
+    def tick(self, t, armed, fleet=None, *, end=False):
         self.ticks += 1
         down = self.ticks >= self.at or not armed
         self.diary.append((self.name, t, armed, end, down))
         command = ValveCommand(self.ticks, t, t, (), ())
-        outputs = Outputs(t, None, None, STILL, STILL, command, "over", air_off=down)
+        outputs = Outputs(t, None, None, STILL, STILL, command, OVER, air_off=down)
         return Tick(Inputs(t, armed, (), None, {}, Health(t, 0.0, 0.0)), outputs)
 
 
 def landed(diary, nodes, ticks=9, stopped=lambda: 0):
-    come_to_rest(Clock(diary), nodes, PERIOD, 30, ticks, Observer(diary), "why", stopped=stopped)
+    come_to_rest(Clock(diary), nodes, PERIOD, 30, ticks, Observer(diary), stopped=stopped)
     return [entry for entry in diary if entry[0] in "ab"]
 
 
 def test_after_the_flight_all_brake_until_the_last_one_has_landed(diary):
     ticks = landed(diary, [Lander(diary, "a", 1), Lander(diary, "b", 3)])
     assert ticks == [
-        (name, k * PERIOD, True, "why", name == "a" or k == 32)
+        (name, k * PERIOD, True, True, name == "a" or k == 32)
         for k in (30, 31, 32) for name in "ab"
     ]  # fmt: skip
     assert ("wait", 30 * PERIOD) in diary  # the board hears of it within its watchdog's time
@@ -337,26 +345,26 @@ def test_a_law_starts_when_the_vehicle_is_armed_not_before(make_state):
     assert host.tick(0.6, True).outputs.setpoint == setpoint_for(0.708)
 
 
-@pytest.mark.parametrize("response", ["", "brake", "coast", "land"])
+@pytest.mark.parametrize("response", [Response.NONE, Response.BRAKE, Response.COAST, Response.LAND])
 def test_landing_shuts_the_air_off(response):
     ports, landed = Ports({}), []
     ports.land = lambda: landed.append(True)
     agent = Agent(replace(OUTPUTS, response=response), True)
     VehicleNode("a", agent, ports, ports, ports).tick(0.3, True)
-    assert landed == [True] * (response == "land")
+    assert landed == [True] * (response == Response.LAND)
     agent.outputs = replace(OUTPUTS, response=response, air_off=True)
     VehicleNode("a", agent, ports, ports, ports).tick(0.4, True)
-    assert landed == [True] * (1 + (response == "land"))
+    assert landed == [True] * (1 + (response == Response.LAND))
 
 
 def test_a_vehicle_is_told_of_its_process_and_of_the_others():
     ports = Ports({})
     node = VehicleNode("a", Agent(OUTPUTS, True), ports, ports, ports, lambda: Vitals(late_s=0.2))
     assert node.tick(0.3, True).inputs.vitals == Vitals(late_s=0.2)
-    told = node.tick(0.4, True, "b: broke").inputs.vitals
-    assert told == Vitals(late_s=0.2, fleet="b: broke")
-    over = node.tick(0.5, True, "", "the flight is over").inputs.vitals
-    assert over == Vitals(late_s=0.2, end="the flight is over")
+    told = node.tick(0.4, True, broke("b")).inputs.vitals
+    assert told == Vitals(late_s=0.2, fleet=broke("b"))
+    over = node.tick(0.5, True, end=True).inputs.vitals
+    assert over == Vitals(late_s=0.2, end=True)
 
 
 def test_a_host_waits_for_the_first_word_of_its_vehicle():

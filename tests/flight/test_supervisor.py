@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from testbed.core.codes import FaultReport
 from testbed.core.types import Health, Pose, Twist, Vitals
 from testbed.flight.arming import ArmingParams, Check, Expected, Readiness, arming_checks
 from testbed.flight.gate import Fence
@@ -26,6 +27,8 @@ REACHED = {  # phase and request, with green checks -> phase, and whether it was
     ("STOPPED", "reset"): ("DISARMED", True),
     ("FAULT", "reset"): ("DISARMED", True),
 }
+
+LOST = FaultReport("pose_lost", "pose lost", "sat1")
 
 
 def brought_to(phase):
@@ -82,14 +85,14 @@ def test_a_reset_asks_for_the_state_not_for_the_tank(phase):
 
 def test_a_fault_is_latched_and_the_first_is_kept():
     supervisor = brought_to("RUNNING")
-    supervisor.fail(1.0, "pose lost")
-    supervisor.fail(2.0, "link lost")
-    assert supervisor.fault == "pose lost"
+    supervisor.fail(1.0, LOST)
+    supervisor.fail(2.0, FaultReport("link_lost", "link lost"))
+    assert supervisor.fault == LOST
     for what in ("arm", "run"):
         assert not supervisor.request(3.0, what, GREEN).done
     for what in ("stop", "disarm"):
         supervisor.request(3.0, what)
-    assert (supervisor.phase, supervisor.fault) == ("FAULT", "pose lost")
+    assert (supervisor.phase, supervisor.fault) == ("FAULT", LOST)
     assert supervisor.request(4.0, "reset", GREEN).done
     assert (supervisor.phase, supervisor.fault) == ("DISARMED", None)
 
@@ -112,9 +115,9 @@ def test_the_end_of_a_run_stops_it_and_nothing_else():
 
 def test_what_happened_is_written_down():
     supervisor = brought_to("RUNNING")
-    supervisor.fail(2.0, "broke")
-    assert [(e.phase, e.because) for e in supervisor.events] == [
-        ("ARMED", "arm"), ("RUNNING", "run"), ("FAULT", "broke"),
+    supervisor.fail(2.0, LOST)
+    assert [(e.phase, e.because, e.fault) for e in supervisor.events] == [
+        ("ARMED", "arm", None), ("RUNNING", "run", None), ("FAULT", "", LOST),
     ]  # fmt: skip
 
 

@@ -37,7 +37,7 @@ def lab(tmp_path, monkeypatch):
             shutil.copyfile(words[1], words[2])
     hold = Path("lab/hold.toml")
     text = hold.read_text()
-    for kind, new in (("tables/marble_6m", "table"), ("vehicles/floater", "sat1")):
+    for kind, new in (("tables/marble_6m", "table"), ("vehicles/generic_8jet", "sat1")):
         assert f"../{kind}.toml" in text
         text = text.replace(f"../{kind}.toml", f"{new}.toml")
     hold.write_text(text)

@@ -120,7 +120,7 @@ def test_an_extra_is_installed_from_the_checkout(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("extra", ["campaign", "dashboard", "emulator", "export", "figures", "keys",
-                                   "mocap", "plots"])  # fmt: skip
+                                   "mocap"])  # fmt: skip
 def test_every_extra_that_a_message_names_is_there(extra):
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
         "optional-dependencies"

@@ -12,7 +12,7 @@ from testbed.identification.vehicle_file import load_vehicle
 
 @pytest.fixture(scope="session")
 def floater():
-    return load_vehicle("floater")
+    return load_vehicle("generic_8jet")
 
 
 @pytest.fixture(scope="session")

@@ -40,7 +40,7 @@ def test_thrust_inertia_centre_of_mass_and_delay_are_found(found, flight, floate
 
 
 def test_every_number_of_a_report_is_json(found, flight):
-    tree = report_of(found, "floater", [flight[1]])
+    tree = report_of(found, "generic_8jet", [flight[1]])
     assert msgspec.json.decode(msgspec.json.encode(tree))["jets"][0]["jet"] == 1
     assert "mass (only thrust over mass)" in tree["not_identifiable"]
     assert tree["findings"] == []
@@ -86,7 +86,7 @@ def test_a_jet_that_never_opened_is_not_identifiable(floater):
     assert row["state"] == "not excited"
     assert not row["identifiable"]
     assert told_by(found, 0)
-    assert "thrust of jet 7" in report_of(found, "floater", [log])["not_identifiable"]
+    assert "thrust of jet 7" in report_of(found, "generic_8jet", [log])["not_identifiable"]
 
 
 def run(*words):
@@ -99,7 +99,16 @@ def test_from_a_log_to_a_vehicle_file_to_a_verdict(files, tmp_path):
     out, page = tmp_path / "own.toml", tmp_path / "page.html"
     common = ["--mapping", mapping, "--json"]
     code, text = run(
-        "calibrate", "motion", log, *common, "--vehicle", "floater", "--until", 40, "--out", out
+        "calibrate",
+        "motion",
+        log,
+        *common,
+        "--vehicle",
+        "generic_8jet",
+        "--until",
+        40,
+        "--out",
+        out,
     )
     assert code == 0
     assert json.loads(text)["out"] == str(out)
@@ -110,7 +119,7 @@ def test_from_a_log_to_a_vehicle_file_to_a_verdict(files, tmp_path):
         json.loads(text)["jets"][0]["thrust_n"], rel=1e-4
     )
     code, text = run(
-        "validate", log, *common, "--vehicle", out, "--against", "floater", "--from", 41,
+        "validate", log, *common, "--vehicle", out, "--against", "generic_8jet", "--from", 41,
         "--out", page,
     )  # fmt: skip
     assert code == 0
@@ -131,7 +140,7 @@ def test_a_suspicion_is_a_refusal_and_writes_nothing(files, tmp_path):
     swapped = ["t_s", "y_m", "x_m", "theta_rad", *(f"duty_{k + 1}" for k in range(8))]
     log, out = write("swapped.csv", head=swapped), tmp_path / "own.toml"
     code, text = run(
-        "calibrate", "motion", log, "--mapping", mapping, "--vehicle", "floater", "--json",
+        "calibrate", "motion", log, "--mapping", mapping, "--vehicle", "generic_8jet", "--json",
         "--out", out,
     )  # fmt: skip
     assert code == 2
@@ -149,16 +158,16 @@ def test_a_run_folder_needs_no_mapping(tmp_path):
     folder = tmp_path / "run"
     words = ["run", "hold", "duration_s=30", "criteria={}", "--seed", "3", "--json", "--out"]
     assert run(*words, folder)[0] == 0
-    code, text = run("validate", folder, "--vehicle", "floater", "--json")
+    code, text = run("validate", folder, "--vehicle", "generic_8jet", "--json")
     assert code == 0
     verdict = json.loads(text)
     assert verdict["horizons"]["3"]["vehicle"]["position_rms_m"] < 0.02
-    code, text = run("validate", folder, "--vehicle", "floater", "--body", "sat9", "--json")
+    code, text = run("validate", folder, "--vehicle", "generic_8jet", "--body", "sat9", "--json")
     assert code == 2
     assert "sat1" in json.loads(text)["expected"]
 
 
 def test_a_log_without_a_mapping_is_refused(files):
-    code, text = run("validate", files[1], "--vehicle", "floater", "--json")
+    code, text = run("validate", files[1], "--vehicle", "generic_8jet", "--json")
     assert code == 2
     assert json.loads(text)["where"] == "--mapping"

@@ -102,7 +102,7 @@ def test_what_the_log_leaves_out_is_in_the_table():
     assert table["inputs.vitals.session_ok"].tolist() == [True, False]
     assert table["inputs.vitals.session_ok"].dtype == bool
     assert table["inputs.vitals.late_s"].tolist() == [0.0, 1.0]
-    assert table["outputs.response"].tolist() == ["", ""]
+    assert table["outputs.response"].tolist() == [0, 0]
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])

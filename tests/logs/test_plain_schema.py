@@ -80,7 +80,8 @@ def test_all_fields_but_the_samples_are_named():
     assert outputs["command"]["properties"]["on_us"] == {
         "type": "array", "items": {"type": "integer"},
     }  # fmt: skip
-    assert outputs["fault"] == {"type": "string"}
+    assert outputs["response"] == {"type": "integer"}
+    assert outputs["fault"]["properties"]["id"] == {"type": "string"}
     assert not {"state", "active_setpoint", "fault"} & set(properties["outputs"]["required"])
 
 

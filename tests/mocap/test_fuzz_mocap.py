@@ -15,7 +15,6 @@ import pytest
 from growth import growth
 from testbed.core.lab import MocapWire
 from testbed.mocap import natnet_client
-from testbed.mocap.body_monitor import BodyMonitor
 from testbed.mocap.exposure import Exposure, Sighting
 from testbed.mocap.natnet import (
     Described,
@@ -101,7 +100,7 @@ def client():
 def test_datagrams(port, client):
     rng = np.random.default_rng((ROUND, 1))
     wire = MocapWire(up="z")
-    poses = MocapPoses(client, wire, WallClock(monotonic_ns()), "sat1", BodyMonitor())
+    poses = MocapPoses(client, wire, WallClock(monotonic_ns()), "sat1")
     kinds = list(Packet)
     fed = 0
 
@@ -252,7 +251,7 @@ def sighting(x):
 @pytest.mark.parametrize("first", [math.nan, math.inf, 1e5])
 def test_a_first_pose_that_is_none_does_not_hide_the_true_ones(first):
     source, epoch = Scripted(), 10**12
-    poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1", BodyMonitor())
+    poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1")
     for k, x in enumerate((first, 1.0, 1.00001)):
         at = epoch + k * 10**7
         source.next.append(Exposure(k, at, at + 10**7, {"sat1": sighting(x)}))
@@ -263,7 +262,7 @@ def test_a_first_pose_that_is_none_does_not_hide_the_true_ones(first):
 @pytest.mark.parametrize("exposed_s", [3600.0, -3600.0, 1e9])
 def test_an_exposure_of_another_time_does_not_stop_the_watch(exposed_s):
     source, epoch = Scripted(), 10**12
-    poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1", BodyMonitor())
+    poses = MocapPoses(source, MocapWire(up="z"), WallClock(epoch), "sat1")
     for k in range(50):
         at = epoch + k * 10**7
         exposed = at + round(1e9 * exposed_s) if k == 20 else at

@@ -18,6 +18,7 @@ import pytest
 from growth import growth
 from ports import free_port
 from testbed.config import find, load
+from testbed.core.codes import FaultReport
 from testbed.core.types import (
     Accel,
     Demand,
@@ -77,7 +78,10 @@ MESSAGES = {
     "demand": (open_setpoint, Demand(NOW, 0.1, 0.2, 0.3, 0.0, 0.0, NOW + 0.2)),
     "message": (open_message, LawMessage(NOW, (1.0, 2.0, 3.0))),
     "permit": (msgspec.msgpack.Decoder(Lease).decode, Lease()),
-    "event": (msgspec.msgpack.Decoder(Ended).decode, Ended(NOW, "a fault", COUNTS)),
+    "event": (
+        msgspec.msgpack.Decoder(Ended).decode,
+        Ended(NOW, FaultReport("leak", "a fault", "sat1"), COUNTS),
+    ),
 }
 EVIL = [
     math.nan, math.inf, -math.inf, 1e300, -1e18, 0, -1, 2**63, 2**64 - 1, -(2**63), None, True, "",

@@ -33,8 +33,8 @@ from testbed.net.session import (
     Publisher,
     Subscriber,
     answer_to,
+    answers,
     ask,
-    ask_all,
     dial,
     listen,
 )
@@ -151,7 +151,7 @@ def test_the_host_arms_and_an_operator_stops(rig):
     halt = msgspec.msgpack.encode(Stop("enough"))
     assert answer(ask(rig.host, order, halt)) == Accepted("a board")
     assert told.tower.stop_reason == "enough"
-    assert ask_all(rig["operator-anna"], KEYS.stop) == 1
+    assert len(answers(rig["operator-anna"], KEYS.stop, 0.5)) == 1
     wait_for(lambda: told.shut > 0)  # here no loop obeys: it is shut without one
     shut = told.shut
     wait_for(lambda: rig["operator-anna"].put(KEYS.stop, b"stop") or told.shut > shut)
@@ -161,7 +161,7 @@ def test_a_flight_that_obeys_a_stop_is_not_shut_before_it_rests(rig):
     told = Commanded(rig["vehicle-sat1"], "sat1")
     told.tower.obey()
     wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
-    assert ask_all(rig["operator-anna"], KEYS.stop) == 1
+    assert len(answers(rig["operator-anna"], KEYS.stop, 0.5)) == 1
     assert told.tower.stop_reason == "stopped by the operator"
     assert told.shut == 0
     at_once = msgspec.msgpack.encode(Stop("twice", at_once=True))
@@ -202,7 +202,7 @@ def test_others_can_neither_arm_nor_stop(rig, who):
         for question in (START, msgspec.msgpack.encode(Stop("forged"))):
             with pytest.raises(NetworkError, match="no party is there"):
                 ask(rig[who], key, question, wait_s=0.5)
-    assert ask_all(rig[who], KEYS.stop) == 0
+    assert len(answers(rig[who], KEYS.stop, 0.5)) == 0
     for key in (KEYS.stop, "lab/operator/*", "lab/**", "**"):
         rig[who].put(key, b"stop")
     _passed_on(rig, who)
@@ -284,7 +284,7 @@ def test_the_ones_struck_out_are_shut_out(folder, endpoint, tmp_path):
         told = Commanded(sat1, "sat1")
         with dial(endpoint, 1.0, folder / "host") as host:
             wait_for(lambda: _answers(host, KEYS.of("sat1", "order")))
-        assert ask_all(anna, KEYS.stop) == 0
+        assert len(answers(anna, KEYS.stop, 0.5)) == 0
         with pytest.raises(NetworkError):
             ask(anna, KEYS.of("sat1", "order"), START, wait_s=0.3)
         assert told.tower.starts.empty()
@@ -585,7 +585,7 @@ def test_a_note_that_says_nothing_does_not_stop_the_stop(nowhere, note):
 
     with noted("tcp/127.0.0.1:1", "lab"):
         pass
-    place = stopping._notes() / f"{os.getpid()}.json"
+    place = stopping._folders()[0][0] / f"{os.getpid()}.json"
     place.write_text(note)
     assert stop_everything(None, "lab") == FAILED
 

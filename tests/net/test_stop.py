@@ -162,7 +162,7 @@ def test_a_host_that_hangs_is_said(here, capsys):
             assert stop_everything(None, "lab") == FAILED
     said = capsys.readouterr().err
     assert f"the host, process {os.getpid()}, did not answer" in said
-    assert "its vehicles brake and shut by themselves" in said
+    assert "vehicles without a host brake and shut by themselves" in said
 
 
 def test_a_host_that_was_killed_is_said_once(here, capsys, process):

@@ -8,8 +8,8 @@ import numpy as np
 from testbed.config import find, load
 from testbed.logs.history import History, VehicleHistory
 from testbed.metrics.run_metrics import Touch
-from testbed.report.chart import Line, Moment, Point
 from testbed.report.figures import figures
+from testbed.report.item import Line, Moment, Point
 
 T = np.linspace(0.0, 10.0, 101)
 

@@ -3,12 +3,16 @@
 from types import SimpleNamespace
 
 from testbed.config import find, load
+from testbed.core.codes import FaultReport
+from testbed.logs.history import Happening
 from testbed.metrics.run_metrics import Metrics, Touch, VehicleMetrics
 from testbed.report.events import happened, lines
 from testbed.report.verdict import missed, reasons, verdict
 
 SCENARIO = load(find("zhang2023_table"))
-STUCK = "valve_stuck_open_push: valve stuck open? pushed by 0.045 m/s^2 that no command explains"
+STUCK = FaultReport(
+    "valve_stuck_open", "pushed by 0.045 m/s^2 that no command explains", "sat3", "jet_open"
+)
 
 
 def flown(near: float = 0.9, **more) -> Metrics:
@@ -29,9 +33,10 @@ def history(**events):
 
 
 def test_what_is_said_often_is_one_line():
-    late = [(3.2 + 0.5 * k, "warn: neighbour_late") for k in range(20)]
-    more = [(20.0, "warn: neighbour_late"), (60.1, "warn: neighbour_late")]
-    told = lines(SCENARIO, history(sat1=late, sat2=more, sat3=[(5.0, "warn: link_late")]), flown())
+    late = [Happening(3.2 + 0.5 * k, "warn", "neighbour_late") for k in range(20)]
+    more = [Happening(t, "warn", "neighbour_late") for t in (20.0, 60.1)]
+    link = [Happening(5.0, "warn", "link_late")]
+    told = lines(SCENARIO, history(sat1=late, sat2=more, sat3=link), flown())
     assert [(one.t, one.who, one.words) for one in told] == [
         (3.2, ("sat1", "sat2"), "22 x warn: neighbour_late, first 3.2 s, last 60.1 s"),
         (5.0, ("sat3",), "warn: link_late"),
@@ -39,14 +44,15 @@ def test_what_is_said_often_is_one_line():
 
 
 def test_faults_are_never_gathered():
-    told = lines(SCENARIO, history(sat1=[(float(k), "land: leak") for k in range(9)]), flown())
+    lands = [Happening(float(k), "land", "leak", rows=("leak",)) for k in range(9)]
+    told = lines(SCENARIO, history(sat1=lands), flown())
     assert len(told) == 9
 
 
 def test_a_contact_is_an_event():
     touches = [Touch(10.2, "sat1", "o1", 0.123), Touch(12.0, "sat1", "sat2", 0.01),
                Touch(13.0, "sat2", "left edge", 0.2)]  # fmt: skip
-    said = history(sat1=[(11.0, f"fault: {STUCK}")], sat2=[])
+    said = history(sat1=[Happening(11.0, "fault", STUCK.words, STUCK)], sat2=[])
     page = happened(SCENARIO, said, flown(touches=touches))
     places = [page.index(words) for words in (
         "hit obstacle o1, 12 cm/s", "fault: ", "hit sat2, 1 cm/s",
@@ -66,7 +72,7 @@ def test_the_colour_of_a_verdict():
         (flown(criteria={"settle_s": False}), ("failed", "failed: settled")),
         (flown(criteria={"max_contacts": False, "settle_s": False}, **touch),
          ("fault", "failed: sat1 hit obstacle o1 at 10.2 s, 12 cm/s; settled")),
-        (flown(completed=False, duration_s=33.1, fault=f"sat3: {STUCK}"),
+        (flown(completed=False, duration_s=33.1, fault=STUCK.words),
          ("fault", "aborted by a fault after 33.1 s")),
         (flown(completed=False, duration_s=12.3, criteria=None),
          ("unjudged", "interrupted at 12.3 s: not judged")),
@@ -81,9 +87,11 @@ def test_the_colour_of_a_verdict():
 
 def test_the_reasons_begin_with_the_first_thing():
     touches = [Touch(1.0 + k, "sat1", "o1", 0.1) for k in range(5)]
-    found = reasons(SCENARIO, flown(touches=touches, contacts=5, fault=f"sat1: {STUCK}"))
+    found = reasons(
+        SCENARIO, flown(touches=touches, contacts=5, fault=STUCK.words, fault_report=STUCK)
+    )
     assert found[0] == "sat1 hit obstacle o1 at 1.0 s, 10 cm/s"
-    assert found[3:] == ["2 more contacts", "sat1: valve stuck open?"]
+    assert found[3:] == ["2 more contacts", "sat3: valve stuck open"]
     killed = "the flight was killed before it was judged; gas and contacts are not in the log"
     assert reasons(SCENARIO, flown(fault=killed)) == [killed]
 

@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from testbed.config.key import Key, assignment
 from testbed.config.tree import read_toml
-from testbed.reproduction.claim import Claim, Paper, Row, Values, judge, needed, worst
+from testbed.reproduction.claim import Claim, ClaimRow, Paper, Values, judge, needed, worst
 from testbed.reproduction.paper import PAPERS, complete_runs, keys, read_papers
 from testbed.reproduction.run import Run, execute
 
@@ -46,7 +46,7 @@ def read_plants() -> Plants:
     return msgspec.toml.decode(text, type=Plants)
 
 
-def planted(paper: Paper, plant: Plant, claim: Claim) -> Row:
+def planted(paper: Paper, plant: Plant, claim: Claim) -> ClaimRow:
     """The row of a claim if what is recorded were measured."""
     found = plant.fails[claim.id]
     value = None if found == NEVER else float(found)

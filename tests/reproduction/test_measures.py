@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from testbed.reproduction.kernel.fleet import Flight
+from testbed.reproduction.kernel.fleet import FleetFlight
 from testbed.reproduction.paper import read_papers
 from testbed.reproduction.scene import Obstacles, WaveParams, place
 from testbed.reproduction.targets import measure_one
@@ -37,5 +37,5 @@ def test_control_far_from_obstacles_that_is_zero_gives_no_ratio():
     run = read_papers(["zhang2023"])["zhang2023"].runs["pd"]
     satellite, t = run.satellites["sat1"], np.arange(0.0, 200.0)
     p = np.tile(np.array(satellite.obstacles[0]) + 10.0, (200, 1, 1))
-    idle = Flight(t, p, 0.0 * p, p[:, :, :0], 0.0 * p, p[0], p[0])
+    idle = FleetFlight(t, p, 0.0 * p, p[:, :, :0], 0.0 * p, p[0], p[0])
     assert measure_one(run, satellite, idle)["near_to_far"] is None

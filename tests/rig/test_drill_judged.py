@@ -3,6 +3,7 @@
 import pytest
 
 from sim_twin.plant import Touch
+from testbed.core.codes import FaultReport, Response
 from testbed.core.fault_injection import Injection
 from testbed.net.commands import Counts, Ended
 from testbed.rig.wired.table_report import TableReport
@@ -35,16 +36,18 @@ def judged(kind, what):
     return judge(Injection(kind, "sat1", at_s=2.0), "hold", 0, ["sat1"], what)
 
 
-BRAKED = ended(3.5, "sat1: pose_lost: none", {"pose_stale": 2.1}, {"warn": 2.1, "brake": 2.5})
+LOST = FaultReport("pose_lost", "none", "sat1")
+SILENT = FaultReport("board_silent", "x", "sat1")
+BRAKED = ended(3.5, LOST, {"pose_stale": 2.1}, {Response.WARN: 2.1, Response.BRAKE: 2.5})
 
 
 def test_a_fault_that_was_named_and_answered():
     found = judged("drop_mocap", flown([(us(1.9), 1), (us(2.6), 0)], BRAKED))
-    assert (found.named, found.response, found.late) == ("pose_stale", "brake", 0)
+    assert (found.named, found.response, found.late) == ("pose_stale", Response.BRAKE, 0)
     assert found.detected_s == pytest.approx(0.5)  # the brake; the warning comes without a fault
     assert found.shut_s == pytest.approx(0.6)
     assert found.travelled_m == pytest.approx(0.3)
-    assert found.fault == "sat1: pose_lost: none"
+    assert found.fault == LOST
 
 
 def test_what_was_named_before_it_began_does_not_count():
@@ -56,7 +59,7 @@ def test_what_was_named_before_it_began_does_not_count():
 
 @pytest.mark.parametrize("edges", [[(us(1.9), 5)], [(us(1.9), 5), (us(2.9), 0)]])
 def test_valves_that_stay_open_are_counted(edges):
-    coasted = ended(2.5, "sat1: board_silent: x", {"board_silent": 2.3}, {"coast": 2.3})
+    coasted = ended(2.5, SILENT, {"board_silent": 2.3}, {Response.COAST: 2.3})
     assert judged("brown_out", flown(edges, coasted)).late == 2
 
 
@@ -82,16 +85,18 @@ def test_all_that_can_break_on_wires_is_rehearsed():
 
 
 def test_the_response_is_that_of_the_vehicle_concerned():
-    brakes = ended(3.0, "sat2: fleet: sat1", {"fleet": 2.4}, {"brake": 2.4})
-    lands = ended(2.6, "sat1: board_silent: x", {"board_silent": 2.3}, {"land": 2.3})
+    brakes = ended(3.0, FaultReport("fleet", "x", "sat2"), {"fleet": 2.4}, {Response.BRAKE: 2.4})
+    lands = ended(2.6, SILENT, {"board_silent": 2.3}, {Response.LAND: 2.3})
     cut = flown([], lands)
     cut.ended["sat2"] = brakes
     found = judged("cut_serial", cut)
-    assert (found.response, found.detected_s) == ("land", pytest.approx(0.3))
+    assert (found.response, found.detected_s) == (Response.LAND, pytest.approx(0.3))
     # of a dead one the others'
     dead = flown([], None)
-    silent = ended(3.0, None, {"neighbour_late": 2.5, "neighbour_silent": 3.2}, {"brake": 3.2})
+    silent = ended(
+        3.0, None, {"neighbour_late": 2.5, "neighbour_silent": 3.2}, {Response.BRAKE: 3.2}
+    )
     dead.ended["sat2"] = silent
     found = judged("kill_process", dead)
-    assert (found.response, found.named) == ("brake", "neighbour_silent")
+    assert (found.response, found.named) == (Response.BRAKE, "neighbour_silent")
     assert found.detected_s == pytest.approx(1.2)

@@ -7,7 +7,7 @@ from testbed.config import find, load
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
 from testbed.flight.loop import Ending
 from testbed.metrics.afterwards import After, Left
-from testbed.net.commands import Counts, Ended, Flown, Pace
+from testbed.net.commands import Counts, Ended, Pace, TickReport
 from testbed.rig.observers import NullObserver
 from testbed.rig.wired.run_results import RunResults
 
@@ -19,7 +19,7 @@ def flown(k):
     t = 0.1 * k
     inputs = Inputs(t, True, (), None, {}, Health(t, 5e5, 2e7))
     outputs = Outputs(t, None, None, STILL, STILL, ValveCommand(k, t, t + 0.1, SHUT, SHUT))
-    return Flown(k, Tick(inputs, outputs), Pace(0.001 * k, None), ((t, 1), (t + 0.05, 0)))
+    return TickReport(k, Tick(inputs, outputs), Pace(0.001 * k, None), ((t, 1), (t + 0.05, 0)))
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_what_comes_after_the_end_is_not_of_the_flight(findings):
     one = flown(1)
     findings.note_tick("sat1", one)
     before = findings.spent("sat1"), len(findings.track().t)
-    inputs = replace(one.tick.inputs, vitals=Vitals(end="the flight is over"))
+    inputs = replace(one.tick.inputs, vitals=Vitals(end=True))
     command = replace(one.tick.outputs.command, on_us=(50_000,) * 8)
     outputs = replace(one.tick.outputs, command=command)
     findings.note_tick("sat1", replace(one, tick=Tick(inputs, outputs)))

@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from testbed.config import ConfigError, find, load
+from testbed.net.direct_stop import stop_directly
 from testbed.net.stop import stop_everything
 from testbed.rig.chain import make_agent
 from testbed.rig.observers import NullObserver
@@ -80,7 +81,7 @@ def test_it_is_flown_to_the_end(flown):
     assert ending.t == 3.0
     assert len(noted.hosts["sat1"]) == 30
     assert len(noted.ticks["sat1"]) >= 29  # the last one may be under way
-    assert rig.ended["sat1"].fault is None
+    assert rig.results.ended["sat1"].fault is None
     assert rig.touches == []
 
 
@@ -89,19 +90,21 @@ def test_after_it_the_vehicle_stands(flown):
     after = rig.come_to_rest(ending, NullObserver())
     assert (after.contacts, after.air) == (0, "off")
     assert after.at_rest_s < 3.0
-    assert rig.ended["sat1"].air == "off"  # as its board says
-    assert rig.report.left_as["sat1"] == ("SAFE", [])
+    assert rig.results.ended["sat1"].air == "off"  # as its board says
+    assert rig.results.report.left_as["sat1"] == ("SAFE", [])
     assert noted.after[-1].outputs.air_off
     assert all(tick.inputs.armed for tick in noted.after)
 
 
 def test_the_firmware_moves_the_vehicle(flown):
     rig, _, noted, _ = flown
-    assert rig.report.openings["sat1"] > 3
+    assert rig.results.report.openings["sat1"] > 3
     planned = sum(1 for tick in noted.ticks["sat1"] for on in tick.outputs.command.on_us if on)
     last = 8  # a tick may be under way at the end, and the brake begins within a frame of it
     assert rig.spent("sat1").openings <= planned + last  # those of the flight
-    assert rig.spent("sat1").openings < rig.report.openings["sat1"]  # and of the brake after it
+    assert (
+        rig.spent("sat1").openings < rig.results.report.openings["sat1"]
+    )  # and of the brake after it
     track = rig.track()
     assert track.states[-1, 0, 1] > -0.1 + 0.002  # from y = -0.1 m towards 0
     assert track.t[-1] <= 3.0
@@ -110,7 +113,10 @@ def test_the_firmware_moves_the_vehicle(flown):
 def test_the_log_has_the_valves_as_the_board_drove_them(flown):
     rig, _, _, _ = flown
     told = [(valves.t, valves.mask) for name, valves in rig.valves(since=-1.0)]
-    seen = [(1e-9 * (1000 * at - rig.epoch_ns), mask) for at, mask in rig.report.edges["sat1"]]
+    seen = [
+        (1e-9 * (1000 * at - rig.results.epoch_ns), mask)
+        for at, mask in rig.results.report.edges["sat1"]
+    ]
     flying = [edge for edge in seen if edge[0] < told[-1][0] + 1e-3]
     assert [mask for _, mask in told] == [mask for _, mask in flying]
     for (t, _), (at, _) in zip(told, flying, strict=True):
@@ -131,7 +137,7 @@ def test_poses_may_come_on_the_network():
     rig, ending, noted, _ = fly("hold", "duration_s=1", "table.lab.mocap.system=zenoh")
     assert ending.fault is None
     assert sum(len(tick.inputs.samples) for tick in noted.ticks["sat1"]) > 50
-    assert rig.ended["sat1"].counts.lost_frames < 20
+    assert rig.results.ended["sat1"].counts.lost_frames < 20
 
 
 @pytest.mark.parametrize(
@@ -201,13 +207,26 @@ def test_an_operator_says_stop(capsys):
         threading.Timer(2.0, stop_everything, (endpoint[0], "lab")).start()
 
     rig, ending, _, met = fly("hold", "duration_s=30", when_started=stop_later)
-    assert ending.fault == "stopped by the operator"
+    assert ending.fault.words == "stopped by the operator"
     assert ending.t < 20.0
-    assert rig.report.left_as["sat1"] == ("SAFE", [])
+    assert rig.results.report.left_as["sat1"] == ("SAFE", [])
     assert "  sat1: stops\n" in capsys.readouterr().out
     after = rig.come_to_rest(ending, NullObserver())
     assert (after.contacts, after.air) == (0, "off")
     assert after.at_rest_s < 3.0
+    assert_nothing_is_left(met)
+
+
+def test_a_vehicle_is_stopped_without_its_host():
+    def stop_later(rig):
+        endpoint = rig.experiment.table.lab.network.endpoint
+        threading.Timer(2.0, stop_directly, (endpoint, "lab", None, ["sat1"], "a", 5.0)).start()
+
+    rig, ending, _, met = fly("hold", "duration_s=30", when_started=stop_later)
+    assert ending.fault.words == "stopped by the operator"
+    assert ending.t < 20.0
+    after = rig.come_to_rest(ending, NullObserver())
+    assert (after.contacts, after.air) == (0, "off")
     assert_nothing_is_left(met)
 
 

@@ -49,15 +49,15 @@ def test_a_watcher_stops_nobody_and_an_operator_everybody(tmp_path):
         threading.Timer(2.0, meanwhile, (network.endpoint,)).start()
 
     rig, ending = fly(tmp_path, "duration_s=30", when_started=later)
-    assert ending.fault == "stopped by the operator"
+    assert ending.fault.words == "stopped by the operator"
     assert 1.0 < ending.t < 20.0
     assert told == [FAILED, "no answer on lab/sat1/order: no party is there", 0]
-    assert rig.report.left_as["sat1"] == ("SAFE", [])
+    assert rig.results.report.left_as["sat1"] == ("SAFE", [])
     assert set(dict(rig.truth())) == {"sat1"}  # as the table's own keys allow
 
 
 def test_a_vehicle_without_keys_is_not_waited_for(tmp_path):
     make(tmp_path, "--operator", "anna")
     _, ending = fly(tmp_path, "duration_s=2")
-    assert "no keys for sat1" in ending.fault
-    assert "lab-keys" in ending.fault
+    assert "no keys for sat1" in ending.fault.text
+    assert "lab-keys" in ending.fault.text

@@ -107,7 +107,7 @@ def test_a_vehicle_flies_with_both(site, tmp_path, monkeypatch):
         cameras.join()
     assert (rig.red, ending.fault) == ([], None)
     assert ending.t == 1.0
-    assert rig._boards["sat1"] == "[lab.thrusters] system = 'file'"
+    assert rig.results.boards["sat1"] == "[lab.thrusters] system = 'file'"
     levels = {}
     lines = (tmp_path / "pins-sat1").read_text().splitlines()
     for line in lines:
@@ -187,7 +187,9 @@ def test_a_board_that_fails_is_trouble_and_its_health_grows_old(plugged_in):
         thrusters.arm()
         board.fails = True
         thrusters.apply(ValveCommand(1, 0.0, 0.1, (0,) * 8, (0,) * 8))
-        assert thrusters.trouble == "[lab.thrusters] system = 'mine' failed: OSError: the cable"
+        assert (
+            thrusters.trouble.text == "[lab.thrusters] system = 'mine' failed: OSError: the cable"
+        )
         one = thrusters.health()
         assert thrusters.health().silent_s > one.silent_s > 0.0
         thrusters.land()  # whatever it does, nothing more is raised

@@ -29,7 +29,7 @@ def changed(struct, **changes):
 
 @pytest.fixture(scope="session")
 def shipped_vehicle():
-    return msgspec.convert(read_toml(SHIPPED / "vehicles" / "floater.toml"), Vehicle)
+    return msgspec.convert(read_toml(SHIPPED / "vehicles" / "generic_8jet.toml"), Vehicle)
 
 
 @pytest.fixture(scope="session")

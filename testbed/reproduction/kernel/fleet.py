@@ -50,7 +50,7 @@ class Place(NamedTuple):
     max_axis: float  # force limit on each axis [N]
 
 
-class Flight(NamedTuple):
+class FleetFlight(NamedTuple):
     """A flight at m times, for n satellites in d dimensions."""
 
     t: Array  # (m,) [s]
@@ -352,7 +352,7 @@ def run(law, place, mass, p, v, z, words, h, steps, every):
 
 def fly(
     law: Any, place: Place, mass: Array, p: Array, v: Array, *, step: float, steps: int, every: int
-) -> Flight:
+) -> FleetFlight:
     """Fly for `steps` times `step` [s] and keep one state in `every`.
 
     Args:
@@ -368,4 +368,4 @@ def fly(
     still = np.zeros(p.shape[1])
     bodies = [Body(p[i], v[i], float(mass[i]), still, still, np.inf, i) for i in range(len(p))]
     z = np.array([law.initial(own, None, None) for own in bodies])
-    return Flight(*run(law.gains, place, mass, p, v, z, law.message_size, step, steps, every))
+    return FleetFlight(*run(law.gains, place, mass, p, v, z, law.message_size, step, steps, every))

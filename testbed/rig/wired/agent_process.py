@@ -16,16 +16,16 @@ from firmware_interface.limits import LimitsError
 from firmware_interface.serial_board import BoardError
 from firmware_interface.serial_thrusters import ThrustersError
 from testbed.core.lab import Network
-from testbed.net.credentials import BadgeError, read_badge, trouble
+from testbed.net.credentials import BadgeError, read_badge, untrusted
 from testbed.net.session import NetworkError
 from testbed.realtime.heartbeat import attach, in_file
-from testbed.realtime.processes import end_on_terminate
+from testbed.realtime.processes import run_as_child
 from testbed.rig.wired.vehicle import VehicleError, fly_vehicle
 
 FAILURES = (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError)
 
 
-class Agent(Struct, frozen=True):
+class AgentOptions(Struct, frozen=True):
     """Which vehicle flies, and where its host and board are."""
 
     name: str
@@ -37,7 +37,7 @@ class Agent(Struct, frozen=True):
     heart: Path | None = None  # heartbeat file: shows the host whether the law is being called
 
 
-def fly(agent: Agent, say: Callable[[str], None], *, child: bool) -> None:
+def fly(agent: AgentOptions, say: Callable[[str], None], *, child: bool) -> None:
     """Fly one vehicle, until its host or the operator ends it.
 
     Raises:
@@ -56,7 +56,7 @@ def fly(agent: Agent, say: Callable[[str], None], *, child: bool) -> None:
             say(badge.ending)
         endpoint, lab = endpoint or badge.endpoint, lab or badge.lab
     endpoint, lab = endpoint or Network().endpoint, lab or Network().lab
-    if (why := trouble(endpoint, agent.keys)) is not None:
+    if (why := untrusted(endpoint, agent.keys)) is not None:
         raise BadgeError(f"{endpoint} is not opened: {why}")
     if agent.heart is not None:
         attach(in_file(agent.heart))
@@ -67,19 +67,13 @@ def fly(agent: Agent, say: Callable[[str], None], *, child: bool) -> None:
     )  # fmt: skip
 
 
-def main() -> int:
-    """Fly as the child of a host; returns the exit code."""
-    end_on_terminate()
-    try:
-        agent = msgspec.json.decode(sys.argv[1], type=Agent, dec_hook=lambda kind, text: kind(text))
-        fly(agent, lambda text: None, child=True)
-    except (BadgeError, *FAILURES) as error:
-        sys.stderr.write(f"error: {error}\n")
-        return 1
-    except KeyboardInterrupt:
-        return 1
-    return 0
+def main() -> None:
+    """Fly as the child of a host."""
+    agent = msgspec.json.decode(
+        sys.argv[1], type=AgentOptions, dec_hook=lambda kind, text: kind(text)
+    )
+    fly(agent, lambda text: None, child=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_as_child(main, (BadgeError, *FAILURES)))

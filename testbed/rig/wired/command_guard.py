@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from testbed.core.codes import Refusal
 from testbed.core.ports import Thrusters
 from testbed.core.types import Health, ValveCommand
 from testbed.flight.gate import refuse_plan
@@ -18,7 +19,7 @@ class CommandGuard:
         self._thrusters, self._now, self._longest = thrusters, now, longest_s
         self._newest = -1
         self.refused = 0
-        self.reason: str | None = None  # of the newest refusal
+        self.reason: Refusal | None = None  # of the newest refusal
 
     def apply(self, command: ValveCommand) -> None:
         """See `Thrusters`."""

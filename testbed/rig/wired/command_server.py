@@ -44,11 +44,12 @@ class CommandServer:
         self._name, self._board, self._flying = name, board, threading.Event()
         self._close: Callable[[], None] | None = None
         self.asked = Asked()
+        self.operator_stops = 0  # without those that the host ordered
         self._obeyed = threading.Event()
         self._kept = [
             answer_to(session, keys.of(name, "order"), self._order),
-            answer_to(session, keys.stop, lambda _: self._stopped()),
-            on_word(session, keys.stop, self._stopped),
+            answer_to(session, keys.stop, self.operator_stop),
+            on_word(session, keys.stop, self.operator_stop),
         ]
 
     def take_off(self, close: Callable[[], None]) -> None:
@@ -91,9 +92,9 @@ class CommandServer:
                     answer = Accepted(self._board)
         return msgspec.msgpack.encode(answer)
 
-    def _stopped(self) -> bytes:
-        """Answer an operator's stop."""
-        self.asked.hear()
+    def operator_stop(self, stop: bytes) -> bytes:
+        """Obey an operator's stop and answer it; `stop` is its id."""
+        self.operator_stops = self.asked.hear(stop)
         self._stop("stopped by the operator")
         return self._name.encode()  # the vehicle that stops
 

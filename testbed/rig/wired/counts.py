@@ -21,7 +21,7 @@ def count(
     return Counts(
         commands={str(k): n for k, n in link.heard.inbox.counts.items()},
         refusals=thrusters.refusals | ({"not_sent": unsent} if unsent else {}),
-        mocap={str(k): n for k, n in poses.watch.counts.items()},
+        mocap={str(k): n for k, n in poses.troubles.items()},
         lost_frames=poses.lost_frames,
         reconnects=thrusters.reconnects,
         mocap_latency_ms=None if math.isnan(latency) else 1e3 * latency,

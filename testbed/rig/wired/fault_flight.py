@@ -28,8 +28,10 @@ def main() -> int:
     rig = WireRig(experiment, bench=True, keep=folder / "report.json")
 
     def started(rig: WireRig) -> None:
-        assert rig.epoch_ns is not None
-        write_atomic(folder / "start.json", msgspec.json.encode((rig.epoch_ns, rig.children)))
+        assert rig.results.epoch_ns is not None
+        write_atomic(
+            folder / "start.json", msgspec.json.encode((rig.results.epoch_ns, rig.children))
+        )
 
     rig.on_start = started
     with no_garbage_collection():

@@ -17,9 +17,11 @@ import tomli_w
 import zenoh
 
 from testbed.config import ConfigError, Experiment, dump
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.error import TestbedError
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Answer, Request, Supervisor
+from testbed.metrics.run_metrics import Touch
 from testbed.net.access import open_lab
 from testbed.net.commands import Accepted, Refused, Start, Stop
 from testbed.net.credentials import neighbour
@@ -34,7 +36,7 @@ from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.boards import LOCKSTEP
 from testbed.rig.fault_latch import FaultLatch
 from testbed.rig.interface import not_armed
-from testbed.rig.wired.agent_process import Agent
+from testbed.rig.wired.agent_process import AgentOptions
 from testbed.rig.wired.local import loopback
 from testbed.rig.wired.preflight import Preflight, order
 from testbed.rig.wired.process_faults import OF_PROCESSES
@@ -59,7 +61,7 @@ class NotArmedError(TestbedError):
     """The flight must not begin: arming checks failed, or the operator declined."""
 
     def __init__(self, reasons: Sequence[str]) -> None:
-        super().__init__(not_armed(reasons))
+        super().__init__(not_armed(reasons).text)
         self.reasons = reasons
 
 
@@ -68,7 +70,7 @@ def anybody(_: Sequence[str]) -> bool:
     return True
 
 
-class WireRig(RunResults):
+class WireRig:
     """The experiment on real wires.
 
     Args:
@@ -80,6 +82,7 @@ class WireRig(RunResults):
         latch: keeps a fault for the next run.
         latched: fault of the previous run, which must be reset first.
         say: called with messages for the operator; by default they are dropped.
+        relay: maps the host's endpoint to the one that the bench's vehicles call.
     """
 
     def __init__(
@@ -91,10 +94,15 @@ class WireRig(RunResults):
         log: Path | None = None,
         agree: Callable[[Sequence[str]], bool] = anybody,
         latch: FaultLatch | None = None,
-        latched: str | None = None,
+        latched: FaultReport | None = None,
         say: Callable[[str], None] = unheard,
+        relay: Callable[[str], str] = str,
     ) -> None:
-        super().__init__(experiment)
+        self.experiment = experiment
+        self.results = results = RunResults(experiment)
+        self.track, self.truth, self.valves = results.track, results.truth, results.valves
+        self.paces, self.spent, self.wires = results.paces, results.spent, results.wires
+        self.concerns, self.come_to_rest = results.concerns, results.come_to_rest
         self._bench, self._keep = bench, keep
         if bench and experiment.board in LOCKSTEP:
             expected = "host or qemu on the bench, where time is real"
@@ -108,7 +116,7 @@ class WireRig(RunResults):
         for k, one in enumerate(experiment.inject):
             if one.at_s is None and one.kind in OF_PROCESSES:
                 expected = f"`at_s`: on the bench {one.kind} needs a time"
-                raise ConfigError("this rig", f"inject[{k}]", expected, f'event = "{one.event}"')
+                raise ConfigError("this rig", f"inject.{k + 1}", expected, f'event = "{one.event}"')
         size = len(msgspec.json.encode(experiment))
         if size > LARGEST - SPARE:
             expected = f"an experiment of at most {(LARGEST - SPARE) // 1000} kB when encoded"
@@ -118,10 +126,25 @@ class WireRig(RunResults):
         self.supervisor = Supervisor(latched)
         self.red: list[str] = []
         self._ran = False  # valves may have opened
-        self.way = str  # maps the host's endpoint to the vehicles': a relay in tests
+        self._relay = relay
         self.name = "bench" if bench else "table"
         self.children: dict[str, int] = {}  # process ids of the bench, by name
         self.on_start: Callable[[WireRig], None] | None = None  # called when the flight begins
+
+    @property
+    def now(self) -> float:
+        """See `Rig`."""
+        return self.results.now
+
+    @property
+    def touches(self) -> list[Touch]:
+        """See `Rig`."""
+        return self.results.touches
+
+    @property
+    def loop(self) -> tuple[float, float] | None:
+        """See `Rig`."""
+        return self.results.loop
 
     # The flight
 
@@ -132,11 +155,12 @@ class WireRig(RunResults):
                 ending = self._fly(stack, observer, stopped)
         except NotArmedError as error:
             self.red.extend(error.reasons)
-            return Ending(0.0, str(error))
+            return Ending(0.0, not_armed(error.reasons))
         except (NetworkError, ChildError, HostError) as error:
-            self._close(Ending(self.now, str(error)))
-            return Ending(self.now, str(error))
-        self._flown_s = ending.t
+            ending = Ending(self.now, FaultReport(FaultId.RIG_FAILED, str(error)))
+            self._close(ending)
+            return ending
+        self.results.flown_s = ending.t
         return ending
 
     def _close(self, ending: Ending) -> None:
@@ -163,7 +187,7 @@ class WireRig(RunResults):
             children = stack.enter_context(ProcessGroup())
             self.experiment = loopback(self.experiment, children.folder)
         network = self.experiment.table.lab.network
-        opened, self._warned = open_lab(network, self.experiment.vehicles)
+        opened, self.results.key_warnings = open_lab(network, self.experiment.vehicles)
         session = stack.enter_context(opened)
         names, title = list(self.experiment.vehicles), self.experiment.name
         stack.enter_context(
@@ -187,7 +211,7 @@ class WireRig(RunResults):
             if self.on_start is not None:
                 self.on_start(self)
             ending = flight.fly(observer, stopped)
-            self._concerns = flight.concerns
+            self.results.law_concerns = flight.concerns
             if children is not None:
                 ending = Ending(ending.t, self._blamed(children, ending.fault))
             if flight.stopped:
@@ -208,8 +232,8 @@ class WireRig(RunResults):
         twin = [*python, "testbed.rig.wired.twin_process", str(config), str(report)]
         children.start("twin", twin)
         for name in self.experiment.vehicles:
-            agent = Agent(
-                name, self.way(network.endpoint), network.lab,
+            agent = AgentOptions(
+                name, self._relay(network.endpoint), network.lab,
                 keys=neighbour(Path(network.keys), "vehicle", name) if network.keys else None,
                 report=None if self._keep is None else self._keep.with_name(f"{name}.json"),
                 heart=children.folder / f"{name}.heart",
@@ -218,11 +242,11 @@ class WireRig(RunResults):
             children.start(name, [*python, "testbed.rig.wired.agent_process", words])
         self.children = {n: children.pid(n) for n in ("twin", *self.experiment.vehicles)}
 
-    def _blamed(self, children: ProcessGroup, fault: str | None) -> str | None:
+    def _blamed(self, children: ProcessGroup, fault: FaultReport | None) -> FaultReport | None:
         """The fault, with the name of the law that ended or blocks its vehicle's process."""
         for name in self.experiment.vehicles:
             heart = in_file(children.folder / f"{name}.heart")
-            if name in self.ended or heart.inside is None:
+            if name in self.results.ended or heart.inside is None:
                 continue
             code = children.ended(name)
             if code is None:
@@ -232,7 +256,8 @@ class WireRig(RunResults):
                 how = f"ended its process by {signal.Signals(-code).name}"
             else:
                 how = f"ended its process with exit code {code}"
-            return f"law of {name} ({heart.law}) {how}; {fault}"
+            text = f"law of {name} ({heart.law}) {how}"
+            return FaultReport(FaultId.LAW_STUCK, text, notes=(fault.words,) if fault else ())
         return fault
 
     def _end_children(self, children: ProcessGroup) -> None:
@@ -240,7 +265,7 @@ class WireRig(RunResults):
         children.end(["twin"])  # last, because the boards hold the valves
         report = self._keep or children.folder / "report.json"
         if report.exists():
-            self._report = msgspec.json.decode(report.read_bytes(), type=TableReport)
+            self.results.report = msgspec.json.decode(report.read_bytes(), type=TableReport)
 
     def _prepare(
         self,
@@ -296,16 +321,14 @@ class WireRig(RunResults):
             self.supervisor.request(0.0, "disarm")
             raise NotArmedError(["operator declined arming"])
         run, epoch = secrets.randbits(32), monotonic_ns() + AHEAD_NS
-        self._clock = WallClock(epoch)
-        party = Party(
-            session, self.experiment.table.lab, run, self._clock, self.experiment.seed, "host"
-        )
-        flight = HostFlight(self.experiment, self, party, self.disk_free)
+        clock = self.results.clock = WallClock(epoch)
+        party = Party(session, self.experiment.table.lab, run, clock, self.experiment.seed, "host")
+        flight = HostFlight(self.experiment, self.results, party, self.disk_free)
         try:
             for name in names:
                 match order(session, keys, name, Start(run, epoch, roll.tickets[name])):
                     case Accepted(board):
-                        self._boards[name] = board
+                        self.results.boards[name] = board
                     case Refused(reason):
                         raise HostError(f"{name} refuses to start: {reason}")
             # the vehicles float now: check them again

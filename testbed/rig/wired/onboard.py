@@ -10,15 +10,16 @@ from types import FrameType
 import msgspec
 
 from testbed.config import Experiment
+from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.types import HostTick, Tick, Vitals
 from testbed.flight.loop import Ending, VehicleNode, come_to_rest
 from testbed.flight.safety import SPARE_S
 from testbed.mocap.poses import MocapPoses
 from testbed.net.clock import HostClock
 from testbed.net.commands import (
-    Flown,
     Lease,
     Pace,
+    TickReport,
 )
 from testbed.net.envelope import Inbox, Outbox, Verdict
 from testbed.net.impairment import NetworkImpairment
@@ -36,7 +37,7 @@ AIR_S = 1.0  # time for a board to report that its bearing air is off
 PERMITTED_S = 3.0  # without a permit by then the flight ends
 
 
-class Flight:
+class VehicleFlight:
     """Observes the flight and decides when it is over."""
 
     def __init__(
@@ -67,9 +68,9 @@ class Flight:
         )
         self._k = 0
         self.rows: dict[str, float] = {}  # fault rows that held, and since when [s]
-        self.responses: dict[str, float] = {}  # active responses, and since when [s]
+        self.responses: dict[Response, float] = {}  # active responses, and since when [s]
         self._arrived_ns: dict[int, int] = {}  # arrival of the newest pose, by plan number
-        self.fault: str | None = None
+        self.fault: FaultReport | None = None
         self.signals = Asked()  # Ctrl-C at this vehicle's terminal
         self.landed_at: float | None = None  # when its air was ordered off [s]
 
@@ -88,7 +89,9 @@ class Flight:
             self._arrived_ns[tick.outputs.command.seq] = self._poses.arrived_ns
         clock = self._clock
         edges = tuple(self._thrusters.edges())
-        flown = Flown(self._k, tick, self._pace(tick.inputs.vitals.late_s), edges)
+        flown = TickReport(
+            self._k, tick, self._pace(tick.inputs.vitals.late_s), edges, self._tower.operator_stops
+        )
         self._k += 1
         self._mouth.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
 
@@ -153,16 +156,17 @@ class Flight:
         permit, tower = self._permit.newest, self._tower
         if self._thrusters.trouble is not None:  # the jets cannot be trusted
             if self.fault is None:
-                self.responses.setdefault("land", self._clock.now)
+                self.responses.setdefault(Response.LAND, self._clock.now)
             self.fault = self.fault or self._thrusters.trouble
             return 2
         if permit is None and self._clock.now > PERMITTED_S:
-            self.fault = "the host never permitted the flight"
+            self.fault = FaultReport(FaultId.NO_PERMIT, "the host never permitted the flight")
             return 2
         if permit is not None and permit.at_once:
             return 2
         if self.signals.times:
-            self.fault = self.fault or "stopped at the vehicle's own terminal"
+            stop = FaultReport(FaultId.STOPPED, "stopped at the vehicle's own terminal")
+            self.fault = self.fault or stop
         stopped = tower.stop_reason is not None or (permit is not None and not permit.may_fire)
         return max(tower.asked.times, self.signals.times, int(stopped))
 
@@ -170,15 +174,17 @@ class Flight:
 class Permitted:
     """A node that is armed only while the host's supervisor permits it."""
 
-    def __init__(self, node: VehicleNode, flight: Flight, clock: WallClock) -> None:
+    def __init__(self, node: VehicleNode, flight: VehicleFlight, clock: WallClock) -> None:
         self.name, self._node, self._flight, self._clock = node.name, node, flight, clock
 
-    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
+    def tick(
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
+    ) -> Tick:
         """See `VehicleNode`. Coming to rest at the end needs no permit."""
         self._flight.due = t
         self._flight.process_faults.at_vehicle(self.name, self._clock)
-        may_fire = self._flight.may_fire or bool(end)
-        return self._node.tick(t, armed and may_fire, fleet, end)
+        may_fire = self._flight.may_fire or end
+        return self._node.tick(t, armed and may_fire, fleet, end=end)
 
 
 @contextmanager
@@ -201,8 +207,8 @@ def counted(asked: Asked) -> Iterator[None]:
 
 
 def land(
-    experiment: Experiment, ending: Ending, clock: WallClock, node: Permitted, flight: Flight,
-    thrusters: WiredThrusters,
+    experiment: Experiment, ending: Ending, clock: WallClock, node: Permitted,
+    flight: VehicleFlight, thrusters: WiredThrusters,
 ) -> None:  # fmt: skip
     """Come to rest and turn the air off, after any end of the flight."""
     params, period = experiment.flight.ending, experiment.flight.jet_period_s
@@ -210,7 +216,7 @@ def land(
     first = round(ending.t / period) + (ending.fault is not None)
     come_to_rest(
         clock, [node], period, first, math.ceil((params.brake_s + SPARE_S) / period), flight,
-        ending.fault or flight.fault or "the flight is over", stopped=flight.over,
+        stopped=flight.over,
     )  # fmt: skip
     thrusters.land()
     flight.landed_at = clock.now if flight.landed_at is None else flight.landed_at

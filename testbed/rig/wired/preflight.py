@@ -70,7 +70,8 @@ def objection(experiment: Experiment, name: str, states: dict[str, State]) -> st
     except Exception as error:  # a user's law may raise anything
         return f"{type(error).__name__}: {error}"
     node = HostNode(name, guidance, stage, experiment.flight.jet_period_s, lead)
-    return node.tick(0.0).outputs.law_error
+    fault = node.tick(0.0).outputs.fault
+    return "" if fault is None else fault.text
 
 
 class Preflight:

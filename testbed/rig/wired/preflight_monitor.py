@@ -14,7 +14,6 @@ from msgspec.structs import replace
 from testbed.config import Experiment
 from testbed.core.types import Inputs, State, Vitals
 from testbed.flight.arming import Readiness
-from testbed.mocap.body_monitor import BodyMonitor
 from testbed.mocap.exposure import MocapSource
 from testbed.mocap.poses import MocapPoses
 from testbed.net.clock import Reader
@@ -37,7 +36,7 @@ class PreflightMonitor:
         """Start; `strangers` receives keys that must be silent before the order to start."""
         self._clock = WallClock(monotonic_ns())
         wire = experiment.table.lab.mocap
-        self._poses = MocapPoses(source, wire, self._clock, name, BodyMonitor())
+        self._poses = MocapPoses(source, wire, self._clock, name)
         self._agent, self._thrusters = make_agent(experiment, name), thrusters
         self._period = experiment.flight.jet_period_s
         self._due = 0.0
@@ -72,7 +71,7 @@ class PreflightMonitor:
             state, rate, at = self._state, float(len(self._seen)), self._looked_at
         trouble = self._thrusters.trouble
         if trouble is not None:
-            return Refused(trouble)
+            return Refused(trouble.text)
         if state is not None:  # the pose is old if this process was busy
             late = max(0.0, self._clock.now - at - self._period)
             state = replace(state, pose_age=state.pose_age + late)

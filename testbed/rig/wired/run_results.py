@@ -11,7 +11,7 @@ from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
 from testbed.metrics.afterwards import After, Left
 from testbed.metrics.run_metrics import Commands, Consumption, Touch, Track
-from testbed.net.commands import Ended, Flown, Pace
+from testbed.net.commands import Ended, Pace, TickReport
 from testbed.net.envelope import Verdict
 from testbed.realtime.wall_clock import WallClock
 from testbed.rig.boards import Valves
@@ -19,21 +19,21 @@ from testbed.rig.wired.table_report import TableReport
 
 
 class RunResults:
-    """The query methods of `Rig`, and the `Book` that records the flight."""
+    """Records a flight as its `Book`, and answers the queries of `Rig` about it."""
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
-        self._flown_s = math.inf
-        self._clock: WallClock | None = None
+        self.flown_s = math.inf  # time of the end
+        self.clock: WallClock | None = None  # None before the run's time 0 is known
         self._truth: dict[str, list[float]] = {}
-        self._report: TableReport | None = None
-        self._ended: dict[str, Ended] = {}
-        self._boards: dict[str, str] = {}
+        self.report: TableReport | None = None  # of the twin, on the bench
+        self.ended: dict[str, Ended] = {}  # the vehicles' reports at the end
+        self.boards: dict[str, str] = {}  # names of the boards
         self._paces: list[Pace] = []
         self._lateness: list[float] = []
         self._sent = 0
-        self._warned: list[str] = []  # warnings about keys
-        self._concerns: list[Concern] = []  # of the laws on the host
+        self.key_warnings: list[str] = []
+        self.law_concerns: list[Concern] = []  # of the laws on the host
         self._new_valves: list[tuple[str, Valves]] = []  # since the last call of `valves`
         self._new_paces: list[tuple[str, float, Pace]] = []
         self.loop: tuple[float, float] | None = None
@@ -43,36 +43,36 @@ class RunResults:
     @property
     def epoch_ns(self) -> int | None:
         """The run's time 0 on the monotonic clock; None before that is known."""
-        return None if self._clock is None else self._clock.epoch_ns
+        return None if self.clock is None else self.clock.epoch_ns
 
     @property
     def now(self) -> float:
         """See `Rig`."""
-        return max(0.0, self._clock.now) if self._clock is not None else 0.0
+        return max(0.0, self.clock.now) if self.clock is not None else 0.0
 
     @property
     def touches(self) -> list[Touch]:
         """See `Rig`."""
-        if self._report is None:
+        if self.report is None:
             return []
         late = self._released_late()
         return [
             Touch(one.t + late, one.vehicle, one.other, one.speed)
-            for one in self._report.touches
-            if one.t + late <= self._flown_s
+            for one in self.report.touches
+            if one.t + late <= self.flown_s
         ]
 
     def _released_late(self) -> float:
         """The twin's time 0 on the run's clock [s]."""
-        if self._report is None or self._report.released_ns is None or self._clock is None:
+        if self.report is None or self.report.released_ns is None or self.clock is None:
             return 0.0
-        return 1e-9 * (self._report.released_ns - self._clock.epoch_ns)
+        return 1e-9 * (self.report.released_ns - self.clock.epoch_ns)
 
     def note_truth(self, poses: dict[str, list[float]]) -> None:
         """See `Book`."""
         self._truth = poses
 
-    def note_tick(self, name: str, flown: Flown) -> None:
+    def note_tick(self, name: str, flown: TickReport) -> None:
         """See `Book`."""
         self._paces.append(flown.pace)
         self._new_paces.append((name, flown.tick.inputs.t, flown.pace))
@@ -91,7 +91,7 @@ class RunResults:
 
     def note_end(self, name: str, ended: Ended) -> None:
         """See `Book`."""
-        self._ended[name] = ended
+        self.ended[name] = ended
 
     def note_loop(self, late_s: float, busy_s: float) -> None:
         """See `Book`."""
@@ -108,10 +108,10 @@ class RunResults:
     def track(self) -> Track:
         """See `Rig`. Without a twin: the vehicles' estimates."""
         names = list(self.experiment.vehicles)
-        report = self._report
-        if report is not None and report.released_ns is not None and self._clock is not None:
+        report = self.report
+        if report is not None and report.released_ns is not None and self.clock is not None:
             t = np.array(report.t) + self._released_late()
-            flown = t <= self._flown_s  # vehicles drift after the end
+            flown = t <= self.flown_s  # vehicles drift after the end
             states = np.array(report.states).reshape(-1, len(names), 6)
             return Track(t[flown], states[flown])
         rows = [self._states.get(name, []) for name in names]
@@ -129,14 +129,14 @@ class RunResults:
         The twin's server simulated its plant for a minute after its last frame, with valves and
         bearing air as last reported by the boards. Without a twin the vehicles' reports are used.
         """
-        names, report = list(self.experiment.vehicles), self._report
-        if report is not None and report.released_ns is not None and self._clock is not None:
+        names, report = list(self.experiment.vehicles), self.report
+        if report is not None and report.released_ns is not None and self.clock is not None:
             return report.after(names, ending.t - self._released_late())
-        if not self._ended:
+        if not self.ended:
             return None
         left = {
-            name: Left(one.landed_s, one.air) for name, one in self._ended.items() if name in names
-        } | {name: Left(None, "on") for name in names if name not in self._ended}
+            name: Left(one.landed_s, one.air) for name, one in self.ended.items() if name in names
+        } | {name: Left(None, "on") for name in names if name not in self.ended}
         rests = [one.at_rest_s for one in left.values()]
         known = [rest for rest in rests if rest is not None]
         return After(
@@ -148,9 +148,9 @@ class RunResults:
 
     def spent(self, name: str) -> Consumption:
         """See `Rig`. Without a twin: from the commands and the vehicle file's thrust."""
-        report = self._report
+        report = self.report
         if report is not None:
-            end = self._flown_s - self._released_late()
+            end = self.flown_s - self._released_late()
             return report.spent_by(name, list(self.experiment.vehicles), end)
         model = self.experiment.vehicles[name].model
         thrust = float(np.mean([jet.thrust for jet in model.jets]))
@@ -167,30 +167,20 @@ class RunResults:
         new, self._new_paces = self._new_paces, []
         yield from new
 
-    @property
-    def report(self) -> TableReport | None:
-        """The twin's report, on the bench."""
-        return self._report
-
-    @property
-    def ended(self) -> dict[str, Ended]:
-        """The vehicles' reports at the end."""
-        return self._ended
-
     def concerns(self) -> list[Concern]:
         """See `Rig`. Concerns of laws on board are not collected."""
-        return [*self._concerns, *(Concern("keys_expire", words) for words in self._warned)]
+        return [*self.law_concerns, *(Concern("keys_expire", words) for words in self.key_warnings)]
 
     def wires(self) -> dict[str, Any]:
         """See `Rig`."""
         late = [1e3 * p.late_s for p in self._paces] + [1e3 * late for late in self._lateness]
         delays = [1e3 * p.pose_to_valve_s for p in self._paces if p.pose_to_valve_s is not None]
-        counts = [ended.counts for ended in self._ended.values()]
+        counts = [ended.counts for ended in self.ended.values()]
 
         def total(*verdicts: Verdict) -> int:
             return sum(c.commands.get(v, 0) for c in counts for v in verdicts)
 
-        boards = self._report.boards if self._report is not None else self._boards.values()
+        boards = self.report.boards if self.report is not None else self.boards.values()
         return {
             "lateness_p99_ms": _percentile(late, 99),
             "pose_to_valve_p50_ms": _percentile(delays, 50),

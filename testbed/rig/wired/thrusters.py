@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from firmware_interface.limits import limits_of
 from firmware_interface.serial_thrusters import SerialThrusters, ThrustersError
 from testbed.core import plugin
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.lab import THRUSTER_SYSTEMS, Lab
 from testbed.core.ports import ThrusterBoard, Thrusters
 from testbed.core.types import Health, ValveCommand
@@ -29,7 +30,7 @@ class WiredThrusters(Thrusters, Protocol):
 
     epoch_us: int
     sent: deque[tuple[int, int]]
-    trouble: str | None
+    trouble: FaultReport | None
 
     def __enter__(self) -> "WiredThrusters": ...
     def __exit__(self, *_: object) -> None: ...
@@ -94,13 +95,15 @@ class PluggedThrusters:
             why = f"{type(error).__name__}: {error}"
             raise ThrustersError(f"{self.board} cannot be used: {why}") from error
 
-    trouble: str | None
+    trouble: FaultReport | None
 
     def __enter__(self) -> "PluggedThrusters":
         self._health = self._ask(self._driver.health, None)
         if self._health is None:
             self._ask(self._driver.close, None)
-            raise ThrustersError(self.trouble or f"{self.board} has no health to tell")
+            raise ThrustersError(
+                self.trouble.text if self.trouble else f"{self.board} has no health to tell"
+            )
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -114,7 +117,8 @@ class PluggedThrusters:
                 return verb(*words, **more)
             except Exception as error:  # a plug-in may raise anything
                 why = f"{type(error).__name__}: {error}"
-                self.trouble = self.trouble or f"{self.board} failed: {why}"
+                text = f"{self.board} failed: {why}"
+                self.trouble = self.trouble or FaultReport(FaultId.BOARD_FAILED, text)
                 return otherwise
 
     def bearing(self, *, on: bool) -> None:
@@ -122,12 +126,12 @@ class PluggedThrusters:
         if self._ask(self._driver.bearing, FAILED, on=on) is not FAILED:
             self.floats = on
         if self.trouble is not None:
-            raise ThrustersError(self.trouble)
+            raise ThrustersError(self.trouble.text)
 
     def arm(self) -> None:
         """From now on plans are handed over."""
         if self.trouble is not None:
-            raise ThrustersError(self.trouble)
+            raise ThrustersError(self.trouble.text)
         self._armed = True
 
     def disarm(self) -> None:

@@ -19,7 +19,7 @@ from firmware_interface.line_tap import TapError
 from firmware_interface.serial_board import BoardError
 from testbed.config import ConfigError, Experiment, load
 from testbed.files import write_atomic
-from testbed.realtime.processes import end_on_terminate, orphaned
+from testbed.realtime.processes import orphaned, run_as_child
 from testbed.realtime.scheduling import no_garbage_collection, prefer_process, realtime_priority
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.server import TableServer, port_of
@@ -63,20 +63,11 @@ def serve(
             write_atomic(report, msgspec.json.encode(server.report()))
 
 
-def main() -> int:
-    """Serve as the child of a host; returns the exit code."""
-    end_on_terminate()
+def main() -> None:
+    """Serve as the child of a host."""
     config, report = (Path(word) for word in sys.argv[1:3])
-    try:
-        experiment = load(config)
-        serve(experiment, None, report, over=orphaned, say=lambda text: None)
-    except (ConfigError, *FAILURES) as error:
-        sys.stderr.write(f"error: {error}\n")
-        return 1
-    except KeyboardInterrupt:
-        return 1
-    return 0
+    serve(load(config), None, report, over=orphaned, say=lambda text: None)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_as_child(main, (ConfigError, *FAILURES)))

@@ -17,12 +17,12 @@ from queue import Empty
 
 import msgspec
 import zenoh
+from msgspec.structs import replace
 
 from testbed.config import Experiment
 from testbed.core.error import TestbedError
 from testbed.files import write_atomic
 from testbed.flight.loop import VehicleNode, fly
-from testbed.mocap.body_monitor import BodyMonitor
 from testbed.mocap.poses import MocapPoses
 from testbed.mocap.source import make_source
 from testbed.net.clock import HostClock, Reader, read_clock
@@ -31,6 +31,7 @@ from testbed.net.commands import (
     Start,
     config_id,
 )
+from testbed.net.direct_stop import StopListener
 from testbed.net.envelope import Outbox
 from testbed.net.keys import Keys
 from testbed.net.links import Party, ZenohVehicleLink
@@ -45,7 +46,7 @@ from testbed.rig.twin import warm_up
 from testbed.rig.wired.command_guard import CommandGuard
 from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.counts import count
-from testbed.rig.wired.onboard import Flight, Permitted, counted, land
+from testbed.rig.wired.onboard import Permitted, VehicleFlight, counted, land
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.thrusters import make_thrusters
@@ -130,6 +131,7 @@ def fly_vehicle(
             no_garbage_collection()
         )  # now, because the last garbage collection takes time
         await_alone(session, keys, name)
+        listen_for_stops(name, lab, endpoint, badge, tower, stack, say)
         token = session.liveliness().declare_token(keys.of(name, "alive"))
         stack.callback(token.undeclare)
         say(f"ready, {thrusters.board}; waiting for the host's order to start")
@@ -159,8 +161,8 @@ def fly_vehicle(
             sleep_until_ns(min(monotonic_ns() + LOOK_NS, epoch - LOOK_NS))
         for ear in strangers:
             ear.close()
-        poses = MocapPoses(source, wires.mocap, clock, name, BodyMonitor())
-        flight = Flight(
+        poses = MocapPoses(source, wires.mocap, clock, name)
+        flight = VehicleFlight(
             party, thrusters, poses, tower, config_id(experiment), drift, link, process_faults
         )
         if tower.stop_reason is None:
@@ -174,10 +176,11 @@ def fly_vehicle(
                 experiment.ticks, flight, stopped=flight.over,
             )  # fmt: skip
             land(experiment, ending, clock, Permitted(node, flight, clock), flight, thrusters)
-        fault = ending.fault or (f"{name}: {flight.fault}" if flight.fault else None)
+        fault = ending.fault or (flight.fault and replace(flight.fault, vehicle=name))
         if poses.trouble is not None and fault is not None:
-            fault += f"; its body is {poses.trouble}"
-            fault += f": {why}" if (why := getattr(source, "complaint", "")) else ""
+            why = getattr(source, "complaint", "")
+            note = f"its body is {poses.trouble}{f': {why}' if why else ''}"
+            fault = replace(fault, notes=(*fault.notes, note))
         counts = count(link, thrusters, poses, clock_of_host, port_gate.refused)
         out = Outbox(start.session)
         ended = Ended(
@@ -188,10 +191,25 @@ def fly_vehicle(
         if report is not None:
             write_atomic(report, msgspec.json.encode(ended))
         event.say(out.seal(ended, clock.now, clock.now + KEPT_S))
-        say(f"ended after {ending.t:.1f} s{f' by a fault: {fault}' if fault else ''}")
+        say(f"ended after {ending.t:.1f} s{f' by a fault: {fault.words}' if fault else ''}")
         await_end(gone, tower)
         if flight.signals.times:
             raise KeyboardInterrupt
+
+
+def listen_for_stops(
+    name: str, lab: str, endpoint: str, badge: Path | None, tower: CommandServer,
+    stack: ExitStack, say: Callable[[str], None],
+) -> None:  # fmt: skip
+    """Let the operator stop this vehicle without its host, until the stack is closed."""
+    try:
+        listener = StopListener(
+            name, lab, endpoint, badge, lambda stop: tower.operator_stop(stop.encode())
+        )
+    except (ImportError, OSError, ValueError) as error:
+        say(f"warning: `testbed stop` reaches {name} through its host only: {error}")
+    else:
+        stack.callback(listener.close)
 
 
 def await_host(endpoint: str, badge: Path | None, gone: Callable[[], bool]) -> zenoh.Session:

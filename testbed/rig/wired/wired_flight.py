@@ -6,8 +6,10 @@ from functools import partial
 from typing import Protocol
 
 import msgspec
+from msgspec.structs import replace
 
 from testbed.config import Experiment
+from testbed.core.codes import FaultId, FaultReport, InhibitReason, Refusal
 from testbed.core.law import Concern
 from testbed.core.types import (
     Accel,
@@ -25,7 +27,7 @@ from testbed.core.types import (
 )
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import Ending, HostNode, Observer, fly
-from testbed.net.commands import Ended, Flown, Lease, Stop, config_id
+from testbed.net.commands import Ended, Lease, Stop, TickReport, config_id
 from testbed.net.envelope import Inbox, Outbox, Verdict
 from testbed.net.links import Blackboard, Party, ZenohHostLink, host_states
 from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
@@ -52,7 +54,7 @@ class Book(Protocol):
         """Record the newest truth."""
         ...
 
-    def note_tick(self, name: str, flown: Flown) -> None:
+    def note_tick(self, name: str, flown: TickReport) -> None:
         """Record a vehicle's tick."""
         ...
 
@@ -72,14 +74,18 @@ class Book(Protocol):
 class RemoteNode:
     """A vehicle in another process: gives the loop its newest tick."""
 
-    def __init__(self, name: str, jets: int, meet: Callable[[bool, str], None]) -> None:
+    def __init__(
+        self, name: str, jets: int, meet: Callable[[bool, FaultReport | None], None]
+    ) -> None:
         self.name, self._meet, self._shut = name, meet, (0,) * jets
         self.newest: Tick | None = None
         self.heard_at = 0.0
         self.ended: Ended | None = None
-        self.fault: str | None = None
+        self.fault: FaultReport | None = None
 
-    def tick(self, t: float, armed: bool, fleet: str = "", end: str = "") -> Tick:
+    def tick(
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
+    ) -> Tick:
         """Its newest tick, or a substitute with a fault if it is silent or has ended."""
         self._meet(armed, fleet)
         tick = self._newest(t)
@@ -88,17 +94,17 @@ class RemoteNode:
 
     def _newest(self, t: float) -> Tick:
         if self.ended is not None:
-            words = self.ended.fault and self.ended.fault.removeprefix(f"{self.name}: ")
-            return self._silent(t, "its flight is over", words)
+            return self._silent(t, InhibitReason.VEHICLE_OVER, self.ended.fault)
         if t - self.heard_at > LOST_S:
-            fault = f"vehicle_silent: not heard for {t - self.heard_at:.1f} s"
-            return self._silent(t, "it is silent", fault)
-        return self.newest or self._silent(t, "not heard yet", None)
+            text = f"vehicle silent: not heard for {t - self.heard_at:.1f} s"
+            fault = FaultReport(FaultId.VEHICLE_SILENT, text)
+            return self._silent(t, InhibitReason.VEHICLE_SILENT, fault)
+        return self.newest or self._silent(t, InhibitReason.NOT_HEARD_YET, None)
 
-    def _silent(self, t: float, why: str, fault: str | None) -> Tick:
+    def _silent(self, t: float, why: InhibitReason, fault: FaultReport | None) -> Tick:
         still, command = Wrench(0.0, 0.0, 0.0), ValveCommand(0, t, t, self._shut, self._shut)
         inputs = Inputs(t, False, (), None, {}, Health(t, 0.0, 0.0))
-        return Tick(inputs, Outputs(t, None, None, still, still, command, why, fault))
+        return Tick(inputs, Outputs(t, None, None, still, still, command, Refusal(why), fault))
 
 
 _open_truth = msgspec.msgpack.Decoder(tuple[int, dict[str, list[float]]]).decode
@@ -148,7 +154,7 @@ class HostFlight:
         self.bad_truth = 0  # invalid messages of the truth
         self._ticks = {n: Subscriber(party.session, keys.of(n, "tick")) for n in self._names}
         self._events = {n: Subscriber(party.session, keys.of(n, "event")) for n in self._names}
-        open_tick = msgspec.msgpack.Decoder(Flown).decode
+        open_tick = msgspec.msgpack.Decoder(TickReport).decode
         open_event = msgspec.msgpack.Decoder(Ended).decode
         self._flown = {n: Inbox(open_tick, party.run, LOST_S) for n in self._names}
         self._ended = {n: Inbox(open_event, party.run, LOST_S) for n in self._names}
@@ -161,7 +167,8 @@ class HostFlight:
         states = host_states(party, self._names)
         self._links = {n: ZenohHostLink(party, n, states, self._board) for n in self._names}
         self._observer: Observer | None = None
-        self._fleet, self._armed = "", True
+        self._fleet: FaultReport | None = None
+        self._armed = True
         self._asked = Asked()  # stops from any terminal
         self.concerns: list[Concern] = []  # of laws on the host, after the flight
         self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
@@ -174,8 +181,8 @@ class HostFlight:
     def permit(self) -> None:
         """Send a permit to the vehicles, with the host data that they need."""
         now = self._party.clock.now
-        faults = (f"{n.name}: {n.fault}" for n in self._nodes.values() if n.fault)
-        fleet = self._fleet or next(faults, "")
+        faults = (replace(n.fault, vehicle=n.name) for n in self._nodes.values() if n.fault)
+        fleet = self._fleet or next(faults, None)
         rehearsed = self._process_faults.found
         if rehearsed("operator_gone"):
             return
@@ -210,7 +217,7 @@ class HostFlight:
         if ending.t < experiment.end_s:
             self._armed, self._at_once = False, asked() > 1
             self.permit()
-            reason = ending.fault or "the host has ended the flight"
+            reason = ending.fault.words if ending.fault else "the host has ended the flight"
             self._stop_all(reason, at_once=self._at_once)
         self._await_ends(asked)
         self._book.note_host(
@@ -218,25 +225,26 @@ class HostFlight:
         )
         late = self._late_fault()
         fault = ending.fault or late
-        if ending.fault and late and "vehicle_silent" in ending.fault:  # the cause
-            fault = f"{fault}; its last report: {late}"
+        if fault and late and fault.id == FaultId.VEHICLE_SILENT:  # the cause
+            fault = replace(fault, notes=(*fault.notes, f"its last report: {late.words}"))
         self.concerns = [
             Concern(one.name, f"{host.name}: {one.text}")
             for host in hosts
             for one in host.guidance.concerns
         ]
         if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
-            fault = fault and f"{fault}; {slow[0]}"  # late setpoints look like a link fault
+            # late setpoints look like a link fault
+            fault = fault and replace(fault, notes=(*fault.notes, slow[0]))
         if fault is None and self._asked.times:
-            fault = "stopped by the operator"
+            fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
         return Ending(ending.t, fault)
 
-    def _meet(self, armed: bool, fleet: str) -> None:
+    def _meet(self, armed: bool, fleet: FaultReport | None) -> None:
         """Receive from all vehicles; the loop's data for them goes into the next permit."""
         self._armed, self._fleet = armed, fleet
         self._listen()
 
-    def _late_fault(self) -> str | None:
+    def _late_fault(self) -> FaultReport | None:
         """A fault that only a vehicle's final report contains."""
         return next(
             (n.ended.fault for n in self._nodes.values() if n.ended and n.ended.fault), None
@@ -286,6 +294,7 @@ class HostFlight:
                 if box.take(data, clock.of(at)) is Verdict.TAKEN and box.newest is not None:
                     node = self._nodes[name]
                     node.heard_at, node.newest = clock.of(at), box.newest.tick
+                    self._asked.at_least(box.newest.stops)  # a stop may reach a vehicle only
                     book.note_tick(name, box.newest)
                     assert self._observer is not None
                     self._observer.vehicle(name, box.newest.tick)

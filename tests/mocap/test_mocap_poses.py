@@ -1,0 +1,98 @@
+"""Poses of one vehicle from frames of a motion-capture system, and why none arrive."""
+
+import numpy as np
+import pytest
+
+from testbed.core.lab import MocapWire
+from testbed.core.types import Pose
+from testbed.mocap.exposure import Axes, Exposure
+from testbed.mocap.poses import LATE_S, MocapPoses, Trouble
+from testbed.realtime.clock_sync import ClockOffset
+from testbed.realtime.wall_clock import WallClock
+
+
+def noisy(seed=1):
+    rng = np.random.default_rng(seed)
+    return lambda x, y: Pose(*(np.array([x, y, 0.0]) + 1e-4 * rng.standard_normal(3)).tolist())
+
+
+class Recorded:
+    """A source that has been heard before."""
+
+    def __init__(self, exposures):
+        self.exposures = exposures
+
+    def poll(self):
+        exposures, self.exposures = self.exposures, []
+        return exposures
+
+    def close(self):
+        pass
+
+
+def test_poses_of_one_vehicle_in_the_frame_and_time_of_the_run():
+    wire = MocapWire(up="y", origin=(1.0, 1.0), turn_deg=90.0, bodies={"sat1": "Rigid Body 4"})
+    axes, near = Axes(wire), noisy(10)
+    truth = [near(0.2, 0.1) for _ in range(4)]
+    numbers = [5, 6, 9, 10]
+    exposures = [
+        Exposure(
+            n, 10**9 + k * 10**7, 10**9 + k * 10**7 + 2 * 10**7,
+            {"Rigid Body 4": axes.to_cameras(pose), "other": axes.to_cameras(Pose(k, 0, 0))},
+        )
+        for k, (n, pose) in enumerate(zip(numbers, truth, strict=True))
+    ]  # fmt: skip
+    poses = MocapPoses(Recorded(exposures), wire, WallClock(10**9), "sat1")
+    samples = poses.samples()
+    poses.review()
+    assert [s.captured_at for s in samples] == pytest.approx([0.0, 0.01, 0.02, 0.03])
+    assert [(s.x, s.y, s.theta) for s in samples] == [
+        pytest.approx((p.x, p.y, p.theta)) for p in truth
+    ]
+    assert list(poses.latencies) == pytest.approx([0.02] * 4)
+    assert poses.lost_frames == 2
+    assert poses.trouble == Trouble.SILENT  # the present is long after these frames
+
+
+def test_the_quickest_exchange_tells_the_clock():
+    clock = ClockOffset()
+    clock.heard(1_000_000, 400)
+    assert clock.best.delay_ns == -1
+    clock.exchanged(100, 5_200, 400)  # 250 is the middle
+    clock.exchanged(1_000, 6_100, 1_100)
+    assert clock.best.offset_ns == 5_050
+    assert clock.to_own(10_050) == 5_000
+    clock.exchanged(10, 0, 5)  # it came before it was asked
+    assert clock.best.offset_ns == 5_050
+
+
+class Clock:
+    now = 0.0
+
+    def of(self, ns):
+        return 1e-9 * ns
+
+
+def test_why_no_poses_arrive():
+    wire, clock, source = MocapWire(up="z"), Clock(), Recorded([])
+    here, axes = Pose(0.0, 0.0, 0.0), Axes(wire)
+    poses = MocapPoses(source, wire, clock, "sat1")
+
+    def at(t, *bodies):
+        clock.now, ns = t, round(1e9 * t)
+        if bodies:
+            seen = {name: axes.to_cameras(here) for name in bodies}
+            source.exposures = [Exposure(round(100 * t), ns, ns, seen)]
+        poses.samples()
+        poses.review()
+        return poses.trouble
+
+    assert at(0.0) is None  # nothing was ever heard: the cameras may start later
+    assert at(0.1, "sat2") is Trouble.STALE
+    assert at(0.2, "sat1", "sat2") is None
+    assert at(0.19 + LATE_S, "sat2") is None
+    assert at(0.21 + LATE_S, "sat2") is Trouble.STALE
+    assert at(0.4) is Trouble.STALE  # once for as long as it lasts
+    assert at(0.6) is Trouble.SILENT
+    assert at(0.7, "sat1") is None
+    assert poses.troubles == {Trouble.STALE: 2, Trouble.SILENT: 1}
