@@ -129,7 +129,12 @@ class Model:
         ]
         shift = max(0.0, at["delay"])
         hold = at.get("hold", v.valve.close_delay_s - v.valve.open_delay_s)
-        valve = structs.replace(v.valve, open_delay_s=shift, close_delay_s=max(0.0, shift + hold))
+        close = max(0.0, shift + hold)
+        closing = 1e-6 + close + v.valve.close_ramp_s - shift  # a file is rounded
+        valve = structs.replace(
+            v.valve, open_delay_s=shift, close_delay_s=close,
+            min_off_s=max(v.valve.min_off_s, closing),
+        )  # fmt: skip
         return structs.replace(
             v,
             mass=v.mass * at.get("mass", 1.0),

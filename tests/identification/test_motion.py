@@ -1,6 +1,7 @@
 """A fit finds the true numbers of a flight, and says what it cannot know."""
 
 import json
+from datetime import date
 
 import msgspec
 import numpy as np
@@ -9,12 +10,13 @@ from click.testing import CliRunner
 from msgspec import structs
 
 from testbed.cli.main import main
+from testbed.config import SHIPPED
 from testbed.identification.calibration_file import report_of
 from testbed.identification.jets import examine
 from testbed.identification.model import Model
 from testbed.identification.motion import calibrate_motion, interval, thrusts, told_by
 from testbed.identification.synthetic import excitation, flown_log
-from testbed.identification.vehicle_file import load_vehicle
+from testbed.identification.vehicle_file import load_vehicle, write_vehicle
 from testbed.identification.windows import tiled
 
 
@@ -171,3 +173,19 @@ def test_a_log_without_a_mapping_is_refused(files):
     code, text = run("validate", files[1], "--vehicle", "generic_8jet", "--json")
     assert code == 2
     assert json.loads(text)["where"] == "--mapping"
+
+
+@pytest.mark.parametrize("name", ["uky", "spot_red", "spot_black", "spot_red_2021_07", "ita"])
+def test_the_vehicles_of_the_labs_can_fly(name):
+    path = SHIPPED / "vehicles" / f"{name}.toml"
+    code, text = run("check", "hold", f"vehicles.sat1.model={path}")
+    assert code == 0, text
+
+
+def test_a_valve_that_closes_late_has_time_to_close(floater, tmp_path):
+    model = Model(floater, valves=True)
+    p = model.prior.copy()
+    p[model.index("hold")] = 0.0412345678
+    path = tmp_path / "late.toml"
+    write_vehicle(path, model.fitted(p), {}, [], date(2026, 1, 1))
+    assert run("check", "hold", f"vehicles.sat1.model={path}")[0] == 0
