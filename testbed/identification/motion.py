@@ -70,6 +70,20 @@ def calibrate_motion(
     Raises:
         RefusedError: a suspicion forbids a fit.
     """
+    try:
+        return _calibrated(logs, vehicle, force, told)
+    except (np.linalg.LinAlgError, FloatingPointError) as error:
+        raise LogRefusedError(
+            where=", ".join(log.where for log in logs),
+            expected="motion that tells the numbers of a vehicle", found=str(error),
+            hint="too short, or hardly excited",
+        ) from None  # fmt: skip
+
+
+def _calibrated(
+    logs: Sequence[MotionLog], vehicle: Vehicle, force: bool, told: Callable[[str], None]
+) -> Calibration:
+    """See `calibrate_motion`."""
     where = ", ".join(log.where for log in logs)
     told("check the logs")
     model, doubts = checked(logs, vehicle)

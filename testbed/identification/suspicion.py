@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.vehicle import Vehicle
+from testbed.identification.columns import LogRefusedError
 from testbed.identification.model import Model
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves, Wrenches
@@ -52,6 +53,12 @@ def look_at(logs: Sequence[MotionLog], vehicle: Vehicle) -> Look:
     """Compare commands and motion of some logs together."""
     parts = [_Parts(log, vehicle) for log in logs]
     parts = [part for part in parts if part.windows]
+    if not parts:
+        raise LogRefusedError(
+            where=", ".join(log.where for log in logs),
+            expected=f"undisturbed flight of {0.5 * TILE:g} s or more in one piece",
+            found="none", hint="see [use] of the mapping, --from and --until",
+        )  # fmt: skip
     tried = [(delay, [part.at(delay) for part in parts]) for delay in DELAYS]
     best: tuple[float, Look] | None = None
     for delay, found in tried:
@@ -171,6 +178,8 @@ WORDS = {
 
 def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicion]:
     """What is wrong with the logs as a whole."""
+    if not any(log.whole.any() for log in logs):
+        look_at(logs, vehicle)  # refuses them
     implausible = [one for log in logs for one in _plausible(log)]
     if implausible:
         yield from implausible
@@ -210,6 +219,8 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
 
 def _plausible(log: MotionLog) -> Iterator[Suspicion]:
     kept = log.pose[log.whole]
+    if not len(kept):
+        return
     reach = np.ptp(kept[:, :2], axis=0)
     if reach.max() > 100.0:
         yield Suspicion("unit-position", f"{log.where}: the path spans {reach.max():.4g} m: in mm?")

@@ -189,3 +189,12 @@ def test_a_valve_that_closes_late_has_time_to_close(floater, tmp_path):
     path = tmp_path / "late.toml"
     write_vehicle(path, model.fitted(p), {}, [], date(2026, 1, 1))
     assert run("check", "hold", f"vehicles.sat1.model={path}")[0] == 0
+
+
+@pytest.mark.parametrize("part", [("--until", 1), ("--from", 1000), ("--until", 3)])
+@pytest.mark.parametrize("verb", [("calibrate", "motion"), ("validate",), ("calibrate", "floor")])
+def test_too_little_flight_is_refused(files, verb, part):
+    mapping, log, _ = files
+    code, text = run(*verb, log, "--mapping", mapping, "--vehicle", "generic_8jet", *part, "--json")
+    assert code in (0, 2) if part == ("--until", 3) else code == 2, text
+    assert json.loads(text)
