@@ -27,7 +27,7 @@ TESTBED = [sys.executable, "-m", "testbed"]
 KINDS = ("zeroed tail", "4 kB zeroed", "one bit flipped")
 VERBS = (
     ["log"], ["log", "--json"], ["replay"], ["report"], ["compare"],
-    ["export", "--to", "csv"], ["export", "--to", "rrd"],
+    ["export", "--to", "csv"], ["export", "--to", "bag"], ["export", "--to", "rrd"],
 )  # fmt: skip
 LIMIT_S = 120.0  # of a verb, on a busy machine
 
@@ -156,7 +156,10 @@ def main() -> int:
         folder = Path(name)
         run = folder / "run"
         subprocess.run(
-            [*TESTBED, "run", args.experiment, f"duration_s={args.seconds}", "--out", str(run)],
+            [
+                *(*TESTBED, "run", args.experiment, f"duration_s={args.seconds}"),
+                *("--speed", "20", "--out", str(run)),  # a chunk for each tick, as in real time
+            ],
             check=False, capture_output=True,
         )  # fmt: skip
         good = read_copies((run / "log.mcap").read_bytes(), folder, args.each, rng)

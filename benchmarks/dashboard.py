@@ -25,7 +25,6 @@ import numpy as np
 
 from testbed.cli.dash import Dashboard, address_for
 from testbed.config import Experiment, dump, find, load
-from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader
 from testbed.rig.wired.wired_flight import PRIORITY
@@ -93,7 +92,7 @@ def lateness(folder: Path, case: str, seconds: float, speed: float, priority: in
     experiment, since, began = make_run(folder, speed * seconds), [], time.monotonic()
     with looked_at(folder, case, since), ahead(priority):
         fly_and_judge(experiment, folder, speed=speed)
-    loop = gather(LogFeed(LogReader(folder / "log.mcap")).news()).loop
+    loop = gather(LogReader(folder / "log.mcap")).loop
     counts = loop[loop[:, 0] > speed * (since[0] - began + SETTLE_S), 1]
     if len(counts) < 100:
         raise RuntimeError(f"{case}: {len(counts)} ticks are too few; expected a larger --seconds")

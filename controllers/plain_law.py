@@ -75,8 +75,8 @@ class PlainLaw:
         """See `Law`."""
         if self._step > 0.0:
             steps = min(steps, math.ceil(duration / self._step - 1e-9))
-        plain: Any = propagate
-        return plain.py_func(self, law_state, own, neighbours, world, t, duration, steps)
+        plain = getattr(propagate, "py_func", propagate)  # numba may be switched off
+        return plain(self, law_state, own, neighbours, world, t, duration, steps)
 
 
 def _check_signature(verb: str, method: Callable[..., Any], path: Path | None) -> None:

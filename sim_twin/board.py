@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_twin.randomness import Draws
+from sim_twin.randomness import normal, words
 from testbed.core.compiled import compiled, settled
 from testbed.core.types import ValveCommand
 from testbed.core.vehicle import Vehicle
@@ -56,14 +56,15 @@ def play(pulses, issued, valid_until, delay, times_us, min_on, min_off, spread, 
         min_on: shortest pulse.
         min_off: shortest gap.
         spread: standard deviation of the relative thrust of a pulse.
-        luck: standard normal, shape (jets,).
+        luck: stream of the pulses' thrust.
 
     Returns:
         number of openings added.
     """
-    openings, jets = 0, luck.shape[0]
+    openings, jets = 0, times_us.shape[0] // 2
     start, end = delay + round(issued * 1e9), delay + round(valid_until * 1e9)
     for j in range(jets):
+        strength = 1.0 + spread * normal(luck)
         up, down, on = pulses.up[j], pulses.down[j], 1000 * times_us[j]
         up_at = start + 1000 * times_us[jets + j]
         down_at = min(up_at + on, end)
@@ -83,7 +84,7 @@ def play(pulses, issued, valid_until, delay, times_us, min_on, min_off, spread, 
         up[:-1], down[:-1] = up[1:].copy(), down[1:].copy()
         pulses.strength[j, :-1] = pulses.strength[j, 1:].copy()
         up[-1], down[-1] = up_at, down_at
-        pulses.strength[j, -1] = 1.0 + spread * luck[j]
+        pulses.strength[j, -1] = strength
         openings += 1
     return openings
 
@@ -106,7 +107,7 @@ class Board:
         self._min_on = nanoseconds(vehicle.valve.min_on_s)
         self._min_off = nanoseconds(vehicle.valve.min_off_s)
         self._spread = vehicle.tolerance.pulse
-        self._draws = Draws(rng.standard_normal, len(vehicle.jets))
+        self._luck = words(rng)
         self.pulses = pulses
         self.openings = 0
         self._play = settled(play)
@@ -128,7 +129,7 @@ class Board:
         self.openings += self._play(
             self.pulses, command.issued_at, command.valid_until, self._delay,
             np.array(command.on_us + command.offset_us),
-            self._min_on, self._min_off, self._spread, self._draws.take(1)[0],
+            self._min_on, self._min_off, self._spread, self._luck,
         )  # fmt: skip
 
     def land(self) -> None:

@@ -1,19 +1,21 @@
 """Motion capture model: turns true states into delayed, noisy poses."""
 
-from bisect import bisect_right
-from operator import itemgetter
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_twin.randomness import Draws
-from testbed.core.compiled import compiled, settled
+from sim_twin.randomness import Words, normal, stream, uniform, words
+from testbed.core.compiled import borrowed, compiled
 from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.types import PoseSample
 
 Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+ROOM = 16  # poses of a body that are not yet taken, at first
 
 
 class Optics(NamedTuple):
@@ -27,48 +29,74 @@ class Optics(NamedTuple):
     lost: float  # mean length of a loss [s]
 
 
+class Film(NamedTuple):
+    """What the cameras saw of each body, for compiled code."""
+
+    noise: Words  # (n, WORDS) stream of noise and jitter
+    luck: Words  # (n, WORDS) stream of losses
+    lost_until: Array  # (n,) end of the last loss [s]
+    poses: Array  # (n, room, 5) arrival, time of exposure, x, y, theta; in order of arrival
+    tally: Whole  # (n, 3) poses, how many of them have arrived, how many were taken
+
+
+POSES, ARRIVED, TAKEN = range(3)  # columns of `Film.tally`
+
+
 @compiled
-def photograph(times, states, noise, luck, optics, lost_until):
-    """Measure the pose of one body at each exposure.
+def photograph(film, optics, times, states, shown, now):
+    """Measure the pose of every body at each exposure, and note which poses have arrived.
 
     Args:
-        times: of the exposures, shape (n,) [s].
-        states: true x, y, theta, ... at these times, shape (n, 6).
-        noise: standard normal, shape (n, 4).
-        luck: uniform in [0, 1), shape (n, 2).
+        film: with room for one more pose of each body per exposure.
         optics: the cameras.
-        lost_until: end of the last loss [s].
+        times: of the exposures, shape (m,) [s].
+        states: true x, y, theta, ... at these times, shape (m, v, 6).
+        shown: the vehicle that each body shows, shape (m, n), or (1, n) for all exposures.
+        now: [s].
 
     Returns:
-        rows (arrival, time of exposure, x, y, theta) of frames that see the body, shape (m, 5), and
-        the new `lost_until`.
+        the largest number of poses of a body.
     """
-    rows = np.empty((times.shape[0], 5))
-    m = 0
-    for k in range(times.shape[0]):
-        t = times[k]
-        if t >= lost_until and luck[k, 0] < optics.losing:
-            lost_until = t - optics.lost * np.log1p(-luck[k, 1])
-        if t < lost_until:
-            continue
-        latency = optics.latency + optics.jitter * noise[k, 3]
-        rows[m, 0] = t + max(latency, 0.5 * optics.latency)
-        rows[m, 1] = t
-        rows[m, 2] = states[k, 0] + optics.noise * noise[k, 0]
-        rows[m, 3] = states[k, 1] + optics.noise * noise[k, 1]
-        rows[m, 4] = wrap_compiled(states[k, 2] + optics.spin_noise * noise[k, 2])
-        m += 1
-    return rows[:m], lost_until
+    film, most = borrowed(film), 0
+    for k in range(film.tally.shape[0]):
+        poses, noise, luck, taken = film.poses[k], film.noise[k], film.luck[k], film.tally[k, TAKEN]
+        n = film.tally[k, POSES] - taken
+        for i in range(n if taken > 0 else 0):
+            poses[i] = poses[i + taken]
+        for m in range(times.shape[0]):
+            t, lost_until = times[m], film.lost_until[k]
+            # a fixed number of draws per exposure: results do not depend on how often one looks
+            dx, dy, turn, late = normal(noise), normal(noise), normal(noise), normal(noise)
+            begins, length = uniform(luck), uniform(luck)
+            if t >= lost_until and begins < optics.losing:
+                lost_until = film.lost_until[k] = t - optics.lost * np.log1p(-length)
+            if t < lost_until:
+                continue
+            state = states[m, shown[m % shown.shape[0], k]]
+            latency = optics.latency + optics.jitter * late
+            arrival, i = t + max(latency, 0.5 * optics.latency), n
+            while i > 0 and poses[i - 1, 0] > arrival:
+                poses[i] = poses[i - 1]
+                i -= 1
+            n += 1
+            poses[i, 0], poses[i, 1] = arrival, t
+            poses[i, 2] = state[0] + optics.noise * dx
+            poses[i, 3] = state[1] + optics.noise * dy
+            poses[i, 4] = wrap_compiled(state[2] + optics.spin_noise * turn)
+        arrived = 0
+        while arrived < n and poses[arrived, 0] <= now:
+            arrived += 1
+        film.tally[k, POSES], film.tally[k, ARRIVED], film.tally[k, TAKEN] = n, arrived, 0
+        most = max(most, n)
+    return most
 
 
-class Camera:
-    """The poses that the camera system reports for one body."""
+class Cameras:
+    """The poses that the camera system reports for the bodies `names`."""
 
-    def __init__(self, mocap: Mocap, rng: np.random.Generator) -> None:
-        # a fixed number of draws per exposure: results do not depend on how often poses are read
-        noise_rng, loss_rng = rng.spawn(2)
-        self._noise, self._luck = Draws(noise_rng.standard_normal, 4), Draws(loss_rng.random, 2)
-        self._optics = Optics(
+    def __init__(self, names: Sequence[str], mocap: Mocap, seed: int) -> None:
+        pairs = [stream(seed, name, "camera").spawn(2) for name in names]
+        self.optics = Optics(
             mocap.noise,
             float(np.radians(mocap.noise_deg)),
             mocap.latency_s,
@@ -76,31 +104,37 @@ class Camera:
             mocap.dropout_rate / mocap.rate_hz,
             mocap.dropout_s,
         )
-        self._lost_until = -np.inf
-        self._photograph = settled(photograph)
-        self._on_the_way: list[list[float]] = []  # (arrival, capture, x, y, theta), sorted
-
-    def expose(self, times: Array, states: Array) -> None:
-        """Take the exposures at `times`.
-
-        Args:
-            times: of the exposures, shape (n,) [s].
-            states: true x, y, theta, ... at these times, shape (n, 6).
-        """
-        n = len(times)
-        rows, self._lost_until = self._photograph(
-            times,
-            np.ascontiguousarray(states),
-            self._noise.take(n),
-            self._luck.take(n),
-            self._optics,
-            self._lost_until,
+        n = len(names)
+        self.film = Film(
+            np.array([words(noise) for noise, _ in pairs]),
+            np.array([words(luck) for _, luck in pairs]),
+            np.full(n, -np.inf),
+            np.empty((n, ROOM, 5)),
+            np.zeros((n, 3), np.int64),
         )
-        self._on_the_way += rows.tolist()
-        self._on_the_way.sort()
+        self.own: Whole = np.arange(n, dtype=np.int64)[None]  # each body its own vehicle
+        self.most = 0  # poses of any body that are not yet taken, at most
 
-    def arrived(self, now: float) -> list[PoseSample]:
-        """Poses that have arrived by `now` since the last call, in order of arrival."""
-        count = bisect_right(self._on_the_way, now, key=itemgetter(0))
-        here, self._on_the_way = self._on_the_way[:count], self._on_the_way[count:]
-        return [PoseSample(t, x, y, theta) for _, t, x, y, theta in here]
+    def load(self, exposures: int) -> Film:
+        """The film, with room for so many exposures."""
+        room = self.film.poses.shape[1]
+        if self.most + exposures > room:
+            more = np.empty((len(self.film.poses), self.most + exposures + room, 5))
+            more[:, :room] = self.film.poses
+            self.film = self.film._replace(poses=more)
+        self.most += exposures
+        return self.film
+
+    def expose(self, times: Array, states: Array, now: float, shown: Whole | None = None) -> None:
+        """Take exposures, see `photograph`."""
+        film = self.load(len(times))
+        shown = self.own if shown is None else shown
+        self.most = photograph(film, self.optics, times, states, shown, now)
+
+    def arrived(self, k: int) -> list[PoseSample]:
+        """Poses of body `k` that have arrived since the last call, in order of arrival."""
+        count = self.film.tally
+        _, arrived, taken = count[k].tolist()
+        count[k, TAKEN] = arrived
+        rows = self.film.poses[k, taken:arrived].tolist()
+        return [PoseSample(t, x, y, theta) for _, t, x, y, theta in rows]

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.board import Driver
-from sim_twin.camera import Camera
-from sim_twin.channel import Channel, RadioMedium
+from sim_twin.camera import Cameras, photograph
 from sim_twin.fault_injection import Sabotage
 from sim_twin.plant import Plant
+from sim_twin.radio import Radio, Whole, listen
 from sim_twin.randomness import stream
+from testbed.core.compiled import compiled, settled
 from testbed.core.fault_injection import Injection
 from testbed.core.table import Obstacle, Table
 from testbed.core.types import (
@@ -31,6 +32,41 @@ from testbed.core.types import (
 from testbed.core.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+
+HOST = "host"
+
+
+@compiled
+def observe(film, optics, times, states, shown, links, tanks, used, pressures, now):
+    """What cameras, radio and sensors tell after a window of the plant.
+
+    Args:
+        film: see camera.photograph, like all up to `shown`.
+        optics: the cameras.
+        times: of the exposures, shape (m,) [s].
+        states: the truth at these times, shape (m, v, 6).
+        shown: vehicle that each body shows.
+        links: see radio.py.
+        tanks: gas [kg], tank pressure, set pressure and dropout [Pa], see Air; shape (v, 4).
+        used: gas consumed, shape (v,) [kg].
+        pressures: of supply and tank, written to; shape (v, 2) [Pa].
+        now: [s].
+
+    Returns:
+        see camera.photograph.
+    """
+    most = photograph(film, optics, times, states, shown, now)
+    listen(links, now)
+    for k in range(used.shape[0]):
+        gas, full, wanted, dropout = tanks[k]
+        tank = full * max(0.0, gas - used[k]) / gas
+        pressures[k, 0], pressures[k, 1] = max(0.0, min(wanted, tank - dropout)), tank
+    return most
+
+
+def law_of(name: str) -> str:
+    """The law of a vehicle as a receiver of messages."""
+    return f"the law of {name}"
 
 
 class Twin:
@@ -52,38 +88,33 @@ class Twin:
         injections: Sequence[Injection] = (),
     ) -> None:
         self.names = list(vehicles)
-        self._rows = {name: k for k, name in enumerate(self.names)}
-        self.vehicles = vehicles
+        self.rows = {name: k for k, name in enumerate(self.names)}
         self.plant = Plant(vehicles, starts, table, obstacles, seed, drivers)
         half = (table.size[0] / 2, table.size[1] / 2)
         self.sabotage = (
             Sabotage(injections, self.plant, obstacles, half, seed) if injections else None
         )
-        self.cameras = {n: Camera(table.mocap, stream(seed, n, "camera")) for n in self.names}
+        self.cameras = Cameras(self.names, table.mocap, seed)
+        self.radio = Radio(table.link, seed)
         self.now = 0.0  # time of the run [s]
         self._rate = table.mocap.rate_hz
         self._phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))
         self._frame = 0
         self.seen_at: list[float] = []  # of every camera frame so far [s]
         self.seen: list[Array] = []  # true states at these times, each (n, v, 6)
-        link = table.link
-
-        def channel(sender: str, receiver: str) -> Channel:
-            return Channel(link, stream(seed, "link", sender, "to", receiver))
-
-        self.listeners = frozenset(listeners)
-        self.setpoints = {n: channel("host", n) for n in self.names}
-        self.to_host: RadioMedium[State] = RadioMedium(channel)
-        self.states: RadioMedium[State] = RadioMedium(channel)
-        self.messages: RadioMedium[LawMessage] = RadioMedium(
-            lambda a, b: channel(a, f"the law of {b}")
-        )
-        self._reach = link.range_m
-        self._near_at = -math.inf
-        self._near = {n: [other for other in self.names if other != n] for n in self.names}
+        self._listeners = frozenset(listeners)
+        self._reach = table.link.range_m
+        self.near = {n: [other for other in self.names if other != n] for n in self.names}
+        self._audiences: dict[tuple[str, bool], Whole] = {}
+        airs = [vehicle.air for vehicle in vehicles.values()]
+        self._tanks = np.array([(a.gas, a.tank_pressure, a.set_pressure, a.dropout) for a in airs])
+        self._pressures = np.empty((len(airs), 2))
+        self.pressures: list[list[float]] = []  # of supply and tank of each vehicle [Pa]
         self.blackboard: dict[
             str, tuple[float, LawMessage, LawMessage | None]
         ] = {}  # of laws on the host
+        self._observe = settled(observe)
+        self._look(np.empty(0), np.empty((0, len(airs), 6)))
 
     def wait_until(self, t: float) -> None:
         """Advance the simulation to `t` [s]."""
@@ -100,31 +131,49 @@ class Twin:
         self.now = t
         self.seen_at += exposed
         self.seen.append(seen)
-        shown = seen
-        if self.sabotage is not None:
-            self.sabotage.look(t)
-            if (rows := self.sabotage.sources(self.names, times)) is not None:
-                shown = np.stack([one[row] for one, row in zip(seen, rows, strict=True)])
-        for k, name in enumerate(self.names):
-            self.cameras[name].expose(times, shown[:, k])
+        self._look(times, seen)
 
-    def near(self, name: str) -> list[str]:
-        """The other vehicles in range of `name`."""
-        if self._reach is not None and self._near_at != self.now:
-            p, self._near_at = self.plant.x[:, :2], self.now
-            apart = np.linalg.norm(p[:, None] - p[None], axis=2)
-            np.fill_diagonal(apart, np.inf)
-            for one, row in zip(self.names, apart, strict=True):
-                near = [self.names[k] for k in np.flatnonzero(row <= self._reach).tolist()]
-                for gone in set(self._near[one]).difference(near):
-                    self.states.part(one, gone)
-                    self.messages.part(one, gone)
-                self._near[one] = near
-        return self._near[name]
+    def _look(self, times: Array, seen: Array) -> None:
+        """Let cameras, radio and sensors follow the plant."""
+        shown, broken = self.cameras.own, self.sabotage
+        if broken is not None:
+            broken.look(self.now)
+            if (rows := broken.sources(self.names, times)) is not None:
+                shown = np.array(rows, np.int64)
+            for name in self.names:
+                self.radio.disturb(name, *broken.air(name))
+        film = self.cameras.load(len(times))
+        self.cameras.most = self._observe(
+            film, self.cameras.optics, times, seen, shown, self.radio.links,
+            self._tanks, self.plant.used, self._pressures, self.now,
+        )  # fmt: skip
+        self.radio.look()
+        self.pressures = self._pressures.tolist()
+        if self._reach is not None:
+            self._meet(self._reach)
 
-    def trouble(self, receiver: str) -> tuple[float, float]:
-        """Injected delay [s] and loss probability of messages to a vehicle."""
-        return (0.0, 0.0) if self.sabotage is None else self.sabotage.air(receiver)
+    def _meet(self, reach: float) -> None:
+        """Find out which vehicles are in range of each other."""
+        p = self.plant.x[:, :2]
+        apart = np.linalg.norm(p[:, None] - p[None], axis=2)
+        np.fill_diagonal(apart, np.inf)
+        for one, row in zip(self.names, apart, strict=True):
+            near = [self.names[k] for k in np.flatnonzero(row <= reach).tolist()]
+            if near != self.near[one]:
+                for gone in set(self.near[one]).difference(near):
+                    self.radio.part(one, gone)
+                    self.radio.part(one, law_of(gone))
+                self.near[one] = near
+                self._audiences.clear()
+
+    def audience(self, name: str, *, laws: bool = False) -> Whole:
+        """The links on which a vehicle sends its state, or its law's message."""
+        rows = self._audiences.get((name, laws))
+        if rows is None:
+            hear = [other for other in self.near[name] if other in self._listeners]
+            to = [law_of(other) for other in hear] if laws else [HOST, *hear]
+            rows = self._audiences[name, laws] = self.radio.rows((name, other) for other in to)
+        return rows
 
     def vitals(self, name: str) -> Vitals:
         """Health of a vehicle's process; good unless a fault is injected."""
@@ -132,24 +181,21 @@ class Twin:
 
     def health(self, name: str) -> Health:
         """Readings of the board's sensors."""
-        k = self._rows[name]
-        air = self.vehicles[name].air
-        left = air.gas - float(self.plant.used[k])
-        pressures = air.supply_pressure(left), air.pressure_in_tank(left)
+        supply, tank = self.pressures[self.rows[name]]
         if self.sabotage is None:
-            return Health(self.now, *pressures)
-        return Health(self.now, *pressures, *self.sabotage.power(name))
+            return Health(self.now, supply, tank)
+        return Health(self.now, supply, tank, *self.sabotage.power(name))
 
 
 class TwinPoses:
     """PoseSource of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._name, self._camera = twin, name, twin.cameras[name]
+        self._twin, self._name, self._row = twin, name, twin.rows[name]
 
     def samples(self) -> Sequence[PoseSample]:
         """See `PoseSource`."""
-        twin, samples = self._twin, self._camera.arrived(self._twin.now)
+        twin, samples = self._twin, self._twin.cameras.arrived(self._row)
         return samples if twin.sabotage is None else twin.sabotage.poses(self._name, samples)
 
 
@@ -165,9 +211,8 @@ class TwinThrusters:
 
     def land(self) -> None:
         """See `Thrusters`."""
-        plant = self._twin.plant
         self._board.land()
-        plant.land(plant.names.index(self._name))
+        self._twin.plant.land(self._twin.rows[self._name])
 
     def health(self) -> Health:
         """See `Thrusters`."""
@@ -178,59 +223,52 @@ class TwinVehicleLink:
     """VehicleLink of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._name = twin, name
-        self._setpoints, self._to_host = twin.setpoints[name], twin.to_host.between(name, "host")
+        self._twin, self._radio, self._name, self._law = twin, twin.radio, name, law_of(name)
 
     def setpoint(self) -> Setpoint | None:
         """See `VehicleLink`."""
-        return self._setpoints.newest(self._twin.now)
+        found: Setpoint | None = self._radio.newest(HOST, self._name)
+        return found
 
     def neighbours(self) -> dict[str, State]:
         """See `VehicleLink`."""
-        twin, own = self._twin, self._name
-        return twin.states.heard(own, twin.near(own), twin.now)
+        return self._radio.heard(self._name, self._twin.near[self._name])
 
     def publish(self, state: State) -> None:
         """See `VehicleLink`."""
-        twin, now = self._twin, self._twin.now
-        self._to_host.send(now, state)
-        for other in twin.near(self._name):
-            if other in twin.listeners:
-                twin.states.between(self._name, other).send(now, state, twin.trouble(other))
+        twin = self._twin
+        self._radio.send(twin.audience(self._name), twin.now, state)
 
     def messages(self) -> dict[str, LawMessage]:
         """See `VehicleLink`."""
-        twin, own = self._twin, self._name
-        return twin.messages.heard(own, twin.near(own), twin.now)
+        return self._radio.heard(self._law, self._twin.near[self._name])
 
     def broadcast(self, message: LawMessage) -> None:
         """See `VehicleLink`."""
         twin = self._twin
-        for other in twin.near(self._name):
-            if other in twin.listeners:
-                twin.messages.between(self._name, other).send(twin.now, message)
+        self._radio.send(twin.audience(self._name, laws=True), twin.now, message)
 
 
 class TwinHostLink:
     """HostLink of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._name = twin, name
-        self._own = twin.to_host.between(name, "host")
+        self._twin, self._radio, self._name = twin, twin.radio, name
+        self._audience = twin.radio.rows([(HOST, name)])
         self._others = [n for n in twin.names if n != name]
 
     def own(self) -> State | None:
         """See `HostLink`."""
-        return self._own.newest(self._twin.now)
+        found: State | None = self._radio.newest(self._name, HOST)
+        return found
 
     def neighbours(self) -> dict[str, State]:
         """See `HostLink`."""
-        return self._twin.to_host.heard("host", self._others, self._twin.now)
+        return self._radio.heard(HOST, self._others)
 
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
-        twin = self._twin
-        twin.setpoints[self._name].send(twin.now, setpoint, twin.trouble(self._name))
+        self._radio.send(self._audience, self._twin.now, setpoint)
 
     def messages(self) -> dict[str, LawMessage]:
         """See `HostLink`. The laws share a computer and receive messages of earlier ticks."""

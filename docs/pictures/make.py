@@ -21,7 +21,6 @@ from rerun.experimental import ViewerClient
 
 import testbed
 from testbed.cli.dash import Dashboard, address_for
-from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader
 
@@ -42,7 +41,7 @@ def cut(whole: Path, half: Path) -> None:
     half.mkdir()
     shutil.copy(whole / "config.toml", half)
     log = (whole / "log.mcap").read_bytes()
-    end = gather(LogFeed(LogReader(whole / "log.mcap")).news()).end
+    end = gather(LogReader(whole / "log.mcap")).end
     (half / "log.mcap").write_bytes(log[: round(len(log) * MIDDLE_S / end)])
 
 
@@ -57,7 +56,7 @@ def keep(png: bytes, name: str, width: int) -> None:
 
 def dashboard(run: Path) -> bytes:
     """Take a screenshot of the headless viewer when it has received the whole log."""
-    end = gather(LogFeed(LogReader(run / "log.mcap")).news()).end
+    end = gather(LogReader(run / "log.mcap")).end
     board = Dashboard(run, "headless", address_for())
     try:
         board.open(Event().wait)

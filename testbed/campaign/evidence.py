@@ -4,6 +4,7 @@ The position of a vehicle is its estimate at every tick, because a table has no 
 twin it equals the truth within the estimator's error.
 """
 
+from functools import reduce
 from pathlib import Path
 
 import msgspec
@@ -12,9 +13,8 @@ import numpy as np
 from testbed.campaign.row import FlownRun, columns_of, outcome_of, within
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, load
-from testbed.core.types import Tick
+from testbed.logs.columns import Columns
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
-from testbed.logs.message import Decoder
 from testbed.metrics.run_metrics import Metrics, Track
 
 NEEDED = ("config.toml", "log.mcap", "metrics.json")
@@ -27,22 +27,24 @@ def track_of(folder: Path, experiment: Experiment) -> Track:
         LogError: a part of the log is missing.
     """
     names = list(experiment.vehicles)
-    book, decode = LogReader(folder / "log.mcap"), Decoder(Tick).decode
-    topics = {f"/{name}/tick": name for name in names}
-    seen: dict[float, dict[str, list[float]]] = {}
-    for topic, stamp, data in book.read():
-        if topic not in topics or (state := decode(data).outputs.state) is None:
-            continue
-        row = [
-            *(state.pose.x, state.pose.y, state.pose.theta),
-            *(state.twist.vx, state.twist.vy, state.twist.omega),
-        ]
-        seen.setdefault(stamp * 1e-9, {})[topics[topic]] = row
+    book = LogReader(folder / "log.mcap")
+    log, names = Columns(book), list(experiment.vehicles)
     if not book.complete():
         raise LogError("; ".join(book.said()) or "the log is incomplete")
-    whole = {t: rows for t, rows in sorted(seen.items()) if len(rows) == len(names)}
-    states = [[rows[name] for name in names] for rows in whole.values()]
-    return Track(np.array(list(whole)), np.array(states).reshape(-1, len(names), 6))
+    ticks = {name: log.rows[f"/{name}/tick"] for name in names if f"/{name}/tick" in log.rows}
+    known = {name: one[one["outputs"]["state_known"] > 0] for name, one in ticks.items()}
+    if len(known) < len(names):
+        return Track(np.zeros(0), np.zeros((0, len(names), 6)))
+    t = [one["inputs"]["t"] for one in known.values()]
+    common = reduce(np.intersect1d, t)
+    states = []
+    for one, at in zip(known.values(), t, strict=True):
+        state = one[np.isin(at, common)]["outputs"]["state"]
+        states.append(np.column_stack([
+            *(state["pose"][n] for n in ("x", "y", "theta")),
+            *(state["twist"][n] for n in ("vx", "vy", "omega")),
+        ]))  # fmt: skip
+    return Track(common, np.stack(states, axis=1))
 
 
 def read_run(folder: Path, k: int, most: dict[str, float], least: dict[str, float]) -> FlownRun:

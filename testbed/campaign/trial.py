@@ -10,6 +10,8 @@ from importlib.metadata import version
 from io import StringIO
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from testbed.campaign.row import FlownRun, Kept, Number, Task, columns_of, outcome_of
 from testbed.campaign.score import beside_metrics
 from testbed.config import ConfigError, Experiment, dump, loads
@@ -45,12 +47,17 @@ def fly(base: str, k: int, overrides: Sequence[str]) -> FlownRun:
         raise
     except BaseException:  # even if a law exits, the campaign continues and shows it
         outcome, reason = "error", traceback.format_exc(limit=-4)
-    reason = reason.encode(
-        errors="backslashreplace"
-    ).decode()  # lone surrogates are not valid UTF-8
+    reason = _spelled(reason)
+    if fault is not None:
+        fault = replace(fault, text=_spelled(fault.text))
     wall = time.perf_counter() - began
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return FlownRun(k, outcome, reason, columns, criteria, wall, memory_mb, seed, fault_t, fault)
+
+
+def _spelled(text: str) -> str:
+    """The same text as valid UTF-8: half a character is spelled."""
+    return text.encode(errors="backslashreplace").decode()
 
 
 def fly_batch(base: str, batch: Sequence[Task]) -> list[FlownRun]:

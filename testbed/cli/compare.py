@@ -13,7 +13,6 @@ from rich.table import Table as Grid
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import refuse, warn
 from testbed.config import ConfigError, Experiment, load
-from testbed.logs.feed import LogFeed
 from testbed.logs.history import History, gather
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 from testbed.metrics.formation import has_formation
@@ -83,7 +82,7 @@ def read_run(folder: Path, label: str) -> ComparedRun:
     """Read a run folder."""
     log, experiment = log_of(folder), load(config_of(folder))
     book = LogReader(log)
-    history = gather(LogFeed(book).news())
+    history = gather(book)
     warn(book.said())
     return ComparedRun(label, experiment, history, judged(log.parent, log, experiment, history))
 

@@ -4,7 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,6 +27,7 @@ from testbed.dashboard.viewer import (
     step_back,
 )
 from testbed.logs.log_reader import LogError, log_of
+from testbed.realtime.processes import hung_up
 
 PERIOD_S = 0.2
 PATIENCE = 150  # periods until the viewer must accept connections
@@ -98,7 +99,7 @@ def address_for(bind: str = LOOPBACK, port: int | None = None) -> Address:
 
 
 def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:
-    """Show a run until the viewer is closed or Ctrl-C."""
+    """Show a run until the viewer or the terminal is closed, or Ctrl-C."""
     stop = Event()
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -108,8 +109,10 @@ def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:
         log_of(run)
     except LogError as error:
         return refuse(error)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, handle)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
+            signal.signal(number, handle)
+    terminal = os.isatty(2)  # also that of the run which has started this process
     board = Dashboard(run, kind, address_for(bind, port))
     out = Console(highlight=False)
     try:
@@ -119,7 +122,8 @@ def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:
         out.print("press Ctrl-C to end it" if kind == "web" else "close the window to end it")
         sys.stdout.flush()
         while not stop.wait(PERIOD_S) and board.keep(stop.wait):
-            pass
+            if terminal and hung_up(2):
+                break
     except ViewerError as error:
         return refuse(error)
     finally:
@@ -141,14 +145,16 @@ def beside_run(
     )  # fmt: skip
 
 
-def leave(board: "subprocess.Popen[bytes]") -> None:
-    """After the flight, keep the page until Ctrl-C at a terminal; else end it at once."""
+def leave(pages: "Sequence[subprocess.Popen[bytes]]") -> None:
+    """After the flight, keep the pages until Ctrl-C at a terminal; else end them at once."""
     if sys.stdin.isatty() and sys.stderr.isatty():
-        errors.print("the dashboard stays until Ctrl-C")
+        errors.print("the page stays until Ctrl-C")
         with suppress(KeyboardInterrupt):
-            board.wait()
-    board.terminate()
-    board.wait()
+            for page in pages:
+                page.wait()
+    for page in pages:
+        page.terminate()
+        page.wait()
 
 
 def play_run(run: Path) -> None:

@@ -15,7 +15,6 @@ from testbed.cli.result import print_result
 from testbed.config import Experiment, read_toml
 from testbed.config.guarantee import warnings_of
 from testbed.core.codes import FaultId, FaultReport
-from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.metrics.run_metrics import Metrics
@@ -50,7 +49,7 @@ def finish_run(folder: Path, rig: str, fault: str | None, *, as_json: bool) -> N
 def _of_what_is_there(log: Path, experiment: Experiment) -> Metrics:
     """Metrics from the readable part of the log; empty metrics without a log."""
     try:
-        return of_the_log(log, experiment, gather(LogFeed(LogReader(log)).news()))
+        return of_the_log(log, experiment, gather(LogReader(log)))
     except LogError as error:
         errors.print(f"warning: {error}", style="yellow", markup=False, soft_wrap=True)
     return Metrics(

@@ -9,7 +9,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import refuse, warn
-from testbed.logs.export import WRITERS, ExportError, tables
+from testbed.logs.export import WRITERS, ExportError, tables, to_bag
 from testbed.logs.log_reader import LogError, LogReader, log_of
 from testbed.logs.topics import Contents, survey
 
@@ -57,10 +57,10 @@ def export_run(run: Path, kind: str, out: Path | None) -> int:
         else:
             book = LogReader(log_of(run))
             try:
-                found = tables(book.read(), book.kinds)
+                found = {} if kind == "bag" else tables(book)
+                paths = to_bag(book, folder) if kind == "bag" else WRITERS[kind](found, folder)
             finally:
                 warn(book.said())
-            paths = WRITERS[kind](found, folder)
     except (LogError, ExportError, ValueError, OSError) as error:
         return refuse(error)
     for path in paths:

@@ -54,7 +54,15 @@ def main() -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print metrics.json and nothing else.")
 @click.option("--view", "view", flag_value="window", help="Open the dashboard in a window.")
 @click.option("--web", "view", flag_value="web", help="Serve the dashboard to a browser.")
-@click.option("--bind", help="Network address of the dashboard.  [default: 127.0.0.1]")
+@click.option(
+    "--console",
+    type=click.IntRange(0, 65535),
+    is_flag=False,
+    flag_value=0,
+    metavar="[PORT]",
+    help="Serve the operator's page, with its STOP.  [default port: 8765]",
+)
+@click.option("--bind", help="Network address of what is served.  [default: 127.0.0.1]")
 @click.option(
     "--port", type=click.IntRange(1, 65534),
     help="Data port of the dashboard; the page uses PORT+1.  [default: free ports]",
@@ -62,7 +70,7 @@ def main() -> None:
 @click.option(
     "--speed",
     type=click.FloatRange(min=0.0, min_open=True),
-    help="Multiple of real time.  [default: as fast as possible; 1 with --view or --web]",
+    help="Multiple of real time.  [default: as fast as possible; 1 with a page]",
 )
 @click.option("--arm", is_flag=True, help="On the table: arm without asking (for scripts).")
 @click.option(
@@ -84,6 +92,7 @@ def run(
     out: Path | None,
     as_json: bool,
     view: str | None,
+    console: int | None,
     bind: str | None,
     port: int | None,
     speed: float | None,
@@ -119,6 +128,7 @@ def run(
             here=here,
             bind=bind,
             port=port,
+            console=console,
         )
     )
 
@@ -243,7 +253,8 @@ def log(context: click.Context, run: Path, as_json: bool) -> None:
 @main.command()
 @click.argument("run", type=click.Path(exists=True, path_type=Path))
 @click.option(
-    "--to", "kind", type=click.Choice(["parquet", "csv", "npz", "rrd"]), required=True,
+    "--to", "kind", type=click.Choice(["parquet", "csv", "mat", "npz", "bag", "rrd"]),
+    required=True,
     help="Output format.",
 )  # fmt: skip
 @click.option(
@@ -251,7 +262,7 @@ def log(context: click.Context, run: Path, as_json: bool) -> None:
 )
 @click.pass_context
 def export(context: click.Context, run: Path, kind: str, out: Path | None) -> None:
-    """Export the log of a RUN as tables or as a rerun recording."""
+    """Export the log of a RUN as tables, as a ROS 2 bag or as a rerun recording."""
     from testbed.cli.log import export_run
 
     context.exit(export_run(run, kind, out))
@@ -297,6 +308,20 @@ def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | No
     from testbed.cli.dash import show_run
 
     context.exit(show_run(run, "web" if web else "window", bind, port))
+
+
+@main.command()
+@click.argument(
+    "run", type=click.Path(exists=True, file_okay=False, path_type=Path), required=False
+)
+@click.option("--bind", default="127.0.0.1", show_default=True, help="Network address.")
+@click.option("--port", type=click.IntRange(1, 65535), help="Port of the page.  [default: 8765]")
+@click.pass_context
+def console(context: click.Context, run: Path | None, bind: str, port: int | None) -> None:
+    """Serve the operator's page for a RUN folder, by default of the flight on this machine."""
+    from testbed.cli.console import show_page
+
+    context.exit(show_page(run, bind, port))
 
 
 @main.command()

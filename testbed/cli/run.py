@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -24,7 +25,14 @@ from testbed.rig.chain import watched
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
 from testbed.run.fly import fly_and_judge
-from testbed.run.folder import FolderError, new_folder, take_back, write_config, write_metrics
+from testbed.run.folder import (
+    FolderError,
+    new_folder,
+    take_back,
+    utc_ns,
+    write_config,
+    write_metrics,
+)
 from testbed.run.interrupt import Interrupt
 from testbed.run.report import write_page
 
@@ -45,11 +53,12 @@ def run_experiment(
     here: bool = False,
     bind: str | None = None,
     port: int | None = None,
+    console: int | None = None,
 ) -> int:
     """Fly an experiment; return the exit code."""
-    interrupt, board, folder = Interrupt(), None, None
+    interrupt, board, page, folder = Interrupt(), None, None, None
     operator = Operator(arm=arm, reset=reset, at_once=interrupt.at_once)
-    if view is not None and speed is None:
+    if (view is not None or console is not None) and speed is None:
         speed = 1.0  # real time, for the viewer
     try:
         with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
@@ -59,9 +68,10 @@ def run_experiment(
         models = {name: setup.model for name, setup in experiment.vehicles.items()}
         check_boards(experiment.board, models, rig)
         operator.must_be_there(rig)
-        if view is None and (bind or port):
+        if view is None and (port or (bind and console is None)):
             found = f"--bind {bind}" if bind else f"--port {port}"
-            raise ConfigError("command line", "", "--web or --view, which it belongs to", found)
+            expected = "--web or --view, which it belongs to"
+            raise ConfigError("command line", "", expected, found)
         with interrupt.caught(), watched(experiment):
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
@@ -71,11 +81,17 @@ def run_experiment(
                 from testbed.cli.dash import beside_run
 
                 board = beside_run(folder, view, bind or "127.0.0.1", port)
+            if console is not None:
+                from testbed.cli.console import page_beside
+
+                page = page_beside(folder, bind or "127.0.0.1", console)
             make = maker(rig, experiment, folder, operator)
             # without a terminal, a flight in real time prints status lines
             operator.live = LiveTable(experiment, errors, None if rig == "twin" else LINE_S)
-            with redirect_stdout(sys.stderr), noted_on_twin(rig, experiment):
-                metrics = fly_and_judge(experiment, folder, interrupt, make, speed, operator.live)
+            with redirect_stdout(sys.stderr), noted_on_twin(rig, experiment, folder):
+                metrics = fly_and_judge(
+                    experiment, folder, interrupt, make, speed, operator.live, utc_ns()
+                )
             write_metrics(folder, metrics)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
@@ -83,18 +99,20 @@ def run_experiment(
                 print_result(metrics, experiment, folder)
             report(folder, experiment)
     except (ConfigError, ViewerError, UnusableLawError, LawError) as error:
-        if board is not None:
-            board.terminate()
-            board.wait()
+        for one in (board, page):
+            if one is not None:
+                one.terminate()
+                one.wait()
         if folder is not None:
             take_back(folder)
         return refuse(error)
     except FolderError as error:
         return refuse(error)
-    if view == "web" and board is not None:
+    pages = [one for one in (board if view == "web" else None, page) if one is not None]
+    if pages:
         from testbed.cli.dash import leave
 
-        leave(board)
+        leave(pages)
     if metrics.red:
         for reason in metrics.red:
             errors.print(f"red: {reason}", style="red", markup=False, soft_wrap=True)
@@ -115,13 +133,14 @@ def on_this_machine(experiment: Experiment, rig: str) -> Experiment:
     return local(experiment)
 
 
-def noted_on_twin(rig: str, experiment: Experiment) -> AbstractContextManager[None]:
+def noted_on_twin(rig: str, experiment: Experiment, folder: Path) -> AbstractContextManager[None]:
     """Registers the flight for `testbed stop`; a host on bench or table does that itself."""
     if rig != "twin":
         return nullcontext()
     return noted(
         "", "", vehicles=list(experiment.vehicles), name=experiment.name, pid=process_to_end(),
         say=lambda text: errors.print(text, style="yellow", markup=False, soft_wrap=True),
+        folder=folder,
     )  # fmt: skip
 
 
@@ -142,6 +161,7 @@ def maker(
     """The function that builds this rig."""
     if rig == "twin":
         return make_twin
+    from testbed.console.checklist import write_checks
     from testbed.rig.wired.host import WireRig, anybody
 
     latch, latched = operator.latched(rig, experiment, str(folder))
@@ -149,4 +169,5 @@ def maker(
         experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched,
         agree=operator.agree if rig == "table" else anybody,
         say=lambda text: errors.print(text, markup=False, soft_wrap=True),
+        checked=partial(write_checks, folder),
     )  # fmt: skip

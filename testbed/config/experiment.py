@@ -10,10 +10,10 @@ from testbed.core.fault_injection import Injection
 from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
 from testbed.core.vehicle import Positive, Vehicle
-from testbed.flight.agent import FlightParams
 from testbed.flight.arming import ArmingParams
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import GuidanceParams
+from testbed.flight.parameters import FlightParams
 from testbed.metrics.run_metrics import Criteria
 
 Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]  # the range of integers in TOML

@@ -65,7 +65,7 @@ def _is_ours_throughout(kind: Any) -> bool:
     if isinstance(kind, types.Array):
         return _is_ours_throughout(kind.dtype)
     known = (types.Number, types.Boolean, types.UnicodeType, types.Literal, types.NoneType)
-    return isinstance(kind, (*known, types.Omitted))
+    return isinstance(kind, (*known, types.Omitted, types.Record))  # a record has numbers only
 
 
 class OwnTypesCache(FunctionCache):
@@ -99,12 +99,13 @@ def inlined(function: F) -> F:
 
 
 def pasted(function: F) -> F:
-    """Compile `function` only as part of its callers.
+    """The same, compiled as part of its callers.
 
-    For a function with many arguments and one caller: it is compiled once and not twice. No call
-    holds references to its arguments, so the caller must `keep` the arguments that it borrows.
+    For a function with one caller: machine code of a function is optimised again in each of its
+    callers, and theirs, so every level of calls costs seconds of compiling. No call holds
+    references to its arguments, so the caller must `keep` the arguments that it borrows.
     """
-    return cast(F, numba.njit(error_model="numpy", inline="always")(function))
+    return _compiled(function, inline="always")
 
 
 def settled(function: F) -> F:
@@ -118,6 +119,8 @@ def settled(function: F) -> F:
     This is not checked (tests/experiments/test_settled.py flies with the types compared at every
     call).
     """
+    if cast(Any, config).DISABLE_JIT:  # plain Python, for a debugger
+        return function
     direct: Callable[..., Any] | None = None
     whole: list[int] = []  # indices of integer arguments
 
@@ -155,11 +158,13 @@ def _look(value: Any) -> Any:
         raise TypeError(f"expected arrays, tuples and numbers, found a {type(value).__name__}")
     if isinstance(value, np.ndarray):
         return value.dtype, value.ndim, value.flags.num
+    if isinstance(value, np.void):  # a record
+        return value.dtype
     return (type(value), *map(_look, value)) if isinstance(value, tuple) else type(value)
 
 
-def _compiled(function: F, *, forceinline: bool = False) -> F:
-    dispatcher: Any = numba.njit(**LEAN, forceinline=forceinline)(function)
+def _compiled(function: F, **options: Any) -> F:
+    dispatcher: Any = numba.njit(**LEAN, **options)(function)
     if is_ours(function):
         dispatcher._cache = OwnTypesCache(function)  # as `cache=True`, with another class
     return cast(F, dispatcher)

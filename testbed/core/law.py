@@ -17,6 +17,7 @@ to them.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
@@ -134,25 +135,29 @@ class Law(Protocol):
 
 
 def rate_of(law, law_state, own, neighbours, world, t):
-    """Force and rate of a law's state; compiled code selects the law by the type of its gains.
+    """Force and rate of a law's state; the law is selected by the type of its gains.
 
-    This is the plain Python version, where `law` is an object with a method `rate`.
+    This is the plain Python version, where `law` may also be an object with a method `rate`.
     """
-    return law.rate(law_state, own, neighbours, world, t)
+    return _plain(_RATES, law, "rate")(law_state, own, neighbours, world, t)
 
 
 def jump_of(law, law_state, own, neighbours, world, t):
     """A law's state after a jump of its discrete parts; most laws have none."""
-    return law.jump(law_state, own, neighbours, world, t) if hasattr(law, "jump") else law_state
+    jump = _plain(_JUMPS, law, "jump")
+    return law_state if jump is None else jump(law_state, own, neighbours, world, t)
 
 
 def broadcast_of(law, law_state, own, neighbours, world, t):
     """A law's message to the others, shape (k,); most laws send none."""
-    return (
-        law.broadcast(law_state, own, neighbours, world, t)
-        if hasattr(law, "broadcast")
-        else np.zeros(0)
-    )
+    said = _plain(_BROADCASTS, law, "broadcast")
+    return np.zeros(0) if said is None else said(law_state, own, neighbours, world, t)
+
+
+def _plain(table: dict[type, Callable], law: Any, verb: str) -> Any:
+    """A law's function: registered for its gains, or the law's own method; None: it has none."""
+    found = table.get(type(law))
+    return getattr(law, verb, None) if found is None else partial(found, law)
 
 
 _RATES: dict[type, Callable] = {}  # by the type of a law's gains

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from testbed.config.experiment import Experiment
+from testbed.core.types import Tick
 from testbed.dashboard.columns import Columns
 from testbed.dashboard.static_scene import plain
-from testbed.logs.feed import SeenTick
 from testbed.report.goal_error import GoalError, goal_at
 
 
@@ -18,7 +18,7 @@ class AimScene:
         self._scenario, self._columns = scenario, columns
         self._goal_error = GoalError(scenario)
 
-    def draw(self, newest: Mapping[str, SeenTick], t: float) -> None:
+    def draw(self, newest: Mapping[str, Tick], t: float) -> None:
         """Draw the frame at `t`, from the newest tick of each vehicle."""
         states = {n: s for n, tick in newest.items() if (s := tick.outputs.state) is not None}
         if states:

@@ -10,10 +10,10 @@ import numpy as np
 import rerun as rr
 
 from testbed.config.experiment import Experiment
-from testbed.core.types import State
+from testbed.core.types import HostTick, State, Tick
 from testbed.dashboard.scene_wires import VALVE_STATES
 from testbed.dashboard.static_scene import FLAME, LAYER, PLUME
-from testbed.logs.feed import Loop, News, SeenHost, SeenTick
+from testbed.logs.feed import Loop, News
 
 MEAN_S = 1.0  # averaging time of forces: single pulses last milliseconds
 
@@ -31,14 +31,14 @@ class PlotScene:
 
     def draw(self, news: Sequence[News]) -> None:
         """Draw new messages."""
-        ticks: dict[str, list[SeenTick]] = {}
-        hosts: dict[str, list[SeenHost]] = {}
+        ticks: dict[str, list[Tick]] = {}
+        hosts: dict[str, list[HostTick]] = {}
         loops: list[Loop] = []
         for one in news:
             match one.message:
-                case SeenTick() as tick:
+                case Tick() as tick:
                     ticks.setdefault(one.who, []).append(tick)
-                case SeenHost() as host:
+                case HostTick() as host:
                     hosts.setdefault(one.who, []).append(host)
                 case Loop() as loop:
                     loops.append(loop)
@@ -56,7 +56,7 @@ class PlotScene:
             path, [rr.TimeColumn("t", duration=t)], rr.Scalars.columns(scalars=values)
         )
 
-    def _ticks(self, name: str, flown: list[SeenTick]) -> None:
+    def _ticks(self, name: str, flown: list[Tick]) -> None:
         """Draw all plots of one vehicle's ticks."""
         setup, t = self._scenario.vehicles[name], [tick.inputs.t for tick in flown]
         period = self._scenario.flight.jet_period_s
@@ -122,7 +122,7 @@ class PlotScene:
         self._column(f"plot/clearance/{name}", [t for t, _ in seen], gaps)
         self._column("plot/clearance/limit", [t for t, _ in seen], [0.0] * len(seen))
 
-    def _jets(self, name: str, flown: list[SeenTick], period: float) -> None:
+    def _jets(self, name: str, flown: list[Tick], period: float) -> None:
         """Draw plumes, with a length proportional to the jet's duty cycle."""
         jets = self._scenario.vehicles[name].model.jets
         if not jets:
@@ -159,7 +159,7 @@ class PlotScene:
             rr.Mesh3D.columns(vertex_positions=points.reshape(-1, 3)).partition([3 * m] * n),
         )
 
-    def _valves(self, name: str, flown: list[SeenTick], delay: float) -> None:
+    def _valves(self, name: str, flown: list[Tick], delay: float) -> None:
         """Draw the opening and closing of each valve."""
         for jet in range(len(self._scenario.vehicles[name].model.jets)):
             times, states = [], []
@@ -180,7 +180,7 @@ class PlotScene:
                     rr.StateChange.columns(state=states),
                 )
 
-    def _heard(self, name: str, told: list[SeenHost]) -> None:
+    def _heard(self, name: str, told: list[HostTick]) -> None:
         """Draw age and loss of the states that the host receives from a vehicle."""
         rows = [(h.inputs.t, h.inputs.own) for h in told if h.inputs.own is not None]
         if rows:

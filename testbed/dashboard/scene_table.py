@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from testbed.config.experiment import Experiment
 from testbed.core.codes import Response
+from testbed.core.types import HostTick, Tick
 from testbed.dashboard.banner import AMBER, GREEN, GREY, Banner, picture
 from testbed.dashboard.banner import RED as ALARM
 from testbed.dashboard.columns import Columns, Label, Lines
@@ -23,7 +24,7 @@ from testbed.dashboard.static_scene import (
 from testbed.dashboard.static_scene import (
     GREY as LINK,
 )
-from testbed.logs.feed import SeenHost, SeenPace, SeenPhase, SeenTick, pose_of, stopping_point
+from testbed.logs.feed import SeenPace, SeenPhase, pose_of, stopping_point
 from testbed.logs.history import Happening, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
 from testbed.report.fault_story import OVER, SUPERVISOR, Story, Trouble
@@ -50,8 +51,8 @@ class TableScene:
     def __init__(self, scenario: Experiment, columns: Columns) -> None:
         self._scenario, self._columns = scenario, columns
         self._names = list(scenario.vehicles)
-        self._newest: dict[str, SeenTick] = {}
-        self._heard: dict[str, SeenHost] = {}
+        self._newest: dict[str, Tick] = {}
+        self._heard: dict[str, HostTick] = {}
         self._places: dict[str, Place] = {}
         self._trails: dict[str, list[tuple[float, float, float]]] = {n: [] for n in self._names}
         self._trail_due = 0.0  # [s]
@@ -98,16 +99,16 @@ class TableScene:
 
     def _take(
         self, frame: Frame
-    ) -> tuple[dict[str, list[SeenTick]], list[Truth], list[tuple[str, Happening]]]:
+    ) -> tuple[dict[str, list[Tick]], list[Truth], list[tuple[str, Happening]]]:
         """Ticks by vehicle, truths and events of a frame; stores the newest of each."""
-        ticks: dict[str, list[SeenTick]] = {}
+        ticks: dict[str, list[Tick]] = {}
         truths: list[Truth] = []
         said: list[tuple[str, Happening]] = []
         for _, who, t, message in frame.news:
             match message:
-                case SeenTick() if who in self._trails:
+                case Tick() if who in self._trails:
                     ticks.setdefault(who, []).append(message)
-                case SeenHost():
+                case HostTick():
                     self._heard[who] = message
                 case Truth():
                     truths.append(message)
@@ -141,7 +142,7 @@ class TableScene:
             self._columns.add("lines", f"{path}/cross", t, cross)
         self._culprits = culprits
 
-    def _poses(self, k: int, name: str, flown: list[SeenTick], truths: list[Truth]) -> None:
+    def _poses(self, k: int, name: str, flown: list[Tick], truths: list[Truth]) -> None:
         """Draw the true pose if the rig knows it, otherwise the estimate."""
         rows = [
             (one.t, m.x, m.y, m.theta) for one in truths if (m := one.vehicles.get(name))

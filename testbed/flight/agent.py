@@ -1,54 +1,52 @@
-"""One vehicle's flight chain: a pure step from inputs to outputs.
+"""One vehicle on board: the compiled chain with its memory, and structs round it.
 
-    samples -> estimator -> [guidance, if on board] -> tracker -> fault monitor -> safety filter
-            -> allocator -> modulator -> gate -> valve command
-
-No clock, no socket, no file, no randomness. The same inputs in the same order give the same
-outputs bit for bit, which is what replay checks.
+The chain knows codes and numbers only. Here the inputs become the tick's record, and the record
+becomes the outputs, with the names and words that belong to its codes.
 """
 
-import numpy as np
-from msgspec import Struct, field
-from msgspec.structs import replace
+from collections.abc import Iterable, Sequence
+from itertools import chain as chained
+from typing import Any
 
-from testbed.core.codes import FaultReport, InhibitReason, Refusal
-from testbed.core.compiled import compiled, settled
+import numpy as np
+from msgspec.structs import astuple
+
+from testbed.core.codes import (
+    Detector,
+    FaultReport,
+    InhibitReason,
+    Intervention,
+    Refusal,
+    Response,
+)
+from testbed.core.compiled import settled
 from testbed.core.types import (
+    Accel,
     Demand,
     Inputs,
     LawMessage,
     Outputs,
+    Pose,
+    PoseSample,
     Reference,
     Setpoint,
     State,
+    Trajectory,
+    Twist,
     ValveCommand,
     Wrench,
 )
-from testbed.core.vehicle import Positive, Vehicle
-from testbed.flight.allocation import Allocator, AllocatorParams
-from testbed.flight.barrier import BarrierParams
-from testbed.flight.ending import EndingParams
-from testbed.flight.estimator import Estimator, EstimatorParams
-from testbed.flight.gate import Gate, GateParams, closed
+from testbed.core.vehicle import Vehicle
+from testbed.flight import chain
+from testbed.flight.barrier import Barrier
+from testbed.flight.estimator import Array
+from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance
-from testbed.flight.modulation import ModulatorParams, SigmaDeltaParams, make_modulator
-from testbed.flight.safety import CALM, Safety
-from testbed.flight.tracker import Tracker, TrackerParams, brake, due
-
-STILL = Wrench(0.0, 0.0, 0.0)
-
-
-class FlightParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """Parameters of the chain on board."""
-
-    jet_period_s: Positive = 0.1
-    modulator: ModulatorParams = field(default_factory=SigmaDeltaParams)
-    estimator: EstimatorParams = field(default_factory=EstimatorParams)
-    tracker: TrackerParams = field(default_factory=TrackerParams)
-    allocator: AllocatorParams = field(default_factory=AllocatorParams)
-    gate: GateParams = field(default_factory=GateParams)
-    barrier: BarrierParams = field(default_factory=BarrierParams)
-    ending: EndingParams = field(default_factory=EndingParams)
+from testbed.flight.jet_faults import leaks
+from testbed.flight.memory import make_memory
+from testbed.flight.nearby import Nearby
+from testbed.flight.parameters import Parameters
+from testbed.flight.record import DEMAND, DONE, NO_SETPOINT, ROW, STATE, TOLD, TRAJECTORY, packing
 
 
 def lead_time(vehicle: Vehicle) -> float:
@@ -56,184 +54,231 @@ def lead_time(vehicle: Vehicle) -> float:
     return vehicle.command_delay_s + vehicle.valve.open_delay_s
 
 
+RESPONSES = tuple(Response)
+REASONS = {one.value: one for one in InhibitReason}
+IN, OUT = packing(TOLD), packing(STATE, DONE)
+ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
+NO_REFERENCES = np.zeros((0, 10))
+
+
 class Agent:
     """One vehicle's flight chain. `guidance` is given if its law runs on board."""
 
     def __init__(
         self,
-        params: FlightParams,
-        vehicle: Vehicle,
-        estimator: Estimator,
-        gate: Gate,
+        params: Parameters,
+        lead: float,
+        plans: int,
+        faults: FaultTable,
+        barrier: Barrier | None,
+        nearby: Nearby,
         guidance: Guidance | None = None,
-        safety: Safety | None = None,
     ) -> None:
-        self._safety = safety
-        # a law and the collision filter need the neighbours' states
-        self.hears_neighbours = guidance is not None or safety is not None
-        self._vehicle, self._period = vehicle, params.jet_period_s
-        self._lead = lead_time(vehicle)
-        self._estimator, self._gate, self._guidance = estimator, gate, guidance
-        self._tracker = Tracker(params.tracker, vehicle)
-        self._allocator = Allocator(params.allocator, vehicle)
-        self._brake_decel = params.tracker.brake_decel
-        self._stop: Reference | None = None
-        self._law_error = ""  # exception of the law on board
-        self._seq = 0
-        valve = vehicle.valve
-        # commanded time minus time of flow
-        stretch = (valve.open_delay_s - valve.close_delay_s) + 0.5 * (
-            valve.open_ramp_s - valve.close_ramp_s
-        )
-        # the modulator works with times of flow, so it carries over what the board cannot execute
-        flow = replace(
-            valve,
-            min_on_s=max(0.0, valve.min_on_s - stretch),
-            min_off_s=max(0.0, valve.min_off_s + 0.5 * stretch),
-        )
-        self._stretch, in_flow = stretch, replace(vehicle, valve=flow)
-        self._in_microseconds = settled(in_microseconds)
-        self._modulator = make_modulator(params.modulator, in_flow, params.jet_period_s)
+        """Fly with these constants.
 
-    @property
-    def guidance(self) -> Guidance | None:
-        """The guidance, if the law runs on board."""
-        return self._guidance
+        Args:
+            params: of the chain.
+            lead: see `lead_time` [s].
+            plans: that the estimator remembers; they must cover the longest pose loss.
+            faults: the table that `params.rows` was made from.
+            barrier: the same filter as in `params`; None: switched off.
+            nearby: what the vehicle may touch, for the words of a fault.
+            guidance: of the law on board.
+        """
+        self.params, self.guidance, self._nearby = params, guidance, nearby
+        self._lead, self._faults, self._barrier = lead, list(faults.items()), barrier
+        self._jets = params.jets.gas.shape[0]
+        looks, rows = params.jets_known.shown.shape[0], len(faults)
+        self.memory, self.everything = make_memory(self._jets, plans, looks, rows)
+        self._row = np.zeros(1, ROW)
+        self._bytes = self._row.view(np.uint8).data
+        self._law_error = ""  # exception of the law on board
+        self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
+        self._see, self._act = settled(chain.see), settled(chain.act)
+        self._step = settled(chain.step)
 
     def step(self, inputs: Inputs) -> Outputs:
         """One tick: call it once per jet period, with time increasing."""
-        t = inputs.t
-        effect_at = t + self._lead
-        self._estimator.update(inputs.samples, t)
-        state = self._estimator.predict(effect_at, now=t)
-        end = inputs.vitals.end
-        setpoint, message = None if end else inputs.setpoint, None
-        if self._guidance is not None and not end:
-            setpoint, message = self._guided(effect_at, state, inputs)
-        active_setpoint, commanded_wrench = self._aim(setpoint, state, effect_at)
-        thrust_scale = inputs.health.supply_pressure / self._vehicle.air.set_pressure
-        acted, braking, done = CALM, False, None
-        if self._safety is not None:
-            acted = self._safety.act(
-                inputs, effect_at, state, setpoint, commanded_wrench, thrust_scale, self._law_error
-            )
-            commanded_wrench, braking, done = (
-                acted.commanded_wrench,
-                acted.braking,
-                acted.inhibit_reason,
-            )
-        refused = self._gate.refuse(
-            effect_at, inputs.armed, state, setpoint, commanded_wrench, inputs.health,
-            session_ok=inputs.vitals.session_ok, braking=braking,
-        )  # fmt: skip
-        refused = refused or done
-        # a vehicle that the gate has shut, or that is disarmed at the end, cannot brake
-        air_off = acted.air_off or (inputs.armed and self._gate.fault is not None)
-        if end and (not inputs.armed or self._safety is None):
-            refused, air_off = refused or Refusal(InhibitReason.FLIGHT_OVER), True
-        command, realised_wrench = self._plan(
-            t, commanded_wrench if refused is None else STILL, thrust_scale
-        )
-        if refused is not None:
-            command, realised_wrench = closed(command), STILL
-        self._estimator.remember(command)
-        if self._safety is not None:
-            self._safety.remember(command, thrust_scale)
-        return Outputs(
-            t, state, active_setpoint, commanded_wrench, realised_wrench, command,
-            refused, acted.fault or reported(self._gate.fault), message,
-            acted.holding, acted.response, acted.filtered, air_off,
+        setpoint, message = None if inputs.vitals.end else inputs.setpoint, None
+        samples, others = poses(inputs.samples), self._others(inputs)
+        rows, references = self._row, NO_REFERENCES
+        if self.guidance is not None:
+            self._tell(inputs, None)
+            self._see(self.params, self.memory, rows, samples)
+            setpoint, message = self._guided(self.guidance, inputs)
+        self._tell(inputs, setpoint)
+        if isinstance(setpoint, Trajectory):
+            references = rows_of(setpoint.references)
+        if self.guidance is None:
+            self._step(self.params, self.memory, rows, samples, references, others)
+        else:
+            self._act(self.params, self.memory, rows, samples, references, others)
+        return self._outputs(inputs, setpoint, message)
+
+    def _tell(self, inputs: Inputs, setpoint: Setpoint | None) -> None:
+        """Write the inputs into the tick's record, in the order of record.TOLD."""
+        health, vitals = inputs.health, inputs.vitals
+        IN.pack_into(
+            self._bytes, 0, inputs.t, inputs.t + self._lead, inputs.armed, vitals.end,
+            health.supply_pressure, health.tank_pressure, health.battery, health.silent_s,
+            vitals.session_ok, vitals.operator_age, vitals.clock_offset, vitals.late_s,
+            vitals.disk_free, vitals.same_config, vitals.foreign,
+            bool(self._law_error or vitals.law_error), vitals.fleet is not None,
+            *numbers_of(setpoint),
         )  # fmt: skip
 
+    def _others(self, inputs: Inputs) -> Array:
+        """The neighbours as the safety filter and the detectors take them."""
+        rows: list[float] = []  # one after the other
+        for name, one in inputs.neighbours.items():
+            pose, twist = one.pose, one.twist
+            keep = 0.0 if self._barrier is None else self._barrier.keep[name]
+            rows += (pose.x, pose.y, twist.vx, twist.vy, keep, one.t)
+        return np.array(rows, dtype=np.float64).reshape(-1, 6)
+
     def _guided(
-        self, t: float, state: State | None, inputs: Inputs
+        self, guidance: Guidance, inputs: Inputs
     ) -> tuple[Setpoint | None, LawMessage | None]:
         """The setpoint of the law on board; its model starts when the vehicle is armed."""
-        if self._guidance is None or state is None or not inputs.armed or self._law_error:
+        state, _ = taken(self._bytes)
+        if inputs.vitals.end or state is None or not inputs.armed or self._law_error:
             return None, None
         try:
-            setpoint = self._guidance.step(t, state, inputs.neighbours, inputs.messages)
+            setpoint = guidance.step(state.t, state, inputs.neighbours, inputs.messages)
         except Exception as error:  # after any exception of the law the vehicle flies to a stop
             self._law_error = f"{type(error).__name__}: {error}"
             return None, None
-        return setpoint, self._guidance.message
+        return setpoint, guidance.message
 
-    def _aim(
-        self, setpoint: Setpoint | None, state: State | None, t: float
-    ) -> tuple[Reference | Demand | None, Wrench]:
-        """The setpoint at `t`, and the wrench for it.
+    def _outputs(
+        self, inputs: Inputs, setpoint: Setpoint | None, message: LawMessage | None
+    ) -> Outputs:
+        """The tick's record as structs, with names and words for its codes."""
+        state, done = taken(self._bytes)
+        (
+            seq, stopping, t, x, y, theta, vx, vy, omega, ax, ay, alpha, fx, fy, tau,
+            realised_fx, realised_fy, realised_tau, response, fault, holding, other, oldest,
+            leak, hazard, dfx, dfy, _, inhibit, gate_fault, air_off,
+        ) = done  # fmt: skip
+        active: Reference | Demand | None = None
+        if setpoint is not None and state is not None:
+            active = setpoint if isinstance(setpoint, Demand) else None
+            if stopping or active is None:
+                accel = Accel(ax, ay, alpha)
+                active = Reference(t, Pose(x, y, theta), Twist(vx, vy, omega), accel)
+        filtered = None
+        if hazard >= 0 and self._barrier is not None:
+            named = self._barrier.hazard(hazard, inputs.neighbours)
+            filtered = Intervention(dfx, dfy, *named)
+        if leak > ALERT and state is not None:
+            self._nearby.look(inputs.t, state, inputs.neighbours)
+        if fault != self._fault[0]:
+            names = ("", *inputs.neighbours)
+            told = inputs, names[other + 1], names[oldest + 1]
+            self._fault = fault, None if fault < 0 else self._report(fault, *told)
+        refusal = self._refusal(inhibit, gate_fault) if inhibit else None
+        report = self._fault[1]
+        if report is None and gate_fault:
+            report = reported(self._refusal(gate_fault, gate_fault))
+        times = self.memory.times.astype(np.int64).tolist()
+        now = inputs.t
+        return Outputs(
+            now, state, active, Wrench(fx, fy, tau),
+            Wrench(realised_fx, realised_fy, realised_tau),
+            ValveCommand(
+                seq, now, now + self.params.gains.period,
+                tuple(times[: self._jets]), tuple(times[self._jets :]),
+            ),
+            refusal, report, message, self._holding() if holding else (), RESPONSES[response],
+            filtered, air_off == 1,
+        )  # fmt: skip
 
-        An expired setpoint is not flown: the vehicle comes to rest and waits for the next. The gate
-        limits the wait.
-        """
-        if setpoint is None or state is None:
-            return None, STILL
-        if t <= setpoint.valid_until:
-            self._stop = None
-        elif self._stop is None:
-            self._stop = brake(state, self._brake_decel)
-        if self._stop is not None:
-            reference = self._stop
-        elif isinstance(setpoint, Demand):
-            return setpoint, self._tracker.obey(state, setpoint, self._period)
-        else:
-            reference = due(setpoint, t)
-        return reference, self._tracker.track(state, reference)
+    def _holding(self) -> tuple[str, ...]:
+        """Ids of all rows of the fault table that hold now."""
+        holds = self.memory.counters.holds.tolist()
+        return tuple(name for (name, _), one in zip(self._faults, holds, strict=True) if one)
 
-    def _plan(
-        self, t: float, commanded_wrench: Wrench, thrust_scale: float
-    ) -> tuple[ValveCommand, Wrench]:
-        """The plan for a wrench, and the mean wrench of the plan by the vehicle file's jet table.
+    def _refusal(self, code: int, gate_fault: int) -> Refusal:
+        """The reason with the values of its words."""
+        reason, values = REASONS[code], ()
+        if code == gate_fault:
+            values = self.memory.fixed[0].gate.values[: reason.words.count("{")].tolist()
+        return Refusal(reason, tuple(values))
 
-        The mean wrench includes the low supply pressure, which all jets share, but not the droop.
-        """
-        period, jets = self._period, len(self._vehicle.jets)
-        duty = self._allocator.allocate(
-            commanded_wrench, max(thrust_scale, 0.1), self._vehicle.air.droop
-        )
-        on, offset = self._modulator.pulses(duty)
-        times, fx, fy, tau = self._in_microseconds(
-            on, offset, self._stretch, period, self._allocator.effect
-        )
-        times_us = times.tolist()
-        self._seq += 1
-        command = ValveCommand(
-            self._seq, t, t + period, tuple(times_us[:jets]), tuple(times_us[jets:])
-        )
-        return command, Wrench(fx * thrust_scale, fy * thrust_scale, tau * thrust_scale)
+    def _report(self, k: int, inputs: Inputs, other: str, oldest: str) -> FaultReport:
+        """The report of row `k` of the fault table, which was latched at this tick."""
+        name, row = self._faults[k]
+        fleet = inputs.vitals.fleet if row.measures == Detector.FLEET else None
+        value = float(self.memory.counters.value[k])
+        said = self._said(row.measures, inputs, other, oldest)
+        return row.report(name, value, said, fleet and fleet.origin)
+
+    def _said(self, detector: Detector, inputs: Inputs, other: str, oldest: str) -> str:
+        """Text for a detector's number at this tick, if it has one."""
+        m, vitals = self.memory.fixed[0].jet_faults, inputs.vitals
+        touched = self._nearby.contact(inputs.t)
+        touched = touched and f"{touched} or "
+        match detector:
+            case Detector.JET_OPEN:
+                return str(m.leak.jet + 1)
+            case Detector.JET_LEAKS:
+                return f"{touched}valve leaks? jet {m.leak.jet + 1} gives {m.leak.share:.0%}"
+            case Detector.JET_MISSING:
+                return str(m.weak.jet + 1)
+            case Detector.JET_LEAKS_OR_WEAK:
+                or_weak = "" if leaks(m) else f" or jet {m.weak.jet + 1} gives too little"
+                return f"{touched}jet {m.leak.jet + 1} leaks{or_weak}"
+            case Detector.LAW_ERROR:
+                return self._law_error or vitals.law_error
+            case Detector.POSE_OF_ANOTHER:
+                return other
+            case Detector.NEIGHBOUR_AGE:
+                return oldest
+            case Detector.FLEET:
+                return "" if vitals.fleet is None else vitals.fleet.words
+        return ""
 
 
-def reported(refusal: Refusal | None) -> FaultReport | None:
+def reported(refusal: Refusal) -> FaultReport:
     """The report of a reason that the gate has latched."""
-    return None if refusal is None else FaultReport(refusal.code.name.lower(), refusal.words)
+    return FaultReport(refusal.code.name.lower(), refusal.words)
 
 
-@compiled
-def in_microseconds(on, offset, stretch, period, effect):
-    """Command times in whole microseconds for the wanted times of flow.
+def taken(record: memoryview) -> tuple[State | None, Sequence[Any]]:
+    """The estimate in a tick's record, and the numbers of its record.DONE."""
+    known, t, x, y, theta, vx, vy, omega, ax, ay, alpha, age, rejected, *done = OUT.unpack_from(
+        record, IN.size
+    )
+    if not known:
+        return None, done
+    twist, bias = Twist(vx, vy, omega), Accel(ax, ay, alpha)
+    return State(t, Pose(x, y, theta), twist, bias, age, rejected), done
 
-    Args:
-        on: shape (jets,) [s].
-        offset: shape (jets,) [s].
-        stretch: commanded time minus time of flow [s].
-        period: longest command [s].
-        effect: B, shape (3, jets), see jets.py.
 
-    Returns:
-        on, then offsets, shape (2 jets,) [us], and the mean wrench fx, fy, tau of these times.
-    """
-    jets = on.shape[0]
-    times = np.empty(2 * jets, dtype=np.int64)
-    fx = fy = tau = 0.0
-    for j in range(jets):
-        command = on[j]
-        if 0.0 < on[j] < period:
-            command = min(max(on[j] + stretch, 0.0), period)
-        start = min(max(offset[j] - 0.5 * (command - on[j]), 0.0), period - command)
-        times[j] = np.rint(1e6 * command)
-        times[jets + j] = np.rint(1e6 * start)
-        duty = 1e-6 * times[j] / period
-        fx += effect[0, j] * duty
-        fy += effect[1, j] * duty
-        tau += effect[2, j] * duty
-    return times, fx, fy, tau
+def poses(samples: Sequence[PoseSample]) -> Array:
+    """Rows (captured at, x, y, theta)."""
+    numbers = chained.from_iterable(map(astuple, samples))
+    return np.fromiter(numbers, np.float64, 4 * len(samples)).reshape(-1, 4)
+
+
+def rows_of(references: Iterable[Reference]) -> Array:
+    """Rows in the order of record.REFERENCE."""
+    rows: list[float] = []  # one after the other
+    for one in references:
+        pose, twist, accel = one.pose, one.twist, one.accel
+        rows += (
+            one.t, pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega,
+            accel.ax, accel.ay, accel.alpha,
+        )  # fmt: skip
+    return np.array(rows, dtype=np.float64).reshape(-1, 10)
+
+
+def numbers_of(setpoint: Setpoint | None) -> tuple[float, ...]:
+    """A setpoint as a record.SETPOINT."""
+    if setpoint is None:
+        return NO_SETPOINT, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if isinstance(setpoint, Trajectory):
+        begins = setpoint.references[0].t
+        return TRAJECTORY, begins, setpoint.valid_until, 0.0, 0.0, 0.0, 0.0, 0.0
+    one = setpoint
+    return DEMAND, one.t, one.valid_until, one.fx_w, one.fy_w, one.theta, one.omega, one.alpha

@@ -15,15 +15,14 @@ the problem is solved again.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled, settled
+from testbed.core.compiled import compiled
 from testbed.core.jets import effect_matrix, opposing_pairs
-from testbed.core.types import Wrench
 from testbed.core.vehicle import Jet, Point, Vehicle
 
 Array = NDArray[np.float64]
@@ -164,7 +163,7 @@ def duties(effect, gas, ceiling, wrench, torque_first):
         (n, WORTH_LESS),
         (n + 1, WORTH_MORE),
     ):  # s |w| instead of s: columns of length 1
-        length = np.sqrt(np.sum(columns[:, j] ** 2))
+        length = np.sqrt(np.sum(columns[:, j] * columns[:, j]))
         if length > 0.0:
             columns[:, j] /= length
             cost[j] = -worth
@@ -199,11 +198,33 @@ def against_droop(duty, droop):
     return np.minimum(1.0, duty * (1.0 + droop * max(0, open_jets - 1)))
 
 
+class Jets(NamedTuple):
+    """A vehicle's jets for compiled code."""
+
+    effect: Array  # B, shape (3, jets), see jets.py
+    gas: Array  # price of each, shape (jets,)
+    opposing: NDArray[np.int64]  # pairs that push against each other, shape (n, 2)
+    torque_first: bool
+    droop: float  # of the supply, per open jet
+
+
+def jets_of(params: AllocatorParams, vehicle: Vehicle) -> Jets:
+    """The jets of a vehicle file."""
+    numbers = in_numbers(vehicle.jets, vehicle.com)
+    return Jets(*numbers, params.priority == "torque", vehicle.air.droop)
+
+
 @compiled
-def made_up_for(effect, gas, thrust_scale, wrench, torque_first, opposing, droop):
-    """`one_sided`, then `against_droop`, in one call: each call of compiled code costs time."""
-    duty = one_sided(effect, gas, thrust_scale, wrench, torque_first, opposing)
-    return against_droop(duty, droop)
+def allocate(p, wrench, thrust_scale):
+    """Duty of each jet in [0, 1], shape (jets,).
+
+    Args:
+        p: Jets.
+        wrench: wanted mean (fx, fy, tau) over the period, torque about the centre of mass.
+        thrust_scale: supply pressure over set pressure.
+    """
+    duty = one_sided(p.effect, p.gas, thrust_scale, wrench, p.torque_first, p.opposing)
+    return against_droop(duty, p.droop)
 
 
 @compiled
@@ -229,28 +250,6 @@ def in_numbers(jets: Sequence[Jet], about: Point) -> tuple[Array, Array, NDArray
         np.array([jet.thrust for jet in jets]),
         np.array(opposing_pairs(jets), dtype=np.int64).reshape(-1, 2),
     )
-
-
-class Allocator:
-    """Duty of each jet for a wanted wrench."""
-
-    def __init__(self, params: AllocatorParams, vehicle: Vehicle) -> None:
-        self.effect, self._gas, self._opposing = in_numbers(vehicle.jets, vehicle.com)
-        self._torque_first = params.priority == "torque"
-        self._made_up_for = settled(made_up_for)
-
-    def allocate(self, wanted: Wrench, thrust_scale: float = 1.0, droop: float = 0.0) -> Array:
-        """Duties in [0, 1], shape (jets,).
-
-        Args:
-            wanted: mean wrench over the period, torque about the centre of mass.
-            thrust_scale: supply pressure over set pressure.
-            droop: of the supply, per open jet; compensated.
-        """
-        wrench = (wanted.fx, wanted.fy, wanted.tau)
-        return self._made_up_for(
-            self.effect, self._gas, thrust_scale, wrench, self._torque_first, self._opposing, droop
-        )
 
 
 def weakest_force(vehicle: Vehicle) -> float:

@@ -33,7 +33,7 @@ collisions-free multirobot systems", IEEE Transactions on Robotics 33(3), 2017, 
 braking distances; the split of the gap is ours.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -125,7 +125,7 @@ def nearest(fx, fy, planes, count, radius, slack):
     if size > radius:  # the rim of the disc alone
         x, y = fx * radius / size, fy * radius / size
         if feasible(x, y, planes, count, radius, slack):
-            best, bx, by = (size - radius) ** 2, x, y
+            best, bx, by = (size - radius) * (size - radius), x, y
     for i in range(count):
         gx, gy, h = planes[i, 0], planes[i, 1], planes[i, 2] + slack
         off = gx * fx + gy * fy - h
@@ -136,7 +136,7 @@ def nearest(fx, fy, planes, count, radius, slack):
             along = np.sqrt(radius * radius - h * h)
             for side in (-1.0, 1.0):
                 x, y = h * gx - side * along * gy, h * gy + side * along * gx
-                far = (x - fx) ** 2 + (y - fy) ** 2
+                far = (x - fx) * (x - fx) + (y - fy) * (y - fy)
                 if far < best and feasible(x, y, planes, count, radius, slack):
                     best, bx, by = far, x, y
         for j in range(i):
@@ -145,7 +145,7 @@ def nearest(fx, fy, planes, count, radius, slack):
                 continue
             k = planes[j, 2] + slack
             x, y = (h * planes[j, 1] - k * gy) / det, (gx * k - planes[j, 0] * h) / det
-            far = (x - fx) ** 2 + (y - fy) ** 2
+            far = (x - fx) * (x - fx) + (y - fy) * (y - fy)
             if far < best and feasible(x, y, planes, count, radius, slack):
                 best, bx, by = far, x, y
     return best < np.inf, bx, by
@@ -311,7 +311,10 @@ def guarded(t, fx, fy, px, py, vx, vy, bx, by, obstacles, others, limits, thrust
 
 
 class Barrier:
-    """One vehicle's safety filter, with the obstacles and the other vehicles."""
+    """One vehicle's safety filter, with the obstacles and the other vehicles.
+
+    The flight chain calls `guarded` with `limits` and `obstacles`; a reference model, `filter`.
+    """
 
     def __init__(
         self,
@@ -337,17 +340,16 @@ class Barrier:
             effort: share of `force` for planned stops; None: from `params`.
         """
         decel = (params.effort if effort is None else effort) * force / mass
-        self._limits = Limits(
+        self.limits = Limits(
             mass, force, decel, force / mass, period, period + params.reaction_s, params.max_speed,
             half[0] - params.edge_margin, half[1] - params.edge_margin,
         )  # fmt: skip
-        self._keep = {name: reach + params.vehicle_margin for name, reach in keep.items()}
+        self.keep = {name: reach + params.vehicle_margin for name, reach in keep.items()}
         self._names = list(obstacles)
-        self._obstacles = discs_of([
+        self.obstacles = discs_of([
             (*obstacle.position, *obstacle.velocity, obstacle.radius + params.obstacle_margin, 1.0)
             for obstacle in obstacles.values()
         ])  # fmt: skip
-        self.spare = np.inf  # see `filtered` [m]
         self._guarded = settled(guarded)
 
     def filter(
@@ -368,17 +370,17 @@ class Barrier:
         rows: list[float] = []  # one after the other
         for name, state in neighbours.items():
             pose, twist = state.pose, state.twist
-            rows += (pose.x, pose.y, twist.vx, twist.vy, self._keep[name], state.t)
+            rows += (pose.x, pose.y, twist.vx, twist.vy, self.keep[name], state.t)
         others = np.array(rows, dtype=np.float64).reshape(-1, 6)
-        x, y, hazard, self.spare = self._guarded(
+        x, y, hazard, _ = self._guarded(
             t, fx, fy, px, py, vx, vy, bx, by,
-            self._obstacles, others, self._limits, max(thrust_scale, WORST_SHARE),
+            self.obstacles, others, self.limits, max(thrust_scale, WORST_SHARE),
         )  # fmt: skip
         if hazard < 0:
             return fx, fy, None
-        return x, y, Intervention(x - fx, y - fy, *self._hazard(hazard, neighbours))
+        return x, y, Intervention(x - fx, y - fy, *self.hazard(hazard, neighbours))
 
-    def _hazard(self, row: int, neighbours: Mapping[str, State]) -> tuple[Hazard, str]:
+    def hazard(self, row: int, neighbours: Iterable[str]) -> tuple[Hazard, str]:
         """Kind and name of a hazard by its row: obstacles, neighbours, edges, speed limit."""
         names = (*self._names, *neighbours)
         if row >= len(names):

@@ -1,195 +1,167 @@
-"""The detectors of the fault table: each gives a number that measures a deviation.
+"""The detectors of the fault table: each gives a number that measures a deviation."""
 
-Each detector gets its data as arguments; only those that compare with earlier ticks have a memory.
-`Detectors.numbers` returns all numbers in the order of `codes.Detector`.
-"""
+from typing import NamedTuple
 
-import math
-from collections.abc import Mapping, Sequence
-
-from testbed.core.codes import Detector, FaultReport
-from testbed.core.types import Inputs, PoseSample, Setpoint, State, Trajectory, Wrench
-from testbed.core.vehicle import Vehicle
-from testbed.flight.gate import is_number
-from testbed.flight.jet_faults import Array, JetFaultDetector
-from testbed.flight.nearby import Nearby, place
+from testbed.core.compiled import compiled, pasted
+from testbed.core.se2 import length
+from testbed.flight import jet_faults
+from testbed.flight.jet_faults import look, pause
+from testbed.flight.record import NO_SETPOINT, record
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
 TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
 TRUSTED = 8  # most refused poses for evidence about valves
 SAME_CLOCK = 0.005  # largest clock offset for evidence about valves [s]
-ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
 FAR = 0.05  # a pose this far from the own prediction is not the own one [m]
 
 
-class Repeats:
-    """Counts identical poses from the cameras."""
+class Sensors(NamedTuple):
+    """Constants of a vehicle's detectors for compiled code."""
 
-    def __init__(self) -> None:
-        self._last: PoseSample | None = None
-        self._count = 0
-
-    def count(self, samples: Sequence[PoseSample]) -> int:
-        """Identical poses in a row after these samples; 0: the newest one differs."""
-        last, count = self._last, self._count
-        for s in samples:
-            same = last is not None and s.x == last.x and s.y == last.y and s.theta == last.theta
-            last, count = s, count + 1 if same else 0
-        self._last, self._count = last, count
-        return count
+    set_pressure: float  # of the supply [Pa]
+    full: float  # pressure of the full tank [Pa]
+    noisy: bool  # these cameras never repeat a pose exactly; others may, for a vehicle at rest
 
 
-def jump(before: State | None, samples: Sequence[PoseSample]) -> float:
+MEMORY = record(
+    gauged=int,  # 1: the tank has been read
+    gauged_at=float,  # [s]
+    tank=float,  # pressure then [Pa]
+    seen=int,  # 1: `last` is known
+    last=(3,),  # newest pose of the cameras
+    repeats=int,  # poses equal to it in a row before it
+    known=int,  # 1: `before` is known
+    before=(5,),  # last estimate: t, x, y, vx, vy
+)
+
+
+@pasted
+def compare(p, m, heard, row, duty, thrust_scale):
+    """Compare the motion with the flow of the last plan; see `jet_faults.look`.
+
+    Poses that are old, refused or of another clock are no evidence about valves.
+    """
+    state = row.state
+    ours = abs(row.told.clock_offset) < SAME_CLOCK
+    if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
+        look(p, m, heard, state, duty, thrust_scale)
+    else:
+        pause(p, m, heard)
+
+
+@compiled
+def measure(p, m, suspected, row, samples, neighbours, finite, spare):
+    """Write the detectors' numbers of this tick to `row.numbers`.
+
+    Args:
+        p: Sensors.
+        m: MEMORY, changed in place.
+        suspected: jet_faults.MEMORY.
+        row: record.ROW.
+        samples: rows (captured at, x, y, theta).
+        neighbours: rows as in `barrier.around`.
+        finite: whether the demanded wrench is.
+        spare: room left after a full stop [m].
+    """
+    told, state, done = row.told, row.state, row.done
+    age = rejected = 0.0
+    jumped = jump(m, samples)
+    done.other, done.oldest = whose(jumped, samples, neighbours), -1
+    m.known = state.known
+    if state.known == 1:
+        age, rejected = state.pose_age, float(state.rejected)
+        before = m.before
+        before[0], before[1], before[2] = state.t, state.x, state.y
+        before[3], before[4] = state.vx, state.vy
+    waited = overdue = 0.0
+    if told.setpoint.kind != NO_SETPOINT:
+        waited = told.effect_at - told.setpoint.t
+        overdue = told.effect_at - told.setpoint.valid_until
+    oldest = 0.0
+    for k in range(neighbours.shape[0]):
+        if told.t - neighbours[k, 5] > oldest:
+            oldest, done.oldest = told.t - neighbours[k, 5], k
+    leaks, is_weak = jet_faults.leaks(suspected), jet_faults.is_weak(suspected)
+    either = jet_faults.leaks_or_is_weak(suspected)
+    done.leak = jet_faults.sigmas(suspected.leak) if either else 0.0
+    numbers = (
+        abs(age),
+        float(count_repeats(m, samples)) if p.noisy else 0.0,
+        jumped,
+        1.0 if done.other >= 0 else 0.0,
+        rejected,
+        waited,
+        overdue,
+        oldest,
+        told.supply_pressure / p.set_pressure,
+        tank_loss(p, m, told.t, told.tank_pressure),
+        told.battery,
+        told.silent_s,
+        suspected.leak.share if leaks else 0.0,
+        jet_faults.sigmas(suspected.leak) if leaks else 0.0,
+        done.leak,
+        jet_faults.sigmas(suspected.weak) if is_weak else 0.0,
+        spare,
+        float(told.law_failed),
+        0.0 if finite else 1.0,
+        told.late_s,
+        told.operator_age,
+        abs(told.clock_offset),
+        0.0 if told.same_config == 1 else 1.0,
+        told.disk_free,
+        told.foreign,
+        float(told.fleet_failed),
+    )
+    for k in range(len(numbers)):
+        row.numbers[k] = numbers[k]
+
+
+@compiled
+def place(then, motion, t):
+    """Position at `t` of a vehicle that was at motion = (x, y, vx, vy), at constant velocity."""
+    h = t - then
+    return motion[0] + h * motion[2], motion[1] + h * motion[3]
+
+
+@compiled
+def jump(m, samples):
     """Distance of the newest pose from the prediction of the last estimate [m]."""
-    if before is None or not samples:
+    if m.known == 0 or samples.shape[0] == 0:
         return 0.0
     newest = samples[-1]
-    x, y = place(before, newest.captured_at)
-    return math.hypot(newest.x - x, newest.y - y)
+    x, y = place(m.before[0], m.before[1:], newest[0])
+    return length(newest[1] - x, newest[2] - y)
 
 
-def whose(
-    jumped: float, samples: Sequence[PoseSample], neighbours: Mapping[str, State]
-) -> str | None:
-    """The other vehicle whose prediction matches the newest pose; empty: none."""
-    if jumped <= FAR or not samples:
-        return None
-    newest = samples[-1]
-    for name, state in neighbours.items():
-        x, y = place(state, newest.captured_at)
-        if math.hypot(newest.x - x, newest.y - y) < min(SAME_PLACE, jumped):
-            return name
-    return None
+@compiled
+def whose(jumped, samples, neighbours):
+    """The neighbour whose prediction matches the newest pose; -1: none."""
+    if jumped > FAR and samples.shape[0] > 0:
+        newest = samples[-1]
+        for k in range(neighbours.shape[0]):
+            x, y = place(neighbours[k, 5], neighbours[k], newest[0])
+            if length(newest[1] - x, newest[2] - y) < min(SAME_PLACE, jumped):
+                return k
+    return -1
 
 
-def due_at(setpoint: Setpoint) -> float:
-    """The time from which a setpoint is meant to be flown [s]."""
-    return setpoint.references[0].t if isinstance(setpoint, Trajectory) else setpoint.t
+@compiled
+def count_repeats(m, samples):
+    """Identical poses in a row after these samples; 0: the newest one differs."""
+    for n in range(samples.shape[0]):
+        same = m.seen == 1
+        for i in range(3):
+            same = same and samples[n, i + 1] == m.last[i]
+            m.last[i] = samples[n, i + 1]
+        m.seen, m.repeats = 1, m.repeats + 1 if same else 0
+    return m.repeats
 
 
-class Detectors:
-    """All detectors of one vehicle."""
-
-    def __init__(
-        self, vehicle: Vehicle, evidence: JetFaultDetector, nearby: Nearby, *, noisy: bool
-    ) -> None:
-        """`noisy` cameras never repeat a pose exactly; others may, for a vehicle at rest."""
-        self._set_pressure, self._full = vehicle.air.set_pressure, vehicle.air.tank_pressure
-        self._tank: tuple[float, float] | None = None  # time [s] and pressure [Pa] at the last tick
-        self._repeats = Repeats() if noisy else None
-        self._evidence, self._nearby = evidence, nearby
-        self._before: State | None = None
-        self._law_error, self._other, self._oldest = "", "", ""  # see `said`
-        self._t = 0.0  # of this tick [s]
-        self.fleet: FaultReport | None = None  # fault of another vehicle, at this tick
-
-    def compare(self, inputs: Inputs, state: State, duty: Array, thrust_scale: float) -> None:
-        """Compare the motion with the flow of the last plan; see `JetFaultDetector.look`.
-
-        Poses that are old, refused or of another clock are no evidence about valves.
-        """
-        ours = abs(inputs.vitals.clock_offset) < SAME_CLOCK
-        if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
-            self._evidence.look(state, duty, thrust_scale)
-        else:
-            self._evidence.pause()
-
-    def numbers(
-        self, inputs: Inputs, state: State | None, setpoint: Setpoint | None,
-        commanded_wrench: Wrench, effect_at: float, spare: float, law_error: str,
-    ) -> tuple[float, ...]:  # fmt: skip
-        """The detectors' numbers at this tick.
-
-        Args:
-            inputs: of this tick.
-            state: estimate for `effect_at`.
-            setpoint: to be flown.
-            wanted: wrench of law or tracker.
-            effect_at: when the next plan begins to act [s].
-            spare: room left after a full stop [m].
-            raised: exception of the law.
-        """
-        vitals, health, samples = inputs.vitals, inputs.health, inputs.samples
-        law_error = law_error or vitals.law_error
-        age = rejected = 0.0
-        if state is not None:
-            age, rejected = state.pose_age, state.rejected
-        jumped = jump(self._before, samples)
-        other = whose(jumped, samples, inputs.neighbours) if jumped > FAR else None
-        self.fleet, self._law_error, self._other = vitals.fleet, law_error, other or ""
-        self._before = state
-        waited = overdue = 0.0
-        if setpoint is not None:
-            waited, overdue = effect_at - due_at(setpoint), effect_at - setpoint.valid_until
-        oldest = 0.0
-        for name, one in inputs.neighbours.items():
-            if inputs.t - one.t > oldest:
-                oldest, self._oldest = inputs.t - one.t, name
-        leak, weak = self._evidence.open, self._evidence.weak
-        may_leak = self._evidence.either[0]
-        if state is not None and may_leak.sigmas > ALERT:
-            self._nearby.look(inputs.t, state, inputs.neighbours)
-        self._t = inputs.t
-        return (
-            abs(age),
-            self._repeats.count(samples) if self._repeats is not None else 0,
-            jumped,
-            1.0 if other is not None else 0.0,
-            rejected,
-            waited,
-            overdue,
-            oldest,
-            health.supply_pressure / self._set_pressure,
-            self._tank_loss(inputs.t, health.tank_pressure),
-            health.battery,
-            health.silent_s,
-            leak.size,
-            leak.sigmas,
-            self._evidence.either[0].sigmas,
-            weak.sigmas,
-            spare,
-            1.0 if law_error else 0.0,
-            0.0
-            if is_number(commanded_wrench.fx, commanded_wrench.fy, commanded_wrench.tau)
-            else 1.0,
-            vitals.late_s,
-            vitals.operator_age,
-            abs(vitals.clock_offset),
-            0.0 if vitals.same_config else 1.0,
-            vitals.disk_free,
-            vitals.foreign,
-            0.0 if vitals.fleet is None else 1.0,
-        )
-
-    def said(self, detector: Detector) -> str:
-        """Text for a detector's number at this tick, if it has one."""
-        leak, weak = self._evidence.open, self._evidence.weak
-        touched = self._nearby.contact(self._t)
-        touched = touched and f"{touched} or "
-        match detector:
-            case Detector.JET_OPEN:
-                return str(leak.jet + 1)
-            case Detector.JET_LEAKS:
-                return f"{touched}valve leaks? jet {leak.jet + 1} gives {leak.size:.0%}"
-            case Detector.JET_MISSING:
-                return str(weak.jet + 1)
-            case Detector.JET_LEAKS_OR_WEAK:
-                may_leak, or_weak = self._evidence.either
-                other = "" if leak.gain > 0.0 else f" or jet {or_weak.jet + 1} gives too little"
-                return f"{touched}jet {may_leak.jet + 1} leaks{other}"
-            case Detector.LAW_ERROR:
-                return self._law_error
-            case Detector.POSE_OF_ANOTHER:
-                return self._other
-            case Detector.NEIGHBOUR_AGE:
-                return self._oldest
-            case Detector.FLEET:
-                return "" if self.fleet is None else self.fleet.words
-        return ""
-
-    def _tank_loss(self, t: float, pressure: float) -> float:
-        """Loss of the tank since the last tick, as a share of a full tank per second [1/s]."""
-        before, self._tank = self._tank, (t, pressure)
-        if before is None or t <= before[0]:
-            return 0.0
-        return (before[1] - pressure) / (self._full * (t - before[0]))
+@compiled
+def tank_loss(p, m, t, pressure):
+    """Loss of the tank since the last tick, as a share of a full tank per second [1/s]."""
+    loss = 0.0
+    if m.gauged == 1 and t > m.gauged_at:
+        loss = (m.tank - pressure) / (p.full * (t - m.gauged_at))
+    m.gauged, m.gauged_at, m.tank = 1, t, pressure
+    return loss

@@ -11,14 +11,3 @@ class EndingParams(Struct, frozen=True, forbid_unknown_fields=True):
     brake_s: Positive = 6.0  # upper limit at any speed
     margin: Positive = 2.0  # factor on the time that its speed needs at its jets' deceleration
     settle_s: NonNegative = 2.5  # added for the heading: 1.5 rad/s needs 2.2 s
-
-
-def longest_brake(params: EndingParams, speed: float, decel: float) -> float:
-    """Time limit of a stop [s].
-
-    Args:
-        params: of the experiment.
-        speed: at its beginning [m/s].
-        decel: deceleration that the jets can give in every direction [m/s^2].
-    """
-    return min(params.brake_s, params.settle_s + params.margin * speed / decel)

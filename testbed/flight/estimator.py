@@ -12,22 +12,19 @@ The centre of mass is taken at the body's origin here; the few millimetres betwe
 part of the bias.
 """
 
-from collections.abc import Sequence
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import astuple
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled, settled
+from testbed.core.compiled import compiled
 from testbed.core.jets import effect_matrix
 from testbed.core.pulse import Timing, open_time, timing
-from testbed.core.se2 import wrap, wrap_compiled
+from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
-from testbed.core.types import Accel, Pose, PoseSample, State, Twist, ValveCommand
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
+from testbed.flight.record import record
 
 Array = NDArray[np.float64]
 
@@ -100,6 +97,17 @@ class Model(NamedTuple):
     inertia: float  # [kg m^2]
     droop: float  # see vehicle.Air
     valve: Timing
+
+
+def model_of(vehicle: Vehicle) -> Model:
+    """The constants of a vehicle file."""
+    return Model(
+        effect_matrix(vehicle.jets, about=vehicle.com),
+        vehicle.mass,
+        vehicle.inertia,
+        vehicle.air.droop,
+        timing(vehicle.valve),
+    )
 
 
 @compiled
@@ -195,10 +203,42 @@ def correct(cov, noise):
     return pp * by, pv * by, pb * by
 
 
-# columns of `clock`: time of the state [s], capture time of the newest accepted sample [s],
-# recently refused samples (see FORGIVEN), refused samples in a row that are on a line, mean of
-# `off_line`
-T, NEWEST, REFUSED, AGREED, ROUGH_SO_FAR = range(5)
+class Filter(NamedTuple):
+    """Variances of the filter; position first, heading second."""
+
+    noise: Array  # of a pose [m^2, rad^2]
+    walk: Array  # white noise and bias walk of the acceleration, see `predict_covariance`; (4,)
+    start: Array  # bias of position and heading at the start (2,)
+    start_speed: float  # of the start "at rest"
+    gate: float  # innovations beyond this many sigmas are refused
+
+
+def filter_of(params: EstimatorParams, mocap: Mocap) -> Filter:
+    """The variances for a vehicle seen by these cameras."""
+    return Filter(
+        np.array([mocap.noise**2, np.radians(mocap.noise_deg) ** 2]) + 1e-16,
+        np.array([
+            params.force_noise**2, params.bias_walk**2,
+            params.torque_noise**2, params.spin_bias_walk**2,
+        ]),
+        np.array([params.bias_spread**2, params.spin_bias_spread**2]),
+        params.speed_spread**2,
+        params.gate_sigma,
+    )  # fmt: skip
+
+
+MEMORY = record(
+    started=int,  # 1: a pose has started the filter
+    t=float,  # of the state [s]
+    newest=float,  # capture time of the newest accepted sample [s]
+    refused=float,  # recently refused samples, see FORGIVEN
+    agreed=float,  # refused samples in a row that are on a line
+    rough=float,  # mean of `off_line`
+    x=(9,),  # x, y, theta, vx, vy, omega, bias of the three
+    cov=(3, 3),  # of position, velocity, bias in x, and in y
+    cov_spin=(3, 3),  # the same of the heading
+    last=(2, 4),  # the newest two samples: t, x, y, theta
+)
 
 
 @compiled
@@ -206,7 +246,7 @@ def doubt(cov, error, shove):
     """Enlarge the covariance in place: something pushed the vehicle."""
     cov[0, 0] += error * error
     cov[1, 1] += shove * shove
-    cov[2, 2] += (0.1 * shove) ** 2
+    cov[2, 2] += (0.1 * shove) * (0.1 * shove)
 
 
 @compiled
@@ -230,159 +270,112 @@ def off_line(last, sample, noise):
         last[0, i], last[1, i] = last[1, i], sample[i]
     if not known:
         return 1.0
-    width = 1.0 + (1.0 + ahead) ** 2 + ahead * ahead  # of three poses' noise
-    bend = (0.5 * step * (span + step)) ** 2
+    width = 1.0 + (1.0 + ahead) * (1.0 + ahead) + ahead * ahead  # of three poses' noise
+    bend = 0.5 * step * (span + step)
+    bend *= bend
     moved = 0.5 * (dx * dx + dy * dy) / (width * noise[0] + BEND * BEND * bend)
     return max(moved, turn * turn / (width * noise[1] + BEND_SPIN * BEND_SPIN * bend))
 
 
 @compiled
-def absorb(x, cov, cov_spin, clock, last, samples, now, fired, model, noise, walk, gate):
-    """Run the filter over `samples`, shape (n, 4), changing x, cov, cov_spin, clock, last in place.
+def update(p, model, m, fired, samples, now):
+    """Absorb poses in order of arrival; the first pose starts the filter at rest.
 
-    A sample captured before the filter's time is late and is skipped, because newer ones have been
-    used; so is a sample from after `now`, and one that is not finite.
+    A pose captured after `now` has a wrong clock. It is skipped, because accepting it would make
+    every later one appear late. A sample captured before the filter's time is late and is skipped,
+    because newer ones have been used; so is one that is not finite.
+
+    Args:
+        p: Filter.
+        model: of the vehicle.
+        m: MEMORY, changed in place.
+        fired: the last plans.
+        samples: rows (captured at [s], x [m], y [m], theta [rad]).
+        now: [s].
     """
-    t, newest, rough = clock[T], clock[NEWEST], clock[ROUGH_SO_FAR]
-    refused, agreed = clock[REFUSED], clock[AGREED]
     for n in range(samples.shape[0]):
-        captured = samples[n, 0]
-        whole = np.isfinite(samples[n, 1] + samples[n, 2] + samples[n, 3])
-        if not (t < captured <= now and whole):
+        sample = samples[n]
+        whole = np.isfinite(sample[0] + sample[1] + sample[2] + sample[3])
+        if not (whole and sample[0] <= now):
             continue
-        predict_mean(x, fired, model, t, captured)
-        predict_covariance(cov, captured - t, walk[0], walk[1])
-        predict_covariance(cov_spin, captured - t, walk[2], walk[3])
-        t = captured
-        same = np.hypot(x[3], x[4]) > SLOW or abs(x[5]) > SLOW_SPIN
-        for i in range(1, 4):
-            same = same and samples[n, i] == last[1, i]
-        dx = samples[n, 1] - x[0]
-        dy = samples[n, 2] - x[1]
-        turn = wrap_compiled(samples[n, 3] - x[2])
-        far = (dx * dx + dy * dy) / (cov[0, 0] + noise[0])
-        twisted = turn * turn / (cov_spin[0, 0] + noise[1])
-        off = off_line(last, samples[n], noise)
-        rough += RECENT * (min(off, AT_ONCE) - rough)
-        if same or rough > ROUGH or not (far <= gate * gate and twisted <= gate * gate):
-            refused += 1
-            near = np.hypot(dx, dy) <= JUMP and abs(turn) <= TURN
-            agreed = agreed + 1 if near and off <= LINE * LINE and not same else 0
-            if same or rough > ROUGH or refused < PATIENCE or agreed < ON_LINE:
-                continue
-            refused = 0
-            doubt(cov, np.hypot(dx, dy), SHOVE)
-            doubt(cov_spin, turn, SHOVE_SPIN)
-        gain = correct(cov, noise[0])
-        gain_spin = correct(cov_spin, noise[1])
-        for i in range(3):
-            x[3 * i] += gain[i] * dx
-            x[3 * i + 1] += gain[i] * dy
-            x[3 * i + 2] += gain_spin[i] * turn
-        newest, agreed = captured, 0
-        refused = max(0, refused - FORGIVEN)
-    clock[T], clock[NEWEST], clock[ROUGH_SO_FAR] = t, newest, rough
-    clock[REFUSED], clock[AGREED] = refused, agreed
+        if m.started == 0:
+            start(p, m, sample)
+        elif m.t < sample[0]:
+            absorb(p, model, m, fired, sample)
 
 
 @compiled
-def ahead(x, clock, fired, model, until):
-    """The state predicted to `until`, then capture time and refusals from `clock`, as one tuple."""
-    y = x.copy()
-    predict_mean(y, fired, model, clock[T], until)
-    return y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7], y[8], clock[NEWEST], clock[REFUSED]
+def start(p, m, sample):
+    """Start at rest at a pose."""
+    m.started = 1
+    m.t = m.newest = sample[0]
+    m.refused = m.agreed = 0.0
+    m.rough = 1.0
+    m.x[:], m.cov[:], m.cov_spin[:] = 0.0, 0.0, 0.0
+    m.x[0], m.x[1], m.x[2] = sample[1], sample[2], sample[3]
+    for i in range(4):
+        m.last[0, i] = m.last[1, i] = sample[i]
+    m.cov[0, 0], m.cov[1, 1], m.cov[2, 2] = p.noise[0], p.start_speed, p.start[0]
+    m.cov_spin[0, 0], m.cov_spin[1, 1], m.cov_spin[2, 2] = p.noise[1], p.start_speed, p.start[1]
 
 
-class Estimator:
-    """One vehicle's filter and its memory of fired plans."""
-
-    def __init__(
-        self, params: EstimatorParams, vehicle: Vehicle, mocap: Mocap, memory: int = 8
-    ) -> None:
-        """`memory` is the number of stored plans; they must cover the longest pose loss."""
-        self._params = params
-        self._delay = vehicle.command_delay_s
-        self._model = Model(
-            effect_matrix(vehicle.jets, about=vehicle.com),
-            vehicle.mass,
-            vehicle.inertia,
-            vehicle.air.droop,
-            timing(vehicle.valve),
-        )
-        self._noise = np.array([mocap.noise**2, np.radians(mocap.noise_deg) ** 2]) + 1e-16
-        self._walk = np.array(
-            [
-                params.force_noise**2,
-                params.bias_walk**2,
-                params.torque_noise**2,
-                params.spin_bias_walk**2,
-            ]
-        )
-        shape = (memory, len(vehicle.jets))
-        self._fired = Fired(
-            np.full(memory, -np.inf), np.full(memory, -np.inf), np.zeros(shape), np.zeros(shape)
-        )
-        self._x: Array | None = None
-        self._cov = np.zeros((3, 3))
-        self._cov_spin = np.zeros((3, 3))
-        self._clock = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
-        self._last = np.zeros((2, 4))  # samples
-        self._note, self._absorb = settled(note), settled(absorb)
-        self._ahead = settled(ahead)
-
-    def remember(self, command: ValveCommand) -> None:
-        """Store a plan that was sent; it drives the prediction."""
-        start, end = command.issued_at + self._delay, command.valid_until + self._delay
-        self._note(self._fired, start, end, np.array(command.on_us + command.offset_us))
-
-    def update(self, samples: Sequence[PoseSample], now: float) -> None:
-        """Absorb poses in order of arrival; the first pose starts the filter at rest.
-
-        A pose captured after `now` [s] has a wrong clock. It is skipped, because accepting it would
-        make every later one appear late.
-        """
-        if not samples:
+@compiled
+def absorb(p, model, m, fired, sample):
+    """Predict to a pose's capture time, then correct by it, or refuse it."""
+    x, cov, cov_spin, last, step = m.x, m.cov, m.cov_spin, m.last, sample[0] - m.t
+    predict_mean(x, fired, model, m.t, sample[0])
+    predict_covariance(cov, step, p.walk[0], p.walk[1])
+    predict_covariance(cov_spin, step, p.walk[2], p.walk[3])
+    m.t = sample[0]
+    same = np.hypot(x[3], x[4]) > SLOW or abs(x[5]) > SLOW_SPIN
+    for i in range(1, 4):
+        same = same and sample[i] == last[1, i]
+    dx = sample[1] - x[0]
+    dy = sample[2] - x[1]
+    turn = wrap_compiled(sample[3] - x[2])
+    far = (dx * dx + dy * dy) / (cov[0, 0] + p.noise[0])
+    twisted = turn * turn / (cov_spin[0, 0] + p.noise[1])
+    off = off_line(last, sample, p.noise)
+    m.rough += RECENT * (min(off, AT_ONCE) - m.rough)
+    limit = p.gate * p.gate
+    if same or m.rough > ROUGH or not (far <= limit and twisted <= limit):
+        m.refused += 1.0
+        near = np.hypot(dx, dy) <= JUMP and abs(turn) <= TURN
+        m.agreed = m.agreed + 1.0 if near and off <= LINE * LINE and not same else 0.0
+        if same or m.rough > ROUGH or m.refused < PATIENCE or m.agreed < ON_LINE:
             return
-        numbers = chain.from_iterable(map(astuple, samples))
-        table = np.fromiter(numbers, np.float64, 4 * len(samples)).reshape(-1, 4)
-        if self._x is None:
-            table = table[np.isfinite(table).all(axis=1) & (table[:, 0] <= now)]
-            if len(table) == 0:
-                return
-            self._start(table[0])
-        assert self._x is not None
-        self._absorb(
-            self._x, self._cov, self._cov_spin, self._clock, self._last, table, now, self._fired,
-            self._model, self._noise, self._walk, self._params.gate_sigma,
-        )  # fmt: skip
+        m.refused = 0.0
+        doubt(cov, np.hypot(dx, dy), SHOVE)
+        doubt(cov_spin, turn, SHOVE_SPIN)
+    gain = correct(cov, p.noise[0])
+    gain_spin = correct(cov_spin, p.noise[1])
+    for i in range(3):
+        x[3 * i] += gain[i] * dx
+        x[3 * i + 1] += gain[i] * dy
+        x[3 * i + 2] += gain_spin[i] * turn
+    m.newest, m.agreed = m.t, 0.0
+    m.refused = max(0.0, m.refused - FORGIVEN)
 
-    def _start(self, sample: Array) -> None:
-        x = np.zeros(9)
-        x[:3] = sample[1:]
-        self._x = x
-        self._clock[:] = sample[0], sample[0], 0.0, 0.0, 1.0
-        self._last[:] = sample
-        spread = self._params.speed_spread**2
-        self._cov = np.diag([self._noise[0], spread, self._params.bias_spread**2])
-        self._cov_spin = np.diag([self._noise[1], spread, self._params.spin_bias_spread**2])
 
-    def predict(self, t: float, now: float) -> State | None:
-        """The state at `t` >= the newest capture, or None before the first pose.
+@compiled
+def predict(model, m, fired, t, now, state):
+    """Write the estimate for `t` to `state`; before the first pose, that it is not known.
 
-        Args:
-            t: time of the prediction, usually a little ahead: when the next pulses take effect [s].
-            now: present time, for the age of the pose [s].
-        """
-        if self._x is None:
-            return None
-        px, py, theta, vx, vy, omega, bx, by, spin, newest, refused = self._ahead(
-            self._x, self._clock, self._fired, self._model, t
-        )
-        return State(
-            t,
-            Pose(px, py, wrap(theta)),
-            Twist(vx, vy, omega),
-            Accel(bx, by, spin),
-            pose_age=now - newest,
-            rejected=int(refused),
-        )
+    Args:
+        model: of the vehicle.
+        m: MEMORY.
+        fired: the last plans.
+        t: >= the newest capture, usually a little ahead: when the next pulses take effect [s].
+        now: present time, for the age of the pose [s].
+        state: record.STATE.
+    """
+    state.known = m.started
+    if m.started == 0:
+        return
+    x = m.x.copy()
+    predict_mean(x, fired, model, m.t, t)
+    state.t = t
+    state.x, state.y, state.theta = x[0], x[1], wrap_compiled(x[2])
+    state.vx, state.vy, state.omega = x[3], x[4], x[5]
+    state.ax, state.ay, state.alpha = x[6], x[7], x[8]
+    state.pose_age, state.rejected = now - m.newest, int(m.refused)

@@ -1,93 +1,111 @@
-"""Evaluates the fault table on one vehicle, tick by tick.
+"""Evaluates the fault table on one vehicle, tick by tick: numbers in, response out."""
 
-Pure: detector numbers in, response out. Without a fault a tick costs one comparison per row.
-"""
+from typing import NamedTuple
 
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+import numpy as np
+from numpy.typing import NDArray
 
-from testbed.core.codes import Detector, FaultReport, Response
+from testbed.core.compiled import compiled
 from testbed.flight.faults import FaultTable
 
-
-class Verdict(NamedTuple):
-    """Result of a tick."""
-
-    response: Response  # the most severe active one
-    holding: tuple[str, ...]  # ids of all rows that hold now
-    fault: FaultReport | None  # the latched fault, the first of the most severe
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 
-QUIET = Verdict(Response.NONE, (), None)
+class Rows(NamedTuple):
+    """The fault table for compiled code; every array has one element a row."""
+
+    detector: Integers  # codes.Detector
+    low: Array  # the row holds below this
+    high: Array  # or above this
+    misses: Integers  # after so many ticks in a row
+    timeout: Array  # and after this time [s]
+    response: Integers  # codes.Response
+    latched: Integers  # 1: it stays until a reset
 
 
-class Explains(Protocol):
-    """What a detector's number means; asked only when a fault is latched."""
+def rows_of(table: FaultTable) -> Rows:
+    """The rows of a fault table."""
+    rows = list(table.values())
+    inf = float("inf")
+    return Rows(
+        np.array([row.measures for row in rows], dtype=np.int64),
+        np.array([-inf if row.below is None else row.below for row in rows]),
+        np.array([inf if row.above is None else row.above for row in rows]),
+        np.array([row.misses for row in rows], dtype=np.int64),
+        np.array([row.timeout_s for row in rows]),
+        np.array([row.code for row in rows], dtype=np.int64),
+        np.array([row.latched for row in rows], dtype=np.int64),
+    )
 
-    fleet: FaultReport | None  # fault of another vehicle
 
-    def said(self, detector: Detector) -> str:
-        """Text for the detector's number, if it has one."""
-        ...
+class Counters(NamedTuple):
+    """Memory of the monitor, one element a row, changed in place."""
+
+    ticks: Array  # in a row beyond the bound
+    since: Array  # the first of them [s]
+    holds: Array  # 1: it holds now
+    latched: Array  # its place in the order of latching, from 1; 0: not latched
+    value: Array  # the number with which it was latched
 
 
-class FaultMonitor:
-    """One vehicle's fault table with its counters and latches."""
+@compiled
+def look(p, counters, t, latches, numbers, done):
+    """Judge a tick: write the most severe response and the deciding fault to `done`.
 
-    def __init__(self, table: FaultTable) -> None:
-        self._table = table
-        self._rows = [(name, row.measures, row) for name, row in table.items()]
-        inf = float("inf")
-        self._bounds = [
-            (k, -inf if row.below is None else row.below, inf if row.above is None else row.above)
-            for _, k, row in self._rows
-        ]
-        self._counts: dict[str, tuple[int, float]] = {}  # ticks in a row, and since when [s]
-        self._latched: dict[str, FaultReport] = {}  # by id, in order of appearance
-        self._severity = {name: row.code for name, row in table.items()}
-        self._verdict = QUIET
+    Args:
+        p: Rows.
+        counters: Counters.
+        t: now [s].
+        latches: false: faults are not latched, as of a disarmed vehicle.
+        numbers: of the detectors.
+        done: record.DONE.
+    """
+    done.response, done.fault, done.holding = 0, -1, 0
+    for k in range(p.detector.shape[0]):
+        number = numbers[p.detector[k]]
+        if p.low[k] <= number <= p.high[k]:
+            counters.ticks[k] = counters.holds[k] = 0.0
+        else:
+            count(p, counters, k, t)
+            if counters.holds[k] == 1.0 and latches and p.latched[k] == 1:
+                latch(counters, k, number)
+        done.holding += int(counters.holds[k])
+        latched = counters.latched[k]
+        if counters.holds[k] == 1.0 or latched > 0.0:
+            done.response = max(done.response, p.response[k])
+        if latched > 0.0 and decides(p, counters, k, done.fault):
+            done.fault = k
 
-    def look(self, t: float, armed: bool, numbers: Sequence[float], explains: Explains) -> Verdict:
-        """Judge a tick.
 
-        Args:
-            t: now [s].
-            armed: faults of a disarmed vehicle are not latched.
-            numbers: of the detectors, in the order of `codes.Detector`.
-            explains: gives the text for a detector's number.
-        """
-        out = [
-            row for row, (k, low, high) in enumerate(self._bounds) if not low <= numbers[k] <= high
-        ]
-        if not out and not self._counts:
-            return self._verdict
-        counts: dict[str, tuple[int, float]] = {}
-        holding: list[str] = []
-        for index in out:
-            name, k, row = self._rows[index]
-            count, since = self._counts.get(name, (0, t))
-            counts[name] = count + 1, since
-            if count + 1 >= row.misses and t - since >= row.timeout_s:
-                holding.append(name)
-                if armed and row.latched and name not in self._latched:
-                    fleet = explains.fleet if k == Detector.FLEET else None
-                    cause = None if fleet is None else fleet.origin
-                    self._latched[name] = row.report(name, numbers[k], explains.said(k), cause)
-        self._counts = counts
-        severity = self._severity
-        response = max(
-            (severity[name] for name in (*self._latched, *holding)), default=Response.NONE
-        )
-        worst = max(self._latched, key=severity.__getitem__, default=None)
-        fault = None if worst is None else self._latched[worst]
-        self._verdict = Verdict(response, tuple(holding), fault)
-        return self._verdict
+@compiled
+def count(p, counters, k, t):
+    """Count one more tick of row `k` beyond its bound."""
+    if counters.ticks[k] == 0.0:
+        counters.since[k] = t
+    counters.ticks[k] += 1.0
+    lasts = counters.ticks[k] >= p.misses[k] and t - counters.since[k] >= p.timeout[k]
+    counters.holds[k] = 1.0 if lasts else 0.0
 
-    @property
-    def latched(self) -> tuple[str, ...]:
-        """Ids of the latched faults, in order of appearance."""
-        return tuple(self._latched)
 
-    def reset(self) -> None:
-        """Clear latched faults; a row that still holds latches again at the next tick."""
-        self._latched, self._counts, self._verdict = {}, {}, QUIET
+@compiled
+def latch(counters, k, number):
+    """Latch row `k`, after those that are latched."""
+    if counters.latched[k] == 0.0:
+        counters.latched[k] = counters.latched.max() + 1.0
+        counters.value[k] = number
+
+
+@compiled
+def decides(p, counters, k, other):
+    """Whether latched row `k` decides, and not `other`: the first of the most severe does."""
+    if other < 0 or p.response[k] > p.response[other]:
+        return True
+    same = p.response[k] == p.response[other]
+    return same and counters.latched[k] < counters.latched[other]
+
+
+@compiled
+def reset(counters):
+    """Clear latched faults; a row that still holds latches again at the next tick."""
+    counters.ticks[:] = counters.holds[:] = counters.latched[:] = 0.0

@@ -10,14 +10,15 @@ when it refuses poses; all other conditions apply.
 `refuse` checks the flight, `refuse_plan` checks the plan, in the process that owns the port.
 """
 
-import math
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from msgspec import Meta, Struct
 
 from testbed.core.codes import InhibitReason, Refusal
-from testbed.core.types import Health, Setpoint, State, ValveCommand, Wrench
+from testbed.core.compiled import compiled
+from testbed.core.types import ValveCommand
 from testbed.core.vehicle import NonNegative, Positive
+from testbed.flight.record import NO_SETPOINT, record
 
 EARLY = 1e-3  # a pose may seem to be this far in the future: clocks are read twice [s]
 # a plan's stamp may be this far ahead: the fault table detects a clock that was set back by less,
@@ -46,80 +47,101 @@ class Fence(Struct, frozen=True):
     half_y: float  # [m]
 
 
-def is_number(*values: float) -> bool:
-    """Whether all values are finite and their norm is below 1e9."""
-    return math.hypot(*values) < 1e9  # false for nan and inf
+class Limits(NamedTuple):
+    """Constants of the gate for compiled code; units as in GateParams."""
+
+    pose_timeout: float
+    blind: float
+    link_timeout: float
+    max_rejected: int
+    max_speed: float
+    max_spin: float
+    half_x: float  # of the fence [m]
+    half_y: float
 
 
-class Gate:
-    """One vehicle's gate."""
+def limits_of(params: GateParams, fence: Fence) -> Limits:
+    """The constants of a vehicle's gate."""
+    return Limits(
+        params.pose_timeout_s, max(params.blind_s, params.pose_timeout_s), params.link_timeout_s,
+        params.max_rejected, params.max_speed, params.max_spin, fence.half_x, fence.half_y,
+    )  # fmt: skip
 
-    def __init__(self, params: GateParams, fence: Fence) -> None:
-        self._p, self._fence = params, fence
-        self._fault: Refusal | None = None
 
-    @property
-    def fault(self) -> Refusal | None:
-        """The latched reason."""
-        return self._fault
+MEMORY = record(
+    fault=int,  # the latched InhibitReason; 0: none
+    values=(3,),  # of its words
+)
 
-    def refuse(
-        self,
-        t: float,
-        armed: bool,
-        state: State | None,
-        setpoint: Setpoint | None,
-        commanded_wrench: Wrench,
-        health: Health,
-        *,
-        session_ok: bool = True,
-        braking: bool = False,
-    ) -> Refusal | None:
-        """Reason why the valves must stay shut now; None: they may open."""
-        if self._fault:
-            return self._fault
-        if not armed:
-            return Refusal(InhibitReason.NOT_ARMED)
-        if not session_ok and not braking:
-            return Refusal(InhibitReason.OTHER_SESSION)
-        if state is None:
-            return Refusal(InhibitReason.NO_POSE_YET)
-        if setpoint is None and not braking:
-            return Refusal(InhibitReason.NO_SETPOINT_YET)
-        self._fault = self._trouble(t, state, None if braking else setpoint, commanded_wrench)
-        if self._fault is None and not is_number(health.supply_pressure):
-            self._fault = Refusal(InhibitReason.SUPPLY_NOT_FINITE)
-        return self._fault
 
-    def reset(self) -> None:
-        """Clear the latched reason after the operator's reset."""
-        self._fault = None
+@compiled
+def is_number(values):
+    """Whether all values of a tuple are finite and their norm is below 1e9."""
+    total = 0.0
+    for value in values:
+        total += value * value
+    return total < 1e18  # false for nan and inf
 
-    def _trouble(
-        self, t: float, state: State, setpoint: Setpoint | None, commanded_wrench: Wrench
-    ) -> Refusal | None:
-        """Reason to latch a fault; `setpoint` is None when braking and is then not checked."""
-        p, pose, twist = self._p, state.pose, state.twist
-        pose_timeout = (
-            p.pose_timeout_s if setpoint is not None else max(p.blind_s, p.pose_timeout_s)
-        )
-        if not is_number(pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega):
-            return Refusal(InhibitReason.ESTIMATE_NOT_FINITE)
-        if not is_number(commanded_wrench.fx, commanded_wrench.fy, commanded_wrench.tau):
-            return Refusal(InhibitReason.DEMAND_NOT_FINITE)
-        if not -EARLY < state.pose_age <= pose_timeout:
-            return Refusal(InhibitReason.POSE_TOO_OLD, (state.pose_age, pose_timeout))
-        if setpoint is not None and state.rejected > p.max_rejected:
-            return Refusal(InhibitReason.POSES_REJECTED, (state.rejected,))
-        if setpoint is not None and not t - setpoint.valid_until <= p.link_timeout_s:
-            waited = t - setpoint.valid_until
-            return Refusal(InhibitReason.SETPOINT_TOO_OLD, (waited, p.link_timeout_s))
-        if abs(pose.x) > self._fence.half_x or abs(pose.y) > self._fence.half_y:
-            return Refusal(InhibitReason.OUTSIDE_FENCE, (pose.x, pose.y))
-        fast = twist.vx**2 + twist.vy**2 > p.max_speed**2 or abs(twist.omega) > p.max_spin
-        if fast and setpoint is not None:
-            return Refusal(InhibitReason.TOO_FAST, (twist.vx, twist.vy, twist.omega))
-        return None
+
+@compiled
+def refuse(p, m, row):
+    """Reason why the valves must stay shut now; 0: they may open.
+
+    Args:
+        p: Limits.
+        m: MEMORY, changed in place.
+        row: record.ROW.
+    """
+    told, braking = row.told, row.done.braking == 1
+    if m.fault != 0:
+        return m.fault
+    if told.armed == 0:
+        return InhibitReason.NOT_ARMED.value
+    if told.session_ok == 0 and not braking:
+        return InhibitReason.OTHER_SESSION.value
+    if row.state.known == 0:
+        return InhibitReason.NO_POSE_YET.value
+    if told.setpoint.kind == NO_SETPOINT and not braking:
+        return InhibitReason.NO_SETPOINT_YET.value
+    m.fault = trouble(p, m.values, row, braking)
+    return m.fault
+
+
+@compiled
+def trouble(p, values, row, braking):
+    """Reason to latch a fault, its values written to `values`; 0: none."""
+    told, state, wrench = row.told, row.state, row.done.commanded
+    pose_timeout = p.blind if braking else p.pose_timeout
+    if not is_number((state.x, state.y, state.theta, state.vx, state.vy, state.omega)):
+        return InhibitReason.ESTIMATE_NOT_FINITE.value
+    if not is_number((wrench.fx, wrench.fy, wrench.tau)):
+        return InhibitReason.DEMAND_NOT_FINITE.value
+    if not -EARLY < state.pose_age <= pose_timeout:
+        values[0], values[1] = state.pose_age, pose_timeout
+        return InhibitReason.POSE_TOO_OLD.value
+    if not braking and state.rejected > p.max_rejected:
+        values[0] = state.rejected
+        return InhibitReason.POSES_REJECTED.value
+    waited = told.effect_at - told.setpoint.valid_until
+    if not braking and not waited <= p.link_timeout:
+        values[0], values[1] = waited, p.link_timeout
+        return InhibitReason.SETPOINT_TOO_OLD.value
+    if abs(state.x) > p.half_x or abs(state.y) > p.half_y:
+        values[0], values[1] = state.x, state.y
+        return InhibitReason.OUTSIDE_FENCE.value
+    speed2 = state.vx * state.vx + state.vy * state.vy
+    if not braking and (speed2 > p.max_speed * p.max_speed or abs(state.omega) > p.max_spin):
+        values[0], values[1], values[2] = state.vx, state.vy, state.omega
+        return InhibitReason.TOO_FAST.value
+    if not is_number((told.supply_pressure,)):
+        return InhibitReason.SUPPLY_NOT_FINITE.value
+    return 0
+
+
+@compiled
+def reset(m):
+    """Clear the latched reason after the operator's reset."""
+    m.fault = 0
 
 
 def refuse_plan(command: ValveCommand, now: float, newest: int, longest: float) -> Refusal | None:
@@ -147,9 +169,3 @@ def refuse_plan(command: ValveCommand, now: float, newest: int, longest: float) 
         if not 0 <= on <= whole or not 0 <= offset <= whole - on:
             return Refusal(InhibitReason.PULSE_INVALID, (on, offset, whole - 1))
     return None
-
-
-def closed(command: ValveCommand) -> ValveCommand:
-    """The same plan with every valve shut."""
-    zeros = (0,) * len(command.on_us)
-    return ValveCommand(command.seq, command.issued_at, command.valid_until, zeros, zeros)

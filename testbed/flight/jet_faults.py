@@ -27,18 +27,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled, settled
+from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
-from testbed.core.types import State
 from testbed.core.vehicle import Vehicle
 from testbed.flight.estimator import EstimatorParams
+from testbed.flight.record import record
 from testbed.flight.response import response
 
 Array = NDArray[np.float64]
 
 LOOK = 0.1  # length of a look; faster ticks are combined: their residuals are dependent [s]
-MEMORY = 10.0  # time constant of forgetting [s]
+MEMORY_S = 10.0  # time constant of forgetting [s]
 SETTLING = 20.0  # time constant of the mean of unexplained acceleration, the slope [s]
 BLOCK = 0.3  # a suspicion begins at the start of a block of this length [s]
 BLOCKS = 25
@@ -71,18 +71,77 @@ class Known(NamedTuple):
     bumps: float  # [m/s^2], one sigma
     shown: Array  # see response.py, (looks, 2)
     most: Array  # largest residual, push and turn [m/s, rad/s]
-    period: float  # [s]
+    period: float  # of a look [s]
+    ticks: int  # in a look
+    block: int  # looks in a block
+    keep: float  # factor of forgetting, per look
+
+
+SUSPICION = record(  # the best of its kind
+    jet=int,
+    share=float,  # of the jet's thrust
+    gain=float,  # in log-likelihood; 0: no suspicion
+)
+
+MEMORY = record(
+    seen=int,  # 1: `before` is known
+    before=(4,),  # theta, vx, vy, omega at the last look
+    noted=int,  # ticks since then
+    look=int,  # number of the last one
+    counted=int,  # looks that count: with poses that were trusted
+    wait=int,  # looks until the estimator has settled
+    leak=SUSPICION,
+    weak=SUSPICION,
+)
 
 
 class Heard(NamedTuple):
     """Memory of the detector, changed in place."""
 
+    duty: Array  # sum over the ticks since the last look, (n,)
     recent: Array  # z and leaks of the last looks, not yet delayed, (looks, m + n, 3)
     told: Array  # z'z, and z'e as the last column, (m, m + 1)
-    blocks: Array  # of leaks and jets: x'z, x'x, x'e, (BLOCKS, 2 n, m + 2)
+    blocks: Array  # of leaks and jets: x'z, x'x, x'e, (BLOCKS, m + 2, 2 n)
     spread: Array  # variance of the residual, push and turn, (2,)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
     last: Array  # previous residual, (3,)
+
+
+@pasted
+def look(p, m, heard, state, duty, thrust_scale):
+    """Add a tick: the estimate, and the share of the tick for which each jet flowed.
+
+    Args:
+        p: Known.
+        m: MEMORY, changed in place.
+        heard: Heard.
+        state: record.STATE.
+        duty: shape (n,).
+        thrust_scale: of the thrust at the supply pressure.
+    """
+    heard.duty[:] += duty
+    m.noted += 1
+    if m.seen == 1 and m.noted < p.ticks:
+        return
+    now = np.array((state.theta, state.vx, state.vy, state.omega))
+    if m.seen == 1:
+        m.look += 1
+        m.wait = max(0, m.wait - 1)
+        if m.wait == 0:
+            m.counted += 1
+        weigh(p, m, heard, now, heard.duty / p.ticks, thrust_scale)
+    m.seen, m.noted = 1, 0
+    m.before[:] = now
+    heard.duty[:] = 0.0
+
+
+@compiled
+def pause(p, m, heard):
+    """Ignore looks with untrusted poses, until the estimator has settled."""
+    m.seen, m.wait = 0, p.shown.shape[0]
+    forget(m.leak)
+    forget(m.weak)
+    heard.recent[:] = 0.0
 
 
 @compiled
@@ -135,9 +194,10 @@ def listen(e, x, heard, counted, keep):
     spread, last, m = heard.spread, heard.last, heard.told.shape[0]
     n = m - 4
     trust = max(1.0 - keep, 1.0 / (counted + BELIEVED))
-    push = 0.5 * ((e[0] - last[0]) ** 2 + (e[1] - last[1]) ** 2) / WHITE
+    dx, dy, turn = e[0] - last[0], e[1] - last[1], e[2] - last[2]
+    push = 0.5 * (dx * dx + dy * dy) / WHITE
     spread[0] += trust * (min(push, OUTLIER * spread[0]) - spread[0])
-    spread[1] += trust * (min((e[2] - last[2]) ** 2 / WHITE, OUTLIER * spread[1]) - spread[1])
+    spread[1] += trust * (min(turn * turn / WHITE, OUTLIER * spread[1]) - spread[1])
     last[:] = e
     weight = (1.0 / spread[0], 1.0 / spread[0], 1.0 / spread[1])
     told, blocks = heard.told, heard.blocks
@@ -151,11 +211,11 @@ def listen(e, x, heard, counted, keep):
             for k in range(m):
                 told[i, k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
         if i < n or i >= m:  # possible suspicions: jets and leaks
-            row = heard.blocks[0, i if i < n else i - 4]
+            h = i if i < n else i - 4
             for k in range(m):
-                row[k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
-            row[m] += a * x[i, 0] + b * x[i, 1] + c * x[i, 2]
-            row[m + 1] += explains
+                blocks[0, k, h] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
+            blocks[0, m, h] += a * x[i, 0] + b * x[i, 1] + c * x[i, 2]
+            blocks[0, m + 1, h] += explains
 
 
 @compiled
@@ -163,7 +223,7 @@ def factor(known, heard, counted):
     """L of z'z + 1 / tolerances^2, with 1 / L_ii in its diagonal, (m, m), and L^-1 z'e, (m,)."""
     told, m = heard.told, heard.told.shape[0]
     least, y = np.zeros((m, m)), np.empty(m)
-    slope = 1.0 / (known.bumps**2 + known.slope**2 / (1.0 + 0.1 * counted))
+    slope = 1.0 / (known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * counted))
     for i in range(m):
         for k in range(i + 1):
             total = told[i, k]
@@ -180,83 +240,105 @@ def factor(known, heard, counted):
 
 
 @compiled
-def suspect(row, least, y, low, high):
-    """Size of a suspicion within its bounds, and its gain; `row` is x'z, x'x, x'e."""
-    m = y.shape[0]
-    own, fits = row[m], row[m + 1]
-    root = np.empty(m)
+def suspect(since, least, y):
+    """S_j and N_j of the module's first lines for every suspicion, both of shape (count,).
+
+    They are computed side by side: a processor does several at a time, and one after the other they
+    took most of a tick.
+
+    Args:
+        since: columns x'z, x'x, x'e, one for each suspicion, shape (m + 2, count).
+        least: see `factor`.
+        y: see `factor`.
+    """
+    m, count = y.shape[0], since.shape[1]
+    root, own, fits = np.empty((m, count)), since[m].copy(), since[m + 1].copy()
     for i in range(m):
-        total = row[i]
+        for h in range(count):
+            root[i, h] = since[i, h]
         for q in range(i):
-            total -= least[i, q] * root[q]
-        root[i] = total * least[i, i]
-        own -= root[i] * root[i]
-        fits -= root[i] * y[i]
-    if own <= 1e-6 * row[m] or own < 1e-9:
-        return 0.0, 0.0
-    size = min(max(fits / own, low), high)
-    return size, size * fits - 0.5 * size * size * own
+            for h in range(count):
+                root[i, h] -= least[i, q] * root[q, h]
+        for h in range(count):
+            root[i, h] *= least[i, i]
+            own[h] -= root[i, h] * root[i, h]
+            fits[h] -= root[i, h] * y[i]
+    return fits, own
 
 
 @compiled
-def weigh(before, now, duty, thrust_scale, known, heard, look, block, keep, counted):
-    """Add one look, in place, and return the best suspicion of each kind.
+def forget(suspicion):
+    """No jet is suspected."""
+    suspicion.jet, suspicion.share, suspicion.gain = 0, 0.0, 0.0
+
+
+@compiled
+def weigh(known, m, heard, now, duty, thrust_scale):
+    """Add one look, in place, and keep the best suspicion of each kind in `m`.
 
     Args:
-        before: theta, vx, vy, omega at the last look, shape (4,).
-        now: the same at this one.
-        duty: share of the time since then for which each jet flowed, shape (n,).
+        known: Known.
+        m: MEMORY.
+        heard: Heard.
+        now: theta, vx, vy, omega at this look, shape (4,).
+        duty: share of the time since the last one for which each jet flowed, shape (n,).
         thrust_scale: of the thrust at the supply pressure.
-        known: constants of the vehicle.
-        heard: memory of the detector.
-        look: number of this one.
-        block: looks in a block.
-        keep: factor of forgetting.
-        counted: looks that count, with this one; 0: recent poses were not trusted, so this look
-            is only stored.
-
-    Returns:
-        jet, size, gain of the best leak, then of the most likely weak jet.
     """
-    e, x = residual(before, now, duty, thrust_scale, known, heard, look)
+    look = m.look
+    e, x = residual(m.before, now, duty, thrust_scale, known, heard, look)
     n, blocks = duty.shape[0], heard.blocks
-    best, size, gain = np.zeros(2, dtype=np.int64), np.zeros(2), np.zeros(2)
-    if counted == 0:
-        return best[0], size[0], gain[0], best[1], size[1], gain[1]
-    settling = max(1.0 / counted, known.period / SETTLING)
+    forget(m.leak)
+    forget(m.weak)
+    if m.wait > 0:  # recent poses were not trusted: this look is only stored
+        return
+    settling = max(1.0 / m.counted, known.period / SETTLING)
     for axis in range(2):
         heard.bias[axis] += settling * e[axis] / known.period
-    if look % block == 0:  # merge the oldest two blocks
+    if look % known.block == 0:  # merge the oldest two blocks
         blocks[-2] += blocks[-1]
         blocks[1:] = blocks[:-1].copy()
         blocks[0] = 0.0
-    listen(e, x, heard, counted, keep)
-    least, y = factor(known, heard, counted)
+    listen(e, x, heard, m.counted, known.keep)
+    least, y = factor(known, heard, m.counted)
     since = np.zeros(blocks.shape[1:])
     for k in range(blocks.shape[0]):
         since += blocks[k]
         if k not in BEGUN:
             continue
+        fits, own = suspect(since, least, y)
         for h in range(2 * n):
-            kind = 0 if h >= n else 1
-            low, high = (0.0, MOST) if kind == 0 else (-1.0, 0.0)
-            b, found = suspect(since[h], least, y, low, high)
-            if found > gain[kind]:
-                best[kind], size[kind], gain[kind] = h - n if kind == 0 else h, b, found
-    return best[0], size[0], gain[0], best[1], -size[1], gain[1]
+            if own[h] <= 1e-6 * since[-2, h] or own[h] < 1e-9:
+                continue
+            one, low, high = (m.weak, -1.0, 0.0) if h < n else (m.leak, 0.0, MOST)
+            share = min(max(fits[h] / own[h], low), high)
+            gain = share * fits[h] - 0.5 * share * share * own[h]
+            if gain > one.gain:
+                one.jet, one.share, one.gain = h % n, abs(share), gain
 
 
-class Suspicion(NamedTuple):
-    """The best suspicion of its kind."""
+@compiled
+def leaks(m):
+    """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
+    sure = m.leak.gain > m.weak.gain + CLEAR and m.leak.gain > SURE
+    return sure and m.leak.share > TRACE
 
-    jet: int = 0
-    size: float = 0.0  # share of the jet's thrust
-    gain: float = 0.0  # in log-likelihood
 
-    @property
-    def sigmas(self) -> float:
-        """Distance from a healthy vehicle in standard deviations."""
-        return float(np.sqrt(2.0 * self.gain))
+@compiled
+def is_weak(m):
+    """Whether the suspected jet is too weak, and nothing else explains the motion."""
+    return m.weak.gain >= m.leak.gain + CLEAR and m.weak.share > ENOUGH
+
+
+@compiled
+def leaks_or_is_weak(m):
+    """Whether one jet may leak; if it does not, the suspected weak jet is weak."""
+    return m.leak.gain > m.weak.gain - CLEAR and m.leak.share > TRACE
+
+
+@compiled
+def sigmas(suspicion):
+    """Distance from a healthy vehicle in standard deviations."""
+    return np.sqrt(2.0 * suspicion.gain)
 
 
 def slopes(tilt: Tilt) -> tuple[float, float]:
@@ -267,81 +349,21 @@ def slopes(tilt: Tilt) -> tuple[float, float]:
     return max(SLOPE, float(np.hypot(*(mean + tilt.uniform)))), max(BUMPS, bumps)
 
 
-class JetFaultDetector:
-    """Detects faulty jets of one vehicle."""
-
-    def __init__(
-        self, vehicle: Vehicle, period: float, estimator: EstimatorParams, table: Table
-    ) -> None:
-        """`period` is the jet period [s]; cameras and slope of the table are used."""
-        self._ticks = max(1, round(LOOK / period))  # ticks per look
-        period *= self._ticks
-        shown = response(estimator, vehicle, table.mocap, period)
-        n = len(vehicle.jets)
-        m = n + 4
-        scale = np.array([[vehicle.mass], [vehicle.mass], [vehicle.inertia]])
-        effect = effect_matrix(vehicle.jets, about=vehicle.com) / scale
-        tolerance = np.full(m, max(THRUST, vehicle.tolerance.thrust))
-        tolerance[n:] = max(BALANCE, vehicle.tolerance.com)
-        push = float(np.hypot(effect[0], effect[1]).max())
-        turn = float(np.abs(effect[2]).max())
-        self._known = Known(
-            effect, vehicle.mass / vehicle.inertia, vehicle.air.droop, tolerance**-2.0,
-            *slopes(table.tilt), np.ascontiguousarray(shown),
-            HARDEST * period * np.array([push, turn]), period,
-        )  # fmt: skip
-        self._heard = Heard(
-            np.zeros((len(shown), m + n, 3)), np.zeros((m, m + 1)),
-            np.zeros((BLOCKS, 2 * n, m + 2)), np.array([SPREAD**2, SPIN_SPREAD**2]),
-            np.zeros(2), np.zeros(3),
-        )  # fmt: skip
-        self._keep, self._block = 1.0 - min(0.5, period / MEMORY), max(1, round(BLOCK / period))
-        self._before: Array | None = None
-        self._duty, self._noted = np.zeros(n), 0  # sum over the ticks since the last look
-        self._look, self._counted, self._wait = 0, 0, 0
-        self._leak, self._weak = Suspicion(), Suspicion()
-        self._weigh = settled(weigh)
-
-    def look(self, state: State, duty: Array, thrust_scale: float) -> None:
-        """Add a tick: the estimate, and the share of the tick for which each jet flowed."""
-        self._duty += duty
-        self._noted += 1
-        if self._before is not None and self._noted < self._ticks:
-            return
-        twist = state.twist
-        now = np.array((state.pose.theta, twist.vx, twist.vy, twist.omega))
-        if self._before is not None:
-            self._look += 1
-            self._wait = max(0, self._wait - 1)
-            self._counted += self._wait == 0
-            found = self._weigh(
-                self._before, now, self._duty / self._ticks, thrust_scale, self._known, self._heard,
-                self._look, self._block, self._keep, 0 if self._wait else self._counted,
-            )  # fmt: skip
-            self._leak, self._weak = Suspicion(*found[:3]), Suspicion(*found[3:])
-        self._before = now
-        self._duty, self._noted = np.zeros(len(duty)), 0
-
-    def pause(self) -> None:
-        """Ignore looks with untrusted poses, until the estimator has settled."""
-        self._before, self._wait = None, len(self._known.shown)
-        self._leak, self._weak = Suspicion(), Suspicion()
-        self._heard.recent[:] = 0.0
-
-    @property
-    def open(self) -> Suspicion:
-        """The jet that pushes without a command, if nothing else explains the motion."""
-        sure = self._leak.gain > self._weak.gain + CLEAR and self._leak.gain > SURE
-        return self._leak if sure and self._leak.size > TRACE else Suspicion()
-
-    @property
-    def weak(self) -> Suspicion:
-        """The jet that is too weak, if nothing else explains the motion."""
-        sure = self._weak.gain >= self._leak.gain + CLEAR
-        return self._weak if sure and self._weak.size > ENOUGH else Suspicion()
-
-    @property
-    def either(self) -> tuple[Suspicion, Suspicion]:
-        """A jet that may leak, and the jet that is too weak if the first does not leak."""
-        may = self._leak.gain > self._weak.gain - CLEAR and self._leak.size > TRACE
-        return (self._leak, self._weak) if may else (Suspicion(), Suspicion())
+def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table: Table) -> Known:
+    """Constants of a vehicle; `period` is the jet period [s]."""
+    ticks = max(1, round(LOOK / period))
+    period *= ticks
+    n = len(vehicle.jets)
+    scale = np.array([[vehicle.mass], [vehicle.mass], [vehicle.inertia]])
+    effect = effect_matrix(vehicle.jets, about=vehicle.com) / scale
+    tolerance = np.full(n + 4, max(THRUST, vehicle.tolerance.thrust))
+    tolerance[n:] = max(BALANCE, vehicle.tolerance.com)
+    push = float(np.hypot(effect[0], effect[1]).max())
+    turn = float(np.abs(effect[2]).max())
+    return Known(
+        effect, vehicle.mass / vehicle.inertia, vehicle.air.droop, tolerance**-2.0,
+        *slopes(table.tilt),
+        np.ascontiguousarray(response(estimator, vehicle, table.mocap, period)),
+        HARDEST * period * np.array([push, turn]), period,
+        ticks, max(1, round(BLOCK / period)), 1.0 - min(0.5, period / MEMORY_S),
+    )  # fmt: skip

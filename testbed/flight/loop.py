@@ -75,9 +75,9 @@ class VehicleNode:
             armed,
             tuple(self._poses.samples()),
             link.setpoint(),
-            link.neighbours() if self._agent.hears_neighbours else {},
+            link.neighbours(),
             self._thrusters.health(),
-            link.messages() if self._agent.hears_neighbours else {},
+            link.messages(),
             vitals,
         )
         outputs = self._agent.step(inputs)

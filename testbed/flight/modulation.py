@@ -12,19 +12,19 @@ steady thrust they replace.
 """
 
 import math
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled, settled
+from testbed.core.compiled import compiled
 from testbed.core.error import MismatchError
 from testbed.core.jets import opposing_pairs
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 
 Array = NDArray[np.float64]
-Pulses = tuple[Array, Array]  # on and offset per jet, shape (jets,) [s]
+PWM, SIGMA_DELTA, PWPF = range(3)
 
 
 class PwmParams(Struct, frozen=True, forbid_unknown_fields=True, tag="pwm"):
@@ -58,12 +58,62 @@ class PwpfParams(Struct, frozen=True, forbid_unknown_fields=True, tag="pwpf"):
 ModulatorParams = PwmParams | SigmaDeltaParams | PwpfParams
 
 
-class Modulator(Protocol):
-    """Computes the pulses of one period; may carry over a remainder."""
+class Modulator(NamedTuple):
+    """Constants of a vehicle's modulator for compiled code; times of flow, not of the command."""
 
-    def pulses(self, duty: Array) -> Pulses:
-        """On-time and offset of each jet [s]; 0 <= offset, offset + on <= period."""
-        ...
+    kind: int  # PWM, SIGMA_DELTA or PWPF
+    period: float  # [s]
+    min_on: float  # [s]
+    min_off: float  # [s]
+    gain: float  # of PWPF, as in PwpfParams
+    lag: float  # [s]
+    trigger_on: float
+    trigger_off: float
+    thrust: Array  # (jets,) [N]
+    opposing: NDArray[np.int64]  # pairs that push against each other, shape (n, 2)
+
+
+def modulator_of(params: ModulatorParams, vehicle: Vehicle, period: float) -> Modulator:
+    """The constants of the configured modulator."""
+    kinds = {PwmParams: PWM, SigmaDeltaParams: SIGMA_DELTA, PwpfParams: PWPF}
+    pwpf = params if isinstance(params, PwpfParams) else PwpfParams()
+    return Modulator(
+        kinds[type(params)], period, vehicle.valve.min_on_s, vehicle.valve.min_off_s,
+        pwpf.gain, pwpf.lag_s, pwpf.trigger_on, pwpf.trigger_off,
+        np.array([jet.thrust for jet in vehicle.jets]),
+        np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2),
+    )  # fmt: skip
+
+
+class Carried(NamedTuple):
+    """Memory of a modulator, changed in place."""
+
+    rest: Array  # of SIGMA_DELTA: wanted and not yet fired, (jets,) [s]
+    filter: Array  # of PWPF, (jets,)
+    open: Array  # of PWPF: 1 while the valve is open, (jets,)
+
+
+@compiled
+def pulses(p, carried, duty):
+    """On-time and offset of each jet, both (jets,) [s]; 0 <= offset, offset + on <= period.
+
+    Args:
+        p: Modulator.
+        carried: Carried.
+        duty: shape (jets,).
+    """
+    if p.kind == SIGMA_DELTA:
+        return fire_with_carry(
+            duty, carried.rest, p.thrust, p.opposing, p.period, p.min_on, p.min_off
+        )
+    on, offset = np.empty_like(duty), np.empty_like(duty)
+    for j in range(duty.shape[0]):
+        if p.kind == PWM:
+            on[j] = realisable(duty[j] * p.period, p.period, p.min_on, p.min_off)
+            offset[j] = 0.5 * (p.period - on[j])
+        else:
+            on[j], offset[j] = pulse_frequency(p, carried, j, duty[j])
+    return on, offset
 
 
 @compiled
@@ -115,89 +165,43 @@ def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
     return on, 0.5 * (period - on)
 
 
-class Pwm:
-    """Plain pulse width."""
+@compiled
+def pulse_frequency(p, carried, j, duty):
+    """On-time and offset of jet `j` by PWPF.
 
-    def __init__(self, vehicle: Vehicle, period: float) -> None:
-        self._limits = period, vehicle.valve.min_on_s, vehicle.valve.min_off_s
-
-    def pulses(self, duty: Array) -> Pulses:
-        """See `Modulator`."""
-        period = self._limits[0]
-        on = np.array([realisable(u * period, *self._limits) for u in duty.tolist()])
-        return on, 0.5 * (period - on)
-
-
-class SigmaDelta:
-    """Pulse width with the remainder carried over."""
-
-    def __init__(self, vehicle: Vehicle, period: float) -> None:
-        self._limits = period, vehicle.valve.min_on_s, vehicle.valve.min_off_s
-        self._thrust = np.array([jet.thrust for jet in vehicle.jets])
-        self._opposing = np.array(opposing_pairs(vehicle.jets), dtype=np.int64).reshape(-1, 2)
-        self._carry = np.zeros(len(vehicle.jets))
-        self._fire = settled(fire_with_carry)
-
-    def pulses(self, duty: Array) -> Pulses:
-        """See `Modulator`."""
-        return self._fire(duty, self._carry, self._thrust, self._opposing, *self._limits)
+    Lag filter f' = (gain (duty - y) - f) / lag, y = 1 from f > trigger_on to f < trigger_off.
+    """
+    value, period, begin = carried.filter[j], p.period, 0.0
+    shut, opened = p.gain * duty, p.gain * (duty - 1.0)  # targets of the filter
+    if carried.open[j] == 0.0:
+        begin = crossing(value, shut, p.trigger_on, 1.0, p.lag)
+        if begin > period - p.min_on:  # the rest of the period is too short
+            carried.filter[j] = lagged(value, shut, period, p.lag)
+            return 0.0, 0.0
+        value = lagged(value, shut, begin, p.lag)
+    left = period - begin
+    width = max(crossing(value, opened, p.trigger_off, -1.0, p.lag), p.min_on)
+    if width < left:  # closes inside the period; the filter recovers in the rest of it
+        value = lagged(value, opened, width, p.lag)
+        carried.filter[j] = lagged(value, shut, left - width, p.lag)
+        carried.open[j] = 0.0
+        return width, begin
+    carried.filter[j] = lagged(value, opened, left, p.lag)
+    carried.open[j] = 1.0
+    return left, begin
 
 
-class Pwpf:
-    """Lag filter f' = (gain (duty - y) - f) / lag, y = 1 from f > trigger_on to f < trigger_off."""
-
-    def __init__(self, params: PwpfParams, vehicle: Vehicle, period: float) -> None:
-        self._p = params
-        self._valve = vehicle.valve
-        self._period = period
-        self._filter = [0.0] * len(vehicle.jets)
-        self._on = [False] * len(vehicle.jets)
-
-    def pulses(self, duty: Array) -> Pulses:
-        """See `Modulator`."""
-        fired = np.array([self._pulse(j, u) for j, u in enumerate(duty.tolist())])
-        return fired[:, 0], fired[:, 1]
-
-    def _pulse(self, j: int, duty: float) -> tuple[float, float]:
-        p, period = self._p, self._period
-        start = 0.0
-        if not self._on[j]:
-            start = self._cross(j, p.gain * duty, p.trigger_on, rising=True)
-            if start > period - self._valve.min_on_s:  # the rest of the period is too short
-                self._advance(j, p.gain * duty, period)
-                return 0.0, 0.0
-            self._advance(j, p.gain * duty, start)
-            self._on[j] = True
-        left = period - start
-        width = self._cross(j, p.gain * (duty - 1.0), p.trigger_off, rising=False)
-        width = max(width, self._valve.min_on_s)
-        if width < left:  # closes inside the period; the filter recovers in the rest of it
-            self._advance(j, p.gain * (duty - 1.0), width)
-            self._advance(j, p.gain * duty, left - width)
-            self._on[j] = False
-            return width, start
-        self._advance(j, p.gain * (duty - 1.0), left)
-        return left, start
-
-    def _advance(self, j: int, target: float, span: float) -> None:
-        self._filter[j] = target + (self._filter[j] - target) * math.exp(-span / self._p.lag_s)
-
-    def _cross(self, j: int, target: float, level: float, *, rising: bool) -> float:
-        """Time until the filter, heading for `target`, passes `level` [s]; inf if it never does."""
-        value = self._filter[j]
-        if (value >= level) if rising else (value <= level):
-            return 0.0
-        if (target <= level) if rising else (target >= level):
-            return math.inf
-        return self._p.lag_s * math.log((value - target) / (level - target))
+@compiled
+def lagged(value, target, span, lag):
+    """The filter, heading for `target`, after `span` [s]."""
+    return target + (value - target) * math.exp(-span / lag)
 
 
-def make_modulator(params: ModulatorParams, vehicle: Vehicle, period: float) -> Modulator:
-    """Create the modulator of the configuration."""
-    match params:
-        case PwmParams():
-            return Pwm(vehicle, period)
-        case SigmaDeltaParams():
-            return SigmaDelta(vehicle, period)
-        case PwpfParams():
-            return Pwpf(params, vehicle, period)
+@compiled
+def crossing(value, target, level, direction, lag):
+    """Time until the filter passes `level` upwards (direction 1) or downwards (-1) [s]; or inf."""
+    if direction * (value - level) >= 0.0:
+        return 0.0
+    if direction * (target - level) <= 0.0:
+        return math.inf
+    return lag * math.log((value - target) / (level - target))

@@ -1,22 +1,15 @@
-"""Safety on board: fault monitor, braking, and the safety filter for every demand.
+"""Safety on board: the safety filter for every demand, and braking as the fault table says.
 
 It is between tracker and allocator. It cannot open a valve; the gate decides last.
 """
 
-import math
 from typing import NamedTuple
 
-import numpy as np
-
-from testbed.core.codes import FaultReport, InhibitReason, Intervention, Refusal, Response
-from testbed.core.se2 import to_body, to_table
-from testbed.core.types import Inputs, Setpoint, State, ValveCommand, Wrench
-from testbed.core.vehicle import Vehicle
-from testbed.flight.barrier import Barrier
-from testbed.flight.detectors import Detectors
-from testbed.flight.ending import EndingParams, longest_brake
-from testbed.flight.fault_monitor import FaultMonitor
-from testbed.flight.flow import Flow
+from testbed.core.codes import InhibitReason, Response
+from testbed.core.compiled import compiled
+from testbed.core.se2 import length, to_body_compiled, to_table_compiled
+from testbed.flight.barrier import WORST_SHARE, guarded
+from testbed.flight.record import NO_SETPOINT, record
 from testbed.flight.tracker import braking_wrench
 
 AT_REST = 0.003  # below this a vehicle is at rest: the accuracy of the estimate [m/s]
@@ -25,136 +18,110 @@ SPARE_S = 0.5  # extra time of an ending after its longest brake [s]
 WEAKEST_SHARE = 0.1  # lowest share of the set pressure used for the time of a stop
 
 
-class Acted(NamedTuple):
-    """Result of judging a demand."""
+class Brakes(NamedTuple):
+    """Constants of braking for compiled code; see ending.EndingParams."""
 
-    commanded_wrench: Wrench
-    response: Response = Response.NONE
-    holding: tuple[str, ...] = ()  # rows of the fault table
-    fault: FaultReport | None = None  # latched
-    filtered: Intervention | None = None
-    braking: bool = False
-    inhibit_reason: Refusal | None = None
-    air_off: bool = False
+    decel: float  # of the jets in every direction, at the set pressure [m/s^2]
+    longest: float  # [s]
+    margin: float
+    settle: float  # [s]
 
 
-CALM = Acted(Wrench(0.0, 0.0, 0.0))
+MEMORY = record(
+    braking=int,  # 1: a stop has begun
+    since=float,  # and when [s]
+    longest=float,  # time limit of this stop [s]
+    stopped=int,  # 1: a stop is over, or was not possible: no second one
+)
 
 
-class Safety:
-    """One vehicle's fault monitor, brake and safety filter."""
+@compiled
+def filtered(limits, obstacles, period, row, neighbours, wrench, thrust_scale):
+    """The demand after the safety filter, and the room left after a full stop [m]."""
+    state, done = row.state, row.done
+    theta = state.theta + 0.5 * period * state.omega
+    fx, fy = to_table_compiled(theta, wrench[0], wrench[1])
+    x, y, hazard, spare = guarded(
+        row.told.effect_at, fx, fy, state.x, state.y, state.vx, state.vy, state.ax, state.ay,
+        obstacles, neighbours, limits, max(thrust_scale, WORST_SHARE),
+    )  # fmt: skip
+    done.hazard = hazard
+    if hazard < 0:
+        return wrench, spare
+    done.dfx, done.dfy = x - fx, y - fy
+    bx, by = to_body_compiled(theta, x, y)
+    return (bx, by, wrench[2]), spare
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        period: float,
-        watch: FaultMonitor,
-        detectors: Detectors,
-        barrier: Barrier | None,
-        decel: float,
-        ending: EndingParams = EndingParams(),  # noqa: B008
-    ) -> None:
-        """Guard a vehicle; `decel` [m/s^2] is the deceleration of its jets in every direction."""
-        self._ending, self._longest = ending, 0.0
-        self._vehicle, self._period, self._decel = vehicle, period, decel
-        self._watch, self._detectors, self._barrier = watch, detectors, barrier
-        self._flow = Flow(vehicle, period)
-        self._duty, self._thrust_scale = np.zeros(len(vehicle.jets)), 1.0
-        self._braking_since: float | None = None
-        self._stopped = False
 
-    def act(
-        self, inputs: Inputs, effect_at: float, state: State | None, setpoint: Setpoint | None,
-        commanded_wrench: Wrench, thrust_scale: float, law_error: str,
-    ) -> Acted:  # fmt: skip
-        """Judge a tick and return the wrench to use instead of `commanded_wrench`."""
-        detectors, barrier = self._detectors, self._barrier
-        if state is not None and inputs.armed:
-            detectors.compare(inputs, state, self._duty, self._thrust_scale)
-        spare, filtered = math.inf, None
-        if barrier is not None and state is not None:
-            through, filtered = self._filter(
-                barrier, effect_at, state, commanded_wrench, inputs, thrust_scale
-            )
-            spare = barrier.spare
-        else:
-            through = commanded_wrench
-        numbers = detectors.numbers(
-            inputs, state, setpoint, commanded_wrench, effect_at, spare, law_error
-        )
-        # a fault after the end gets its response, but is not latched
-        end = inputs.vitals.end
-        latches = inputs.armed and not end
-        verdict = self._watch.look(inputs.t, latches, numbers, detectors)
-        response, holding, fault = verdict
-        if end:
-            response = max(response, Response.BRAKE)
-        if response <= Response.WARN or not inputs.armed:
-            self._braking_since = None  # an unlatched row ended: the next stop starts anew
-            return Acted(through, response, holding, fault, filtered)
-        if response == Response.HOLD:
-            self._braking_since = None
-            # the tracker already brakes when setpoints have expired
-            if state is not None and setpoint is not None and effect_at <= setpoint.valid_until:
-                stop = braking_wrench(
-                    state, self._vehicle, thrust_scale * self._decel, self._period
-                )
-                return Acted(stop, response, holding, fault)
-            return Acted(through, response, holding, fault, filtered)
-        if not self._stopped and response == Response.BRAKE and state is not None:
-            stop = braking_wrench(state, self._vehicle, thrust_scale * self._decel, self._period)
-            if not self._is_over(inputs.t, state, max(thrust_scale, WEAKEST_SHARE) * self._decel):
-                return Acted(stop, response, holding, fault, None, braking=True)
-        self._stopped = self._stopped or fault is not None or end
-        # at the end a coasting vehicle lands; a vehicle that has braked needs no more air
-        air_off = end or (response != Response.COAST and fault is not None)
-        why = InhibitReason.FLIGHT_OVER if end else InhibitReason.RESPONSE
-        if fault is not None:
-            why = InhibitReason.FAULT
-        return Acted(
-            commanded_wrench, response, holding, fault,
-            inhibit_reason=Refusal(why), air_off=air_off,
-        )  # fmt: skip
+@compiled
+def respond(p, gains, m, row, demanded, through, thrust_scale):
+    """The wrench to fly, as the response of the fault table says; 0, or why valves stay shut.
 
-    def remember(self, command: ValveCommand, thrust_scale: float) -> None:
-        """Store the plan that was sent."""
-        self._duty, self._thrust_scale = self._flow.of(command), thrust_scale
+    Args:
+        p: Brakes.
+        gains: tracker.Gains.
+        m: MEMORY, changed in place.
+        row: record.ROW.
+        demanded: wrench of the tracker.
+        through: the same after the safety filter.
+        thrust_scale: of the jets' force at the present supply pressure.
+    """
+    told, state, done = row.told, row.state, row.done
+    done.braking = done.air_off = 0
+    if told.ended == 1:
+        done.response = max(done.response, Response.BRAKE.value)
+    if done.response <= Response.WARN.value or told.armed == 0:
+        m.braking = 0  # an unlatched row ended: the next stop starts anew
+        return through, 0
+    if done.response == Response.HOLD.value:
+        m.braking = 0
+        # the tracker already brakes when setpoints have expired
+        flies = told.setpoint.kind != NO_SETPOINT and told.effect_at <= told.setpoint.valid_until
+        if state.known == 0 or not flies:
+            return through, 0
+        done.hazard = -1
+        return braking_wrench(gains, state, thrust_scale * p.decel), 0
+    done.hazard = -1
+    brakes = m.stopped == 0 and done.response == Response.BRAKE.value and state.known == 1
+    decel = max(thrust_scale, WEAKEST_SHARE) * p.decel
+    if brakes and not is_over(p, m, told.t, state, decel):
+        done.braking = 1
+        return braking_wrench(gains, state, thrust_scale * p.decel), 0
+    if done.fault >= 0 or told.ended == 1:
+        m.stopped = 1
+    # at the end a coasting vehicle lands; a vehicle that has braked needs no more air
+    if told.ended == 1 or (done.response != Response.COAST.value and done.fault >= 0):
+        done.air_off = 1
+    if done.fault >= 0:
+        return demanded, InhibitReason.FAULT.value
+    over = told.ended == 1
+    return demanded, InhibitReason.FLIGHT_OVER.value if over else InhibitReason.RESPONSE.value
 
-    @property
-    def latched(self) -> tuple[str, ...]:
-        """Ids of the latched faults."""
-        return self._watch.latched
 
-    def reset(self) -> None:
-        """Clear latched faults and the stop that they caused."""
-        self._watch.reset()
-        self._braking_since, self._stopped = None, False
+@compiled
+def reset(m):
+    """Forget the stop, so that the next one starts anew."""
+    m.braking = m.stopped = 0
 
-    def _is_over(self, t: float, state: State, decel: float) -> bool:
-        """Whether a stop has ended: at rest, or too long."""
-        twist = state.twist
-        speed = math.hypot(twist.vx, twist.vy)
-        if self._braking_since is None:
-            self._braking_since = t
-            self._longest = longest_brake(self._ending, speed, decel)
-        rests = speed <= AT_REST and abs(twist.omega) <= NO_SPIN
-        return rests or t - self._braking_since > self._longest
 
-    def _filter(
-        self,
-        barrier: Barrier,
-        t: float,
-        state: State,
-        commanded_wrench: Wrench,
-        inputs: Inputs,
-        thrust_scale: float,
-    ) -> tuple[Wrench, Intervention | None]:
-        """The demand after the filter; the same object if it was not changed."""
-        pose, twist, bias = state.pose, state.twist, state.bias
-        theta = pose.theta + 0.5 * self._period * twist.omega
-        force = to_table(theta, commanded_wrench.fx, commanded_wrench.fy)
-        motion = (pose.x, pose.y, twist.vx, twist.vy, bias.ax, bias.ay)
-        fx, fy, changed = barrier.filter(t, force, motion, inputs.neighbours, thrust_scale)
-        if changed is None:
-            return commanded_wrench, None
-        return Wrench(*to_body(theta, fx, fy), commanded_wrench.tau), changed
+@compiled
+def is_over(p, m, t, state, decel):
+    """Whether a stop has ended: at rest, or too long."""
+    speed = length(state.vx, state.vy)
+    if m.braking == 0:
+        m.braking, m.since = 1, t
+        m.longest = longest_brake(p, speed, decel)
+    rests = speed <= AT_REST and abs(state.omega) <= NO_SPIN
+    return rests or t - m.since > m.longest
+
+
+@compiled
+def longest_brake(p, speed, decel):
+    """Time limit of a stop [s].
+
+    Args:
+        p: Brakes.
+        speed: at its beginning [m/s].
+        decel: deceleration that the jets can give in every direction [m/s^2].
+    """
+    return min(p.longest, p.settle + p.margin * speed / decel)

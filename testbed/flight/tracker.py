@@ -7,13 +7,14 @@ The acceleration of the reference is fed forward. The estimator's bias replaces 
 the acceleration that the fired jets do not explain, and it does not wind up when the jets saturate.
 """
 
-import math
+from typing import NamedTuple
 
 from msgspec import Struct
 
-from testbed.core.se2 import to_body, wrap
-from testbed.core.types import Accel, Demand, Pose, Reference, State, Trajectory, Twist, Wrench
+from testbed.core.compiled import compiled
+from testbed.core.se2 import length, to_body_compiled, wrap_compiled
 from testbed.core.vehicle import Positive, Vehicle
+from testbed.flight.record import DEMAND, NO_SETPOINT, REFERENCE, record
 
 
 class TrackerParams(Struct, frozen=True, forbid_unknown_fields=True):
@@ -26,98 +27,162 @@ class TrackerParams(Struct, frozen=True, forbid_unknown_fields=True):
     brake_decel: Positive = 0.03  # after setpoints have expired [m/s^2]
 
 
-def _feedback(bandwidth: float, damping: float, error: float, rate_error: float) -> float:
+class Gains(NamedTuple):
+    """Constants of the tracker for compiled code; units as in TrackerParams."""
+
+    bandwidth: float
+    damping: float
+    heading_bandwidth: float
+    heading_damping: float
+    brake_decel: float
+    mass: float  # [kg]
+    inertia: float  # [kg m^2]
+    period: float  # [s]
+
+
+def gains_of(params: TrackerParams, vehicle: Vehicle, period: float) -> Gains:
+    """The constants of a vehicle's tracker."""
+    return Gains(
+        params.bandwidth, params.damping, params.heading_bandwidth, params.heading_damping,
+        params.brake_decel, vehicle.mass, vehicle.inertia, period,
+    )  # fmt: skip
+
+
+MEMORY = record(
+    stopping=int,  # 1: the setpoint has expired, and `stop` is flown
+    stop=REFERENCE,
+)
+
+
+@compiled
+def aim(p, m, state, setpoint, references, active):
+    """The wrench (fx, fy, tau) for a setpoint; the reference that is flown goes to `active`.
+
+    An expired setpoint is not flown: the vehicle comes to rest and waits for the next. The gate
+    limits the wait.
+
+    Args:
+        p: Gains.
+        m: MEMORY, changed in place.
+        state: record.STATE.
+        setpoint: record.SETPOINT.
+        references: of a trajectory, rows in the order of record.REFERENCE, in order of time.
+        active: record.REFERENCE.
+    """
+    if setpoint.kind == NO_SETPOINT or state.known == 0:
+        return 0.0, 0.0, 0.0
+    if state.t <= setpoint.valid_until:
+        m.stopping = 0
+    elif m.stopping == 0:
+        m.stopping = 1
+        brake(state, p.brake_decel, m.stop)
+    if m.stopping == 1:
+        copy(m.stop, active)
+    elif setpoint.kind == DEMAND:
+        return obey(p, state, setpoint)
+    else:
+        due(references, state.t, active)
+    return track(p, state, active)
+
+
+@compiled
+def feedback(bandwidth, damping, error, rate_error):
+    """Acceleration of a damped oscillator."""
     return bandwidth * (bandwidth * error + 2.0 * damping * rate_error)
 
 
-class Tracker:
-    """Wrench for one vehicle."""
-
-    def __init__(self, params: TrackerParams, vehicle: Vehicle) -> None:
-        self._p = params
-        self._mass, self._inertia = vehicle.mass, vehicle.inertia
-
-    def track(self, state: State, reference: Reference) -> Wrench:
-        """Body wrench that follows `reference`; both must be for the same instant."""
-        p, pose, twist, bias = self._p, state.pose, state.twist, state.bias
-        ref, ref_twist, accel = reference.pose, reference.twist, reference.accel
-        w, z = p.bandwidth, p.damping
-        ax = accel.ax - bias.ax + _feedback(w, z, ref.x - pose.x, ref_twist.vx - twist.vx)
-        ay = accel.ay - bias.ay + _feedback(w, z, ref.y - pose.y, ref_twist.vy - twist.vy)
-        fx, fy = to_body(pose.theta, self._mass * ax, self._mass * ay)
-        return Wrench(fx, fy, self._torque(state, ref.theta, ref_twist.omega, accel.alpha))
-
-    def obey(self, state: State, demand: Demand, period: float) -> Wrench:
-        """Body wrench of a demanded force, turned at the heading half a period ahead."""
-        theta = state.pose.theta + 0.5 * period * state.twist.omega
-        fx, fy = to_body(theta, demand.fx_w, demand.fy_w)
-        return Wrench(fx, fy, self._torque(state, demand.theta, demand.omega, demand.alpha))
-
-    def _torque(self, state: State, theta: float, omega: float, alpha: float) -> float:
-        w, z = self._p.heading_bandwidth, self._p.heading_damping
-        error = wrap(theta - state.pose.theta)
-        back = _feedback(w, z, error, omega - state.twist.omega)
-        return self._inertia * (alpha - state.bias.alpha + back)
+@compiled
+def track(p, state, ref):
+    """Body wrench that follows a reference; both must be for the same instant."""
+    w, z = p.bandwidth, p.damping
+    ax = ref.ax - state.ax + feedback(w, z, ref.x - state.x, ref.vx - state.vx)
+    ay = ref.ay - state.ay + feedback(w, z, ref.y - state.y, ref.vy - state.vy)
+    fx, fy = to_body_compiled(state.theta, p.mass * ax, p.mass * ay)
+    return fx, fy, torque(p, state, ref.theta, ref.omega, ref.alpha)
 
 
-def braking_wrench(state: State, vehicle: Vehicle, decel: float, period: float) -> Wrench:
+@compiled
+def obey(p, state, demand):
+    """Body wrench of a demanded force, turned at the heading half a period ahead."""
+    theta = state.theta + 0.5 * p.period * state.omega
+    fx, fy = to_body_compiled(theta, demand.fx, demand.fy)
+    return fx, fy, torque(p, state, demand.theta, demand.omega, demand.alpha)
+
+
+@compiled
+def torque(p, state, theta, omega, alpha):
+    """Torque that holds a heading."""
+    error = wrap_compiled(theta - state.theta)
+    back = feedback(p.heading_bandwidth, p.heading_damping, error, omega - state.omega)
+    return p.inertia * (alpha - state.alpha + back)
+
+
+@compiled
+def braking_wrench(p, state, decel):
     """Body wrench that stops the motion in one jet period, or reduces it as far as possible.
 
     It acts straight against the velocity, so that a vehicle with room to stop keeps it.
 
     Args:
+        p: Gains.
         state: at the start of the period.
-        vehicle: mass and inertia.
         decel: at most [m/s^2].
-        period: [s].
     """
-    twist, bias = state.twist, state.bias
-    speed = math.hypot(twist.vx, twist.vy)
-    rate = min(1.0 / period, decel / speed) if speed > 0.0 else 0.0
-    ax, ay = -rate * twist.vx - bias.ax, -rate * twist.vy - bias.ay
-    theta = state.pose.theta + 0.5 * period * twist.omega
-    fx, fy = to_body(theta, vehicle.mass * ax, vehicle.mass * ay)
-    slow = max(0.5, period)  # heading is stopped slowly: the jets are needed for the speed [s]
-    return Wrench(fx, fy, vehicle.inertia * (-twist.omega / slow - bias.alpha))
+    speed = length(state.vx, state.vy)
+    rate = min(1.0 / p.period, decel / speed) if speed > 0.0 else 0.0
+    ax, ay = -rate * state.vx - state.ax, -rate * state.vy - state.ay
+    theta = state.theta + 0.5 * p.period * state.omega
+    fx, fy = to_body_compiled(theta, p.mass * ax, p.mass * ay)
+    slow = max(0.5, p.period)  # heading is stopped slowly: the jets are needed for the speed [s]
+    return fx, fy, p.inertia * (-state.omega / slow - state.alpha)
 
 
-def carry_forward(reference: Reference, t: float) -> Reference:
-    """The same reference at another time, at constant acceleration."""
-    dt = t - reference.t
-    pose, twist, accel = reference.pose, reference.twist, reference.accel
-    return Reference(
-        t,
-        Pose(
-            pose.x + dt * (twist.vx + 0.5 * dt * accel.ax),
-            pose.y + dt * (twist.vy + 0.5 * dt * accel.ay),
-            pose.theta + dt * (twist.omega + 0.5 * dt * accel.alpha),
-        ),
-        Twist(twist.vx + dt * accel.ax, twist.vy + dt * accel.ay, twist.omega + dt * accel.alpha),
-        accel,
-    )
+@compiled
+def carry_forward(row, t, reference):
+    """Write a reference, carried to another time at constant acceleration.
+
+    Args:
+        row: in the order of record.REFERENCE, shape (10,).
+        t: [s].
+        reference: record.REFERENCE.
+    """
+    dt, vx, vy, omega, ax, ay, alpha = t - row[0], row[4], row[5], row[6], row[7], row[8], row[9]
+    reference.t = t
+    reference.x = row[1] + dt * (vx + 0.5 * dt * ax)
+    reference.y = row[2] + dt * (vy + 0.5 * dt * ay)
+    reference.theta = row[3] + dt * (omega + 0.5 * dt * alpha)
+    reference.vx, reference.vy, reference.omega = vx + dt * ax, vy + dt * ay, omega + dt * alpha
+    reference.ax, reference.ay, reference.alpha = ax, ay, alpha
 
 
-def due(trajectory: Trajectory, t: float) -> Reference:
-    """The trajectory's reference for time `t`, carried forward from the last one before it."""
-    references = trajectory.references
-    for reference in reversed(references):
-        if reference.t <= t + 1e-9:
-            return carry_forward(reference, t)
-    return carry_forward(references[0], t)
+@compiled
+def due(references, t, reference):
+    """Write the reference for time `t`, carried forward from the last one before it."""
+    k = references.shape[0] - 1
+    while k > 0 and not references[k, 0] <= t + 1e-9:
+        k -= 1
+    carry_forward(references[k], t, reference)
 
 
-def brake(state: State, decel: float) -> Reference:
-    """Reference for a stop: at rest, where a smooth stop would end.
+@compiled
+def brake(state, decel, reference):
+    """Write the reference for a stop: at rest, where a smooth stop would end.
 
     Args:
         state: now.
         decel: of the stop, for its distance v^2 / 2a [m/s^2].
+        reference: record.REFERENCE.
     """
-    pose, twist = state.pose, state.twist
-    ahead = math.hypot(twist.vx, twist.vy) / (2.0 * decel)
-    return Reference(
-        state.t,
-        Pose(pose.x + ahead * twist.vx, pose.y + ahead * twist.vy, pose.theta),
-        Twist(0.0, 0.0, 0.0),
-        Accel(0.0, 0.0, 0.0),
-    )
+    ahead = length(state.vx, state.vy) / (2.0 * decel)
+    reference.t, reference.theta = state.t, state.theta
+    reference.x, reference.y = state.x + ahead * state.vx, state.y + ahead * state.vy
+    reference.vx = reference.vy = reference.omega = 0.0
+    reference.ax = reference.ay = reference.alpha = 0.0
+
+
+@compiled
+def copy(one, other):
+    """Write a reference to another place."""
+    other.t, other.x, other.y, other.theta = one.t, one.x, one.y, one.theta
+    other.vx, other.vy, other.omega = one.vx, one.vy, one.omega
+    other.ax, other.ay, other.alpha = one.ax, one.ay, one.alpha

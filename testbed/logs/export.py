@@ -1,17 +1,16 @@
 """Exports a log as tables: one per topic, one row per message, one column per number.
 
 Units are SI and radians, times are seconds of the run, unless a name has another unit (`on_us`).
-Nested fields are joined with dots (`outputs.state.pose.x`), lists of up to LISTED numbers become
-`name[0]`, `name[1]`, ...; longer and uneven lists stay JSON text. Times are `t` [s]. A missing
-number is nan, a missing text is empty.
+Nested fields are joined with dots (`outputs.state.pose.x`); sequences become `samples[0].x`,
+`samples[1].x`, ..., beyond the valid elements nan. Standard messages repeat what rows have and are
+left out. `bag` is a folder for `ros2 bag`, which has all messages.
 """
 
 import csv
 import errno
-import json
 import os
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+import shutil
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +19,15 @@ from numpy.typing import NDArray
 
 from testbed.core.error import TestbedError
 from testbed.core.extra import pip_install
+from testbed.core.records import cdr
+from testbed.core.records.definition import MESSAGES
+from testbed.core.records.ros import ros_name
 from testbed.files import atomic_write
-from testbed.logs.defaults import KINDS, complete
-from testbed.logs.log_reader import UNREADABLE, LogError, Row
+from testbed.logs.columns import Columns
+from testbed.logs.log_reader import LogError, LogReader
 
-LISTED = 16
 UNITS = "SI and radians, times in seconds of the run, unless a name has another unit (on_us)"
-NO_NUMBERS = {"nan", "inf", "-inf"}  # strings in the log, because JSON has no such numbers
+PLUMBING = {"header", "reserved"}  # fields without a meaning for readers
 
 Table = dict[str, NDArray[Any]]
 
@@ -35,62 +36,48 @@ class ExportError(TestbedError):
     """The export cannot be written."""
 
 
-def tables(rows: Iterable[Row], kinds: Mapping[str, str] | None = None) -> dict[str, Table]:
-    """Every topic as a table of columns of equal length.
-
-    Args:
-        rows: messages of a log.
-        kinds: name of each topic's schema, filled while rows are read (`LogReader.kinds`).
-    """
-    flat: dict[str, list[dict[str, Any]]] = {}
-    for topic, stamp, data in rows:
-        row: dict[str, Any] = {"t": stamp * 1e-9}
+def tables(book: LogReader) -> dict[str, Table]:
+    """Every topic of our own messages as a table of columns of equal length."""
+    log = Columns(book)
+    found = {topic: dict(_columns("", rows)) for topic, rows in log.rows.items()}
+    for topic, texts in log.texts.items():
+        definition = MESSAGES[book.kinds[topic]]
         try:
-            message = json.loads(data)
-            if kinds is not None and (kind := KINDS.get(kinds.get(topic, ""))) is not None:
-                message = complete(kind, message)
-            _flatten("", message, row)
-        except UNREADABLE as error:
-            raise LogError(f"{topic} at {stamp * 1e-9:.3f} s: {error}") from None
-        flat.setdefault(topic, []).append(row)
-    if not flat:
+            messages = [cdr.decode(definition, one) for one in texts]
+        except cdr.CdrError as error:
+            raise LogError(f"{topic}: {error}") from None
+        found[topic] = {
+            one.name: np.array([_plain(message[one.name]) for message in messages])
+            for one in definition.fields
+        }
+    if not found:
         raise LogError("there are no messages in the log")
-    return {topic: _columns(found) for topic, found in flat.items()}
+    return found
 
 
-def _flatten(path: str, value: Any, row: dict[str, Any]) -> None:
-    match value:
-        case dict():
-            for key, inner in value.items():
-                _flatten(f"{path}.{key}" if path else key, inner, row)
-        case list() if 0 < len(value) <= LISTED and all(
-            isinstance(v, int | float) for v in value
-        ):  # fmt: skip
-            for k, inner in enumerate(value):
-                row[f"{path}[{k}]"] = inner
-        case list():
-            row[path] = json.dumps(value)
-        case _ if path != "t":
-            row[path] = value
+def _plain(value: Any) -> Any:
+    return ", ".join(value) if isinstance(value, list) else value
 
 
-def _columns(rows: list[dict[str, Any]]) -> Table:
-    names = dict.fromkeys(name for row in rows for name in row)
-    deep = {name.rpartition(".")[0] for name in names}
-    names = dict.fromkeys(n for n in names if n not in deep)  # null here, nested elsewhere
-    return {name: _column([row.get(name) for row in rows]) for name in names}
-
-
-def _column(values: list[Any]) -> NDArray[Any]:
-    given = [v for v in values if v is not None]
-    if all(isinstance(v, bool) for v in given) and len(given) == len(values):
-        return np.array(values, dtype=bool)
-    with suppress(OverflowError):  # too large for a float: stays text
-        if all(isinstance(v, int) for v in given) and len(given) == len(values):
-            return np.array(values, dtype=np.int64)
-        if all(isinstance(v, int | float) or v in NO_NUMBERS for v in given):
-            return np.array([np.nan if v is None else float(v) for v in values])
-    return np.array(["" if v is None else str(v) for v in values])
+def _columns(path: str, rows: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Name and values of every number of some records."""
+    names = rows.dtype.names or ()
+    for name in names:
+        if name in PLUMBING or (name.endswith("_length") and f"{name[:-7]}_valid" in names):
+            continue
+        inner = f"{path}.{name}" if path else name
+        values = rows[name]
+        if values.ndim == 1:
+            yield from _columns(inner, values) if values.dtype.names else [(inner, values)]
+            continue
+        valid = rows[f"{name}_valid"] if f"{name}_valid" in names else None
+        for k in range(values.shape[1] if valid is None else int(valid.max(initial=0))):
+            one = values[:, k]
+            parts = _columns(f"{inner}[{k}]", one) if one.dtype.names else [(f"{inner}[{k}]", one)]
+            for place, column in parts:
+                if column.dtype.kind == "f" and valid is not None:
+                    column = np.where(valid > k, column, np.nan)
+                yield place, column
 
 
 def _names(found: Mapping[str, Table], folder: Path, ending: str) -> dict[str, Path]:
@@ -154,6 +141,81 @@ def to_parquet(found: dict[str, Table], folder: Path) -> list[Path]:
     return list(paths.values())
 
 
+def to_mat(found: dict[str, Table], folder: Path) -> list[Path]:
+    """Write one MATLAB file: `load log.mat`, then `sat1.tick.outputs.state.pose.x`."""
+    from scipy.io import savemat
+
+    path = folder / "log.mat"
+    refuse_older(path)
+    tree: dict[str, Any] = {}
+    for topic, table in found.items():
+        for name, column in table.items():
+            *places, last = [
+                _matlab(one) for one in (*topic.strip("/").split("/"), *name.split("."))
+            ]
+            branch = tree
+            for place in places:
+                branch = branch.setdefault(place, {})
+            branch[last] = column.astype(object) if column.dtype.kind == "U" else column
+    with atomic_write(path) as part, part.open("wb") as file:
+        savemat(file, tree, long_field_names=True, oned_as="column", do_compression=True)
+    return [path]
+
+
+def _matlab(name: str) -> str:
+    """A name that MATLAB takes: `samples[0]` is `samples_1` there."""
+    head, _, number = name.rstrip("]").partition("[")
+    return f"{head}_{int(number) + 1}" if number else head
+
+
 WRITERS: dict[str, Callable[[dict[str, Table], Path], list[Path]]] = {
-    "csv": to_csv, "npz": to_npz, "parquet": to_parquet,
+    "csv": to_csv, "mat": to_mat, "npz": to_npz, "parquet": to_parquet,
 }  # fmt: skip
+
+
+def to_bag(book: LogReader, folder: Path) -> list[Path]:
+    """Write a folder for `ros2 bag`: a copy of the log, and its table of contents."""
+    refuse_older(folder / "metadata.yaml")
+    counts: dict[str, int] = {}
+    stamps = []
+    for row in book.read():
+        counts[row.topic] = counts.get(row.topic, 0) + 1
+        stamps.append(book.epoch + row.stamp)
+    if not stamps:
+        raise LogError("there are no messages in the log")
+    shutil.copyfile(book.path, folder / "log.mcap")
+    began, ended = min(stamps), max(stamps)
+    topics = "".join(
+        f"""
+    - topic_metadata:
+        name: {topic}
+        type: {ros_name(book.kinds[topic])}
+        serialization_format: cdr
+        offered_qos_profiles: ""
+      message_count: {count}"""
+        for topic, count in counts.items()
+    )
+    text = f"""rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: mcap
+  duration:
+    nanoseconds: {ended - began}
+  starting_time:
+    nanoseconds_since_epoch: {began}
+  message_count: {len(stamps)}
+  topics_with_message_count:{topics}
+  compression_format: ""
+  compression_mode: ""
+  relative_file_paths:
+    - log.mcap
+  files:
+    - path: log.mcap
+      starting_time:
+        nanoseconds_since_epoch: {began}
+      duration:
+        nanoseconds: {ended - began}
+      message_count: {len(stamps)}
+"""
+    with atomic_write(folder / "metadata.yaml") as part:
+        part.write_text(text, encoding="utf-8")
+    return [folder / "log.mcap", folder / "metadata.yaml"]

@@ -1,8 +1,7 @@
 """A stream of typed messages for viewers, independent of its source.
 
-A viewer needs fewer fields than the log has, and must also open logs of other versions. It reads
-only the fields below; fields missing from an older log get a default. When its reader is slow, a
-feed may drop all but the newest message of a topic; the flight never waits for a reader.
+When its reader is slow, a feed may drop all but the newest message of a topic; the flight never
+waits for a reader.
 
 `LogFeed` follows the log on any rig, during the flight or afterwards. Viewers cost the flight
 nothing, and a viewer that starts late still gets everything. A feed from the network would be
@@ -10,72 +9,19 @@ another class with the same two members.
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from msgspec import Struct
 
-from testbed.core.codes import FaultReport, Intervention, Refusal, Response
-from testbed.core.types import (
-    Demand,
-    Health,
-    Pose,
-    Reference,
-    State,
-    Twist,
-    ValveCommand,
-    Wrench,
-)
+from testbed.core.codes import FaultReport
+from testbed.core.records.definition import MESSAGES
+from testbed.core.records.kinds import EventKind
+from testbed.core.records.ros import schema_text
+from testbed.core.types import Demand, EndingTick, HostTick, Pose, Reference, State, Tick, Twist
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
-from testbed.logs.message import Decoder
-from testbed.logs.recorder import Truth
-
-_ZERO = Wrench(0.0, 0.0, 0.0)
-
-
-class SeenInputs(Struct, frozen=True, gc=False):
-    """The part of a vehicle's inputs that viewers use."""
-
-    t: float  # [s]
-    armed: bool
-    health: Health
-    neighbours: dict[str, State] = {}
-
-
-class SeenOutputs(Struct, frozen=True, gc=False):
-    """The part of a vehicle's outputs that viewers use."""
-
-    t: float  # [s]
-    state: State | None
-    active_setpoint: Reference | Demand | None
-    command: ValveCommand
-    commanded_wrench: Wrench = _ZERO
-    realised_wrench: Wrench = _ZERO
-    inhibit_reason: Refusal | None = None
-    fault: FaultReport | None = None
-    faults: tuple[str, ...] = ()
-    response: Response = Response.NONE
-    filtered: Intervention | None = None
-
-
-class SeenTick(Struct, frozen=True, gc=False):
-    """The part of a vehicle's tick that viewers use."""
-
-    inputs: SeenInputs
-    outputs: SeenOutputs
-
-
-class SeenHostInputs(Struct, frozen=True, gc=False):
-    """The part of the host's inputs that viewers use."""
-
-    t: float  # [s]
-    own: State | None
-    neighbours: dict[str, State] = {}
-
-
-class SeenHost(Struct, frozen=True, gc=False):
-    """The part of a host law's tick that viewers use."""
-
-    inputs: SeenHostInputs
+from testbed.logs.packing import unpack
+from testbed.logs.recorder import Motion, Truth
+from testbed.logs.row_reader import RowReader, fault_of
 
 
 class Loop(Struct, frozen=True, gc=False):
@@ -112,7 +58,7 @@ class SeenPhase(Struct, frozen=True, gc=False):
     fault: FaultReport | None = None
 
 
-Message = SeenTick | SeenHost | Truth | Loop | SeenPace | SeenValves | SeenPhase
+Message = Tick | HostTick | Truth | Loop | SeenPace | SeenValves | SeenPhase
 
 
 class News(NamedTuple):
@@ -137,18 +83,64 @@ class Feed(Protocol):
         ...
 
 
-_KINDS: dict[str, type[Struct]] = {
-    "Tick": SeenTick, "HostTick": SeenHost, "Truth": Truth, "Loop": Loop,
-    "Pace": SeenPace, "Valves": SeenValves, "Event": SeenPhase,
-}  # fmt: skip
+class Rows:
+    """Makes typed messages from the rows of a log, in its order."""
+
+    def __init__(self) -> None:
+        self.read = RowReader()
+
+    def message(self, topic: str, kind: str, data: bytes) -> Message | None:
+        """The message in a row; None: it is for other readers.
+
+        Raises:
+            ValueError: it is damaged.
+        """
+        who = topic.rpartition("/")[0]
+        match kind:
+            case "Tick":
+                return self.read.tick(topic, data)
+            case "HostTick":
+                return self.read.host(topic, data)
+            case "Names" | "Event":
+                event = self.read.learn(topic, kind, data)
+                if event is None or event["kind"] != EventKind.PHASE:
+                    return None
+                return SeenPhase(event["t"], event["id"], event["text"], fault_of(event))
+            case "Truth":
+                row = unpack(kind, data)
+                motions = enumerate(row.sequences["vehicles"])
+                return Truth(row.fixed[0], {self.read.vehicle(k): Motion(*m) for k, m in motions})
+            case "Pace":
+                _, late, _, delay, _, heard, lost, _, _, cameras = unpack(kind, data).fixed
+                text = self.read.text(who, EventKind.CAMERAS) if cameras else ""
+                return SeenPace(late, None if delay != delay else delay, heard, lost, text)
+            case "Loop":
+                return Loop(*unpack(kind, data).fixed)
+            case "Valves":
+                return SeenValves(*unpack(kind, data).fixed)
+        return None
+
+
+def same_version(book: LogReader, topic: str) -> None:
+    """Refuse a topic whose messages have other fields than those of this version.
+
+    Raises:
+        LogError: they have.
+    """
+    kind, text = book.kinds[topic], book.texts[topic]
+    if text and kind in MESSAGES and text != schema_text(kind):
+        raise LogError(
+            f"{book.path}: {topic}\n  expected  messages {kind} of this version\n"
+            "  found     another version of them; `testbed export` reads it"
+        )
 
 
 class LogFeed:
     """A `Feed` that follows a log."""
 
     def __init__(self, book: LogReader) -> None:
-        self._book = book
-        self._decoders = {name: Decoder(kind) for name, kind in _KINDS.items()}
+        self._book, self._rows = book, Rows()
+        self._known: set[str] = set()  # topics of this version
 
     @property
     def ended(self) -> bool:
@@ -158,14 +150,15 @@ class LogFeed:
     def news(self) -> Iterator[News]:
         """See `Feed`; starts at the beginning of the log."""
         for topic, stamp, data in self._book.read():
-            decoder = self._decoders.get(self._book.kinds.get(topic, ""))
-            if decoder is None:
-                continue
+            if topic not in self._known:
+                same_version(self._book, topic)
+                self._known.add(topic)
             try:
-                message: Any = decoder.decode(data)
+                message = self._rows.message(topic, self._book.kinds[topic], data)
             except UNREADABLE as error:
                 raise LogError(f"{topic} at {stamp * 1e-9:.3f} s: {error}") from None
-            yield News(topic, topic.removeprefix("/").split("/")[0], stamp * 1e-9, message)
+            if message is not None and not isinstance(message, EndingTick):
+                yield News(topic, topic.removeprefix("/").split("/")[0], stamp * 1e-9, message)
 
 
 def pose_of(active_setpoint: Reference | Demand | None) -> Pose | None:

@@ -1,29 +1,23 @@
 """A flight as arrays, for figures, exports and comparisons."""
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec import Struct, field
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from testbed.core.codes import LATCHED, FaultReport, Response
-from testbed.core.types import Demand, Pose
-from testbed.logs.feed import (
-    Loop,
-    News,
-    SeenHost,
-    SeenPace,
-    SeenPhase,
-    SeenTick,
-    SeenValves,
-    pose_of,
-)
-from testbed.logs.recorder import Truth
+from testbed.core.records.cdr import decode
+from testbed.core.records.definition import MESSAGES
+from testbed.core.records.kinds import Active
+from testbed.core.types import Tick
+from testbed.logs.columns import Columns
+from testbed.logs.feed import Rows, SeenPace, SeenPhase, same_version
+from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
 
 Array = NDArray[np.float64]
-NAN3 = (math.nan,) * 3
 
 
 class Happening(NamedTuple):
@@ -105,102 +99,126 @@ class History(Struct, frozen=True):
         return vehicle.at[known], np.hstack([vehicle.pose, vehicle.twist])[known]
 
 
-class _Vehicle(Struct):
-    ticks: list[SeenTick] = field(default_factory=list)
-    true: list[tuple[float, ...]] = field(default_factory=list)
-    edges: list[tuple[float, float]] = field(default_factory=list)
-    paces: list[tuple[float, SeenPace]] = field(default_factory=list)
+def gather(book: LogReader) -> History:
+    """The history in a log.
+
+    Raises:
+        LogError: it is of another version or damaged in a way that cannot be skipped.
+    """
+    log = Columns(book)
+    for topic in log.rows:
+        same_version(book, topic)
+    try:
+        return _history(log)
+    except UNREADABLE as error:
+        raise LogError(f"{book.path}: {error}") from None
 
 
-def gather(news: Iterable[News]) -> History:
-    """Collect the messages of a flight into a history."""
-    vehicles: dict[str, _Vehicle] = {}
-    true_t: list[float] = []
-    heard: dict[str, list[tuple[float, float]]] = {}
-    loop: list[tuple[float, float, float]] = []
-    phases: list[Happening] = []
-    for one in news:
-        match one.message:
-            case SeenTick() as tick:
-                vehicles.setdefault(one.who, _Vehicle()).ticks.append(tick)
-            case SeenHost(inputs=inputs):
-                if inputs.own is not None:
-                    age = inputs.t - inputs.own.t
-                    heard.setdefault(one.who, []).append((inputs.t, age))
-            case Truth(t=t, vehicles=motions):
-                true_t.append(t)
-                for name, m in motions.items():
-                    row = (m.x, m.y, m.theta, m.vx, m.vy, m.omega)
-                    vehicles.setdefault(name, _Vehicle()).true.append(row)
-            case Loop(t=t, late_s=late, busy_s=busy):
-                loop.append((t, late, busy))
-            case SeenPace() as pace:
-                vehicles.setdefault(one.who, _Vehicle()).paces.append((one.t, pace))
-            case SeenValves(t=t, mask=mask):
-                vehicles.setdefault(one.who, _Vehicle()).edges.append((t, float(mask)))
-            case SeenPhase() as change:
-                phases.append(phase_change(change))
+def _history(log: Columns) -> History:
+    reader, vehicles, none = Rows(), dict[str, VehicleHistory](), np.zeros(0)
+    for data in log.texts.get("/names", [])[-1:]:
+        reader.message("/names", "Names", data)
+    truth = log.rows.get("/truth")
+    for name in dict.fromkeys(topic.split("/")[1] for topic in log.rows):
+        ticks = log.rows.get(f"/{name}/tick")
+        if ticks is not None:
+            true, names = none, reader.read.names.vehicles
+            if truth is not None and name in names:
+                motion = truth["vehicles"][:, names.index(name)]
+                true = np.column_stack((_numbers(motion["pose"]), _numbers(motion["twist"])))
+            vehicles[name] = _vehicle(log, name, ticks, true, reader)
+    heard = {}
+    for topic, host in log.rows.items():
+        if topic.endswith("/host") and (known := host["inputs"]["own_known"] > 0).any():
+            inputs = host["inputs"][known]
+            heard[topic.split("/")[1]] = inputs["t"], inputs["t"] - inputs["own"]["t"]
+    phases = [
+        phase_change(one)
+        for data in log.texts.get("/supervisor", [])
+        if isinstance(one := reader.message("/supervisor", "Event", data), SeenPhase)
+    ]
+    loop = log.rows.get("/loop")
     return History(
-        {name: _arrays(v) for name, v in vehicles.items()},
-        np.array(true_t),
-        {name: (np.array(r)[:, 0], np.array(r)[:, 1]) for name, r in heard.items()},
-        np.array(loop).reshape(-1, 3),
+        vehicles,
+        none if truth is None else truth["t"],
+        heard,
+        _numbers(loop) if loop is not None else none.reshape(0, 3),
         phases,
     )
 
 
-def _table(rows: Sequence[Sequence[float]], width: int) -> Array:
-    return np.array(rows, dtype=float).reshape(-1, width)
+def _numbers(records: Any) -> Array:
+    """Records of numbers as one array with a column for each, shape (n, columns)."""
+    names = [name for name in records.dtype.names if name != "header"]
+    return np.column_stack([records[name] for name in names])
 
 
-def _pose(pose: Pose | None) -> tuple[float, ...]:
-    return NAN3 if pose is None else (pose.x, pose.y, pose.theta)
-
-
-def _arrays(vehicle: _Vehicle) -> VehicleHistory:
-    ticks, true = vehicle.ticks, vehicle.true
-    outs = [tick.outputs for tick in ticks]
-    jets = max((len(out.command.on_us) for out in outs), default=0)
-    states = [out.state for out in outs]
-    twists = [
-        NAN3 if s is None else (s.twist.vx, s.twist.vy, s.twist.omega) for s in states
-    ]  # fmt: skip
-    asked = [
-        (o.active_setpoint.fx_w, o.active_setpoint.fy_w)
-        if isinstance(o.active_setpoint, Demand)
-        else NAN3[:2]
-        for o in outs
-    ]
-    changed = [(o.filtered.dfx_w, o.filtered.dfy_w) if o.filtered else (0.0, 0.0) for o in outs]
+def _vehicle(
+    log: Columns, name: str, ticks: Any, true: Array, reader: Rows
+) -> VehicleHistory:  # fmt: skip
+    inputs, out = ticks["inputs"], ticks["outputs"]
+    state, pulses = out["state"], ticks["pulses"]
+    paces = _paces(log, name, reader)
+    flies = out["active"] == Active.REFERENCE
+    asked = np.where(out["active"] == Active.DEMAND, out["demand"]["fx_w"], math.nan)
+    asked_y = np.where(out["active"] == Active.DEMAND, out["demand"]["fy_w"], math.nan)
+    edges = log.rows.get(f"/{name}/valves")
+    said = [*events(_changes(log, name, ticks, reader)), *camera_events(paces)]
     return VehicleHistory(
-        t=np.array([tick.inputs.t for tick in ticks]),
-        at=np.array([math.nan if s is None else s.t for s in states]),
-        pose=_table([_pose(None if s is None else s.pose) for s in states], 3),
-        twist=_table(twists, 3),
-        reference=_table([_pose(pose_of(out.active_setpoint)) for out in outs], 3),
-        force_asked=_table(asked, 2),
-        commanded_wrench=_table(
-            [(o.commanded_wrench.fx, o.commanded_wrench.fy, o.commanded_wrench.tau) for o in outs],
-            3,
-        ),
-        realised_wrench=_table(
-            [(o.realised_wrench.fx, o.realised_wrench.fy, o.realised_wrench.tau) for o in outs], 3
-        ),
-        on=1e-6 * _table([o.command.on_us for o in outs], max(jets, 1)),
-        offset=1e-6 * _table([o.command.offset_us for o in outs], max(jets, 1)),
-        supply=np.array([tick.inputs.health.supply_pressure for tick in ticks]),
-        tank=np.array([tick.inputs.health.tank_pressure for tick in ticks]),
-        pose_age=np.array([math.nan if s is None else s.pose_age for s in states]),
-        filtered=_table(changed, 2),
-        events=sorted(
-            [*events(ticks), *camera_events(vehicle.paces)], key=lambda one: (one.t, one.text)
-        ),
-        edges=_table(vehicle.edges, 2),
-        wires=_table(
-            [(t, p.late_s, _or_nan(p.setpoint_delay_s), lost_share(p)) for t, p in vehicle.paces], 4
-        ),
-        true=_table(true, 6),
-    )
+        t=inputs["t"],
+        at=state["t"],
+        pose=_numbers(state["pose"]),
+        twist=_numbers(state["twist"]),
+        reference=np.where(flies[:, None], _numbers(out["reference"]["pose"]), math.nan),
+        force_asked=np.column_stack((asked, asked_y)),
+        commanded_wrench=_numbers(out["commanded_wrench"]),
+        realised_wrench=_numbers(out["realised_wrench"]),
+        on=1e-6 * pulses["on_us"],
+        offset=1e-6 * pulses["offset_us"],
+        supply=inputs["health"]["supply_pressure"],
+        tank=inputs["health"]["tank_pressure"],
+        pose_age=state["pose_age"],
+        filtered=np.column_stack((out["filtered"]["dfx_w"], out["filtered"]["dfy_w"])),
+        events=sorted(said, key=lambda one: (one.t, one.text)),
+        edges=np.zeros((0, 2)) if edges is None else _numbers(edges).astype(float),
+        wires=np.array(
+            [(t, p.late_s, _or_nan(p.setpoint_delay_s), lost_share(p)) for t, p in paces]
+        ).reshape(-1, 4),
+        true=true if len(true) else np.zeros((0, 6)),
+    )  # fmt: skip
+
+
+def _changes(log: Columns, name: str, ticks: Any, reader: Rows) -> Iterator[Tick]:
+    """The first tick, and every tick whose codes or texts are not those of the tick before."""
+    out, t = ticks["outputs"], ticks["inputs"]["t"]
+    codes = np.column_stack(
+        (
+            *(out[one] for one in ("inhibit", "fault", "faults", "response")),
+            out["filtered"]["hazard"], out["filtered"]["subject"],
+            np.ascontiguousarray(out["inhibit_values"]).view(np.uint64),
+        )
+    )  # fmt: skip
+    changed = np.ones(len(t), bool)
+    changed[1:] = (codes[1:] != codes[:-1]).any(axis=1)
+    texts = log.texts.get(f"/{name}/event", [])
+    at = [decode(MESSAGES["Event"], one)["t"] for one in texts]
+    changed[np.isin(t, at)] = True
+    done, topic = 0, f"/{name}/tick"
+    for k in np.flatnonzero(changed):
+        while done < len(texts) and at[done] <= t[k]:
+            reader.message(f"/{name}/event", "Event", texts[done])
+            done += 1
+        yield reader.read.tick(topic, ticks[k].tobytes())
+
+
+def _paces(log: Columns, name: str, reader: Rows) -> list[tuple[float, SeenPace]]:
+    rows = log.rows.get(f"/{name}/pace")
+    found = []
+    for row in [] if rows is None else rows:
+        one = reader.message(f"/{name}/pace", "Pace", row.tobytes())
+        assert isinstance(one, SeenPace)
+        found.append((float(row["t"]), one))
+    return found
 
 
 def _or_nan(value: float | None) -> float:
@@ -222,7 +240,7 @@ def camera_events(paces: Iterable[tuple[float, SeenPace]], said: str = "") -> li
     return found
 
 
-def events(ticks: Iterable[SeenTick]) -> list[Happening]:
+def events(ticks: Iterable[Tick]) -> list[Happening]:
     """Changes reported by gate, fault table and filter, and their times [s].
 
     A response is listed with the active rows of the fault table, and again when a row is added.

@@ -9,7 +9,9 @@ Topic names in the damaged part are repeated at the end of a finished file.
 """
 
 import os
+import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -17,6 +19,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from testbed.core.error import TestbedError
+from testbed.core.records.definition import OURS as OUR_MESSAGES
 from testbed.logs.mcap_record import (
     HEAD,
     LARGEST,
@@ -41,10 +44,12 @@ from testbed.logs.mcap_record import (
 from testbed.logs.salvage import GiveUpError, Search
 
 OURS = "airbearing-testbed"  # library name of logs with gapless message numbers
+_TIME = struct.Struct("<d")
 SAID = 10  # places of damage that are listed one by one
 KINDS = {  # kind of a topic whose schema is lost, by the last part of its name
-    "tick": "Tick", "host": "HostTick", "valves": "Valves", "pace": "Pace", "loop": "Loop",
-    "supervisor": "Event", "truth": "Truth", "formation": "Characterisation",
+    "tick": "Tick", "ending": "Tick", "host": "HostTick", "valves": "Valves", "pace": "Pace",
+    "loop": "Loop", "supervisor": "Event", "event": "Event", "truth": "Truth", "names": "Names",
+    "formation": "Formation",
 }  # fmt: skip
 UNREADABLE = (ValueError, RecursionError, OverflowError)  # raised by an invalid message
 
@@ -57,8 +62,8 @@ class Row(NamedTuple):
     """One message as stored in the file."""
 
     topic: str
-    stamp: int  # time of the run [ns]
-    data: bytes  # JSON
+    stamp: int  # time of the run [ns]; UTC in a log that is not of this software
+    data: bytes  # CDR
 
 
 class Damage(NamedTuple):
@@ -96,9 +101,11 @@ class LogReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.finished = False  # the file has a proper end, which was read
-        self.kinds: dict[str, str] = {}  # topic -> name of its schema
+        self.kinds: dict[str, str] = {}  # topic -> name of its messages
+        self.texts: dict[str, str] = {}  # topic -> text of its schema
+        self._epoch: int | None = None  # UTC at time 0 of the run [ns]
         self.damages: list[Damage] = []  # skipped so far
-        self._schemas: dict[int, str] = {}
+        self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._nameless = 0  # messages of topics whose names are lost
         self._at = self._sound = len(MCAP0_MAGIC)  # next record; end of the last intact chunk
@@ -149,6 +156,11 @@ class LogReader:
         with self.path.open("rb") as file:
             return self.finished and not self.lost and read_summary(file) is not None
 
+    @property
+    def epoch(self) -> int:
+        """UTC at time 0 of the run, as far as it is known [ns]."""
+        return self._epoch or 0
+
     def said(self) -> list[str]:
         """Messages about damage in the part read so far or right after it; empty: none."""
         places = self._places()
@@ -165,7 +177,7 @@ class LogReader:
     def _places(self) -> list[Damage]:
         if self._stuck is None:
             return self.damages
-        return [*self.damages, Damage(self._stuck, None, _seconds(self._stamp), None)]
+        return [*self.damages, Damage(self._stuck, None, self._seconds(self._stamp), None)]
 
     def _step(self, file: BinaryIO) -> list[Record] | None:
         """Contents of the next record; None at the current end of the file."""
@@ -262,54 +274,78 @@ class LogReader:
         missing = None
         if self._ours and summary.messages is not None:
             missing = max(0, summary.messages - self._sequence)
-        until = None if summary.last is None else summary.last * 1e-9
-        self.damages.append(Damage(self._hurt, missing, _seconds(self._stamp), until))
+        until = self._seconds(summary.last)
+        self.damages.append(Damage(self._hurt, missing, self._seconds(self._stamp), until))
         self._hurt = None
 
     def _repeated(self, file: BinaryIO) -> Summary:
         return read_summary(file) or Summary([])
 
     def _rows(self, file: BinaryIO, records: list[Record]) -> Iterator[Row]:
+        if self._epoch is None:
+            for name in records:
+                if not isinstance(name, Message):
+                    self._learn(name)
+            if any(isinstance(r, Message) and r.channel not in self._channels for r in records):
+                for name in self._repeated(file).records:
+                    self._learn(name)
+            self._epoch = self._zero(records)
+        epoch, channels = self.epoch, self._channels
         for record in records:
             if not isinstance(record, Message):
                 self._learn(record)
                 continue
-            self._account(record)
-            channel = self._channels.get(record.channel)
+            number, sequence, stamp, data = record
+            if self._hurt is not None or sequence != self._sequence + 1:
+                self._account(record)
+            self._sequence, self._stamp = sequence, stamp
+            channel = channels.get(number)
             if channel is None and not self._nameless:
                 for name in self._repeated(file).records:
                     self._learn(name)
-                channel = self._channels.get(record.channel)
+                channel = channels.get(number)
             if channel is None:
                 self._nameless += 1
                 continue
-            yield Row(channel.topic, record.stamp, record.data)
+            yield Row(channel.topic, stamp - epoch, data)
+
+    def _zero(self, records: list[Record]) -> int | None:
+        """UTC at time 0 of the run, from a row: it begins with its time of the run."""
+        for one in records:
+            if not isinstance(one, Message) or (channel := self._channels.get(one.channel)) is None:
+                continue
+            if "/" not in self.kinds[channel.topic]:
+                with suppress(struct.error, ValueError, OverflowError):
+                    return one.stamp - round(1e9 * _TIME.unpack_from(one.data, 4)[0])
+        return None
 
     def _learn(self, name: Schema | Channel) -> None:
         if isinstance(name, Schema):
-            self._schemas[name.number] = name.name
+            self._schemas[name.number] = name
             return
         self._channels[name.number] = name
-        by_name = KINDS.get(name.topic.rpartition("/")[2], "")
-        self.kinds[name.topic] = self._schemas.get(name.schema, by_name)
+        schema = self._schemas.get(name.schema)
+        kind = KINDS.get(name.topic.rpartition("/")[2], "") if schema is None else schema.name
+        self.kinds[name.topic] = kind.replace("/msg/", "/").removeprefix(f"{OUR_MESSAGES}/")
+        self.texts[name.topic] = "" if schema is None else schema.text
+
+    def _seconds(self, stamp: int | None) -> float | None:
+        """Time of the run [s]."""
+        return None if stamp is None else (stamp - self.epoch) * 1e-9
 
     def _account(self, message: Message) -> None:
         """Record what is missing before a message."""
         missing = max(0, message.sequence - self._sequence - 1) if self._ours else None
         if self._hurt is not None or missing:
             at = self._gap if self._hurt is None else self._hurt
-            now = message.stamp * 1e-9
-            self.damages.append(Damage(at, missing, _seconds(self._stamp), now))
+            now = self._seconds(message.stamp)
+            self.damages.append(Damage(at, missing, self._seconds(self._stamp), now))
             self._hurt = None
         self._sequence, self._stamp = message.sequence, message.stamp
 
 
 def _size(file: BinaryIO) -> int:
     return file.seek(0, os.SEEK_END)
-
-
-def _seconds(stamp: int | None) -> float | None:
-    return None if stamp is None else stamp * 1e-9
 
 
 def config_of(run: Path) -> Path:

@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 HEAD = struct.Struct("<BQ")  # opcode and length of a record
-LARGEST = 8 * 2**20  # largest chunk, packed or not [bytes]; the writer's have 256 kB
+LARGEST = 8 * 2**20  # largest chunk, packed or not [bytes]; the writer's have 1 MB
 RATIO = 64  # largest compression ratio of a log; real ones have 4 to 30
 NAMES = 2**16  # most schemas and channels in a chunk: their numbers have 16 bits
 
@@ -50,6 +50,7 @@ class Schema(NamedTuple):
 
     number: int
     name: str
+    text: str = ""
 
 
 class Channel(NamedTuple):
@@ -143,9 +144,9 @@ def read_name(opcode: int, body: bytes) -> Schema | Channel:
     number = cursor.number(2)
     found: Schema | Channel
     if opcode == Opcode.SCHEMA:
-        found = Schema(number, cursor.text())
+        name = cursor.text()
         cursor.text()  # encoding
-        cursor.bytes(cursor.number(4))
+        found = Schema(number, name, cursor.text())
     else:
         schema = cursor.number(2)
         found = Channel(number, schema, cursor.text())

@@ -1,6 +1,6 @@
 """The log writer's process: copies frames from a pipe into an MCAP file, until the pipe ends.
 
-    python -m testbed.logs.mcap_writer LOG WARN_BELOW END_BELOW
+    python -m testbed.logs.mcap_writer LOG WARN_BELOW END_BELOW EPOCH_NS
 
 `recorder.py` starts it. If the flight is killed it lives on until the file is finished. One thread
 only empties the pipe, so a slow disk does not affect the flight until 64 MB are queued. Messages go
@@ -20,9 +20,11 @@ from mcap.records import DataEnd, Footer
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from testbed.core.error import TestbedError
+from testbed.core.records.ros import ros_name, schema_text
+from testbed.logs.extras import Extras
 from testbed.logs.recorder import READY, Entry, Frame, Mark, Topic
 
-CHUNK = 256 * 1024  # a chunk is closed at this size or earlier [bytes]
+CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
 WAITING = 1024  # most reads queued for the disk
 
@@ -118,9 +120,37 @@ class Disk:
         return None
 
 
+class Log:
+    """An MCAP file under way: messages with gapless numbers."""
+
+    def __init__(self, file: File, epoch_ns: int) -> None:
+        self.mcap = Writer(file, chunk_size=CHUNK, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+        self.mcap.start(profile="ros2", library="airbearing-testbed")
+        self._epoch, self._number = epoch_ns, 0
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+
+    def topic(self, name: str, kind: str) -> int:
+        """The channel of a topic."""
+        if name not in self._channels:
+            if kind not in self._schemas:
+                text = schema_text(kind).encode()
+                self._schemas[kind] = self.mcap.register_schema(ros_name(kind), "ros2msg", text)
+            schema = self._schemas[kind]
+            self._channels[name] = self.mcap.register_channel(name, "cdr", schema)
+        return self._channels[name]
+
+    def add(self, channel: int, stamp: int, data: bytes) -> None:
+        """Append a message of a time of the run [ns]."""
+        self._number += 1
+        at = self._epoch + stamp
+        self.mcap.add_message(channel, at, data, at, self._number)
+
+
 def write_log(
-    path: Path, received: Iterator[Frame], disk: Disk, say: Callable[[str], object]
-) -> None:
+    path: Path, received: Iterator[Frame], disk: Disk, say: Callable[[str], object],
+    epoch_ns: int = 0,
+) -> None:  # fmt: skip
     """Copy frames into a new file at `path`, never over an older one.
 
     Raises:
@@ -128,31 +158,26 @@ def write_log(
         DiskFullError: the disk is nearly full; the file has been finished.
     """
     file = File(path)
-    writer = Writer(file, chunk_size=CHUNK, compression=CompressionType.ZSTD)  # type: ignore[arg-type]
+    log, extras = Log(file, epoch_ns), Extras(epoch_ns)
     say(READY.decode().strip())
-    writer.start(profile="", library="airbearing-testbed")
-    channels: list[int] = []
-    schemas: dict[tuple[str, bytes], int] = {}  # vehicles share schemas
-    sequence = 0
+    topics: list[tuple[int, Topic]] = []
     try:
         for frame in received:
             match frame:
-                case Entry(topic, stamp, data):
-                    sequence += 1
-                    writer.add_message(channels[topic], stamp, data, stamp, sequence)
+                case Entry(number, stamp, data):
+                    channel, topic = topics[number]
+                    log.add(channel, stamp, data)
+                    for name, kind, extra in extras.of(topic.name, topic.kind, stamp, data):
+                        log.add(log.topic(name, kind), stamp, extra)
                 case Mark():
-                    writer.flush()
+                    log.mcap.flush()
                     if warning := disk.check():
                         say(warning)
-                case Topic(name, schema_name, schema):
-                    number = schemas.get((schema_name, schema), 0)
-                    if not number:
-                        number = writer.register_schema(schema_name, "jsonschema", schema)
-                        schemas[schema_name, schema] = number
-                    channels.append(writer.register_channel(name, "json", number))
-        finish(writer, file)
+                case Topic(name, kind):
+                    topics.append((log.topic(name, kind), frame))
+        finish(log.mcap, file)
     except DiskFullError:
-        finish(writer, file)
+        finish(log.mcap, file)
         raise
     except OSError:
         file.end()
@@ -173,7 +198,7 @@ def free_at(path: Path) -> int:
 
 def main() -> int:
     """Write until the pipe ends; on failure returns 1 and prints the reason on stderr."""
-    path, warn_below, end_below = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    path, (warn_below, end_below, epoch_ns) = Path(sys.argv[1]), map(int, sys.argv[2:5])
 
     def say(line: str) -> None:
         sys.stderr.write(line + "\n")
@@ -181,7 +206,7 @@ def main() -> int:
 
     disk = Disk(lambda: free_at(path), warn_below, end_below)
     try:
-        write_log(path, frames(gulps(sys.stdin.fileno())), disk, say)
+        write_log(path, frames(gulps(sys.stdin.fileno())), disk, say, epoch_ns)
     except OSError as error:
         say(f"{error.filename or path}: {error.strerror}")
     except DiskFullError as error:

@@ -3,19 +3,22 @@
     /<vehicle>/tick    one tick of the flight chain: inputs and outputs
     /<vehicle>/ending  the same after the end of the flight, until its air is off
     /<vehicle>/host    one tick of its law, if the law runs on the host
+    /<vehicle>/event   texts that its rows refer to: faults, exceptions
     /<vehicle>/valves  valve outputs of its board, with firmware in the loop
     /<vehicle>/pace    timing of its ticks and state of its connections, on real wires
     /loop              timing of the host's loop, in real time
     /supervisor        phase changes of the supervisor, and their reasons
     /truth             true poses of the vehicles; only from a twin
+    /names             names that rows refer to by number
 
-Messages are JSON and each topic has the JSON Schema of its struct: any MCAP reader can open the log
-without this code, and Foxglove can read the schemas (`plain_schema.py`). Times are the run's, so
-the same seed gives the same bytes.
+Messages are records of `core/records`, as CDR with their ros2msg schemas: ROS 2, Foxglove and
+PlotJuggler read them. `extras.py` adds standard messages for what people plot. A row has the time
+of the run; the time of the log is UTC, from the time of the run plus `epoch_ns`. So the same seed
+and epoch give the same bytes.
 
 A separate process (`mcap_writer.py`) writes the file from a pipe: the flight does not wait for the
 disk, and if the flight is killed the writer still finishes the file. A chunk of the file is closed
-every SPAN_NS of the run, so a killed writer loses at most that and the data in the pipe.
+every `span_ns` of the run, so a killed writer loses at most that and the data in the pipe.
 
 On real wires the flight never waits for the pipe, because it would lose its vehicles: data that the
 pipe does not take is kept in memory, and beyond LARGEST_BACKLOG rows are lost with a warning. On
@@ -24,9 +27,9 @@ the twin, which is faster than a disk, the flight waits for the writer, unless t
 
 import os
 import select
+import struct
 import subprocess
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
@@ -36,8 +39,7 @@ import msgspec
 from msgspec import Struct
 
 from testbed.core.error import TestbedError
-from testbed.logs.message import to_json
-from testbed.logs.plain_schema import plain_schema
+from testbed.logs.tick_row import Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
 PIECE = 64 * 1024  # most bytes kept between two marks before they are written
@@ -45,9 +47,11 @@ LARGEST_BACKLOG = 32_000_000  # most bytes kept in memory for a slow writer
 LOOK_S = 0.05
 PATIENCE_S = 5.0  # a writer without progress for this long hangs
 SPAN_NS = 50_000_000  # time of the run per chunk; the same run gives the same chunks
+FAST_SPAN_NS = 5_000_000_000  # the same faster than real time: larger chunks compress better
 WARN_BELOW = 500_000_000  # free disk space below which to warn [bytes]
 END_BELOW = 20_000_000  # free disk space below which to finish the log [bytes]
 
+SCENE = "visualization_msgs/MarkerArray"
 READY = b"ready\n"  # the writer's first line
 
 
@@ -77,15 +81,14 @@ class Topic(Struct, frozen=True, tag=True, array_like=True):
     """To the writer: a new topic; topics are numbered in the order of these messages."""
 
     name: str
-    schema_name: str
-    schema: bytes
+    kind: str  # of its messages, see `core/records`
 
 
 class Entry(Struct, frozen=True, tag=True, array_like=True, gc=False):
     """To the writer: one message of a topic."""
 
     topic: int
-    stamp: int  # [ns]
+    stamp: int  # time of the run [ns]
     data: bytes
 
 
@@ -101,8 +104,11 @@ class Recorder:
 
     Args:
         path: of the new file.
+        names: that rows refer to by number.
         waits: wait for a slow writer; otherwise rows are lost.
         warn_below, end_below: limits of free disk space [bytes].
+        span_ns: time of the run per chunk.
+        epoch_ns: time of the log, UTC, at time 0 of the run.
 
     Raises:
         RecorderError: on writing or leaving, if the writer failed.
@@ -113,9 +119,12 @@ class Recorder:
         path: Path,
         warn_below: int = WARN_BELOW,
         end_below: int = END_BELOW,
-        vehicles: Sequence[str] = (),
+        names: Names | None = None,
         *,
         waits: bool = True,
+        span_ns: int = SPAN_NS,
+        epoch_ns: int = 0,
+        scene: bytes = b"",
     ) -> None:
         self._path, self._waits = path, waits
         self.lost = 0  # rows
@@ -123,16 +132,15 @@ class Recorder:
         self._pending = bytearray()  # not yet in the pipe
         self._command = [
             *(sys.executable, "-m", "testbed.logs.mcap_writer"),
-            *(str(path), str(warn_below), str(end_below)),
+            *(str(path), str(warn_below), str(end_below), str(epoch_ns)),
         ]
-        self._marked = -SPAN_NS  # time of the last mark [ns]
+        self._span = span_ns
+        self._marked = -span_ns  # time of the last mark [ns]
         self._said = b""  # output of the writer that has not been passed on
         self._reason = ""  # the writer's newest line
-        self._encode = msgspec.json.Encoder().encode
         self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
-        self._vehicles = vehicles  # names used in the schemas
-        self._schemas: dict[type[Struct], bytes] = {}
+        self._rows, self._scene = RowWriter(names), scene
 
     def __enter__(self) -> "Recorder":
         self._writer = subprocess.Popen(
@@ -157,17 +165,30 @@ class Recorder:
             raise RecorderError(said)
 
     def write(self, topic: str, t: float, message: Struct) -> None:
-        """Append one message of time `t` [s] to `topic`."""
+        """Append one message of time `t` [s] to `topic`.
+
+        Raises:
+            RecorderError: the writer failed, or a number does not fit its field.
+        """
+        try:
+            rows = self._rows.rows(topic, t, message)
+        except (struct.error, OverflowError) as error:
+            raise RecorderError(f"a message of {topic} at {t:.3f} s: {error}") from None
+        for one in rows:
+            self.append(one.topic, one.kind, t, one.data)
+        if self._scene:
+            self.append("/scene", SCENE, t, self._scene)
+            self._scene = b""
+
+    def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
+        """Append the bytes of one message of a kind of `core/records`."""
         if not self._topics:
             self._meet()
         number = self._topics.get(topic)
         if number is None:
             number = self._topics[topic] = len(self._topics)
-            kind = type(message)
-            if kind not in self._schemas:
-                self._schemas[kind] = self._encode(plain_schema(kind, self._vehicles))
-            self._send(Topic(topic, kind.__name__, self._schemas[kind]))
-        self._send(Entry(number, round(t * 1e9), to_json(message)))
+            self._send(Topic(topic, kind))
+        self._send(Entry(number, round(t * 1e9), data))
 
     def _meet(self) -> None:
         """Wait until the writer has created the file; from then on a kill loses little."""
@@ -189,11 +210,13 @@ class Recorder:
             RecorderError: the writer has ended; recording has stopped.
         """
         now = round(t * 1e9)
-        if now - self._marked >= SPAN_NS:
+        if now - self._marked >= self._span:
             self._marked = now
             self._send(Mark())
+            self._hand_over()
+        elif self._span <= SPAN_NS:  # faster than real time a write per tick costs more than rows
+            self._hand_over()
         assert self._writer.stderr is not None
-        self._hand_over()
         try:
             heard = os.read(self._writer.stderr.fileno(), 4096)
         except BlockingIOError:
@@ -242,13 +265,10 @@ class Recorder:
         """Write without waiting; returns the number of bytes."""
         assert self._writer.stdin is not None
         done = 0
-        try:
-            while self._pending:
-                step = os.write(self._writer.stdin.fileno(), self._pending[:BUFFER])
-                del self._pending[:step]
-                done += step
-        except BlockingIOError:
-            pass
+        with suppress(BlockingIOError), memoryview(self._pending) as pending:
+            while done < len(pending):
+                done += os.write(self._writer.stdin.fileno(), pending[done : done + BUFFER])
+        del self._pending[:done]
         return done
 
     def _takes_more(self, wait_s: float) -> bool:

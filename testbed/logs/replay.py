@@ -5,6 +5,7 @@ difference is reported, with its size: after it the two flights drift apart.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import msgspec
@@ -18,10 +19,10 @@ from testbed.core.types import (
     Outputs,
     Setpoint,
     State,
-    Tick,
 )
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader, Row
-from testbed.logs.message import Decoder
+from testbed.logs.row_reader import RowReader
+from testbed.logs.tick_row import RowWriter
 
 
 class Difference(Struct, frozen=True):
@@ -102,30 +103,32 @@ def replay(
     Raises:
         LogError: the log has ticks of a vehicle or law that is not in the experiment.
     """
-    tick_of, host_of, encode = Decoder(Tick), Decoder(HostTick), msgspec.json.Encoder().encode
-    count, first = 0, None
+    count, first, read = 0, None, RowReader()
+    then_rows, now_rows = RowWriter(), RowWriter()
     seen: dict[str, int] = {}
     for topic, stamp, data in rows:
         name, _, kind = topic.removeprefix("/").rpartition("/")
         if kind not in ("tick", "ending", "host"):
+            with _readable(topic, stamp):
+                read.learn(topic, {"names": "Names", "event": "Event"}.get(kind, ""), data)
             continue
         then: Any
         now: Any
+        with _readable(topic, stamp):
+            then = read.host(topic, data) if kind == "host" else read.tick(topic, data)
         if kind != "host":
-            then = _decoded(tick_of, topic, stamp, data)
-            step = _known(agents, name, topic)
-            now = Tick(then.inputs, step(then.inputs))
+            now = type(then)(then.inputs, _known(agents, name, topic)(then.inputs))
         else:
-            then = _decoded(host_of, topic, stamp, data)
             now = _known(hosts, name, topic)(then.inputs)
         chain = f"/{name}/host" if kind == "host" else f"/{name}/tick"  # the ending goes on with it
         tick = seen[chain] = seen.get(chain, -1) + 1
         count += 1
-        if encode(now) == data:
+        t = then.inputs.t
+        if then_rows.rows(topic, t, then) == now_rows.rows(topic, t, now):
             continue
         found = difference(msgspec.to_builtins(then.outputs), msgspec.to_builtins(now.outputs))
         if found is not None and (first is None or tick < first.tick):
-            first = Difference(tick, then.inputs.t, topic, *found)
+            first = Difference(tick, t, topic, *found)
     if count == 0:
         raise LogError("there are no ticks in the log")
     return Replay(count, first)
@@ -161,9 +164,11 @@ def _known(steps: Mapping[str, Any], name: str, topic: str) -> Any:
     return steps[name]
 
 
-def _decoded(decoder: Any, topic: str, stamp: int, data: bytes) -> Any:
+@contextmanager
+def _readable(topic: str, stamp: int) -> Iterator[None]:
+    """Say where a row is that cannot be read."""
     try:
-        return decoder.decode(data)
+        yield
     except UNREADABLE as error:
         raise LogError(
             f"{topic} at {stamp * 1e-9:.3f} s\n  expected  a message of this version\n"

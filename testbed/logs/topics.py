@@ -7,7 +7,13 @@ from msgspec import Struct
 
 from testbed.logs.log_reader import Row
 
-UNTIMED = {"Event", "Valves"}  # kinds written on events: no rate, no gaps
+UNTIMED = {
+    "Event",
+    "Valves",
+    "Names",
+    "Contact",
+    "diagnostic_msgs/DiagnosticArray",
+}  # kinds written on events: no rate, no gaps
 GAP = 1.5  # a pause longer than this multiple of the usual one is a gap
 
 

@@ -49,6 +49,7 @@ class StoppableFlight(NamedTuple):
     name: str = ""
     pid: int = 0  # 0: not known
     started: str = ""  # start time of the process in /proc: process ids are reused
+    folder: str = ""  # run folder; empty: not known
 
 
 class NoteError(TestbedError):
@@ -101,7 +102,7 @@ def _complain(text: str) -> None:
 @contextmanager
 def noted(
     endpoint: str, lab: str, keys: str = "", vehicles: Sequence[str] = (), name: str = "",
-    pid: int = 0, say: Callable[[str], None] = _complain,
+    pid: int = 0, say: Callable[[str], None] = _complain, folder: Path | None = None,
 ) -> Iterator[None]:  # fmt: skip
     """Keep a note of a flight while the context is open.
 
@@ -112,10 +113,12 @@ def noted(
         name: of the experiment.
         pid: process that ends the flight; 0: this one.
         say: called with a warning if the note cannot be written; the flight goes on.
+        folder: run folder, by which an operator's page finds the flight.
     """
     pid = pid or os.getpid()
     keys = str(Path(keys).absolute()) if keys else ""
-    flight = StoppableFlight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid))
+    where = "" if folder is None else str(folder.absolute())
+    flight = StoppableFlight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid), where)
     try:
         note = _leave(json.dumps(flight._asdict()).encode())
     except (OSError, NoteError) as error:
@@ -155,12 +158,12 @@ def _started(pid: int) -> str:
     return "" if fields[0] == "Z" else fields[19]
 
 
-def _runs(flight: StoppableFlight) -> bool:
+def runs(flight: StoppableFlight) -> bool:
     """Whether the process of a note still runs."""
     return not flight.pid or _started(flight.pid) == flight.started != ""
 
 
-def _known() -> Iterator[tuple[Path, StoppableFlight]]:
+def known_flights() -> Iterator[tuple[Path, StoppableFlight]]:
     """Every note on this machine."""
     for folder, uid in _folders():
         try:
@@ -173,7 +176,7 @@ def _known() -> Iterator[tuple[Path, StoppableFlight]]:
         for note in sorted(folder.glob("*.json")):
             with suppress(OSError, ValueError, TypeError, RecursionError):
                 flight = StoppableFlight(**json.loads(note.read_text()))
-                if [type(value) for value in flight] == [str, str, str, list, str, int, str]:
+                if [type(value) for value in flight] == [str, str, str, list, str, int, str, str]:
                     yield note, flight
 
 
@@ -220,9 +223,9 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
 def _stop_here() -> Iterator[bool]:
     """Stop every flight on this machine, and a host at the default endpoint without a note."""
     tried = set()
-    for note, flight in list(_known()):
+    for note, flight in list(known_flights()):
         tried.add(flight.endpoint)
-        if not _runs(flight):
+        if not runs(flight):
             if flight.endpoint:
                 _complain(f"{flight.endpoint}: the host, process {flight.pid}, was killed")
                 shut = _stop_directly(flight, _new_id())
@@ -248,19 +251,27 @@ def _listens(endpoint: str) -> bool:
     return False
 
 
-def _stop_twin(note: Path, flight: StoppableFlight) -> bool:
-    """Ask the process to end the flight; whether it did."""
-    try:
+def end_twin(note: Path, flight: StoppableFlight) -> None:
+    """Ask the process of a flight on the twin to end it.
+
+    Raises:
+        OSError: it belongs to another user.
+    """
+    with suppress(FileNotFoundError, ProcessLookupError):  # the process has just ended
         if Path(f"/proc/{flight.pid}").stat().st_uid != note.stat().st_uid:
             raise PermissionError("its process belongs to another user")
         os.kill(flight.pid, signal.SIGTERM)
-    except FileNotFoundError:
-        pass  # the process has just ended
+
+
+def _stop_twin(note: Path, flight: StoppableFlight) -> bool:
+    """Ask the process to end the flight; whether it did."""
+    try:
+        end_twin(note, flight)
     except OSError as error:
         _complain(f"{flight.name} on the twin, process {flight.pid}: not asked: {error}")
         return False
     end = monotonic() + END_S
-    while over := note.exists() and _runs(flight):
+    while over := note.exists() and runs(flight):
         if monotonic() > end:
             break
         threading.Event().wait(LOOK_S)

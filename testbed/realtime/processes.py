@@ -120,6 +120,13 @@ def orphaned() -> bool:
     return os.read(0, 1) == b""
 
 
+def hung_up(terminal: int) -> bool:
+    """Whether the terminal behind a descriptor was closed."""
+    poll = select.poll()
+    poll.register(terminal, 0)  # hang-ups are always reported
+    return bool(poll.poll(0))
+
+
 def run_as_child(work: Callable[[], None], failures: tuple[type[Exception], ...]) -> int:
     """Run `work` as the child of a host; returns the exit code."""
     end_on_terminate()

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 from testbed.config.experiment import Experiment
 from testbed.core.codes import Detector, FaultCause, Response
-from testbed.logs.feed import SeenTick
+from testbed.core.types import Tick
 from testbed.logs.history import Happening
 
 Level = Literal["INFO", "WARN", "ERROR", "CRITICAL"]
@@ -28,7 +28,7 @@ STOPPING = tuple(one.words for one in Response if one >= Response.BRAKE)
 RANK: tuple[Level, ...] = ("CRITICAL", "ERROR", "WARN", "INFO")
 
 
-def _state(tick: SeenTick) -> str:
+def _state(tick: Tick) -> str:
     """State of a vehicle with a fault, for the banner."""
     out = tick.outputs
     flying, over = STATES[out.response]
@@ -42,7 +42,7 @@ class Trouble:
         self._scenario = scenario
         self._since: dict[str, float] = {}
 
-    def see(self, newest: Mapping[str, SeenTick]) -> None:
+    def see(self, newest: Mapping[str, Tick]) -> None:
         """Update with the newest tick of each vehicle."""
         for name, tick in newest.items():
             if tick.outputs.fault is not None:
@@ -50,7 +50,7 @@ class Trouble:
             else:
                 self._since.pop(name, None)
 
-    def culprits(self, newest: Mapping[str, SeenTick]) -> dict[str, str]:
+    def culprits(self, newest: Mapping[str, Tick]) -> dict[str, str]:
         """Vehicles with a fault of their own, also as reported by others, and its title."""
         found: dict[str, str] = {}
         cause: FaultCause | None = None
@@ -64,7 +64,7 @@ class Trouble:
             return {cause.vehicle: cause.title}  # a silent vehicle, or its law on the host
         return found
 
-    def banner(self, newest: Mapping[str, SeenTick]) -> str:
+    def banner(self, newest: Mapping[str, Tick]) -> str:
         """Text of the banner, the culprit first, then the others; empty: no fault."""
         culprits = self.culprits(newest)
         if not self._since:

@@ -10,18 +10,13 @@ from controllers.catalogue import make_law
 from testbed.config import Experiment
 from testbed.core.types import Pose
 from testbed.faults.law_faults import SpoiltLaw
-from testbed.flight.agent import Agent
-from testbed.flight.allocation import weakest_force
+from testbed.flight.agent import Agent, lead_time
 from testbed.flight.arming import Expected
 from testbed.flight.barrier import Barrier, reaches
-from testbed.flight.detectors import Detectors
-from testbed.flight.estimator import Estimator
-from testbed.flight.fault_monitor import FaultMonitor
-from testbed.flight.gate import Fence, Gate
+from testbed.flight.gate import Fence
 from testbed.flight.guidance import Guidance
-from testbed.flight.jet_faults import JetFaultDetector
 from testbed.flight.nearby import Nearby
-from testbed.flight.safety import Safety
+from testbed.flight.parameters import make_parameters, stopping_force
 from testbed.metrics.formation import FormationContext
 from testbed.realtime.law_watch import timed, watching
 
@@ -55,9 +50,6 @@ def make_guidance(
     )
 
 
-SPARE_FORCE = 0.95  # of the weakest direction: margin for droop and weak jets
-
-
 def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) -> Barrier | None:
     """One vehicle's safety filter, for a share of its jets' force; None: switched off.
 
@@ -67,7 +59,7 @@ def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) ->
     params, setup = experiment.flight.barrier, experiment.vehicles[name]
     if not params.on:
         return None
-    force = SPARE_FORCE * weakest_force(setup.model)
+    force = stopping_force(setup.model)
     radii = {other: one.model.radius for other, one in experiment.vehicles.items()}
     return Barrier(
         params,
@@ -101,44 +93,20 @@ def expected_of(experiment: Experiment, name: str) -> Expected:
     )
 
 
-def make_detectors(experiment: Experiment, name: str) -> Detectors:
-    """One vehicle's fault detectors."""
-    vehicle, table = experiment.vehicles[name].model, experiment.table
-    flight = experiment.flight
-    evidence = JetFaultDetector(vehicle, flight.jet_period_s, flight.estimator, table)
-    radii = {other: one.model.radius for other, one in experiment.vehicles.items()}
-    nearby = Nearby(vehicle.radius, table.size, experiment.obstacles, reaches(radii, name))
-    return Detectors(vehicle, evidence, nearby, noisy=table.mocap.noise > 0.0)
-
-
-def make_safety(experiment: Experiment, name: str) -> Safety:
-    """One vehicle's fault monitor, brake and safety filter."""
-    vehicle, period = experiment.vehicles[name].model, experiment.flight.jet_period_s
-    return Safety(
-        vehicle,
-        period,
-        FaultMonitor(experiment.faults),
-        make_detectors(experiment, name),
-        make_barrier(experiment, name),
-        SPARE_FORCE * weakest_force(vehicle) / vehicle.mass,
-        experiment.flight.ending,
-    )
-
-
 def make_agent(experiment: Experiment, name: str, spoilt: Callable[[], str] | None = None) -> Agent:
     """One vehicle's flight chain."""
     flight, table, vehicle = experiment.flight, experiment.table, experiment.vehicles[name].model
-    fence = Fence(*fence_of(experiment, name))
+    fence, barrier = Fence(*fence_of(experiment, name)), make_barrier(experiment, name)
     blind = max(flight.gate.pose_timeout_s, flight.gate.blind_s) + table.mocap.latency_s
-    memory = 2 + math.ceil(blind / flight.jet_period_s)
-    on_board = experiment.deploy.law == "vehicle"
+    radii = {other: one.model.radius for other, one in experiment.vehicles.items()}
     return Agent(
-        flight,
-        vehicle,
-        Estimator(flight.estimator, vehicle, table.mocap, memory),
-        Gate(flight.gate, fence),
-        make_guidance(experiment, name, spoilt) if on_board else None,
-        make_safety(experiment, name),
+        make_parameters(flight, vehicle, table, experiment.faults, fence, barrier),
+        lead_time(vehicle),
+        2 + math.ceil(blind / flight.jet_period_s),
+        experiment.faults,
+        barrier,
+        Nearby(vehicle.radius, table.size, experiment.obstacles, reaches(radii, name)),
+        make_guidance(experiment, name, spoilt) if experiment.deploy.law == "vehicle" else None,
     )
 
 

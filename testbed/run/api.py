@@ -18,7 +18,7 @@ from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
 from testbed.run.flown import Run, read_run
 from testbed.run.fly import fly_and_judge
-from testbed.run.folder import new_folder, take_back, write_config, write_metrics
+from testbed.run.folder import new_folder, take_back, utc_ns, write_config, write_metrics
 from testbed.run.interrupt import Interrupt
 from testbed.run.progress import Progress
 from testbed.run.replay import replay_experiment
@@ -71,7 +71,9 @@ def fly(
         try:
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             screen = Progress(experiment.duration_s) if progress else None
-            metrics = fly_and_judge(experiment, folder, interrupt, make(folder), screen=screen)
+            metrics = fly_and_judge(
+                experiment, folder, interrupt, make(folder), screen=screen, epoch_ns=utc_ns()
+            )
         except TestbedError:
             take_back(folder)
             raise

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from testbed.config import Experiment, load
 from testbed.core.error import TestbedError
-from testbed.logs.feed import LogFeed
 from testbed.logs.history import History, VehicleHistory, gather
 from testbed.logs.log_reader import LogReader, config_of, log_of
 from testbed.metrics.run_metrics import Metrics
@@ -223,6 +222,6 @@ def read_run(files: Path, folder: Path | None, experiment: Experiment) -> Run:
     """Read the files of a run; `folder` is what `Run.folder` reports."""
     log = log_of(files)
     book = LogReader(log)
-    history = gather(LogFeed(book).news())
+    history = gather(book)
     metrics = judged(log.parent, log, experiment, history)
     return Run(experiment, metrics, history, folder, tuple(book.said()))

@@ -15,7 +15,15 @@ from testbed.core.law import Concern
 from testbed.core.types import EndingTick, HostTick, Tick
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
-from testbed.logs.recorder import Motion, Recorder, RecorderError, Truth
+from testbed.logs.recorder import (
+    FAST_SPAN_NS,
+    SPAN_NS,
+    Motion,
+    Recorder,
+    RecorderError,
+    Truth,
+)
+from testbed.logs.tick_row import Names
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Metrics, ReferenceLog
 from testbed.realtime.heartbeat import Phase, heartbeat
@@ -27,6 +35,7 @@ from testbed.rig.observers import NullObserver
 from testbed.rig.twin import TwinRig, make_twin, warm_up
 from testbed.run.interrupt import Interrupt
 from testbed.run.judge import measure
+from testbed.run.markers import scene_of
 
 FORMATION_S = 1.0  # log period of the five formation elements [s]
 
@@ -125,6 +134,11 @@ class FlightLog:
         self._screen.done(t)
 
 
+def names_of(experiment: Experiment) -> Names:
+    """Names that rows of its log refer to by number."""
+    return Names(list(experiment.vehicles), list(experiment.obstacles), list(experiment.faults))
+
+
 def fly_and_judge(
     experiment: Experiment,
     folder: Path,
@@ -132,6 +146,7 @@ def fly_and_judge(
     make: Callable[[Experiment], Rig] = make_twin,
     speed: float | None = None,
     screen: FlightScreen | None = None,
+    epoch_ns: int = 0,
 ) -> Metrics:
     """Fly, with the log in `folder`, and judge.
 
@@ -142,6 +157,7 @@ def fly_and_judge(
         make: builds the rig; default: the twin.
         speed: of the twin, as a multiple of real time; None: as fast as possible.
         screen: display during the flight.
+        epoch_ns: time of the log, UTC, at time 0 of the run; 0: two runs give the same bytes.
     """
     interrupt, screen = interrupt or Interrupt(), screen or FlightScreen()
     rig, ending, wall = make(experiment), Ending(0.0, None), 0.0
@@ -151,9 +167,11 @@ def fly_and_judge(
         rig = replace(rig, pace=pace)
     references = {name: ReferenceLog() for name in experiment.vehicles}
     metrics = None
+    fast = rig.name == "twin" and pace is None
     recorder = Recorder(
-        folder / "log.mcap", vehicles=list(experiment.vehicles), waits=rig.name == "twin"
-    )
+        folder / "log.mcap", names=names_of(experiment), waits=rig.name == "twin",
+        span_ns=FAST_SPAN_NS if fast else SPAN_NS, epoch_ns=epoch_ns, scene=scene_of(experiment),
+    )  # fmt: skip
     try:
         with recorder, screen.showing():
             with interrupt.at_once(), patience():

@@ -10,6 +10,7 @@ metrics.json  the metrics; "completed": false if the run did not reach its end
 
 import os
 import shutil
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,11 @@ from testbed.metrics.run_metrics import Metrics
 
 class FolderError(TestbedError):
     """The run folder cannot be written."""
+
+
+def utc_ns() -> int:
+    """Time of day [ns]."""
+    return time.time_ns()
 
 
 def new_folder(out: Path | None, name: str) -> Path:

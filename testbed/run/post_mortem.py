@@ -11,9 +11,9 @@ from msgspec.structs import replace
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.types import Tick
+from testbed.logs.feed import LogFeed
 from testbed.logs.history import Array, History
-from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
-from testbed.logs.message import Decoder
+from testbed.logs.log_reader import LogReader
 from testbed.metrics.formation import formation_metrics
 from testbed.metrics.run_metrics import (
     Aim,
@@ -41,14 +41,10 @@ def judged(folder: Path, log: Path, experiment: Experiment, history: History) ->
 def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
     """Metrics from the log only."""
     aims = {name: ReferenceLog() for name in experiment.vehicles}
-    book, decode = LogReader(log), Decoder(Tick).decode
-    for topic, stamp, data in book.read():
-        name, _, kind = topic.removeprefix("/").rpartition("/")
-        if kind == "tick" and name in aims:
-            try:
-                aims[name].note(decode(data).outputs)
-            except UNREADABLE as error:
-                raise LogError(f"{topic} at {stamp * 1e-9:.3f} s: {error}") from None
+    book = LogReader(log)
+    for one in LogFeed(book).news():
+        if isinstance(one.message, Tick) and one.who in aims:
+            aims[one.who].note(one.message.outputs)
     track = track_of(experiment, history)
     wires = any(len(vehicle.wires) for vehicle in history.vehicles.values())
     why = "the flight was killed before it was judged; gas and contacts are not in the log"

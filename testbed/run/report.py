@@ -5,7 +5,6 @@ from pathlib import Path
 
 from testbed.config import Experiment, load
 from testbed.core.extra import pip_install
-from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader, log_of
 from testbed.report.page import ReportError, write_report
@@ -31,7 +30,7 @@ def write_page(
     """The same for an experiment that is loaded already, so that no law's file is executed."""
     config, log = folder / "config.toml", log_of(folder)
     book = LogReader(log)
-    history = gather(LogFeed(book).news())
+    history = gather(book)
     warn(book.said())
     text = config.read_text(encoding="utf-8")
     return write_report(folder, scenario, history, judged(folder, log, scenario, history), text)

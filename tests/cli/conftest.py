@@ -1,6 +1,5 @@
 """The operator's command, in this process or in one of its own."""
 
-import json
 import os
 import subprocess
 import sys
@@ -13,6 +12,8 @@ from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 
 from testbed.cli.main import main
+from testbed.core.records import cdr
+from testbed.core.records.definition import MESSAGES
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -21,7 +22,7 @@ class Log(NamedTuple):
     """A log, read whole."""
 
     messages: dict[str, list[tuple[int, dict[str, Any]]]]  # topic -> (time [ns], message)
-    schemas: dict[str, tuple[str, str, dict[str, Any]]]  # topic -> encoding, name, JSON Schema
+    schemas: dict[str, tuple[str, str]]  # topic -> encoding, name
 
 
 @pytest.fixture
@@ -73,15 +74,19 @@ def read_log() -> Callable[[Path], Log]:
 
     def read(folder: Path) -> Log:
         messages: dict[str, list[tuple[int, dict[str, Any]]]] = {}
-        schemas = {}
+        schemas, epoch = {}, None
         with (folder / "log.mcap").open("rb") as file:
             reader = make_reader(file, validate_crcs=True)
             assert reader.get_summary() is not None  # it was ended properly
             for schema, channel, message in reader.iter_messages(log_time_order=False):
-                assert channel.message_encoding == "json"
-                row = (message.log_time, json.loads(message.data))
+                assert channel.message_encoding == "cdr"
+                kind = schema.name.replace("/msg/", "/").removeprefix("testbed_msgs/")
+                found = cdr.decode(MESSAGES[kind], message.data)
+                if epoch is None:
+                    epoch = message.log_time - round(1e9 * found["t"])
+                row = (message.log_time - epoch, found)
                 messages.setdefault(channel.topic, []).append(row)
-                schemas[channel.topic] = (schema.encoding, schema.name, json.loads(schema.data))
+                schemas[channel.topic] = (schema.encoding, schema.name)
         return Log(messages, schemas)
 
     return read

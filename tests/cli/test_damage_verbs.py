@@ -15,13 +15,13 @@ VERBS = (
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory) -> Path:
-    """A run of two seconds."""
+    """A run of two seconds, a chunk for each tick, as in real time."""
     from click.testing import CliRunner
 
     from testbed.cli.main import main
 
     out = tmp_path_factory.mktemp("flown") / "out"
-    CliRunner().invoke(main, ["run", "hold", "duration_s=2", "--out", str(out)])
+    CliRunner().invoke(main, ["run", "hold", "duration_s=2", "--speed", "50", "--out", str(out)])
     return out
 
 

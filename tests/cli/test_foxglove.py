@@ -1,10 +1,15 @@
-"""What Foxglove is told about a flown log."""
+"""What Foxglove, PlotJuggler and readers of others find in a flown log."""
 
+import math
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
-from foxglove_rules import misfits, refused
+from ros_rules import refused
+from testbed.core.records.ros import ros_name, schema_text
+from testbed.logs.columns import Columns
+from testbed.logs.log_reader import LogReader
 
 FLIGHTS = [
     ["zhang2023_table"],
@@ -14,14 +19,71 @@ FLIGHTS = [
 ]
 
 
-@pytest.mark.parametrize("words", FLIGHTS, ids=" ".join)
-def test_every_message_fits_a_schema_that_foxglove_reads(testbed, here, read_log, words):
-    testbed("run", *words, "duration_s=2", "--out", "out")
-    log = read_log(Path("out"))
-    assert set(log.schemas) == set(log.messages)
-    for topic, (encoding, _, schema) in log.schemas.items():
-        assert encoding == "jsonschema"
-        assert refused(schema) == [], topic
-        for _, message in log.messages[topic]:
-            message.get("inputs", {}).pop("samples", None)  # lists of lists: no schema can say it
-            assert misfits(schema, message) == [], topic
+@pytest.fixture(params=FLIGHTS, ids=" ".join)
+def log(request, testbed, here) -> Path:
+    testbed("run", *request.param, "duration_s=2", "--out", "out")
+    return Path("out/log.mcap")
+
+
+def test_others_read_every_schema_and_every_message(log):
+    with log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        assert (channel.message_encoding, schema.encoding) == ("cdr", "ros2msg")
+        text = schema.data.decode()
+        assert refused(text) == [], channel.topic
+        kind = schema.name.replace("/msg/", "/").removeprefix("testbed_msgs/")
+        assert (schema.name, text) == (ros_name(kind), schema_text(kind))
+    topics = {channel.topic for channel in summary.channels.values()}
+    assert {"/sat1/tick", "/sat1/pose", "/sat1/wrench", "/tf", "/scene", "/truth"} <= topics
+
+
+def test_mcap_ros2_reads_every_message_with_its_values(log):
+    reader = pytest.importorskip("mcap_ros2.reader")
+    columns, seen = Columns(LogReader(log)), dict[str, int]()
+    for message in reader.read_ros2_messages(str(log)):
+        topic, found = message.channel.topic, message.ros_msg
+        k = seen[topic] = seen.get(topic, -1) + 1
+        if topic == "/sat1/tick":
+            row = columns.rows[topic][k]
+            ours, theirs = row["outputs"]["state"]["pose"], found.outputs.state.pose
+            for name in ("x", "y", "theta"):
+                mine, other = float(ours[name]), getattr(theirs, name)
+                assert mine == other or (math.isnan(mine) and math.isnan(other))
+            assert found.samples_valid == row["samples_valid"]
+            assert [one.on_us for one in found.pulses] == row["pulses"]["on_us"].tolist()[:8]
+        elif topic == "/truth":
+            t, first = columns.rows[topic]["t"][k], found.vehicles[0]
+            assert (found.t, first.pose.x) == (
+                t,
+                columns.rows[topic]["vehicles"][k][0]["pose"]["x"],
+            )
+        elif topic == "/sat1/pose":
+            turn = found.pose.orientation
+            assert math.hypot(turn.z, turn.w) == pytest.approx(1.0)
+            assert found.header.frame_id == "table"
+        elif topic == "/scene":
+            assert found.markers[0].ns == "table"
+    with log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    counts = summary.statistics.channel_message_counts
+    names = {c.id: c.topic for c in summary.channels.values()}
+    assert {names[k]: n for k, n in counts.items()} == {t: k + 1 for t, k in seen.items()}
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("float64 Big", "name of a field"),
+        ("float64 a__b", "name of a field"),
+        ("uint8 LEVEL=256", "out of range"),
+        ("uint8 level=1", "name of a constant"),
+        ("geometry_msgs/Pose pose", "unknown type"),
+        ("float64", "no field"),
+        ("uint8[101] data", "PlotJuggler"),
+    ],
+)
+def test_the_checker_finds_what_they_refuse(line, why):
+    (found,) = refused(f"float64 t  # [s]\n{line}\n")
+    assert why in found

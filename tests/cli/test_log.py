@@ -19,10 +19,14 @@ def test_topics_rates_and_gaps(testbed):
     contents = json.loads(result.stdout)
     assert contents["finished"] is True
     topics = {t["topic"]: t for t in contents["topics"]}
-    assert list(topics) == ["/sat1/ending", "/sat1/host", "/sat1/tick", "/supervisor", "/truth"]
-    assert topics.pop("/sat1/ending")["first_s"] == pytest.approx(2.0)
-    assert topics.pop("/supervisor")["messages"] == 3  # armed, running, stopped
-    for topic in topics.values():
+    assert list(topics) == [
+        "/diagnostics", "/names", "/sat1/ending", "/sat1/host", "/sat1/pose", "/sat1/supply",
+        "/sat1/tick", "/sat1/wrench", "/scene", "/supervisor", "/tf", "/truth",
+    ]  # fmt: skip
+    assert topics["/sat1/ending"]["first_s"] == pytest.approx(2.0)
+    assert topics["/supervisor"]["messages"] == 3  # armed, running, stopped
+    assert (topics["/tf"]["messages"], topics["/tf"]["kind"]) == (4, "tf2_msgs/TFMessage")
+    for topic in (topics[name] for name in ("/sat1/host", "/sat1/tick", "/truth")):
         assert (topic["messages"], topic["gaps"]) == (20, 0)
         assert topic["rate_hz"] == pytest.approx(10.0)
     words = testbed("log", "out/log.mcap").stdout
@@ -42,12 +46,21 @@ def test_export_writes_files_and_never_over_others(testbed):
     result = testbed("export", "out", "--to", "csv")
     assert result.exit_code == 0
     paths = [Path(line) for line in result.stdout.split()]
-    assert [p.name for p in paths] == [
+    assert {p.name for p in paths} == {
         "sat1_tick.csv", "sat1_host.csv", "truth.csv", "supervisor.csv", "sat1_ending.csv",
-    ]  # fmt: skip
+        "names.csv",
+    }  # fmt: skip
     assert all(p.parent == Path("out/export") and p.stat().st_size > 0 for p in paths)
     assert testbed("export", "out", "--to", "csv").exit_code == 2
     assert testbed("export", "out", "--to", "csv", "--out", "elsewhere").exit_code == 0
+
+
+def test_a_bag_and_a_matlab_file_are_written_once(testbed):
+    for kind, names in (("bag", {"log.mcap", "metadata.yaml"}), ("mat", {"log.mat"})):
+        result = testbed("export", "out", "--to", kind, "--out", kind)
+        assert result.exit_code == 0
+        assert {path.name for path in Path(kind).iterdir()} == names
+        assert testbed("export", "out", "--to", kind, "--out", kind).exit_code == 2
 
 
 def test_what_is_no_log(testbed):

@@ -18,8 +18,12 @@ from testbed.core.codes import (
     Refusal,
     Response,
 )
+from testbed.core.records.cdr import decode
+from testbed.core.records.definition import MESSAGES
+from testbed.core.records.kinds import EventKind
 from testbed.flight.faults import Fault
-from testbed.logs.message import from_json, to_json
+from testbed.logs.row_reader import fault_of
+from testbed.logs.tick_row import event_of
 from testbed.net.commands import Lease
 
 CODES = [one for kind in Code.__subclasses__() for one in kind]
@@ -87,7 +91,8 @@ def test_the_report_of_every_row_survives_network_and_log(name):
     assert report.words == f"{name}: {row.text.format(value=1.5, said='3')}"
     lease = Lease(fleet=report)
     assert msgspec.msgpack.decode(msgspec.msgpack.encode(lease), type=Lease) == lease
-    assert from_json(to_json(report), FaultReport) == report
+    event = decode(MESSAGES["Event"], event_of(1.0, EventKind.FAULT, report))
+    assert (event["id"], event["text"], fault_of(event)) == (report.id, report.words, report)
 
 
 def test_words_of_a_report_begin_with_vehicle_and_row():

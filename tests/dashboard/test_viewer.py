@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 pytest.importorskip("rerun_cli", reason="the dashboard extra is not installed")
@@ -153,6 +154,28 @@ def test_whoever_tells_a_viewer_that_is_gone_says_so_and_no_more(monkeypatch, ca
     monkeypatch.setattr(feeder, "tell", lambda *_: tell("something else"))
     with pytest.raises(RuntimeError):
         feeder.main()
+
+
+@pytest.mark.slow
+def test_the_dashboard_of_a_run_ends_with_its_terminal(run):
+    leader, terminal = os.openpty()
+    words = ["dash", str(run), "--web"]
+    dash = subprocess.Popen(
+        [sys.executable, "-m", "testbed", *words],
+        cwd=ROOT, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=terminal,
+        start_new_session=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    os.close(terminal)
+    try:
+        viewers = eventually(
+            lambda: [one.pid for one in psutil.Process(dash.pid).children()], "a viewer is started"
+        )
+        os.close(leader)
+        dash.wait(PATIENCE_S)
+        assert not any(map(psutil.pid_exists, viewers))
+    finally:
+        dash.kill()
+        dash.wait()
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from stages import agent_of
 from testbed.config import find, load
 from testbed.core.codes import InhibitReason, Refusal
 from testbed.core.pulse import open_time, timing
@@ -21,10 +22,10 @@ from testbed.core.types import (
     Twist,
     Wrench,
 )
-from testbed.flight.agent import Agent, FlightParams, lead_time
-from testbed.flight.estimator import Estimator
-from testbed.flight.gate import Fence, Gate
+from testbed.flight.agent import lead_time
+from testbed.flight.gate import Fence
 from testbed.flight.modulation import PwpfParams
+from testbed.flight.parameters import FlightParams
 from testbed.rig import chain
 
 PARAMS = FlightParams()
@@ -41,8 +42,7 @@ def hold(pose=(0.0, 0.0, 0.0), t=0.0, valid_until=FOR_EVER):
 @pytest.fixture
 def make_agent(vehicle, table):
     def make(built=vehicle, params=PARAMS):
-        estimator = Estimator(params.estimator, built, table.mocap)
-        return Agent(params, built, estimator, Gate(params.gate, FENCE))
+        return agent_of(built, table, {}, params, FENCE)
 
     return make
 

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from scipy.optimize import linprog
 
+from stages import Allocator
 from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.types import Wrench
 from testbed.core.vehicle import Jet
-from testbed.flight.allocation import Allocator, AllocatorParams, weakest_force
+from testbed.flight.allocation import AllocatorParams, weakest_force
 
 PRIORITIES = ["torque", "force"]
 EXACT = 1e-9  # [N, N m]

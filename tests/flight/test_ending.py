@@ -3,23 +3,20 @@
 import pytest
 from msgspec.structs import replace
 
-from testbed.config import find, load
+from stages import Safety, longest_brake
 from testbed.config.shipped import shipped_faults
 from testbed.core.codes import InhibitReason, Refusal, Response
 from testbed.core.types import Health, Inputs, Vitals, Wrench
-from testbed.flight.ending import EndingParams, longest_brake
-from testbed.flight.fault_monitor import FaultMonitor
-from testbed.flight.safety import AT_REST, Safety
-from testbed.rig.chain import make_detectors
+from testbed.flight.ending import EndingParams
+from testbed.flight.safety import AT_REST
 
 PERIOD = 0.1  # [s]
 OVER = Vitals(end=True)
 
 
 @pytest.fixture
-def safety(vehicle):
-    detectors = make_detectors(load(find("hold")), "sat1")
-    return Safety(vehicle, PERIOD, FaultMonitor(shipped_faults()), detectors, None, 0.08)
+def safety(vehicle, table):
+    return Safety(vehicle, table, shipped_faults(), 0.08)
 
 
 def act(safety, state, t=0.0, vitals=OVER, **changes):
@@ -71,10 +68,9 @@ def test_a_stop_is_bounded_by_what_its_speed_needs(speed, decel, longest):
     assert longest_brake(EndingParams(), speed, decel) == pytest.approx(longest)
 
 
-def test_the_bound_holds_also_for_a_vehicle_that_never_seems_to_rest(vehicle, make_state):
+def test_the_bound_holds_also_for_a_vehicle_that_never_seems_to_rest(vehicle, table, make_state):
     limits = EndingParams(brake_s=1.0)
-    detectors = make_detectors(load(find("hold")), "sat1")
-    safety = Safety(vehicle, PERIOD, FaultMonitor(shipped_faults()), detectors, None, 0.08, limits)
+    safety = Safety(vehicle, table, shipped_faults(), 0.08, limits)
     moving = make_state((0, 0, 0), (0.1, 0, 0))
     assert act(safety, moving, 0.0).braking
     assert act(safety, moving, 0.95).braking

@@ -13,10 +13,10 @@ from msgspec.structs import replace
 from scipy.linalg import expm
 from scipy.stats import chi2
 
+from stages import Estimator
 from testbed.core.jets import effect_matrix
 from testbed.core.types import PoseSample, ValveCommand
 from testbed.flight.estimator import (
-    Estimator,
     EstimatorParams,
     correct,
     predict_covariance,

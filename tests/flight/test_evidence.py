@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from stages import JetFaultDetector
 from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.table import Tilt
 from testbed.core.types import Accel, Pose, State, Twist
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.jet_faults import BUMPS, SLOPE, JetFaultDetector, slopes
+from testbed.flight.jet_faults import BUMPS, SLOPE, slopes
 from testbed.flight.response import response
 
 PERIOD = 0.1  # [s]

@@ -6,9 +6,10 @@ import msgspec
 import pytest
 from msgspec.structs import replace
 
+from stages import QUIET, FaultMonitor, Safety
 from testbed.config import SHIPPED, read_toml
 from testbed.core.codes import Detector, FaultCause, FaultReport, Response
-from testbed.flight.fault_monitor import QUIET, FaultMonitor
+from testbed.core.types import Health, Inputs, Vitals, Wrench
 from testbed.flight.faults import Fault, FaultTable
 
 TABLE = msgspec.convert(read_toml(SHIPPED / "faults.toml"), FaultTable)
@@ -48,21 +49,11 @@ def good(row):
     return row.above if row.above is not None else row.below
 
 
-class Said:
-    """A detector's text, and the fault of another vehicle."""
-
-    def __init__(self, text="", fleet=None):
-        self.text, self.fleet = text, fleet
-
-    def said(self, detector):
-        return self.text
-
-
 def run(watch, row, value, ticks, armed=True, t=0.0):
     verdict = None
     for k in range(ticks):
         now = numbers(**{row.detector: value})
-        verdict = watch.look(t + k * PERIOD, armed, now, Said("somebody"))
+        verdict = watch.look(t + k * PERIOD, armed, now, "somebody")
     return verdict
 
 
@@ -73,7 +64,7 @@ def ticks_of(row):
 
 def test_every_detector_has_a_row_and_every_row_is_well_when_all_is():
     assert {row.detector for row in TABLE.values()} == set(DETECTORS) == NEEDED
-    verdict = FaultMonitor(TABLE).look(0.0, True, numbers(), Said())
+    verdict = FaultMonitor(TABLE).look(0.0, True, numbers())
     assert verdict == QUIET
 
 
@@ -147,23 +138,24 @@ def test_the_most_severe_wins():
     watch = FaultMonitor(TABLE)
     warn, brake = TABLE["link_late"], TABLE["battery_low"]
     both = numbers(setpoint_age=bad(warn), battery=bad(brake))
-    assert watch.look(0.0, True, both, Said()).response == Response.BRAKE
+    assert watch.look(0.0, True, both).response == Response.BRAKE
     land = numbers(battery=bad(brake), board_silent=1.0)
-    verdict = watch.look(0.1, True, land, Said())
+    verdict = watch.look(0.1, True, land)
     assert verdict.response == Response.LAND
     assert verdict.fault.id == "board_silent"
     # and it does not get milder again
-    assert watch.look(0.2, True, numbers(), Said()).response == Response.LAND
+    assert watch.look(0.2, True, numbers()).response == Response.LAND
     assert watch.latched == ("battery_low", "board_silent")
 
 
-def test_a_vehicle_that_stops_with_others_reports_whose_fault_it_is():
+def test_a_vehicle_that_stops_with_others_reports_whose_fault_it_is(vehicle, table, make_state):
     first = FaultReport("leak", "a leak", "sat2")
     followed = FaultReport("fleet", "stopped with the others", "sat3", cause=first.origin)
     for fleet in (first, followed):
-        watch, row = FaultMonitor(TABLE), TABLE["fleet"]
-        fault = watch.look(0.0, True, numbers(fleet=1.0), Said(fleet.words, fleet)).fault
-        assert fault.text == row.text.format(said=fleet.words)
+        inputs = Inputs(0.0, True, (), None, {}, Health(0.0, 5e5, 2e7), vitals=Vitals(fleet=fleet))
+        safety = Safety(vehicle, table, TABLE)
+        fault = safety.act(inputs, 0.0, make_state(), None, Wrench(0, 0, 0), 1.0).fault
+        assert fault.text == TABLE["fleet"].text.format(said=fleet.words)
         assert fault.cause == FaultCause("leak", "a leak", "sat2")
 
 
@@ -194,7 +186,7 @@ def test_a_row_that_says_nothing_is_refused(change, words):
 @pytest.mark.parametrize("value", [13, 13.7, math.nan, math.inf])
 def test_words_that_are_taken_can_be_said_of_every_number(text, value):
     watch = FaultMonitor({"row": Fault("poses_rejected", "brake", text, latched=True, above=12)})
-    said = Said("long " * 1000)
+    said = "long " * 1000
     verdict = watch.look(0.0, True, numbers(poses_rejected=value), said)
     assert verdict.fault.id == "row"
     assert len(verdict.fault.text) < 400

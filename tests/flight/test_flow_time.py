@@ -5,9 +5,9 @@ import pytest
 from msgspec.structs import replace
 
 from sim_twin.board import Board, no_pulses
+from stages import Flow
 from testbed.core.pulse import open_time, timing
 from testbed.core.types import ValveCommand
-from testbed.flight.flow import Flow
 
 PERIOD = 0.1  # [s]
 SLOW = {"open_delay_s": 0.025, "close_delay_s": 0.015, "open_ramp_s": 0.004, "close_ramp_s": 0.002}

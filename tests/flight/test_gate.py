@@ -5,9 +5,10 @@ import math
 import pytest
 from msgspec.structs import replace
 
+from stages import Gate
 from testbed.core.codes import InhibitReason, Refusal
 from testbed.core.types import Demand, Health, Pose, Twist, ValveCommand, Wrench
-from testbed.flight.gate import AHEAD, EARLY, Fence, Gate, GateParams, closed, refuse_plan
+from testbed.flight.gate import AHEAD, EARLY, Fence, GateParams, refuse_plan
 
 PARAMS = GateParams(
     pose_timeout_s=0.5,
@@ -197,11 +198,6 @@ def test_gates_do_not_share_their_faults(healthy):
     one, other = Gate(PARAMS, FENCE), Gate(PARAMS, FENCE)
     assert ask(one, replace(healthy, rejected=99)) is not None
     assert ask(other, healthy) is None
-
-
-def test_closed_is_the_same_plan_with_every_valve_shut():
-    plan = ValveCommand(7, 1.0, 1.1, (5000, 0, 100_000), (10_000, 0, 0))
-    assert closed(plan) == ValveCommand(7, 1.0, 1.1, (0, 0, 0), (0, 0, 0))
 
 
 @pytest.mark.parametrize("pressure", [math.nan, math.inf])

@@ -239,8 +239,8 @@ def test_the_second_stop_lands_all_at_once(diary):
 
 
 class Agent:
-    def __init__(self, outputs, hears_neighbours):
-        self.outputs, self.hears_neighbours, self.inputs = outputs, hears_neighbours, None
+    def __init__(self, outputs):
+        self.outputs, self.inputs = outputs, None
 
     def step(self, inputs):
         self.inputs = inputs
@@ -301,16 +301,13 @@ COMMAND = ValveCommand(1, 0.0, 0.1, (0,) * 8, (0,) * 8)
 OUTPUTS = Outputs(0.0, None, None, STILL, STILL, COMMAND, None, None)
 
 
-@pytest.mark.parametrize("hears", [True, False])
-def test_a_vehicle_listens_steps_acts_and_tells(hears, make_state):
+def test_a_vehicle_listens_steps_acts_and_tells(make_state):
     neighbour, own = make_state((1.0, 0.0, 0.0)), make_state((2.0, 0.0, 0.0))
-    ports, agent = Ports({"b": neighbour}, "newest"), Agent(replace(OUTPUTS, state=own), hears)
+    ports, agent = Ports({"b": neighbour}, "newest"), Agent(replace(OUTPUTS, state=own))
 
     tick = VehicleNode("a", agent, ports, ports, ports).tick(0.3, True)
 
-    expected = Inputs(
-        0.3, True, (SAMPLE,), "newest", {"b": neighbour} if hears else {}, Health(1.0, 2.0, 3.0)
-    )
+    expected = Inputs(0.3, True, (SAMPLE,), "newest", {"b": neighbour}, Health(1.0, 2.0, 3.0))
     assert agent.inputs == tick.inputs == expected
     assert tick.outputs is agent.outputs
     assert ports.applied == [COMMAND]
@@ -319,7 +316,7 @@ def test_a_vehicle_listens_steps_acts_and_tells(hears, make_state):
 
 def test_a_vehicle_that_does_not_know_where_it_is_says_nothing():
     ports = Ports({})
-    VehicleNode("a", Agent(OUTPUTS, True), ports, ports, ports).tick(0.3, False)
+    VehicleNode("a", Agent(OUTPUTS), ports, ports, ports).tick(0.3, False)
     assert ports.applied == [COMMAND]  # it does shut its valves
     assert ports.published == []
 
@@ -349,7 +346,7 @@ def test_a_law_starts_when_the_vehicle_is_armed_not_before(make_state):
 def test_landing_shuts_the_air_off(response):
     ports, landed = Ports({}), []
     ports.land = lambda: landed.append(True)
-    agent = Agent(replace(OUTPUTS, response=response), True)
+    agent = Agent(replace(OUTPUTS, response=response))
     VehicleNode("a", agent, ports, ports, ports).tick(0.3, True)
     assert landed == [True] * (response == Response.LAND)
     agent.outputs = replace(OUTPUTS, response=response, air_off=True)
@@ -359,7 +356,7 @@ def test_landing_shuts_the_air_off(response):
 
 def test_a_vehicle_is_told_of_its_process_and_of_the_others():
     ports = Ports({})
-    node = VehicleNode("a", Agent(OUTPUTS, True), ports, ports, ports, lambda: Vitals(late_s=0.2))
+    node = VehicleNode("a", Agent(OUTPUTS), ports, ports, ports, lambda: Vitals(late_s=0.2))
     assert node.tick(0.3, True).inputs.vitals == Vitals(late_s=0.2)
     told = node.tick(0.4, True, broke("b")).inputs.vitals
     assert told == Vitals(late_s=0.2, fleet=broke("b"))

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from stages import Modulator
 from testbed.flight.modulation import (
     PwmParams,
     PwpfParams,
     SigmaDeltaParams,
-    make_modulator,
 )
 
 JETS = 8
@@ -56,7 +56,7 @@ def gaps(on, offset, period):
 @given(plan=st.lists(duties, min_size=1, max_size=8), period=periods, min_on=shares, min_off=shares)
 def test_pulses_stay_inside_their_period(params, vehicle, plan, period, min_on, min_off):
     valved = with_valve(vehicle, min_on_s=min_on * period, min_off_s=min_off * period)
-    modulator = make_modulator(params, valved, period)
+    modulator = Modulator(params, valved, period)
     for duty in plan:
         on, offset = modulator.pulses(duty)
         assert on.shape == offset.shape == (JETS,)
@@ -69,27 +69,27 @@ def test_pulses_stay_inside_their_period(params, vehicle, plan, period, min_on, 
 @given(duty=duties)
 def test_the_duty_handed_over_is_not_written_to(params, vehicle, duty):
     before = duty.tobytes()
-    make_modulator(params, vehicle, 0.1).pulses(duty)
+    Modulator(params, vehicle, 0.1).pulses(duty)
     assert duty.tobytes() == before
 
 
 @pytest.mark.parametrize("params", KINDS, ids=name)
 def test_zero_duty_fires_nothing(params, vehicle):
-    on, _ = fire(make_modulator(params, vehicle, 0.1), 0.0, 50)
+    on, _ = fire(Modulator(params, vehicle, 0.1), 0.0, 50)
     assert (on == 0.0).all()
 
 
 @pytest.mark.parametrize("params", KINDS, ids=name)
 def test_full_duty_opens_for_good(params, vehicle):
     four = np.array([1.0] * 4 + [0.0] * 4)  # none against another
-    on, _ = fire(make_modulator(params, vehicle, 0.1), four, 50)
+    on, _ = fire(Modulator(params, vehicle, 0.1), four, 50)
     assert (on[5:] == 0.1 * four).all()
 
 
 @pytest.mark.parametrize("params", CARRYING, ids=name)
 @given(plan=st.lists(duties, min_size=1, max_size=10))
 def test_what_is_owed_is_bounded_and_soon_paid(params, vehicle, plan):
-    modulator = make_modulator(params, vehicle, 0.1)
+    modulator = Modulator(params, vehicle, 0.1)
     for duty in plan:
         modulator.pulses(duty)
     on, _ = fire(modulator, 0.0, 20)
@@ -101,7 +101,7 @@ def test_what_is_owed_is_bounded_and_soon_paid(params, vehicle, plan):
 @given(plan=st.lists(duties, min_size=4, max_size=12), period=periods)
 def test_openings_last_and_pauses_last(params, vehicle, plan, period):
     valve = vehicle.valve
-    modulator = make_modulator(params, vehicle, period)
+    modulator = Modulator(params, vehicle, period)
     plans = [modulator.pulses(duty) for duty in plan]
     on, offset = np.array([p[0] for p in plans]), np.array([p[1] for p in plans])
     assert (on[on > 0.0] >= valve.min_on_s - HAIR).all()
@@ -135,7 +135,7 @@ def nearest(wish, period, min_on, min_off):
 )
 def test_pwm_gives_the_nearest_pulse_the_valve_can_do(min_on, min_off, vehicle):
     period = 0.1
-    modulator = make_modulator(
+    modulator = Modulator(
         PwmParams(), with_valve(vehicle, min_on_s=min_on, min_off_s=min_off), period
     )
     for duty in np.linspace(0.0, 1.0, 233):
@@ -153,13 +153,13 @@ def test_pwm_gives_the_nearest_pulse_the_valve_can_do(min_on, min_off, vehicle):
     ],
 )  # fmt: skip
 def test_pwm_has_a_dead_band_and_a_full_band(duty, on, vehicle):
-    assert fire(make_modulator(PwmParams(), vehicle, 0.1), duty, 1)[0][0, 0] == pytest.approx(on)
+    assert fire(Modulator(PwmParams(), vehicle, 0.1), duty, 1)[0][0, 0] == pytest.approx(on)
 
 
 @pytest.mark.parametrize("params", [PwmParams(), SigmaDeltaParams()], ids=name)
 @given(duty=duties)
 def test_pulses_are_centred(params, vehicle, duty):
-    on, offset = make_modulator(params, vehicle, 0.1).pulses(duty)
+    on, offset = Modulator(params, vehicle, 0.1).pulses(duty)
     assert offset + 0.5 * on == pytest.approx(np.full(JETS, 0.05))
 
 
@@ -170,7 +170,7 @@ def test_pulses_are_centred(params, vehicle, duty):
 def test_sigma_delta_is_exact_on_average(vehicle, duty, period):
     one_jet = np.zeros(JETS)
     one_jet[3] = duty
-    on, _ = fire(make_modulator(SigmaDeltaParams(), vehicle, period), one_jet, 200)
+    on, _ = fire(Modulator(SigmaDeltaParams(), vehicle, period), one_jet, 200)
     owed = duty * period * np.arange(1, 201) - np.cumsum(on[:, 3])
     assert np.abs(owed).max() <= vehicle.valve.min_on_s + HAIR
     assert (np.delete(on, 3, axis=1) == 0.0).all()
@@ -179,7 +179,7 @@ def test_sigma_delta_is_exact_on_average(vehicle, duty, period):
 @given(plan=st.lists(duties, min_size=1, max_size=40), min_on=shares, min_off=shares)
 def test_sigma_delta_keeps_the_impulse_of_any_valve(vehicle, plan, min_on, min_off):
     # net impulse of two opposing jets, because their remainders cancel; owed at most one period's
-    modulator = make_modulator(
+    modulator = Modulator(
         SigmaDeltaParams(), with_valve(vehicle, min_on_s=0.1 * min_on, min_off_s=0.1 * min_off), 0.1
     )
     asked, given = np.zeros(JETS), np.zeros(JETS)
@@ -196,12 +196,12 @@ def test_sigma_delta_keeps_the_impulse_of_any_valve(vehicle, plan, min_on, min_o
 def test_opposing_remainders_cancel(vehicle, duty):
     both = np.zeros(JETS)
     both[[0, 5]] = duty  # against each other
-    on, _ = fire(make_modulator(SigmaDeltaParams(), vehicle, 0.1), both, 20)
+    on, _ = fire(Modulator(SigmaDeltaParams(), vehicle, 0.1), both, 20)
     assert (on == 0.0).all()
 
 
 def test_a_remainder_is_paid_by_the_opposing_jet(vehicle):
-    modulator = make_modulator(SigmaDeltaParams(), vehicle, 0.1)
+    modulator = Modulator(SigmaDeltaParams(), vehicle, 0.1)
     first, second = np.zeros(JETS), np.zeros(JETS)
     first[0], second[5] = 0.09, 0.29
     assert (modulator.pulses(first)[0] == 0.0).all()  # 9 ms are owed
@@ -213,7 +213,7 @@ def test_a_remainder_is_paid_by_the_opposing_jet(vehicle):
 def test_opposing_jets_of_unequal_thrust_cancel_by_impulse(vehicle):
     jets = list(vehicle.jets)
     jets[5] = replace(jets[5], thrust=2.0 * jets[0].thrust)
-    modulator = make_modulator(SigmaDeltaParams(), replace(vehicle, jets=jets), 0.1)
+    modulator = Modulator(SigmaDeltaParams(), replace(vehicle, jets=jets), 0.1)
     duty = np.zeros(JETS)
     duty[0], duty[5] = 0.8, 0.4
     assert (fire(modulator, duty, 5)[0] == 0.0).all()
@@ -225,7 +225,7 @@ def test_opposing_jets_of_unequal_thrust_cancel_by_impulse(vehicle):
 
 
 def pwpf_mean(vehicle, duty, period):
-    on, _ = fire(make_modulator(PwpfParams(), vehicle, period), duty, 1500)
+    on, _ = fire(Modulator(PwpfParams(), vehicle, period), duty, 1500)
     return on[500:].mean() / period
 
 
@@ -247,7 +247,7 @@ def test_pwpf_fires_just_outside_its_dead_band(vehicle):
 
 def test_pwpf_pulse_and_pause_at_half_duty(vehicle):
     # (trigger_on - trigger_off) lag / (gain / 2) = 50 ms each
-    on, offset = fire(make_modulator(PwpfParams(), vehicle, 0.1), 0.5, 500)
+    on, offset = fire(Modulator(PwpfParams(), vehicle, 0.1), 0.5, 500)
     assert on[100:].mean() == pytest.approx(0.050, abs=0.002)
     assert gaps(on[100:], offset[100:], 0.1).mean() == pytest.approx(0.050, abs=0.003)
 
@@ -263,7 +263,7 @@ def test_pwpf_is_the_filter_with_its_trigger(vehicle):
             ups.append(k * step)
         elif opened and state <= p.trigger_off:
             opened = False
-    on, offset = fire(make_modulator(p, vehicle, period), 0.06, round(ups[2] / period))
+    on, offset = fire(Modulator(p, vehicle, period), 0.06, round(ups[2] / period))
     fired = np.nonzero(on[:, 0])[0]
     starts = fired * period + offset[fired, 0]
     assert starts[:2] == pytest.approx(ups[:2], abs=1e-3)
@@ -271,11 +271,11 @@ def test_pwpf_is_the_filter_with_its_trigger(vehicle):
 
 @pytest.mark.parametrize("duty", [0.03, 0.05, 0.2])
 def test_pwpf_pulses_last(vehicle, duty):
-    on, _ = fire(make_modulator(PwpfParams(), vehicle, 0.1), duty, 1000)
+    on, _ = fire(Modulator(PwpfParams(), vehicle, 0.1), duty, 1000)
     assert (on[on > 0.0] >= vehicle.valve.min_on_s - HAIR).all()
 
 
 @pytest.mark.parametrize("duty", [0.03, 0.3, 0.7, 0.95, 0.99])
 def test_pwpf_pauses_last(vehicle, duty):
-    on, offset = fire(make_modulator(PwpfParams(), vehicle, 0.1), duty, 1000)
+    on, offset = fire(Modulator(PwpfParams(), vehicle, 0.1), duty, 1000)
     assert (gaps(on, offset, 0.1) >= vehicle.valve.min_off_s - HAIR).all()

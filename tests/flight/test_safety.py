@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from stages import Detectors, Safety, braking_wrench, longest_brake
 from testbed.config import find, load
 from testbed.config.shipped import shipped_faults
 from testbed.core.codes import LATCHED, FaultReport, InhibitReason, Refusal, Response
@@ -20,12 +21,9 @@ from testbed.core.types import (
     Vitals,
     Wrench,
 )
-from testbed.flight.detectors import Repeats, jump, whose
-from testbed.flight.ending import EndingParams, longest_brake
-from testbed.flight.fault_monitor import FaultMonitor
-from testbed.flight.safety import AT_REST, Safety
-from testbed.flight.tracker import braking_wrench
-from testbed.rig.chain import fence_of, make_agent, make_detectors
+from testbed.flight.ending import EndingParams
+from testbed.flight.safety import AT_REST
+from testbed.rig.chain import fence_of, make_agent
 
 PERIOD = 0.1  # [s]
 FOR_EVER = 1e6  # [s]
@@ -67,26 +65,26 @@ def test_a_stop_makes_up_for_the_slope_and_takes_the_spin_out(vehicle, make_stat
 
 
 def test_equal_poses_are_counted_over_ticks():
-    repeats = Repeats()
-    assert repeats.count([sample(0.0, 1.0), sample(0.1, 1.1)]) == 0
-    assert repeats.count([sample(0.2, 1.1), sample(0.3, 1.1)]) == 2
-    assert repeats.count([]) == 2
-    assert repeats.count([sample(0.4, 1.1), sample(0.5, 1.2)]) == 0
+    repeats = Detectors()
+    assert repeats.count_repeats([sample(0.0, 1.0), sample(0.1, 1.1)]) == 0
+    assert repeats.count_repeats([sample(0.2, 1.1), sample(0.3, 1.1)]) == 2
+    assert repeats.count_repeats([]) == 2
+    assert repeats.count_repeats([sample(0.4, 1.1), sample(0.5, 1.2)]) == 0
 
 
 def test_a_jump_is_measured_from_where_the_vehicle_should_be(make_state):
     before = make_state((1.0, 0.0, 0.0), (0.1, 0.0, 0.0), t=10.0)
-    assert jump(before, [sample(10.1, 1.01)]) == pytest.approx(0.0)
-    assert jump(before, [sample(10.1, 1.01, 0.3)]) == pytest.approx(0.3)
-    assert jump(None, [sample(10.1, 9.0)]) == jump(before, []) == 0.0
+    assert Detectors(before).jump([sample(10.1, 1.01)]) == pytest.approx(0.0)
+    assert Detectors(before).jump([sample(10.1, 1.01, 0.3)]) == pytest.approx(0.3)
+    assert Detectors().jump([sample(10.1, 9.0)]) == Detectors(before).jump([]) == 0.0
 
 
 def test_whose_pose_it_is(make_state):
     others = {"b": make_state((2.0, 0.0, 0.0), t=10.0), "c": make_state((0.0, 2.0, 0.0), t=10.0)}
-    assert whose(2.2, [sample(10.0, 0.1, 2.0)], others) == "c"
-    assert whose(1.0, [sample(10.0, 1.0, 1.0)], others) is None
-    assert whose(0.01, [sample(10.0, 0.1, 2.0)], others) is None
-    assert whose(1.0, [], others) is None
+    assert Detectors.whose(2.2, [sample(10.0, 0.1, 2.0)], others) == "c"
+    assert Detectors.whose(1.0, [sample(10.0, 1.0, 1.0)], others) is None
+    assert Detectors.whose(0.01, [sample(10.0, 0.1, 2.0)], others) is None
+    assert Detectors.whose(1.0, [], others) is None
 
 
 # The watch's verdict
@@ -94,8 +92,7 @@ def test_whose_pose_it_is(make_state):
 
 @pytest.fixture
 def safety(vehicle):
-    detectors = make_detectors(EXPERIMENT, NAME)
-    return Safety(vehicle, PERIOD, FaultMonitor(shipped_faults()), detectors, None, 0.08)
+    return Safety(vehicle, EXPERIMENT.table, shipped_faults(), 0.08)
 
 
 def act(safety, state, t=0.0, vitals=None, wanted=Wrench(0.3, 0.0, 0.0), **changes):  # noqa: B008
@@ -107,7 +104,7 @@ def act(safety, state, t=0.0, vitals=None, wanted=Wrench(0.3, 0.0, 0.0), **chang
 def test_a_healthy_demand_goes_through_as_it_is(safety, make_state):
     wanted = Wrench(0.3, 0.0, 0.0)
     acted = act(safety, make_state(), wanted=wanted)
-    assert acted.commanded_wrench is wanted
+    assert acted.commanded_wrench == wanted
     assert (acted.response, acted.fault, acted.inhibit_reason) == (Response.NONE, None, None)
 
 
@@ -149,8 +146,8 @@ def test_a_stop_that_does_not_end_is_given_up(safety, make_state):
 
 def edited(vehicle, name, **changes):
     table = shipped_faults()
-    watch = FaultMonitor(table | {name: replace(table[name], **changes)})
-    return Safety(vehicle, PERIOD, watch, make_detectors(EXPERIMENT, NAME), None, 0.08)
+    table = table | {name: replace(table[name], **changes)}
+    return Safety(vehicle, EXPERIMENT.table, table, 0.08)
 
 
 def test_the_second_stop_of_a_row_that_is_not_latched_is_a_stop_again(vehicle, make_state):

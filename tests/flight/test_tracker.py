@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stages import Tracker, brake, carry_forward, due
 from testbed.core.se2 import to_table
 from testbed.core.types import Accel, Demand, Pose, Reference, Trajectory, Twist
-from testbed.flight.tracker import Tracker, TrackerParams, brake, carry_forward, due
+from testbed.flight.tracker import TrackerParams
 
 PARAMS = TrackerParams()
 PERIOD = 0.1  # [s]

@@ -16,6 +16,7 @@ from testbed.logs.replay import before_damage
 
 MAGIC = b"\x89MCAP0\r\n"
 COUNT = 200  # messages, at 100 Hz
+EPOCH = 1_800_000_000_000_000_000  # UTC of time 0 [ns]
 CHUNK, INDEX, DATA_END = 6, 7, 15  # opcodes
 
 
@@ -26,15 +27,20 @@ def content(tmp_path_factory) -> bytes:
     rng = np.random.default_rng(5)
 
     def frames():
-        yield Topic("/sat1/tick", "Tick", b"{}")
-        yield Topic("/truth", "Truth", b"{}")
+        yield Topic("/sat1/pace", "Pace")
+        yield Topic("/truth", "Truth")
         for k in range(COUNT):
-            yield Entry(k % 2, k * 10**7, rng.bytes(40).hex().encode())
+            yield Entry(k % 2, k * 10**7, begun(k) + rng.bytes(40).hex().encode())
             if k % 4 == 3:
                 yield Mark()
 
-    write_log(path, frames(), Disk(lambda: 10**12, 0, 0), str)
+    write_log(path, frames(), Disk(lambda: 10**12, 0, 0), str, EPOCH)
     return path.read_bytes()
+
+
+def begun(k: int) -> bytes:
+    """The beginning of a row: CDR, then its time of the run."""
+    return struct.pack("<4sd", b"\0\1\0\0", 0.01 * k)
 
 
 def records(content: bytes) -> list[tuple[int, int, int]]:
@@ -51,7 +57,8 @@ def chunks(content: bytes) -> list[tuple[int, int, list[int]]]:
     """Beginning, end and stamps of each."""
     return [
         (a, b, [
-            r.stamp for r in read_chunk(content[a + HEAD.size : b], 2**30) if isinstance(r, Message)
+            r.stamp - EPOCH
+            for r in read_chunk(content[a + HEAD.size : b], 2**30) if isinstance(r, Message)
         ])
         for opcode, a, b in records(content) if opcode == CHUNK
     ]  # fmt: skip
@@ -73,8 +80,9 @@ def flipped(content: bytes, at: int, mask: int) -> bytes:
 
 
 def copies(content: bytes, rng: np.random.Generator):
+    end = chunks(content)[-1][1]  # a tail of zeros after it costs nothing, which no reader can know
     for _ in range(10):
-        yield zeroed(content, int(rng.integers(len(content))), len(content))
+        yield zeroed(content, int(rng.integers(end)), len(content))
         at = int(rng.integers(len(content) - 700))
         yield zeroed(content, at, at + 700)
         yield flipped(content, int(rng.integers(len(content))), 1 << int(rng.integers(8)))
@@ -141,7 +149,7 @@ def test_names_that_are_lost_are_taken_from_the_end_of_the_file(tmp_path, conten
     hurt = zeroed(content, 0, b)  # the beginning of the file, too
     book, found = read(tmp_path, hurt)
     assert len(found) == COUNT - 4
-    assert book.kinds == {"/sat1/tick": "Tick", "/truth": "Truth"}
+    assert book.kinds == {"/sat1/pace": "Pace", "/truth": "Truth"}
     assert "damaged at byte 0: 0.04 s" in book.said()[0]
     assert book.said()[0].endswith("4 messages")
 

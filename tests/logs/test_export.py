@@ -1,72 +1,126 @@
-"""A log as tables, and what is said about it."""
+"""A log as tables, as a bag, and what is said about it."""
 
 import csv
-import json
 import math
+from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
-from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
-from testbed.logs.export import WRITERS, atomic_write, tables
-from testbed.logs.log_reader import LogError, Row
+from testbed.core.codes import FaultReport, InhibitReason, Refusal
+from testbed.core.types import (
+    Health,
+    Inputs,
+    Outputs,
+    PoseSample,
+    Tick,
+    ValveCommand,
+    Vitals,
+    Wrench,
+)
+from testbed.logs.export import WRITERS, atomic_write, tables, to_bag
+from testbed.logs.log_reader import LogError, LogReader, Row
+from testbed.logs.recorder import Motion, Recorder, Truth
 from testbed.logs.topics import survey
 
-
-def rows() -> list[Row]:
-    found = []
-    for k in range(10):
-        state = None if k == 0 else {"x": 0.1 * k, "near": "nan" if k == 1 else 2.0}
-        message = {
-            "t": 0.1 * k, "state": state, "on_us": [k, 2 * k], "seq": k, "armed": k > 2,
-            "why": None if k else "no pose yet", "samples": [[0.1, 2.0]] * (k % 3),
-        }  # fmt: skip
-        found.append(Row("/sat1/tick", k * 10**8, json.dumps(message).encode()))
-    return found
+STILL = Wrench(0.0, 0.0, 0.0)
+FAULT = FaultReport("jet_3", "a jet is stuck", detector="jet_open", value=0.7)
 
 
-def test_columns():
-    table = tables(rows())["/sat1/tick"]
-    assert list(table) == [
-        "t", "on_us[0]", "on_us[1]", "seq", "armed", "why", "samples", "state.x", "state.near",
-    ]  # fmt: skip
-    assert table["t"].tolist() == [k * 10**8 * 1e-9 for k in range(10)]
-    assert table["on_us[1]"].dtype == np.int64
-    assert table["armed"].dtype == bool
-    assert table["why"].tolist() == ["no pose yet"] + [""] * 9
-    assert np.isnan(table["state.x"][0])
-    assert table["state.x"][3] == 0.1 * 3  # to the last bit
-    assert np.isnan(table["state.near"][:2]).all()
-    assert json.loads(table["samples"][2]) == [[0.1, 2.0]] * 2
+def tick(k: int) -> Tick:
+    """The k-th tick of a flight that waits, then flies, then has a fault."""
+    health = Health(0.1 * k, 5e5, 2e7, 12.0 if k else 10.5)
+    samples = tuple(PoseSample(0.1 * k, 0.01 * j, 2.0, 3.0) for j in range(k % 3))
+    command = ValveCommand(k, 0.1 * k, 0.1 * k + 0.1, (k, 2 * k), (0, 0))
+    return Tick(
+        Inputs(0.1 * k, k > 2, samples, None, {}, health, vitals=Vitals(session_ok=k > 0)),
+        Outputs(
+            0.1 * k, None, None, Wrench(0.1 * k, 0.0, 0.0), STILL, command,
+            None if k else Refusal(InhibitReason.NO_POSE_YET), FAULT if k == 9 else None,
+        ),
+    )  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", ["csv", "npz", "parquet"])
-def test_the_same_numbers_come_back(tmp_path, kind):
+@pytest.fixture(scope="module")
+def path(tmp_path_factory) -> Path:
+    """A log of ten ticks."""
+    path = tmp_path_factory.mktemp("log") / "log.mcap"
+    with Recorder(path, epoch_ns=1_800_000_000 * 10**9) as recorder:
+        for k in range(10):
+            recorder.write("/sat1/tick", 0.1 * k, tick(k))
+            recorder.write("/truth", 0.1 * k, Truth(0.1 * k, {"sat1": Motion(*[0.1 * k] * 6)}))
+    return path
+
+
+def test_columns(path):
+    found = tables(LogReader(path))
+    table = found["/sat1/tick"]
+    assert table["inputs.t"].tolist() == [0.1 * k for k in range(10)]  # to the last bit
+    assert table["outputs.commanded_wrench.fx"].tolist() == [0.1 * k for k in range(10)]
+    assert table["pulses[1].on_us"].tolist() == [2 * k for k in range(10)]
+    assert table["inputs.armed"].tolist() == [k > 2 for k in range(10)]
+    assert table["inputs.health.battery"].tolist() == [10.5] + [12.0] * 9
+    assert table["outputs.inhibit"].tolist() == [InhibitReason.NO_POSE_YET] + [0] * 9
+    assert np.isnan(table["outputs.state.pose.x"]).all()
+    np.testing.assert_array_equal(
+        table["samples[1].x"], [0.01 if k % 3 == 2 else np.nan for k in range(10)]
+    )
+    assert "samples[2].x" not in table
+    assert found["/truth"]["vehicles[0].twist.omega"].tolist() == [0.1 * k for k in range(10)]
+    assert found["/sat1/event"]["text"].tolist() == [FAULT.words]
+    assert found["/names"]["faults"].tolist()[-1] == "jet_3"
+
+
+@pytest.mark.parametrize("kind", ["csv", "mat", "npz", "parquet"])
+def test_the_same_numbers_come_back(tmp_path, path, kind):
     if kind == "parquet":
         pytest.importorskip("pyarrow")
-    found = tables(rows())
-    (path,) = WRITERS[kind](found, tmp_path)
-    wanted = found["/sat1/tick"]["state.x"]
+    found, name = tables(LogReader(path)), "outputs.commanded_wrench.fx"
+    written = {one.stem: one for one in WRITERS[kind](found, tmp_path)}
+    wanted = found["/sat1/tick"][name]
     match kind:
         case "csv":
-            with path.open() as file:
-                got = [float(row["state.x"]) for row in csv.DictReader(file)]
+            with written["sat1_tick"].open() as file:
+                got = [float(row[name]) for row in csv.DictReader(file)]
         case "npz":
-            with np.load(path) as arrays:
-                got = arrays["sat1/tick/state.x"]
+            with np.load(written["log"]) as arrays:
+                got = arrays[f"sat1/tick/{name}"]
+        case "mat":
+            from scipy.io import loadmat
+
+            log = loadmat(written["log"], simplify_cells=True)
+            got = log["sat1"]["tick"]["outputs"]["commanded_wrench"]["fx"]
+            assert log["sat1"]["tick"]["pulses_2"]["on_us"].tolist() == [2 * k for k in range(10)]
         case _:
             from pyarrow import parquet
 
-            got = parquet.read_table(path).column("state.x").to_pylist()
+            got = parquet.read_table(written["sat1_tick"]).column(name).to_pylist()
     np.testing.assert_array_equal(np.array(got, dtype=float), wanted)
     with pytest.raises(FileExistsError):
         WRITERS[kind](found, tmp_path)
 
 
-def test_nothing_to_export():
+def test_a_bag_is_read_by_rosbags(tmp_path, path):
+    pytest.importorskip("rosbags")
+    from rosbags.highlevel import AnyReader
+
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    to_bag(LogReader(path), bag)
+    with AnyReader([bag]) as reader:
+        seen = [
+            reader.deserialize(data, one.msgtype).outputs.commanded_wrench.fx
+            for one, _, data in reader.messages(c for c in reader.connections if "tick" in c.topic)
+        ]
+        assert reader.start_time == 1_800_000_000 * 10**9
+    assert seen == [0.1 * k for k in range(10)]
+
+
+def test_nothing_to_export(tmp_path):
+    with Recorder(tmp_path / "log.mcap"):
+        pass
     with pytest.raises(LogError, match="no messages"):
-        tables([])
+        tables(LogReader(tmp_path / "log.mcap"))
 
 
 def test_rates_and_gaps():
@@ -84,35 +138,13 @@ def test_one_message_has_no_rate():
     assert not math.isnan(topic.last_s)
 
 
-def test_what_the_log_leaves_out_is_in_the_table():
-    health = Health(0.0, 5e5, 2e7)
-    low = msgspec.structs.replace(health, battery=10.5)
-    at = ValveCommand(0, 0.0, 0.1, (0,) * 8, (0,) * 8)
-    still = Wrench(0.0, 0.0, 0.0)
-    bad = Vitals(session_ok=False, late_s=1.0)
-    ticks = [
-        Tick(Inputs(0.1 * k, True, (), None, {}, said, vitals=vitals),
-             Outputs(0.1 * k, None, None, still, still, at))
-        for k, (said, vitals) in enumerate([(health, Vitals()), (low, bad)])
-    ]  # fmt: skip
-    log = [Row("/sat1/tick", k * 10**8, msgspec.json.encode(t)) for k, t in enumerate(ticks)]
-    assert b"session_ok" not in log[0].data  # as it has its default
-    table = tables(log, {"/sat1/tick": "Tick"})["/sat1/tick"]
-    assert table["inputs.health.battery"].tolist() == [12.0, 10.5]
-    assert table["inputs.vitals.session_ok"].tolist() == [True, False]
-    assert table["inputs.vitals.session_ok"].dtype == bool
-    assert table["inputs.vitals.late_s"].tolist() == [0.0, 1.0]
-    assert table["outputs.response"].tolist() == [0, 0]
-
-
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_nothing_is_written_when_one_file_is_there(tmp_path, kind):
+def test_nothing_is_written_when_one_file_is_there(tmp_path, path, kind):
     if kind == "parquet":
         pytest.importorskip("pyarrow")
-    two = [*rows(), Row("/truth", 0, b'{"t": 0.0}')]
     (tmp_path / f"truth.{kind}").write_text("older")
     with pytest.raises(FileExistsError):
-        WRITERS[kind](tables(two), tmp_path)
+        WRITERS[kind](tables(LogReader(path)), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [f"truth.{kind}"]
 
 

@@ -2,7 +2,6 @@
 
 import math
 
-import msgspec
 import pytest
 
 from testbed.core.types import (
@@ -18,6 +17,7 @@ from testbed.core.types import (
 )
 from testbed.logs.log_reader import LogError, Row
 from testbed.logs.replay import LoggedHost, difference, replay
+from testbed.logs.tick_row import RowWriter
 
 CLOSED = ValveCommand(0, 0.0, 0.1, (0,) * 8, (0,) * 8)
 
@@ -35,8 +35,12 @@ def flight(fx: float = 0.1, ticks: int = 10) -> list[Row]:
     rows = []
     for k in range(ticks):
         tick = Tick(inputs(0.1 * k), outputs(0.1 * k, fx))
-        rows.append(Row("/sat1/tick", k * 10**8, msgspec.json.encode(tick)))
+        rows.append(Row("/sat1/tick", k * 10**8, row_of("/sat1/tick", tick)))
     return rows
+
+
+def row_of(topic: str, tick: Tick | HostTick) -> bytes:
+    return RowWriter().rows(topic, tick.inputs.t, tick)[-1].data
 
 
 def same(told: Inputs) -> Outputs:
@@ -65,18 +69,9 @@ def test_one_bit_is_a_difference():
     assert replay(flight(), {"sat1": nearly}, {}).first_difference.size == math.ulp(0.1)
 
 
-def test_a_message_written_in_another_order_of_fields_is_the_same():
-    row = flight(ticks=1)[0]
-    tree = msgspec.json.decode(row.data)
-    turned = {key: tree[key] for key in reversed(tree)}
-    assert replay([row._replace(data=msgspec.json.encode(turned))], {"sat1": same}, {}) == replay(
-        [row], {"sat1": same}, {}
-    )
-
-
 def test_a_law_on_the_host_hears_what_was_heard_then():
     told = HostInputs(0.3, None, {})
-    row = Row("/sat1/host", 0, msgspec.json.encode(HostTick(told, HostOutputs(0.3, None))))
+    row = Row("/sat1/host", 0, row_of("/sat1/host", HostTick(told, HostOutputs(0.3, None))))
 
     def plug(link):
         def tick(t: float) -> HostTick:
@@ -97,7 +92,7 @@ def test_other_topics_do_not_matter():
     [
         ([], "no ticks"),
         ([Row("/sat2/tick", 0, flight()[0].data)], "/sat2/tick is in the log"),
-        ([Row("/sat1/tick", 0, b'{"inputs": 3}')], "expected  a message of this version"),
+        ([Row("/sat1/tick", 0, b"{}")], "expected  a message of this version"),
     ],
 )
 def test_a_log_that_cannot_be_repeated(rows, said):

@@ -11,14 +11,14 @@ import pytest
 
 from patience import wait_for
 from testbed.realtime import processes as children
-from testbed.realtime.processes import ChildError, ProcessGroup
+from testbed.realtime.processes import ChildError, ProcessGroup, hung_up
 
 ROOT = Path(__file__).resolve().parents[2]
 WAITS = "import sys; sys.stdin.read()"
 IGNORES = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(1000)"
 PARENT = """
 import os, sys
-from testbed.realtime.processes import ProcessGroup
+from testbed.realtime.processes import ProcessGroup, hung_up
 with ProcessGroup(grace_s=0.2) as children:
     pids = [children.start(f"c{k}", [sys.executable, "-c", p]) for k, p in enumerate(sys.argv[1:])]
     print(*pids, children.folder, flush=True)
@@ -76,3 +76,11 @@ def test_a_stopped_guardian_does_not_keep_its_parent(monkeypatch):
         os.kill(guardian, signal.SIGSTOP)
         os.waitid(os.P_PID, guardian, os.WSTOPPED)
     assert not psutil.pid_exists(guardian)
+
+
+def test_a_closed_terminal_is_seen():
+    leader, terminal = os.openpty()
+    assert not hung_up(terminal)
+    os.close(leader)
+    assert hung_up(terminal)
+    os.close(terminal)

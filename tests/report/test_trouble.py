@@ -2,8 +2,8 @@
 
 from testbed.config import find, load
 from testbed.core.codes import FaultReport, InhibitReason, Refusal, Response
-from testbed.core.types import Health, ValveCommand
-from testbed.logs.feed import SeenInputs, SeenOutputs, SeenPhase, SeenTick
+from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Wrench
+from testbed.logs.feed import SeenPhase
 from testbed.logs.history import Happening, phase_change
 from testbed.report.fault_story import SUPERVISOR, Said, Story, Trouble
 
@@ -17,9 +17,9 @@ LONGEST_TITLE = 30  # letters, so that a banner is one line
 
 def tick(t: float, fault=None, response=Response.NONE, shut=None):
     command = ValveCommand(0, t, t + 0.1, (0,) * 8, (0,) * 8)
-    outputs = SeenOutputs(t, None, None, command, inhibit_reason=shut, fault=fault,
-                          response=response)  # fmt: skip
-    return SeenTick(SeenInputs(t, True, Health(t, 5e5, 2e7)), outputs)
+    still = Wrench(0.0, 0.0, 0.0)
+    outputs = Outputs(t, None, None, still, still, command, shut, fault, response=response)
+    return Tick(Inputs(t, True, (), None, {}, Health(t, 5e5, 2e7)), outputs)
 
 
 def test_every_shipped_fault_is_short():

@@ -14,6 +14,7 @@ from testbed.cli.exit_code import BAD_INPUT, FAULT, NOT_STARTED
 from testbed.cli.main import main
 from testbed.config import ConfigError, find, load
 from testbed.core.vehicle import Gauges
+from testbed.logs.feed import LogFeed, SeenPhase
 from testbed.logs.log_reader import LogReader
 from testbed.net.commands import Refused, Start
 from testbed.net.keys import Keys
@@ -43,7 +44,7 @@ def run(*words):
 
 def phases(out):
     book = LogReader(Path(out) / "log.mcap")
-    return [json.loads(data)["phase"] for topic, _, data in book.read() if topic == "/supervisor"]
+    return [one.message.phase for one in LogFeed(book).news() if isinstance(one.message, SeenPhase)]
 
 
 def metrics(out):
@@ -207,7 +208,7 @@ def test_a_host_that_was_killed_is_a_fault_too():
     FaultLatch("table", "lab", "runs/yesterday").set()
     done = run("--rig", "table", "--arm", "--out", "out")
     assert done.exit_code == BAD_INPUT
-    assert KILLED in " ".join(done.output.split())
+    assert KILLED.text in " ".join(done.output.split())
 
 
 def test_on_the_twin_the_same_checks_are_asked():

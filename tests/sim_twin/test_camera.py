@@ -3,10 +3,24 @@
 import numpy as np
 import pytest
 
-from sim_twin.camera import Camera
+from sim_twin.camera import Cameras
 
 RATE, LATENCY, JITTER = 100.0, 0.020, 0.001  # of the shipped table
 STATE = np.array([0.7, -0.4, 3.1, 0.1, 0.2, 0.3])
+
+
+class Camera:
+    """Cameras that see one body."""
+
+    def __init__(self, mocap, seed):
+        self._cameras = Cameras(["a"], mocap, seed)
+
+    def expose(self, times, states):
+        self._cameras.expose(times, states[:, None], -np.inf)
+
+    def arrived(self, now):
+        self._cameras.expose(np.empty(0), np.empty((0, 1, 6)), now)
+        return self._cameras.arrived(0)
 
 
 @pytest.fixture
@@ -14,7 +28,7 @@ def make_camera(make_table):
     def make(seed=3, **changes):
         never_lost = {"dropout_rate": 0.0}
         mocap = make_table(mocap=never_lost | changes).mocap
-        return Camera(mocap, np.random.default_rng(seed))
+        return Camera(mocap, seed)
 
     return make
 

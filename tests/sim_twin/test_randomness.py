@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sim_twin.plant_parameters import sample_plant
-from sim_twin.randomness import Draws, stream
+from sim_twin.randomness import exponential, normal, stream, uniform, words
+from testbed.core.compiled import compiled
 from testbed.core.jets import effect_matrix
 
 
@@ -55,8 +56,23 @@ def test_one_vehicle_more_changes_no_other(shipped_vehicle):
         assert (before == after[1:]).all()
 
 
-def test_draws_do_not_depend_on_how_many_are_taken_at_a_time():
-    one_by_one = Draws(stream(1, "a").standard_normal, 3)
-    sizes = [1, 0, 5, 300, 2, 700, 10]
-    taken = np.concatenate([one_by_one.take(n) for n in sizes])
-    assert (taken == stream(1, "a").standard_normal((sum(sizes), 3))).all()
+@compiled
+def fill(own, kind, found):
+    for i in range(found.shape[0]):
+        found[i] = uniform(own) if kind == 0 else normal(own) if kind == 1 else exponential(own)
+
+
+@pytest.mark.parametrize("kind", range(3))
+def test_compiled_code_draws_what_numpy_draws_bit_for_bit(kind):
+    generator = stream(kind, "a")
+    own, found = words(generator), np.empty(1_000_000)
+    fill(own, kind, found)
+    draw = (generator.random, generator.standard_normal, generator.standard_exponential)[kind]
+    assert (found == draw(len(found))).all()
+    assert (own == words(generator)).all()
+
+
+def test_a_copy_of_a_stream_draws_the_same_again():
+    own = words(stream(1, "a"))
+    again = own.copy()
+    assert [normal(own) for _ in range(50)] == [normal(again) for _ in range(50)]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from sim_twin.radio import listen
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.core.types import Accel, LawMessage, Pose, State, Twist
 
@@ -147,11 +148,17 @@ def test_every_link_has_losses_of_its_own(make_vehicle, make_table):
     table = make_table(link={"loss": 0.5, "jitter_s": 0.0})
     fleet = dict.fromkeys(names, make_vehicle())
     twin = Twin(fleet, STARTS, table, {}, seed=1, listeners=names)
-    pairs = [(a, b) for a in names for b in names if a != b]
-    links = [*twin.setpoints.values(), *(twin.to_host.between(n, "host") for n in names)]
-    links += [twin.states.between(*pair) for pair in pairs]
-    arrived = [[link.send(k, k) or link.newest(k + 0.5) == k for k in range(64)] for link in links]
-    assert len(links) == 12
+    pairs = [(a, b) for a in (*names, "host") for b in (*names, "host") if a != b]
+    radio, arrived = twin.radio, []
+    for pair in pairs:
+        row, heard = radio.rows([pair]), []
+        for k in range(64):
+            radio.send(row, float(k), k)
+            listen(radio.links, k + 0.5)
+            radio.look()
+            heard.append(radio.newest(*pair) == k)
+        arrived.append(heard)
+    assert len(pairs) == 12
     assert len({tuple(pattern) for pattern in arrived}) == 12
 
 

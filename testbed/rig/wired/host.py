@@ -19,6 +19,7 @@ import zenoh
 from testbed.config import ConfigError, Experiment, dump
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.error import TestbedError
+from testbed.flight.arming import Check
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Answer, Request, Supervisor
 from testbed.metrics.run_metrics import Touch
@@ -70,6 +71,10 @@ def anybody(_: Sequence[str]) -> bool:
     return True
 
 
+def uninterested(_: Sequence[Check]) -> None:
+    """Drop the arming checks: they are not shown."""
+
+
 class WireRig:
     """The experiment on real wires.
 
@@ -82,6 +87,7 @@ class WireRig:
         latch: keeps a fault for the next run.
         latched: fault of the previous run, which must be reset first.
         say: called with messages for the operator; by default they are dropped.
+        checked: called with every result of the arming checks.
         relay: maps the host's endpoint to the one that the bench's vehicles call.
     """
 
@@ -96,6 +102,7 @@ class WireRig:
         latch: FaultLatch | None = None,
         latched: FaultReport | None = None,
         say: Callable[[str], None] = unheard,
+        checked: Callable[[Sequence[Check]], None] = uninterested,
         relay: Callable[[str], str] = str,
     ) -> None:
         self.experiment = experiment
@@ -122,7 +129,8 @@ class WireRig:
             expected = f"an experiment of at most {(LARGEST - SPARE) // 1000} kB when encoded"
             found = f"{size // 1000} kB: is the tilt map too fine?"
             raise ConfigError("this rig", "", expected, found)
-        self._log, self._agree, self._latch, self._say = log, agree, latch, say
+        self._log, self._agree, self._latch = log, agree, latch
+        self._say, self._checked = say, checked
         self.supervisor = Supervisor(latched)
         self.red: list[str] = []
         self._ran = False  # valves may have opened
@@ -191,7 +199,15 @@ class WireRig:
         session = stack.enter_context(opened)
         names, title = list(self.experiment.vehicles), self.experiment.name
         stack.enter_context(
-            noted(network.endpoint, network.lab, network.keys, names, title, say=self._say)
+            noted(
+                network.endpoint,
+                network.lab,
+                network.keys,
+                names,
+                title,
+                say=self._say,
+                folder=self._log,
+            )
         )
         keys = Keys(network.lab)
         text = msgspec.json.encode(self.experiment)
@@ -286,7 +302,12 @@ class WireRig:
             if not self._bench:
                 for name, why in lost.items():
                     self._say(f"{name} has ended: {why}; start `testbed agent {name}` again")
-                if missing != told:
+            if missing != told:
+                self._checked([
+                    Check(f"{name} agent", "not on the network" if name in missing else "", True)
+                    for name in self.experiment.vehicles
+                ])  # fmt: skip
+                if not self._bench:
                     absent = ", ".join(sorted(missing))
                     self._say(f"waiting for {absent}; start `testbed agent` on each computer")
                 told = missing
@@ -364,7 +385,9 @@ class WireRig:
         """
         answer = Answer(False, self.supervisor.phase, ("no time for the arming checks",))
         while monotonic_ns() < end and not stopped():
-            answer = self.supervisor.request(0.0, what, preflight.checks())
+            checks = preflight.checks()
+            self._checked(checks)
+            answer = self.supervisor.request(0.0, what, checks)
             if answer.done:
                 return
             sleep_until_ns(monotonic_ns() + 5 * LOOK_NS)

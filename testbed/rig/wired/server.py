@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from firmware_interface.limits import limits_of
 from firmware_interface.line_tap import LineTap
 from firmware_interface.messages import Status
-from sim_twin.camera import Camera
+from sim_twin.camera import Cameras
 from sim_twin.fault_injection import Sabotage
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
@@ -67,7 +67,7 @@ class TableServer:
         starts = {name: Pose(*setup.start) for name, setup in setups.items()}
         seed = experiment.seed
         self.plant = Plant(self.models, starts, table, experiment.obstacles, seed)
-        self._cameras = {n: Camera(table.mocap, stream(seed, n, "camera")) for n in self.names}
+        self._cameras = Cameras(self.names, table.mocap, seed)
         self._jitter = stream(seed, "frames")
         self._valves = {
             n: ReportedValves(m, self.plant.boards[n].pulses, stream(seed, n, "pulses"))
@@ -222,8 +222,10 @@ class TableServer:
         bodies, rows = [], None
         if self._sabotage is not None and t is not None:
             rows = self._sabotage.sources(self.names, np.array([t]))
+        shown = None if rows is None else np.array(rows, np.int64)
+        self._cameras.expose(np.array([1e-9 * exposed]), self.plant.x[None], np.inf, shown)
         for k, name in enumerate(self.names):
-            seen = self._look(name, k if rows is None else rows[0][k], 1e-9 * exposed)
+            seen = self._look(name, k)
             bodies.append(
                 RigidBody(k + 1, seen.position, seen.rotation, ERROR_M, tracked=seen.tracked)
             )
@@ -247,10 +249,8 @@ class TableServer:
         }
         self._pose_topic.say(encode_poses(number, exposed, monotonic_ns(), seen))
 
-    def _look(self, name: str, k: int, at: float) -> Sighting:
-        camera = self._cameras[name]
-        camera.expose(np.array([at]), self.plant.x[k : k + 1])
-        samples: list[PoseSample] = camera.arrived(np.inf)
+    def _look(self, name: str, k: int) -> Sighting:
+        samples = self._cameras.arrived(k)
         if self._sabotage is not None:
             now = self.plant.t  # injections use the plant's time here
             fresh = [PoseSample(now, one.x, one.y, one.theta) for one in samples]

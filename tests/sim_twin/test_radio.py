@@ -3,27 +3,43 @@
 import numpy as np
 import pytest
 
-from sim_twin.channel import Channel
+from sim_twin.radio import Radio, listen
 from testbed.core.table import Link
 
 CLEAN = Link(delay_s=0.0, jitter_s=0.0, loss=0.0, burst_loss=0.0, burst_enter=0.0, burst_leave=1.0)
+
+
+class Channel:
+    """A radio with one link."""
+
+    def __init__(self, link, seed):
+        self.radio = Radio(link, seed)
+        self.row = self.radio.rows([("a", "b")])
+
+    def send(self, t, message):
+        self.radio.send(self.row, t, message)
+
+    def newest(self, t):
+        listen(self.radio.links, t)
+        self.radio.look()
+        return self.radio.newest("a", "b")
 
 
 @pytest.fixture
 def make_channel():
     def make(seed=5, **changes):
         fields = {name: getattr(CLEAN, name) for name in Link.__struct_fields__}
-        return Channel(Link(**fields | changes), np.random.default_rng(seed))
+        return Channel(Link(**fields | changes), seed)
 
     return make
 
 
-def survivors(channel, n):
-    """Which of `n` messages arrive, each sent when the one before has arrived or is lost."""
+def survivors(channel, n, start=0):
+    """Which of `n` messages from `start` arrive, each sent when the one before has or is lost."""
     heard = np.zeros(n, dtype=bool)
     for k in range(n):
-        channel.send(float(k), k)
-        heard[k] = channel.newest(k + 0.5) == k
+        channel.send(float(start + k), start + k)
+        heard[k] = channel.newest(start + k + 0.5) == start + k
     return heard
 
 
@@ -100,3 +116,31 @@ def test_the_same_seed_loses_the_same(make_channel):
     first, again, other = (survivors(make_channel(seed, **spoilt), 300) for seed in (1, 1, 2))
     assert (first == again).all()
     assert (first != other).any()
+
+
+def test_an_injected_fault_changes_no_other_message(make_channel):
+    spoilt = {"loss": 0.1, "burst_loss": 0.9, "burst_enter": 0.1, "burst_leave": 0.3}
+    well, jammed = survivors(make_channel(**spoilt), 300), make_channel(**spoilt)
+    for part, loss in ((slice(0, 100), 0.0), (slice(100, 200), 1.0), (slice(200, 300), 0.0)):
+        jammed.radio.disturb("b", 0.0, loss)
+        heard = survivors(jammed, 100, part.start)
+        assert (heard == well[part]).all() if loss == 0.0 else not heard.any()
+
+
+def test_a_late_message_waits_however_many_follow_it(make_channel):
+    channel = make_channel(delay_s=0.005)
+    channel.radio.disturb("b", 60.0, 0.0)
+    for k in range(600):
+        channel.send(0.1 * k, k)
+    assert channel.newest(59.9) is None
+    assert channel.newest(60.01) == 0
+    assert channel.newest(90.06) == 300
+    assert channel.newest(1e9) == 599
+
+
+def test_messages_that_cannot_be_heard_any_more_are_let_go(make_channel):
+    channel = make_channel(delay_s=0.005)
+    for k in range(2000):
+        channel.send(0.1 * k, k)
+        assert channel.newest(0.1 * k) == (k - 1 if k else None)
+    assert len(channel.radio._messages) < 200

@@ -1,0 +1,153 @@
+"""Make the pictures of docs/console.md: the operator's page in flight, and in trouble.
+
+    python docs/pictures/console.py [NAME ...]
+
+Needs Chromium. Each case is a flight with the page open, on the twin unless it says `bench`; the
+picture is taken when the page says what the case is about.
+"""
+
+import io
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
+from typing import NamedTuple
+
+from browser import Browser
+from PIL import Image
+
+HERE = Path(__file__).parent
+PATIENCE_S = 400.0
+SCREEN, TABLET, PHONE = (1366, 768), (820, 1180), (390, 844)
+
+
+class Shot(NamedTuple):
+    """One picture of a case."""
+
+    name: str
+    size: tuple[int, int] = SCREEN
+    dark: bool = False
+
+
+class Case(NamedTuple):
+    """A flight, what to wait for, and the pictures."""
+
+    words: list[str]  # of `testbed run`
+    until: str  # JavaScript, true when the picture is due
+    shots: list[Shot]
+
+
+def clock(seconds: int) -> str:
+    """Whether the flight is that far."""
+    return f"picture && picture.now && picture.now.t > {seconds}"
+
+
+def fault(kind: str, vehicle: str, at_s: float, more: str = "") -> str:
+    """An injected fault."""
+    return f'inject=[{{kind="{kind}",vehicle="{vehicle}",at_s={at_s}{more}}}]'
+
+
+CASES = {
+    "arming": Case(
+        ["hold", "--rig", "bench", "arming.battery=13", "arming.supply_share=1.1"],
+        "document.querySelectorAll('#checks li').length > 0 && "
+        "document.getElementById('arming-title').textContent.includes('green')",
+        [Shot("console_arming"), Shot("console_arming_phone", PHONE)],
+    ),
+    "one": Case(["hold", "duration_s=300"], clock(12), [Shot("console_one", TABLET)]),
+    "three": Case(
+        ["zhang2023_table", "--speed", "2"],
+        clock(30),
+        [Shot("console_three"), Shot("console_three_dark", SCREEN, True),
+         Shot("console_three_phone", PHONE, True)],
+    ),
+    "five": Case(
+        ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
+    ),
+    "fault": Case(
+        ["zhang2023_table", "--speed", "2", fault("stick_open", "sat2", 25.0, ",jet=3"),
+         "duration_s=40"],
+        "document.getElementById('head').textContent.startsWith('FAULT')",
+        [Shot("console_fault"), Shot("console_fault_tablet", TABLET, True)],
+    ),
+    "cameras": Case(
+        ["zhang2023_table", "--speed", "0.2", fault("drop_mocap", "sat2", 8.0)],
+        "document.querySelectorAll('.vehicle.blind').length > 0 && "
+        "document.getElementById('head').textContent.startsWith('FAULT')",
+        [Shot("console_cameras")],
+    ),
+    "hung": Case(
+        ["hold", "--rig", "bench", fault("stop_host", "sat1", 8.0)],
+        "document.getElementById('head').textContent.includes('no news from the host')"
+        " && (performance.now() - answered) / 1000 + picture.age > 3",
+        [Shot("console_hung"), Shot("console_hung_dark", SCREEN, True)],
+    ),
+}  # fmt: skip
+
+
+def keep(png: bytes, name: str) -> None:
+    """Save a picture with a palette."""
+    picture = Image.open(io.BytesIO(png)).convert("RGB")
+    picture.quantize(255, dither=Image.Dither.NONE).save(HERE / f"{name}.png", optimize=True)
+    sys.stdout.write(f"{name}.png: {(HERE / f'{name}.png').stat().st_size / 1e3:.0f} kB\n")
+
+
+def page_of(run: "subprocess.Popen[str]") -> str:
+    """Address of the page that the run serves."""
+    assert run.stderr is not None
+    for line in run.stderr:
+        if line.startswith("console: http"):
+            Thread(target=run.stderr.read, daemon=True).start()
+            return line.split()[-1]
+    raise RuntimeError("the run serves no page")
+
+
+def take(case: Case, folder: Path) -> None:
+    """Fly one case and take its pictures."""
+    run = subprocess.Popen(
+        [sys.executable, "-m", "testbed", "run", *case.words, "--console", "0", "--out",
+         str(folder)],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        url, end = page_of(run), monotonic() + PATIENCE_S
+        with Browser(*SCREEN) as page:
+            page.open(url)
+            while not page.value(case.until):
+                if monotonic() > end:
+                    raise TimeoutError(f"{case.words[0]}: {page.value('document.body.innerText')}")
+                Event().wait(0.1)
+            for shot in case.shots:
+                look(page, shot)
+                keep(page.picture(), shot.name)
+    finally:
+        run.send_signal(signal.SIGTERM)
+        try:
+            run.wait(60)
+        except subprocess.TimeoutExpired:
+            run.kill()
+
+
+def look(page: Browser, shot: Shot) -> None:
+    """Give the page a size and a theme."""
+    width, height = shot.size
+    page.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
+              deviceScaleFactor=1, mobile=False)  # fmt: skip
+    theme = {"name": "prefers-color-scheme", "value": "dark" if shot.dark else "light"}
+    still = {"name": "prefers-reduced-motion", "value": "reduce"}
+    page.call("Emulation.setEmulatedMedia", features=[theme, still])
+    page.value("new Promise(done => setTimeout(done, 400))")
+
+
+def main() -> None:
+    """Take all pictures, or those of the named cases."""
+    for name in sys.argv[1:] or CASES:
+        with tempfile.TemporaryDirectory() as folder:
+            take(CASES[name], Path(folder) / "run")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+"""A model of wireless links: delay, jitter and burst loss.
+
+Loss follows the Gilbert-Elliott model: the channel is good or bad, changes state with a probability
+per message, and loses messages with a probability that depends on the state. Jitter has an
+exponential tail, so messages can overtake each other; the receiver keeps the last one sent.
+
+Compiled code knows messages by number; `Radio` keeps what is written in them.
+"""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_twin.randomness import WORDS, Words, exponential, stream, uniform, words
+from testbed.core.compiled import borrowed, compiled, settled
+from testbed.core.table import Link
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+DELAY, JITTER, LOSS, BURST_LOSS, BURST_ENTER, BURST_LEAVE = range(6)  # columns of `Links.weather`
+SENT, NEWEST, MESSAGE, WAITING = range(4)  # columns of `Links.tally`
+ROOM = 8  # messages on the way on one link, at first
+
+
+class Links(NamedTuple):
+    """All links, from one sender to one receiver, for compiled code; a row each."""
+
+    weather: Array  # (n, 6) see table.Link
+    trouble: Array  # (n, 2) injected delay [s] and loss probability, added to the link's own
+    luck: Words  # (n, WORDS) stream of the losses
+    delays: Words  # (n, WORDS) stream of the jitter
+    bad: NDArray[np.bool_]  # (n,) state of the channel
+    # (n, 4) number of messages sent; place among them, and message, of the newest that arrived;
+    # how many are on the way
+    tally: Whole
+    arrival: Array  # (n, room) of those on the way [s]
+    on_the_way: Whole  # (n, room, 2) place among those sent, message
+
+
+def no_links(rows: int, room: int) -> Links:
+    """Links that nothing has been sent on."""
+    return Links(
+        np.zeros((rows, 6)),
+        np.zeros((rows, 2)),
+        np.zeros((rows, WORDS), np.uint64),
+        np.zeros((rows, WORDS), np.uint64),
+        np.zeros(rows, np.bool_),
+        np.tile(np.array([0, 0, -1, 0]), (rows, 1)),
+        np.zeros((rows, room)),
+        np.zeros((rows, room, 2), np.int64),
+    )
+
+
+@compiled
+def send(links, rows, t, message):
+    """Send a message on the links `rows` at time `t` [s].
+
+    Returns:
+        whether it arrived at once on any, and whether any link has no room for another.
+    """
+    links, at_once, full = borrowed(links), False, False
+    for k in rows:
+        count, weather = links.tally[k], links.weather[k]
+        # a fixed number of draws per message: losses do not depend on injected faults
+        turn, lose = uniform(links.luck[k]), uniform(links.luck[k])
+        unlucky, delay = uniform(links.luck[k]), exponential(links.delays[k])
+        if turn < weather[BURST_LEAVE if links.bad[k] else BURST_ENTER]:
+            links.bad[k] = not links.bad[k]
+        count[SENT] += 1
+        if lose < weather[BURST_LOSS if links.bad[k] else LOSS] or unlucky < links.trouble[k, 1]:
+            continue
+        arrival = t + links.trouble[k, 0] + weather[DELAY] + weather[JITTER] * delay
+        if arrival <= t:
+            count[NEWEST], count[MESSAGE], at_once = count[SENT], message, True
+            continue
+        i = count[WAITING]
+        links.arrival[k, i] = arrival
+        links.on_the_way[k, i, 0], links.on_the_way[k, i, 1] = count[SENT], message
+        count[WAITING] = i + 1
+        full = full or i + 1 == links.arrival.shape[1]
+    return at_once, full
+
+
+@compiled
+def listen(links, t):
+    """Receive what has arrived by time `t` [s]."""
+    links = borrowed(links)
+    for k in range(links.tally.shape[0]):
+        count, left = links.tally[k], 0
+        for i in range(count[WAITING]):
+            place, message = links.on_the_way[k, i, 0], links.on_the_way[k, i, 1]
+            if links.arrival[k, i] > t:
+                links.arrival[k, left] = links.arrival[k, i]
+                links.on_the_way[k, left, 0], links.on_the_way[k, left, 1] = place, message
+                left += 1
+            elif place > count[NEWEST]:
+                count[NEWEST], count[MESSAGE] = place, message
+        count[WAITING] = left
+
+
+class Radio:
+    """All links of a table, each created on first use, and the messages on them."""
+
+    def __init__(self, link: Link, seed: int) -> None:
+        self._seed = seed
+        self._weather = (
+            link.delay_s, link.jitter_s, link.loss, link.burst_loss, link.burst_enter,
+            link.burst_leave,
+        )  # fmt: skip
+        self.links = no_links(0, ROOM)
+        self._rows: dict[tuple[str, str], int] = {}
+        self._trouble: dict[str, tuple[float, float]] = {}
+        self._newest: list[int] = []  # message of each link
+        self._messages: dict[int, Any] = {}
+        self._spoken, self._crowd = 0, 64
+        self._send = settled(send)
+
+    def rows(self, pairs: Iterable[tuple[str, str]]) -> Whole:
+        """The rows of the links from each sender to its receiver."""
+        return np.array([self._row(*pair) for pair in pairs], np.int64)
+
+    def _row(self, sender: str, receiver: str) -> int:
+        row = self._rows.setdefault((sender, receiver), len(self._rows))
+        if row == len(self._newest):
+            if row == len(self.links.bad):
+                self._grow(rows=2 * row + 16)
+            generator = stream(self._seed, "link", sender, "to", receiver)
+            luck, delays = map(words, generator.spawn(2))
+            self.links.luck[row], self.links.delays[row] = luck, delays
+            self.links.weather[row] = self._weather
+            self.links.trouble[row] = self._trouble.get(receiver, 0.0)
+            self._newest.append(-1)
+        return row
+
+    def _grow(self, *, rows: int = 0, room: int = 0) -> None:
+        old, (had, has_room) = self.links, self.links.arrival.shape
+        self.links = no_links(max(rows, had), max(room, has_room))
+        for new, before in zip(self.links, old, strict=True):
+            new[tuple(slice(n) for n in before.shape)] = before
+
+    def disturb(self, receiver: str, late: float, lost: float) -> None:
+        """Let messages to `receiver` take longer [s] and be lost with a further probability."""
+        if self._trouble.get(receiver, (0.0, 0.0)) != (late, lost):
+            self._trouble[receiver] = late, lost
+            for (_, to), row in self._rows.items():
+                if to == receiver:
+                    self.links.trouble[row] = late, lost
+
+    def send(self, rows: Whole, t: float, message: object) -> None:
+        """Send a message on these links at time `t` [s]; `listen` was called for it."""
+        self._spoken += 1
+        self._messages[self._spoken] = message
+        at_once, full = self._send(self.links, rows, t, self._spoken)
+        if full:
+            self._grow(room=2 * self.links.arrival.shape[1])
+        if at_once:
+            self.look()
+
+    def look(self) -> None:
+        """Learn what `listen` has found."""
+        count = self.links.tally
+        self._newest = count[: len(self._newest), MESSAGE].tolist()
+        if len(self._messages) > self._crowd:
+            waits = np.arange(self.links.arrival.shape[1]) < count[:, WAITING, None]
+            needed = {*self._newest, *self.links.on_the_way[waits, 1].tolist()}
+            self._messages = {k: m for k, m in self._messages.items() if k in needed}
+            self._crowd = 2 * len(self._messages) + 64
+
+    def heard(self, receiver: str, senders: Iterable[str]) -> dict[str, Any]:
+        """The newest message of each of `senders`, of any age."""
+        rows, newest, messages = self._rows, self._newest, self._messages
+        found = {}
+        for sender in senders:
+            row = rows.get((sender, receiver))
+            if row is not None and newest[row] >= 0:
+                found[sender] = messages[newest[row]]
+        return found
+
+    def newest(self, sender: str, receiver: str) -> Any:
+        """The newest message that arrived, of any age; None if there is none."""
+        row = self._rows.get((sender, receiver))
+        return None if row is None else self._messages.get(self._newest[row])
+
+    def part(self, sender: str, receiver: str) -> None:
+        """Drop all messages of a link, because the vehicles moved out of range."""
+        row = self._rows.get((sender, receiver))
+        if row is not None:
+            self.links.tally[row, NEWEST:] = self.links.tally[row, SENT], -1, 0
+            self._newest[row] = -1

@@ -1,0 +1,102 @@
+"""The page's own process: it follows a run, serves the page, and can stop the flight.
+
+    python -m testbed.console.process RUN BIND PORT [PARENT]
+
+`testbed run --console` starts it before the flight. It shares nothing with the process that flies:
+a law that hangs, or a host that is suspended, stops neither the page nor its button. It ends
+LINGER_S after its PARENT, so that the button is still there for vehicles whose host was killed.
+"""
+
+import os
+import secrets
+import signal
+import sys
+from contextlib import suppress
+from pathlib import Path
+from threading import Event, Thread
+from types import FrameType
+
+from testbed.console.follower import Follower
+from testbed.console.hub import Hub
+from testbed.console.server import Answers, ConsoleError, Server, is_loopback
+from testbed.console.stopper import Stopper
+from testbed.core.error import TestbedError
+
+PORT = 8765  # preferred
+LINGER_S = 20.0
+LOOK_S = 0.5
+BAD_INPUT = 2
+
+
+def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
+    """Serve until Ctrl-C, SIGTERM, a closed terminal, or the parent's end.
+
+    Raises:
+        ConsoleError: the address cannot be used.
+    """
+    left = Event()
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        left.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
+            signal.signal(number, leave)
+    sys.setswitchinterval(0.0005)  # a press does not wait for a picture
+    hub, stopper = Hub(), Stopper(run)
+    hub.say(server=secrets.token_hex(8))  # another one at the same port is another run
+    follower = Follower(run, hub)
+    token = "" if is_loopback(bind) else secrets.token_urlsafe(16)
+    server = open_server(bind, port, token, Answers(hub, lambda: follower.scene, stopper.press))
+    Thread(target=server.serve_forever, name="server", daemon=True).start()
+    Thread(target=follower.follow, args=(left,), name="follower", daemon=True).start()
+    Thread(target=stopper.keep, args=(left,), name="stopper", daemon=True).start()
+    sys.stderr.write(f"console: {address(bind, server.server_port, token)}\n")
+    sys.stderr.flush()
+    alone = 0.0
+    while not left.wait(LOOK_S):
+        hub.say(stop={"words": stopper.ways.words, "ready": stopper.ways.ready})
+        alone = alone + LOOK_S if parent and not is_there(parent) else 0.0
+        if alone > LINGER_S:
+            left.set()
+    server.shutdown()
+    server.server_close()
+
+
+def open_server(bind: str, port: int | None, token: str, answers: Answers) -> Server:
+    """The server at the port, by default PORT or any free one."""
+    if port is None:
+        with suppress(ConsoleError):
+            return Server(bind, PORT, token, answers)
+    return Server(bind, port or 0, token, answers)
+
+
+def address(bind: str, port: int, token: str) -> str:
+    """What to open in a browser."""
+    host = os.uname().nodename if bind in ("0.0.0.0", "::") else bind
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/{token and f'?token={token}'}"
+
+
+def is_there(pid: int) -> bool:
+    """Whether a process runs."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def main() -> int:
+    """Serve as the child of a run; returns the exit code."""
+    run, bind, port, *parent = sys.argv[1:]
+    try:
+        serve(Path(run), bind, int(port) or None, int(parent[0]) if parent else 0)
+    except TestbedError as error:
+        sys.stderr.write(f"console: {error}\n")
+        return BAD_INPUT
+    return 0
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stderr.flush()
+    os._exit(code)  # Zenoh's threads may still wait for a host

@@ -1,0 +1,130 @@
+"""One vehicle's flight chain: a compiled function of (parameters, its memory, the tick's record).
+
+    samples -> estimator -> [law, if on board] -> tracker -> safety filter -> fault monitor -> brake
+            -> gate -> allocator -> modulator -> valve times
+
+No clock, no socket, no file, no randomness. The same inputs in the same order give the same
+outputs bit for bit, which is what replay checks.
+"""
+
+import math
+
+from testbed.core.codes import InhibitReason
+from testbed.core.compiled import borrowed, compiled, pasted
+from testbed.flight import detectors, estimator, fault_monitor, gate, safety, tracker
+from testbed.flight.allocation import allocate
+from testbed.flight.detectors import compare
+from testbed.flight.flow import flow_shares
+from testbed.flight.modulation import pulses
+from testbed.flight.plan import WEAKEST, in_microseconds
+
+
+@compiled
+def step(p, memory, rows, samples, references, neighbours):
+    """One tick: call it once per jet period, with time increasing.
+
+    Args:
+        p: Parameters.
+        memory: Memory, changed in place.
+        rows: one record.ROW; its `told` is read, `state` and `done` are written. An array of one,
+            because a record alone takes 7 us to hand over from Python.
+        samples: poses since the last tick, rows (captured at, x, y, theta).
+        references: of a trajectory, see `tracker.aim`.
+        neighbours: rows as in `barrier.around`.
+    """
+    p, memory = borrowed(p), borrowed(memory)  # the caller holds them
+    see(p, memory, rows, samples)
+    act(p, memory, rows, samples, references, neighbours)
+
+
+@pasted
+def see(p, memory, rows, samples):
+    """Write the estimate for the time at which the next pulses take effect."""
+    p, memory = borrowed(p), borrowed(memory)
+    m, row, told = memory.fixed[0].estimator, rows[0], rows[0].told
+    estimator.update(p.filter, p.model, m, memory.fired, samples, told.t)
+    estimator.predict(p.model, m, memory.fired, told.effect_at, told.t, row.state)
+
+
+@pasted
+def act(p, memory, rows, samples, references, neighbours):
+    """From the estimate and the setpoint to valve times."""
+    p, memory, row = borrowed(p), borrowed(memory), rows[0]
+    m, told, state, done = memory.fixed[0], row.told, row.state, row.done
+    thrust_scale = told.supply_pressure / p.sensors.set_pressure
+    demanded = tracker.aim(p.gains, m.tracker, state, told.setpoint, references, done.active)
+    done.stopping = m.tracker.stopping
+
+    through, spare, done.hazard = demanded, math.inf, -1
+    if p.filters and state.known == 1:
+        through, spare = safety.filtered(
+            p.limits, p.obstacles, p.gains.period, row, neighbours, demanded, thrust_scale
+        )
+    watch(p, memory, row, samples, neighbours, demanded, spare)
+    wrench, shut = safety.respond(p.brakes, p.gains, m.safety, row, demanded, through, thrust_scale)
+    done.commanded.fx, done.commanded.fy, done.commanded.tau = wrench
+
+    refuse(p, m, row, shut)
+    plan(p, memory, row, wrench, thrust_scale)
+
+
+@pasted
+def watch(p, memory, row, samples, neighbours, demanded, spare):
+    """Detectors and fault monitor: write what they find to `row.done`."""
+    m, told, done = memory.fixed[0], row.told, row.done
+    armed = told.armed == 1
+    if row.state.known == 1 and armed:
+        compare(p.jets_known, m.jet_faults, memory.heard, row, memory.flowed, m.thrust_scale)
+    finite = gate.is_number(demanded)
+    detectors.measure(p.sensors, m.detectors, m.jet_faults, row, samples, neighbours, finite, spare)
+    # a fault after the end gets its response, but is not latched
+    latches = armed and told.ended == 0
+    fault_monitor.look(p.rows, memory.counters, told.t, latches, row.numbers, done)
+
+
+@pasted
+def refuse(p, m, row, shut):
+    """Ask the gate; `shut` is the reason of the fault table, 0: none."""
+    told, done = row.told, row.done
+    refused = gate.refuse(p.gate, m.gate, row)
+    done.gate_fault = m.gate.fault
+    done.inhibit = refused if refused != 0 else shut
+    # a vehicle that the gate has shut, or that is disarmed at the end, cannot brake
+    if told.armed == 1 and m.gate.fault != 0:
+        done.air_off = 1
+    if told.ended == 1 and told.armed == 0:
+        done.air_off = 1
+        if done.inhibit == 0:
+            done.inhibit = InhibitReason.FLIGHT_OVER.value
+
+
+@pasted
+def plan(p, memory, row, wrench, thrust_scale):
+    """The plan for a wrench, or a plan with every valve shut.
+
+    Its mean wrench includes the low supply pressure, which all jets share, but not the droop.
+    """
+    m, told, done, period = memory.fixed[0], row.told, row.done, p.gains.period
+    if done.inhibit != 0:
+        wrench = (0.0, 0.0, 0.0)
+    share = thrust_scale if thrust_scale > WEAKEST else WEAKEST
+    on, offset = pulses(p.planner.modulator, memory.carried, allocate(p.jets, wrench, share))
+    fx, fy, tau = in_microseconds(p.planner, on, offset, p.jets.effect, memory.times)
+    fx, fy, tau = fx * thrust_scale, fy * thrust_scale, tau * thrust_scale
+    if done.inhibit != 0:
+        memory.times[:] = fx = fy = tau = 0.0
+    done.realised.fx, done.realised.fy, done.realised.tau = fx, fy, tau
+    m.seq += 1
+    m.thrust_scale, done.seq = thrust_scale, m.seq
+    starts, ends = told.t + p.command_delay, told.t + period + p.command_delay
+    estimator.note(memory.fired, starts, ends, memory.times)
+    flow_shares(memory.times, memory.begun, p.model.valve, period, memory.flowed)
+
+
+@compiled
+def reset(memory):
+    """Clear latched faults and the stop that they caused, after the operator's reset."""
+    m = memory.fixed[0]
+    fault_monitor.reset(memory.counters)
+    safety.reset(m.safety)
+    gate.reset(m.gate)

@@ -1,0 +1,82 @@
+"""All that a vehicle remembers from one tick to the next, in one array.
+
+A copy of the array is the whole vehicle: put back, the vehicle flies on from there.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.flight import detectors, estimator, gate, jet_faults, safety, tracker
+from testbed.flight.estimator import Fired
+from testbed.flight.fault_monitor import Counters
+from testbed.flight.jet_faults import BLOCKS, SPIN_SPREAD, SPREAD, Heard
+from testbed.flight.modulation import Carried
+from testbed.flight.record import record
+
+Array = NDArray[np.float64]
+
+FIXED = record(
+    estimator=estimator.MEMORY,
+    tracker=tracker.MEMORY,
+    detectors=detectors.MEMORY,
+    jet_faults=jet_faults.MEMORY,
+    safety=safety.MEMORY,
+    gate=gate.MEMORY,
+    seq=int,  # number of the last plan
+    thrust_scale=float,  # of that plan
+)
+
+
+class Memory(NamedTuple):
+    """The memory of each stage: views of one array, changed in place."""
+
+    fixed: NDArray[Any]  # one record FIXED
+    fired: Fired  # plans, for the estimator
+    heard: Heard  # of the jets, for jet_faults
+    counters: Counters  # of the fault table
+    carried: Carried  # by the modulator
+    begun: Array  # on-time so far of a pulse that may continue, (jets,) [s]
+    flowed: Array  # share of the last period for which each jet flowed, (jets,)
+    times: Array  # of the last plan: on, then offset, (2 jets,), whole [us]
+
+
+def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, Array]:
+    """The memory of a vehicle that has not flown yet, and the array that holds all of it.
+
+    Args:
+        jets: of the vehicle.
+        plans: that the estimator remembers; they must cover the longest pose loss.
+        looks: of jet_faults.Known.shown.
+        rows: of the fault table.
+    """
+    m, size = jets + 4, FIXED.itemsize // 8
+    one_a_row: tuple[int, ...] = (rows,)
+    one_a_jet: tuple[int, ...] = (jets,)
+    shapes: dict[type, list[tuple[int, ...]]] = {
+        Fired: [(plans,), (plans,), (plans, jets), (plans, jets)],
+        Heard: [
+            (jets,), (looks, m + jets, 3), (m, m + 1), (BLOCKS, m + 2, 2 * jets), (2,), (2,), (3,),
+        ],
+        Counters: 5 * [one_a_row],
+        Carried: 3 * [one_a_jet],
+        Memory: [one_a_jet, one_a_jet, (2 * jets,)],
+    }  # fmt: skip
+    everything = np.zeros(size + sum(math.prod(s) for each in shapes.values() for s in each))
+    views: dict[type, list[Array]] = {}
+    for kind, each in shapes.items():
+        views[kind] = []
+        for shape in each:
+            views[kind].append(everything[size : size + math.prod(shape)].reshape(shape))
+            size += math.prod(shape)
+    fixed = everything[: FIXED.itemsize // 8].view(FIXED)
+    fired, heard = Fired(*views[Fired]), Heard(*views[Heard])
+    fired.start[:] = fired.end[:] = -np.inf
+    heard.spread[:] = SPREAD**2, SPIN_SPREAD**2
+    fixed["thrust_scale"] = 1.0
+    memory = Memory(
+        fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), *views[Memory]
+    )
+    return memory, everything

@@ -1,0 +1,65 @@
+"""The plan for one jet period: a wrench becomes valve times, as the last stage before the gate."""
+
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from testbed.core.compiled import compiled
+from testbed.core.vehicle import Vehicle
+from testbed.flight.modulation import Modulator, ModulatorParams, modulator_of
+
+WEAKEST = 0.1  # lowest share of the thrust used for planning
+
+
+class Planner(NamedTuple):
+    """Constants of a vehicle's plans for compiled code."""
+
+    modulator: Modulator
+    stretch: float  # commanded time minus time of flow [s]
+
+
+def planner_of(params: ModulatorParams, vehicle: Vehicle, period: float) -> Planner:
+    """The constants of a vehicle's plans.
+
+    The modulator works with times of flow, so it carries over what the board cannot execute.
+    """
+    valve = vehicle.valve
+    ramps = valve.open_ramp_s - valve.close_ramp_s
+    stretch = (valve.open_delay_s - valve.close_delay_s) + 0.5 * ramps
+    flow = replace(
+        valve,
+        min_on_s=max(0.0, valve.min_on_s - stretch),
+        min_off_s=max(0.0, valve.min_off_s + 0.5 * stretch),
+    )
+    return Planner(modulator_of(params, replace(vehicle, valve=flow), period), stretch)
+
+
+@compiled
+def in_microseconds(p, on, offset, effect, times):
+    """Write command times in whole microseconds for the wanted times of flow.
+
+    Args:
+        p: Planner.
+        on: shape (jets,) [s].
+        offset: shape (jets,) [s].
+        effect: B, shape (3, jets), see jets.py.
+        times: on, then offsets, shape (2 jets,) [us].
+
+    Returns:
+        the mean wrench fx, fy, tau of these times.
+    """
+    jets, period = on.shape[0], p.modulator.period
+    fx = fy = tau = 0.0
+    for j in range(jets):
+        command = on[j]
+        if 0.0 < on[j] < period:
+            command = min(max(on[j] + p.stretch, 0.0), period)
+        start = min(max(offset[j] - 0.5 * (command - on[j]), 0.0), period - command)
+        times[j] = np.rint(1e6 * command)
+        times[jets + j] = np.rint(1e6 * start)
+        duty = 1e-6 * times[j] / period
+        fx += effect[0, j] * duty
+        fy += effect[1, j] * duty
+        tau += effect[2, j] * duty
+    return fx, fy, tau

@@ -1,0 +1,109 @@
+"""Packs the fixed part and the sequences of a record from Python values, and unpacks them.
+
+Used for rows that are made from structs. Compiled code writes its rows itself.
+"""
+
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+from testbed.core.records.cdr import CODES
+from testbed.core.records.definition import DTYPES, MESSAGES, SCALARS, Field
+from testbed.core.records.layout import HEADER
+
+_COUNT = struct.Struct("<II")  # of a sequence: valid elements, length
+
+
+def form(kind: str) -> str:
+    """The format of a record's fixed part for `struct`; spare bytes have no value."""
+    return "".join(map(_form, MESSAGES[kind].fixed)) if kind in MESSAGES else CODES[kind]
+
+
+def _form(field: Field) -> str:
+    number = field.length or 1
+    if field.name == "reserved":
+        return f"{DTYPES[field.kind].itemsize * number}x"
+    return form(field.kind) * number
+
+
+@cache
+def several(kind: str, number: int) -> struct.Struct:
+    """Packs the numbers of so many elements."""
+    return struct.Struct("<" + form(kind) * number)
+
+
+def leaves(kind: str, prefix: str = "") -> Iterator[str]:
+    """Dotted names of all numbers in a record."""
+    for one in MESSAGES[kind].fixed:
+        if one.kind in SCALARS and one.name != "reserved":
+            several = "" if one.length is None else [f"[{k}]" for k in range(one.length)]
+            yield from (f"{prefix}{one.name}{k}" for k in several or [""])
+        elif one.kind in MESSAGES:
+            yield from leaves(one.kind, f"{prefix}{one.name}.")
+
+
+def getter(kind: str) -> Callable[[Any], tuple[Any, ...]]:
+    """All numbers of a struct with the fields of a message, in order."""
+    return attrgetter(*leaves(kind))
+
+
+class Unpacked(NamedTuple):
+    """The numbers of a record."""
+
+    fixed: tuple[Any, ...]
+    sequences: dict[str, list[tuple[Any, ...]]]  # elements by name of the sequence
+
+
+class Packer:
+    """Packs messages of one topic; capacities grow to the longest sequence so far."""
+
+    def __init__(self, name: str) -> None:
+        definition = MESSAGES[name]
+        self.name, self._kinds = name, [one.kind for one in definition.sequences]
+        self._head = struct.Struct("<4s" + form(name))
+        self._sizes = [DTYPES[kind].itemsize for kind in self._kinds]
+        self._most = [1] * len(self._kinds)
+
+    def pack(self, fixed: Sequence[Any], sequences: Sequence[tuple[int, bytes]]) -> bytes:
+        """One message.
+
+        Args:
+            fixed: numbers of the fixed part.
+            sequences: for each, the number of its elements and their bytes.
+        """
+        parts, most = [self._head.pack(HEADER, *fixed)], self._most
+        for k, (number, data) in enumerate(sequences):
+            if number > most[k]:
+                most[k] = number
+            parts += (_COUNT.pack(number, most[k]), data)
+            if number < most[k]:
+                parts.append(bytes((most[k] - number) * self._sizes[k]))
+        return b"".join(parts)
+
+
+def unpack(name: str, data: bytes) -> Unpacked:
+    """The numbers of a message.
+
+    Raises:
+        ValueError: it is no such message.
+    """
+    head = several(name, 1)
+    at = len(HEADER) + head.size
+    found: dict[str, list[tuple[Any, ...]]] = {}
+    try:
+        fixed = head.unpack_from(data, len(HEADER))
+        for one in MESSAGES[name].sequences:
+            valid, length = _COUNT.unpack_from(data, at)
+            begin, size = at + _COUNT.size, DTYPES[one.kind].itemsize
+            at = begin + length * size
+            if valid > length or at > len(data):
+                raise ValueError(f"{one.name} of {valid} in {length} elements")
+            elements = data[begin : begin + valid * size]
+            found[one.name] = list(several(one.kind, 1).iter_unpack(elements))
+    except struct.error as error:
+        raise ValueError(f"expected a {name}, found {error}") from None
+    if at != len(data) or data[:4] != HEADER:
+        raise ValueError(f"expected a {name} of {at} bytes, found {len(data)}")
+    return Unpacked(fixed, found)
