@@ -180,7 +180,13 @@ def _read_mcap(path: Path) -> dict[str, Array]:
     topics: dict[str, list[dict[str, float]]] = {}
     for row in LogReader(path).read():
         cells = {"t_s": 1e-9 * row.stamp}
-        _flatten("", msgspec.json.decode(row.data), cells)
+        try:
+            _flatten("", msgspec.json.decode(row.data), cells)
+        except msgspec.DecodeError:
+            raise LogRefusedError(
+                where=f"{path}, {row.topic}", expected="messages in JSON", found="another encoding",
+                hint="a run of this project is given by its folder, without a mapping",
+            ) from None  # fmt: skip
         topics.setdefault(row.topic, []).append(cells)
     if not topics:
         return {}

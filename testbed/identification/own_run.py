@@ -7,7 +7,6 @@ import numpy as np
 from testbed.identification.columns import LogRefusedError, digest
 from testbed.identification.motion_log import FEWEST_POSES, MotionLog, gaps
 from testbed.identification.prediction import Valves
-from testbed.logs.feed import LogFeed
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader, log_of
 
@@ -23,7 +22,7 @@ def read_run_log(folder: Path, body: str | None) -> MotionLog:
         LogRefusedError: there is no such vehicle, or too little of it.
     """
     path = log_of(folder)
-    history = gather(LogFeed(LogReader(path)).news())
+    history = gather(LogReader(path))
     names = list(history.vehicles)
     if body is None and len(names) == 1:
         body = names[0]
