@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from sim_twin.randomness import stream
-from testbed.core.vehicle import Vehicle
+from testbed.core.vehicle import Tolerance, Vehicle
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,12 @@ def sample_plant(vehicles: Mapping[str, Vehicle], seed: int) -> Metal:
         for name, vehicle in vehicles.items()
     ]
     return Metal(*(np.array(column) for column in zip(*drawn, strict=True)))
+
+
+def nominal_plant(vehicle: Vehicle) -> Metal:
+    """The parameters of one vehicle as in its file, without tolerances."""
+    exact = Tolerance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return sample_plant({"": structs.replace(vehicle, tolerance=exact)}, 0)
 
 
 def _sample_one(vehicle: Vehicle, rng: np.random.Generator, jets: int) -> Metal:

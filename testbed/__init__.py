@@ -5,8 +5,8 @@
     run = testbed.fly(testbed.load("hold", seed=3))
     run.passed, run["sat1"].pose
 
-`load` an experiment, `fly` it, `open_run` a folder, `replay` a run, `sweep` a parameter, or drive
-the `Twin` tick by tick. Names are imported on first use.
+`load` an experiment, `fly` it, `open_run` a folder, `replay` a run, `sweep` a parameter, `predict`
+a motion, or drive the `Twin` tick by tick. Names are imported on first use.
 """
 
 from importlib import import_module
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from testbed.campaign.parameter_sweep import sweep
     from testbed.core.error import TestbedError
     from testbed.core.law import Law
+    from testbed.identification.prediction import Valves, Wrenches, predict
     from testbed.run.api import InterruptedFlight, fly, replay
     from testbed.run.experiment import Experiment, load
     from testbed.run.flown import Run, open_run
@@ -30,9 +31,12 @@ _HOMES = {
     "Table": "testbed.run.table",
     "TestbedError": "testbed.core.error",
     "Twin": "testbed.run.stepper",
+    "Valves": "testbed.identification.prediction",
+    "Wrenches": "testbed.identification.prediction",
     "fly": "testbed.run.api",
     "load": "testbed.run.experiment",
     "open_run": "testbed.run.flown",
+    "predict": "testbed.identification.prediction",
     "replay": "testbed.run.api",
     "sweep": "testbed.campaign.parameter_sweep",
 }
@@ -44,9 +48,12 @@ __all__ = [
     "Table",
     "TestbedError",
     "Twin",
+    "Valves",
+    "Wrenches",
     "fly",
     "load",
     "open_run",
+    "predict",
     "replay",
     "sweep",
 ]

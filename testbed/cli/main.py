@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
+from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
 from testbed.cli.many import benchmark, campaign, tune
@@ -354,7 +355,9 @@ def reproduce(
     )
 
 
-for verb in (agent, benchmark, campaign, lab_keys, poses, stop, tune, twin):
+for verb in (
+    agent, benchmark, calibrate, campaign, excite, lab_keys, poses, stop, tune, twin, validate
+):  # fmt: skip
     main.add_command(verb)
 
 

@@ -23,10 +23,13 @@ WEAK = 1e-3  # pushes and levers below this share of thrust and radius count as 
 def bad_hardware(experiment: Experiment) -> Iterator[Mistake]:
     """Errors in the vehicles."""
     for name, setup in experiment.vehicles.items():
-        model = setup.model
-        parts = (_jets(model), _body(model), _air(model), _gauges(model), _spread(model))
-        for key, expected, found in chain.from_iterable(parts):
+        for key, expected, found in vehicle_mistakes(setup.model):
             yield Mistake(("vehicles", name, "model", *key), expected, found)
+
+
+def vehicle_mistakes(model: Vehicle) -> Iterator[Mistake]:
+    """Errors in one vehicle; keys are those of its file."""
+    yield from chain(_jets(model), _body(model), _air(model), _gauges(model), _spread(model))
 
 
 def _jets(vehicle: Vehicle) -> Iterator[Mistake]:

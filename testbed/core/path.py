@@ -1,11 +1,14 @@
-"""Paths of moving goals: a line, a circle or a square."""
+"""Paths of moving goals: a line, a circle, a square, or a curve through points."""
 
 import math
-from typing import NamedTuple
+from functools import lru_cache
+from itertools import pairwise
+from typing import Annotated, Any, NamedTuple
 
-from msgspec import Struct
+import numpy as np
+from msgspec import Meta, Struct
 
-from testbed.core.vehicle import Point, Positive
+from testbed.core.vehicle import NonNegative, Point, Positive
 
 
 class Moved(NamedTuple):
@@ -78,4 +81,50 @@ class Square(Struct, frozen=True, forbid_unknown_fields=True, tag="square"):
         )
 
 
-Path = Line | Circle | Square
+class Points(Struct, frozen=True, forbid_unknown_fields=True, tag="points"):
+    """Smooth curve from the goal of the experiment through points, from rest to rest.
+
+    The curve is a cubic spline over the length of the straight lines between the points. The way
+    along it is a quintic in time, whose largest speed is `speed`.
+    """
+
+    points: Annotated[list[Point], Meta(min_length=1, max_length=1000)]  # from the goal on [m]
+    speed: Positive  # [m/s]
+    start_s: NonNegative = 0.0  # the goal rests until then
+
+    def at(self, t: float) -> Moved:
+        """Movement since the start of the run, at time `t` [s]."""
+        curve, length = _spline(tuple(map(tuple, self.points)))
+        span = max(1.875 * length / self.speed, 1e-9)
+        s = min(1.0, max(0.0, (t - self.start_s) / span))
+        rate = length / span
+        way = length * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        v = rate * 30.0 * (s * (1.0 - s)) ** 2
+        a = rate / span * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+        jerk = rate / span**2 * 60.0 * (1.0 - 6.0 * s + 6.0 * s * s) * (0.0 < s < 1.0)
+        p, d1, d2, d3 = (curve(way, order) for order in range(4))
+        return Moved(
+            _pair(p), _pair(d1 * v), _pair(d2 * v * v + d1 * a),
+            _pair(d3 * v**3 + 3.0 * d2 * v * a + d1 * jerk),
+        )  # fmt: skip
+
+
+def _pair(vector: np.ndarray) -> Point:
+    return float(vector[0]), float(vector[1])
+
+
+@lru_cache(maxsize=64)
+def _spline(points: tuple[Point, ...]) -> tuple[Any, float]:
+    """The curve over its length, and the length; points on top of each other count once."""
+    from scipy.interpolate import CubicSpline  # takes a tenth of a second to import
+
+    kept: list[Point] = [(0.0, 0.0)]
+    kept += [b for a, b in pairwise(((0.0, 0.0), *points)) if math.dist(a, b) > 1e-9]
+    if len(kept) == 1:
+        kept.append((1e-9, 0.0))
+    steps = [math.dist(a, b) for a, b in pairwise(kept)]
+    ends = "natural" if len(kept) > 2 else "not-a-knot"
+    return CubicSpline(np.cumsum([0.0, *steps]), np.array(kept), bc_type=ends), sum(steps)
+
+
+Path = Line | Circle | Square | Points

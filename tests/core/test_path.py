@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from testbed.core.path import Circle, Line, Square
+from testbed.core.path import Circle, Line, Points, Square
 
 PATHS = [
     Line((0.02, -0.01)),
     Circle(radius=0.8, period_s=90.0, start_deg=30.0),
     Square(side=0.7, period_s=120.0, start_deg=20.0),
+    Points(points=[(0.3, 0.1), (0.5, 0.6), (0.1, 0.9)], speed=0.03),
 ]
 
 
@@ -44,3 +45,20 @@ def test_a_square_has_its_corners_at_rest_and_comes_round():
 def test_a_square_is_walked_along_its_sides(t):
     x, y = Square(side=2.0, period_s=80.0).at(t).p
     assert min(abs(x), abs(x - 2.0), abs(y), abs(y - 2.0)) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_curve_passes_its_points_and_rests_at_the_last():
+    points = [(0.3, 0.1), (0.5, 0.6), (0.5, 0.6), (0.1, 0.9)]
+    curve = Points(points=points, speed=0.05, start_s=10.0)
+    way = np.array([curve.at(t).p for t in np.arange(0.0, 100.0, 0.05)])
+    for point in points:
+        assert np.hypot(*(way - point).T).min() < 2e-3
+    speeds = [np.hypot(*curve.at(t).v) for t in np.arange(0.0, 100.0, 0.1)]
+    assert max(speeds) == pytest.approx(0.05, rel=0.1)
+    assert curve.at(10.0).p == (0.0, 0.0)
+    assert curve.at(100.0).p == pytest.approx(points[-1])
+    assert curve.at(100.0).v == curve.at(5.0).v == (0.0, 0.0)
+
+
+def test_points_on_top_of_each_other_are_no_curve():
+    assert Points(points=[(0.0, 0.0)], speed=0.1).at(3.0).p == pytest.approx((0.0, 0.0), abs=1e-8)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from functools import cache, reduce
 from pathlib import Path
 
+import click
 import pytest
 
 from testbed.cli.main import main
@@ -21,7 +22,8 @@ ROOMS = ("benchmarks", "configs", "controllers", "docs", "examples", "firmware_i
 SUFFIXES = {".c", ".h", ".md", ".py", ".toml", ".ipynb"}
 # what a run, a campaign or a lab writes, and a reader's own files in examples
 NOT_OURS = {
-    "access.toml", "base.toml", "campaign.toml", "config.toml", "sat1.toml", "table.toml",
+    "access.toml", "base.toml", "campaign.toml", "config.toml", "own.toml", "sat1.toml",
+    "table.toml",
     "tuned.toml", "FILE.toml", "NNNN-title.md", "fast_law.py", "my_faults.toml", "my_law.py",
     "nan_law.py",
 }  # fmt: skip
@@ -106,7 +108,13 @@ def missing_of_a_command(quote: str) -> Iterator[str]:
     if verb not in main.commands:
         yield f"testbed {verb}"
         return
-    options = {name for option in main.commands[verb].params for name in option.opts}
+    command: click.Command = main.commands[verb]
+    if isinstance(command, click.Group) and (part := re.match(r" ([a-z]+)(.*)", rest)):
+        if part[1] not in command.commands:
+            yield f"testbed {verb} {part[1]}"
+            return
+        command, rest = command.commands[part[1]], part[2]
+    options = {name for option in command.params for name in option.opts}
     for option in re.findall(r"(?<!\S)--[a-z][a-z-]*", rest.split("#")[0]):
         if option not in {*options, "--help"}:
             yield f"testbed {verb} {option}"
@@ -161,6 +169,9 @@ def test_extras_that_a_page_installs_are_declared(page):
         ("testbed fly hold", ["testbed fly"]),
         ("testbed run hold --nowhere 3", ["testbed run --nowhere"]),
         ("testbed run nowhere", ["testbed run nowhere"]),
+        ("testbed calibrate nowhere", ["testbed calibrate nowhere"]),
+        ("testbed calibrate motion LOG --nowhere", ["testbed calibrate --nowhere"]),
+        ("testbed calibrate motion LOG --vehicle own.toml", []),
         ("test_nowhere", ["test_nowhere"]),
         ("testbed.nowhere", ["testbed.nowhere"]),
         ("/sat1/tick.outputs.nowhere", ["/sat1/tick.outputs.nowhere"]),

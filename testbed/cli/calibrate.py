@@ -1,0 +1,323 @@
+"""`testbed calibrate` and `testbed validate`: from logs to files and figures."""
+
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import structs
+from rich.console import Console
+
+from testbed.cli.exit_code import BAD_INPUT, OK
+from testbed.cli.refusal import refuse, warn
+from testbed.core.error import TestbedError
+from testbed.core.table import Table
+from testbed.identification.calibration_file import report_of, save
+from testbed.identification.cameras import latency_of, seen_in_flight
+from testbed.identification.columns import LogRefusedError, read_columns, read_sources
+from testbed.identification.excite import design, write_commands
+from testbed.identification.floor import as_table, flat_fit, learn_floor
+from testbed.identification.link import link_of
+from testbed.identification.mapping import load_mapping
+from testbed.identification.motion import RefusedError, calibrate_motion
+from testbed.identification.motion_log import MotionLog, read_motion_log
+from testbed.identification.own_run import read_run_log
+from testbed.identification.suspicion import suspicions
+from testbed.identification.table_file import load_table, write_table
+from testbed.identification.thrust_stand import thrust_of
+from testbed.identification.validation import validate
+from testbed.identification.validation_page import write_page
+from testbed.identification.vehicle_file import load_vehicle
+
+screen = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def today() -> Any:
+    """The date, for the head of a file."""
+    return datetime.now(UTC).date()  # noqa: TID251  (a file is dated)
+
+
+def print_json(tree: Any) -> None:
+    """Print JSON on standard output."""
+    sys.stdout.write(msgspec.json.format(msgspec.json.encode(tree), indent=2).decode() + "\n")
+
+
+def refused(error: TestbedError, *, as_json: bool) -> int:
+    """Report a refusal, also as JSON."""
+    if as_json:
+        found = getattr(error, "suspicions", None)
+        print_json({
+            "refused": True, "where": error.where, "found": error.found or str(error),
+            "expected": error.expected, "hint": error.hint,
+            "suspicions": [{"name": s.name, "text": s.text} for s in found or []],
+        })  # fmt: skip
+    return refuse(error, BAD_INPUT)
+
+
+Asked = tuple[Sequence[Path], str | None, str | None, float | None, float | None]
+
+
+def read_logs(asked: Asked) -> list[MotionLog]:
+    """Logs or run folders: paths, mapping, vehicle of a run, and the part of their time [s]."""
+    paths, mapping, body, since, until = asked
+    logs = []
+    for path in paths:
+        if path.is_dir():
+            log = read_run_log(path, body)
+        elif mapping is None:
+            raise TestbedError(
+                where="--mapping", expected="a mapping for a log that is no run folder",
+                found="nothing",
+            )  # fmt: skip
+        else:
+            log = read_motion_log(path, load_mapping(mapping))
+        whole = log.whole.copy()
+        if since is not None:
+            whole &= log.t >= since
+        if until is not None:
+            whole &= log.t < until
+        logs.append(log._replace(whole=whole))
+    return logs
+
+
+def motion(
+    asked: Asked, vehicle: str, out: Path | None, table_out: Path | None, *, force: bool,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """Fit a vehicle and write its file, and the slope of the table."""
+    try:
+        logs = read_logs(asked)
+        found = calibrate_motion(
+            logs, load_vehicle(vehicle), force=force,
+            told=lambda text: None if as_json else screen.print(f"[dim]{text}"),
+        )  # fmt: skip
+        if out is not None:
+            save(out, found, vehicle, logs, today())
+        if table_out is not None:
+            slope = [float(found.estimate.p[found.model.index(a)]) for a in ("slope_x", "slope_y")]
+            origin = [f"{Path(log.where).name}, sha256 {log.digest}" for log in logs]
+            write_table(table_out, tilted(load_table(None), slope), origin, today())
+    except RefusedError as error:
+        return refused(error, as_json=as_json)
+    except TestbedError as error:
+        return refused(error, as_json=as_json)
+    result = report_of(found, vehicle, logs) | {"out": None if out is None else str(out)}
+    if as_json:
+        print_json(result)
+        return OK
+    warn([note for log in logs for note in log.notes])
+    warn([f"{one['name']}: {one['text']}" for one in result["suspicions"]])
+    for name, row in result["parameters"].items():
+        kept = "" if row["chosen"] else "  kept as in the file"
+        told = "" if row["identifiable"] else "  not identifiable from this log"
+        screen.print(
+            f"{name:<10} {row['value']:>10.5g} {row['unit']:<9}"
+            f" 95 %: {row['low']:.4g} to {row['high']:.4g}{kept}{told}"
+        )
+    for row in result["jets"]:
+        told = "" if row["identifiable"] else "  not identifiable from this log"
+        screen.print(
+            f"jet {row['jet']:<6} {row['thrust_n']:>10.4g} N         95 %: {row['low_n']:.4g} to"
+            f" {row['high_n']:.4g}  {row['state']}{told}"
+        )
+    for line in result["findings"]:
+        screen.print(f"[bold]{line}")
+    return OK
+
+
+def check_against(
+    asked: Asked, vehicle: str, against: str | None, table: str | None, out: Path | None, *,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """Predict logs and print how far off the twin is."""
+    try:
+        logs = read_logs(asked)
+        own = load_vehicle(vehicle)
+        other = load_vehicle(against) if against else None
+        surface = load_table(table) if table else None
+        doubts = list(suspicions(logs, own))
+        result, errors = validate(logs, own, other, surface)
+        seen = [log.where for log in logs if _knows(vehicle, log.digest)]
+        result |= {
+            "files": {"vehicle": vehicle, "against": against, "table": table},
+            "suspicions": [{"name": s.name, "text": s.text} for s in doubts],
+            "seen_by_the_fit": seen,
+        }
+        if out is not None:
+            write_page(out, f"Validation of {vehicle}", result, errors)
+    except TestbedError as error:
+        return refused(error, as_json=as_json)
+    if as_json:
+        print_json(result)
+        return OK
+    warn([note for log in logs for note in log.notes])
+    warn([f"{one['name']}: {one['text']}" for one in result["suspicions"]])
+    warn([f"{name}: the fit has seen this log" for name in seen])
+    for h, both in result["horizons"].items():
+        for who, one in both.items():
+            if one["count"]:
+                screen.print(
+                    f"{h} s ahead, {vehicle if who == 'vehicle' else against}:"
+                    f" {1e3 * one['position_rms_m']:.1f} mm RMS,"
+                    f" {1e3 * one['position_median_m']:.1f} mm median,"
+                    f" {one['heading_rms_deg']:.2f} deg RMS, {one['count']} predictions"
+                )
+    screen.print(result["verdict"])
+    return OK
+
+
+def _knows(vehicle: str, digest: str) -> bool:
+    """Whether the vehicle file says that it was fitted to the log with this SHA-256."""
+    path = Path(vehicle)
+    return path.is_file() and digest in path.read_text(encoding="utf-8", errors="replace")
+
+
+def floor(
+    asked: Asked, vehicle: str, table: str | None, size: tuple[float, float] | None, nodes: int,
+    out: Path | None, *, as_json: bool,
+) -> int:  # fmt: skip
+    """Learn the slope map and write it as a table file."""
+    try:
+        logs = read_logs(asked)
+        own, base = load_vehicle(vehicle), load_table(table)
+        named = load_mapping(asked[1]).table if asked[1] else None
+        span = size or named or base.size
+        found = learn_floor(logs, own, (float(span[0]), float(span[1])), nodes)
+        model, p = flat_fit(logs, own)
+        if out is not None:
+            origin = [f"{Path(log.where).name}, sha256 {log.digest}" for log in logs]
+            write_table(out, as_table(found, base), origin, today())
+    except TestbedError as error:
+        return refused(error, as_json=as_json)
+    known = found.sigma.min(axis=2) < 0.5 * float(found.sigma.max())
+    result = {
+        "size_m": list(found.size), "nodes": nodes, "map": found.slope.tolist(),
+        "sigma": found.sigma.tolist(), "known_share": float(known.mean()),
+        "largest_m_s2": float(np_max(found.slope, known)), "reach_m": found.reach,
+        "thrust_or_mass": float(found.p[0]), "delay_s": float(found.p[found.model.index("delay")]),
+        "without_map": {"thrust_or_mass": float(p[0]), "delay_s": float(p[model.index("delay")])},
+        "out": None if out is None else str(out),
+    }  # fmt: skip
+    if as_json:
+        print_json(result)
+        return OK
+    screen.print(
+        f"slope map of {nodes} x {nodes} nodes; {100 * result['known_share']:.0f} % of them are"
+        f" told by the logs, at most {1e3 * result['largest_m_s2']:.1f} mm/s^2 there"
+    )
+    return OK
+
+
+def tilted(table: Table, slope: list[float]) -> Table:
+    """The table with this uniform slope [m/s^2]."""
+    tilt = structs.replace(table.tilt, uniform=(slope[0], slope[1]), map=[])
+    return structs.replace(table, tilt=tilt)
+
+
+def np_max(slope: Any, known: Any) -> float:
+    """Largest slope at known nodes [m/s^2]."""
+    return float(abs(slope[known]).max()) if known.any() else 0.0
+
+
+def thrust(paths: Sequence[Path], columns: tuple[str, str, str], unit: str, as_json: bool) -> int:
+    """Thrust of each stand log."""
+    rows = []
+    try:
+        for path in paths:
+            rows.append({"file": str(path)} | thrust_of(
+                read_columns(path, columns), columns[0], columns[1], unit, columns[2]
+            ))  # fmt: skip
+    except TestbedError as error:
+        return refused(error, as_json=as_json)
+    if as_json:
+        print_json({"jets": rows})
+        return OK
+    for row in rows:
+        screen.print(
+            f"{row['file']}: {row['thrust_n']:.4f} N (95 %: {row['low_n']:.4f} to"
+            f" {row['high_n']:.4f}), {row['pulses']} pulses, spread {row['pulse_spread']:.2%},"
+            f" change over the run {row['change']:+.1%}"
+        )
+    return OK
+
+
+def mocap(
+    path: Path, mapping: str | None, vehicle: str | None, columns: tuple[str, str, str],
+    camera: str, as_json: bool,
+) -> int:  # fmt: skip
+    """Latency from a marker on a known angle; or noise, axes and body offset from a flight."""
+    try:
+        if mapping is None:
+            sources = read_sources(path, *columns)
+            others = [name for name in sources if name != camera]
+            if camera not in sources or len(others) != 1:
+                raise LogRefusedError(
+                    where=str(path), expected=f"two sources, one of them {camera!r}",
+                    found=", ".join(map(repr, sources)),
+                )  # fmt: skip
+            truth, seen = sources[others[0]], sources[camera]
+            result = latency_of(truth[:, 0], truth[:, 1], seen[:, 0], seen[:, 1], str(path))
+        else:
+            if vehicle is None:
+                raise TestbedError(where="--vehicle", expected="a vehicle", found="nothing")
+            result = seen_in_flight(
+                read_motion_log(path, load_mapping(mapping)), load_vehicle(vehicle)
+            )
+    except TestbedError as error:
+        return refused(error, as_json=as_json)
+    if as_json:
+        print_json(result)
+        return OK
+    for name, value in result.items():
+        screen.print(
+            f"{name:<22} {value:.6g}" if isinstance(value, float) else f"{name:<22} {value}"
+        )
+    return OK
+
+
+def link(path: Path, columns: tuple[str, str], as_json: bool) -> int:
+    """Numbers of [link] from sent and received messages."""
+    try:
+        result = link_of(read_columns(path, columns), *columns)
+    except TestbedError as error:
+        return refused(error, as_json=as_json)
+    if as_json:
+        print_json(result)
+        return OK
+    screen.print("[link]", markup=False)
+    for name, value in result.items():
+        screen.print(f"{name} = {value:.4g}")
+    return OK
+
+
+def excite(
+    vehicle: str, table: str, seconds: float, room: float, gas_g: float | None, period: float,
+    seed: int, out: Path | None, *, as_json: bool,
+) -> int:  # fmt: skip
+    """Design an experiment and write its commands."""
+    try:
+        own = load_vehicle(vehicle)
+        gas = None if gas_g is None else 1e-3 * gas_g
+        found = design(own, load_table(table), seconds, room, gas, period, seed)
+        if out is not None:
+            write_commands(out, found, len(own.jets), period)
+    except TestbedError as error:
+        return refused(error, as_json=as_json)
+    result = {
+        "seconds": seconds, "gas_g": 1e3 * found.gas, "reach_m": found.reach,
+        "information": found.information, "parameters": found.intervals,
+        "pulses": len(found.inputs.up), "out": None if out is None else str(out),
+    }  # fmt: skip
+    if as_json:
+        print_json(result)
+        return OK
+    screen.print(
+        f"{len(found.inputs.up)} pulses, {1e3 * found.gas:.1f} g of gas, at most"
+        f" {found.reach:.2f} m from the start"
+    )
+    for name, row in found.intervals.items():
+        told = "" if row["identifiable"] else "  not identifiable"
+        screen.print(f"{name:<16} +- {row['half_width']:.3g} {row['unit']}{told}")
+    return OK

@@ -1,0 +1,120 @@
+"""What a calibration tells: as JSON, and as comments of the vehicle file."""
+
+from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.identification.model import Model
+from testbed.identification.motion import Calibration, interval, thrusts, told_by
+from testbed.identification.motion_log import MotionLog
+from testbed.identification.vehicle_file import write_vehicle
+
+
+def report_of(c: Calibration, name: str, logs: Sequence[MotionLog]) -> dict[str, Any]:
+    """The calibration for --json."""
+    rows = {}
+    for k, own in enumerate(c.model.parameters):
+        if own.group == "jets":
+            continue
+        factor = _factor(c.model, own.name)
+        low, high = interval(c, k)
+        rows[own.name] = {
+            "value": factor * float(c.estimate.p[k]), "low": factor * low, "high": factor * high,
+            "file": factor * float(own.value), "unit": own.unit or _unit(own.name),
+            "chosen": bool(k in c.estimate.free), "identifiable": told_by(c, k),
+        }  # fmt: skip
+    jets = thrusts(c) if c.model.valves else []
+    unknown = [n for n, row in rows.items() if not row["identifiable"]]
+    unknown += [f"thrust of jet {row['jet']}" for row in jets if not row["identifiable"]]
+    unknown += ["mass (only thrust over mass)"] if c.model.valves else []
+    return {
+        "vehicle": name,
+        "logs": [
+            {"file": log.where, "sha256": log.digest, "used_s": used_s(log), "notes": log.notes}
+            for log in logs
+        ],
+        "parameters": rows,
+        "jets": jets,
+        "findings": findings(c),
+        "not_identifiable": unknown,
+        "chosen": c.chosen,
+        "gains": c.gains,
+        "suspicions": [{"name": one.name, "text": one.text} for one in c.suspicions],
+        "noise": {
+            "position_m": float(c.estimate.noise[0]), "heading_rad": float(c.estimate.noise[2]),
+        },
+    }  # fmt: skip
+
+
+def findings(c: Calibration) -> list[str]:
+    """Jets that are not what the file says, in words."""
+    lines = []
+    for one in c.jets:
+        text = {
+            "dead": f"jet {one.jet + 1} is dead or nearly so",
+            "weak": f"jet {one.jet + 1} is weak: {one.share:.0%} of the others",
+            "exchanged": f"jets {one.jet + 1} and {one.other + 1} are exchanged",
+            "not excited": f"jet {one.jet + 1} is hardly excited: its thrust is not identifiable",
+        }.get(one.state)
+        lines += [text] if text else []
+    return lines
+
+
+def used_s(log: MotionLog) -> float:
+    """Time of undisturbed flight in a log [s]."""
+    return float(np.median(np.diff(log.t)) * log.whole.sum())
+
+
+def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: date) -> None:
+    """Write the fitted vehicle with the origin of each number."""
+    notes: dict[str, str] = {}
+    for k, own in enumerate(c.model.parameters):
+        place = PLACES.get(own.name)
+        if place is None:
+            continue
+        factor = _factor(c.model, own.name)
+        low, high = (factor * one for one in interval(c, k))
+        if not told_by(c, k):
+            notes[place] = _add(notes.get(place), f"{own.name}: as in {name}, not identifiable")
+        elif k not in c.estimate.free:
+            text = f"{own.name}: as in {name}; these logs: {low:.4g} to {high:.4g}"
+            notes[place] = _add(notes.get(place), text)
+        else:
+            text = f"{own.name}: fitted, {low:.4g} to {high:.4g}"
+            notes[place] = _add(notes.get(place), text)
+    if c.model.valves:
+        notes["mass"] = f"as in {name}: only thrust over mass is identifiable"
+    for row in thrusts(c) if c.model.valves else []:
+        words = "" if row["state"] == "ok" else f", {row['state']}"
+        told = "" if row["identifiable"] else ", not identifiable"
+        text = f"fitted, {row['low_n']:.4g} to {row['high_n']:.4g} N{words}{told}"
+        notes[f"jets.{row['jet'] - 1}"] = text
+    origin = [f"{Path(log.where).name}, sha256 {log.digest}, {used_s(log):.1f} s" for log in logs]
+    origin.append(f"values that were not fitted: vehicle {name}")
+    p = c.estimate.p
+    slope = [p[c.model.index(axis)] for axis in ("slope_x", "slope_y")]
+    origin.append(f"slope of the table in these logs: {slope[0]:.5f}, {slope[1]:.5f} m/s^2")
+    write_vehicle(path, c.vehicle, notes, origin, day)
+
+
+PLACES = {
+    "mass": "mass", "inertia": "inertia", "com_x": "com", "com_y": "com", "drag": "drag",
+    "spin_drag": "spin_drag", "delay": "valve.open_delay_s", "hold": "valve.close_delay_s",
+    "droop": "air.droop",
+}  # fmt: skip
+
+
+def _add(before: str | None, text: str) -> str:
+    return f"{before}; {text}" if before else text
+
+
+def _factor(model: Model, name: str) -> float:
+    """From the model's relative numbers to SI units."""
+    return {"mass": model.vehicle.mass, "inertia": model.vehicle.inertia}.get(name, 1.0)
+
+
+def _unit(name: str) -> str:
+    return {"mass": "kg", "inertia": "kg m^2"}.get(name, "1")

@@ -1,0 +1,92 @@
+"""`testbed calibrate mocap`: the cameras' latency, noise, axes, and the offset of the body.
+
+Latency comes from a marker on a known angle: two sources on one clock, the truth (a servo, an
+encoder) and the camera. The rest comes from a flight.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from testbed.core.vehicle import Vehicle
+from testbed.identification.columns import LogRefusedError
+from testbed.identification.estimate import fit
+from testbed.identification.model import Model
+from testbed.identification.motion_log import MotionLog
+from testbed.identification.prediction import Valves
+from testbed.identification.suspicion import look_at
+from testbed.identification.validation import noise_of_poses
+from testbed.identification.windows import tiled
+
+Array = NDArray[np.float64]
+LONGEST = 1.0  # [s] latency
+
+
+def latency_of(
+    truth_t: Array, truth: Array, camera_t: Array, camera: Array, where: str = ""
+) -> dict[str, Any]:
+    """Latency of the camera, gain and offset between the two, and noise; any unit of angle.
+
+    Raises:
+        LogRefusedError: the angle does not change enough, or the sources do not overlap.
+    """
+    start, end = truth_t[0] + LONGEST, min(truth_t[-1], camera_t[-1])
+    inside = (camera_t >= start) & (camera_t <= end)
+    if inside.sum() < 20:
+        raise LogRefusedError(
+            where=where, expected="20 camera samples beside the truth", found=f"{inside.sum()}"
+        )
+    t, y = camera_t[inside], camera[inside]
+
+    def left(p: Array) -> Array:
+        return p[1] * np.interp(t - p[0], truth_t, truth) + p[2] - y
+
+    tried = []
+    for shift in np.arange(0.0, LONGEST, 0.01):
+        x = np.interp(t - shift, truth_t, truth)
+        a = np.stack([x, np.ones(len(x))], axis=1)
+        gain, offset = np.linalg.lstsq(a, y, rcond=None)[0]
+        tried.append((float(np.median(np.abs(a @ (gain, offset) - y))), shift, gain, offset))
+    _, *first = min(tried)
+    size = max(1e-9, 1.5 * min(tried)[0])
+    fit = least_squares(left, first, loss="soft_l1", f_scale=size, diff_step=1e-4)
+    jacobian = fit.jac
+    noise = float(np.median(np.abs(fit.fun)) / 0.6745)
+    spread = float(np.sqrt(np.mean(left(fit.x) ** 2)))
+    try:
+        covariance = np.linalg.inv(jacobian.T @ jacobian) * spread**2
+    except np.linalg.LinAlgError:
+        covariance = np.full((3, 3), np.inf)
+    sigma = float(np.sqrt(covariance[0, 0]))
+    if not sigma < 0.1 or abs(fit.x[1]) < 0.2:
+        raise LogRefusedError(
+            where=where, expected="an angle that both sources see moving",
+            found="no common motion: the latency is not identifiable",
+        )  # fmt: skip
+    return {
+        "latency_s": float(fit.x[0]), "low_s": float(fit.x[0] - 1.96 * sigma),
+        "high_s": float(fit.x[0] + 1.96 * sigma), "gain": float(fit.x[1]),
+        "offset": float(fit.x[2]), "noise": noise, "residual_rms": spread, "samples": len(t),
+    }  # fmt: skip
+
+
+def seen_in_flight(log: MotionLog, vehicle: Vehicle) -> dict[str, Any]:
+    """Noise of a pose, what the axes look like, and the centre of mass in the cameras' body."""
+    look = look_at([log], vehicle)
+    position, heading = noise_of_poses([log])
+    model = Model(vehicle, valves=isinstance(log.inputs, Valves))
+    windows = [tiled(log, 2.5)]
+    found = fit(model, windows, ["thrust", "delay", "inertia", "com"])
+    at = [model.index(axis) for axis in ("com_x", "com_y")]
+    told = bool(np.all(found.sigma[at] < 0.6 * model.sigma[at]))
+    return {
+        "noise_m": position, "noise_deg": float(np.degrees(heading)),
+        "axes": look.other or "as the mapping says",
+        "explained_by_commands": float(look.plain),
+        "command_to_pose_s": float(look.delay),
+        "body_offset_x_m": float(-found.p[at[0]]), "body_offset_y_m": float(-found.p[at[1]]),
+        "body_offset_sigma_m": float(np.max(found.sigma[at])),
+        "body_offset_identifiable": told,
+    }  # fmt: skip

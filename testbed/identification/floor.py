@@ -1,0 +1,178 @@
+"""`testbed calibrate floor`: the slope of a table as a map, from the drift of a vehicle.
+
+The map has values on an even grid that spans the table, bilinear between (as `tilt.map` of a
+table file). A smoothness prior carries it to places between the paths; where no path was, the map
+is 0 and its uncertainty is that of the prior. Common thrust and delay are fitted with it: a
+controller pushes against the slope, so either alone would be wrong.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.table import Table
+from testbed.core.vehicle import Vehicle
+from testbed.identification.estimate import SCALES, Piece, huber, linearise, noise_of, normal
+from testbed.identification.model import Model
+from testbed.identification.motion_log import MotionLog
+from testbed.identification.prediction import Valves
+from testbed.identification.suspicion import look_at
+from testbed.identification.windows import Windows, first_guess, tiled
+
+Array = NDArray[np.float64]
+LENGTH = 4.0  # [s] of a window
+FINE = 0.02  # [s] of the integrals along the path
+REACH = 0.25  # correlation length, of the table's shorter side; 0.1 to 0.4 predict alike
+STEEPNESS = 0.02  # [m/s^2] standard deviation of the prior
+FLAT = 0.1  # of it: part that differs from node to node
+TURNS = 5
+GAIN_SIGMA = 0.5  # of mass or thrust: propellers and valves give less than on a stand
+DELAY_SIGMA = 0.05  # [s]
+
+
+class Floor(NamedTuple):
+    """A learned map."""
+
+    size: tuple[float, float]  # [m]
+    slope: Array  # (rows, columns, 2) [m/s^2]
+    sigma: Array  # (rows, columns, 2) its standard deviation [m/s^2]
+    reach: float  # correlation length [m]
+    p: Array  # numbers of the model
+    model: Model
+
+
+def learn_floor(
+    logs: Sequence[MotionLog], vehicle: Vehicle, size: tuple[float, float], nodes: int = 9
+) -> Floor:
+    """Learn the map from logs of one vehicle."""
+    windows = [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
+    delay = look_at(logs, vehicle).delay
+    return _fit(windows, vehicle, size, (nodes, nodes), REACH * min(size), delay)
+
+
+def flat_fit(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[Model, Array]:
+    """The same fit of common thrust and delay on a level table."""
+    windows = [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
+    delay = look_at(logs, vehicle).delay
+    floor = _fit(windows, vehicle, (1.0, 1.0), (0, 0), 1.0, delay)
+    return floor.model, floor.p
+
+
+def _fit(
+    windows: Sequence[Windows], vehicle: Vehicle, size: tuple[float, float],
+    shape: tuple[int, int], reach: float, delay: float,
+) -> Floor:  # fmt: skip
+    model = Model(vehicle, valves=isinstance(windows[0].log.inputs, Valves))
+    model.prior[model.index("delay")] = max(0.0, delay - vehicle.command_delay_s)
+    free = model.of_groups(["thrust", "delay"])
+    p = model.prior.copy()
+    nodes = shape[0] * shape[1]
+    half = np.array(size) / 2.0
+    weights_of = [_node_weights(w, half, shape) for w in windows]
+    precision = _precision(model, free, size, shape, reach)
+    heights = np.zeros((nodes, 2))
+    states = [first_guess(w, np.isfinite(w.marks)) for w in windows]
+    scales = SCALES
+    pieces: list[Piece] = []
+    prior = np.concatenate([model.prior[free], np.zeros(2 * nodes)])
+    for turn in range(TURNS):
+        model.ground = model.ground._replace(
+            half=half if nodes else model.ground.half, map=heights.reshape(*shape, 2)
+        )
+        pieces, rest = linearise(model, p, free, windows, states, scales)
+        pieces, rest = _with_map(pieces, rest, weights_of, scales)
+        robust = huber(pieces)
+        level = float(np.average([np.mean(q.error**2) for q in pieces], weights=robust))
+        now = np.concatenate([p[free], heights.T.ravel()])
+        matrix, side = normal(pieces, robust / level)
+        step = np.linalg.solve(matrix + precision, side + precision @ (prior - now))
+        p[free] += step[: len(free)]
+        p[free] = np.maximum(p[free], model.least[free])
+        heights += step[len(free) :].reshape(2, nodes).T
+        for piece, (error, by_x, by_p) in zip(pieces, rest, strict=True):
+            state = np.linalg.lstsq(by_x, error - by_p @ step, rcond=None)[0]
+            states[piece.log][piece.window] += state
+        if turn < TURNS - 1:
+            scales = noise_of(pieces, scales)
+    model.ground = model.ground._replace(map=heights.reshape(*shape, 2))
+    covariance = np.linalg.inv(matrix + precision)
+    spread = np.sqrt(np.diag(covariance))[len(free) :].reshape(2, nodes).T
+    return Floor(size, heights.reshape(*shape, 2), spread.reshape(*shape, 2), reach, p, model)
+
+
+def _precision(
+    model: Model, free: NDArray[np.int64], size: tuple[float, float], shape: tuple[int, int],
+    reach: float,
+) -> Array:  # fmt: skip
+    """Inverse covariance of the prior: thrust and delay, then the map of x and of y."""
+    sigma = model.sigma[free].copy()
+    sigma[:] = GAIN_SIGMA, DELAY_SIGMA
+    nodes = shape[0] * shape[1]
+    precision = np.zeros((len(free) + 2 * nodes,) * 2)
+    precision[: len(free), : len(free)] = np.diag(1.0 / sigma**2)
+    if nodes:
+        y, x = np.meshgrid(*(np.linspace(-0.5, 0.5, n) for n in shape), indexing="ij")
+        place = np.stack([x.ravel() * size[0], y.ravel() * size[1]], axis=1)
+        gap = np.sum((place[:, None] - place[None]) ** 2, axis=2)
+        cover = STEEPNESS**2 * (np.exp(-0.5 * gap / reach**2) + FLAT**2 * np.eye(nodes))
+        inverse = np.linalg.inv(cover)
+        for axis in (0, 1):
+            a = len(free) + axis * nodes
+            precision[a : a + nodes, a : a + nodes] = inverse
+    return precision
+
+
+def _node_weights(windows: Windows, half: Array, shape: tuple[int, int]) -> list[Array]:
+    """Displacement at each pose by a unit slope at each node, window by window, (m, nodes)."""
+    rows, columns = shape
+    found = []
+    for k, own in enumerate(windows.rows):
+        t = windows.log.t[own]
+        fine = np.arange(t[0], t[-1] + FINE, FINE)
+        path = [np.interp(fine, t, windows.log.pose[own, axis]) for axis in (0, 1)]
+        weights = np.zeros((len(fine), rows * columns))
+        if rows:
+            u = np.clip((path[0] / half[0] + 1.0) * 0.5, 0.0, 1.0) * (columns - 1)
+            v = np.clip((path[1] / half[1] + 1.0) * 0.5, 0.0, 1.0) * (rows - 1)
+            i, j = np.minimum(u.astype(int), columns - 2), np.minimum(v.astype(int), rows - 2)
+            a, b = u - i, v - j
+            at = np.arange(len(fine))
+            for dj, di, w in ((0, 0, (1 - a) * (1 - b)), (0, 1, a * (1 - b)),
+                              (1, 0, (1 - a) * b), (1, 1, a * b)):  # fmt: skip
+                weights[at, (j + dj) * columns + i + di] += w
+        speed = np.cumsum(weights, axis=0) * FINE
+        way = np.cumsum(speed, axis=0) * FINE - 0.5 * FINE * speed
+        k = np.clip(np.round((t - t[0]) / FINE).astype(int), 0, len(fine) - 1)
+        found.append(way[k])
+    return found
+
+
+def _with_map(
+    pieces: Sequence[Piece], rest: Sequence[tuple[Array, Array, Array]],
+    weights_of: Sequence[Sequence[Array]], scales: Array,
+) -> tuple[list[Piece], list[tuple[Array, Array, Array]]]:  # fmt: skip
+    """Pieces with columns for the map."""
+    found, more = [], []
+    for piece, (error, by_x, by_p) in zip(pieces, rest, strict=True):
+        way = weights_of[piece.log][piece.window]
+        nodes = way.shape[1]
+        by_map = np.zeros((len(way), 3, 2 * nodes))
+        by_map[:, 0, :nodes] = way / scales[0]
+        by_map[:, 1, nodes:] = way / scales[1]
+        by_map = by_map.reshape(3 * len(way), 2 * nodes)
+        q, _ = np.linalg.qr(by_x)
+        clean = by_map - q @ (q.T @ by_map)
+        found.append(piece._replace(slope=np.hstack([piece.slope, clean])))
+        more.append((error, by_x, np.hstack([by_p, by_map])))
+    return found, more
+
+
+def as_table(floor: Floor, table: Table) -> Table:
+    """The table with the learned map."""
+    from msgspec import structs
+
+    rows = [[(float(a[0]), float(a[1])) for a in row] for row in floor.slope]
+    tilt = structs.replace(table.tilt, uniform=(0.0, 0.0), map=rows)
+    return structs.replace(table, size=floor.size, tilt=tilt)

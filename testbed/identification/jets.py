@@ -1,0 +1,121 @@
+"""Hypotheses about single jets, tried before the fit: dead, weak, exchanged with another.
+
+Each valve command gets a free wrench (force and torque), linear around a first fit. Then the wrench
+is compared with that of its own jet, of no jet and of every other jet.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.identification.estimate import SCALES, Piece, huber, noise_of, normal
+from testbed.identification.model import Model
+from testbed.identification.prediction import Valves
+from testbed.identification.windows import Windows, first_guess, fly, fly_with_slopes
+
+Array = NDArray[np.float64]
+DEAD = 0.35  # of the nominal thrust: at most this, with its interval
+WEAK = 0.75
+BETTER = 25.0  # of chi^2, by which an exchange must explain more
+LEVER = 0.2  # [m] of a free torque
+INFLATED = 2.0  # errors within a window go together
+
+
+class Finding(NamedTuple):
+    """What a valve's commands do."""
+
+    jet: int  # from 0
+    state: str  # ok, dead, weak, exchanged, not excited
+    share: float  # of the nominal thrust, relative to the other jets
+    sigma: float
+    other: int = -1  # the jet that it is exchanged with
+
+
+def examine(model: Model, p: Array, logs: Sequence[Windows]) -> list[Finding]:
+    """A finding for each jet, around a first fit `p`."""
+    base = model.metal.effect[0] * model.thrust(p)
+    jets = base.shape[1]
+    strong = float(np.median(np.hypot(base[0], base[1])))
+    sizes = np.array([strong, strong, strong * LEVER])
+    pieces = _linearised(model, p, logs, base, sizes)
+    pieces = _linearised(model, p, logs, base, sizes, noise_of(pieces, SCALES))
+    weights = huber(pieces)
+    level = float(np.average([np.mean(q.error**2) for q in pieces], weights=weights))
+    matrix, side = normal(pieces, weights / level)
+    covariance = np.linalg.inv(matrix / INFLATED**2 + np.eye(3 * jets))
+    change = covariance @ (side / INFLATED**2)
+    wrench = base / sizes[:, None] + change.reshape(jets, 3).T
+    nominal = base / sizes[:, None]
+    blocks = [covariance[3 * j : 3 * j + 3, 3 * j : 3 * j + 3] for j in range(jets)]
+    shares, sigmas = np.zeros(jets), np.zeros(jets)
+    misfit = np.zeros((jets, jets))
+    for j in range(jets):
+        inverse = np.linalg.inv(blocks[j])
+        power = nominal[:, j] @ inverse @ nominal[:, j]
+        shares[j], sigmas[j] = (nominal[:, j] @ inverse @ wrench[:, j]) / power, power**-0.5
+        for k in range(jets):
+            gap = wrench[:, j] - nominal[:, k]
+            misfit[j, k] = gap @ inverse @ gap
+    common = float(np.median(shares))
+    shares, sigmas = shares / common, sigmas / common
+    found = []
+    for j in range(jets):
+        gain = [
+            misfit[j, j] + misfit[k, k] - misfit[j, k] - misfit[k, j] if k != j else 0.0
+            for k in range(jets)
+        ]
+        k = int(np.argmax(gain))
+        right = misfit[j, k] + misfit[k, j] < 0.5 * (misfit[j, j] + misfit[k, k])
+        low, high = shares[j] - 2.0 * sigmas[j], shares[j] + 2.0 * sigmas[j]
+        if not _opened(logs, j) or sigmas[j] > 0.5:
+            state = "not excited"
+        elif gain[k] > BETTER and right and shares[j] < WEAK and shares[k] < WEAK:
+            state = "exchanged"
+        elif shares[j] < DEAD and high < WEAK:
+            state = "dead"
+        elif high < WEAK and low > 0.0:
+            state = "weak"
+        else:
+            state = "ok"
+        other = k if state == "exchanged" else -1
+        found.append(Finding(j, state, float(shares[j]), float(sigmas[j]), other))
+    return found
+
+
+def _opened(logs: Sequence[Windows], jet: int) -> bool:
+    return any(isinstance(w.log.inputs, Valves) and (w.log.inputs.jet == jet).any() for w in logs)
+
+
+def _linearised(
+    model: Model, p: Array, logs: Sequence[Windows], base: Array, sizes: Array,
+    scales: Array = SCALES,
+) -> list[Piece]:  # fmt: skip
+    """Windows linearised by the wrench of each jet, in units of `sizes`."""
+    jets = base.shape[1]
+    found = []
+    for number, windows in enumerate(logs):
+        use = np.isfinite(windows.marks)
+        states = first_guess(windows, use)
+        for _ in range(2):
+            flown, by_state = fly_with_slopes(model, p, windows, states)
+            for w, seen in enumerate(use):
+                lhs = (by_state[w, seen] / scales[:, None]).reshape(-1, 6)
+                rhs = ((windows.seen[w, seen] - flown[w, seen]) / scales).ravel()
+                states[w] += np.linalg.lstsq(lhs, rhs, rcond=None)[0]
+        flown, by_state = fly_with_slopes(model, p, windows, states)
+        slopes = np.zeros((*flown.shape, 3 * jets))
+        for j in range(jets):
+            for axis in range(3):
+                effect = base.copy()
+                effect[axis, j] += 0.05 * sizes[axis]
+                moved = fly(model, p, windows, states, effect)
+                slopes[..., 3 * j + axis] = (moved - flown) / 0.05
+        for w, seen in enumerate(use):
+            error = ((windows.seen[w, seen] - flown[w, seen]) / scales).ravel()
+            by_x = (by_state[w, seen] / scales[:, None]).reshape(-1, 6)
+            by_e = (slopes[w, seen] / scales[:, None]).reshape(-1, 3 * jets)
+            q, _ = np.linalg.qr(by_x)
+            found.append(Piece(number, w, error - q @ (q.T @ error), by_e - q @ (q.T @ by_e)))
+    return found

@@ -1,0 +1,243 @@
+"""`testbed calibrate motion`: from logs of free flight to a vehicle file."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from testbed.core.vehicle import Vehicle
+from testbed.identification.columns import LogRefusedError
+from testbed.identification.estimate import Estimate, fit
+from testbed.identification.jets import Finding, examine
+from testbed.identification.model import Model, Parameter
+from testbed.identification.motion_log import MotionLog
+from testbed.identification.prediction import Valves
+from testbed.identification.selection import choose
+from testbed.identification.suspicion import Suspicion, look_at, suspicions
+from testbed.identification.windows import Windows, tiled
+
+Array = NDArray[np.float64]
+LENGTH = 2.5  # [s] of a window of the fit
+TOLD = 0.6  # standard deviation over that of the prior: above, the log does not tell the number
+SURE = 1.96  # standard deviations of a 95 % interval
+TOO_STRONG = 0.08  # of common thrust over the file's, beyond its tolerance
+TOO_WEAK = 0.3
+
+
+class Calibration(NamedTuple):
+    """Result of a calibration."""
+
+    vehicle: Vehicle
+    model: Model
+    estimate: Estimate  # of the chosen groups
+    wide: Estimate  # of all groups: intervals of what was not chosen
+    chosen: list[str]
+    gains: dict[str, float]
+    jets: list[Finding]
+    suspicions: list[Suspicion]
+    logs: list[Windows]
+
+
+class RefusedError(LogRefusedError):
+    """The logs are not what the mapping or the vehicle says; nothing was fitted."""
+
+    def __init__(self, found: Sequence[Suspicion], where: str) -> None:
+        super().__init__(
+            where=where, expected="a log that the mapping and the vehicle describe",
+            found="; ".join(f"{one.name}: {one.text}" for one in found),
+            hint="mend the mapping or the vehicle file; --force fits all the same",
+        )  # fmt: skip
+        self.suspicions = list(found)
+
+
+def calibrate_motion(
+    logs: Sequence[MotionLog],
+    vehicle: Vehicle,
+    *,
+    force: bool = False,
+    told: Callable[[str], None] = lambda text: None,
+) -> Calibration:
+    """Fit a vehicle to logs.
+
+    Args:
+        logs: of one vehicle, all with valves or all with wrenches.
+        vehicle: prior values, with their tolerances.
+        force: fit in spite of suspicions.
+        told: is called with the name of each step.
+
+    Raises:
+        RefusedError: a suspicion forbids a fit.
+    """
+    try:
+        return _calibrated(logs, vehicle, force, told)
+    except (np.linalg.LinAlgError, FloatingPointError) as error:
+        raise LogRefusedError(
+            where=", ".join(log.where for log in logs),
+            expected="motion that tells the numbers of a vehicle", found=str(error),
+            hint="too short, or hardly excited",
+        ) from None  # fmt: skip
+
+
+def _calibrated(
+    logs: Sequence[MotionLog], vehicle: Vehicle, force: bool, told: Callable[[str], None]
+) -> Calibration:
+    """See `calibrate_motion`."""
+    where = ", ".join(log.where for log in logs)
+    told("check the logs")
+    model, doubts = checked(logs, vehicle)
+    refusing = [one for one in doubts if one.refuses]
+    if refusing and not force:
+        raise RefusedError(refusing, where)
+    windows = [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
+    if sum(len(w.rows) for w in windows) < 3:
+        raise LogRefusedError(
+            where=where, expected=f"at least {3 * LENGTH:g} s of undisturbed flight",
+            found="less", hint="see [use] of the mapping",
+        )  # fmt: skip
+    first = start_of(model, logs, vehicle)
+    told("try dead, weak and exchanged jets")
+    rough = fit(model, windows, ["thrust", "delay", "inertia"], first)
+    jets: list[Finding] = []
+    if model.valves:
+        jets = examine(model, rough.p, windows)
+        if exchanged := [one for one in jets if one.state == "exchanged"]:
+            vehicle = _exchanged(vehicle, exchanged)
+            model = Model(vehicle, valves=True)
+            rough = fit(model, windows, ["thrust", "delay", "inertia"], first)
+        _expect(model, jets)
+    told("fit all parameters")
+    groups = list(dict.fromkeys(p.group for p in model.parameters))
+    if not model.valves:
+        groups = [g for g in groups if g not in _untold_by_wrenches(logs)]
+    wide = fit(model, windows, groups, _merged(model, rough))
+    told("cross-validate")
+    chosen, gains = choose(model, wide, windows)
+    start = model.prior.copy()
+    free = model.of_groups(chosen)
+    start[free] = wide.p[free]
+    estimate = fit(model, windows, chosen, start)
+    doubts += other_vehicle(model, estimate, windows)
+    refusing = [one for one in doubts if one.refuses]
+    if refusing and not force:
+        raise RefusedError(refusing, where)
+    fitted = model.fitted(estimate.p)
+    return Calibration(fitted, model, estimate, wide, chosen, gains, jets, doubts, windows)
+
+
+def checked(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[Model, list[Suspicion]]:
+    """The model for these logs, and what is wrong with them."""
+    valves = isinstance(logs[0].inputs, Valves)
+    jets = max((int(i.jet.max(initial=-1)) for i in (log.inputs for log in logs)
+                if isinstance(i, Valves)), default=-1)  # fmt: skip
+    if jets >= len(vehicle.jets):
+        raise LogRefusedError(
+            where=logs[0].where, expected=f"{len(vehicle.jets)} valves, the vehicle's jets",
+            found=f"valve {jets + 1}", hint="another vehicle?",
+        )  # fmt: skip
+    return Model(vehicle, valves=valves), list(suspicions(logs, vehicle))
+
+
+def start_of(model: Model, logs: Sequence[MotionLog], vehicle: Vehicle) -> Array:
+    """A start near the solution: delay and scale from the regression of the check."""
+    look = look_at(logs, vehicle)
+    p = model.prior.copy()
+    p[model.index("delay")] = look.delay - vehicle.command_delay_s
+    if model.valves:
+        p[0] = float(np.clip(look.scale, 0.3, 2.0))
+    return p
+
+
+def other_vehicle(model: Model, estimate: Estimate, windows: Sequence[Windows]) -> list[Suspicion]:
+    """Whether the fit says that this is another vehicle than the file's."""
+    if not model.valves:
+        return []
+    start = estimate.p.copy()
+    droop = model.index("droop")
+    start[droop] = model.prior[droop]
+    bare = fit(model, windows, ["thrust", "delay", "inertia"], start)
+    limit = 1.0 + TOO_STRONG + model.vehicle.tolerance.thrust
+    scale, sigma = float(np.median(model.thrust(bare.p))), float(bare.sigma[0])
+    if scale - sigma > limit:
+        text = f"thrust over mass is {scale:.2f} times the file's: lighter, or another supply"
+        return [Suspicion("other-vehicle", text)]
+    if scale + 2.0 * sigma < TOO_WEAK:
+        text = (
+            f"thrust over mass is {scale:.2f} times the file's: a heavier vehicle, or little supply"
+        )
+        return [Suspicion("other-vehicle", text, refuses=False)]
+    return []
+
+
+def _untold_by_wrenches(logs: Sequence[MotionLog]) -> list[str]:
+    """Groups that say nothing where the torque is not in the log."""
+    silent = all(not np.any(log.inputs.wrench[:, 2]) for log in logs)  # type: ignore[union-attr]
+    return ["inertia", "com", "spin_drag"] if silent else []
+
+
+def _exchanged(vehicle: Vehicle, found: Sequence[Finding]) -> Vehicle:
+    """The vehicle with exchanged jets at each other's place, with their own thrust."""
+    jets = list(vehicle.jets)
+    for one in found:
+        jets[one.jet] = vehicle.jets[one.other]
+    return structs.replace(vehicle, jets=jets)
+
+
+def _expect(model: Model, jets: Sequence[Finding]) -> None:
+    """Priors of dead and weak jets."""
+    for one in jets:
+        if one.state in ("dead", "weak"):
+            model.prior[1 + one.jet] = max(model.least[1 + one.jet], one.share)
+
+
+def _merged(model: Model, rough: Estimate) -> Array:
+    """The first fit, with the priors of the jets."""
+    p = model.prior.copy()
+    p[rough.free] = rough.p[rough.free]
+    return p
+
+
+def told_by(calibration: Calibration, k: int) -> bool:
+    """Whether the logs tell the number `k` of the model."""
+    wide = calibration.wide
+    return bool(k in wide.free and wide.sigma[k] < TOLD * calibration.model.sigma[k])
+
+
+def interval(calibration: Calibration, k: int) -> tuple[float, float]:
+    """95 % interval of the number `k`.
+
+    It is that of the fit of all groups, widened by what the choice of groups changed.
+    """
+    c = calibration
+    own: Parameter = c.model.parameters[k]
+    value, wide = c.estimate.p[k], c.wide.p[k]
+    sigma = max(c.wide.sigma[k], c.estimate.sigma[k] if k in c.estimate.free else 0.0)
+    reach = SURE * float(np.hypot(sigma, value - wide))
+    return float(max(own.least, value - reach)), float(value + reach)
+
+
+def thrusts(calibration: Calibration) -> list[dict[str, Any]]:
+    """Thrust of each jet with its interval [N]."""
+    c, jets = calibration, len(calibration.model.vehicle.jets)
+    p, free = c.wide.p, list(c.wide.free)
+    own = float(np.hypot(c.model.sigma[0], c.model.sigma[1]))
+    rows = []
+    for j in range(jets):
+        slope = np.zeros(len(free))
+        slope[free.index(0)] = p[1 + j]
+        if 1 + j in free:
+            slope[free.index(1 + j)] = p[0]
+        sigma = float(np.sqrt(slope @ c.wide.covariance @ slope))
+        sigma = float(np.hypot(sigma, c.model.thrust(p)[j] - c.model.thrust(c.estimate.p)[j]))
+        nominal = c.model.vehicle.jets[j].thrust
+        value = float(nominal * c.model.thrust(c.estimate.p)[j])
+        reach = SURE * sigma * nominal
+        found = c.jets[j]
+        rows.append({
+            "jet": j + 1, "thrust_n": value, "low_n": max(0.0, value - reach),
+            "high_n": value + reach, "file_n": nominal, "state": found.state,
+            "exchanged_with": found.other + 1 if found.other >= 0 else None,
+            "identifiable": bool(found.state != "not excited" and sigma < TOLD * own),
+        })  # fmt: skip
+    return rows

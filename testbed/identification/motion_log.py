@@ -1,0 +1,155 @@
+"""A log of one vehicle's motion: measured poses and commanded inputs, in SI units."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.identification.columns import Columns, LogRefusedError, digest, read_columns
+from testbed.identification.mapping import METRES, RADIANS, SECONDS, Mapping
+from testbed.identification.prediction import Inputs, Wrenches, pulses
+
+Array = NDArray[np.float64]
+PAUSE = 3.5  # a gap in the rows is longer than this many usual intervals
+FEWEST_POSES = 10
+
+
+class MotionLog(NamedTuple):
+    """Poses, where they are measured in undisturbed flight, and the inputs of the whole log."""
+
+    where: str  # file
+    digest: str  # SHA-256 of the file
+    t: Array  # (n,) of the poses, increasing [s]
+    pose: Array  # (n, 3) x, y, theta, continuous [m, m, rad]
+    whole: NDArray[np.bool_]  # (n,) undisturbed flight
+    inputs: Inputs
+    notes: list[str]  # what was left out, and why
+
+
+def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:
+    """Read a log.
+
+    Raises:
+        LogRefusedError: a column is missing, or a value is not what the mapping says.
+    """
+    names = [mapping.time.column, mapping.pose.x, mapping.pose.y, mapping.pose.theta]
+    names += [mapping.pose.new] if mapping.pose.new else []
+    if mapping.valves:
+        names += mapping.valves.columns
+    if mapping.wrench:
+        names += [n for n in (mapping.wrench.fx, mapping.wrench.fy, mapping.wrench.tau) if n]
+    columns = read_columns(path, [*names, *mapping.use])
+    for name in [*names, *mapping.use]:
+        columns[name]  # refuses a missing one
+    t = columns.whole(mapping.time.column) * SECONDS[mapping.time.unit]
+    check_clock(t, str(path), mapping)
+    pose, measured = _poses(columns, mapping)
+    inputs = _inputs(columns, mapping, t, pose)
+    usable = np.ones(len(t), dtype=bool)
+    for name, values in mapping.use.items():
+        usable &= np.isin(columns[name], values)
+    kept = measured & usable
+    notes = gaps(t)
+    if kept.sum() < FEWEST_POSES:
+        raise LogRefusedError(
+            where=str(path),
+            expected=f"at least {FEWEST_POSES} measured poses in undisturbed flight",
+            found=f"{kept.sum()} of {len(t)} rows",
+            hint=f"the mapping keeps rows with {mapping.use}" if mapping.use else "",
+        )  # fmt: skip
+    rows = np.flatnonzero(measured)
+    at = t[rows] - mapping.pose.latency_s
+    return MotionLog(str(path), digest(path), at, pose[rows], kept[rows], inputs, notes)
+
+
+def check_clock(t: Array, where: str, mapping: Mapping) -> None:
+    """Refuse times that go back, stand still or are in another unit."""
+    if len(t) < 20:
+        raise LogRefusedError(where=where, expected="at least 20 rows", found=f"{len(t)}")
+    step = np.diff(t)
+    if np.any(step <= 0.0):
+        k = int(np.argmax(step <= 0.0))
+        raise LogRefusedError(
+            where=f"{where}, data row {k + 2}", expected="a time after the row before",
+            found=f"{t[k]:.6g} s, then {t[k + 1]:.6g} s", hint="a clock jump, or two logs in one",
+        )  # fmt: skip
+    usual = float(np.median(step))
+    period = mapping.valves.period_s if mapping.valves else None
+    low, high = (0.2e-3, 2.0) if period is None else (1e-3 * period, 2.5 * period)
+    if not low <= usual <= high:
+        raise LogRefusedError(
+            where=f"{where}, column {mapping.time.column!r}",
+            expected=f"rows {low:.3g} to {high:.3g} s apart", found=f"{usual:.4g} s",
+            hint=f"is the unit of time {mapping.time.unit!r}? 1000 times off means ms or us",
+        )  # fmt: skip
+
+
+def gaps(t: Array) -> list[str]:
+    """Notes about missing rows, or jumps of the clock; no prediction crosses them."""
+    step = np.diff(t)
+    usual = float(np.median(step))
+    found = np.flatnonzero(step > PAUSE * usual)
+    notes = [
+        f"gap: {step[k]:.3g} s without rows after t = {t[k]:.6g} s (or the clock jumped);"
+        " nothing is fitted across it"
+        for k in found[:5]
+    ]
+    if len(found) > 5:
+        notes.append(f"gap: {len(found) - 5} more gaps")
+    return notes
+
+
+def _poses(columns: Columns, mapping: Mapping) -> tuple[Array, NDArray[np.bool_]]:
+    own = mapping.pose
+    x, y, theta = (columns[name] for name in (own.x, own.y, own.theta))
+    pose = np.stack(
+        [x * METRES[own.unit], y * METRES[own.unit], theta * RADIANS[own.angle_unit]], 1
+    )
+    measured: NDArray[np.bool_] = np.asarray(np.isfinite(pose).all(axis=1))
+    if own.new:
+        measured &= columns[own.new] == 1.0
+    if not own.new:  # a pose repeated to the last digit is an old one
+        again = np.zeros(len(pose), dtype=bool)
+        again[1:] = (pose[1:] == pose[:-1]).all(axis=1)
+        if again.mean() < 0.9:
+            measured &= ~again
+    pose[:, 0] -= own.middle[0]
+    pose[:, 1] -= own.middle[1]
+    rows = np.flatnonzero(measured)
+    pose[rows, 2] = np.unwrap(pose[rows, 2])
+    return pose, measured
+
+
+def _inputs(columns: Columns, mapping: Mapping, t: Array, pose: Array) -> Inputs:
+    if mapping.wrench:
+        own = mapping.wrench
+        tau = columns.whole(own.tau) if own.tau else np.zeros(len(t))
+        wrench = np.stack([columns.whole(own.fx), columns.whole(own.fy), tau], axis=1)
+        return Wrenches(t, wrench, own.frame == "table")
+    valves = mapping.valves
+    assert valves is not None  # load_mapping: one of the two
+    share = np.stack([columns.whole(name) for name in valves.columns], axis=1)
+    if valves.kind == "us":
+        share = share * 1e-6 / valves.period_s
+    for k, name in enumerate(valves.columns):
+        column = share[:, k]
+        odd = valves.kind == "state" and not np.isin(column, (0.0, 1.0)).all()
+        if odd or column.min() < 0.0 or column.max() > 1.0 + 1e-3:
+            raise LogRefusedError(
+                where=f"{columns.where}, column {name!r}",
+                expected="0 or 1" if valves.kind == "state" else "0 to 1 of the period",
+                found=f"{column.min():g} to {column.max():g}",
+                hint="a share in percent, or an open time: see `kind` of the mapping",
+            )  # fmt: skip
+    # a command is taken once per period, at the first row of it
+    turn = np.floor((t - t[0]) / valves.period_s + 1e-3 + _phase(t, valves.period_s))
+    taken = np.append(True, np.diff(turn) > 0)
+    if np.median(np.diff(t)) > 0.75 * valves.period_s:
+        taken[:] = True
+    return pulses(t[taken], np.minimum(share[taken], 1.0), valves.period_s)
+
+
+def _phase(t: Array, period: float) -> float:
+    """Phase of the first row in the period, if periods start at whole multiples of it."""
+    return float(t[0] / period % 1.0)

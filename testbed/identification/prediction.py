@@ -1,0 +1,125 @@
+"""`predict`: the motion of a vehicle ahead of a state, with the plant's physics and no noise."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_twin.ground import Ground, lay
+from sim_twin.plant_parameters import Metal, nominal_plant
+from sim_twin.prediction import shoot
+from sim_twin.schedule import Schedule, schedule_of_pulses, schedule_of_wrenches
+from testbed.core.error import TestbedError
+from testbed.core.table import Table
+from testbed.core.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+LEVEL = Ground(np.array([1e3, 1e3]), np.zeros(2), np.zeros((0, 0, 2)), 0.0)
+
+
+class Valves(NamedTuple):
+    """Commanded valve pulses: jet `jet[i]` from `up[i]` to `down[i]`, sorted by `up`."""
+
+    up: Array  # (n,) opening commands [s]
+    down: Array  # (n,) closing commands [s]
+    jet: NDArray[np.int64]  # (n,) index of the jet in the vehicle file, from 0
+
+
+class Wrenches(NamedTuple):
+    """Commanded wrenches, each held until the next."""
+
+    t: Array  # (n,) [s]
+    wrench: Array  # (n, 3) fx, fy, tau about the body's origin [N, N, N m]
+    in_table: bool = False  # forces are along the axes of the table, not of the body
+
+
+Inputs = Valves | Wrenches
+
+
+def pulses(t: Any, share: Any, period: float) -> Valves:
+    """Valve pulses from commands that are taken at `t` and open each valve for a share of `period`.
+
+    Args:
+        t: times of the commands, shape (n,) [s].
+        share: open share of each jet, shape (n, jets), 0 to 1.
+        period: [s].
+    """
+    t, share = np.asarray(t, dtype=float), np.asarray(share, dtype=float)
+    until = np.append(t[1:], t[-1] + period) if len(t) else t
+    held = np.where(until - t < 1.5 * period, until - t, period)  # the row's own period
+    rows, jets = np.nonzero(share > 0.0)
+    order = np.lexsort((rows, jets))
+    rows, jets = rows[order], jets[order]
+    up = t[rows]
+    down = up + share[rows, jets] * held[rows]
+    joined = np.zeros(len(up), dtype=bool)  # continues the pulse before
+    if len(up) > 1:
+        joined[1:] = (jets[1:] == jets[:-1]) & (up[1:] - down[:-1] < 1e-6)
+    first = np.flatnonzero(~joined)
+    last = np.append(first[1:], len(up)) - 1 if len(first) else first
+    by_time = np.argsort(up[first], kind="stable")
+    first, last = first[by_time], last[by_time]
+    return Valves(up[first], down[last], jets[first].astype(np.int64))
+
+
+def schedule_of(inputs: Inputs, metal: Metal, delay: float) -> Schedule:
+    """The body wrench that a vehicle makes of its inputs."""
+    if isinstance(inputs, Valves):
+        return schedule_of_pulses(
+            inputs.up, inputs.down, inputs.jet, delay, metal.timing[0], metal.effect[0],
+            metal.thrust[0], metal.droop[0],
+        )  # fmt: skip
+    timing = metal.timing[0]
+    return schedule_of_wrenches(inputs.t, inputs.wrench, delay + timing[0], timing[2])
+
+
+def used_before(schedule: Schedule, metal: Metal, t: Array) -> Array:
+    """Gas that jets and bearings have used since the first command, at most half a tank [kg].
+
+    The tank's level at the start of a log is not known: it is taken as full, and the supply of a
+    long log is not predicted to end.
+    """
+    width = np.diff(schedule.start)
+    impulse = width * (schedule.value[:, 3] + 0.5 * width * schedule.slope[:, 3])
+    total = np.concatenate([[0.0], np.cumsum(impulse)]) / metal.exhaust_speed[0]
+    used = np.interp(t, schedule.start, total)
+    used += metal.bearing_flow[0] * np.maximum(t - schedule.start[0], 0.0)
+    return np.minimum(used, 0.5 * metal.gas[0])
+
+
+def predict(vehicle: Vehicle, table: Table | None, inputs: Inputs, x0: Any, times: Any) -> Array:
+    """Predict the motion of a vehicle from a state under known commands.
+
+    Delays are smooth parameters: the result is differentiable in every number of the vehicle.
+
+    Args:
+        vehicle: its values are taken as exact, without tolerances; the tank is full at the start.
+        table: slope of the surface; None: level. There are no edges and no contacts.
+        inputs: `Valves` or `Wrenches`, whole log; earlier commands act on the start.
+        x0: state at the first of `times`: x, y, theta, vx, vy, omega of the body's origin
+            [m, m, rad, m/s, m/s, rad/s].
+        times: increasing, shape (n,) [s].
+
+    Returns:
+        states at the times, shape (n, 6).
+    """
+    marks, start = np.array(times, dtype=float), np.array(x0, dtype=float)
+    if start.shape != (6,) or marks.ndim != 1 or len(marks) < 1 or np.any(np.diff(marks) < 0.0):
+        raise TestbedError(
+            where="predict", expected="x0 of shape (6,) and increasing times, shape (n,)",
+            found=f"x0 of shape {start.shape}, times of shape {marks.shape}",
+        )  # fmt: skip
+    if not (np.isfinite(start).all() and np.isfinite(marks).all()):
+        raise TestbedError(where="predict", expected="finite x0 and times", found="nan or inf")
+    metal = nominal_plant(vehicle)
+    if isinstance(inputs, Valves) and len(inputs.jet) and max(inputs.jet) >= len(vehicle.jets):
+        raise TestbedError(
+            where="predict", expected=f"jets 0 to {len(vehicle.jets) - 1}",
+            found=f"jet {max(inputs.jet)}",
+        )  # fmt: skip
+    ground = LEVEL if table is None else lay(table)
+    schedule = schedule_of(inputs, metal, vehicle.command_delay_s)
+    in_table = isinstance(inputs, Wrenches) and inputs.in_table
+    return shoot(
+        start[None], np.zeros(1), marks[:1], marks[None], schedule, metal, ground, in_table
+    )[0]

@@ -1,0 +1,87 @@
+"""Which groups of parameters a log supports: cross-validation by time and by region.
+
+Around the fit of all parameters the errors are linear, so leaving a part of the log out, and a
+group at its prior, is one linear solve.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.identification.estimate import Estimate, normal
+from testbed.identification.model import Model
+from testbed.identification.windows import Windows
+
+Array = NDArray[np.float64]
+TIME_FOLDS, REGION_FOLDS = 6, 4
+ALWAYS = ("thrust", "delay", "slope")  # no table is level
+LEAST_GAIN = 0.0005  # of the error, relative
+
+
+def folds(estimate: Estimate, logs: Sequence[Windows]) -> list[NDArray[np.int64]]:
+    """Number of the part of each piece: by time, and by place."""
+    count = len(estimate.pieces)
+    by_time = np.arange(count) * min(TIME_FOLDS, count) // count
+    place = np.array([logs[q.log].seen[q.window, 0, :2] for q in estimate.pieces])
+    middle = np.median(place, axis=0)
+    by_region = 2 * (place[:, 0] > middle[0]) + (place[:, 1] > middle[1])
+    return [by_time, by_region]
+
+
+def choose(
+    model: Model, estimate: Estimate, logs: Sequence[Windows]
+) -> tuple[list[str], dict[str, float]]:
+    """The groups that predict unseen parts better, and the gain of each (relative).
+
+    Args:
+        model: the vehicle.
+        estimate: of all groups.
+        logs: its windows.
+    """
+    groups = list(dict.fromkeys(model.parameters[k].group for k in estimate.free))
+    parts = folds(estimate, logs)
+    chosen = [g for g in groups if g in ALWAYS]
+    rest = [g for g in groups if g not in ALWAYS]
+    gains: dict[str, float] = {}
+    now = _unseen(model, estimate, parts, chosen)
+    while rest:
+        tried = {g: _unseen(model, estimate, parts, [*chosen, g]) for g in rest}
+        best = min(rest, key=lambda g: float(tried[g].mean()))
+        gain = now - tried[best]
+        error = gain.std() / np.sqrt(len(gain))
+        relative = float(gain.mean() / now.mean())
+        if relative < LEAST_GAIN or gain.mean() < 0.5 * error:
+            gains |= {g: float((now - tried[g]).mean() / now.mean()) for g in rest}
+            break
+        gains[best], now = relative, tried[best]
+        chosen.append(best)
+        rest.remove(best)
+    return chosen, gains
+
+
+def _unseen(
+    model: Model, estimate: Estimate, parts: Sequence[NDArray[np.int64]], groups: Sequence[str]
+) -> Array:
+    """Weighted square error of each piece when its part was not in the fit; both ways of parts."""
+    free = estimate.free
+    used = np.isin(free, model.of_groups(groups))
+    prior = np.diag(1.0 / model.sigma[free][used] ** 2)
+    back = np.where(used, 0.0, (model.prior - estimate.p)[free])  # groups at their prior
+    pieces, weights = estimate.pieces, estimate.weights
+    level = float(np.average([np.mean(q.error**2) for q in pieces], weights=weights))
+    errors = np.zeros(len(pieces))
+    for part in parts:
+        for fold in np.unique(part):
+            inside = part != fold
+            seen = [q._replace(error=q.error - q.slope @ back, slope=q.slope[:, used])
+                    for q, keep in zip(pieces, inside, strict=True) if keep]  # fmt: skip
+            if not seen:
+                continue
+            matrix, side = normal(seen, weights[inside] / level)
+            pull = prior @ (model.prior - estimate.p)[free][used]
+            step = np.linalg.solve(matrix + prior, side + pull)
+            for k in np.flatnonzero(~inside):
+                left = pieces[k].error - pieces[k].slope @ back - pieces[k].slope[:, used] @ step
+                errors[k] += weights[k] * float(np.mean(left**2)) / len(parts)
+    return errors

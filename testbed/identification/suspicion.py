@@ -1,0 +1,245 @@
+"""Checks that a log is what its mapping says, before anything is fitted.
+
+The second integral of the commanded acceleration, turned by the measured heading, must look like
+the measured path. In complex numbers, a scaled, turned or mirrored path is the predicted one (or
+its conjugate) times a complex number; so wrong units, axes and signs are told from one regression
+each.
+"""
+
+import cmath
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.vehicle import Vehicle
+from testbed.identification.columns import LogRefusedError
+from testbed.identification.model import Model
+from testbed.identification.motion_log import MotionLog
+from testbed.identification.prediction import Valves, Wrenches
+from testbed.identification.windows import tiled
+
+Array = NDArray[np.float64]
+GRID = 0.02  # [s]
+DELAYS = np.arange(0.0, 0.85, 0.05)  # [s] tried
+TILE = 3.0  # [s]
+CLEARLY = 0.12  # of explained variance, by which another reading must be better
+UNEXPLAINED = 0.04  # on a table with steep slopes little of the motion is commanded
+UNITS = {"mm": 1000.0, "cm": 100.0, "inches": 39.37, "km": 0.001}
+
+
+class Suspicion(NamedTuple):
+    """Something wrong with a log, by name, and in words."""
+
+    name: str
+    text: str
+    refuses: bool = True  # nothing is fitted
+
+
+class Look(NamedTuple):
+    """How well commands explain a log."""
+
+    plain: float  # explained share of the motion with the mapping as it is, positive scale
+    scale: float  # measured over predicted acceleration
+    turn: float  # explained share of the rotation
+    turn_scale: float
+    other: str  # the reading that explains most
+    explained: float  # its share
+    delay: float  # [s]
+
+
+def look_at(logs: Sequence[MotionLog], vehicle: Vehicle) -> Look:
+    """Compare commands and motion of some logs together."""
+    parts = [_Parts(log, vehicle) for log in logs]
+    parts = [part for part in parts if part.windows]
+    if not parts:
+        raise LogRefusedError(
+            where=", ".join(log.where for log in logs),
+            expected=f"undisturbed flight of {0.5 * TILE:g} s or more in one piece",
+            found="none", hint="see [use] of the mapping, --from and --until",
+        )  # fmt: skip
+    tried = [(delay, [part.at(delay) for part in parts]) for delay in DELAYS]
+    best: tuple[float, Look] | None = None
+    for delay, found in tried:
+        look = _judge(found, delay)
+        score = look.explained + 0.5 * look.turn
+        if best is None or score > best[0]:
+            best = score, look
+    assert best is not None
+    return best[1]
+
+
+class _Parts:
+    """One log on a regular grid, cut in windows."""
+
+    def __init__(self, log: MotionLog, vehicle: Vehicle) -> None:
+        self.log = log
+        valves = isinstance(log.inputs, Valves)
+        model = Model(vehicle, valves=valves)
+        p = model.prior.copy()
+        p[model.index("delay")] = 0.0
+        schedule, metal, _ = model.build(p, log.inputs)
+        self.windows = tiled(log, TILE).rows
+        self.grid = np.arange(log.t[0] - 1.0, log.t[-1] + GRID, GRID)
+        k = np.searchsorted(schedule.start, self.grid, side="right") - 1
+        inside = (k >= 0) & (k < len(schedule.value))
+        k = np.clip(k, 0, len(schedule.value) - 1)
+        after = (self.grid - schedule.start[k])[:, None]
+        wrench = np.where(inside[:, None], schedule.value[k] + after * schedule.slope[k], 0.0)
+        self.force = (wrench[:, 0] + 1j * wrench[:, 1]) / metal.mass[0]
+        com = metal.com[0]
+        self.spin = (wrench[:, 2] - com[0] * wrench[:, 1] + com[1] * wrench[:, 0]) / metal.inertia
+        self.in_table = isinstance(log.inputs, Wrenches) and log.inputs.in_table
+        self.heading = np.interp(self.grid, log.t, log.pose[:, 2])
+
+    def at(self, delay: float) -> list[Array]:
+        """Path, readings of the commands and heading, window by window, without a straight line."""
+        shift = round(delay / GRID)
+        force, spin = np.roll(self.force, shift), np.roll(self.spin, shift)
+        force[:shift] = spin[:shift] = 0.0
+        h = self.heading * (0.0 if self.in_table else 1.0)
+        turned = [force * np.exp(1j * f * h) for f in (1.0, -1.0, 57.29578, 1 / 57.29578)]
+        if self.in_table:
+            turned += [force * np.exp(1j * self.heading)]
+        else:
+            turned += [force]
+        paths = [_twice(a) for a in turned]
+        q = _twice(spin)
+        z = self.log.pose[:, 0] + 1j * self.log.pose[:, 1]
+        found: list[Array] = []
+        for rows in self.windows:
+            t = self.log.t[rows]
+            base = np.stack([np.ones(len(t)), t - t[0]], axis=1)
+            columns = [z[rows], self.log.pose[rows, 2]]
+            columns += [_at(self.grid, one, t) for one in (*paths, q)]
+            stack = np.stack(columns, axis=1)
+            stack -= base @ np.linalg.lstsq(base, stack, rcond=None)[0]
+            found.append(stack)
+        return found
+
+
+READINGS = ("", "heading-sign", "unit-angle", "unit-angle", "frame")
+
+
+def _judge(found: list[list[Array]], delay: float) -> Look:
+    windows = [one for part in found for one in part]
+    weights = np.ones(len(windows))
+    best, plain, scale, explained = "", 0.0, 0.0, -1.0
+    for turn in range(2):
+        stack = np.concatenate([w * np.sqrt(k) for w, k in zip(windows, weights, strict=True)])
+        z = stack[:, 0]
+        total = max(float(np.sum(np.abs(z) ** 2)), 1e-18)
+        path = stack[:, 2]
+        power = max(float(np.sum(np.abs(path) ** 2)), 1e-18)
+        scale = float(np.real(np.vdot(path, z))) / power
+        plain = 1.0 - float(np.sum(np.abs(z - max(scale, 0.0) * path) ** 2)) / total
+        if turn == 0:
+            c = np.vdot(path, z) / power
+            size = np.array([np.sqrt(np.mean(np.abs(w[:, 0] - c * w[:, 2]) ** 2)) for w in windows])
+            limit = 2.0 * max(float(np.median(size)), 1e-9)
+            weights = np.minimum(1.0, limit / np.maximum(size, 1e-12))
+    best, explained = "", plain
+    for k, reading in enumerate(READINGS):
+        for mirrored in (False, True):
+            path = np.conj(stack[:, 2 + k]) if mirrored else stack[:, 2 + k]
+            power = max(float(np.sum(np.abs(path) ** 2)), 1e-18)
+            c = complex(np.vdot(path, z) / power)
+            share = 1.0 - float(np.sum(np.abs(z - c * path) ** 2)) / total
+            if share > explained + CLEARLY * (explained < 0.999):
+                best, explained = _named(reading, mirrored, c), share
+    q = np.real(stack[:, -1])
+    theta = np.real(stack[:, 1])
+    turn_scale = float(q @ theta) / max(float(q @ q), 1e-18)
+    left = float(np.sum((theta - turn_scale * q) ** 2)) / max(float(theta @ theta), 1e-18)
+    return Look(plain, scale, 1.0 - left, turn_scale, best, explained, delay)
+
+
+def _named(reading: str, mirrored: bool, c: complex) -> str:
+    if reading:
+        return reading
+    quarter = round(cmath.phase(c) / (np.pi / 2)) % 4
+    if mirrored:
+        return ("mirrored-y", "axes-swapped", "mirrored-x", "axes-swapped")[quarter]
+    return ("frame-turned", "frame-turned", "signs-turned", "frame-turned")[quarter]
+
+
+WORDS = {
+    "heading-sign": "the heading counts clockwise; expected counter-clockwise",
+    "unit-angle": "the heading is in degrees where the mapping says rad, or the reverse",
+    "frame": "the forces are in the other frame: table and body are exchanged",
+    "mirrored-y": "y points the other way: the axes are not right-handed",
+    "mirrored-x": "x points the other way: the axes are not right-handed",
+    "axes-swapped": "x and y are exchanged",
+    "frame-turned": "the axes of the log are turned against the heading",
+    "signs-turned": "forces and motion have opposite signs: x and y reversed, or heading off by pi",
+}
+
+
+def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicion]:
+    """What is wrong with the logs as a whole."""
+    if not any(log.whole.any() for log in logs):
+        look_at(logs, vehicle)  # refuses them
+    implausible = [one for log in logs for one in _plausible(log)]
+    if implausible:
+        yield from implausible
+        return
+    found = look_at(logs, vehicle)
+    for unit, factor in UNITS.items():
+        if 0.3 < found.scale / factor < 3.0 and found.plain > 0.2:
+            text = (
+                f"positions move {found.scale:.3g} times as far as commanded: are they in {unit}?"
+            )
+            yield Suspicion("unit-position", text)
+            return
+    for factor, unit in ((57.3, "degrees"), (1 / 57.3, "radians")):
+        if 0.4 < found.turn_scale / factor < 2.5 and found.turn > 0.2:
+            text = f"the heading turns {found.turn_scale:.3g} times as far as commanded: in {unit}?"
+            yield Suspicion("unit-angle", text)
+            return
+    if found.other and found.explained > max(0.25, found.plain + CLEARLY):
+        yield Suspicion(
+            found.other,
+            f"{WORDS[found.other]}: so the commands explain {found.explained:.0%} of the motion,"
+            f" as the mapping says only {max(0.0, found.plain):.0%}",
+        )
+        return
+    if found.plain < UNEXPLAINED:
+        yield Suspicion(
+            "unexplained",
+            f"the commands explain only {max(0.0, found.plain):.0%} of the motion: another log's"
+            " commands, another vehicle, swapped columns or a clock error",
+        )
+        return
+    turns = any(np.ptp(log.pose[:, 2]) > 0.3 for log in logs)
+    if found.turn_scale < -0.2 and found.turn > 0.3 and turns:
+        text = "the vehicle turns against its commanded torque: heading or jets mirrored"
+        yield Suspicion("heading-sign", text)
+
+
+def _plausible(log: MotionLog) -> Iterator[Suspicion]:
+    kept = log.pose[log.whole]
+    if not len(kept):
+        return
+    reach = np.ptp(kept[:, :2], axis=0)
+    if reach.max() > 100.0:
+        yield Suspicion("unit-position", f"{log.where}: the path spans {reach.max():.4g} m: in mm?")
+    elif max(reach.max(), 0.2 * float(np.ptp(kept[:, 2]))) < 1e-3:
+        yield Suspicion("no-motion", f"{log.where}: the vehicle moves less than 1 mm")
+    step = np.abs(np.diff(kept[:, 2]))
+    dt = np.diff(log.t[log.whole])
+    if len(step) and float(np.quantile(step / dt, 0.9)) > 6.0:
+        text = f"{log.where}: the heading turns faster than a turn per second: degrees read as rad?"
+        yield Suspicion("unit-angle", text)
+
+
+def _twice(a: Array) -> Array:
+    """Second integral on the grid."""
+    v = np.concatenate([[0.0], np.cumsum(0.5 * (a[1:] + a[:-1]))]) * GRID
+    return np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]))]) * GRID
+
+
+def _at(grid: Array, values: Array, t: Array) -> Array:
+    if np.iscomplexobj(values):
+        return np.interp(t, grid, values.real) + 1j * np.interp(t, grid, values.imag)
+    return np.interp(t, grid, values)

@@ -1,0 +1,74 @@
+"""`predict` is the plant, without noise, from any state."""
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+import testbed
+from sim_twin.plant import Plant
+from testbed.core.types import Pose, ValveCommand
+from testbed.core.vehicle import Tolerance
+from testbed.identification.prediction import Valves, Wrenches, predict, pulses
+
+PERIOD = 0.1
+
+
+@pytest.fixture(scope="module")
+def exact(floater):
+    return structs.replace(floater, tolerance=Tolerance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+def test_it_flies_as_the_plant_does(exact, table):
+    plant = Plant({"a": exact}, {"a": Pose(0.1, -0.2, 0.3)}, table, {}, 0)
+    rng = np.random.default_rng(1)
+    share = np.where(rng.random((20, 8)) < 0.3, rng.uniform(0.3, 0.8, (20, 8)).round(3), 0.0)
+    for k in range(20):
+        on = tuple(round(1e5 * one) for one in share[k])
+        plant.boards["a"].apply(ValveCommand(k, PERIOD * k, PERIOD * (k + 1), on, (0,) * 8))
+        plant.advance(PERIOD * (k + 1))
+    inputs = pulses(PERIOD * np.arange(20), share, PERIOD)
+    end = predict(exact, table, inputs, [0.1, -0.2, 0.3, 0.0, 0.0, 0.0], [0.0, 2.0])[-1]
+    np.testing.assert_allclose(end, plant.x[0], rtol=0.0, atol=1e-9)
+
+
+def test_a_state_on_the_way_is_a_start(exact, table):
+    inputs = pulses(PERIOD * np.arange(30), np.eye(8)[np.arange(30) % 8] * 0.5, PERIOD)
+    whole = predict(exact, table, inputs, np.zeros(6), [0.0, 1.33, 3.0])
+    rest = predict(exact, table, inputs, whole[1], [1.33, 3.0])
+    np.testing.assert_allclose(rest[-1], whole[-1], atol=1e-5)  # the gas of 1.33 s
+
+
+def test_delays_are_smooth(exact):
+    inputs = Valves(np.array([0.1]), np.array([0.3]), np.array([4]))
+
+    def end(delay):
+        late = structs.replace(exact, command_delay_s=delay)
+        return predict(late, None, inputs, np.zeros(6), [0.0, 1.0])[-1, 0]
+
+    nudge = 1e-7
+    slope = (end(0.02 + nudge) - end(0.02)) / nudge
+    assert slope == pytest.approx(-0.2 * 0.6 / exact.mass, rel=1e-3)
+
+
+def test_a_force_of_the_table_does_not_turn_with_the_body(exact):
+    t = np.arange(0.0, 2.0, 0.1)
+    force = np.tile([0.5, 0.0, 0.0], (20, 1))
+    turning = [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    end = predict(exact, None, Wrenches(t, force, in_table=True), turning, [0.0, 2.0])[-1]
+    still = predict(exact, None, Wrenches(t, force), np.zeros(6), [0.0, 2.0])[-1]
+    np.testing.assert_allclose(end[[0, 1]], still[[0, 1]], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("x0", "times"),
+    [([0.0] * 5, [0.0, 1.0]), ([0.0] * 6, [1.0, 0.0]), ([np.nan] * 6, [0.0, 1.0]), ([0.0] * 6, [])],
+)
+def test_bad_input_is_refused(exact, x0, times):
+    none = Valves(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
+    with pytest.raises(testbed.TestbedError, match="predict"):
+        predict(exact, None, none, x0, times)
+
+
+def test_it_is_behind_the_public_door():
+    assert testbed.predict is predict
+    assert testbed.Valves is Valves
