@@ -30,7 +30,7 @@ def of_flights(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.group()
 def calibrate() -> None:
-    """Measure a vehicle, a table or cameras from logs (docs/calibrate.md)."""
+    """Fit a vehicle, a table or cameras to logs (docs/calibrate.md)."""
 
 
 @calibrate.command()
@@ -113,7 +113,10 @@ def mocap(
     context: click.Context, log: Path, time: str, value: str, source: str, camera: str,
     mapping: str | None, vehicle: str | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Latency of the cameras from a marker on a known angle, or the rest from a flight."""
+    """Measure the cameras.
+
+    Latency from a marker on a known angle, or noise, axes and offset from a flight.
+    """
     from testbed.cli import calibrate as work
 
     context.exit(work.mocap(log, mapping, vehicle, (source, time, value), camera, as_json))
@@ -158,14 +161,16 @@ def validate(
 @click.command()
 @click.option("--vehicle", required=True, help="Vehicle file, or name of a shipped one.")
 @click.option("--table", default="marble_6m", show_default=True, help="Table file or name.")
-@click.option("--seconds", type=click.FloatRange(10.0, 600.0), default=120.0, show_default=True)
+@click.option("--seconds", type=click.FloatRange(10.0, 600.0), default=120.0, show_default=True,
+              help="Duration of the commands [s].")  # fmt: skip
 @click.option("--room", type=click.FloatRange(min=0.1), default=1.5, show_default=True,
               help="Distance from the start that it may use [m].")  # fmt: skip
 @click.option("--gas", type=click.FloatRange(min=0.0, min_open=True),
               help="Gas that it may use [g].  [default: half a tank]")  # fmt: skip
 @click.option("--period", type=click.FloatRange(0.02, 1.0), default=0.1, show_default=True,
               help="Period of the valve commands [s].")  # fmt: skip
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True,
+              help="Random seed of the commands.")  # fmt: skip
 @click.option("--out", type=OUT, help="Write the commands to this CSV file.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
 @click.pass_context
@@ -173,7 +178,7 @@ def excite(
     context: click.Context, vehicle: str, table: str, seconds: float, room: float,
     gas: float | None, period: float, seed: int, out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Design valve commands that tell most about a vehicle, within room, gas and time."""
+    """Design valve commands that tell most about a vehicle."""
     from testbed.cli import calibrate as work
 
     context.exit(

@@ -262,7 +262,7 @@ def log(context: click.Context, run: Path, as_json: bool) -> None:
 )
 @click.pass_context
 def export(context: click.Context, run: Path, kind: str, out: Path | None) -> None:
-    """Export the log of a RUN as tables, as a ROS 2 bag or as a rerun recording."""
+    """Export the log of a RUN: tables, ROS 2 bag, rerun recording."""
     from testbed.cli.log import export_run
 
     context.exit(export_run(run, kind, out))
@@ -318,7 +318,10 @@ def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | No
 @click.option("--port", type=click.IntRange(1, 65535), help="Port of the page.  [default: 8765]")
 @click.pass_context
 def console(context: click.Context, run: Path | None, bind: str, port: int | None) -> None:
-    """Serve the operator's page for a RUN folder, by default of the flight on this machine."""
+    """Serve the operator's page of a RUN folder.
+
+    Without RUN: of the flight on this machine.
+    """
     from testbed.cli.console import show_page
 
     context.exit(show_page(run, bind, port))

@@ -9,6 +9,7 @@ from firmware_interface.compiler import CompilerError
 from firmware_interface.messages import Config
 from testbed.cli.main import main
 from testbed.config import ConfigError, find, load
+from testbed.logs.packing import unpack
 from testbed.rig import boards
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
@@ -46,8 +47,7 @@ def edges_in(log):
     with log.open("rb") as stream:
         for _, channel, message in make_reader(stream).iter_messages():
             if channel.topic.endswith("/valves"):
-                valves = msgspec.json.decode(message.data)
-                edges[channel.topic.split("/")[1]].append((valves["t"], valves["mask"]))
+                edges[channel.topic.split("/")[1]].append(unpack("Valves", message.data).fixed)
     return edges
 
 

@@ -67,8 +67,10 @@ def wrong_run(plant: Plant) -> Run:
 
 
 def put(tree: Any, key: Key, value: Any) -> None:
-    """Set one entry; `*` is every entry of a list."""
+    """Set one entry; `*` is every entry of a list, `1` the first."""
     first, *rest = key
+    if isinstance(tree, list) and first != "*":
+        first = int(first) - 1  # entries count from 1
     for name in range(len(tree)) if first == "*" else [first]:
         if not rest:
             tree[name] = value

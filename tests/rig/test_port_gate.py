@@ -5,6 +5,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
+from testbed.core.codes import InhibitReason
 from testbed.core.types import Health, ValveCommand
 from testbed.rig.wired.command_guard import CommandGuard
 
@@ -51,7 +52,7 @@ def test_replayed_late_and_overlong_plans_do_not():
     for bad in (plan(5, 2.0), plan(4, 2.0), plan(6, 1.8), plan(6, 2.0, life=1.0), plan(6, 2.5)):
         gate.apply(bad)
     assert gate.refused == 5
-    assert gate.reason == "a plan from the future"
+    assert gate.reason.code == InhibitReason.PLAN_FROM_FUTURE
     gate.apply(plan(6, 2.0))  # a refused one does not use its number up
     assert [p.seq for p in board.got] == [5, 6]
 
