@@ -311,6 +311,31 @@ def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | No
 
 
 @main.command()
+@click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "--connect", "endpoint", default="tcp/127.0.0.1:7447", show_default=True, metavar="ENDPOINT",
+    help="Router of ROS 2 (rmw_zenohd).",
+)  # fmt: skip
+@click.option(
+    "--domain", type=click.IntRange(0, 232), default=0, envvar="ROS_DOMAIN_ID", show_default=True,
+    help="Domain of ROS 2.",
+)  # fmt: skip
+@click.option(
+    "--speed", type=click.FloatRange(min=0.0, min_open=True), default=1.0, show_default=True,
+    help="Multiple of real time.",
+)  # fmt: skip
+@click.pass_context
+def ros2(context: click.Context, run: Path, endpoint: str, domain: int, speed: float) -> None:
+    """Publish a RUN folder to ROS 2, which must use rmw_zenoh.
+
+    A flight is published live if its table file has ros2 = true in [lab.network].
+    """
+    from testbed.cli.ros2 import publish_run
+
+    context.exit(publish_run(run, endpoint, domain, speed))
+
+
+@main.command()
 @click.argument(
     "run", type=click.Path(exists=True, file_okay=False, path_type=Path), required=False
 )
