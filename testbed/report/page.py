@@ -7,14 +7,14 @@ from pathlib import Path
 
 import msgspec
 
-from testbed.config.experiment import Experiment
+from testbed.config.experiment import CHANGEABLE, Experiment, Fork
 from testbed.core.error import TestbedError
 from testbed.logs.history import History
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import TO_THE_START, Metrics
 from testbed.report.chart import THEME, alone, draw
 from testbed.report.events import happened
-from testbed.report.figures import analogue, figures
+from testbed.report.figures import Original, analogue, figures
 from testbed.report.item import Chart
 from testbed.report.law import law_of
 from testbed.report.provenance import colophon, timing
@@ -50,10 +50,11 @@ class ReportError(TestbedError):
 
 
 def write_report(
-    folder: Path, scenario: Experiment, history: History, metrics: Metrics, config: str
-) -> list[Path]:
+    folder: Path, scenario: Experiment, history: History, metrics: Metrics, config: str,
+    original: Original | None = None,
+) -> list[Path]:  # fmt: skip
     """Write report.html and figures/*.svg to a run folder; returns the files, the report first."""
-    charts = figures(scenario, history, metrics.touches)
+    charts = figures(scenario, history, metrics.touches, original)
     try:
         drawings = folder / "figures"
         drawings.mkdir(exist_ok=True)
@@ -199,6 +200,7 @@ def _flown(scenario: Experiment) -> str:
         f"\N{MULTIPLICATION SIGN} {size[1]:g} m."
         + (f" Obstacles: {'; '.join(obstacles)}." if obstacles else " No obstacles.")
         + f" Planned: {scenario.duration_s:g} s."
+        + "".join(f" From {one.at_s:g} s on: {escape(_changes(one))}." for one in scenario.forks)
     )
     has_goals = not has_formation(scenario.controller)
     rows = "".join(
@@ -215,6 +217,12 @@ def _flown(scenario: Experiment) -> str:
         f"{'<th>goal</th>' * has_goals}<th>mass [kg]</th><th>radius [m]</th><th>jets</th></tr>"
         f"{rows}</table></div>"
     )
+
+
+def _changes(fork: Fork) -> str:
+    """What a fork changes."""
+    changed = [f"another {key}" for key in CHANGEABLE if getattr(fork, key) is not None]
+    return ", ".join(changed) or "a fork without changes of law, chain or seed"
 
 
 def _warnings(metrics: Metrics) -> str:
