@@ -1,7 +1,6 @@
 """The figures of a run, and the corresponding figures of the paper."""
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -27,45 +26,15 @@ PAPERS = {  # corresponding figures of the papers
 }  # fmt: skip
 
 
-class Original(NamedTuple):
-    """The run that a fork was made from."""
-
-    name: str
-    t: float  # of the fork [s]
-    history: History
-
-
-def figures(
-    scenario: Experiment, history: History, touches: Sequence[Touch] = (),
-    original: Original | None = None,
-) -> list[Chart]:  # fmt: skip
-    """All applicable figures, in the order of the report, with contacts and the original."""
+def figures(scenario: Experiment, history: History, touches: Sequence[Touch] = ()) -> list[Chart]:
+    """All applicable figures, in the order of the report, with contacts marked."""
     makers = (
         _trajectory, _error, _error_xy, _tracking, _heading, _distances, _separations, _speed,
         _force, _valves, _air, _timing, _filter,
     )  # fmt: skip
     made = [chart for maker in makers for chart in maker(scenario, history)]
     shown = [chart for chart in made if any(_shows(item) for item in chart.items)]
-    marked = [_with_touches(chart, history, touches) for chart in shown]
-    if original is None:
-        return marked
-    before = {chart.key: chart for chart in figures(scenario, original.history)}
-    return [_with_original(chart, before.get(chart.key), original) for chart in marked]
-
-
-def _with_original(chart: Chart, before: Chart | None, original: Original) -> Chart:
-    """Add the lines of the original, dotted, and the time of the fork."""
-    lines: list[Item] = [
-        replace(one, name="", style="dotted")
-        for one in (before.items if before else ())
-        if isinstance(one, Line) and one.style == ""
-    ]
-    if chart.key == "valves" or not lines:
-        return chart
-    if chart.x_label.startswith("time"):
-        lines.append(Moment(original.t, "fork"))
-    note = f"{chart.note} Dotted: {original.name}, from which this run was forked.".strip()
-    return replace(chart, items=[*lines, *chart.items], note=note)
+    return [_with_touches(chart, history, touches) for chart in shown]
 
 
 def _with_touches(chart: Chart, history: History, touches: Sequence[Touch]) -> Chart:

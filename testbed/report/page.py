@@ -14,9 +14,10 @@ from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import TO_THE_START, Metrics
 from testbed.report.chart import THEME, alone, draw
 from testbed.report.events import happened
-from testbed.report.figures import Original, analogue, figures
+from testbed.report.figures import analogue, figures
 from testbed.report.item import Chart
 from testbed.report.law import law_of
+from testbed.report.original import Original, with_original
 from testbed.report.provenance import colophon, timing
 from testbed.report.verdict import CRITERIA, UNCOUNTED, missed, reasons, verdict
 
@@ -54,7 +55,9 @@ def write_report(
     original: Original | None = None,
 ) -> list[Path]:  # fmt: skip
     """Write report.html and figures/*.svg to a run folder; returns the files, the report first."""
-    charts = figures(scenario, history, metrics.touches, original)
+    charts = figures(scenario, history, metrics.touches)
+    if original is not None:
+        charts = with_original(charts, figures(scenario, original.history), original)
     try:
         drawings = folder / "figures"
         drawings.mkdir(exist_ok=True)

@@ -17,10 +17,10 @@ from testbed.config import ConfigError, Experiment, Fork
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.fault_injection import ON_WIRES
 from testbed.core.law import Concern
-from testbed.core.ports import Clock
+from testbed.core.ports import Clock, HostLink
 from testbed.core.types import Pose
 from testbed.faults.law_faults import CrashableNode
-from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, come_to_rest, fly
+from testbed.flight.loop import Chain, Ending, HostNode, Observer, VehicleNode, come_to_rest, fly
 from testbed.flight.safety import SPARE_S
 from testbed.flight.supervisor import Supervisor
 from testbed.metrics.afterwards import MINUTE, STEP, After, judge_after
@@ -188,8 +188,20 @@ class TwinRig(Struct, frozen=True):
         return {}
 
 
-def make_twin(experiment: Experiment) -> TwinRig:
-    """Build the twin rig of an experiment."""
+def twin_node(twin: Twin, name: str, chain: Chain) -> VehicleNode:
+    """A vehicle that lives on the twin."""
+    link, vitals = TwinVehicleLink(twin, name), partial(twin.vitals, name)
+    return VehicleNode(
+        name, chain, TwinPoses(twin, name), TwinThrusters(twin, name), link, vitals
+    )  # fmt: skip
+
+
+def make_twin(
+    experiment: Experiment,
+    make_node: Callable[[Twin, str, Chain], VehicleNode] = twin_node,
+    make_link: Callable[[Twin, str], HostLink] = TwinHostLink,
+) -> TwinRig:
+    """Build the twin rig of an experiment; the makers are those of `resumed.py`, or the twin's."""
     setups = experiment.vehicles
     for what in experiment.inject:
         if what.kind in ON_WIRES:
@@ -211,21 +223,14 @@ def make_twin(experiment: Experiment) -> TwinRig:
     spoilt = {n: None if sabotage is None else partial(sabotage.spoilt, n) for n in setups}
     vehicles: list[VehicleNode | CrashableNode] = []
     for name, setup in setups.items():
-        node = VehicleNode(
-            name,
-            make_vehicle(experiment, name, spoilt[name]),
-            TwinPoses(twin, name),
-            TwinThrusters(twin, name),
-            TwinVehicleLink(twin, name),
-            partial(twin.vitals, name),
-        )
+        node = make_node(twin, name, make_vehicle(experiment, name, spoilt[name]))
         if sabotage is None:
             vehicles.append(node)
         else:
             jets = len(setup.model.jets)
             vehicles.append(CrashableNode(node, jets, partial(sabotage.dead, name)))
     hosts = [
-        make_host(experiment, name, TwinHostLink(twin, name), spoilt[name])
+        make_host(experiment, name, make_link(twin, name), spoilt[name])
         for name in setups
         if experiment.deploy.law == "host"
     ]

@@ -8,6 +8,8 @@ from pathlib import Path
 from threading import current_thread, main_thread
 from typing import Literal
 
+from msgspec.structs import replace
+
 from testbed.config import Experiment, dump, load
 from testbed.core.error import TestbedError
 from testbed.logs.log_reader import config_of, log_of
@@ -19,11 +21,13 @@ from testbed.rig.twin import make_twin
 from testbed.run.flown import Run, read_run
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import new_folder, take_back, utc_ns, write_config, write_metrics
-from testbed.run.fork import check_fork, forked
+from testbed.run.fork import check_fork, forked, resumed
 from testbed.run.interrupt import Interrupt
 from testbed.run.progress import Progress
 from testbed.run.replay import replay_experiment
 from testbed.run.report import write_page
+
+Maker = Callable[[Path], Callable[[Experiment], Rig]]  # for a folder, what builds the rig
 
 
 class InterruptedFlight(KeyboardInterrupt):
@@ -59,7 +63,10 @@ def fly(
         InterruptedFlight: Ctrl-C; a KeyboardInterrupt. The flight was ended and its files were
             finished first.
     """
-    make = _maker(rig)
+    return _fly(experiment, _maker(rig), log, progress)
+
+
+def _fly(experiment: Experiment, make: Maker, log: str | Path | None, progress: bool) -> Run:
     check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
     interrupt = Interrupt()
     with ExitStack() as stack:
@@ -86,7 +93,7 @@ def fly(
     return run
 
 
-def _maker(rig: str) -> Callable[[Path], Callable[[Experiment], Rig]]:
+def _maker(rig: str) -> Maker:
     if rig == "twin":
         return lambda folder: make_twin
     if rig == "bench":
@@ -116,7 +123,7 @@ def replay(run: Run, *overrides: str) -> Replay:
 def fork(
     run: Run, t: float, *overrides: str, log: str | Path | None = None, progress: bool = False
 ) -> Run:
-    """Fly a run of the twin again up to a time, and on from there with changes.
+    """Fly a run again on the twin up to a time, and on from there with changes.
 
     Args:
         run: of `open_run`, or of `fly` with a log.
@@ -135,8 +142,12 @@ def fork(
     """
     original = _logged(run, "fork")
     experiment = forked(load(config_of(original)), t, overrides)
+    make = _maker("twin")
+    if run.metrics.rig != "twin":
+        experiment, rig = replace(experiment, board="model"), resumed(original, t)
+        make = lambda folder: rig  # noqa: E731
     folder = new_folder(None if log is None else Path(log), experiment.name)
-    flown = fly(experiment, log=folder, progress=progress)
+    flown = _fly(experiment, make, folder, progress)
     check_fork(original, folder, t, on_board=experiment.deploy.law == "vehicle")
     write_page(folder, experiment)
     return flown

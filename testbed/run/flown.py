@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -161,10 +162,11 @@ class Run(Mapping[str, Vehicle]):
         Raises:
             TestbedError: see `testbed.fork`.
         """
-        from testbed.run.api import fork  # it makes runs
-
         values = {**(changes or {}), **more}
-        return fork(self, t, *(f"{key}={toml(value)}" for key, value in values.items()), log=log)
+        texts = [f"{key}={toml(value)}" for key, value in values.items()]
+        api = import_module("testbed.run.api")  # it makes runs, so it imports this module
+        forked: Run = api.fork(self, t, *texts, log=log)
+        return forked
 
     def __repr__(self) -> str:
         m = self.metrics

@@ -1,13 +1,15 @@
 """A run flown again from its seed up to some tick, and on from there with changes.
 
 The twin is deterministic, so flying again restores every memory of vehicles, laws and twin, and the
-state of every random stream. Each tick up to the fork is compared with the log of the original.
+state of every random stream. A run on bench or table is fed from its log instead, and the twin goes
+on from the estimate. Each tick up to the fork is compared with the log of the original.
 """
 
 import math
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,8 @@ from testbed.files import write_atomic
 from testbed.logs.log_reader import LogReader, config_of, log_of
 from testbed.logs.replay import Difference, before_damage, difference, parting
 from testbed.logs.row_reader import RowReader
+from testbed.rig.interface import Rig
+from testbed.rig.resumed import make_resumed
 
 OF_THE_WHOLE = ("name", "description", "criteria", "duration_s")  # may change, for the whole run
 TICKS = ("tick", "ending", "host")
@@ -86,35 +90,59 @@ def _only_later(base: Experiment, changed: Experiment, t: float) -> None:
 
 def departure(original: Path, fork: Path, t: float, *, on_board: bool) -> Difference | None:
     """The first tick before `t` at which a fork's log is not that of the original."""
-    then_reads, now_reads = RowReader(), RowReader()
-    rows = zip_longest(_ticks(original, t, then_reads), _ticks(fork, t, now_reads))
-    for k, (one, other) in enumerate(rows):
-        if one is None or other is None or one[:2] != other[:2]:
-            was, now = (None if tick is None else tick[0] for tick in (one, other))
-            return Difference(k, t, "log", "which tick comes next", was, now, None, "order")
-        if one[2] == other[2]:
-            continue
-        ticks = [
-            reads.host(one[0], data) if one[0].endswith("/host") else reads.tick(one[0], data)
-            for reads, data in ((then_reads, one[2]), (now_reads, other[2]))
-        ]
-        before, after = map(msgspec.to_builtins, ticks)
-        if (found := difference(before["inputs"], after["inputs"], "inputs")) is not None:
-            return Difference(k, ticks[0].inputs.t, one[0], *found, "twin")
-        if (first := parting(k, one[0], *ticks, law_on_board=on_board)) is not None:
-            return first
-    return None
+    (then, reads), (now, reads_now) = _ticks(original, t), _ticks(fork, t)
+    found: list[Difference] = []
+    for topic in {**then, **now}:
+        pairs = zip_longest(then.get(topic, ()), now.get(topic, ()))
+        for k, (one, other) in enumerate(pairs):
+            if one == other:
+                continue
+            if one is None or other is None:
+                numbers = (len(then.get(topic, ())), len(now.get(topic, ())))
+                found.append(Difference(k, t, topic, "number of ticks", *numbers, None, "log"))
+                break
+            first = _between(k, topic, read(reads, topic, one), read(reads_now, topic, other),
+                             on_board=on_board)  # fmt: skip
+            if first is not None:
+                found.append(first)
+                break
+    return min(found, key=lambda one: one.t, default=None)
 
 
-def _ticks(run: Path, t: float, reader: RowReader) -> Iterator[tuple[str, int, bytes]]:
-    """Rows of ticks before `t`; the reader learns what they refer to."""
-    until = round(1e9 * (t - 1e-6))
+def _between(k: int, topic: str, then: Any, now: Any, *, on_board: bool) -> Difference | None:
+    """Where two ticks differ; their inputs come first."""
+    before, after = msgspec.to_builtins(then.inputs), msgspec.to_builtins(now.inputs)
+    if (found := difference(before, after, "inputs")) is not None:
+        return Difference(k, then.inputs.t, topic, *found, "twin")
+    return parting(k, topic, then, now, law_on_board=on_board)
+
+
+def _ticks(run: Path, t: float) -> tuple[dict[str, list[bytes]], RowReader]:
+    """Rows of ticks before `t` by topic, and the reader that knows what they refer to."""
+    until, rows, reader = round(1e9 * (t - 1e-6)), dict[str, list[bytes]](), RowReader()
     for topic, stamp, data in before_damage(LogReader(log_of(run))):
         kind = topic.rpartition("/")[2]
         if kind not in TICKS:
             reader.learn(topic, {"names": "Names", "event": "Event"}.get(kind, ""), data)
         elif stamp < until:
-            yield topic, stamp, data
+            rows.setdefault(topic, []).append(data)
+    return rows, reader
+
+
+def read(reader: RowReader, topic: str, data: bytes) -> Any:
+    """The tick of a vehicle or of a host in a row."""
+    return reader.host(topic, data) if topic.endswith("/host") else reader.tick(topic, data)
+
+
+def resumed(original: Path, t: float) -> Callable[[Experiment], Rig]:
+    """Builds the twin that goes on from `t` of a run on bench or table."""
+    rows, reader = _ticks(original, t)
+    ticks = [
+        (topic.split("/")[1], read(reader, topic, data))
+        for topic, each in rows.items()
+        for data in each
+    ]
+    return partial(make_resumed, ticks)
 
 
 def check_fork(original: Path, folder: Path, t: float, *, on_board: bool) -> None:

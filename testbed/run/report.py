@@ -7,7 +7,7 @@ from testbed.config import Experiment, load
 from testbed.core.extra import pip_install
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader, log_of
-from testbed.report.figures import Original
+from testbed.report.original import Original
 from testbed.report.page import ReportError, write_report
 from testbed.run.fork import origin_of
 from testbed.run.post_mortem import judged

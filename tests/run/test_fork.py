@@ -13,6 +13,7 @@ from testbed.cli.main import main
 from testbed.cli.replay import fork_run
 from testbed.config import ConfigError, loads
 from testbed.logs.log_reader import LogReader
+from testbed.rig.resumed import make_resumed
 from testbed.run import fork as forking
 from testbed.run.fork import ForkError, forked
 
@@ -150,6 +151,48 @@ def test_the_note_of_a_fork_names_its_original(run, tmp_path):
     note = json.loads((fork.folder / "fork.json").read_text())
     assert (fork.folder / note["run"]).resolve() == Path(run.folder).resolve()
     assert note["t"] == 2.0
+
+
+@pytest.fixture(scope="module")
+def wired(run, folder):
+    """The run, as if it were of the bench: then only its log counts."""
+    copy = folder / "wired"
+    shutil.copytree(run.folder, copy)
+    text = (copy / "metrics.json").read_text()
+    (copy / "metrics.json").write_text(text.replace('"rig": "twin"', '"rig": "bench"'))
+    return testbed.open_run(copy)
+
+
+def test_a_run_on_wires_goes_on_on_the_twin_from_its_estimate(wired, tmp_path):
+    fork = wired.fork(4.0, log=tmp_path / "b")
+    n = 40
+    assert np.array_equal(fork["sat1"].on_us[:n], wired["sat1"].on_us[:n])
+    assert np.array_equal(fork["sat1"].pose[:n], wired["sat1"].pose[:n], equal_nan=True)
+    off = fork["sat1"].true_pose[n - 1 : n + 1] - wired["sat1"].true_pose[n - 1 : n + 1]
+    assert 0.0 < np.abs(off[:, :2]).max() < 1e-3
+    later = slice(n, len(fork["sat1"].t))
+    assert np.abs(fork["sat1"].pose[later] - wired["sat1"].pose[later])[:, :2].max() < 3e-3
+    assert (fork.metrics.rig, fork.metrics.contacts, fork.fault) == ("twin", 0, None)
+    assert testbed.replay(fork).first_difference is None
+    changed = wired.fork(4.0, {"controller": {"type": "lqr"}}, log=tmp_path / "c")
+    assert np.array_equal(changed["sat1"].on_us[:n], fork["sat1"].on_us[:n])
+    assert not np.array_equal(changed["sat1"].on_us[n:], fork["sat1"].on_us[n:])
+
+
+def test_a_run_on_wires_that_todays_chain_flies_otherwise_is_not_forked(wired, tmp_path):
+    text = (wired.folder / "config.toml").read_text()
+    (wired.folder / "config.toml").write_text(text.replace("bandwidth = 0.8", "bandwidth = 0.9"))
+    with pytest.raises(ForkError, match="tracker: commanded_wrench"):
+        wired.fork(4.0, log=tmp_path / "b")
+    (wired.folder / "config.toml").write_text(text)
+
+
+def test_a_missing_tick_on_wires_is_named(run):
+    rows, reader = forking._ticks(run.folder, 4.0)
+    ticks = [("sat1", forking.read(reader, "/sat1/tick", one)) for one in rows["/sat1/tick"]]
+    del ticks[7]
+    with pytest.raises(testbed.TestbedError, match=r"every tick of sat1.*\n.*none at 0\.7 s"):
+        make_resumed(ticks, run.experiment)
 
 
 def test_the_command_forks(run, tmp_path, monkeypatch, capsys):

@@ -12,14 +12,18 @@ import pytest
 
 import testbed
 
-gymnasium = pytest.importorskip("gymnasium", reason="the extra `learn` is not installed")
-pettingzoo = pytest.importorskip("pettingzoo", reason="the extra `learn` is not installed")
+if os.environ.get("CI") == "true":  # there a missing tool is a failure
+    import gymnasium
+    import pettingzoo
+else:
+    gymnasium = pytest.importorskip("gymnasium", reason="the extra `learn` is not installed")
+    pettingzoo = pytest.importorskip("pettingzoo", reason="the extra `learn` is not installed")
 
-from gymnasium.utils.env_checker import check_env  # noqa: E402
-from pettingzoo.test import parallel_api_test  # noqa: E402
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
 
-from testbed.env import FleetEnv, TableEnv  # noqa: E402
-from testbed.env.action import largest  # noqa: E402
+from testbed.env import FleetEnv, TableEnv
+from testbed.env.action import largest
 
 ROOT = Path(__file__).parents[2]
 STEP = ROOT / "configs/scenarios/step.toml"
