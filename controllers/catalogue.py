@@ -14,6 +14,7 @@ from controllers.connectivity_dynamic import ConnectivityDynamicParams, connecti
 from controllers.connectivity_static import ConnectivityStaticParams, connectivity_static
 from controllers.lqr import LqrParams, lqr
 from controllers.mpc import MpcParams, mpc
+from controllers.onnx_policy import OnnxParams, onnx_policy
 from controllers.own_law import OwnLawParams, own_law
 from controllers.pd import PdParams, pd
 from controllers.scale import Scaled
@@ -34,6 +35,7 @@ Controller = (
     | BoundedLeaderParams
     | BoundedLeaderVaryingParams
     | BifurcatingParams
+    | OnnxParams
     | OwnLawParams
 )
 
@@ -78,5 +80,7 @@ def _law(params: Controller, names: Sequence[str], d: int) -> Law:
             return bounded_leader_varying(params, names, d)
         case BifurcatingParams():
             return bifurcating(params, d)
+        case OnnxParams():
+            return onnx_policy(params, d)
         case OwnLawParams():
             return own_law(params, names, d)

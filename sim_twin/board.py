@@ -113,6 +113,10 @@ class Board:
         self._play = settled(play)
         self._down = (math.inf, math.inf)  # interval without power [s]
 
+    def reseed(self, rng: np.random.Generator) -> None:
+        """Draw the pulses' thrust from another generator from now on."""
+        self._luck = words(rng)
+
     def lose_power(self, since: float, until: float) -> None:
         """Cut the power from `since` to `until` [s]: all valves close, plans are ignored."""
         if self._down == (since, until):
@@ -167,6 +171,10 @@ class FirmwareBoard:
         self.edges: list[tuple[int, int]] = []  # all so far, as the driver gave them
         self.pulses = pulses
         self.openings = 0
+
+    def reseed(self, rng: np.random.Generator) -> None:
+        """See `Board`."""
+        self._rng = rng
 
     def apply(self, command: ValveCommand) -> None:
         """Pass a plan on."""

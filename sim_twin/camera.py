@@ -115,6 +115,12 @@ class Cameras:
         self.own: Whole = np.arange(n, dtype=np.int64)[None]  # each body its own vehicle
         self.most = 0  # poses of any body that are not yet taken, at most
 
+    def reseed(self, names: Sequence[str], seed: int) -> None:
+        """Draw other random numbers from now on."""
+        for k, name in enumerate(names):
+            noise, luck = stream(seed, name, "camera").spawn(2)
+            self.film.noise[k], self.film.luck[k] = words(noise), words(luck)
+
     def load(self, exposures: int) -> Film:
         """The film, with room for so many exposures."""
         room = self.film.poses.shape[1]

@@ -60,6 +60,10 @@ class Sabotage:
         self._rng = stream(seed, "sabotage")
         self._now = 0.0
 
+    def reseed(self, seed: int) -> None:
+        """Draw other random numbers from now on."""
+        self._rng = stream(seed, "sabotage")
+
     def began(self) -> list[float]:
         """Start time of each injection, in order; infinite: not yet begun [s]."""
         return [one.since for one in self._active]

@@ -127,13 +127,21 @@ class Radio:
         if row == len(self._newest):
             if row == len(self.links.bad):
                 self._grow(rows=2 * row + 16)
-            generator = stream(self._seed, "link", sender, "to", receiver)
-            luck, delays = map(words, generator.spawn(2))
-            self.links.luck[row], self.links.delays[row] = luck, delays
+            self._sow(row, sender, receiver)
             self.links.weather[row] = self._weather
             self.links.trouble[row] = self._trouble.get(receiver, 0.0)
             self._newest.append(-1)
         return row
+
+    def _sow(self, row: int, sender: str, receiver: str) -> None:
+        luck, delays = stream(self._seed, "link", sender, "to", receiver).spawn(2)
+        self.links.luck[row], self.links.delays[row] = words(luck), words(delays)
+
+    def reseed(self, seed: int) -> None:
+        """Draw other random numbers from now on."""
+        self._seed = seed
+        for pair, row in self._rows.items():
+            self._sow(row, *pair)
 
     def _grow(self, *, rows: int = 0, room: int = 0) -> None:
         old, (had, has_room) = self.links, self.links.arrival.shape

@@ -116,6 +116,15 @@ class Twin:
         self._observe = settled(observe)
         self._look(np.empty(0), np.empty((0, len(airs), 6)))
 
+    def reseed(self, seed: int) -> None:
+        """Draw other random numbers from now on; the vehicles stay as they were drawn."""
+        self.cameras.reseed(self.names, seed)
+        self.radio.reseed(seed)
+        for name, board in self.plant.boards.items():
+            board.reseed(stream(seed, name, "pulses"))
+        if self.sabotage is not None:
+            self.sabotage.reseed(seed)
+
     def wait_until(self, t: float) -> None:
         """Advance the simulation to `t` [s]."""
         if t <= self.now:

@@ -5,8 +5,8 @@
     run = testbed.fly(testbed.load("hold", seed=3))
     run.passed, run["sat1"].pose
 
-`load` an experiment, `fly` it, `open_run` a folder, `replay` a run, `sweep` a parameter, `predict`
-a motion, or drive the `Twin` tick by tick. Names are imported on first use.
+`load` an experiment, `fly` it, `open_run` a folder, `replay` or `fork` a run, `sweep` a
+parameter, `predict` a motion, or drive the `Twin` tick by tick. Names are imported on first use.
 """
 
 from importlib import import_module
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from testbed.core.error import TestbedError
     from testbed.core.law import Law
     from testbed.identification.prediction import Valves, Wrenches, predict
-    from testbed.run.api import InterruptedFlight, fly, replay
+    from testbed.run.api import InterruptedFlight, fly, fork, replay
     from testbed.run.experiment import Experiment, load
     from testbed.run.flown import Run, open_run
     from testbed.run.stepper import Twin
@@ -34,6 +34,7 @@ _HOMES = {
     "Valves": "testbed.identification.prediction",
     "Wrenches": "testbed.identification.prediction",
     "fly": "testbed.run.api",
+    "fork": "testbed.run.api",
     "load": "testbed.run.experiment",
     "open_run": "testbed.run.flown",
     "predict": "testbed.identification.prediction",
@@ -51,6 +52,7 @@ __all__ = [
     "Valves",
     "Wrenches",
     "fly",
+    "fork",
     "load",
     "open_run",
     "predict",

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import click
 
+from testbed.cli.again import replay
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
 from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
@@ -219,29 +220,6 @@ def schema(kind: str) -> None:
 
 @main.command()
 @click.argument("run", type=click.Path(exists=True, path_type=Path))
-@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
-@click.option("--view", is_flag=True, help="Play the run in the dashboard afterwards.")
-@click.pass_context
-def replay(
-    context: click.Context, run: Path, overrides: tuple[str, ...], as_json: bool, view: bool
-) -> None:
-    """Run the logged inputs of a RUN folder through the current code.
-
-    The exit code is 1 if an output differs from the log in any bit.
-    """
-    from testbed.cli.replay import replay_run
-
-    code = replay_run(run, overrides, as_json)
-    if view and code != BAD_INPUT:
-        from testbed.cli.dash import play_run
-
-        play_run(run)
-    context.exit(code)
-
-
-@main.command()
-@click.argument("run", type=click.Path(exists=True, path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.pass_context
 def log(context: click.Context, run: Path, as_json: bool) -> None:
@@ -330,8 +308,8 @@ def reproduce(
 
 
 for verb in (
-    agent, benchmark, calibrate, campaign, console, dash, excite, lab_keys, poses, ros2, stop, tune,
-    twin, validate,
+    agent, benchmark, calibrate, campaign, console, dash, excite, lab_keys, poses, replay, ros2,
+    stop, tune, twin, validate,
 ):  # fmt: skip
     main.add_command(verb)
 

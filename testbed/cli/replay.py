@@ -1,4 +1,4 @@
-"""`testbed replay`: compare the outputs of the current code with those in a log."""
+"""`testbed replay`: today's code on the inputs of a log, or on from one of its ticks."""
 
 import sys
 from collections.abc import Sequence
@@ -8,11 +8,16 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from testbed.cli.exit_code import FAILED, OK
+from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import refuse, warn
+from testbed.cli.result import code_of, print_result
 from testbed.config import ConfigError, load
+from testbed.core.error import TestbedError
 from testbed.logs.log_reader import LogError, config_of, log_of
 from testbed.logs.replay import Replay
+from testbed.run.api import InterruptedFlight, fork
+from testbed.run.flown import open_run
+from testbed.run.fork import original_of
 from testbed.run.replay import replay_experiment
 
 
@@ -39,7 +44,27 @@ def _print(verdict: Replay) -> None:
         return
     out.print(
         f"[bold red]different[/] ({verdict.ticks} ticks), first at tick "
-        f"{first.tick}, t = {first.t:.3f} s, {first.topic}"
+        f"{first.tick}, t = {first.t:.3f} s, {first.topic}, {first.stage}"
     )
     size = "" if first.size is None else f", off by {first.size:.3g}"
     out.print(f"  {first.field}: logged {first.logged!r}, now {first.now!r}{size}", markup=False)
+
+
+def fork_run(
+    run: Path, since: float, overrides: Sequence[str], out: Path | None, as_json: bool
+) -> int:
+    """Fly a run again up to a time and on with overrides; return the exit code."""
+    try:
+        with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
+            flown = fork(open_run(original_of(run)), since, *overrides, log=out)
+    except InterruptedFlight as interrupted:
+        flown = interrupted.run
+    except TestbedError as error:
+        return refuse(error)
+    if flown.folder is None:
+        return INTERRUPTED
+    if as_json:
+        sys.stdout.write((flown.folder / "metrics.json").read_text())
+    else:
+        print_result(flown.metrics, flown.experiment, flown.folder)
+    return code_of(flown.metrics)

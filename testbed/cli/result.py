@@ -6,12 +6,24 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Grid
 
+from testbed.cli.exit_code import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.config import Experiment
 from testbed.metrics.afterwards import left_in_words
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import FormationCriteria, Metrics
 from testbed.report.page import OF_A_GOAL, ROWS, known
 from testbed.report.verdict import SHOWN_TOUCHES, UNCOUNTED, missed, touched
+
+
+def code_of(metrics: Metrics) -> int:
+    """The exit code of a run."""
+    if metrics.red:
+        return NOT_STARTED
+    if metrics.fault:
+        return FAULT
+    if not metrics.completed:
+        return INTERRUPTED
+    return OK if all((metrics.criteria or {}).values()) else FAILED
 
 
 def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None:

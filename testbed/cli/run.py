@@ -9,11 +9,10 @@ from pathlib import Path
 
 from controllers.law_file import UnusableLawError
 from controllers.plain_law import LawError
-from testbed.cli.exit_code import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
 from testbed.cli.live import LiveTable
 from testbed.cli.operator import Operator
 from testbed.cli.refusal import errors, refuse, warn
-from testbed.cli.result import print_result
+from testbed.cli.result import code_of, print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
@@ -121,15 +120,9 @@ def run_experiment(
         from testbed.cli.dash import leave
 
         leave(pages)
-    if metrics.red:
-        for reason in metrics.red:
-            errors.print(f"red: {reason}", style="red", markup=False, soft_wrap=True)
-        return NOT_STARTED
-    if metrics.fault:
-        return FAULT
-    if not metrics.completed:
-        return INTERRUPTED
-    return OK if all((metrics.criteria or {}).values()) else FAILED
+    for reason in metrics.red:
+        errors.print(f"red: {reason}", style="red", markup=False, soft_wrap=True)
+    return code_of(metrics)
 
 
 def on_this_machine(experiment: Experiment, rig: str) -> Experiment:

@@ -8,7 +8,7 @@ Every error is a `ConfigError` that says where, what was expected and what was f
 """
 
 from testbed.config.error import ConfigError
-from testbed.config.experiment import Deploy, Experiment, VehicleSetup
+from testbed.config.experiment import Deploy, Experiment, Fork, VehicleSetup
 from testbed.config.file import SHIPPED, dump, find, load, loads
 from testbed.config.tree import read_toml
 
@@ -17,6 +17,7 @@ __all__ = [
     "ConfigError",
     "Deploy",
     "Experiment",
+    "Fork",
     "VehicleSetup",
     "dump",
     "find",

@@ -3,13 +3,14 @@
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
+from msgspec.structs import replace
 
 from controllers.catalogue import Controller
 from testbed.config.shipped import shipped_faults
 from testbed.core.fault_injection import Injection
 from testbed.core.path import Path
 from testbed.core.table import Obstacle, Table
-from testbed.core.vehicle import Positive, Vehicle
+from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.arming import ArmingParams
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import GuidanceParams
@@ -45,6 +46,19 @@ class Deploy(Struct, frozen=True, forbid_unknown_fields=True):
         return self.law_limit_s or max(2.0, 20.0 * jet_period_s)
 
 
+class Fork(Struct, frozen=True, forbid_unknown_fields=True):
+    """A change in flight, on the twin: from the first tick at `at_s` on, other values count."""
+
+    at_s: NonNegative  # [s]
+    controller: Controller | None = None  # null: as before
+    guidance: GuidanceParams | None = None
+    flight: FlightParams | None = None
+    seed: Seed | None = None  # of cameras, links and pulses; the true vehicles stay
+
+
+CHANGEABLE = tuple(one for one in Fork.__struct_fields__ if one != "at_s")
+
+
 class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
     """Everything a run depends on."""
 
@@ -64,6 +78,7 @@ class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
     board: BoardKind = "model"  # what executes the valve plans, see rig/boards.py
     faults: FaultTable = field(default_factory=shipped_faults)
     inject: list[Injection] = []
+    forks: list[Fork] = []  # in order of time; `testbed replay --from` adds them
 
     @property
     def ticks(self) -> int:
@@ -74,3 +89,12 @@ class Experiment(Struct, frozen=True, forbid_unknown_fields=True):
     def end_s(self) -> float:
         """Duration of the run in whole jet periods [s]."""
         return self.ticks * self.flight.jet_period_s
+
+    def stages(self) -> list[tuple[float, "Experiment"]]:
+        """For each fork its time [s], and the experiment from then on."""
+        now, found = replace(self, forks=[]), []
+        for fork in self.forks:
+            values = {key: getattr(fork, key) for key in CHANGEABLE}
+            now = replace(now, **{key: v for key, v in values.items() if v is not None})
+            found.append((fork.at_s, now))
+        return found

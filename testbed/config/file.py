@@ -13,6 +13,7 @@ from testbed.config.board import bad_board
 from testbed.config.error import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.experiment import Experiment
 from testbed.config.fault_schedule import bad_injections
+from testbed.config.fork import bad_forks
 from testbed.config.hardware import bad_hardware
 from testbed.config.layout import bad_layout
 from testbed.config.network import bad_network
@@ -96,6 +97,7 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     yield from bad_injections(experiment)
     yield from bad_network(experiment)
     yield from bad_plugins(experiment)
+    yield from bad_forks(experiment, mistakes)
     if isinstance(experiment.controller, OwnLawParams):
         return  # checked by bad_own_law
     try:

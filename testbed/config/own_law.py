@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 from msgspec.structs import replace
 
-from controllers.law_file import UnusableLawError, content_of, file_of, maker
+from controllers.law_file import UnusableLawError, content_of, digest, file_of, maker
+from controllers.onnx_policy import OnnxParams
 from controllers.own_law import OwnLawParams, own_law, parameter_type, try_out
 from controllers.plain_law import LawError
 from testbed.config.error import Mistake, refused
@@ -15,15 +16,22 @@ from testbed.config.experiment import Experiment
 from testbed.config.validation import first_misfit
 from testbed.realtime.law_watch import reading
 
+C = TypeVar("C")
+
 
 def place_law(tree: Any, folder: Path) -> None:
     """Make the path of a law's file absolute; it is relative to `folder`."""
-    controller = tree.get("controller")
-    if isinstance(controller, dict) and controller.get("type") == "python":
-        law = controller.get("law")
-        if isinstance(law, str) and file_of(law) is not None:
+    forks = tree.get("forks")
+    for part in (tree, *(forks if isinstance(forks, list) else ())):
+        controller = part.get("controller") if isinstance(part, dict) else None
+        if not isinstance(controller, dict):
+            continue
+        law, file = controller.get("law"), controller.get("file")
+        if controller.get("type") == "python" and isinstance(law, str) and file_of(law) is not None:
             path, _, name = law.rpartition(":")
             controller["law"] = f"{(folder / path).resolve()}:{name}"
+        if controller.get("type") == "onnx" and isinstance(file, str):
+            controller["file"] = str((folder / file).resolve())
 
 
 def bad_own_law(experiment: Experiment) -> Iterator[Mistake]:
@@ -55,9 +63,14 @@ def _tried(params: OwnLawParams, names: list[str]) -> list[Mistake]:
 
 
 def with_content(experiment: Experiment) -> Experiment:
-    """The experiment with the current digest of its law's file."""
-    params = experiment.controller
-    if not isinstance(params, OwnLawParams) or params.sha256 is not None:
-        return experiment
-    sha256 = content_of(params.law)
-    return replace(experiment, controller=replace(params, sha256=sha256))
+    """The experiment with the current digests of its laws' files."""
+    forks = [replace(one, controller=_pinned(one.controller)) for one in experiment.forks]
+    return replace(experiment, controller=_pinned(experiment.controller), forks=forks)
+
+
+def _pinned(params: C) -> C:
+    if isinstance(params, OwnLawParams) and params.sha256 is None:
+        return replace(params, sha256=content_of(params.law))
+    if isinstance(params, OnnxParams) and params.sha256 is None:
+        return replace(params, sha256=digest(Path(params.file)))
+    return params

@@ -20,6 +20,7 @@ from testbed.core.codes import (
     Response,
 )
 from testbed.core.compiled import settled
+from testbed.core.error import MismatchError
 from testbed.core.types import (
     Accel,
     Demand,
@@ -41,7 +42,7 @@ from testbed.flight import chain
 from testbed.flight.barrier import Barrier
 from testbed.flight.estimator import Array
 from testbed.flight.faults import FaultTable
-from testbed.flight.guidance import Guidance
+from testbed.flight.guidance import Guidance, Kept
 from testbed.flight.jet_faults import leaks
 from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
@@ -96,6 +97,22 @@ class Agent:
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
         self._see, self._act = settled(chain.see), settled(chain.act)
         self._step = settled(chain.step)
+
+    def take_over(self, before: "Agent", kept: Kept) -> None:
+        """Go on from the memory of another agent of this vehicle.
+
+        Raises:
+            MismatchError: the memories differ in size.
+        """
+        if self.everything.shape != before.everything.shape:
+            expected = "parameters with which the vehicle remembers as much as before"
+            found = f"{self.everything.size} numbers instead of {before.everything.size}"
+            raise MismatchError(expected, found)
+        self.everything[:] = before.everything
+        for part in ("_row", "_bytes", "_law_error", "_fault", "_nearby"):
+            setattr(self, part, getattr(before, part))
+        if self.guidance is not None and before.guidance is not None:
+            self.guidance.take_over(before.guidance, kept)
 
     def step(self, inputs: Inputs) -> Outputs:
         """One tick: call it once per jet period, with time increasing."""

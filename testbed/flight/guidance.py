@@ -16,6 +16,7 @@ vehicle; it only needs the time for which its setpoint is meant.
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -59,6 +60,19 @@ class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
     heading_accel: Positive = 0.02  # of a turn to the goal's heading [rad/s^2]
     preview_s: NonNegative = 0.3  # how far ahead references are sent, against lost messages
     setpoint_life_s: Positive = 0.5  # after the last reference, or of a demand
+
+
+class Kept(IntEnum):
+    """How much of a guidance's memory another one goes on with; each includes those before."""
+
+    NOTHING = 0  # as at take-off
+    MODEL = 1  # the reference model, and what was sent ahead
+    STATE = 2  # the state of the law, which has other gains
+    LAW = 3  # the law itself
+
+
+OF_MODEL = ("_turn", "_t", "_p", "_v", "_ahead", "_sent", "message", "filtered")
+OF_LAW = ("_law", "_law_state")
 
 
 class Turn:
@@ -128,11 +142,20 @@ class Guidance:
         self._they_move = bool(self._obstacles.v.any())
         self._company: tuple[tuple[str, ...], Neighbours] | None = None  # others at the last tick
         self._law_state: Array | None = None
+        self._inherited: Array | None = None  # state of the same law with other gains
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
         self._ahead: deque[Reference] = deque()  # references not due yet
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
+
+    def take_over(self, before: "Guidance", kept: Kept) -> None:
+        """Go on from the memory of another guidance of this vehicle."""
+        parts = (OF_MODEL if kept >= Kept.MODEL else ()) + (OF_LAW if kept == Kept.LAW else ())
+        for part in parts:
+            setattr(self, part, getattr(before, part))
+        if kept == Kept.STATE:
+            self._inherited = getattr(before, OF_LAW[1])
 
     @property
     def concerns(self) -> list[Concern]:
@@ -158,11 +181,10 @@ class Guidance:
         heard = _Heard(neighbours, messages or {})
         if self._turn is None:
             self._turn = Turn(own.pose.theta, self._goal.theta, t, self._params.heading_accel)
-        if self._params.mode == "wrench":
-            return self._demand(t, own, heard, self._turn)
-        if self._law_state is None:
             self._t = t
             self._p, self._v = np.array([own.pose.x, own.pose.y]), np.zeros(2)
+        if self._params.mode == "wrench":
+            return self._demand(t, own, heard, self._turn)
         while self._t <= t + self._params.preview_s + 1e-9:
             self._ahead.append(self._reference(heard, self._turn))
         references = tuple(self._ahead)
@@ -200,6 +222,9 @@ class Guidance:
         world, others = self._world_at(t), self._others(heard, t)
         if self._law_state is None:
             self._law_state = self._law.initial(own, others, world)
+            kept = self._inherited
+            if kept is not None and kept.shape == self._law_state.shape:
+                self._law_state = kept
         ahead = self._law.propagate(
             self._law_state, own, others, world, t, self._period, self._steps
         )

@@ -20,11 +20,11 @@ from testbed.core.types import (
     HostOutputs,
     HostTick,
     Inputs,
+    Outputs,
     Setpoint,
     Tick,
     Vitals,
 )
-from testbed.flight.agent import Agent
 from testbed.flight.faults import LONGEST_WORDS
 from testbed.flight.guidance import Guidance
 
@@ -36,13 +36,26 @@ def _well() -> Vitals:
     return ALL_WELL
 
 
+class Chain(Protocol):
+    """A vehicle's flight chain: an `Agent`, or several one after the other."""
+
+    @property
+    def guidance(self) -> Guidance | None:
+        """The guidance, if the law runs on board."""
+        ...
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """See `Agent`."""
+        ...
+
+
 class VehicleNode:
     """An agent and its ports."""
 
     def __init__(
         self,
         name: str,
-        agent: Agent,
+        agent: Chain,
         poses: PoseSource,
         thrusters: Thrusters,
         link: VehicleLink,

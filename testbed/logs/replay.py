@@ -22,6 +22,7 @@ from testbed.core.types import (
 )
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader, Row
 from testbed.logs.row_reader import RowReader
+from testbed.logs.stage import stage_of
 from testbed.logs.tick_row import RowWriter
 
 
@@ -35,6 +36,7 @@ class Difference(Struct, frozen=True):
     logged: Any
     now: Any
     size: float | None  # |now - logged|, for numbers
+    stage: str = ""  # of the chain, see stage.py
 
 
 class Replay(Struct, frozen=True, omit_defaults=True):
@@ -119,19 +121,37 @@ def replay(
         if kind != "host":
             now = type(then)(then.inputs, _known(agents, name, topic)(then.inputs))
         else:
-            now = _known(hosts, name, topic)(then.inputs)
+            law = _known(hosts, name, topic)
+            now = law(then.inputs) if _was_armed(then) else then
         chain = f"/{name}/host" if kind == "host" else f"/{name}/tick"  # the ending goes on with it
         tick = seen[chain] = seen.get(chain, -1) + 1
         count += 1
         t = then.inputs.t
         if then_rows.rows(topic, t, then) == now_rows.rows(topic, t, now):
             continue
-        found = difference(msgspec.to_builtins(then.outputs), msgspec.to_builtins(now.outputs))
-        if found is not None and (first is None or tick < first.tick):
-            first = Difference(tick, t, topic, *found)
+        if first is None or tick < first.tick:
+            first = parting(tick, topic, then, now, law_on_board=not hosts) or first
     if count == 0:
         raise LogError("there are no ticks in the log")
     return Replay(count, first)
+
+
+def _was_armed(tick: HostTick) -> bool:
+    """Whether the law was called, which the log does not say: then it answered, or failed."""
+    out = tick.outputs
+    return tick.inputs.own is None or out.setpoint is not None or out.fault is not None
+
+
+def parting(tick: int, topic: str, then: Any, now: Any, *, law_on_board: bool) -> Difference | None:
+    """Where the outputs of two ticks differ; None: nowhere."""
+    before, after = msgspec.to_builtins(then.outputs), msgspec.to_builtins(now.outputs)
+    host = isinstance(then, HostTick)
+    stage, key = stage_of(before, after, on_host=host, law_on_board=law_on_board)
+    if not stage:
+        return None
+    found = difference(before.get(key), after.get(key), key)
+    assert found is not None, "the stage's field differs"
+    return Difference(tick, then.inputs.t, topic, *found, stage)
 
 
 def before_damage(book: LogReader) -> Iterator[Row]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from testbed.config.experiment import Experiment
+from testbed.config.experiment import CHANGEABLE, Experiment, Fork
 from testbed.core.error import TestbedError
 from testbed.logs.history import History
 from testbed.metrics.formation import FormationMetrics, has_formation
@@ -17,6 +17,7 @@ from testbed.report.events import happened
 from testbed.report.figures import analogue, figures
 from testbed.report.item import Chart
 from testbed.report.law import law_of
+from testbed.report.original import Original, with_original
 from testbed.report.provenance import colophon, timing
 from testbed.report.verdict import CRITERIA, UNCOUNTED, missed, reasons, verdict
 
@@ -50,10 +51,13 @@ class ReportError(TestbedError):
 
 
 def write_report(
-    folder: Path, scenario: Experiment, history: History, metrics: Metrics, config: str
-) -> list[Path]:
+    folder: Path, scenario: Experiment, history: History, metrics: Metrics, config: str,
+    original: Original | None = None,
+) -> list[Path]:  # fmt: skip
     """Write report.html and figures/*.svg to a run folder; returns the files, the report first."""
     charts = figures(scenario, history, metrics.touches)
+    if original is not None:
+        charts = with_original(charts, figures(scenario, original.history), original)
     try:
         drawings = folder / "figures"
         drawings.mkdir(exist_ok=True)
@@ -199,6 +203,7 @@ def _flown(scenario: Experiment) -> str:
         f"\N{MULTIPLICATION SIGN} {size[1]:g} m."
         + (f" Obstacles: {'; '.join(obstacles)}." if obstacles else " No obstacles.")
         + f" Planned: {scenario.duration_s:g} s."
+        + "".join(f" From {one.at_s:g} s on: {escape(_changes(one))}." for one in scenario.forks)
     )
     has_goals = not has_formation(scenario.controller)
     rows = "".join(
@@ -215,6 +220,12 @@ def _flown(scenario: Experiment) -> str:
         f"{'<th>goal</th>' * has_goals}<th>mass [kg]</th><th>radius [m]</th><th>jets</th></tr>"
         f"{rows}</table></div>"
     )
+
+
+def _changes(fork: Fork) -> str:
+    """What a fork changes."""
+    changed = [f"another {key}" for key in CHANGEABLE if getattr(fork, key) is not None]
+    return ", ".join(changed) or "a fork without changes of law, chain or seed"
 
 
 def _warnings(metrics: Metrics) -> str:

@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager
 import numpy as np
 
 from controllers.catalogue import make_law
+from controllers.own_law import OwnLawParams
 from testbed.config import Experiment
 from testbed.core.types import Pose
 from testbed.faults.law_faults import SpoiltLaw
@@ -27,7 +28,9 @@ def watched(experiment: Experiment) -> AbstractContextManager[object]:
     limit = deploy.call_limit(period)
     # the host calls the law for one vehicle after the other
     calls = len(experiment.vehicles) if deploy.law == "host" else 1
-    return watching(experiment.controller, limit, deploy.law_memory_mb, period / calls)
+    flown = [experiment.controller, *(one.controller for _, one in experiment.stages())]
+    controller = next((one for one in flown if isinstance(one, OwnLawParams)), flown[0])
+    return watching(controller, limit, deploy.law_memory_mb, period / calls)
 
 
 def make_guidance(

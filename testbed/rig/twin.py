@@ -2,6 +2,7 @@
 
 import math
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -12,25 +13,38 @@ from msgspec.structs import replace
 
 from sim_twin.board import FirmwareBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
-from testbed.config import ConfigError, Experiment
+from testbed.config import ConfigError, Experiment, Fork
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.fault_injection import ON_WIRES
 from testbed.core.law import Concern
-from testbed.core.ports import Clock
+from testbed.core.ports import Clock, HostLink
 from testbed.core.types import Pose
 from testbed.faults.law_faults import CrashableNode
-from testbed.flight.agent import lead_time
-from testbed.flight.loop import Ending, HostNode, Observer, VehicleNode, come_to_rest, fly
+from testbed.flight.loop import Chain, Ending, HostNode, Observer, VehicleNode, come_to_rest, fly
 from testbed.flight.safety import SPARE_S
 from testbed.flight.supervisor import Supervisor
 from testbed.metrics.afterwards import MINUTE, STEP, After, judge_after
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.boards import Valves, WiredBoard, make_drivers
-from testbed.rig.chain import make_agent, make_guidance
+from testbed.rig.forked import SOON, make_host, make_vehicle, stages
 from testbed.rig.interface import not_armed
 from testbed.rig.observers import NullObserver
 from testbed.rig.readiness import twin_checks
+
+
+class Reseeding:
+    """The flight's clock; after a fork with a seed the twin draws other numbers."""
+
+    def __init__(self, forks: list[Fork], twin: Twin, clock: Clock) -> None:
+        self._clock, self._twin = clock, twin
+        self._seeds = deque((one.at_s, one.seed) for one in forks if one.seed is not None)
+
+    def wait_until(self, t: float) -> None:
+        """See `Clock`."""
+        self._clock.wait_until(t)
+        while self._seeds and t >= self._seeds[0][0] - SOON:
+            self._twin.reseed(self._seeds.popleft()[1])
 
 
 class TwinRig(Struct, frozen=True):
@@ -59,9 +73,10 @@ class TwinRig(Struct, frozen=True):
     def fly_unasked(self, observer: Observer, stopped: Callable[[], int]) -> Ending:
         """Fly without the arming checks."""
         experiment = self.experiment
+        clock = Reseeding(experiment.forks, self.twin, self.pace or self.twin)
         ending = fly(
-            self.pace or self.twin, self.vehicles, self.hosts, experiment.flight.jet_period_s,
-            experiment.ticks, observer, stopped=lambda: 2 if self._trouble() else stopped(),
+            clock, self.vehicles, self.hosts, experiment.flight.jet_period_s, experiment.ticks,
+            observer, stopped=lambda: 2 if self._trouble() else stopped(),
         )  # fmt: skip
         return Ending(ending.t, ending.fault or self._trouble())
 
@@ -173,8 +188,20 @@ class TwinRig(Struct, frozen=True):
         return {}
 
 
-def make_twin(experiment: Experiment) -> TwinRig:
-    """Build the twin rig of an experiment."""
+def twin_node(twin: Twin, name: str, chain: Chain) -> VehicleNode:
+    """A vehicle that lives on the twin."""
+    link, vitals = TwinVehicleLink(twin, name), partial(twin.vitals, name)
+    return VehicleNode(
+        name, chain, TwinPoses(twin, name), TwinThrusters(twin, name), link, vitals
+    )  # fmt: skip
+
+
+def make_twin(
+    experiment: Experiment,
+    make_node: Callable[[Twin, str, Chain], VehicleNode] = twin_node,
+    make_link: Callable[[Twin, str], HostLink] = TwinHostLink,
+) -> TwinRig:
+    """Build the twin rig of an experiment; the makers are those of `resumed.py`, or the twin's."""
     setups = experiment.vehicles
     for what in experiment.inject:
         if what.kind in ON_WIRES:
@@ -192,33 +219,19 @@ def make_twin(experiment: Experiment) -> TwinRig:
         drivers=drivers,
         injections=experiment.inject,
     )
-    period = experiment.flight.jet_period_s
     sabotage = twin.sabotage
     spoilt = {n: None if sabotage is None else partial(sabotage.spoilt, n) for n in setups}
     vehicles: list[VehicleNode | CrashableNode] = []
     for name, setup in setups.items():
-        node = VehicleNode(
-            name,
-            make_agent(experiment, name, spoilt[name]),
-            TwinPoses(twin, name),
-            TwinThrusters(twin, name),
-            TwinVehicleLink(twin, name),
-            partial(twin.vitals, name),
-        )
+        node = make_node(twin, name, make_vehicle(experiment, name, spoilt[name]))
         if sabotage is None:
             vehicles.append(node)
         else:
             jets = len(setup.model.jets)
             vehicles.append(CrashableNode(node, jets, partial(sabotage.dead, name)))
     hosts = [
-        HostNode(
-            name,
-            make_guidance(experiment, name, spoilt[name]),
-            TwinHostLink(twin, name),
-            period,
-            lead_time(setup.model),
-        )
-        for name, setup in setups.items()
+        make_host(experiment, name, make_link(twin, name), spoilt[name])
+        for name in setups
         if experiment.deploy.law == "host"
     ]
     return TwinRig(experiment, twin, vehicles, hosts, drivers or {})
@@ -227,6 +240,7 @@ def make_twin(experiment: Experiment) -> TwinRig:
 def warm_up(experiment: Experiment, stopped: Callable[[], int] = lambda: 0) -> None:
     """Fly a few ticks of the experiment, so that all code is compiled before the flight."""
     period = experiment.flight.jet_period_s
-    short = replace(experiment, duration_s=4 * period, board="model", inject=[])
-    make_twin(short).fly_unasked(NullObserver(), stopped)  # arming checks do not matter here
+    for one in stages(experiment):
+        short = replace(one, duration_s=4 * period, board="model", inject=[], forks=[])
+        make_twin(short).fly_unasked(NullObserver(), stopped)  # arming checks do not matter here
     characterise(np.eye(2))

@@ -8,6 +8,8 @@ from pathlib import Path
 from threading import current_thread, main_thread
 from typing import Literal
 
+from msgspec.structs import replace
+
 from testbed.config import Experiment, dump, load
 from testbed.core.error import TestbedError
 from testbed.logs.log_reader import config_of, log_of
@@ -19,9 +21,13 @@ from testbed.rig.twin import make_twin
 from testbed.run.flown import Run, read_run
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import new_folder, take_back, utc_ns, write_config, write_metrics
+from testbed.run.fork import check_fork, forked, resumed
 from testbed.run.interrupt import Interrupt
 from testbed.run.progress import Progress
 from testbed.run.replay import replay_experiment
+from testbed.run.report import write_page
+
+Maker = Callable[[Path], Callable[[Experiment], Rig]]  # for a folder, what builds the rig
 
 
 class InterruptedFlight(KeyboardInterrupt):
@@ -57,7 +63,10 @@ def fly(
         InterruptedFlight: Ctrl-C; a KeyboardInterrupt. The flight was ended and its files were
             finished first.
     """
-    make = _maker(rig)
+    return _fly(experiment, _maker(rig), log, progress)
+
+
+def _fly(experiment: Experiment, make: Maker, log: str | Path | None, progress: bool) -> Run:
     check_boards(experiment.board, {n: v.model for n, v in experiment.vehicles.items()})
     interrupt = Interrupt()
     with ExitStack() as stack:
@@ -84,7 +93,7 @@ def fly(
     return run
 
 
-def _maker(rig: str) -> Callable[[Path], Callable[[Experiment], Rig]]:
+def _maker(rig: str) -> Maker:
     if rig == "twin":
         return lambda folder: make_twin
     if rig == "bench":
@@ -107,9 +116,47 @@ def replay(run: Run, *overrides: str) -> Replay:
     Raises:
         TestbedError: the run was not logged.
     """
+    folder = _logged(run, "replay")
+    return replay_experiment(load(config_of(folder), overrides), log_of(folder))
+
+
+def fork(
+    run: Run, t: float, *overrides: str, log: str | Path | None = None, progress: bool = False
+) -> Run:
+    """Fly a run again on the twin up to a time, and on from there with changes.
+
+    Args:
+        run: of `open_run`, or of `fly` with a log.
+        t: the first tick at or after it is the first with the changes [s].
+        overrides: "key=value" as on the command line: of the law, `guidance`, `flight`, `inject`,
+            or `seed`, which counts for cameras, links and pulses from then on.
+        log: a new or empty folder; None: a new one in runs/.
+        progress: show the progress on stderr.
+
+    Returns:
+        The run, with folder, log and report; its report draws the original, too.
+
+    Raises:
+        TestbedError: the run has no log, or the flight up to `t` is not the one in the log.
+        InterruptedFlight: see `fly`.
+    """
+    original = _logged(run, "fork")
+    experiment = forked(load(config_of(original)), t, overrides)
+    make = _maker("twin")
+    if run.metrics.rig != "twin":
+        experiment, rig = replace(experiment, board="model"), resumed(original, t)
+        make = lambda folder: rig  # noqa: E731
+    folder = new_folder(None if log is None else Path(log), experiment.name)
+    flown = _fly(experiment, make, folder, progress)
+    check_fork(original, folder, t, on_board=experiment.deploy.law == "vehicle")
+    write_page(folder, experiment)
+    return flown
+
+
+def _logged(run: Run, verb: str) -> Path:
     if run.folder is None:
         raise TestbedError(
-            where="replay", expected="a run with a log", found="a run in memory",
+            where=verb, expected="a run with a log", found="a run in memory",
             hint='fly it with log="folder"',
         )  # fmt: skip
-    return replay_experiment(load(config_of(run.folder), overrides), log_of(run.folder))
+    return run.folder

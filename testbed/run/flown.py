@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from testbed.logs.log_reader import LogReader, config_of, log_of
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.chart import alone
 from testbed.report.figures import figures
+from testbed.run.experiment import toml
 from testbed.run.post_mortem import judged
 from testbed.run.table import Table
 
@@ -144,6 +146,27 @@ class Run(Mapping[str, Vehicle]):
                     where="plot", expected=f"one of {', '.join(charts)}", found=repr(key)
                 )
         return Figures({key: alone(charts[key]) for key in keys or charts})
+
+    def fork(
+        self, t: float, changes: Mapping[str, Any] | None = None, *,
+        log: str | Path | None = None, **more: Any,
+    ) -> "Run":  # fmt: skip
+        """Fly this run again up to `t`, and on from there with changes; see `testbed.fork`.
+
+        Args:
+            t: the first tick at or after it is the first with the changes [s].
+            changes: values by dotted key: `{"controller.bandwidth": 0.4}`, `seed=7`.
+            log: a new or empty folder; None: a new one in runs/.
+            more: changes as keyword arguments.
+
+        Raises:
+            TestbedError: see `testbed.fork`.
+        """
+        values = {**(changes or {}), **more}
+        texts = [f"{key}={toml(value)}" for key, value in values.items()]
+        api = import_module("testbed.run.api")  # it makes runs, so it imports this module
+        forked: Run = api.fork(self, t, *texts, log=log)
+        return forked
 
     def __repr__(self) -> str:
         m = self.metrics

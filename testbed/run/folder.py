@@ -6,6 +6,7 @@ metrics.json  the metrics; "completed": false if the run did not reach its end
 *.py          a copy of the law if it is a file outside the package; config.toml refers to it.
               It keeps its name, which appears in the law's errors and so in the log. Of a law of
               an installed package it is a copy to read; config.toml refers to the package.
+*.onnx        a copy of the policy; config.toml refers to it
 """
 
 import os
@@ -77,25 +78,39 @@ def take_back(folder: Path) -> None:
 def write_config(folder: Path, tree: dict[str, Any], version: str) -> None:
     """Write the resolved experiment, and a copy of the law if it is a user's file."""
     tree = {**tree, "controller": _keep_law(folder, tree.get("controller", {}))}
+    forks = [
+        {**fork, "controller": _keep_law(folder, fork["controller"])}
+        if "controller" in fork else fork
+        for fork in tree.get("forks", ())
+    ]  # fmt: skip
+    tree = {**tree, "forks": forks}
     head = f"# Resolved by airbearing-testbed {version}; everything is in place.\n\n"
     _replace(folder / "config.toml", head + tomli_w.dumps(tree))
 
 
 def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
     """[controller] with the law's file replaced by a copy in the folder."""
-    path = source_of(controller["law"]) if controller.get("type") == "python" else None
+    path, kind = None, controller.get("type")
+    if kind == "python":
+        path = source_of(controller["law"])
+    elif kind == "onnx":
+        path = Path(controller["file"])
     if path is None:
         return controller
     copy = folder / path.name
+    if copy.exists() and digest(copy) != controller.get("sha256"):  # of an earlier fork
+        copy = copy.with_stem(f"{path.stem}_{len(list(folder.glob(f'*{path.suffix}'))) + 1}")
     try:
         shutil.copyfile(path, copy)
     except OSError as error:
         raise FolderError(f"{path}: {error.strerror}") from None
     if digest(copy) != controller.get("sha256"):
         raise FolderError(where=str(path), expected="the law as it was read", found="an edited one")
+    if kind == "onnx":
+        return {**controller, "file": copy.name}
     if file_of(controller["law"]) is None:
         return controller
-    return {**controller, "law": f"{path.name}:{controller['law'].rpartition(':')[2]}"}
+    return {**controller, "law": f"{copy.name}:{controller['law'].rpartition(':')[2]}"}
 
 
 def write_metrics(folder: Path, metrics: Metrics) -> None:

@@ -1,16 +1,15 @@
 """Replays a run's log through the current agents and laws of its experiment."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from msgspec.structs import replace
 
 from testbed.config import Experiment
-from testbed.flight.agent import lead_time
-from testbed.flight.loop import HostNode
 from testbed.logs.log_reader import LogReader
 from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, before_damage, replay
-from testbed.rig.chain import make_agent, make_guidance
+from testbed.rig.forked import make_host, make_vehicle
 
 
 def replay_experiment(
@@ -28,18 +27,13 @@ def replay_experiment(
     try:
         verdict = replay(
             before_damage(book),
-            {name: make_agent(experiment, name).step for name in experiment.vehicles},
-            {name: LoggedHost(_law_of(experiment, name)) for name in hosts},
+            {name: make_vehicle(experiment, name).step for name in experiment.vehicles},
+            {name: LoggedHost(partial(_law_of, experiment, name)) for name in hosts},
         )
     finally:
         warn(book.said())
     return replace(verdict, whole=not book.lost)
 
 
-def _law_of(experiment: Experiment, name: str) -> Callable[[LoggedLink], AtHost]:
-    def plug(link: LoggedLink) -> AtHost:
-        lead = lead_time(experiment.vehicles[name].model)
-        guidance = make_guidance(experiment, name)
-        return HostNode(name, guidance, link, experiment.flight.jet_period_s, lead).tick
-
-    return plug
+def _law_of(experiment: Experiment, name: str, link: LoggedLink) -> AtHost:
+    return make_host(experiment, name, link).tick

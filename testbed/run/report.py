@@ -7,7 +7,9 @@ from testbed.config import Experiment, load
 from testbed.core.extra import pip_install
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader, log_of
+from testbed.report.original import Original
 from testbed.report.page import ReportError, write_report
+from testbed.run.fork import origin_of
 from testbed.run.post_mortem import judged
 
 ZOOM = 4  # of a PNG: 2400 pixels wide, 8 inches at 300 dpi
@@ -33,7 +35,17 @@ def write_page(
     history = gather(book)
     warn(book.said())
     text = config.read_text(encoding="utf-8")
-    return write_report(folder, scenario, history, judged(folder, log, scenario, history), text)
+    metrics = judged(folder, log, scenario, history)
+    return write_report(folder, scenario, history, metrics, text, _original(folder))
+
+
+def _original(folder: Path) -> Original | None:
+    """The original of a fork."""
+    origin = origin_of(folder)
+    if origin is None:
+        return None
+    run, t = origin
+    return Original(run.resolve().name, t, gather(LogReader(log_of(run))))
 
 
 def make_pictures(drawings: Iterable[Path]) -> None:

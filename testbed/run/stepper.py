@@ -2,16 +2,21 @@
 
 from collections.abc import Mapping
 
+import numpy as np
 from msgspec.structs import replace
 
 from sim_twin.twin import Twin as Table
 from sim_twin.twin import TwinPoses, TwinThrusters
 from testbed.config import Deploy, Experiment
 from testbed.core.error import TestbedError
-from testbed.core.types import Demand, LawMessage, Pose, Setpoint, State, Tick
+from testbed.core.types import Demand, LawMessage, Pose, Setpoint, State, Tick, ValveCommand
 from testbed.flight.agent import lead_time
+from testbed.flight.flow import flow_shares
 from testbed.flight.loop import VehicleNode
 from testbed.rig.chain import make_agent
+
+Times = tuple[int, ...]  # of each jet [us]
+Pulses = tuple[Times, Times]  # open times and offsets
 
 
 class Twin:
@@ -41,10 +46,12 @@ class Twin:
         )  # fmt: skip
         self._links = {name: _Link() for name in setups}
         chain = replace(experiment, deploy=Deploy(law="host"))
+        self._agents = {name: make_agent(chain, name) for name in setups}
+        self._boards = {name: _Board(TwinThrusters(self._table, name)) for name in setups}
         self._nodes = [
             VehicleNode(
-                name, make_agent(chain, name), TwinPoses(self._table, name),
-                TwinThrusters(self._table, name), self._links[name],
+                name, self._agents[name], TwinPoses(self._table, name),
+                self._boards[name], self._links[name],
             )
             for name in setups
         ]  # fmt: skip
@@ -68,14 +75,40 @@ class Twin:
                     where="Twin.step", expected=f"one of {', '.join(self._links)}",
                     found=repr(name),
                 )  # fmt: skip
-        for name, link in self._links.items():
+        demands: dict[str, Demand] = {}
+        for name in self._links:
             fx, fy, *heading = forces.get(name, (0.0, 0.0))
             theta = float(heading[0]) if heading else self._heading[name]
-            at = self.t + self._lead[name]
-            link.asked = Demand(
-                at, float(fx), float(fy), theta, 0.0, 0.0, at + 2.0 * self.period
-            )  # fmt: skip
-        ticks = {node.name: node.tick(self.t, armed=True) for node in self._nodes}
+            at, life = self.effect_at(name), 2.0 * self.period
+            demands[name] = Demand(at, float(fx), float(fy), theta, 0.0, 0.0, at + life)
+        return self.obey(demands)
+
+    def effect_at(self, name: str) -> float:
+        """When the pulses of the next tick take effect [s]."""
+        return self.t + self._lead[name]
+
+    def obey(
+        self, setpoints: Mapping[str, Setpoint], pulses: Mapping[str, Pulses] | None = None
+    ) -> dict[str, Tick]:
+        """Fly one jet period with a setpoint for each vehicle.
+
+        Args:
+            setpoints: for each vehicle.
+            pulses: open times and offsets [us] that a vehicle's valves get instead of its plan,
+                unless its gate keeps them shut.
+        """
+        ticks = {}
+        for node in self._nodes:
+            name = node.name
+            self._links[name].asked = setpoints[name]
+            memory = self._agents[name].memory
+            begun = memory.begun.copy()
+            tick = node.tick(self.t, armed=True)
+            if pulses is not None and tick.outputs.inhibit_reason is None:
+                memory.begun[:] = begun
+                tick = self._instead(name, tick, *pulses[name])
+            self._boards[name].play(tick.outputs.command)
+            ticks[name] = tick
         for name, tick in ticks.items():
             for other, link in self._links.items():
                 if other != name and tick.outputs.state is not None:
@@ -85,15 +118,41 @@ class Twin:
         self._table.wait_until(self.t)
         return ticks
 
+    def _instead(self, name: str, tick: Tick, on: Times, offset: Times) -> Tick:
+        """The tick with other pulses, which estimator and jet watch are told of, too."""
+        agent = self._agents[name]
+        memory, times = agent.memory, np.array(on + offset, dtype=float)
+        memory.times[:] = times
+        memory.fired.on[-1], memory.fired.offset[-1] = 1e-6 * np.array((on, offset))
+        flow_shares(times, memory.begun, agent.params.model.valve, self.period, memory.flowed)
+        command = replace(tick.outputs.command, on_us=on, offset_us=offset)
+        return replace(tick, outputs=replace(tick.outputs, command=command))
+
     def true_state(self, name: str) -> tuple[float, ...]:
         """True x, y, theta, vx, vy, omega of a vehicle now [m, m, rad, m/s, m/s, rad/s]."""
         x: list[float] = self._table.plant.x[self._table.plant.names.index(name)].tolist()
         return tuple(x)
 
     @property
+    def touched(self) -> set[str]:
+        """The vehicles that have touched something."""
+        names = {one for touch in self._table.plant.touches for one in (touch.vehicle, touch.other)}
+        return names & self._links.keys()
+
+    @property
     def contacts(self) -> int:
         """Number of contacts so far."""
         return len(self._table.plant.touches)
+
+
+class _Board:
+    """A vehicle's board; it keeps a plan until it is known which one is played."""
+
+    def __init__(self, board: TwinThrusters) -> None:
+        self.land, self.health, self.play = board.land, board.health, board.apply
+
+    def apply(self, command: ValveCommand) -> None:
+        """See `Thrusters`; `play` does it."""
 
 
 class _Link:

@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from controllers.catalogue import Controller
+from controllers.onnx_policy import OnnxParams
 from controllers.own_law import OwnLawParams
 from testbed.campaign.benchmark import (
     SHIPPED,
@@ -61,7 +62,8 @@ def test_every_law_of_the_catalogue_flies():
             path = PATH.parent / FILE.scenarios[name].experiment
             texts = [*FILE.scenarios[name].set, *one.overrides(k)]
             flown.add(type(load(path, texts).controller))
-    assert {kind.__name__ for kind in set(get_args(Controller)) - flown - {OwnLawParams}} == set()
+    of_users = {OwnLawParams, OnnxParams}
+    assert {kind.__name__ for kind in set(get_args(Controller)) - flown - of_users} == set()
 
 
 def test_a_law_that_is_not_there_is_said(tmp_path):

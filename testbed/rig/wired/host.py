@@ -117,6 +117,9 @@ class WireRig:
         if not bench and experiment.board != "model":
             expected = "no board on the table: its boards are the lab's"
             raise ConfigError("this rig", "board", expected, experiment.board)
+        if experiment.forks:
+            expected = "no change in flight: only the twin's vehicles change"
+            raise ConfigError("this rig", "forks", expected, f"{len(experiment.forks)} forks")
         if experiment.inject and not bench:
             expected = "no faults on the table: inject them on the twin or on the bench"
             raise ConfigError("this rig", "inject", expected, f"{len(experiment.inject)} faults")

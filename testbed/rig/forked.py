@@ -1,0 +1,110 @@
+"""A vehicle's chain and its law in a flight with forks: each stage goes on from the one before.
+
+Without forks these are the agent and the guidance of `chain.py` themselves.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from itertools import pairwise
+from typing import TypeVar
+
+from controllers.own_law import OwnLawParams
+from testbed.config import Experiment
+from testbed.core.ports import HostLink
+from testbed.core.types import HostTick, Inputs, Outputs
+from testbed.flight.agent import Agent, lead_time
+from testbed.flight.guidance import Guidance, Kept
+from testbed.flight.loop import HostNode
+from testbed.rig.chain import make_agent, make_guidance
+
+SOON = 1e-9  # ticks are products of periods [s]
+Spoilt = Callable[[], str] | None
+M = TypeVar("M")
+
+
+def kept(before: Experiment, after: Experiment) -> Kept:
+    """How much of the memory of its guidance a vehicle keeps."""
+    one, other = before.controller, after.controller
+    if before.guidance.mode != after.guidance.mode:
+        return Kept.NOTHING
+    if one == other:
+        return Kept.LAW
+    if isinstance(one, OwnLawParams) and isinstance(other, OwnLawParams):
+        same = (one.law, one.sha256) == (other.law, other.sha256)
+    else:
+        same = type(one) is type(other)
+    return Kept.STATE if same else Kept.MODEL
+
+
+class ForkedAgent:
+    """An agent, and those that take its place: (time [s], agent, what it keeps)."""
+
+    def __init__(self, first: Agent, later: list[tuple[float, Agent, Kept]]) -> None:
+        self._now, self._later = first, deque(later)
+
+    @property
+    def guidance(self) -> Guidance | None:
+        """The guidance, if the law runs on board."""
+        return self._now.guidance
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """See `Agent`."""
+        while self._later and inputs.t >= self._later[0][0] - SOON:
+            _, after, keeps = self._later.popleft()
+            after.take_over(self._now, keeps)
+            self._now = after
+        return self._now.step(inputs)
+
+
+class ForkedHost(HostNode):
+    """A law on the host, and those that take its place: (time [s], guidance, what it keeps)."""
+
+    later: deque[tuple[float, Guidance, Kept]]
+
+    def tick(self, t: float, armed: bool = True) -> HostTick:
+        """See `HostNode`."""
+        while self.later and t >= self.later[0][0] - SOON:
+            _, after, keeps = self.later.popleft()
+            after.take_over(self.guidance, keeps)
+            self.guidance = after
+        return super().tick(t, armed)
+
+
+def make_vehicle(experiment: Experiment, name: str, spoilt: Spoilt = None) -> Agent | ForkedAgent:
+    """One vehicle's flight chain.
+
+    Raises:
+        MismatchError: after a fork the chain would remember more or less than before.
+    """
+    agents = [make_agent(one, name, spoilt) for one in stages(experiment)]
+    for after in agents[1:]:
+        after.take_over(agents[0], Kept.NOTHING)  # refused now, not in flight
+    if len(agents) == 1:
+        return agents[0]
+    return ForkedAgent(agents[0], _later(experiment, agents[1:]))
+
+
+def make_host(experiment: Experiment, name: str, link: HostLink, spoilt: Spoilt = None) -> HostNode:
+    """One vehicle's law on the host."""
+    lead = lead_time(experiment.vehicles[name].model)
+    first, *later = (make_guidance(one, name, spoilt) for one in stages(experiment))
+    host = (ForkedHost if later else HostNode)(
+        name, first, link, experiment.flight.jet_period_s, lead
+    )
+    if isinstance(host, ForkedHost):
+        host.later = deque(_later(experiment, later))
+    return host
+
+
+def stages(experiment: Experiment) -> list[Experiment]:
+    """The experiment, and after each fork."""
+    return [experiment, *(after for _, after in experiment.stages())]
+
+
+def _later(experiment: Experiment, made: list[M]) -> list[tuple[float, M, Kept]]:
+    flown = stages(experiment)
+    pairs = pairwise(flown)
+    return [
+        (fork.at_s, one, kept(*pair))
+        for fork, one, pair in zip(experiment.forks, made, pairs, strict=True)
+    ]

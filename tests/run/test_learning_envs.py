@@ -1,0 +1,191 @@
+"""Environments for learning: the checkers of Gymnasium and PettingZoo, and what an episode is."""
+
+import math
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import testbed
+
+if os.environ.get("CI") == "true":  # there a missing tool is a failure
+    import gymnasium
+    import pettingzoo
+else:
+    gymnasium = pytest.importorskip("gymnasium", reason="the extra `learn` is not installed")
+    pettingzoo = pytest.importorskip("pettingzoo", reason="the extra `learn` is not installed")
+
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
+
+from testbed.env import FleetEnv, TableEnv
+from testbed.env.action import largest
+
+ROOT = Path(__file__).parents[2]
+STEP = ROOT / "configs/scenarios/step.toml"
+KINDS = ("force", "wrench", "valves")
+
+
+def step(*overrides):
+    return testbed.load(STEP, "duration_s=60", *overrides)
+
+
+def flown(env, action, ticks, seed=0):
+    """Observations and rewards of an episode of one action."""
+    seen, _ = env.reset(seed=seed)
+    found, rewards = [seen], []
+    for _ in range(ticks):
+        seen, reward, ended, late, told = env.step(np.array(action, np.float32))
+        found.append(seen)
+        rewards.append(reward)
+        if ended or late:
+            break
+    return found, rewards, told
+
+
+@pytest.mark.parametrize("action", KINDS)
+@pytest.mark.parametrize("layout", ["goal", "pose", "rans"])
+def test_gymnasium_finds_no_fault(action, layout):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # its advice for bounds, and for an environment that is not registered
+        warnings.filterwarnings("ignore", message=".*(infinity|-inf|spec|render_modes).*")
+        check_env(TableEnv(step(), action, layout), skip_render_check=True)
+
+
+@pytest.mark.parametrize("action", KINDS)
+def test_pettingzoo_finds_no_fault(action):
+    fleet = testbed.load("zhang2023_table", "duration_s=3")
+    parallel_api_test(FleetEnv(fleet, action, anywhere=True), num_cycles=60)
+
+
+def test_a_seed_gives_the_same_episode_and_another_seed_another():
+    env = TableEnv(step(), "valves", "pose")
+    one, again, other = (flown(env, [0.3] * 8, 20, seed)[0] for seed in (5, 5, 6))
+    assert np.array_equal(one, again)
+    assert not np.array_equal(one, other)
+
+
+def test_without_a_seed_episodes_go_on_from_the_first():
+    def starts():
+        env = TableEnv(step(), anywhere=True)
+        return [env.reset(seed=3)[0], env.reset()[0], env.reset()[0]]
+
+    first = starts()
+    assert np.array_equal(first, starts())
+    assert not np.array_equal(first[1], first[2])
+
+
+def test_tolerances_make_other_vehicles():
+    def place(randomise, seed):
+        found = flown(TableEnv(step(), randomise=randomise), [1.0, 0.0], 60, seed)
+        return np.array(found[2]["true_state"])
+
+    assert np.abs(place(True, 1) - place(True, 2)).max() > 1e-3
+    exact = np.abs(place(False, 1) - place(False, 2))[:2].max()
+    assert exact < 0.3 * np.abs(place(True, 1) - place(True, 2))[:2].max() + 1e-3
+
+
+def test_a_force_is_a_share_of_what_the_jets_can_do():
+    experiment = step("table.tilt.uniform=[0.0, 0.0]")
+    model = experiment.vehicles["sat1"].model
+    most, _ = largest(model, 0.6)
+    _, _, told = flown(TableEnv(experiment, randomise=False), [0.6, 0.8], 20)
+    *_, vx, vy, _ = told["true_state"]
+    expected = most / model.mass * 2.0
+    assert math.hypot(vx, vy) == pytest.approx(expected, rel=0.1)
+    assert math.atan2(vy, vx) == pytest.approx(math.atan2(0.8, 0.6), abs=0.1)
+
+
+def test_a_wrench_turns_and_pushes_in_the_body_frame():
+    experiment = step("table.tilt.uniform=[0.0, 0.0]", "vehicles.sat1.start=[0.0, 0.0, 1.5707963]")
+    model = experiment.vehicles["sat1"].model
+    env = TableEnv(experiment, "wrench", "pose", randomise=False)
+    _, _, pushed = flown(env, [0.5, 0.0, 0.0], 20)
+    assert pushed["true_state"][4] > 5.0 * abs(pushed["true_state"][3])  # x of the body is y here
+    assert abs(pushed["true_state"][5]) < 0.02
+    _, _, turned = flown(env, [0.0, 0.0, 0.2], 20)
+    _, torque = largest(model, 0.6)
+    assert turned["true_state"][5] == pytest.approx(0.2 * torque / model.inertia * 2.0, rel=0.2)
+
+
+def test_valves_open_as_asked():
+    env = TableEnv(step("table.tilt.uniform=[0.0, 0.0]"), "valves", randomise=False)
+    _, _, told = flown(env, [0.5, 0.5, 0, 0, 0, 0, 0, 0], 20)  # jets 1 and 2 push to -x
+    model = step().vehicles["sat1"].model
+    wanted = -2.0 * 0.5 * model.jets[0].thrust / model.mass * 2.0
+    assert told["true_state"][3] == pytest.approx(wanted, rel=0.1)
+    assert told["fault"] == ""  # the jet watch was told of the pulses
+    _, _, still = flown(env, [0.05] * 8, 20)  # shorter than a valve can open
+    assert abs(still["true_state"][3]) < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("reason", "overrides"),
+    [
+        ("fault", []),  # of the fault table: no room for a full stop
+        ("fence", ["faults={}", "flight.gate.fence_margin=0.1"]),
+        ("contact", ["faults={}", "obstacles.o={position=[2.8, 0.5], radius=0.31, solid=0.3}"]),
+    ],
+)
+def test_what_ends_an_episode(reason, overrides):
+    places = ("vehicles.sat1.start=[2.3, 0.5, 0.0]", "vehicles.sat1.goal=[0.0, 1.0, 0.0]")
+    env = TableEnv(step(*places, *overrides), "valves")
+    _, rewards, told = flown(env, [0, 0, 0, 0, 1, 1, 0, 0], 100)
+    assert (told["ended"], len(rewards) < 100) == (reason, True)
+    assert rewards[-1] == -10.0
+    assert all(-1.0 < one < 0.0 for one in rewards[:-1])
+
+
+def test_time_truncates():
+    env = TableEnv(testbed.load(STEP, "duration_s=1"))
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(2, np.float32))[2:4] for _ in range(10)]
+    assert ends == [(False, False)] * 9 + [(False, True)]
+
+
+def test_one_vehicle_ends_the_episode_of_all():
+    fleet = FleetEnv(testbed.load("zhang2023_table", "duration_s=30"), "valves")
+    fleet.reset(seed=1)
+    full = np.array([0, 0, 0, 0, 1, 1, 0, 0], np.float32)
+    none = np.zeros(8, np.float32)
+    while fleet.agents:
+        _, rewards, ended, _, told = fleet.step({"sat1": full, "sat2": none, "sat3": none})
+    assert {name: one["ended"] for name, one in told.items()} == {
+        "sat1": "fault", "sat2": "", "sat3": "",
+    }  # fmt: skip
+    assert all(ended.values())
+    assert rewards["sat1"] == -10.0
+
+
+def test_the_rans_layout():
+    seen, _ = TableEnv(step(), "valves", "rans", randomise=False).reset(seed=0)
+    np.testing.assert_allclose(seen["state"][:2], [1.0, 0.0], atol=0.05)
+    np.testing.assert_allclose(seen["state"][5:], [1.0, 1.0, 0.0, 0.0, 1.0], atol=0.05)
+    np.testing.assert_allclose(seen["transforms"][0], [-1.0, 0.0, 0.15, 0.09, 0.6], rtol=1e-6)
+    assert seen["masks"].tolist() == [0.0] * 8
+
+
+def test_several_vehicles_need_the_other_environment():
+    with pytest.raises(testbed.TestbedError, match="FleetEnv"):
+        TableEnv(testbed.load("zhang2023_table"))
+
+
+def test_the_import_needs_no_library():
+    code = (
+        "import sys; sys.modules['gymnasium'] = None\n"
+        "import testbed, testbed.env\n"
+        "assert not {'gymnasium', 'pettingzoo', 'onnxruntime', 'numpy'} & set(sys.modules) - "
+        "{'gymnasium'}\n"
+        "try: testbed.env.TableEnv\n"
+        "except testbed.TestbedError as error: print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert "[learn]" in done.stdout, done.stderr
