@@ -12,6 +12,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import refuse, warn
+from testbed.cli.screen import show
 from testbed.config import ConfigError, Experiment, load
 from testbed.logs.history import History, gather
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
@@ -28,7 +29,7 @@ from testbed.report.page import (
     page,
     together_of,
 )
-from testbed.report.verdict import UNCOUNTED
+from testbed.report.verdict import NOTHING_TO_JUDGE, UNCOUNTED
 from testbed.run.post_mortem import judged
 
 TOGETHER = {  # key of a row, of the formation's metrics
@@ -114,15 +115,15 @@ def print_table(runs: Sequence[ComparedRun]) -> None:
         for k, run in enumerate(runs, 1):
             out.print(f"{k:3}  {run.label}", markup=False, soft_wrap=True)
     grid = Grid(title="worst vehicle of each run", title_justify="left")
-    grid.add_column("", overflow="fold")
+    grid.add_column("")
     for k, run in enumerate(runs, 1):
-        grid.add_column(run.label if fits else str(k), justify="right", overflow="fold")
+        grid.add_column(run.label if fits else str(k), justify="right")
     for heading, key, scale, digits, _ in rows_for(runs):
         cells = [worst(run, key) for run in runs]
         words = ["-" if v is None else f"{scale * v:.{digits}f}" for v in cells]
         grid.add_row(heading.replace("[", "\\["), *words)
     grid.add_row("verdict", *[verdict(run.metrics) for run in runs])
-    out.print(grid)
+    show(out, grid)
 
 
 def verdict(metrics: Metrics) -> str:
@@ -135,7 +136,9 @@ def verdict(metrics: Metrics) -> str:
         return "aborted"
     if not metrics.completed:
         return "interrupted"
-    return "passed" if all((metrics.criteria or {}).values()) else "failed"
+    if not metrics.criteria:
+        return NOTHING_TO_JUDGE
+    return "passed" if all(metrics.criteria.values()) else "failed"
 
 
 def render(runs: Sequence[ComparedRun]) -> str:

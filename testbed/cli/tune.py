@@ -34,6 +34,7 @@ from testbed.campaign.tuning import (
 from testbed.cli.campaign import TROUBLE, find_campaign
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import show
 from testbed.config import dump, load
 from testbed.files import write_atomic
 from testbed.run.interrupt import Interrupt
@@ -165,7 +166,7 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
         return
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("", "original", "tuned", "range"):
-        grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+        grid.add_column(heading, justify="right" if heading else "left")
     for gain, old, new in zip(tuning.file.gain, result.start.gains, result.best.gains, strict=True):
         grid.add_row(escape(gain.key), f"{old:.4g}", f"{new:.4g}", f"{gain.low:g} to {gain.high:g}")
     before, after = result.start, result.best
@@ -179,7 +180,7 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
         )
         grid.add_row(words, *costs, "")
     out.print(f"[bold]{result.tuning}[/]: {kept}, the best is trial {result.best.number}")
-    out.print(grid)
+    show(out, grid)
     if result.best_proof_broken:
         out.print(
             f"[bold red]not safe on {result.best_proof_broken} of the other seeds[/];"

@@ -76,6 +76,7 @@ def test_the_colour_of_a_verdict():
          ("fault", "aborted by a fault after 33.1 s")),
         (flown(completed=False, duration_s=12.3, criteria=None),
          ("unjudged", "interrupted at 12.3 s: not judged")),
+        (flown(criteria={}), ("unjudged", "no criteria to judge")),
         (flown(completed=False, red=["sat1: no pose"], fault="not started"),
          ("failed", "not started: a check failed")),
         (flown(completed=False, duration_s=9.0, contacts=-1, fault="killed", criteria=None),
