@@ -20,7 +20,6 @@ from testbed.campaign.benchmark import (
     scenario_campaign,
     scores,
 )
-from testbed.campaign.code import code_digest
 from testbed.campaign.engine import workers
 from testbed.campaign.flight import Fliers, fly_campaign
 from testbed.campaign.folders import score_folders
@@ -33,6 +32,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import show
 from testbed.config import SHIPPED, ConfigError, find
 from testbed.files import write_atomic
+from testbed.run.code import code_digest
 from testbed.run.interrupt import Interrupt
 
 BEFORE = (  # comment above the commands

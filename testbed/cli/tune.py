@@ -14,7 +14,6 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
-from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.flight import gone, make_folder
@@ -37,6 +36,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import show
 from testbed.config import dump, load
 from testbed.files import write_atomic
+from testbed.run.code import code_digest, digest_of
 from testbed.run.interrupt import Interrupt
 
 

@@ -1,6 +1,7 @@
 """The figures of a run, and the corresponding figures of the paper."""
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from msgspec.structs import replace
@@ -10,14 +11,21 @@ from controllers.graph import LEADER
 from testbed.config.experiment import Experiment
 from testbed.logs.history import History, VehicleHistory
 from testbed.metrics.run_metrics import HOLD_S, Touch, Track
-from testbed.report.goal_error import GoalError, goal_at
-from testbed.report.item import WIDTH, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
+from testbed.report.chart import TIME
+from testbed.report.fault_story import Said
+from testbed.report.goal_error import GoalError, curves, goal_at
+from testbed.report.item import WIDTH, Box, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
+from testbed.report.valves import openings
 
 Array = NDArray[np.float64]
 
+SMALL = 0.25  # of the table: motion in less than this is drawn enlarged
+PHASE_WIDTH = 400  # of a figure of one phase; letters are larger in it
 MOST_PAIRS = 6  # of vehicles drawn as one line per pair
 GHOSTS = 9  # instants at which the vehicles are drawn along their tracks
-WITH_TOUCHES = ("error", "obstacles", "separation", "speed")  # figures over time
+HISTOGRAM = 40  # bins
+APART = 0.01  # of the flight: events nearer to each other share one line
+MOST_EVENTS = 12  # mild ones that are marked
 PAPERS = {  # corresponding figures of the papers
     "zhang2023": {
         "trajectory": "Figure 15", "error_xy": "Figure 16", "error": "Figure 16",
@@ -26,33 +34,76 @@ PAPERS = {  # corresponding figures of the papers
 }  # fmt: skip
 
 
-def figures(scenario: Experiment, history: History, touches: Sequence[Touch] = ()) -> list[Chart]:
-    """All applicable figures, in the order of the report, with contacts marked."""
+def figures(
+    scenario: Experiment, history: History, touches: Sequence[Touch] = (),
+    told: Sequence[Said] = (),
+) -> list[Chart]:  # fmt: skip
+    """All applicable figures, in the order of the report, with contacts and events marked."""
     makers = (
-        _trajectory, _error, _error_xy, _tracking, _heading, _distances, _separations, _speed,
-        _force, _valves, _air, _timing, _filter,
+        _trajectory, _near, _phases, _error, _error_xy, _tracking, _heading, _distances,
+        _separations, _speed,
+        _force, _valves, _air, _timing, _pose_to_valve, _filter,
     )  # fmt: skip
     made = [chart for maker in makers for chart in maker(scenario, history)]
     shown = [chart for chart in made if any(_shows(item) for item in chart.items)]
-    return [_with_touches(chart, history, touches) for chart in shown]
+    moments = _moments(history, touches, told)
+    crosses = _crosses(history, touches, told)
+    return [_with_events(chart, moments, crosses) for chart in shown]
 
 
-def _with_touches(chart: Chart, history: History, touches: Sequence[Touch]) -> Chart:
-    """Add markers of contacts to a figure."""
-    marks: list[Item] = []
-    if chart.key == "trajectory":
-        for one in touches:
-            t, state = history.where(one.vehicle)
-            x, y = (float(np.interp(one.t, t, state[:, i])) for i in (0, 1))
-            marks.append(Point(x, y, 0, "hit"))
-    elif chart.key in WITH_TOUCHES:
-        times: dict[float, str] = {}
-        for one in touches:  # simultaneous contacts share one line
-            if all(abs(one.t - t) > 0.01 * history.end for t in times):
-                times[one.t] = f"{one.vehicle} hits {one.other}"
-        marks += [Moment(t, words) for t, words in times.items()]
-    note = chart.note + " Red stars are contacts." * (bool(marks) and chart.key == "trajectory")
-    return replace(chart, items=[*chart.items, *marks], note=note)
+def _with_events(chart: Chart, moments: Sequence[Item], crosses: Sequence[Item]) -> Chart:
+    """Add lines at the events, or on the table crosses at their places."""
+    if chart.x_label == TIME:
+        return replace(chart, items=[*chart.items, *moments])
+    if chart.key != "trajectory" or not crosses:
+        return chart
+    note = chart.note + " Red stars are contacts, red crosses the places of faults."
+    return replace(chart, items=[*chart.items, *crosses], note=note)
+
+
+def _moments(history: History, touches: Sequence[Touch], told: Sequence[Said]) -> list[Item]:
+    """A line at each contact, each vehicle's own fault, and the first mild events."""
+    named = [(one.t, f"{one.vehicle} hits {one.other}") for one in touches]
+    named += [(one.t, f"{', '.join(one.who)}: {fault_in(one.words)}") for one in _faults(told)]
+    times: dict[float, str] = {}
+    for t, words in named:
+        if all(abs(t - other) > APART * history.end for other in times):
+            times[t] = "" if words in times.values() else words  # each is named once
+    mild = [one.t for one in told if one.level == "WARN" and one.t > 0.5][:MOST_EVENTS]
+    return [*(Moment(t, words) for t, words in times.items()),
+            *(Moment(t, "", "mild") for t in dict.fromkeys(mild))]  # fmt: skip
+
+
+def _faults(told: Sequence[Said]) -> list[Said]:
+    """Faults of the vehicles that are the culprits."""
+    return [one for one in told if one.level == "CRITICAL" and one.words.startswith("fault: ")]
+
+
+def fault_in(words: str) -> str:
+    """The name of a fault in the text of its event."""
+    return words.removeprefix("fault: ").partition(":")[0].replace("_", " ")
+
+
+def _crosses(history: History, touches: Sequence[Touch], told: Sequence[Said]) -> list[Item]:
+    """A star at each contact, a cross where a vehicle had its fault."""
+    found: list[Item] = []
+    first = {one.vehicle: one.t for one in reversed(touches)}
+    for one in touches:
+        name = f"contact, {one.t:.1f} s" if one.t == first[one.vehicle] else ""
+        found.append(Point(*_place(history, one.vehicle, one.t), 0, "hit", name, 0.25))
+    for said in _faults(told):
+        for who in said.who:
+            if who in history.vehicles and who not in first:
+                name = f"{fault_in(said.words)}, {said.t:.1f} s"
+                found.append(Point(*_place(history, who, said.t), 0, "fault", name, 0.25))
+    return found
+
+
+def _place(history: History, name: str, t: float) -> tuple[float, float]:
+    times, state = history.where(name)
+    if not len(times):
+        return float("nan"), float("nan")
+    return float(np.interp(t, times, state[:, 0])), float(np.interp(t, times, state[:, 1]))
 
 
 def _shows(item: Item) -> bool:
@@ -138,6 +189,60 @@ def _trajectory(scenario: Experiment, history: History) -> Iterator[Chart]:
                 (-half_x, half_x), (-half_y, half_y), equal=True, note=note)  # fmt: skip
 
 
+def _near(scenario: Experiment, history: History) -> Iterator[Chart]:
+    """The place of the motion enlarged, with headings, where it is small beside the table."""
+    paths = [history.where(name)[1] for name in history.vehicles]
+    flown = np.concatenate([one[:, :2] for one in paths]) if paths else np.zeros((0, 2))
+    if not len(flown):
+        return
+    low, high = flown.min(axis=0), flown.max(axis=0)
+    half = max(0.6 * float((high - low).max()), 0.01)
+    if 2.0 * half > SMALL * min(scenario.table.size):
+        return
+    middle, items = (low + high) / 2, list[Item]()
+    for k, (name, state) in enumerate(zip(history.vehicles, paths, strict=True)):
+        items.append(Line(state[:, 0], state[:, 1], k, name))
+        for i in np.linspace(0, len(state) - 1, GHOSTS).astype(int) if len(state) else ():
+            (x, y), turn = state[i, :2], state[i, 2]
+            arm = 0.12 * half
+            items.append(Line(np.array([x, x + arm * np.cos(turn)]),
+                              np.array([y, y + arm * np.sin(turn)]), k, "", "thin"))  # fmt: skip
+        setup = scenario.vehicles[name]
+        items.append(Point(*setup.start[:2], k, "ring"))
+        items.append(Point(*setup.goal[:2], k, "cross"))
+    span = [(float(m) - half, float(m) + half) for m in middle]
+    yield Chart("near", "The motion, enlarged", "x [m]", "y [m]", items, span[0], span[1],
+                equal=True, note=f"The ring is the start, the cross the goal; strokes are the "
+                f"headings at {GHOSTS} times.")  # fmt: skip
+
+
+def _phases(scenario: Experiment, history: History) -> Iterator[Chart]:
+    """One small table per phase of a law whose formation changes, with the phase's curve."""
+    phases = getattr(scenario.controller, "phases", ())
+    if len(phases) < 2:
+        return
+    half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
+    centre = getattr(scenario.controller, "centre", None) or (0.0, 0.0)
+    ends = [*(phase.at for phase in phases[1:]), history.end]
+    for n, (phase, end) in enumerate(zip(phases, ends, strict=True), 1):
+        items: list[Item] = []
+        for x, y in curves(phase.shape) if phase.shape else ():
+            items.append(Line(centre[0] + x, centre[1] + y, 0, "", "way dashed"))
+        for k, name, _ in _vehicles(history):
+            t, state = history.where(name)
+            state = state[(t >= phase.at) & (t <= end)]
+            if len(state):
+                items.append(Line(state[:, 0], state[:, 1], k, name))
+                radius = scenario.vehicles[name].model.radius
+                items.append(Disc(float(state[-1, 0]), float(state[-1, 1]), radius, "ghost", k))
+        if phase.at < history.end:
+            shape = (phase.shape or "field").replace("_", " ")
+            title = f"Phase {n}: {shape}, {phase.at:.0f} to {min(end, history.end):.0f} s"
+            yield Chart(f"phase_{n}", title, "x [m]", "y [m]", items, (-half_x, half_x),
+                        (-half_y, half_y), equal=True, width=PHASE_WIDTH,
+                        note="Dashed: the curve. Discs: the phase's end." * (n == 1))  # fmt: skip
+
+
 def _error(scenario: Experiment, history: History) -> Iterator[Chart]:
     goal_error, (t, places) = GoalError(scenario), history.together()
     settled = 1e3 * goal_error.settled_m
@@ -161,7 +266,10 @@ def _error_xy(scenario: Experiment, history: History) -> Iterator[Chart]:
     for k, name, _ in _vehicles(history):
         t, state = history.where(name)
         off = state[:, :2] - goal_at(scenario.vehicles[name], t)
-        items += [Line(t, off[:, 0], k, f"{name} x"), Line(t, off[:, 1], k, "y", "dashed")]
+        items += [
+            Line(t, off[:, 0], k, f"{name} x"),
+            Line(t, off[:, 1], k, "y", "dashed", f"{name} y"),
+        ]
     yield Chart("error_xy", "Relative position error", "time [s]", "error [m]", items,
                 _time(history))  # fmt: skip
 
@@ -284,20 +392,11 @@ def _force(scenario: Experiment, history: History) -> Iterator[Chart]:
         given = np.hypot(
             _smooth(v.realised_wrench[:, 0], width), _smooth(v.realised_wrench[:, 1], width)
         )
-        items.append(Line(v.t, given, k, "", "thin dashed"))
+        items.append(Line(v.t, given, k, "", "thin dashed", f"{name} delivered"))
         items.append(Line(v.t, commanded, k, f"{name} demanded"))
     yield Chart("force", "Force demanded and delivered", "time [s]", "force [N]", items,
                 _time(history), note="Means over 1 s. Delivered (thin, dashed): computed "
                 "from the pulses and the jet table.")  # fmt: skip
-
-
-def openings(edges: Array, jet: int) -> tuple[Array, Array]:
-    """Times and durations [s] of a jet's openings, from its board's edges (t, mask)."""
-    is_open = (edges[:, 1].astype(int) >> jet) & 1
-    before = np.concatenate([[0], is_open[:-1]])
-    starts = edges[(is_open == 1) & (before == 0), 0]
-    ends = edges[(is_open == 0) & (before == 1), 0]
-    return starts[: len(ends)], ends - starts[: len(ends)]
 
 
 def _valves(scenario: Experiment, history: History) -> Iterator[Chart]:
@@ -308,13 +407,7 @@ def _valves(scenario: Experiment, history: History) -> Iterator[Chart]:
         for jet in range(v.on.shape[1]):
             row = -(k * (v.on.shape[1] + 1) + jet)
             names.append((row + 0.5, f"{name} {jet + 1}"))
-            if len(v.edges):  # its board reports output edges
-                starts, lengths = openings(v.edges, jet)
-                rows.append(Raster(row, starts, lengths, k))
-                continue
-            open_ = v.on[:, jet] > 0.0
-            start = v.t[open_] + delay + v.offset[open_, jet]
-            rows.append(Raster(row, start, v.on[open_, jet], k))
+            rows.append(Raster(row, *openings(v, jet, delay), k))
     yield Chart("valves", "Valves: when each jet was open", "time [s]", "vehicle and jet", rows,
                 _time(history), y_ticks=names, height=11 * len(rows) + 12,
                 width=2 * WIDTH)  # fmt: skip
@@ -357,9 +450,32 @@ def _timing(scenario: Experiment, history: History) -> Iterator[Chart]:
                 Line(history.loop[:, 0], 1e3 * history.loop[:, 2], 1, "busy")]  # fmt: skip
     for k, name, v in _vehicles(history):
         if len(v.wires):
-            loop.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 1], k, name, "thin"))
+            loop.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 1], k + len(loop), name))
     yield Chart("loop", "Lateness of the loop", "time [s]", "time [ms]", loop, _time(history),
                 height=150)  # fmt: skip
+
+
+def _pose_to_valve(scenario: Experiment, history: History) -> Iterator[Chart]:
+    """How long the newest poses took from their arrival to the plan on the wire."""
+    taken = [v.wires[:, 4] for v in history.vehicles.values() if v.wires.shape[1] > 4]
+    found = 1e3 * np.concatenate(taken) if taken else np.zeros(0)
+    found = found[np.isfinite(found)]
+    if not len(found):
+        return
+    low, high = 0.0, float(found.max()) * 1.05 + 1e-9
+    counts, edges = np.histogram(found, HISTOGRAM, (low, high))
+    total, items = len(found), list[Item]()
+    for n, (a, b) in zip(counts.tolist(), pairwise(edges.tolist()), strict=True):
+        hint = f"{a:.2f} to {b:.2f} ms: {n} of {total}"
+        if n:
+            items.append(Box((a, b), (0.0, 100.0 * n / total), "good", hint))
+    for share, name in ((50, "median"), (99, "99 %")):
+        value = float(np.percentile(found, share))
+        items.append(Moment(value, f"{name} {value:.2f} ms"))
+    yield Chart("pose_to_valve", "From the newest pose to the valves' plan", "time [ms]",
+                "share [%]", items, (low, high), (0.0, 105.0 * int(counts.max()) / total),
+                height=150, note="From a pose's arrival at the vehicle to the first byte of its "
+                "plan to the board.")  # fmt: skip
 
 
 def _filter(scenario: Experiment, history: History) -> Iterator[Chart]:

@@ -1,7 +1,7 @@
 """The verdict on a run: a sentence, its colour, and the metrics that failed.
 
 Green: all criteria met. Amber: a criterion missed, or not started. Red: a fault ended it, or there
-was a contact. Grey: not judged, because an operator interrupted it, it was killed, or it has no criteria.
+was a contact. Grey: not judged: interrupted by an operator, killed, or without criteria.
 """
 
 from collections.abc import Sequence
@@ -90,7 +90,10 @@ def reasons(scenario: Experiment, metrics: Metrics) -> list[str]:
         if report is None or report.vehicle not in scenario.vehicles:
             found.append(metrics.fault)
         else:
-            found.append(f"{report.vehicle}: {report.title}")
+            after = ", after the contact" * any(
+                t.vehicle == report.vehicle for t in metrics.touches
+            )
+            found.append(f"{report.vehicle}: {report.title}{after}")
     return found
 
 

@@ -120,8 +120,9 @@ def test_a_vehicle_that_tells_nothing_is_silent(experiment):
 def test_a_silent_vehicle_that_ends_the_flight_is_red(experiment, heard):
     fault = FaultReport("vehicle_silent", "vehicle silent: nothing heard for 0.61 s", "sat2")
     picture = seen(experiment, *[tick(1.0)] * heard)
+    phase = SeenPhase(1.6, "FAULT", "", fault)
     picture.take([News("/sat1/tick", "sat1", 3.5, tick(3.5)),
-                  News("/supervisor", "supervisor", 1.6, SeenPhase(1.6, "FAULT", "", fault))])  # fmt: skip
+                  News("/supervisor", "supervisor", 1.6, phase)])  # fmt: skip
     _, car = numbers(picture)
     assert car["level"] == "bad"
     assert car["state"].startswith("FAULT: vehicle silent")
