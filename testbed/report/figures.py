@@ -4,28 +4,22 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from controllers.graph import LEADER
 from testbed.config.experiment import Experiment
-from testbed.logs.history import History, VehicleHistory
+from testbed.logs.history import History
 from testbed.metrics.run_metrics import HOLD_S, Touch, Track
-from testbed.report.chart import TIME
 from testbed.report.fault_story import Said
-from testbed.report.goal_error import GoalError, curves, goal_at
-from testbed.report.item import WIDTH, Box, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
+from testbed.report.goal_error import GoalError, goal_at
+from testbed.report.item import WIDTH, Box, Chart, Item, Limit, Line, Moment, Raster
+from testbed.report.marking import crosses_of, moments_of, with_events
+from testbed.report.table_figures import enumerated, near, phases, trajectory
 from testbed.report.valves import openings
 
 Array = NDArray[np.float64]
 
-SMALL = 0.25  # of the table: motion in less than this is drawn enlarged
-PHASE_WIDTH = 400  # of a figure of one phase; letters are larger in it
 MOST_PAIRS = 6  # of vehicles drawn as one line per pair
-GHOSTS = 9  # instants at which the vehicles are drawn along their tracks
 HISTOGRAM = 40  # bins
-APART = 0.01  # of the flight: events nearer to each other share one line
-MOST_EVENTS = 12  # mild ones that are marked
 PAPERS = {  # corresponding figures of the papers
     "zhang2023": {
         "trajectory": "Figure 15", "error_xy": "Figure 16", "error": "Figure 16",
@@ -40,70 +34,15 @@ def figures(
 ) -> list[Chart]:  # fmt: skip
     """All applicable figures, in the order of the report, with contacts and events marked."""
     makers = (
-        _trajectory, _near, _phases, _error, _error_xy, _tracking, _heading, _distances,
+        trajectory, near, phases, _error, _error_xy, _tracking, _heading, _distances,
         _separations, _speed,
         _force, _valves, _air, _timing, _pose_to_valve, _filter,
     )  # fmt: skip
     made = [chart for maker in makers for chart in maker(scenario, history)]
     shown = [chart for chart in made if any(_shows(item) for item in chart.items)]
-    moments = _moments(history, touches, told)
-    crosses = _crosses(history, touches, told)
-    return [_with_events(chart, moments, crosses) for chart in shown]
-
-
-def _with_events(chart: Chart, moments: Sequence[Item], crosses: Sequence[Item]) -> Chart:
-    """Add lines at the events, or on the table crosses at their places."""
-    if chart.x_label == TIME:
-        return replace(chart, items=[*chart.items, *moments])
-    if chart.key != "trajectory" or not crosses:
-        return chart
-    note = chart.note + " Red stars are contacts, red crosses the places of faults."
-    return replace(chart, items=[*chart.items, *crosses], note=note)
-
-
-def _moments(history: History, touches: Sequence[Touch], told: Sequence[Said]) -> list[Item]:
-    """A line at each contact, each vehicle's own fault, and the first mild events."""
-    named = [(one.t, f"{one.vehicle} hits {one.other}") for one in touches]
-    named += [(one.t, f"{', '.join(one.who)}: {fault_in(one.words)}") for one in _faults(told)]
-    times: dict[float, str] = {}
-    for t, words in named:
-        if all(abs(t - other) > APART * history.end for other in times):
-            times[t] = "" if words in times.values() else words  # each is named once
-    mild = [one.t for one in told if one.level == "WARN" and one.t > 0.5][:MOST_EVENTS]
-    return [*(Moment(t, words) for t, words in times.items()),
-            *(Moment(t, "", "mild") for t in dict.fromkeys(mild))]  # fmt: skip
-
-
-def _faults(told: Sequence[Said]) -> list[Said]:
-    """Faults of the vehicles that are the culprits."""
-    return [one for one in told if one.level == "CRITICAL" and one.words.startswith("fault: ")]
-
-
-def fault_in(words: str) -> str:
-    """The name of a fault in the text of its event."""
-    return words.removeprefix("fault: ").partition(":")[0].replace("_", " ")
-
-
-def _crosses(history: History, touches: Sequence[Touch], told: Sequence[Said]) -> list[Item]:
-    """A star at each contact, a cross where a vehicle had its fault."""
-    found: list[Item] = []
-    first = {one.vehicle: one.t for one in reversed(touches)}
-    for one in touches:
-        name = f"contact, {one.t:.1f} s" if one.t == first[one.vehicle] else ""
-        found.append(Point(*_place(history, one.vehicle, one.t), 0, "hit", name, 0.25))
-    for said in _faults(told):
-        for who in said.who:
-            if who in history.vehicles and who not in first:
-                name = f"{fault_in(said.words)}, {said.t:.1f} s"
-                found.append(Point(*_place(history, who, said.t), 0, "fault", name, 0.25))
-    return found
-
-
-def _place(history: History, name: str, t: float) -> tuple[float, float]:
-    times, state = history.where(name)
-    if not len(times):
-        return float("nan"), float("nan")
-    return float(np.interp(t, times, state[:, 0])), float(np.interp(t, times, state[:, 1]))
+    moments = moments_of(history, touches, told)
+    crosses = crosses_of(history, touches, told)
+    return [with_events(chart, moments, crosses) for chart in shown]
 
 
 def _shows(item: Item) -> bool:
@@ -127,122 +66,6 @@ def _time(history: History) -> tuple[float, float]:
     return 0.0, max(history.end, 1e-3)
 
 
-def _vehicles(history: History) -> Iterator[tuple[int, str, VehicleHistory]]:
-    for k, (name, vehicle) in enumerate(history.vehicles.items()):
-        yield k, name, vehicle
-
-
-def _trajectory(scenario: Experiment, history: History) -> Iterator[Chart]:
-    items: list[Item] = []
-    goal_error = GoalError(scenario)
-    has_goals = not goal_error.forms
-    for obstacle in scenario.obstacles.values():
-        (x, y), (vx, vy) = obstacle.position, obstacle.velocity
-        items.append(Disc(x, y, obstacle.radius, "danger"))
-        if obstacle.solid > 0.0:
-            items.append(Disc(x, y, obstacle.solid, "solid"))
-        if vx or vy:
-            t = np.linspace(0.0, history.end, 400)
-            way = np.stack([x + t * vx, y + t * vy], axis=1)
-            way = way[(np.abs(way) <= np.array(scenario.table.size) / 2).all(axis=1)]
-            items.append(Line(way[:, 0], way[:, 1], 0, "", "way dashed"))
-    for k, name, vehicle in _vehicles(history):
-        setup = scenario.vehicles[name]
-        asked = vehicle.reference
-        items.append(Line(asked[:, 0], asked[:, 1], k, "", "thin dashed"))
-        t, state = history.where(name)
-        items.append(Line(state[:, 0], state[:, 1], k, name))
-        for i in np.linspace(0, len(t) - 1, GHOSTS).astype(int) if len(t) else ():
-            items.append(
-                Disc(float(state[i, 0]), float(state[i, 1]), setup.model.radius, "ghost", k)
-            )
-        (x, y, _), room = setup.start, setup.model.radius
-        items.append(Point(x, y, k, "ring", "" if has_goals else name, room))
-        if has_goals:
-            x, y = goal_at(setup, np.array([history.end]))[0].tolist()
-            items.append(Point(x, y, k, "cross", name, room))
-    if goal_error.led:
-        led = goal_error.leader_at(np.linspace(0.0, history.end, 200))
-        hue = len(history.vehicles)
-        items.append(Line(led[:, 0], led[:, 1], hue, "", "dashed"))
-        items.append(Point(float(led[-1, 0]), float(led[-1, 1]), hue, "cross", "leader"))
-    ends = {n: s[-1, :2] for n in history.vehicles if len(s := history.where(n)[1])}
-    if goal_error.led:
-        ends[LEADER] = goal_error.leader_at(np.array([history.end]))[0]
-    for a, b, _ in goal_error.edges:
-        if a in ends and b in ends:
-            x, y = np.stack([ends[a], ends[b]]).T
-            items.append(Line(x, y, 0, "", "edge"))
-    half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
-    note = "Rings are starts"
-    note += ", crosses are goals" * has_goals + ", the cross is the leader" * goal_error.led
-    note += "; grey lines are the formation's edges at the end" * bool(goal_error.edges)
-    note += f"; circles are the vehicles to scale at {GHOSTS} times"
-    if not all(np.isnan(v.reference).all() for v in history.vehicles.values()):
-        note += "; thin dashed lines are the references"
-    if any(obstacle.velocity != (0.0, 0.0) for obstacle in scenario.obstacles.values()):
-        note += "; obstacles are drawn at their start, their paths as dashed red lines"
-    if scenario.obstacles:
-        note += "; dashed red circles are danger radii for the vehicle's centre"
-    note += "."
-    yield Chart("trajectory", "Trajectories on the table", "x [m]", "y [m]", items,
-                (-half_x, half_x), (-half_y, half_y), equal=True, note=note)  # fmt: skip
-
-
-def _near(scenario: Experiment, history: History) -> Iterator[Chart]:
-    """The place of the motion enlarged, with headings, where it is small beside the table."""
-    paths = [history.where(name)[1] for name in history.vehicles]
-    flown = np.concatenate([one[:, :2] for one in paths]) if paths else np.zeros((0, 2))
-    if not len(flown):
-        return
-    low, high = flown.min(axis=0), flown.max(axis=0)
-    half = max(0.6 * float((high - low).max()), 0.01)
-    if 2.0 * half > SMALL * min(scenario.table.size):
-        return
-    middle, items = (low + high) / 2, list[Item]()
-    for k, (name, state) in enumerate(zip(history.vehicles, paths, strict=True)):
-        items.append(Line(state[:, 0], state[:, 1], k, name))
-        for i in np.linspace(0, len(state) - 1, GHOSTS).astype(int) if len(state) else ():
-            (x, y), turn = state[i, :2], state[i, 2]
-            arm = 0.12 * half
-            items.append(Line(np.array([x, x + arm * np.cos(turn)]),
-                              np.array([y, y + arm * np.sin(turn)]), k, "", "thin"))  # fmt: skip
-        setup = scenario.vehicles[name]
-        items.append(Point(*setup.start[:2], k, "ring"))
-        items.append(Point(*setup.goal[:2], k, "cross"))
-    span = [(float(m) - half, float(m) + half) for m in middle]
-    yield Chart("near", "The motion, enlarged", "x [m]", "y [m]", items, span[0], span[1],
-                equal=True, note=f"The ring is the start, the cross the goal; strokes are the "
-                f"headings at {GHOSTS} times.")  # fmt: skip
-
-
-def _phases(scenario: Experiment, history: History) -> Iterator[Chart]:
-    """One small table per phase of a law whose formation changes, with the phase's curve."""
-    phases = getattr(scenario.controller, "phases", ())
-    if len(phases) < 2:
-        return
-    half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
-    centre = getattr(scenario.controller, "centre", None) or (0.0, 0.0)
-    ends = [*(phase.at for phase in phases[1:]), history.end]
-    for n, (phase, end) in enumerate(zip(phases, ends, strict=True), 1):
-        items: list[Item] = []
-        for x, y in curves(phase.shape) if phase.shape else ():
-            items.append(Line(centre[0] + x, centre[1] + y, 0, "", "way dashed"))
-        for k, name, _ in _vehicles(history):
-            t, state = history.where(name)
-            state = state[(t >= phase.at) & (t <= end)]
-            if len(state):
-                items.append(Line(state[:, 0], state[:, 1], k, name))
-                radius = scenario.vehicles[name].model.radius
-                items.append(Disc(float(state[-1, 0]), float(state[-1, 1]), radius, "ghost", k))
-        if phase.at < history.end:
-            shape = (phase.shape or "field").replace("_", " ")
-            title = f"Phase {n}: {shape}, {phase.at:.0f} to {min(end, history.end):.0f} s"
-            yield Chart(f"phase_{n}", title, "x [m]", "y [m]", items, (-half_x, half_x),
-                        (-half_y, half_y), equal=True, width=PHASE_WIDTH,
-                        note="Dashed: the curve. Discs: the phase's end." * (n == 1))  # fmt: skip
-
-
 def _error(scenario: Experiment, history: History) -> Iterator[Chart]:
     goal_error, (t, places) = GoalError(scenario), history.together()
     settled = 1e3 * goal_error.settled_m
@@ -263,7 +86,7 @@ def _error_xy(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     if GoalError(scenario).forms:
         return  # vehicles have no individual goals
-    for k, name, _ in _vehicles(history):
+    for k, name, _ in enumerated(history):
         t, state = history.where(name)
         off = state[:, :2] - goal_at(scenario.vehicles[name], t)
         items += [
@@ -289,7 +112,7 @@ def _interpolated(history: History, name: str) -> tuple[Array, Array, Array]:
 def _tracking(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     limit = scenario.criteria.track_rms_m
-    for k, name, vehicle in _vehicles(history):
+    for k, name, vehicle in enumerated(history):
         if not np.isnan(vehicle.force_asked).all():
             continue  # commanded by force, without a reference
         at, pose, asked = _interpolated(history, name)
@@ -302,7 +125,7 @@ def _tracking(scenario: Experiment, history: History) -> Iterator[Chart]:
 
 def _heading(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
-    for k, name, _ in _vehicles(history):
+    for k, name, _ in enumerated(history):
         t, state = history.where(name)
         off = np.angle(np.exp(1j * (state[:, 2] - scenario.vehicles[name].goal[2])))
         items.append(Line(t, np.degrees(off), k, name))
@@ -313,7 +136,7 @@ def _heading(scenario: Experiment, history: History) -> Iterator[Chart]:
 def _distances(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     radii = sorted({obstacle.radius for obstacle in scenario.obstacles.values()})
-    for k, name, _ in _vehicles(history):
+    for k, name, _ in enumerated(history):
         t, state = history.where(name)
         gaps = [
             np.hypot(*(state[:, :2] - np.array(r.position) - np.outer(t, r.velocity)).T) - r.radius
@@ -366,7 +189,7 @@ def _nearest(scenario: Experiment, history: History) -> Chart:
 
 def _speed(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
-    for k, name, _ in _vehicles(history):
+    for k, name, _ in enumerated(history):
         t, state = history.where(name)
         items.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, name))
     yield Chart("speed", "Speed", "time [s]", "speed [mm/s]", items, _time(history),
@@ -385,7 +208,7 @@ def _smooth(values: Array, width: int) -> Array:
 def _force(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     width = max(1, round(1.0 / scenario.flight.jet_period_s))
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         commanded = np.hypot(
             _smooth(v.commanded_wrench[:, 0], width), _smooth(v.commanded_wrench[:, 1], width)
         )
@@ -402,7 +225,7 @@ def _force(scenario: Experiment, history: History) -> Iterator[Chart]:
 def _valves(scenario: Experiment, history: History) -> Iterator[Chart]:
     rows: list[Item] = []
     names: list[tuple[float, str]] = []
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         delay = scenario.vehicles[name].model.command_delay_s
         for jet in range(v.on.shape[1]):
             row = -(k * (v.on.shape[1] + 1) + jet)
@@ -416,7 +239,7 @@ def _valves(scenario: Experiment, history: History) -> Iterator[Chart]:
 def _air(scenario: Experiment, history: History) -> Iterator[Chart]:
     tank: list[Item] = []
     supply: list[Item] = []
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         if np.any(v.tank > 0.0):  # otherwise it has no pressure gauge
             tank.append(Line(v.t, v.tank / 1e6, k, name))
         if np.any(v.supply > 0.0):
@@ -427,19 +250,29 @@ def _air(scenario: Experiment, history: History) -> Iterator[Chart]:
                 supply, _time(history), height=140)  # fmt: skip
 
 
+def largest_each_second(t: Array, values: Array) -> tuple[Array, Array]:
+    """The largest value of each second; a number that jumps every tick would fill the figure."""
+    seconds, start = np.unique(np.floor(t), return_index=True)
+    return seconds, np.fmax.reduceat(values, start) if len(t) else values
+
+
 def _timing(scenario: Experiment, history: History) -> Iterator[Chart]:
-    poses: list[Item] = [Line(v.t, 1e3 * v.pose_age, k, name) for k, name, v in _vehicles(history)]
+    poses: list[Item] = [
+        Line(*largest_each_second(v.t, 1e3 * v.pose_age), k, name)
+        for k, name, v in enumerated(history)
+    ]
     limit = scenario.flight.gate.pose_timeout_s
     worst = max((float(np.nanmax(v.pose_age, initial=0.0)) for v in history.vehicles.values()),
                 default=0.0)  # fmt: skip
     if worst > 0.5 * limit:
         poses.append(Limit(1e3 * limit, f"limit {1e3 * limit:g} ms"))
     yield Chart("pose_age", "Age of the newest pose, when the plan takes effect", "time [s]",
-                "age [ms]", poses, _time(history), height=150)  # fmt: skip
+                "age [ms]", poses, _time(history), height=150,
+                note="The largest of each second.")  # fmt: skip
     heard: list[Item] = [
         Line(t, 1e3 * age, k, name) for k, (name, (t, age)) in enumerate(history.heard.items())
     ]
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         if len(v.wires):
             heard.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 2], k, f"to {name}", "thin dashed"))
     yield Chart("link", "Link: age of the newest state at the host", "time [s]",
@@ -448,9 +281,9 @@ def _timing(scenario: Experiment, history: History) -> Iterator[Chart]:
     if len(history.loop):
         loop = [Line(history.loop[:, 0], 1e3 * history.loop[:, 1], 0, "late"),
                 Line(history.loop[:, 0], 1e3 * history.loop[:, 2], 1, "busy")]  # fmt: skip
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         if len(v.wires):
-            loop.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 1], k + len(loop), name))
+            loop.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 1], k + 2, name))
     yield Chart("loop", "Lateness of the loop", "time [s]", "time [ms]", loop, _time(history),
                 height=150)  # fmt: skip
 
@@ -481,7 +314,7 @@ def _pose_to_valve(scenario: Experiment, history: History) -> Iterator[Chart]:
 def _filter(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = [
         Line(v.t, np.hypot(*v.filtered.T), k, name)
-        for k, name, v in _vehicles(history)
+        for k, name, v in enumerated(history)
         if np.any(v.filtered)
     ]
     yield Chart("filter", "Force change by the safety filter", "time [s]", "force [N]", items,

@@ -12,7 +12,10 @@
     if (parent) parent.append(one);
     return one;
   };
-  const words = v => !isFinite(v) ? "\u2013" : (Math.abs(v) >= 1e-3 || v === 0 ? String(+v.toPrecision(4)) : v.toExponential(1)).replace(/-/g, "\u2212");
+  const words = (v, step) => { // no more digits than the figure resolves
+    const text = v.toFixed(Math.min(8, Math.max(0, Math.ceil(-Math.log10(step)))));
+    return (Number(text) === 0 ? text.replace("-", "") : text).replace("-", "\u2212");
+  };
 
   // a figure's frame: pixels to numbers and back
   function frame(svg) {
@@ -53,7 +56,7 @@
       name: path.dataset.name, hue: path.dataset.hue, line: pieces(path) }));
     plot.out.replaceChildren(`at ${t.toFixed(1)} s: `, ...plot.lines.flatMap(one => {
       const dot = document.createElement("span"), py = at(one.line, px);
-      dot.textContent = `${one.name} ${isNaN(py) ? "\u2013" : words(f.value(py))}`;
+      dot.textContent = `${one.name} ${isNaN(py) ? "\u2013" : words(f.value(py), Math.abs(f.value(py) - f.value(py + 0.1)))}`;
       dot.style.color = `var(--h${one.hue})`;
       return [dot, "  "];
     }));
