@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
+from testbed.cli.film import film
 from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
@@ -280,29 +281,6 @@ def report(context: click.Context, run: Path, png: bool) -> None:
 
 
 @main.command()
-@click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option(
-    "--out", type=click.Path(dir_okay=False, path_type=Path),
-    help="File, *.gif or *.mp4.  [default: in RUN; MP4 if ffmpeg is installed]",
-)  # fmt: skip
-@click.option(
-    "--speed", type=click.FloatRange(min=0.0, min_open=True),
-    help="Multiple of real time.  [default: at most 30 s of film]",
-)  # fmt: skip
-@click.option(
-    "--width", type=click.IntRange(200, 4000), default=720, show_default=True, help="In pixels."
-)
-@click.pass_context
-def film(
-    context: click.Context, run: Path, out: Path | None, speed: float | None, width: int
-) -> None:
-    """Make a film of a RUN: vehicles, plumes, trails, events."""
-    from testbed.cli.film import film_run
-
-    context.exit(film_run(run, out, speed, width))
-
-
-@main.command()
 @click.argument(
     "runs", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path)
 )
@@ -382,7 +360,7 @@ def reproduce(
 
 
 for verb in (
-    agent, benchmark, calibrate, campaign, excite, lab_keys, poses, stop, tune, twin, validate
+    agent, benchmark, calibrate, campaign, excite, film, lab_keys, poses, stop, tune, twin, validate
 ):  # fmt: skip
     main.add_command(verb)
 

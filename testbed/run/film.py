@@ -3,7 +3,7 @@
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,10 @@ LENGTH_S = 30.0  # of a film whose speed is not given, if the run is longer
 COLOURS = 64  # of a GIF
 
 
-def make_film(run: Path, out: Path | None, speed: float | None, width: int) -> Path:
+def make_film(
+    run: Path, out: Path | None, speed: float | None, width: int,
+    warn: Callable[[list[str]], None] = lambda lines: None,
+) -> Path:  # fmt: skip
     """Write the film; returns its path.
 
     Args:
@@ -28,6 +31,7 @@ def make_film(run: Path, out: Path | None, speed: float | None, width: int) -> P
         out: *.gif or *.mp4; None: in the run folder, MP4 if ffmpeg is installed.
         speed: multiple of real time; None: at most LENGTH_S long.
         width: of the picture [px].
+        warn: called with a line for each damaged place of the log.
     """
     ffmpeg = shutil.which("ffmpeg")
     path = out or run / ("film.mp4" if ffmpeg else "film.gif")
@@ -39,7 +43,9 @@ def make_film(run: Path, out: Path | None, speed: float | None, width: int) -> P
         raise FilmError(where=str(path), expected="the program ffmpeg, which writes MP4; on Debian"
                         " `apt install ffmpeg`, or choose .gif", found="none")  # fmt: skip
     log, experiment = log_of(run), load(config_of(run))
-    history = gather(LogReader(log))
+    book = LogReader(log)
+    history = gather(book)
+    warn(book.said())
     metrics = judged(log.parent, log, experiment, history)
     told = lines(experiment, history, metrics.touches)
     film = Film(experiment, history, told, width - width % 2)
