@@ -1,4 +1,4 @@
-"""Make the pictures of the README and the docs: the paths flown, the dashboard, a report.
+"""Make the pictures of the README and the docs: the paths flown, the dashboard, reports, a film.
 
     python docs/pictures/make.py
 
@@ -90,6 +90,19 @@ def report(run: Path) -> bytes:
         return page.picture()
 
 
+def failure(folder: Path) -> None:
+    """The report and the film of a vehicle that flies into an obstacle."""
+    command = [sys.executable, "-m", "testbed"]
+    words = ["run", "zhang2023_table_pd", "duration_s=20", "--out", str(folder)]
+    subprocess.run([*command, *words], stdout=subprocess.DEVNULL, check=False)
+    with Browser(1366, 900) as page:
+        page.open((folder / "report.html").resolve().as_uri())
+        page.value("new Promise(done => setTimeout(done, 500))")
+        keep(page.picture(), "report_fault.png", 1366)
+    film = [*command, "film", str(folder), "--out", str(HERE / "film.gif"), "--width", "480"]
+    subprocess.run(film, stdout=subprocess.DEVNULL, check=True)
+
+
 def trajectory(run: Path) -> None:
     """Save the report's figure of the paths as flight.svg."""
     drawing = testbed.open_run(run).plot("trajectory")["trajectory"]
@@ -97,8 +110,9 @@ def trajectory(run: Path) -> None:
 
 
 def main() -> None:
-    """Make all three."""
+    """Make all of them."""
     with tempfile.TemporaryDirectory() as folder:
+        failure(Path(folder) / "failure")
         half, whole = Path(folder) / "half", Path(folder) / "whole"
         fly(whole)
         trajectory(whole)

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from numba.core import config
 
-from testbed.campaign.code import code_digest
 from testbed.campaign.row import Task
 from testbed.config import Experiment
+from testbed.run.code import code_digest
 
 Warm = Callable[[str, Sequence[Task]], None]
 Read = Callable[[str, Sequence[str]], Experiment]

@@ -20,9 +20,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from testbed.campaign.code import code_digest
 from testbed.campaign.extra import needs_extra
 from testbed.core.error import TestbedError
+from testbed.run.code import code_digest
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

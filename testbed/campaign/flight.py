@@ -22,7 +22,6 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import Read, Warm, compile_first
 from testbed.campaign.engine import Fleet, count_workers, workers
 from testbed.campaign.journal import Head, Journal, JournalError
@@ -30,6 +29,7 @@ from testbed.campaign.row import FlownRun, Kept, Task, within
 from testbed.campaign.sweep import Campaign, CampaignFile, deciding, difference, read_file
 from testbed.config import ConfigError, read_toml
 from testbed.files import named, write_atomic
+from testbed.run.code import code_digest, digest_of
 
 UNLIKE = "unlike.txt"  # in a run's folder: columns that differed in the second flight
 MOST_WARMED = 20  # combinations compiled in advance; workers compile the others

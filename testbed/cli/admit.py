@@ -14,6 +14,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import show
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.metrics.admission import (
     Admission,
@@ -105,7 +106,7 @@ def print_admission(admission: Admission) -> None:
         grid.add_column(heading)
     for one in admission.findings:
         grid.add_row(one.name, one.words, str(one.seed), style=None if one.kept else "red")
-    out.print(grid)
+    show(out, grid)
     for words in admission.faults:
         out.print(f"  {words}", style="red", markup=False, soft_wrap=True)
     broken = ", ".join(one.name for one in admission.findings if not one.kept)

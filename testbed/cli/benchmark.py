@@ -20,7 +20,6 @@ from testbed.campaign.benchmark import (
     scenario_campaign,
     scores,
 )
-from testbed.campaign.code import code_digest
 from testbed.campaign.engine import workers
 from testbed.campaign.flight import Fliers, fly_campaign
 from testbed.campaign.folders import score_folders
@@ -30,11 +29,12 @@ from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.campaign import TROUBLE, Bar, find_campaign, write_results
 from testbed.cli.exit_code import INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import show
 from testbed.config import SHIPPED, ConfigError, find
 from testbed.files import write_atomic
+from testbed.run.code import code_digest
 from testbed.run.interrupt import Interrupt
 
-WIDEST = 500  # characters per line
 BEFORE = (  # comment above the commands
     "One command per run, for any rig; on a table append `--rig table` to each. Run them one by "
     "one and return the vehicles to their starts in between, so do not run them as a script.",
@@ -184,16 +184,14 @@ def print_concerns(record: Record) -> None:
 
 
 def print_scores(table: list[Score]) -> None:
-    """Print the table; numbers are never truncated, even in a narrow window."""
+    """Print the table."""
     grid = Grid(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("scenario", "law"):
-        grid.add_column(heading, no_wrap=True)
+        grid.add_column(heading)
     headings = [heading.replace(" ", "\n").replace("[", "\\[") for heading, *_ in COLUMNS]
     rigs = any(row.rig != "twin" for row in table)
     for heading in ("passed", *headings, "robust", *["rig"] * rigs):
         grid.add_column(heading, justify="right")
     for row, cells in zip(table, cells_of(table), strict=True):
         grid.add_row(*cells, style="red" if row.passed < row.runs else None)
-    out = Console(highlight=False)
-    out.width = max(out.width, out.measure(grid, options=out.options.update(width=WIDEST)).maximum)
-    out.print(grid)
+    show(Console(highlight=False), grid)

@@ -30,6 +30,7 @@ from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.progress import Bar
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import show
 from testbed.config import ConfigError
 from testbed.config.tree import trouble_at
 from testbed.files import write_atomic
@@ -155,7 +156,7 @@ def print_summary(
 def _print_spreads(out: Console, summary: Summary) -> None:
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("", "runs", "best", "median", "95 %", "worst", "in run"):
-        grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+        grid.add_column(heading, justify="right" if heading else "left")
     for one in summary.spreads:
         unit = f" \\[{one.quantity.unit}]" if one.quantity.unit else ""
         numbers = (one.best, one.median, one.p95, one.worst)
@@ -163,7 +164,7 @@ def _print_spreads(out: Console, summary: Summary) -> None:
             one.quantity.title + unit, str(one.runs), *(f"{number:.4g}" for number in numbers),
             str(one.worst_run),
         )  # fmt: skip
-    out.print(grid)
+    show(out, grid)
 
 
 def _print_cases(out: Console, summary: Summary) -> None:
@@ -182,6 +183,6 @@ def _print_cases(out: Console, summary: Summary) -> None:
             f"{100 * rate.low:.1f} to {100 * rate.high:.1f} %",
         )  # fmt: skip
     out.print("")
-    out.print(grid)
+    show(out, grid)
     if len(summary.cases) > 40:
         out.print(f"... and {len(summary.cases) - 40} more in the report")

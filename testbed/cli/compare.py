@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,23 +13,28 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import refuse, warn
+from testbed.cli.screen import show
 from testbed.config import ConfigError, Experiment, load
 from testbed.logs.history import History, gather
 from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
 from testbed.metrics.formation import has_formation
 from testbed.metrics.run_metrics import Metrics
+from testbed.report.chart import TIME
+from testbed.report.events import lines
 from testbed.report.goal_error import GoalError
 from testbed.report.item import HUES, Chart, Disc, Item, Limit, Line
 from testbed.report.page import (
     OF_A_GOAL,
     ROWS,
+    SCRIPT,
     ReportError,
     figure,
     known,
     page,
     together_of,
 )
-from testbed.report.verdict import UNCOUNTED
+from testbed.report.scrubber import LONGEST, bar, flight_data, vehicle_data
+from testbed.report.verdict import NOTHING_TO_JUDGE, UNCOUNTED
 from testbed.run.post_mortem import judged
 
 TOGETHER = {  # key of a row, of the formation's metrics
@@ -114,15 +120,15 @@ def print_table(runs: Sequence[ComparedRun]) -> None:
         for k, run in enumerate(runs, 1):
             out.print(f"{k:3}  {run.label}", markup=False, soft_wrap=True)
     grid = Grid(title="worst vehicle of each run", title_justify="left")
-    grid.add_column("", overflow="fold")
+    grid.add_column("")
     for k, run in enumerate(runs, 1):
-        grid.add_column(run.label if fits else str(k), justify="right", overflow="fold")
+        grid.add_column(run.label if fits else str(k), justify="right")
     for heading, key, scale, digits, _ in rows_for(runs):
         cells = [worst(run, key) for run in runs]
         words = ["-" if v is None else f"{scale * v:.{digits}f}" for v in cells]
         grid.add_row(heading.replace("[", "\\["), *words)
     grid.add_row("verdict", *[verdict(run.metrics) for run in runs])
-    out.print(grid)
+    show(out, grid)
 
 
 def verdict(metrics: Metrics) -> str:
@@ -135,7 +141,9 @@ def verdict(metrics: Metrics) -> str:
         return "aborted"
     if not metrics.completed:
         return "interrupted"
-    return "passed" if all((metrics.criteria or {}).values()) else "failed"
+    if not metrics.criteria:
+        return NOTHING_TO_JUDGE
+    return "passed" if all(metrics.criteria.values()) else "failed"
 
 
 def render(runs: Sequence[ComparedRun]) -> str:
@@ -156,12 +164,33 @@ def render(runs: Sequence[ComparedRun]) -> str:
         "<tr><td>verdict</td>" + "".join(f"<td>{verdict(r.metrics)}</td>" for r in runs) + "</tr>"
     )
     figures = "".join(figure(chart) for chart in charts(runs))
+    data = together_data(runs)
     return page(
         "Comparison",
         f"<header><div><h1>Comparison of {len(runs)} runs</h1></div></header>"
         f'<div class="wide"><table><tr><th></th>{heads}</tr>{"".join(rows)}</table></div>'
-        f'<h2>Figures</h2><div class="figures">{figures}</div>',
+        f'<h2>Figures</h2><div class="figures">{figures}</div>{bar(data)}',
+        script=SCRIPT,
     )
+
+
+def together_data(runs: Sequence[ComparedRun]) -> dict[str, Any]:
+    """The scrubber's data: the vehicles of all runs on one table, one colour per run."""
+    longest = max(runs, key=lambda run: run.history.end)
+    data = flight_data(longest.experiment, longest.history)
+    data["vehicles"] = [
+        vehicle_data(run.experiment, run.history, name, k, data["step"])
+        | {"name": f"{run.label}: {name}"}
+        for k, run in enumerate(runs)
+        for name in run.history.vehicles
+    ]
+    data["events"] = sorted(
+        [round(one.t, 2), one.level, f"{run.label}: {', '.join(one.who)}", one.words[:LONGEST]]
+        for run in runs
+        for one in lines(run.experiment, run.history, run.metrics.touches)
+        if one.level != "INFO"
+    )
+    return data
 
 
 def charts(runs: Sequence[ComparedRun]) -> list[Chart]:
@@ -175,6 +204,7 @@ def charts(runs: Sequence[ComparedRun]) -> list[Chart]:
     clear: list[Item] = []
     speeds: list[Item] = []
     gas: list[Item] = []
+    places_: tuple[list[Item], list[Item]] = [], []
     titles: list[str] = []
     end = max(run.history.end for run in runs)
     for k, run in enumerate(runs):
@@ -182,25 +212,33 @@ def charts(runs: Sequence[ComparedRun]) -> list[Chart]:
         titles.append(asked.title)
         style = STYLES[k % len(STYLES)]
         times, places = run.history.together()
-        for n, off in enumerate(asked.parts(times, places).values()):
-            errors_.append(Line(times, 1e3 * off, k, run.label if n == 0 else "", style))
+        for n, (part, off) in enumerate(asked.parts(times, places).items()):
+            label, hint = run.label if n == 0 else "", f"{run.label}: {part}"
+            errors_.append(Line(times, 1e3 * off, k, label, style, hint))
         for n, (name, vehicle) in enumerate(run.history.vehicles.items()):
             label = run.label if n == 0 else ""
             t, state = run.history.where(name)
-            tracks.append(Line(state[:, 0], state[:, 1], k, label, style))
-            speeds.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, label, style))
-            gas.append(Line(vehicle.t, vehicle.tank / 1e6, k, label, style))
+            hint = f"{run.label}: {name}"
+            tracks.append(Line(state[:, 0], state[:, 1], k, label, style, hint))
+            speeds.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, label, style, hint))
+            if np.any(vehicle.tank > 0.0):  # otherwise it has no pressure gauge
+                gas.append(Line(vehicle.t, vehicle.tank / 1e6, k, label, style, hint))
+            for axis, axis_lines in enumerate(places_):
+                axis_lines.append(Line(t, state[:, axis], k, label, style, hint))
             if obstacles:
                 gaps = [
                     np.hypot(*(state[:, :2] - np.array(r.position) - np.outer(t, r.velocity)).T)
                     - r.radius
                     for r in obstacles
                 ]
-                clear.append(Line(t, np.min(gaps, axis=0), k, label, style))
+                clear.append(Line(t, np.min(gaps, axis=0), k, label, style, hint))
     span = (0.0, max(end, 1e-3))
     made = [
         Chart("trajectory", "Trajectories", "x [m]", "y [m]", tracks, (-half_x, half_x),
               (-half_y, half_y), equal=True),
+        *(Chart(f"position_{axis}", f"Position {axis}", TIME, f"{axis} [m]", one, span)
+          for axis, one in zip("xy", places_, strict=True)),
+        *residuals(runs, span),
         Chart("error", "; ".join(dict.fromkeys(titles)), "time [s]",
               "distance [mm], log scale", errors_, span, log=True),
         Chart("speed", "Speed", "time [s]", "speed [mm/s]", speeds, span),
@@ -212,4 +250,32 @@ def charts(runs: Sequence[ComparedRun]) -> list[Chart]:
             Chart("obstacles", "Distance to the nearest danger zone", "time [s]", "distance [m]",
                   [*clear, limit], span)
         )  # fmt: skip
-    return made
+    return [one for one in made if one.items]
+
+
+def residuals(runs: Sequence[ComparedRun], span: tuple[float, float]) -> list[Chart]:
+    """Differences to the first run, of vehicles with the same name, at the same times."""
+    first, apart, turns = runs[0], list[Item](), list[Item]()
+    for k, run in enumerate(runs[1:], 1):
+        shared = [name for name in run.history.vehicles if name in first.history.vehicles]
+        for n, name in enumerate(shared):
+            (t, state), (t0, state0) = run.history.where(name), first.history.where(name)
+            if len(t) < 2 or len(t0) < 2:
+                continue
+            inside = (t >= t0[0]) & (t <= t0[-1])
+            there = np.column_stack(
+                [np.interp(t[inside], t0, np.unwrap(state0[:, i]) if i == 2 else state0[:, i])
+                 for i in range(3)]
+            )  # fmt: skip
+            off = state[inside, :3] - there
+            turn = np.degrees(np.angle(np.exp(1j * off[:, 2])))
+            label, style = run.label if n == 0 else "", STYLES[k % len(STYLES)]
+            hint = f"{run.label}: {name}"
+            distance = 1e3 * np.hypot(*off[:, :2].T)
+            apart.append(Line(t[inside], distance, k, label, style, hint))
+            turns.append(Line(t[inside], turn, k, label, style, hint))
+    title = f"to {first.label}"
+    return [
+        Chart("residual", f"Residual: distance {title}", TIME, "distance [mm]", apart, span),
+        Chart("residual_turn", f"Residual: heading {title}", TIME, "angle [deg]", turns, span),
+    ]

@@ -11,6 +11,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import show
 from testbed.config import ConfigError
 from testbed.faults.drill import (
     Drill,
@@ -70,9 +71,9 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
         title=title, title_justify="left", title_style="bold", box=None, padding=(0, 1, 0, 0)
     )
     for heading in ("fault", "does"):
-        grid.add_column(heading, no_wrap=True)
+        grid.add_column(heading)
     for heading in HEADINGS:
-        grid.add_column(escape(heading), justify="right", no_wrap=True)
+        grid.add_column(escape(heading), justify="right")
     for row in drill.rows:
         bad = row.undetected or row.contacts or row.valves_open_after_deadline
         grid.add_row(
@@ -81,7 +82,7 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
             _number(row.shut_worst_s), _number(row.travelled_worst_m), str(row.contacts),
             str(row.adrift), str(row.valves_open_after_deadline), style="red" if bad else None,
         )  # fmt: skip
-    out.print(grid)
+    show(out, grid)
     out.print(
         f"undetected: {drill.undetected}, dormant: {drill.dormant}, "
         f"valves open after the deadline: {drill.valves_open_after_deadline}, "

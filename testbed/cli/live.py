@@ -22,6 +22,7 @@ from testbed.report.goal_error import GoalError
 from testbed.run.fly import FlightScreen
 
 REFRESH_HZ = 8
+CALM = "cyan"  # of a progress bar; red is for faults
 
 
 class LiveTable(FlightScreen):
@@ -44,7 +45,8 @@ class LiveTable(FlightScreen):
         self._t = 0.0
         self.phase = "DISARMED"  # of the supervisor
         self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f} s"),
+            TextColumn("{task.description}"), BarColumn(complete_style=CALM),
+            TextColumn("{task.completed:.0f} s"),
             TimeRemainingColumn(), console=console,
         )  # fmt: skip
         self._words = "getting ready (compiles on the first run)"
@@ -120,7 +122,7 @@ class LiveTable(FlightScreen):
             return self._progress
         grid = Grid(box=None, pad_edge=False)
         for heading in ("vehicle", "state"):
-            grid.add_column(heading, no_wrap=True)
+            grid.add_column(heading, overflow="fold")
         for heading in ("error [mm]", "clearance [m]", "speed [mm/s]", "gas [%]", "pose age [ms]"):
             grid.add_column(heading.replace("[", "\\["), justify="right", no_wrap=True)
         for name, tick in list(self._ticks.items()):

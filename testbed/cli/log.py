@@ -9,6 +9,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import refuse, warn
+from testbed.cli.screen import show
 from testbed.logs.export import WRITERS, ExportError, tables, to_bag
 from testbed.logs.log_reader import LogError, LogReader, log_of
 from testbed.logs.topics import Contents, survey
@@ -28,9 +29,9 @@ def show_log(run: Path, as_json: bool) -> int:
         return OK
     out, grid = Console(highlight=False), Grid(box=None, padding=(0, 1))
     for heading in ("topic", "kind"):
-        grid.add_column(heading, no_wrap=True)
+        grid.add_column(heading)
     for heading in ("count", "Hz", "to \\[s]", "gaps", "longest \\[s]", "MB"):
-        grid.add_column(heading, justify="right", no_wrap=True)
+        grid.add_column(heading, justify="right")
     for topic in topics:
         longest = topic.longest_gap_s
         grid.add_row(
@@ -39,7 +40,7 @@ def show_log(run: Path, as_json: bool) -> int:
             f"{topic.last_s:.1f}", str(topic.gaps),
             "-" if longest is None else f"{longest:.2f}", f"{topic.megabytes:.2f}",
         )  # fmt: skip
-    out.print(grid)
+    show(out, grid)
     if not book.finished:
         out.print("the log is incomplete: its writer was killed or is still running")
     return OK

@@ -12,6 +12,7 @@ from rich.table import Table as Grid
 from controllers import catalogue
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import show
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
 from testbed.config.experiment import VehicleSetup
 from testbed.config.guarantee import warnings_of
@@ -98,7 +99,7 @@ def list_everything(as_json: bool) -> None:
         for name, line in entries.items():
             grid.add_row(f"  [bold]{name}[/]", line)
         out.print(f"{title}", style="bold cyan")
-        out.print(grid)
+        show(out, grid)
 
 
 def print_schema(kind: str) -> None:

@@ -13,6 +13,7 @@ import click
 
 from testbed.cli.again import replay
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
+from testbed.cli.film import film
 from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, poses, stop, twin
@@ -308,8 +309,8 @@ def reproduce(
 
 
 for verb in (
-    agent, benchmark, calibrate, campaign, console, dash, excite, lab_keys, poses, replay, ros2,
-    stop, tune, twin, validate,
+    agent, benchmark, calibrate, campaign, console, dash, excite, film, lab_keys, poses, replay,
+    ros2, stop, tune, twin, validate,
 ):  # fmt: skip
     main.add_command(verb)
 

@@ -21,6 +21,7 @@ from rich.progress import (
 
 from testbed.campaign.flight import CampaignObserver
 from testbed.campaign.row import FlownRun
+from testbed.cli.live import CALM
 from testbed.cli.refusal import errors
 
 LINE_S = 60.0  # interval of lines without a terminal [s]
@@ -34,7 +35,7 @@ class Bar(CampaignObserver):
     def __init__(self, name: str = "", line_s: float = LINE_S) -> None:
         self._name = name
         self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+            TextColumn("{task.description}"), BarColumn(complete_style=CALM), MofNCompleteColumn(),
             TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
             console=errors, transient=True, disable=not errors.is_terminal,
         )  # fmt: skip

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import show
 from testbed.config import ConfigError
 from testbed.report.chart import alone
 from testbed.reproduction.audit import Made, RunError, made, rows_of, tasks_of
@@ -121,8 +122,8 @@ def print_table(name: str, paper: Paper, rows: list[ClaimRow]) -> None:
                 show_lines=False, expand=True)  # fmt: skip
     grid.add_column("where", ratio=2)
     grid.add_column("claim", ratio=5)
-    grid.add_column("paper", justify="right", ratio=3)
-    grid.add_column("measured", justify="right", no_wrap=True)
+    grid.add_column("paper", ratio=3)
+    grid.add_column("measured", justify="right")
     grid.add_column("verdict", ratio=3)
     for row in rows:
         what = row.verdict if row.kind == CHECK else row.outcome
@@ -131,7 +132,7 @@ def print_table(name: str, paper: Paper, rows: list[ClaimRow]) -> None:
             Text(row.source), Text(row.claim), Text(claimed(row)), Text(measured(row)),
             Text(what + mark, style=STYLES[row.outcome]),
         )  # fmt: skip
-    Console(highlight=False).print(grid)
+    show(Console(highlight=False), grid)
 
 
 def measured(row: ClaimRow) -> str:

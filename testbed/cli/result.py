@@ -7,12 +7,13 @@ from rich.markup import escape
 from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, FAULT, INTERRUPTED, NOT_STARTED, OK
+from testbed.cli.screen import show
 from testbed.config import Experiment
 from testbed.metrics.afterwards import left_in_words
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import FormationCriteria, Metrics
 from testbed.report.page import OF_A_GOAL, ROWS, known
-from testbed.report.verdict import SHOWN_TOUCHES, UNCOUNTED, missed, touched
+from testbed.report.verdict import NOTHING_TO_JUDGE, SHOWN_TOUCHES, UNCOUNTED, missed, touched
 
 
 def code_of(metrics: Metrics) -> int:
@@ -52,7 +53,7 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
             for n in metrics.vehicles
         ]  # fmt: skip
         grid.add_row(escape(heading), *cells, _limit(experiment, criterion, scale))
-    out.print(grid)
+    show(out, grid)
     separation = metrics.min_vehicle_distance_m
     pieces = [f"contacts: {'not known' if metrics.contacts == UNCOUNTED else metrics.contacts}"]
     if separation is not None:
@@ -131,5 +132,7 @@ def _verdict(metrics: Metrics) -> str:
         return f"[bold yellow]interrupted[/] at {metrics.duration_s:.1f} s: not judged"
     if failed:
         return f"[bold red]failed[/]: {', '.join(failed)}"
+    if not metrics.criteria:
+        return f"[bold]{NOTHING_TO_JUDGE}[/]"
     whose = "" if metrics.rig == "table" else " (a result of the twin, not of a table)"
     return f"[bold green]passed[/]: all criteria met{whose}"

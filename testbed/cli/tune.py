@@ -14,7 +14,6 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
-from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import Fleet, workers
 from testbed.campaign.flight import gone, make_folder
@@ -34,8 +33,10 @@ from testbed.campaign.tuning import (
 from testbed.cli.campaign import TROUBLE, find_campaign
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import show
 from testbed.config import dump, load
 from testbed.files import write_atomic
+from testbed.run.code import code_digest, digest_of
 from testbed.run.interrupt import Interrupt
 
 
@@ -165,7 +166,7 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
         return
     grid = Grid(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in ("", "original", "tuned", "range"):
-        grid.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+        grid.add_column(heading, justify="right" if heading else "left")
     for gain, old, new in zip(tuning.file.gain, result.start.gains, result.best.gains, strict=True):
         grid.add_row(escape(gain.key), f"{old:.4g}", f"{new:.4g}", f"{gain.low:g} to {gain.high:g}")
     before, after = result.start, result.best
@@ -179,7 +180,7 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
         )
         grid.add_row(words, *costs, "")
     out.print(f"[bold]{result.tuning}[/]: {kept}, the best is trial {result.best.number}")
-    out.print(grid)
+    show(out, grid)
     if result.best_proof_broken:
         out.print(
             f"[bold red]not safe on {result.best_proof_broken} of the other seeds[/];"

@@ -19,6 +19,7 @@ from testbed.console.scene import scene
 from testbed.logs.feed import LogFeed
 from testbed.logs.log_reader import LogError, LogReader, config_of
 from testbed.metrics.run_metrics import Metrics
+from testbed.report.verdict import NOTHING_TO_JUDGE
 
 PERIOD_S = 0.1
 BATCH = 5000  # messages between two pictures when catching up
@@ -117,4 +118,6 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
     failed = [name for name, met in (metrics.criteria or {}).items() if not met]
     if failed:
         return {"words": f"flown; not met: {', '.join(failed)}", "level": "warn"}
+    if not metrics.criteria:
+        return {"words": f"flown; {NOTHING_TO_JUDGE}", "level": "off"}
     return {"words": "flown; all criteria met", "level": "ok"}

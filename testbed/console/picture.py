@@ -118,7 +118,7 @@ class LivePicture:
 
     def now(self) -> dict[str, Any]:
         """The newest state of everything that moves."""
-        culprits = self._trouble.culprits(self._ticks)
+        culprits = self._culprits()
         words, level = self._headline()
         states = {n: one.outputs.state for n, one in self._ticks.items()}
         known = {n: s for n, s in states.items() if s is not None}
@@ -132,6 +132,14 @@ class LivePicture:
             "vehicles": [self._vehicle(name, culprits, known) for name in self._names],
         }
 
+    def _culprits(self) -> dict[str, str]:
+        """Vehicles with a fault of their own; a silent one is known from the supervisor only."""
+        found, fault = self._trouble.culprits(self._ticks), self.phase.fault
+        origin = fault.origin if fault is not None else None
+        if origin is not None and origin.vehicle in self._names:
+            return {origin.vehicle: origin.title} | found
+        return found
+
     def _headline(self) -> tuple[str, str]:
         if fault := self._trouble.banner(self._ticks):
             return fault, "bad"
@@ -142,7 +150,10 @@ class LivePicture:
     def _vehicle(self, name: str, culprits: dict[str, str], known: dict[str, Any]) -> Any:
         tick = self._ticks.get(name)
         if tick is None:
-            return {"name": name, "state": "not heard yet", "level": "off", "numbers": []}
+            words, level = "not heard yet", "off"
+            if name in culprits:
+                words, level = f"FAULT: {culprits[name]}", "bad"
+            return {"name": name, "state": words, "level": level, "numbers": []}
         out, state = tick.outputs, tick.outputs.state
         words, level = self._state(name, tick, culprits)
         asked = pose_of(out.active_setpoint)

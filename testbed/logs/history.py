@@ -60,7 +60,7 @@ class VehicleHistory(Struct, frozen=True):
     filtered: Array  # (n, 2) change of force by the safety filter, in W [N]
     events: list[Happening]  # from gate, fault table, filter and cameras
     edges: Array  # (e, 2) t [s] and mask of its valves; empty: its board reported none
-    wires: Array  # (n, 4) t, lateness, setpoint delay [s], share lost; empty: no wires
+    wires: Array  # (n, 5) t, lateness, setpoint delay [s], share lost, pose to valve [s]; or empty
     true: Array  # (m, 6) x, y, theta, vx, vy, omega; empty if unknown
 
 
@@ -181,9 +181,7 @@ def _vehicle(
         filtered=np.column_stack((out["filtered"]["dfx_w"], out["filtered"]["dfy_w"])),
         events=sorted(said, key=lambda one: (one.t, one.text)),
         edges=np.zeros((0, 2)) if edges is None else _numbers(edges).astype(float),
-        wires=np.array(
-            [(t, p.late_s, _or_nan(p.setpoint_delay_s), lost_share(p)) for t, p in paces]
-        ).reshape(-1, 4),
+        wires=_wires(log.rows.get(f"/{name}/pace"), paces),
         true=true if len(true) else np.zeros((0, 6)),
     )  # fmt: skip
 
@@ -219,6 +217,14 @@ def _paces(log: Columns, name: str, reader: Rows) -> list[tuple[float, SeenPace]
         assert isinstance(one, SeenPace)
         found.append((float(row["t"]), one))
     return found
+
+
+def _wires(rows: Any, paces: list[tuple[float, SeenPace]]) -> Array:
+    """The columns of `VehicleHistory.wires`."""
+    if rows is None:
+        return np.zeros((0, 5))
+    told = [(t, p.late_s, _or_nan(p.setpoint_delay_s), lost_share(p)) for t, p in paces]
+    return np.column_stack((np.array(told).reshape(-1, 4), rows["pose_to_valve_s"]))
 
 
 def _or_nan(value: float | None) -> float:

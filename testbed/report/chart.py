@@ -34,6 +34,8 @@ from testbed.report.item import (
 THEME = Path(__file__).with_name("theme.css").read_text(encoding="utf-8")
 APART = 14.0  # least distance of two limits' names, baseline to baseline
 THINNEST = 0.7  # width of a bar, so that a pulse of milliseconds is visible in a run of minutes
+TIME = "time [s]"  # label of a time axis
+MARKS = 4  # on a line
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 44
 LETTER, ROW = 7.2, 18  # of a legend: width of a letter, height of a row
 
@@ -55,7 +57,7 @@ def draw(chart: Chart) -> str:
     body = [*frame.axes(), *(frame.item(item) for item in chart.items), *frame.legend()]
     return (
         f'<svg viewBox="0 0 {chart.width} {frame.height:.0f}" role="img" '
-        f'aria-label="{escape(chart.title)}">' + "".join(body) + "</svg>"
+        f'aria-label="{escape(chart.title)}" {frame.attributes()}>' + "".join(body) + "</svg>"
     )
 
 
@@ -135,6 +137,14 @@ class _Frame:
         self.per = width / (x1 - x0)  # pixels per unit of x
         self._name_at = self._names_of_limits()
 
+    def attributes(self) -> str:
+        """The frame for report.js: position and range of both axes."""
+        x, y = self.x, self.y_axis
+        ends = (self.left, self.top, self.right, self.bottom, x.low, x.high, y.low, y.high)
+        time = 'data-time="1" ' * (self.chart.x_label == TIME and not self.chart.x_log)
+        numbers = " ".join(f"{one:.6g}" for one in ends)
+        return f'{time}data-frame="{numbers} {int(self.chart.log)}"'
+
     def _names_of_limits(self) -> dict[str, float]:
         """Height of each limit's name: above its line, or below it if there is no room."""
         limits = [(self.y(i.y), i.name) for i in self.chart.items if isinstance(i, Limit)]
@@ -183,14 +193,20 @@ class _Frame:
 
     def item(self, item: Item) -> str:
         match item:
-            case Line(x, y, hue, _, style):
-                return f'<path class="line s{hue % HUES} {style}" d="{self._path(x, y)}"/>'
+            case Line(x, y, hue, name, style):
+                data = f' data-name="{escape(item.hint or name)}" data-hue="{hue % HUES}"'
+                return (f'<path class="line s{hue % HUES} {style}"{data * bool(item.hint or name)} '
+                        f'd="{self._path(x, y)}"/>{self._marks(item)}')  # fmt: skip
             case Limit(y, name):
                 name = text(self.right - 4, self._name_at[name], name, "limitname", "end")
                 return f'<path class="limit" d="M{self.left} {self.y(y):.1f}H{self.right}"/>{name}'
-            case Moment(x, name):
+            case Moment(x, name, style):
                 at = self.x.at(x)
-                moments = [i.x for i in self.chart.items if isinstance(i, Moment)]
+                if not name:
+                    return (
+                        f'<path class="limit {style}" d="M{at:.1f} {self.top}V{self.bottom:.1f}"/>'
+                    )
+                moments = [i.x for i in self.chart.items if isinstance(i, Moment) and i.name]
                 row = self.top + 12.0 + APART * sum(other < x for other in moments)
                 late = at + LETTER * len(name) > self.right  # no room on the right
                 side = (at - 5, "end") if late else (at + 5, "start")
@@ -227,6 +243,26 @@ class _Frame:
             pen = "L"
         return "".join(pieces)
 
+    def _marks(self, line: Line) -> str:
+        """The vehicle's shape a few times along its line, where several lines are told apart."""
+        named = {i.hue for i in self.chart.items if isinstance(i, Line) and i.name}
+        seen = np.flatnonzero(np.isfinite(line.x) & np.isfinite(line.y))
+        if not line.name or line.style not in ("", "dashed") or len(named) < 2 or len(seen) < 2:
+            return ""
+        shares = (np.arange(MARKS) + (0.5 + line.hue % HUES) / HUES) / MARKS
+        if self.chart.equal:
+            picked = seen[(shares * (len(seen) - 1)).astype(int)]
+        else:
+            low, high = self.chart.x_range
+            picked = seen[
+                np.searchsorted(line.x[seen], low + shares * (high - low)).clip(0, len(seen) - 1)
+            ]
+        return "".join(
+            mark(Mark(0.0, 0.0, case=line.hue % HUES, style="full", radius=3),
+                 self.x.at(float(line.x[k])), self.y(float(line.y[k])))
+            for k in dict.fromkeys(picked.tolist())
+        )  # fmt: skip
+
     def _raster(self, raster: Raster) -> str:
         start, length = raster.start, raster.length
         at = self.y(raster.row + 0.5)
@@ -260,10 +296,13 @@ class _Frame:
         name = ""
         if point.name:
             height = max(b - away, self.top + 11)
-            name = text(side[0], height, point.name, f"name f{hue}", side[1])
+            look = "limitname" if point.shape in ("hit", "fault") else f"name f{hue}"
+            name = text(side[0], height, point.name, look, side[1])
         if point.shape == "hit":
             return (f'<path class="line hit" d="M{a - 7:.1f} {b:.1f}h14m-7 -7v14m-5 -12l10 10m0 -10'
                     f'l-10 10"/>{name}')  # fmt: skip
+        if point.shape == "fault":
+            return f'<path class="line hit" d="M{a - 8:.1f} {b - 8:.1f}l16 16m0 -16l-16 16"/>{name}'
         if point.shape == "ring":
             return f'<circle class="line s{hue}" cx="{a:.1f}" cy="{b:.1f}" r="5"/>{name}'
         return f'<path class="line s{hue}" d="M{a - 5:.1f} {b - 5:.1f}l10 10m0 -10l-10 10"/>{name}'
@@ -275,6 +314,9 @@ class _Frame:
             if isinstance(item, Line):
                 look = f"line s{item.hue % HUES} {item.style}"
                 out.append(f'<path class="{look}" d="M{at:.0f} {y}h22"/>')
+                if self._marks(item):
+                    sample = Mark(0.0, 0.0, case=item.hue % HUES, style="full", radius=3)
+                    out.append(mark(sample, at + 11, y))
             elif item.case is None:
                 out.append(f'<circle class="hollow" cx="{at + 5:.1f}" cy="{y}" r="3.6"/>')
             else:

@@ -1,10 +1,11 @@
 """The report's list of events: contacts, faults, interventions, without repetition."""
 
+from collections.abc import Sequence
 from html import escape
 
 from testbed.config.experiment import Experiment
 from testbed.logs.history import History
-from testbed.metrics.run_metrics import Metrics
+from testbed.metrics.run_metrics import Touch
 from testbed.report.fault_story import RANK, SUPERVISOR, Said, Story
 from testbed.report.verdict import hit
 
@@ -13,12 +14,12 @@ REPEATED = 3  # repetitions from which an event becomes one line
 LOOKS = {"CRITICAL": "not", "ERROR": "not", "WARN": "warn", "INFO": ""}
 
 
-def lines(scenario: Experiment, history: History, metrics: Metrics) -> list[Said]:
+def lines(scenario: Experiment, history: History, touches: Sequence[Touch]) -> list[Said]:
     """Events in order of time; repeated ones are merged."""
     rows = [(name, one) for name, vehicle in history.vehicles.items() for one in vehicle.events]
     rows += [(SUPERVISOR, one) for one in history.phases]
     told = Story(scenario).tell(rows)
-    told += [Said(one.t, (one.vehicle,), "CRITICAL", hit(scenario, one)) for one in metrics.touches]
+    told += [Said(t.t, (t.vehicle,), "CRITICAL", hit(scenario, t)) for t in touches]
     return sorted(gathered(told), key=lambda one: (one.t, RANK.index(one.level)))
 
 
@@ -40,9 +41,9 @@ def gathered(told: list[Said]) -> list[Said]:
     return found
 
 
-def happened(scenario: Experiment, history: History, metrics: Metrics) -> str:
+def happened(told: Sequence[Said]) -> str:
     """The report's section of faults and interventions, as HTML."""
-    rows = [_row(one) for one in lines(scenario, history, metrics)]
+    rows = [_row(one) for one in told]
     if not rows:
         return "<h2>Faults and interventions</h2><p>None.</p>"
     if (more := len(rows) - SHOWN) > 0:  # keep the first and the last lines
@@ -59,7 +60,8 @@ def happened(scenario: Experiment, history: History, metrics: Metrics) -> str:
 def _row(one: Said) -> str:
     look = LOOKS[one.level]
     words = f'<span class="{look}">{escape(one.words)}</span>' if look else escape(one.words)
+    who = escape(", ".join(one.who))
     return (
-        f'<tr><td>{one.t:.1f}</td><td class="words">{escape(", ".join(one.who))}</td>'
+        f'<tr data-t="{one.t:.2f}" tabindex="0"><td>{one.t:.1f}</td><td class="words">{who}</td>'
         f'<td class="words">{words}</td></tr>'
     )

@@ -1,23 +1,25 @@
 """The figures of a run, and the corresponding figures of the paper."""
 
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from controllers.graph import LEADER
 from testbed.config.experiment import Experiment
-from testbed.logs.history import History, VehicleHistory
+from testbed.logs.history import History
 from testbed.metrics.run_metrics import HOLD_S, Touch, Track
+from testbed.report.fault_story import Said
 from testbed.report.goal_error import GoalError, goal_at
-from testbed.report.item import WIDTH, Chart, Disc, Item, Limit, Line, Moment, Point, Raster
+from testbed.report.item import WIDTH, Box, Chart, Item, Limit, Line, Moment, Raster
+from testbed.report.marking import crosses_of, moments_of, with_events
+from testbed.report.table_figures import enumerated, near, phases, trajectory
+from testbed.report.valves import openings
 
 Array = NDArray[np.float64]
 
 MOST_PAIRS = 6  # of vehicles drawn as one line per pair
-GHOSTS = 9  # instants at which the vehicles are drawn along their tracks
-WITH_TOUCHES = ("error", "obstacles", "separation", "speed")  # figures over time
+HISTOGRAM = 40  # bins
 PAPERS = {  # corresponding figures of the papers
     "zhang2023": {
         "trajectory": "Figure 15", "error_xy": "Figure 16", "error": "Figure 16",
@@ -26,33 +28,21 @@ PAPERS = {  # corresponding figures of the papers
 }  # fmt: skip
 
 
-def figures(scenario: Experiment, history: History, touches: Sequence[Touch] = ()) -> list[Chart]:
-    """All applicable figures, in the order of the report, with contacts marked."""
+def figures(
+    scenario: Experiment, history: History, touches: Sequence[Touch] = (),
+    told: Sequence[Said] = (),
+) -> list[Chart]:  # fmt: skip
+    """All applicable figures, in the order of the report, with contacts and events marked."""
     makers = (
-        _trajectory, _error, _error_xy, _tracking, _heading, _distances, _separations, _speed,
-        _force, _valves, _air, _timing, _filter,
+        trajectory, near, phases, _error, _error_xy, _tracking, _heading, _distances,
+        _separations, _speed,
+        _force, _valves, _air, _timing, _pose_to_valve, _filter,
     )  # fmt: skip
     made = [chart for maker in makers for chart in maker(scenario, history)]
     shown = [chart for chart in made if any(_shows(item) for item in chart.items)]
-    return [_with_touches(chart, history, touches) for chart in shown]
-
-
-def _with_touches(chart: Chart, history: History, touches: Sequence[Touch]) -> Chart:
-    """Add markers of contacts to a figure."""
-    marks: list[Item] = []
-    if chart.key == "trajectory":
-        for one in touches:
-            t, state = history.where(one.vehicle)
-            x, y = (float(np.interp(one.t, t, state[:, i])) for i in (0, 1))
-            marks.append(Point(x, y, 0, "hit"))
-    elif chart.key in WITH_TOUCHES:
-        times: dict[float, str] = {}
-        for one in touches:  # simultaneous contacts share one line
-            if all(abs(one.t - t) > 0.01 * history.end for t in times):
-                times[one.t] = f"{one.vehicle} hits {one.other}"
-        marks += [Moment(t, words) for t, words in times.items()]
-    note = chart.note + " Red stars are contacts." * (bool(marks) and chart.key == "trajectory")
-    return replace(chart, items=[*chart.items, *marks], note=note)
+    moments = moments_of(history, touches, told)
+    crosses = crosses_of(history, touches, told)
+    return [with_events(chart, moments, crosses) for chart in shown]
 
 
 def _shows(item: Item) -> bool:
@@ -76,68 +66,6 @@ def _time(history: History) -> tuple[float, float]:
     return 0.0, max(history.end, 1e-3)
 
 
-def _vehicles(history: History) -> Iterator[tuple[int, str, VehicleHistory]]:
-    for k, (name, vehicle) in enumerate(history.vehicles.items()):
-        yield k, name, vehicle
-
-
-def _trajectory(scenario: Experiment, history: History) -> Iterator[Chart]:
-    items: list[Item] = []
-    goal_error = GoalError(scenario)
-    has_goals = not goal_error.forms
-    for obstacle in scenario.obstacles.values():
-        (x, y), (vx, vy) = obstacle.position, obstacle.velocity
-        items.append(Disc(x, y, obstacle.radius, "danger"))
-        if obstacle.solid > 0.0:
-            items.append(Disc(x, y, obstacle.solid, "solid"))
-        if vx or vy:
-            t = np.linspace(0.0, history.end, 400)
-            way = np.stack([x + t * vx, y + t * vy], axis=1)
-            way = way[(np.abs(way) <= np.array(scenario.table.size) / 2).all(axis=1)]
-            items.append(Line(way[:, 0], way[:, 1], 0, "", "way dashed"))
-    for k, name, vehicle in _vehicles(history):
-        setup = scenario.vehicles[name]
-        asked = vehicle.reference
-        items.append(Line(asked[:, 0], asked[:, 1], k, "", "thin dashed"))
-        t, state = history.where(name)
-        items.append(Line(state[:, 0], state[:, 1], k, name))
-        for i in np.linspace(0, len(t) - 1, GHOSTS).astype(int) if len(t) else ():
-            items.append(
-                Disc(float(state[i, 0]), float(state[i, 1]), setup.model.radius, "ghost", k)
-            )
-        (x, y, _), room = setup.start, setup.model.radius
-        items.append(Point(x, y, k, "ring", "" if has_goals else name, room))
-        if has_goals:
-            x, y = goal_at(setup, np.array([history.end]))[0].tolist()
-            items.append(Point(x, y, k, "cross", name, room))
-    if goal_error.led:
-        led = goal_error.leader_at(np.linspace(0.0, history.end, 200))
-        hue = len(history.vehicles)
-        items.append(Line(led[:, 0], led[:, 1], hue, "", "dashed"))
-        items.append(Point(float(led[-1, 0]), float(led[-1, 1]), hue, "cross", "leader"))
-    ends = {n: s[-1, :2] for n in history.vehicles if len(s := history.where(n)[1])}
-    if goal_error.led:
-        ends[LEADER] = goal_error.leader_at(np.array([history.end]))[0]
-    for a, b, _ in goal_error.edges:
-        if a in ends and b in ends:
-            x, y = np.stack([ends[a], ends[b]]).T
-            items.append(Line(x, y, 0, "", "edge"))
-    half_x, half_y = scenario.table.size[0] / 2, scenario.table.size[1] / 2
-    note = "Rings are starts"
-    note += ", crosses are goals" * has_goals + ", the cross is the leader" * goal_error.led
-    note += "; grey lines are the formation's edges at the end" * bool(goal_error.edges)
-    note += f"; circles are the vehicles to scale at {GHOSTS} times"
-    if not all(np.isnan(v.reference).all() for v in history.vehicles.values()):
-        note += "; thin dashed lines are the references"
-    if any(obstacle.velocity != (0.0, 0.0) for obstacle in scenario.obstacles.values()):
-        note += "; obstacles are drawn at their start, their paths as dashed red lines"
-    if scenario.obstacles:
-        note += "; dashed red circles are danger radii for the vehicle's centre"
-    note += "."
-    yield Chart("trajectory", "Trajectories on the table", "x [m]", "y [m]", items,
-                (-half_x, half_x), (-half_y, half_y), equal=True, note=note)  # fmt: skip
-
-
 def _error(scenario: Experiment, history: History) -> Iterator[Chart]:
     goal_error, (t, places) = GoalError(scenario), history.together()
     settled = 1e3 * goal_error.settled_m
@@ -158,10 +86,13 @@ def _error_xy(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     if GoalError(scenario).forms:
         return  # vehicles have no individual goals
-    for k, name, _ in _vehicles(history):
+    for k, name, _ in enumerated(history):
         t, state = history.where(name)
         off = state[:, :2] - goal_at(scenario.vehicles[name], t)
-        items += [Line(t, off[:, 0], k, f"{name} x"), Line(t, off[:, 1], k, "y", "dashed")]
+        items += [
+            Line(t, off[:, 0], k, f"{name} x"),
+            Line(t, off[:, 1], k, "y", "dashed", f"{name} y"),
+        ]
     yield Chart("error_xy", "Relative position error", "time [s]", "error [m]", items,
                 _time(history))  # fmt: skip
 
@@ -181,7 +112,7 @@ def _interpolated(history: History, name: str) -> tuple[Array, Array, Array]:
 def _tracking(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     limit = scenario.criteria.track_rms_m
-    for k, name, vehicle in _vehicles(history):
+    for k, name, vehicle in enumerated(history):
         if not np.isnan(vehicle.force_asked).all():
             continue  # commanded by force, without a reference
         at, pose, asked = _interpolated(history, name)
@@ -194,7 +125,7 @@ def _tracking(scenario: Experiment, history: History) -> Iterator[Chart]:
 
 def _heading(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
-    for k, name, _ in _vehicles(history):
+    for k, name, _ in enumerated(history):
         t, state = history.where(name)
         off = np.angle(np.exp(1j * (state[:, 2] - scenario.vehicles[name].goal[2])))
         items.append(Line(t, np.degrees(off), k, name))
@@ -205,7 +136,7 @@ def _heading(scenario: Experiment, history: History) -> Iterator[Chart]:
 def _distances(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     radii = sorted({obstacle.radius for obstacle in scenario.obstacles.values()})
-    for k, name, _ in _vehicles(history):
+    for k, name, _ in enumerated(history):
         t, state = history.where(name)
         gaps = [
             np.hypot(*(state[:, :2] - np.array(r.position) - np.outer(t, r.velocity)).T) - r.radius
@@ -258,7 +189,7 @@ def _nearest(scenario: Experiment, history: History) -> Chart:
 
 def _speed(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
-    for k, name, _ in _vehicles(history):
+    for k, name, _ in enumerated(history):
         t, state = history.where(name)
         items.append(Line(t, 1e3 * np.hypot(*state[:, 3:5].T), k, name))
     yield Chart("speed", "Speed", "time [s]", "speed [mm/s]", items, _time(history),
@@ -277,44 +208,29 @@ def _smooth(values: Array, width: int) -> Array:
 def _force(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     width = max(1, round(1.0 / scenario.flight.jet_period_s))
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         commanded = np.hypot(
             _smooth(v.commanded_wrench[:, 0], width), _smooth(v.commanded_wrench[:, 1], width)
         )
         given = np.hypot(
             _smooth(v.realised_wrench[:, 0], width), _smooth(v.realised_wrench[:, 1], width)
         )
-        items.append(Line(v.t, given, k, "", "thin dashed"))
+        items.append(Line(v.t, given, k, "", "thin dashed", f"{name} delivered"))
         items.append(Line(v.t, commanded, k, f"{name} demanded"))
     yield Chart("force", "Force demanded and delivered", "time [s]", "force [N]", items,
                 _time(history), note="Means over 1 s. Delivered (thin, dashed): computed "
                 "from the pulses and the jet table.")  # fmt: skip
 
 
-def openings(edges: Array, jet: int) -> tuple[Array, Array]:
-    """Times and durations [s] of a jet's openings, from its board's edges (t, mask)."""
-    is_open = (edges[:, 1].astype(int) >> jet) & 1
-    before = np.concatenate([[0], is_open[:-1]])
-    starts = edges[(is_open == 1) & (before == 0), 0]
-    ends = edges[(is_open == 0) & (before == 1), 0]
-    return starts[: len(ends)], ends - starts[: len(ends)]
-
-
 def _valves(scenario: Experiment, history: History) -> Iterator[Chart]:
     rows: list[Item] = []
     names: list[tuple[float, str]] = []
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         delay = scenario.vehicles[name].model.command_delay_s
         for jet in range(v.on.shape[1]):
             row = -(k * (v.on.shape[1] + 1) + jet)
             names.append((row + 0.5, f"{name} {jet + 1}"))
-            if len(v.edges):  # its board reports output edges
-                starts, lengths = openings(v.edges, jet)
-                rows.append(Raster(row, starts, lengths, k))
-                continue
-            open_ = v.on[:, jet] > 0.0
-            start = v.t[open_] + delay + v.offset[open_, jet]
-            rows.append(Raster(row, start, v.on[open_, jet], k))
+            rows.append(Raster(row, *openings(v, jet, delay), k))
     yield Chart("valves", "Valves: when each jet was open", "time [s]", "vehicle and jet", rows,
                 _time(history), y_ticks=names, height=11 * len(rows) + 12,
                 width=2 * WIDTH)  # fmt: skip
@@ -323,7 +239,7 @@ def _valves(scenario: Experiment, history: History) -> Iterator[Chart]:
 def _air(scenario: Experiment, history: History) -> Iterator[Chart]:
     tank: list[Item] = []
     supply: list[Item] = []
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         if np.any(v.tank > 0.0):  # otherwise it has no pressure gauge
             tank.append(Line(v.t, v.tank / 1e6, k, name))
         if np.any(v.supply > 0.0):
@@ -334,19 +250,29 @@ def _air(scenario: Experiment, history: History) -> Iterator[Chart]:
                 supply, _time(history), height=140)  # fmt: skip
 
 
+def largest_each_second(t: Array, values: Array) -> tuple[Array, Array]:
+    """The largest value of each second; a number that jumps every tick would fill the figure."""
+    seconds, start = np.unique(np.floor(t), return_index=True)
+    return seconds, np.fmax.reduceat(values, start) if len(t) else values
+
+
 def _timing(scenario: Experiment, history: History) -> Iterator[Chart]:
-    poses: list[Item] = [Line(v.t, 1e3 * v.pose_age, k, name) for k, name, v in _vehicles(history)]
+    poses: list[Item] = [
+        Line(*largest_each_second(v.t, 1e3 * v.pose_age), k, name)
+        for k, name, v in enumerated(history)
+    ]
     limit = scenario.flight.gate.pose_timeout_s
     worst = max((float(np.nanmax(v.pose_age, initial=0.0)) for v in history.vehicles.values()),
                 default=0.0)  # fmt: skip
     if worst > 0.5 * limit:
         poses.append(Limit(1e3 * limit, f"limit {1e3 * limit:g} ms"))
     yield Chart("pose_age", "Age of the newest pose, when the plan takes effect", "time [s]",
-                "age [ms]", poses, _time(history), height=150)  # fmt: skip
+                "age [ms]", poses, _time(history), height=150,
+                note="The largest of each second.")  # fmt: skip
     heard: list[Item] = [
         Line(t, 1e3 * age, k, name) for k, (name, (t, age)) in enumerate(history.heard.items())
     ]
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         if len(v.wires):
             heard.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 2], k, f"to {name}", "thin dashed"))
     yield Chart("link", "Link: age of the newest state at the host", "time [s]",
@@ -355,17 +281,40 @@ def _timing(scenario: Experiment, history: History) -> Iterator[Chart]:
     if len(history.loop):
         loop = [Line(history.loop[:, 0], 1e3 * history.loop[:, 1], 0, "late"),
                 Line(history.loop[:, 0], 1e3 * history.loop[:, 2], 1, "busy")]  # fmt: skip
-    for k, name, v in _vehicles(history):
+    for k, name, v in enumerated(history):
         if len(v.wires):
-            loop.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 1], k, name, "thin"))
+            loop.append(Line(v.wires[:, 0], 1e3 * v.wires[:, 1], k + 2, name))
     yield Chart("loop", "Lateness of the loop", "time [s]", "time [ms]", loop, _time(history),
                 height=150)  # fmt: skip
+
+
+def _pose_to_valve(scenario: Experiment, history: History) -> Iterator[Chart]:
+    """How long the newest poses took from their arrival to the plan on the wire."""
+    taken = [v.wires[:, 4] for v in history.vehicles.values() if v.wires.shape[1] > 4]
+    found = 1e3 * np.concatenate(taken) if taken else np.zeros(0)
+    found = found[np.isfinite(found)]
+    if not len(found):
+        return
+    low, high = 0.0, float(found.max()) * 1.05 + 1e-9
+    counts, edges = np.histogram(found, HISTOGRAM, (low, high))
+    total, items = len(found), list[Item]()
+    for n, (a, b) in zip(counts.tolist(), pairwise(edges.tolist()), strict=True):
+        hint = f"{a:.2f} to {b:.2f} ms: {n} of {total}"
+        if n:
+            items.append(Box((a, b), (0.0, 100.0 * n / total), "good", hint))
+    for share, name in ((50, "median"), (99, "99 %")):
+        value = float(np.percentile(found, share))
+        items.append(Moment(value, f"{name} {value:.2f} ms"))
+    yield Chart("pose_to_valve", "From the newest pose to the valves' plan", "time [ms]",
+                "share [%]", items, (low, high), (0.0, 105.0 * int(counts.max()) / total),
+                height=150, note="From a pose's arrival at the vehicle to the first byte of its "
+                "plan to the board.")  # fmt: skip
 
 
 def _filter(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = [
         Line(v.t, np.hypot(*v.filtered.T), k, name)
-        for k, name, v in _vehicles(history)
+        for k, name, v in enumerated(history)
         if np.any(v.filtered)
     ]
     yield Chart("filter", "Force change by the safety filter", "time [s]", "force [N]", items,

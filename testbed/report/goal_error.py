@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.bifurcating import BifurcatingParams
-from controllers.bifurcating_design import distance_to
+from controllers.bifurcating_design import AXES, HALF_LENGTH, OFFSET, RADIUS, Shape, distance_to
 from controllers.graph import LEADER, formation, formation_kind
 from testbed.config.experiment import Experiment, VehicleSetup
 from testbed.metrics.formation import CURVE_M, EDGE_M
@@ -35,6 +35,21 @@ def goal_at(setup: VehicleSetup, t: Array) -> Array:
     if setup.path is None or len(t) == 0:
         return start
     return start + np.array([setup.path.at(one).p for one in t.tolist()])
+
+
+def curves(shape: Shape) -> list[tuple[Array, Array]]:
+    """The curve of `shape` on the table, x and y relative to the formation's centre [m]."""
+    angle, along = np.linspace(0.0, 2.0 * np.pi, 181), np.array([-HALF_LENGTH, HALF_LENGTH])
+    match shape:
+        case "circle":
+            return [(RADIUS * np.cos(angle), RADIUS * np.sin(angle))]
+        case "line":
+            return [(along, 0.0 * along)]
+        case "double_line":
+            return [(along, 0.0 * along + OFFSET), (along, 0.0 * along - OFFSET)]
+        case "ellipse" | "flat":
+            a, b, r = AXES[shape]
+            return [(a * r * np.cos(angle), b * r * np.sin(angle))]
 
 
 class GoalError:

@@ -20,6 +20,7 @@ class Line(Struct, frozen=True):
     hue: int
     name: str = ""  # in the legend
     style: str = ""  # thin, dashed, dotted
+    hint: str = ""  # name of a line that is not in the legend, for its value at the cursor
 
 
 class Limit(Struct, frozen=True):
@@ -34,6 +35,7 @@ class Moment(Struct, frozen=True):
 
     x: float
     name: str
+    style: str = ""  # mild: not a fault
 
 
 class Disc(Struct, frozen=True):
@@ -52,7 +54,7 @@ class Point(Struct, frozen=True):
     x: float
     y: float
     hue: int
-    shape: str  # ring: a start; cross: a goal; hit: a contact
+    shape: str  # ring: a start; cross: a goal; hit: a contact; fault
     name: str = ""
     room: float = 0.0  # radius of the object, which the name stays outside of
 

@@ -1,7 +1,7 @@
 """report.html: a run as a self-contained page."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 
@@ -13,20 +13,23 @@ from testbed.logs.history import History
 from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import TO_THE_START, Metrics
 from testbed.report.chart import THEME, alone, draw
-from testbed.report.events import happened
+from testbed.report.events import happened, lines
+from testbed.report.fault_story import Said
 from testbed.report.figures import analogue, figures
 from testbed.report.item import Chart
 from testbed.report.law import law_of
 from testbed.report.original import Original, with_original
 from testbed.report.provenance import colophon, timing
+from testbed.report.scrubber import bar, flight_data
 from testbed.report.verdict import CRITERIA, UNCOUNTED, missed, reasons, verdict
 
 CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
+SCRIPT = Path(__file__).with_name("report.js").read_text(encoding="utf-8")
 NOT_A_TABLE = {
     "twin": "Simulated on the twin, not flown on a table.",
     "bench": "Flown on the bench: the network is real, the table is simulated by the twin.",
 }
-FIRST = ("trajectory", "error", "error_xy")  # figures before the numbers
+FIRST = ("trajectory", "error", "error_xy", "near")  # figures before the numbers
 
 ROWS = (  # heading, key of VehicleMetrics, scale, digits, criterion
     ("final error [mm]", "final_error_m", 1e3, 2, "final_error_m"),
@@ -55,7 +58,8 @@ def write_report(
     original: Original | None = None,
 ) -> list[Path]:  # fmt: skip
     """Write report.html and figures/*.svg to a run folder; returns the files, the report first."""
-    charts = figures(scenario, history, metrics.touches)
+    told = lines(scenario, history, metrics.touches)
+    charts = figures(scenario, history, metrics.touches, told)
     if original is not None:
         charts = with_original(charts, figures(scenario, original.history), original)
     try:
@@ -65,7 +69,7 @@ def write_report(
         for chart in charts:
             paths.append(drawings / f"{chart.key}.svg")
             paths[-1].write_text(alone(chart), encoding="utf-8")
-        text = render(scenario, history, metrics, config, charts)
+        text = render(scenario, history, metrics, config, charts, told)
         paths[0].write_text(text, encoding="utf-8")
     except OSError as error:
         raise ReportError(
@@ -76,34 +80,42 @@ def write_report(
 
 
 def render(
-    scenario: Experiment, history: History, metrics: Metrics, config: str, charts: Iterable[Chart]
-) -> str:
+    scenario: Experiment, history: History, metrics: Metrics, config: str,
+    charts: Iterable[Chart], told: Sequence[Said],
+) -> str:  # fmt: skip
     """The page as HTML."""
     drawn = list(charts)
     first = FIRST if any(c.key == "error_xy" for c in drawn) else (*FIRST, "separation")
+    phases = [c for c in drawn if c.key.startswith("phase_")]
+    later = [c for c in drawn if c.key not in first and c not in phases]
+    pictures = (
+        "<h2>Trajectories</h2>", _figures(scenario, [c for c in drawn if c.key in first]),
+        f'<div class="phases">{"".join(map(figure, phases))}</div>' * bool(phases),
+    )  # fmt: skip
+    summary = _tiles(scenario, metrics), _flown(scenario), _warnings(metrics)
+    failed = verdict(scenario, metrics).look == "fault"  # then the picture comes first
     sections = [
         _header(scenario, metrics),
-        _tiles(scenario, metrics),
-        _flown(scenario),
-        _warnings(metrics),
-        "<h2>Trajectories</h2>", _figures(scenario, [c for c in drawn if c.key in first]),
+        *((*pictures, happened(told), *summary) if failed
+          else (*summary, *pictures, happened(told))),
         _criteria(scenario, metrics),
         _results(scenario, metrics),
-        "<h2>Figures</h2>", _figures(scenario, [c for c in drawn if c.key not in first]),
-        happened(scenario, history, metrics),
+        "<h2>Figures</h2>", _figures(scenario, later),
         timing(metrics),
         colophon(metrics, config),
+        bar(flight_data(scenario, history, told)),
     ]  # fmt: skip
-    return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections))
+    return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections), script=SCRIPT)
 
 
-def page(title: str, body: str, style: str = "") -> str:
-    """A complete HTML page around `body`, with more style if given."""
+def page(title: str, body: str, style: str = "", script: str = "") -> str:
+    """A complete HTML page around `body`, with more style and a script if given."""
+    scripts = f"<script>{script}</script>" * bool(script)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{THEME}{CSS}{style}</style></head>\n"
-        f"<body><main>\n{body}\n</main></body></html>\n"
+        f"<body><main>\n{body}\n</main>{scripts}</body></html>\n"
     )
 
 
@@ -230,10 +242,21 @@ def _changes(fork: Fork) -> str:
 
 def _warnings(metrics: Metrics) -> str:
     """Warnings of the run, such as violated conditions of the law's proof, as HTML."""
+    texts: dict[str, list[str]] = {}
+    for one in metrics.warnings:
+        texts.setdefault(one.name, []).append(one.text)
     rows = "".join(
-        f"<li><b>{escape(one.name)}</b>: {escape(one.text)}</li>" for one in metrics.warnings
+        f"<li><b>{escape(name)}</b>: {escape(some[0])}{_more(some[1:])}</li>"
+        for name, some in texts.items()
     )
     return f'<div class="warnings"><b>Warnings</b><ul>{rows}</ul></div>' if rows else ""
+
+
+def _more(texts: Sequence[str]) -> str:
+    """More warnings of the same name, folded."""
+    lines = "".join(f"<li>{escape(one)}</li>" for one in dict.fromkeys(texts))
+    count = f"{len(texts)} more"
+    return f"<details><summary>{count}</summary><ul>{lines}</ul></details>" if texts else ""
 
 
 def _criteria(scenario: Experiment, metrics: Metrics) -> str:
@@ -306,7 +329,7 @@ def _figures(scenario: Experiment, charts: Iterable[Chart]) -> str:
 
 def figure(chart: Chart, paper: str = "") -> str:
     """A figure with caption, as HTML."""
-    looks = {"valves": ' class="full"', "trajectory": ' class="tall"'}
+    looks = {"near": ' class="tall"', "valves": ' class="full"', "trajectory": ' class="tall"'}
     full = looks.get(chart.key, "")
     also = f' <span class="soft">({escape(paper)})</span>' if paper else ""
     note = f"<p>{escape(chart.note)}</p>" if chart.note else ""

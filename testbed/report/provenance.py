@@ -10,6 +10,14 @@ from testbed.metrics.run_metrics import Metrics
 PACKAGES = ("airbearing-testbed", "numpy", "numba", "scipy", "msgspec", "mcap")
 
 
+FLOWN = "# Flown"  # begins the line of config.toml with the date and the versions of a flight
+
+
+def flown(config: str) -> str:
+    """Date, code and versions of the flight, from its config.toml; empty: an older run."""
+    return next((line for line in config.splitlines() if line.startswith(FLOWN)), "")[2:]
+
+
 def versions() -> Mapping[str, str]:
     """Versions of Python, the system and the packages of this process."""
     found = {"Python": platform.python_version(), "system": platform.platform(terse=True)}
@@ -46,7 +54,7 @@ def sentence(pieces: list[str]) -> str:
 
 def colophon(metrics: Metrics, config: str) -> str:
     """The last section: the commands, the versions, the configuration."""
-    used = ", ".join(f"{escape(k)} {escape(v)}" for k, v in versions().items())
+    used = flown(config) or "The run folder does not say when and with which code it was flown"
     pace = ""
     if metrics.real_time_factor:
         pace = (
@@ -58,7 +66,8 @@ def colophon(metrics: Metrics, config: str) -> str:
         "<pre>testbed run config.toml           # the same flight, bit-identical on the twin\n"
         "testbed replay .                  # the log through the current code\n"
         "testbed export . --to parquet     # the log as tables</pre>"
-        f'<p class="soft">Made with {used}. The figures are also in figures/*.svg.</p>'
+        f'<p class="soft" id="provenance">{escape(used)}. The figures are also in'
+        " figures/*.svg.</p>"
         "<details><summary>Complete configuration (config.toml)</summary>"
         f"<pre>{escape(config)}</pre></details>"
     )

@@ -1,7 +1,7 @@
 """The verdict on a run: a sentence, its colour, and the metrics that failed.
 
 Green: all criteria met. Amber: a criterion missed, or not started. Red: a fault ended it, or there
-was a contact. Grey: not judged, because an operator interrupted it or it was killed.
+was a contact. Grey: not judged: interrupted by an operator, killed, or without criteria.
 """
 
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from testbed.metrics.run_metrics import Metrics, Touch
 
 UNCOUNTED = -1  # contacts of a run that was killed before they were counted
 SHOWN_TOUCHES = 3
+NOTHING_TO_JUDGE = "no criteria to judge"  # of a completed run
 CRITERIA = {  # name, unit, scale from the unit of the file
     "max_contacts": ("contacts", "", 1.0), "clear_of_obstacles": ("danger radii kept", "", 1.0),
     "final_error_m": ("final error", "mm", 1e3), "settle_s": ("settled", "s", 1.0),
@@ -50,6 +51,8 @@ def verdict(scenario: Experiment, metrics: Metrics) -> Verdict:
     if missed:
         words = f"failed: {'; '.join([*hits, *names])}"
         return Verdict("fault" if "max_contacts" in missed else "failed", words)
+    if not metrics.criteria:
+        return Verdict("unjudged", NOTHING_TO_JUDGE)
     return Verdict("passed", "passed")
 
 
@@ -87,7 +90,10 @@ def reasons(scenario: Experiment, metrics: Metrics) -> list[str]:
         if report is None or report.vehicle not in scenario.vehicles:
             found.append(metrics.fault)
         else:
-            found.append(f"{report.vehicle}: {report.title}")
+            after = ", after the contact" * any(
+                t.vehicle == report.vehicle for t in metrics.touches
+            )
+            found.append(f"{report.vehicle}: {report.title}{after}")
     return found
 
 

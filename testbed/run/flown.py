@@ -17,6 +17,7 @@ from testbed.logs.log_reader import LogReader, config_of, log_of
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.chart import alone
 from testbed.report.figures import figures
+from testbed.report.verdict import NOTHING_TO_JUDGE
 from testbed.run.experiment import toml
 from testbed.run.post_mortem import judged
 from testbed.run.table import Table
@@ -170,7 +171,8 @@ class Run(Mapping[str, Vehicle]):
 
     def __repr__(self) -> str:
         m = self.metrics
-        verdict = "passed" if self.passed else m.fault or (
+        passed = "passed" if self.criteria else NOTHING_TO_JUDGE
+        verdict = passed if self.passed else m.fault or (
             "not completed" if not m.completed
             else "failed " + ", ".join(k for k, met in self.criteria.items() if not met)
         )  # fmt: skip

@@ -20,9 +20,12 @@ import msgspec
 import tomli_w
 
 from controllers.law_file import digest, file_of, source_of
+from firmware_interface.compiler import firmware_id
 from testbed.core.error import TestbedError
 from testbed.files import write_atomic
 from testbed.metrics.run_metrics import Metrics
+from testbed.report.provenance import FLOWN, versions
+from testbed.run.code import code_digest
 
 
 class FolderError(TestbedError):
@@ -84,8 +87,15 @@ def write_config(folder: Path, tree: dict[str, Any], version: str) -> None:
         for fork in tree.get("forks", ())
     ]  # fmt: skip
     tree = {**tree, "forks": forks}
-    head = f"# Resolved by airbearing-testbed {version}; everything is in place.\n\n"
+    head = f"# Resolved by airbearing-testbed {version}; everything is in place.\n{flown_by()}\n"
     _replace(folder / "config.toml", head + tomli_w.dumps(tree))
+
+
+def flown_by() -> str:
+    """Comment with the date, the code and the libraries of this flight."""
+    now = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    used = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return f"{FLOWN} {now}; code {code_digest()}; board firmware {firmware_id():08x}; {used}\n"
 
 
 def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,6 @@ from numba.core import config
 from pretence import hold, never_warm, of_another_version, otherwise_with_log
 from scipy.stats import beta
 
-from testbed.campaign.code import code_digest
 from testbed.campaign.compilation import compile_first
 from testbed.campaign.engine import EngineError, workers
 from testbed.campaign.flight import (
@@ -28,6 +27,7 @@ from testbed.campaign.result import table_of, write_parquet
 from testbed.campaign.summary import summarise, worst_runs
 from testbed.campaign.sweep import load_campaign
 from testbed.config import dump, find, load
+from testbed.run.code import code_digest
 
 MASS = {"key": "vehicles.*.model.mass", "low": 11.0, "high": 14.0}
 GRID = {"key": "controller.bandwidth", "values": [0.1, 0.2]}

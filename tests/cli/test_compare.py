@@ -5,8 +5,11 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 
+from testbed.cli.compare import read_run, residuals, together_data
 from testbed.config import SHIPPED
 
 
@@ -24,11 +27,11 @@ def test_runs_side_by_side(testbed):
         assert word in result.stdout
     page = Path("both.html").read_text()
     svgs = page.split("<svg")[1:]
-    assert len(svgs) == 4
+    assert len(svgs) == 8
     for svg in svgs:
         drawn = ET.fromstring("<svg" + svg.partition("</svg>")[0] + "</svg>")
-        texts = [t.text for t in drawn.iter("text")]
-        assert {"seed1", "seed2"} <= set(texts)
+        names = {"seed2"} if "Residual" in svg.partition(">")[0] else {"seed1", "seed2"}
+        assert names <= {t.text for t in drawn.iter("text")}
     found = json.loads(testbed("compare", "seed1", "seed2", "--json").stdout)
     for seed in ("seed1", "seed2"):
         metrics = json.loads(Path(seed, "metrics.json").read_text())["vehicles"]["sat1"]
@@ -60,7 +63,7 @@ def test_a_goal_that_moves_is_followed(testbed):
     testbed("run", circle, "duration_s=30", "--out", "round")
     page = Path("round/report.html").read_text()
     testbed("compare", "round", "--out", "one.html")
-    line = re.search(r'id="error".*?(<path class="line s0 "[^>]*>)(?!<text)', page, re.DOTALL)
+    line = re.search(r'id="error".*?<path class="line s0 "[^>]*( d="[^"]*")', page, re.DOTALL)
     assert line is not None
     assert line[1] in Path("one.html").read_text()  # the same curve as in the report
     found = json.loads(testbed("compare", "round", "--json").stdout)["round"]
@@ -96,3 +99,27 @@ def test_a_killed_flight_is_compared_and_reported_from_its_log(testbed):
     log.write_bytes(whole[: len(whole) // 2])
     assert testbed("report", "killed").exit_code == 0
     assert "the log has no end" in Path("killed/report.html").read_text()
+
+
+def test_residuals_are_differences_to_the_first_run(testbed):
+    for name, x in (("first", 0.0), ("second", 0.03), ("third", 0.0)):
+        start = f"vehicles.sat1.start=[{x},-0.1,0.0]"
+        testbed("run", "hold", "duration_s=2", start, "--out", name)
+    runs = [read_run(Path(name), name) for name in ("first", "second", "third")]
+    apart, turned = residuals(runs, (0.0, 2.0))
+    second, third = apart.items
+    assert second.y[0] == pytest.approx(30.0, abs=1.0)  # [mm]
+    assert np.all(third.y == 0.0)  # the same flight
+    assert np.abs(turned.items[1].y).max() == 0.0
+    data = together_data(runs)
+    assert [one["name"] for one in data["vehicles"]] == [
+        "first: sat1", "second: sat1", "third: sat1",
+    ]  # fmt: skip
+    assert [one["hue"] for one in data["vehicles"]] == [0, 1, 2]
+
+
+def test_runs_of_other_vehicles_have_no_residuals(testbed):
+    testbed("run", "hold", "duration_s=1", "--out", "one")
+    run = read_run(Path("one"), "one")
+    other = msgspec.structs.replace(run, history=msgspec.structs.replace(run.history, vehicles={}))
+    assert [chart.items for chart in residuals([run, other], (0.0, 1.0))] == [[], []]

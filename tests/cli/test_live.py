@@ -10,6 +10,7 @@ from rich.console import Console
 from patience import wait_for
 from testbed.cli.live import LiveTable
 from testbed.config import find, load
+from testbed.core.codes import FaultReport
 from testbed.report.goal_error import GoalError
 from testbed.rig.twin import make_twin
 
@@ -127,3 +128,19 @@ def test_a_flight_in_a_pipe_says_a_line_now_and_then():
     assert ", sat1 33" in whole.splitlines()[-1]
     assert "mm off" in whole.splitlines()[-1]
     assert live.line() == whole.splitlines()[-1]
+
+
+def test_a_long_state_folds_at_80_columns_and_no_number_is_cut():
+    live = flown(Console(file=io.StringIO()))
+    why = FaultReport("valve_stuck_open_on_the_second_vehicle", "jet 3 pushes")
+    tick = live._ticks["sat2"]
+    live._ticks["sat2"] = replace(tick, outputs=replace(tick.outputs, fault=why))
+    out = Console(file=io.StringIO(), width=80)
+    out.print(live.picture())
+    said = out.file.getvalue()
+    assert "\N{HORIZONTAL ELLIPSIS}" not in said
+    assert max(map(len, said.splitlines())) <= 80
+    for heading in ("clearance [m]", "pose age [ms]", "speed [mm/s]"):
+        assert heading in said
+    row = next(line for line in said.splitlines() if line.startswith("sat3"))
+    assert len(row.split()) == 7

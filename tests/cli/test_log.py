@@ -69,3 +69,16 @@ def test_what_is_no_log(testbed):
         result = testbed(*words)
         assert result.exit_code == 2
         assert result.stderr.startswith("error: ")
+
+
+def test_a_film_of_a_run(testbed, here):
+    pytest.importorskip("PIL", reason="the film extra is not installed")
+    testbed("run", "hold", "duration_s=2", "--out", "run")
+    made = testbed("film", "run", "--out", "small.gif", "--width", "240", "--speed", "2")
+    assert made.stdout == "small.gif\n"
+    assert (here / "small.gif").read_bytes().startswith(b"GIF89a")
+    (here / "empty").mkdir()
+    for words in (["empty"], ["run", "--out", "film.avi"]):
+        refused = testbed("film", *words)
+        assert refused.exit_code == 2
+        assert refused.stderr.startswith("error: ")

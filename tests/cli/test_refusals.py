@@ -247,3 +247,10 @@ def test_keys_say_what_is_to_be_carried(testbed, here):
     assert "Copy keys/host to the host again" in more.stdout
     assert "Copy every folder" in testbed("lab-keys", "keys", "--renew").stdout
     assert "Copy" not in testbed("lab-keys", "keys").stdout
+
+
+def test_a_run_without_criteria_did_not_pass(testbed, here):
+    testbed("run", "hold", "duration_s=1", "--out", "judged")
+    metrics = read_metrics(here / "judged")
+    assert "passed" in _verdict(replace(metrics, criteria={"max_contacts": True}))
+    assert _verdict(replace(metrics, criteria={})) == "[bold]no criteria to judge[/]"

@@ -116,6 +116,19 @@ def test_a_vehicle_that_tells_nothing_is_silent(experiment):
     assert numbers(picture, "sat3")[1]["state"] == "not heard yet"
 
 
+@pytest.mark.parametrize("heard", [True, False])
+def test_a_silent_vehicle_that_ends_the_flight_is_red(experiment, heard):
+    fault = FaultReport("vehicle_silent", "vehicle silent: nothing heard for 0.61 s", "sat2")
+    picture = seen(experiment, *[tick(1.0)] * heard)
+    phase = SeenPhase(1.6, "FAULT", "", fault)
+    picture.take([News("/sat1/tick", "sat1", 3.5, tick(3.5)),
+                  News("/supervisor", "supervisor", 1.6, phase)])  # fmt: skip
+    _, car = numbers(picture)
+    assert car["level"] == "bad"
+    assert car["state"].startswith("FAULT: vehicle silent")
+    assert numbers(picture, "sat1")[1]["level"] == "off"
+
+
 def test_valves_are_as_planned_until_the_board_reports():
     pulses = Pulses(2, 8, 0.05)
     on = (0, 20_000, *JETS[2:])

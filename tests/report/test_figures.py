@@ -5,11 +5,13 @@ import math
 import msgspec
 import numpy as np
 
+from controllers.bifurcating_design import distance_to
 from testbed.config import find, load
 from testbed.logs.history import History, VehicleHistory
 from testbed.metrics.run_metrics import Touch
+from testbed.report.fault_story import Said
 from testbed.report.figures import figures
-from testbed.report.item import Line, Moment, Point
+from testbed.report.item import Box, Line, Moment, Point
 
 T = np.linspace(0.0, 10.0, 101)
 
@@ -25,7 +27,7 @@ def still(x: float, y: float) -> VehicleHistory:
         t=T, at=T, pose=np.tile([x, y, 0.0], (n, 1)), twist=np.zeros((n, 3)),
         force_asked=np.full((n, 2), math.nan), on=np.zeros((n, 8)), offset=np.zeros((n, 8)),
         supply=np.full(n, 5e5), tank=np.full(n, 2e7), pose_age=np.full(n, 0.03),
-        filtered=np.zeros((n, 2)), events=[], edges=np.zeros((0, 2)), wires=np.zeros((0, 4)),
+        filtered=np.zeros((n, 2)), events=[], edges=np.zeros((0, 2)), wires=np.zeros((0, 5)),
         true=np.zeros((0, 6)), **nothing,
     )  # fmt: skip
 
@@ -89,3 +91,64 @@ def test_no_pressure_without_a_gauge():
     blind = msgspec.structs.replace(still(0.0, 0.0), tank=np.zeros(len(T)), supply=np.zeros(len(T)))
     history = History({"sat1": blind}, np.zeros(0), {}, np.zeros((0, 3)))
     assert not {"tank", "supply"} & {chart.key for chart in figures(base, history)}
+
+
+def test_events_are_lines_on_every_figure_over_time_and_crosses_on_the_table():
+    base = load(find("hold"))
+    history = History({"sat1": still(1.0, 0.5)}, np.zeros(0), {}, np.zeros((0, 3)))
+    told = [Said(2.0, ("sat1",), "WARN", "warn: link_late"),
+            Said(6.0, ("sat1",), "CRITICAL", "fault: valve_leaks: jet 3 pushes")]  # fmt: skip
+    drawn = figures(base, history, [], told)
+    over_time = [chart for chart in drawn if chart.x_label == "time [s]"]
+    assert len(over_time) >= 5
+    for chart in over_time:
+        moments = [one for one in chart.items if isinstance(one, Moment)]
+        assert moments == [Moment(6.0, "sat1: valve leaks"), Moment(2.0, "", "mild")]
+    points = [i for chart in drawn for i in chart.items if isinstance(i, Point)]
+    (cross,) = [one for one in points if one.shape == "fault"]
+    assert (cross.x, cross.y, cross.name) == (1.0, 0.5, "valve leaks, 6.0 s")
+
+
+def test_a_small_motion_is_drawn_enlarged():
+    base = load(find("hold"))
+
+    def keys(far: float) -> list[str]:
+        moved = still(0.0, 0.0)
+        moved.pose[:, 0] = np.linspace(0.0, far, len(T))
+        flight = History({"sat1": moved}, np.zeros(0), {}, np.zeros((0, 3)))
+        return [chart.key for chart in figures(base, flight)]
+
+    assert "near" in keys(0.1)
+    assert "near" not in keys(3.0)
+
+
+def test_each_phase_of_gao2022_has_its_table_and_its_curve():
+    base = load(find("gao2022_table"))
+    far = np.linspace(0.0, base.duration_s, 101)
+    vehicles = {
+        n: msgspec.structs.replace(still(float(k) - 2.0, 0.0), t=far, at=far)
+        for k, n in enumerate(base.vehicles)
+    }
+    drawn = figures(base, History(vehicles, np.zeros(0), {}, np.zeros((0, 3))))
+    phases = [chart for chart in drawn if chart.key.startswith("phase_")]
+    assert [chart.title.split(": ")[1].split(",")[0] for chart in phases] == [
+        "circle", "line", "double line", "ellipse", "circle",
+    ]  # fmt: skip
+    for chart, phase in zip(phases, base.controller.phases, strict=True):
+        ways = [i for i in chart.items if isinstance(i, Line) and i.style == "way dashed"]
+        assert len(ways) == (2 if phase.shape == "double_line" else 1)
+        for way in ways:  # the curve is that of the law's error
+            gaps = distance_to(phase.shape, np.column_stack((way.x, way.y)))
+            assert gaps.max() < 1e-3
+
+
+def test_the_times_from_pose_to_valve_are_a_histogram():
+    base = load(find("hold"))
+    wires = np.zeros((4, 5))
+    wires[:, 4] = [0.001, 0.001, 0.004, np.nan]
+    bench = msgspec.structs.replace(still(0.0, 0.0), wires=wires)
+    drawn = figures(base, History({"sat1": bench}, np.zeros(0), {}, np.zeros((0, 3))))
+    (chart,) = [one for one in drawn if one.key == "pose_to_valve"]
+    boxes = [one for one in chart.items if isinstance(one, Box)]
+    assert [round(box.y[1]) for box in boxes] == [67, 33]
+    assert next(i.name for i in chart.items if isinstance(i, Moment)) == "median 1.00 ms"

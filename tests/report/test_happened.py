@@ -36,7 +36,7 @@ def test_what_is_said_often_is_one_line():
     late = [Happening(3.2 + 0.5 * k, "warn", "neighbour_late") for k in range(20)]
     more = [Happening(t, "warn", "neighbour_late") for t in (20.0, 60.1)]
     link = [Happening(5.0, "warn", "link_late")]
-    told = lines(SCENARIO, history(sat1=late, sat2=more, sat3=link), flown())
+    told = lines(SCENARIO, history(sat1=late, sat2=more, sat3=link), [])
     assert [(one.t, one.who, one.words) for one in told] == [
         (3.2, ("sat1", "sat2"), "22 x warn: neighbour_late, first 3.2 s, last 60.1 s"),
         (5.0, ("sat3",), "warn: link_late"),
@@ -45,7 +45,7 @@ def test_what_is_said_often_is_one_line():
 
 def test_faults_are_never_gathered():
     lands = [Happening(float(k), "land", "leak", rows=("leak",)) for k in range(9)]
-    told = lines(SCENARIO, history(sat1=lands), flown())
+    told = lines(SCENARIO, history(sat1=lands), [])
     assert len(told) == 9
 
 
@@ -53,7 +53,7 @@ def test_a_contact_is_an_event():
     touches = [Touch(10.2, "sat1", "o1", 0.123), Touch(12.0, "sat1", "sat2", 0.01),
                Touch(13.0, "sat2", "left edge", 0.2)]  # fmt: skip
     said = history(sat1=[Happening(11.0, "fault", STUCK.words, STUCK)], sat2=[])
-    page = happened(SCENARIO, said, flown(touches=touches))
+    page = happened(lines(SCENARIO, said, touches))
     places = [page.index(words) for words in (
         "hit obstacle o1, 12 cm/s", "fault: ", "hit sat2, 1 cm/s",
         "hit the table&#x27;s left edge, 20 cm/s",
@@ -62,7 +62,7 @@ def test_a_contact_is_an_event():
 
 
 def test_nothing_happened():
-    assert "None." in happened(SCENARIO, history(sat1=[]), flown())
+    assert "None." in happened(lines(SCENARIO, history(sat1=[]), []))
 
 
 def test_the_colour_of_a_verdict():
@@ -76,6 +76,7 @@ def test_the_colour_of_a_verdict():
          ("fault", "aborted by a fault after 33.1 s")),
         (flown(completed=False, duration_s=12.3, criteria=None),
          ("unjudged", "interrupted at 12.3 s: not judged")),
+        (flown(criteria={}), ("unjudged", "no criteria to judge")),
         (flown(completed=False, red=["sat1: no pose"], fault="not started"),
          ("failed", "not started: a check failed")),
         (flown(completed=False, duration_s=9.0, contacts=-1, fault="killed", criteria=None),

@@ -1,0 +1,37 @@
+"""`testbed film`: a GIF or MP4 of a run."""
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path),
+    help="File, *.gif or *.mp4.  [default: in RUN; MP4 if ffmpeg is installed]",
+)  # fmt: skip
+@click.option(
+    "--speed", type=click.FloatRange(min=0.0, min_open=True),
+    help="Multiple of real time.  [default: at most 30 s of film]",
+)  # fmt: skip
+@click.option(
+    "--width", type=click.IntRange(200, 4000), default=720, show_default=True, help="In pixels."
+)
+@click.pass_context
+def film(
+    context: click.Context, run: Path, out: Path | None, speed: float | None, width: int
+) -> None:
+    """Make a film of a RUN: vehicles, plumes, trails, events."""
+    from testbed.cli.exit_code import OK
+    from testbed.cli.refusal import errors, refuse, warn
+    from testbed.core.error import TestbedError
+    from testbed.run.film import make_film
+
+    try:
+        with errors.status("drawing the film"):
+            path = make_film(run, out, speed, width, warn)
+    except (TestbedError, OSError) as error:
+        context.exit(refuse(error))
+    click.echo(str(path))
+    context.exit(OK)

@@ -1,0 +1,82 @@
+"""Makes a film of a run folder: GIF, or MP4 where the program ffmpeg is installed."""
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from testbed.config import load
+from testbed.logs.history import gather
+from testbed.logs.log_reader import LogReader, config_of, log_of
+from testbed.report.events import lines
+from testbed.report.film import Film, FilmError
+from testbed.run.post_mortem import judged
+
+RATE = 15.0  # frames per second
+LENGTH_S = 30.0  # of a film whose speed is not given, if the run is longer
+COLOURS = 64  # of a GIF
+
+
+def make_film(
+    run: Path, out: Path | None, speed: float | None, width: int,
+    warn: Callable[[list[str]], None] = lambda lines: None,
+) -> Path:  # fmt: skip
+    """Write the film; returns its path.
+
+    Args:
+        run: run folder.
+        out: *.gif or *.mp4; None: in the run folder, MP4 if ffmpeg is installed.
+        speed: multiple of real time; None: at most LENGTH_S long.
+        width: of the picture [px].
+        warn: called with a line for each damaged place of the log.
+    """
+    ffmpeg = shutil.which("ffmpeg")
+    path = out or run / ("film.mp4" if ffmpeg else "film.gif")
+    if path.suffix not in (".gif", ".mp4"):
+        raise FilmError(
+            where=str(path), expected="a name that ends in .gif or .mp4", found=path.suffix
+        )
+    if path.suffix == ".mp4" and ffmpeg is None:
+        raise FilmError(where=str(path), expected="the program ffmpeg, which writes MP4; on Debian"
+                        " `apt install ffmpeg`, or choose .gif", found="none")  # fmt: skip
+    log, experiment = log_of(run), load(config_of(run))
+    book = LogReader(log)
+    history = gather(book)
+    warn(book.said())
+    metrics = judged(log.parent, log, experiment, history)
+    told = lines(experiment, history, metrics.touches)
+    film = Film(experiment, history, told, width - width % 2)
+    frames = film.frames(speed or max(1.0, film.end / LENGTH_S), RATE)
+    if path.suffix == ".gif":
+        _gif(frames, film.palette(COLOURS), path)
+    else:
+        _mp4(str(ffmpeg), frames, film.size, path)
+    return path
+
+
+def _gif(frames: Iterator[Any], palette: Any, path: Path) -> None:
+    made = (one.quantize(palette=palette, dither=0) for one in frames)
+    next(made).save(path, save_all=True, append_images=made, duration=round(1000 / RATE), loop=0)
+
+
+def _mp4(ffmpeg: str, frames: Iterator[Any], size: tuple[int, int], path: Path) -> None:
+    command = [
+        ffmpeg, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
+        "-s", f"{size[0]}x{size[1]}", "-r", f"{RATE:g}", "-i", "-", "-pix_fmt", "yuv420p",
+        "-movflags", "+faststart", str(path),
+    ]  # fmt: skip
+    with tempfile.TemporaryFile() as said:
+        writer = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said)
+        assert writer.stdin is not None
+        with suppress(BrokenPipeError):  # it says why on its standard error
+            for one in frames:
+                writer.stdin.write(one.tobytes())
+        with suppress(BrokenPipeError):
+            writer.stdin.close()
+        if writer.wait():
+            said.seek(0)
+            raise FilmError(where=str(path), expected="ffmpeg to write it",
+                            found=said.read().decode(errors="replace").strip())  # fmt: skip
