@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from testbed.core.error import TestbedError
     from testbed.core.law import Law
     from testbed.identification.prediction import Valves, Wrenches, predict
-    from testbed.run.api import InterruptedFlight, fly, fork, replay
+    from testbed.run.api import InterruptedFlight, fly, fork, open_run, replay
     from testbed.run.experiment import Experiment, load
-    from testbed.run.flown import Run, open_run
+    from testbed.run.flown import Run
     from testbed.run.stepper import Twin
     from testbed.run.table import Table
 
@@ -36,7 +36,7 @@ _HOMES = {
     "fly": "testbed.run.api",
     "fork": "testbed.run.api",
     "load": "testbed.run.experiment",
-    "open_run": "testbed.run.flown",
+    "open_run": "testbed.run.api",
     "predict": "testbed.identification.prediction",
     "replay": "testbed.run.api",
     "sweep": "testbed.campaign.parameter_sweep",

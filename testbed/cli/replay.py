@@ -15,8 +15,7 @@ from testbed.config import ConfigError, load
 from testbed.core.error import TestbedError
 from testbed.logs.log_reader import LogError, config_of, log_of
 from testbed.logs.replay import Replay
-from testbed.run.api import InterruptedFlight, fork
-from testbed.run.flown import open_run
+from testbed.run.api import InterruptedFlight, fork, open_run
 from testbed.run.fork import original_of
 from testbed.run.replay import replay_experiment
 

@@ -103,6 +103,20 @@ def _maker(rig: str) -> Maker:
     raise TestbedError(where="rig", expected='"twin" or "bench"', found=repr(rig))
 
 
+def open_run(folder: str | Path) -> Run:
+    """Open the folder of a finished run.
+
+    Args:
+        folder: run folder of `testbed run` or `testbed.fly(..., log=folder)`.
+
+    Raises:
+        TestbedError: it is not a run's folder, or its log cannot be read.
+    """
+    path = Path(folder)
+    home = path if path.is_dir() else path.parent
+    return read_run(path, home, load(config_of(path)))
+
+
 def replay(run: Run, *overrides: str) -> Replay:
     """Feed a run's logged inputs to today's code and compare its outputs to the last bit.
 
@@ -151,6 +165,9 @@ def fork(
     check_fork(original, folder, t, on_board=experiment.deploy.law == "vehicle")
     write_page(folder, experiment)
     return flown
+
+
+Run.fly_on = staticmethod(fork)
 
 
 def _logged(run: Run, verb: str) -> Path:

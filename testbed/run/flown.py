@@ -1,19 +1,18 @@
 """A finished run: its metrics, columns and figures."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.config import Experiment, load
+from testbed.config import Experiment
 from testbed.core.error import TestbedError
 from testbed.logs.history import History, VehicleHistory, gather
-from testbed.logs.log_reader import LogReader, config_of, log_of
+from testbed.logs.log_reader import LogReader, log_of
 from testbed.metrics.run_metrics import Metrics
 from testbed.report.chart import alone
 from testbed.report.figures import figures
@@ -53,7 +52,10 @@ class Run(Mapping[str, Vehicle]):
         metrics: the numbers of metrics.json.
         folder: where the run is kept; None for a run without a log.
         damage: a line for each damaged place of the log; the rest is read.
+        fly_on: `testbed.fork`; api.py, which can fly, sets it.
     """
+
+    fly_on: ClassVar[Callable[..., "Run"]]
 
     def __init__(
         self, experiment: Experiment, metrics: Metrics, history: History,
@@ -165,9 +167,7 @@ class Run(Mapping[str, Vehicle]):
         """
         values = {**(changes or {}), **more}
         texts = [f"{key}={toml(value)}" for key, value in values.items()]
-        api = import_module("testbed.run.api")  # it makes runs, so it imports this module
-        forked: Run = api.fork(self, t, *texts, log=log)
-        return forked
+        return self.fly_on(self, t, *texts, log=log)
 
     def __repr__(self) -> str:
         m = self.metrics
@@ -227,20 +227,6 @@ def _columns(vehicle: VehicleHistory, true_t: Array) -> Vehicle:
         vehicle.t, vehicle.at, vehicle.pose, vehicle.twist, vehicle.reference,
         vehicle.commanded_wrench, np.rint(1e6 * vehicle.on), true,
     )  # fmt: skip
-
-
-def open_run(folder: str | Path) -> Run:
-    """Open the folder of a finished run.
-
-    Args:
-        folder: run folder of `testbed run` or `testbed.fly(..., log=folder)`.
-
-    Raises:
-        TestbedError: it is not a run's folder, or its log cannot be read.
-    """
-    path = Path(folder)
-    home = path if path.is_dir() else path.parent
-    return read_run(path, home, load(config_of(path)))
 
 
 def read_run(files: Path, folder: Path | None, experiment: Experiment) -> Run:
