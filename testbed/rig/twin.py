@@ -15,6 +15,7 @@ from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehi
 from testbed.config import ConfigError, Experiment
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.fault_injection import ON_WIRES
+from testbed.core.landing import landing_delay
 from testbed.core.law import Concern
 from testbed.core.ports import Clock
 from testbed.core.types import Pose
@@ -87,14 +88,19 @@ class TwinRig(Struct, frozen=True):
         twin, plant = self.twin, self.twin.plant
         braked = [at for at in twin.seen_at if at >= began]
         seen = np.concatenate([np.zeros((0, len(twin.names), 6)), *twin.seen])
+        # by then the last plans have ended and every watchdog has acted
+        models = [setup.model for setup in self.experiment.vehicles.values()]
+        delays = [landing_delay(model.landing) for model in models]
+        acted = twin.now + 1.0 + max((one for one in delays if one < MINUTE), default=0.0)
+        period = self.experiment.flight.jet_period_s
         times, states = [np.array(braked)], [seen[len(seen) - len(braked) :]]
         while plant.t < began + MINUTE and not (len(times) > 1 and plant.stands):
-            until = min(plant.t + 1.0, began + MINUTE)
+            boards = plant.t < acted
+            until = min(plant.t + (period if boards else 1.0), began + MINUTE)
             if twin.sabotage is not None:
                 twin.sabotage.before(until)
             marks = np.arange(plant.t, until, STEP)
-            # within this second the last plan ends and the board's watchdog acts
-            states.append(plant.advance(until, marks, boards=plant.t < twin.now + 1.0))
+            states.append(plant.advance(until, marks, boards=boards))
             times.append(marks)
         floats = {name: plant.floats(k) for k, name in enumerate(plant.names)}
         return judge_after(

@@ -96,9 +96,20 @@ def test_a_vehicle_without_poses_lands_when_its_prediction_is_worth_nothing_any_
     assert_safe(after)
 
 
-def test_a_dead_process_keeps_its_bearing_air_and_is_told():
-    inject = 'inject=[{kind="kill_process",vehicle="sat1",at_s=9.03}]'
-    _, _, _, after = ended(inject, "duration_s=20")
+DIES = 'inject=[{kind="kill_process",vehicle="sat1",at_s=9.03}]'
+
+
+@pytest.mark.parametrize("board", ["model", "inproc"])
+def test_the_board_of_a_dead_process_lands_the_vehicle(board):
+    rig, _, _, after = ended(DIES, "duration_s=20", f"board={board}")
+    assert_safe(after)
+    landed = rig.twin.plant.landed[rig.twin.names.index("sat1")]
+    assert 9.0 < landed < 9.0 + 0.1 + 0.15 + 0.1 + 1e-6  # a plan, the watchdog, a tick
+
+
+def test_a_board_that_may_not_land_keeps_the_air_on_and_that_is_told():
+    never = "vehicles.sat1.model.landing.by_board=false"
+    _, _, _, after = ended(DIES, "duration_s=20", never)
     assert {name: left.air for name, left in after.vehicles.items()} == {
         "sat1": "on", "sat2": "off", "sat3": "off",
     }  # fmt: skip

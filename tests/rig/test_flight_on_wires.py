@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from testbed.config import ConfigError, find, load
+from testbed.core.codes import FaultId
 from testbed.net.direct_stop import stop_directly
 from testbed.net.stop import stop_everything
 from testbed.rig.chain import make_agent
@@ -227,6 +228,19 @@ def test_a_vehicle_is_stopped_without_its_host():
     assert ending.t < 20.0
     after = rig.come_to_rest(ending, NullObserver())
     assert (after.contacts, after.air) == (0, "off")
+    assert_nothing_is_left(met)
+
+
+def test_the_board_of_a_killed_process_lands_the_vehicle():
+    """So late that the twin's server has to wait for it: 2.5 s after the watchdog."""
+    late = "vehicles.sat1.model.landing={speed=0.01,slope=0.0,room=0.0265}"
+    dies = 'inject=[{kind="kill_process",vehicle="sat1",at_s=1.5}]'
+    rig, ending, _, met = fly("hold", "duration_s=30", dies, late)
+    assert ending.fault.id is FaultId.VEHICLE_SILENT
+    assert rig.results.report.left_as["sat1"] == ("SAFE", ["WATCHDOG"])
+    after = rig.come_to_rest(ending, NullObserver())
+    assert (after.contacts, after.air) == (0, "off")
+    assert after.at_rest_s is not None
     assert_nothing_is_left(met)
 
 
