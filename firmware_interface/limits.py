@@ -1,30 +1,29 @@
 """The board's limits, from the vehicle file and from additional protection parameters."""
 
+import math
+import struct
 import zlib
+from collections.abc import Sequence
 
 from msgspec import Struct
 
 from firmware_interface.messages import VALVES, BearingPolicy, Config
 from testbed.core.error import TestbedError
 from testbed.core.jets import opposing_pairs
-from testbed.core.vehicle import Positive, Valve, Vehicle
+from testbed.core.landing import WATCHDOG_S, landing_delay
+from testbed.core.vehicle import Jet, Positive, Valve, Vehicle
 
 
 class Protection(Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits that do not follow from the vehicle. Defaults without a comment are assumptions.
+    """Limits that do not follow from the vehicle. Defaults without a comment are assumptions."""
 
-    Bearing air stays on when the board trips: the jets are off, but a moving vehicle that loses its
-    air film would scrape on the granite and damage both.
-    """
-
-    watchdog_s: Positive = 0.15  # seven frames of a sender that repeats at 50 Hz
+    watchdog_s: Positive = WATCHDOG_S  # seven frames of a sender that repeats at 50 Hz
     max_ttl_s: Positive = 1.0
     max_on_s: Positive = 5.0
     duty_window_s: Positive = 16.0
     duty_budget_s: Positive = 12.0  # of each valve in any window
     undervoltage_s: Positive = 0.002  # the supply dips when valves switch on
     status_period_s: Positive = 0.05
-    drop_bearing_on_trip: bool = False
 
 
 class LimitsError(TestbedError, ValueError):
@@ -39,6 +38,22 @@ def micro(value: float) -> int:
 def dead_time_s(valve: Valve) -> float:
     """Time from closing a jet to opening its opposite without overlapping flows [s]."""
     return max(0.0, valve.close_delay_s + valve.close_ramp_s - valve.open_delay_s)
+
+
+def layout(jets: Sequence[Jet]) -> int:
+    """CRC-32 of the jets' places and directions, in their order, to 1 mm and 0.01.
+
+    Not of their thrust: a calibrated vehicle keeps its firmware.
+    """
+    rows = (
+        struct.pack(
+            "<4h",
+            *(round(1e3 * value) for value in jet.position),
+            *(round(1e2 * value) for value in jet.push),
+        )
+        for jet in jets
+    )
+    return zlib.crc32(b"".join(rows))
 
 
 def limits_of(vehicle: Vehicle, protection: Protection | None = None) -> Config:
@@ -56,11 +71,14 @@ def limits_of(vehicle: Vehicle, protection: Protection | None = None) -> Config:
     for i, j in opposing_pairs(vehicle.jets):
         opposing[i] |= 1 << j
         opposing[j] |= 1 << i
-    policy = BearingPolicy.DROP if guard.drop_bearing_on_trip else BearingPolicy.KEEP
+    delay = landing_delay(vehicle.landing, guard.watchdog_s)
+    longest = 1e-6 * Config.LIMITS["land_after_us"][1]
     config = Config(
         valve_count=len(vehicle.jets),
         opposing=tuple(opposing),
-        bearing_after_trip=policy,
+        jets=layout(vehicle.jets),
+        bearing_after_trip=BearingPolicy.DROP if math.isfinite(delay) else BearingPolicy.KEEP,
+        land_after_us=micro(min(delay, longest)) if math.isfinite(delay) else 0,
         min_on_us=micro(vehicle.valve.min_on_s),
         min_off_us=micro(vehicle.valve.min_off_s),
         dead_us=micro(dead_time_s(vehicle.valve)),

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from firmware_interface.packed import Packed
 
-VERSION = 1
+VERSION = 2
 VALVES = 8
 EDGES = 8
 PAYLOAD_MAX = 80
@@ -55,8 +55,8 @@ class ResetCause(IntEnum):
 class BearingPolicy(IntEnum):
     """What becomes of bearing air when the board trips."""
 
-    KEEP = 0  # stays as it is: a moving vehicle must not be dropped onto the table
-    DROP = 1  # off
+    KEEP = 0  # stays as it is: the vehicle drifts
+    DROP = 1  # off, land_after_us later: the vehicle stands
 
 
 class Fault(IntFlag):
@@ -298,10 +298,12 @@ class Edges(Packed, frozen=True, gc=False):
 class Config(Packed, frozen=True, gc=False):
     """Valve map and limits."""
 
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B8BBIIIIIIIIHII")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B8BIBIIIIIIIIIHII")
     COUNTS: ClassVar[tuple[int, ...]] = (
         0,
         8,
+        0,
+        0,
         0,
         0,
         0,
@@ -319,6 +321,7 @@ class Config(Packed, frozen=True, gc=False):
     LIMITS: ClassVar[dict[str, tuple[int, int]]] = {
         "valve_count": (1, 8),
         "bearing_after_trip": (0, 1),
+        "land_after_us": (0, 60000000),
         "min_on_us": (0, 1000000),
         "min_off_us": (0, 1000000),
         "dead_us": (0, 1000000),
@@ -334,7 +337,9 @@ class Config(Packed, frozen=True, gc=False):
 
     valve_count: int
     opposing: tuple[int, ...]  # per valve, mask of the valves that push against it
+    jets: int  # CRC-32 of where the jets are and which way they push; only hashed
     bearing_after_trip: BearingPolicy
+    land_after_us: int  # from a trip to bearing air off; ARM and BEARING cancel it [us]
     min_on_us: int  # shorter pulses are not played [us]
     min_off_us: int  # a valve stays closed at least so long [us]
     dead_us: int  # between a valve's closing and its opposite's opening [us]

@@ -132,6 +132,11 @@ class WiredBoard:
         self._there.send(self._now_us, self.session.disarm(self._now_us))
         self._there.send(self._now_us, self.session.bearing(False, self._now_us))
 
+    @property
+    def floats(self) -> bool:
+        """Whether bearing air is on."""
+        return self.board.bearing
+
     def run_until(self, t_us: int) -> list[Edge]:
         """Run to `t_us`; returns valve edges since the last call."""
         self._pass(HEAD_START_US + t_us)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from sim_twin.randomness import normal, words
 from testbed.core.compiled import compiled, settled
+from testbed.core.landing import WATCHDOG_S, landing_delay
 from testbed.core.types import ValveCommand
 from testbed.core.vehicle import Vehicle
 
@@ -112,6 +113,9 @@ class Board:
         self.openings = 0
         self._play = settled(play)
         self._down = (math.inf, math.inf)  # interval without power [s]
+        self._silent = (math.inf, math.inf)  # interval without commands [s]
+        self._patience = WATCHDOG_S + landing_delay(vehicle.landing)
+        self.floats = True
 
     def reseed(self, rng: np.random.Generator) -> None:
         """Draw the pulses' thrust from another generator from now on."""
@@ -139,8 +143,14 @@ class Board:
     def land(self) -> None:
         """Nothing to do: the plant shuts the air off."""
 
+    def fall_silent(self, since: float, until: float) -> None:
+        """No commands come from `since` to `until` [s]."""
+        self._silent = since, until
+
     def run_until(self, t: float) -> None:
-        """Nothing to do: plans are played ahead."""
+        """Land if commands stopped long ago; plans are played ahead."""
+        if self._silent[0] + self._patience <= min(t, self._silent[1]):
+            self.floats = False
 
 
 class Driver(Protocol):
@@ -152,6 +162,11 @@ class Driver(Protocol):
 
     def land(self) -> None:
         """Shut valves and bearing air permanently."""
+        ...
+
+    @property
+    def floats(self) -> bool:
+        """Whether bearing air is on."""
         ...
 
     def run_until(self, t_us: int) -> Sequence[tuple[int, int]]:
@@ -183,6 +198,11 @@ class FirmwareBoard:
     def land(self) -> None:
         """Pass the landing on."""
         self._driver.land()
+
+    @property
+    def floats(self) -> bool:
+        """Whether bearing air is on."""
+        return self._driver.floats
 
     def run_until(self, t: float) -> None:
         """Fetch the valve edges up to time `t` [s]."""

@@ -88,6 +88,8 @@ class Sabotage:
                     self._plant.stick(k, what.jet - 1, what.kind == "stick_open", one.since, over)
                 case "leak_valve":
                     self._plant.leak_valve(k, what.jet - 1, what.size, one.since, over)
+                case "kill_process" if isinstance(board := self._plant.boards[what.vehicle], Board):
+                    board.fall_silent(one.since, over)
                 case "brown_out" if self._boards:
                     board = self._plant.boards[what.vehicle]
                     assert isinstance(board, Board), "the configuration refuses it"

@@ -303,4 +303,7 @@ class Plant:
                 Touch(at, self.names[int(vehicle)], self._others[int(other)], speed)
             )
         self.t = t
+        for k, board in enumerate(self.boards.values()):
+            if self.floats(k) and not board.floats:
+                self.land(k)
         return seen

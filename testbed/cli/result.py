@@ -71,6 +71,8 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
     for name, left in metrics.after.vehicles.items() if metrics.after is not None else ():
         bad = left.at_rest_s is None or left.air == "on"
         out.print(left_in_words(name, left), style="red" if bad else None, markup=False)
+    if metrics.after is not None and metrics.after.fault is not None:
+        out.print(f"the hold ended: {metrics.after.fault.words}", style="red", markup=False)
     if metrics.after is not None and metrics.after.contacts:
         words = f"contacts in the minute after the end: {metrics.after.contacts}"
         out.print(words, style="red", markup=False)

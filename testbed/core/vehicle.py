@@ -82,6 +82,19 @@ class Gauges(Struct, frozen=True, forbid_unknown_fields=True):
     undervoltage_v: NonNegative = 0.0  # the board shuts all valves below this; 0: never [V]
 
 
+class Landing(Struct, frozen=True, forbid_unknown_fields=True):
+    """Bearing air when commands stop: `testbed.core.landing` computes from it when the board lands.
+
+    Jets that hear nothing shut, so the vehicle drifts; without bearing air it stops.
+    """
+
+    by_board: bool = True  # false: the board keeps the air on
+    speed: Positive = 0.2  # fastest flight [m/s]
+    slope: NonNegative = 0.005  # steepest acceleration by the table's tilt [m/s^2]
+    room: NonNegative = 0.05  # free way in every direction, also at this speed [m]
+    friction: Positive = 0.1  # of the vehicle without bearing air on the table
+
+
 class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):
     """One air-bearing vehicle."""
 
@@ -97,3 +110,4 @@ class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):
     air: Air
     tolerance: Tolerance
     gauges: Gauges = Gauges()
+    landing: Landing = Landing()

@@ -69,11 +69,12 @@ class CrashableNode:
         return self._node.guidance
 
     def tick(
-        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
-    ) -> Tick:
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *,
+        end: bool = False, stay: bool = False,
+    ) -> Tick:  # fmt: skip
         """The node's tick, or a tick without state if the process is dead."""
         if not self._dead():
-            return self._node.tick(t, armed, fleet, end=end)
+            return self._node.tick(t, armed, fleet, end=end, stay=stay)
         still, command = Wrench(0.0, 0.0, 0.0), ValveCommand(0, t, t, self._shut, self._shut)
         inputs = Inputs(t, armed, (), None, {}, Health(t, 0.0, 0.0), vitals=Vitals(end=end))
         dead = Refusal(InhibitReason.PROCESS_DEAD)

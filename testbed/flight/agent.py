@@ -4,12 +4,13 @@ The chain knows codes and numbers only. Here the inputs become the tick's record
 becomes the outputs, with the names and words that belong to its codes.
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from itertools import chain as chained
 from typing import Any
 
 import numpy as np
-from msgspec.structs import astuple
+from msgspec.structs import astuple, replace
 
 from testbed.core.codes import (
     Detector,
@@ -58,6 +59,7 @@ def lead_time(vehicle: Vehicle) -> float:
 RESPONSES = tuple(Response)
 REASONS = {one.value: one for one in InhibitReason}
 IN, OUT = packing(TOLD), packing(STATE, DONE)
+STAYS_S = 1.0  # a setpoint to stay is renewed at every tick [s]
 ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
 NO_REFERENCES = np.zeros((0, 10))
 
@@ -93,6 +95,7 @@ class Agent:
         self.memory, self.everything = make_memory(self._jets, plans, looks, rows)
         self._row = np.zeros(1, ROW)
         self._bytes = self._row.view(np.uint8).data
+        self._place: Reference | None = None  # see `staying`
         self._law_error = ""  # exception of the law on board
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
         self._see, self._act = settled(chain.see), settled(chain.act)
@@ -119,18 +122,31 @@ class Agent:
         setpoint, message = None if inputs.vitals.end else inputs.setpoint, None
         samples, others = poses(inputs.samples), self._others(inputs)
         rows, references = self._row, NO_REFERENCES
-        if self.guidance is not None:
+        # a vehicle that stays after its flight has the setpoint of `staying`
+        guided = self.guidance is not None and setpoint is None
+        if guided and self.guidance is not None:
             self._tell(inputs, None)
             self._see(self.params, self.memory, rows, samples)
             setpoint, message = self._guided(self.guidance, inputs)
         self._tell(inputs, setpoint)
         if isinstance(setpoint, Trajectory):
             references = rows_of(setpoint.references)
-        if self.guidance is None:
+        if not guided:
             self._step(self.params, self.memory, rows, samples, references, others)
         else:
             self._act(self.params, self.memory, rows, samples, references, others)
         return self._outputs(inputs, setpoint, message)
+
+    def staying(self, t: float) -> Trajectory | None:
+        """The setpoint of a vehicle that comes to rest and stays there; None: no estimate yet."""
+        if self._place is None and (state := taken(self._bytes)[0]) is not None:
+            pose, twist = state.pose, state.twist
+            ahead = math.hypot(twist.vx, twist.vy) / (2.0 * self.params.gains.brake_decel)
+            there = Pose(pose.x + ahead * twist.vx, pose.y + ahead * twist.vy, pose.theta)
+            self._place = Reference(t, there, Twist(0.0, 0.0, 0.0), Accel(0.0, 0.0, 0.0))
+        if self._place is None:
+            return None
+        return Trajectory((replace(self._place, t=t),), t + STAYS_S)
 
     def _tell(self, inputs: Inputs, setpoint: Setpoint | None) -> None:
         """Write the inputs into the tick's record, in the order of record.TOLD."""

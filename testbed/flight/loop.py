@@ -5,7 +5,7 @@ with the data that has arrived; then the host computes setpoints for the next on
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Protocol
 
 from msgspec import Struct
@@ -30,6 +30,7 @@ from testbed.flight.guidance import Guidance
 
 SILENT = 1.2  # the host stops all if a vehicle is silent for this long [s]
 LONGEST_STOP = 15.0  # after a fault the flight ends at the latest after this time [s]
+ENOUGH = 0.9  # of the set pressure: below it a hold ends, while there is gas to brake
 
 
 def _well() -> Vitals:
@@ -70,8 +71,9 @@ class VehicleNode:
         return self._agent.guidance
 
     def tick(
-        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
-    ) -> Tick:
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *,
+        end: bool = False, stay: bool = False,
+    ) -> Tick:  # fmt: skip
         """Receive, step, act, send.
 
         Args:
@@ -79,6 +81,7 @@ class VehicleNode:
             armed: whether valves may open.
             fleet: a fault of another vehicle that stops all.
             end: the flight is over.
+            stay: come to rest and hold position, whatever the law says.
         """
         link, vitals = self._link, self._vitals()
         if fleet or end:
@@ -87,7 +90,7 @@ class VehicleNode:
             t,
             armed,
             tuple(self._poses.samples()),
-            link.setpoint(),
+            self._agent.staying(t) if stay else link.setpoint(),
             link.neighbours(),
             self._thrusters.health(),
             link.messages(),
@@ -118,8 +121,9 @@ class Node(Protocol):
     name: str
 
     def tick(
-        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
-    ) -> Tick:
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *,
+        end: bool = False, stay: bool = False,
+    ) -> Tick:  # fmt: skip
         """See `VehicleNode`."""
         ...
 
@@ -242,6 +246,40 @@ def fly(
     return Ending(ticks * period, fault)
 
 
+def hold(
+    clock: Clock,
+    vehicles: Sequence[Node],
+    period: float,
+    first: int,
+    ticks: int,
+    observer: Observer,
+    set_pressure: Mapping[str, float],
+    *,
+    stopped: Callable[[], int] = lambda: 0,
+) -> tuple[int, FaultReport | None]:
+    """After the flight: every vehicle comes to rest and stays there.
+
+    A stop, a fault of any vehicle, low supply pressure and the time end it; `come_to_rest` is next.
+
+    Returns:
+        number of the next tick, and the fault that ended it.
+    """
+    for k in range(first, first + ticks):
+        clock.wait_until(k * period)
+        if stopped():
+            return k, None
+        enough = True
+        for node in vehicles:
+            tick, full = node.tick(k * period, True, stay=True), set_pressure[node.name]
+            observer.vehicle(node.name, tick)
+            if tick.outputs.fault is not None:
+                return k + 1, replace(tick.outputs.fault, vehicle=node.name)
+            enough = enough and tick.inputs.health.supply_pressure >= ENOUGH * full
+        if not enough:
+            return k + 1, None
+    return first + ticks, None
+
+
 def come_to_rest(
     clock: Clock,
     vehicles: Sequence[Node],
@@ -251,6 +289,7 @@ def come_to_rest(
     observer: Observer,
     *,
     stopped: Callable[[], int] = lambda: 0,
+    brakes: Collection[str] = (),
 ) -> None:
     """After the flight: every vehicle brakes, and at rest its bearing air is turned off.
 
@@ -262,13 +301,15 @@ def come_to_rest(
         ticks: at most; a vehicle that still moves then lands anyway.
         observer: receives these ticks, too: their vitals have `end`.
         stopped: the operator's number of stops: two shut valves and air at once.
+        brakes: vehicles that go on braking then, because that stops them in less distance.
     """
     for k in range(first, first + ticks + 1):
         clock.wait_until(k * period)
-        may_brake, down = k < first + ticks and stopped() <= 1, True
+        in_time, at_once, down = k < first + ticks, stopped() > 1, True
         for node in vehicles:
+            may_brake = in_time and (not at_once or node.name in brakes)
             tick = node.tick(k * period, may_brake, end=True)
             observer.vehicle(node.name, tick)
-            down = down and tick.outputs.air_off
-        if down or not may_brake:
+            down = down and (tick.outputs.air_off or not may_brake)
+        if down:
             return

@@ -48,7 +48,9 @@ def write_vehicle(
     lines += [f"#   {line}" for line in origin]
     lines += ["# SI units; times end in _s. Intervals are 95 %.", ""]
     parts = {name: getattr(vehicle, name) for name in vehicle.__struct_fields__}
-    tables = [n for n, value in parts.items() if n in ("valve", "air", "tolerance", "gauges")]
+    tables = [
+        n for n, value in parts.items() if n in ("valve", "air", "tolerance", "gauges", "landing")
+    ]
     for name, value in parts.items():
         if name == "jets":
             lines.append("jets = [")

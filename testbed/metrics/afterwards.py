@@ -7,6 +7,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from testbed.core.codes import FaultReport
+
 MINUTE = 60.0  # time for an operator to reach the table [s]
 HARD = 0.02  # slower contacts do no harm [m/s]
 CREEP = 0.001  # below this a vehicle is at rest [m/s]
@@ -26,10 +28,11 @@ class Left(Struct, frozen=True):
 class After(Struct, frozen=True):
     """State of the vehicles after a flight: `after` of metrics.json."""
 
-    contacts: int | None  # harder than 2 cm/s, in the minute after the end; null: without a twin
+    contacts: int | None  # harder than 2 cm/s, until a minute after the end; null: without a twin
     at_rest_s: float | None  # until the last vehicle rests; null: one does not [s]
     air: Air  # on: at least one vehicle has bearing air
     vehicles: dict[str, Left]
+    fault: FaultReport | None = None  # that ended a hold after the flight
 
 
 class Contact(Protocol):
@@ -47,8 +50,8 @@ class Contact(Protocol):
 
 
 def contacts_after(touches: Iterable[Contact], end: float) -> int:
-    """Number of contacts harder than `HARD` in the minute after `end` [s]."""
-    return sum(end < touch.t <= end + MINUTE and touch.speed > HARD for touch in touches)
+    """Number of contacts harder than `HARD` after `end` [s], of those that were simulated."""
+    return sum(end < touch.t and touch.speed > HARD for touch in touches)
 
 
 def at_rest_after(t: NDArray[np.float64], twist: NDArray[np.float64], end: float) -> float | None:

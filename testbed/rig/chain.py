@@ -9,6 +9,7 @@ import numpy as np
 from controllers.catalogue import make_law
 from controllers.own_law import OwnLawParams
 from testbed.config import Experiment
+from testbed.core.landing import brakes_shorter
 from testbed.core.types import Pose
 from testbed.faults.law_faults import SpoiltLaw
 from testbed.flight.agent import Agent, lead_time
@@ -51,6 +52,13 @@ def make_guidance(
         path=setup.path,
         barrier=make_barrier(experiment, name, experiment.guidance.force_share),
     )
+
+
+def brakes_first(experiment: Experiment, name: str) -> bool:
+    """Whether in an emergency the jets stop this vehicle in less distance than landing does."""
+    model = experiment.vehicles[name].model
+    wait = experiment.flight.jet_period_s + lead_time(model)
+    return brakes_shorter(model.landing, stopping_force(model) / model.mass, wait)
 
 
 def make_barrier(experiment: Experiment, name: str, force_share: float = 1.0) -> Barrier | None:

@@ -93,6 +93,12 @@ class Rig(Protocol):
         ...
 
 
+def holds(experiment: Experiment, ending: Ending) -> bool:
+    """Whether vehicles hold position after this flight: only after a planned end."""
+    planned = ending.fault is None and ending.t >= experiment.end_s
+    return planned and experiment.flight.ending.after == "hold"
+
+
 def not_armed(reasons: Sequence[str]) -> FaultReport:
     """The report of a run that was not started."""
     return FaultReport(FaultId.NOT_STARTED, "not started: " + "; ".join(reasons))

@@ -16,19 +16,30 @@ from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehi
 from testbed.config import ConfigError, Experiment, Fork
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.fault_injection import ON_WIRES
+from testbed.core.landing import landing_delay
 from testbed.core.law import Concern
 from testbed.core.ports import Clock, HostLink
 from testbed.core.types import Pose
 from testbed.faults.law_faults import CrashableNode
-from testbed.flight.loop import Chain, Ending, HostNode, Observer, VehicleNode, come_to_rest, fly
+from testbed.flight.loop import (
+    Chain,
+    Ending,
+    HostNode,
+    Observer,
+    VehicleNode,
+    come_to_rest,
+    fly,
+    hold,
+)
 from testbed.flight.safety import SPARE_S
 from testbed.flight.supervisor import Supervisor
 from testbed.metrics.afterwards import MINUTE, STEP, After, judge_after
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.boards import Valves, WiredBoard, make_drivers
+from testbed.rig.chain import brakes_first
 from testbed.rig.forked import SOON, make_host, make_vehicle, stages
-from testbed.rig.interface import not_armed
+from testbed.rig.interface import holds, not_armed
 from testbed.rig.observers import NullObserver
 from testbed.rig.readiness import twin_checks
 
@@ -89,27 +100,45 @@ class TwinRig(Struct, frozen=True):
         flight, twin, began = self.experiment.flight, self.twin, self.twin.now
         period = flight.jet_period_s
         # after a fault the last tick was at `began`, otherwise one period before
-        first = round(began / period) + (ending.fault is not None)
-        come_to_rest(
-            self.pace or twin, self.vehicles, period, first,
-            math.ceil((flight.ending.brake_s + SPARE_S) / period), observer,
-            stopped=lambda: 2 if self._trouble() else stopped(),
-        )  # fmt: skip
-        return self._minute(began)
+        first, ended_by = round(began / period) + (ending.fault is not None), None
+        clock, models = self.pace or twin, self.experiment.vehicles
 
-    def _minute(self, began: float) -> After:
-        """Simulate the plant until a minute after the end, and judge it."""
+        def asked() -> int:
+            return 2 if self._trouble() else stopped()
+
+        if holds(self.experiment, ending):
+            first, ended_by = hold(
+                clock, self.vehicles, period, first, math.ceil(flight.ending.hold_s / period),
+                observer, {name: one.model.air.set_pressure for name, one in models.items()},
+                stopped=asked,
+            )  # fmt: skip
+        come_to_rest(
+            clock, self.vehicles, period, first,
+            math.ceil((flight.ending.brake_s + SPARE_S) / period), observer, stopped=asked,
+            brakes=[name for name in models if brakes_first(self.experiment, name)],
+        )  # fmt: skip
+        return replace(self._minute(began, first * period), fault=ended_by)
+
+    def _minute(self, began: float, rests: float) -> After:
+        """Simulate the plant until a minute after `rests`, and judge it since `began` [s]."""
         twin, plant = self.twin, self.twin.plant
         braked = [at for at in twin.seen_at if at >= began]
         seen = np.concatenate([np.zeros((0, len(twin.names), 6)), *twin.seen])
+        # by then the last plans have ended and every watchdog has acted
+        models = [setup.model for setup in self.experiment.vehicles.values()]
+        delays = [landing_delay(model.landing) for model in models]
+        acted = twin.now + 1.0 + max((one for one in delays if one < MINUTE), default=0.0)
+        period = self.experiment.flight.jet_period_s
         times, states = [np.array(braked)], [seen[len(seen) - len(braked) :]]
-        while plant.t < began + MINUTE and not (len(times) > 1 and plant.stands):
-            until = min(plant.t + 1.0, began + MINUTE)
+        stood = False
+        while plant.t < rests + MINUTE and not stood:
+            stood = plant.stands  # then this is the last window, and shows it
+            boards = plant.t < acted
+            until = min(plant.t + (period if boards else 1.0), rests + MINUTE)
             if twin.sabotage is not None:
                 twin.sabotage.before(until)
             marks = np.arange(plant.t, until, STEP)
-            # within this second the last plan ends and the board's watchdog acts
-            states.append(plant.advance(until, marks, boards=plant.t < twin.now + 1.0))
+            states.append(plant.advance(until, marks, boards=boards))
             times.append(marks)
         floats = {name: plant.floats(k) for k, name in enumerate(plant.names)}
         return judge_after(

@@ -77,6 +77,7 @@ class FlightLog:
     def vehicle(self, name: str, tick: Tick) -> None:
         """See `Observer`."""
         if tick.inputs.vitals.end:
+            heartbeat().beat()
             last = EndingTick(tick.inputs, tick.outputs)
             self._record(f"/{name}/ending", tick.inputs.t, last)
             return

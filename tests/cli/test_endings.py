@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -96,9 +97,83 @@ def test_a_vehicle_without_poses_lands_when_its_prediction_is_worth_nothing_any_
     assert_safe(after)
 
 
-def test_a_dead_process_keeps_its_bearing_air_and_is_told():
-    inject = 'inject=[{kind="kill_process",vehicle="sat1",at_s=9.03}]'
-    _, _, _, after = ended(inject, "duration_s=20")
+HOLDS = "flight.ending={after='hold',hold_s=8}"
+
+
+def test_vehicles_hold_position_after_a_planned_end_then_they_stand():
+    rig, ending, kept, after = ended("duration_s=12", HOLDS)
+    assert (ending.fault, after.fault) == (None, None)
+    assert (after.contacts, after.air) == (0, "off")
+    assert after.at_rest_s < 12.0
+    held = [tick for name, tick in kept.flown if name == "sat1" and tick.inputs.t >= 12.0]
+    assert len(held) == 80
+    assert any(any(tick.outputs.command.on_us) for tick in held[40:])  # the slope pulls
+    track = rig.track()
+    late = track.states[(track.t > 16.0) & (track.t < 20.0)]
+    assert np.ptp(late[:, 0, :2], axis=0).max() < 0.01
+
+
+def test_a_stop_ends_the_hold():
+    _, _, kept, after = ended("duration_s=12", HOLDS, stops=lambda rig: int(rig.twin.now >= 13.0))
+    assert (after.contacts, after.air, after.fault) == (0, "off", None)
+    assert after.at_rest_s < 1.0 + 5.0
+    assert max(tick.inputs.t for _, tick in kept.flown) < 13.0
+
+
+def test_a_fault_ends_the_hold_and_is_told():
+    lost = 'inject=[{kind="drop_mocap",vehicle="sat2",at_s=14.0}]'
+    _, ending, _, after = ended("duration_s=12", HOLDS, lost)
+    assert ending.fault is None
+    assert (after.fault.id, after.fault.vehicle) == ("pose_lost", "sat2")
+    assert (after.contacts, after.air) == (0, "off")
+
+
+def test_low_pressure_ends_the_hold():
+    empty = 'inject=[{kind="leak",vehicle="sat2",at_s=12.0,value=0.05}]'
+    slow = "faults.leak.above=1e9"
+    _, _, kept, after = ended("duration_s=12", HOLDS, empty, slow)
+    assert (after.contacts, after.air, after.fault) == (0, "off", None)
+    assert 14.0 < max(tick.inputs.t for _, tick in kept.flown) < 19.0
+
+
+def test_a_stop_or_a_fault_in_flight_is_no_reason_to_hold():
+    _, _, kept, after = ended("duration_s=12", HOLDS, stops=lambda rig: int(rig.twin.now >= 11.0))
+    assert_safe(after)
+    assert max(tick.inputs.t for _, tick in kept.flown) < 11.1
+
+
+def test_with_a_law_on_board_they_hold_position_too():
+    rig, _, _, after = ended("duration_s=12", HOLDS, "deploy.law=vehicle")
+    assert (after.contacts, after.air) == (0, "off")
+    track = rig.track()
+    late = track.states[(track.t > 16.0) & (track.t < 20.0)]
+    assert np.ptp(late[:, :, :2], axis=0).max() < 0.01
+
+
+def test_where_pads_slide_farther_than_jets_brake_the_second_stop_brakes():
+    icy = "vehicles.*.model.landing.friction=0.002"
+    at = 11.0
+    _, _, kept, after = ended(
+        "duration_s=20", icy, stops=lambda rig: 2 * int(rig.twin.now >= at)
+    )  # fmt: skip
+    assert_safe(after)
+    assert any(any(tick.outputs.command.on_us) for _, tick in kept.after)
+
+
+DIES = 'inject=[{kind="kill_process",vehicle="sat1",at_s=9.03}]'
+
+
+@pytest.mark.parametrize("board", ["model", "inproc"])
+def test_the_board_of_a_dead_process_lands_the_vehicle(board):
+    rig, _, _, after = ended(DIES, "duration_s=20", f"board={board}")
+    assert_safe(after)
+    landed = rig.twin.plant.landed[rig.twin.names.index("sat1")]
+    assert 9.0 < landed < 9.0 + 0.1 + 0.15 + 0.1 + 1e-6  # a plan, the watchdog, a tick
+
+
+def test_a_board_that_may_not_land_keeps_the_air_on_and_that_is_told():
+    never = "vehicles.sat1.model.landing.by_board=false"
+    _, _, _, after = ended(DIES, "duration_s=20", never)
     assert {name: left.air for name, left in after.vehicles.items()} == {
         "sat1": "on", "sat2": "off", "sat3": "off",
     }  # fmt: skip

@@ -62,7 +62,9 @@ def another_build() -> Path | None:
 LIMITS = Config(
     valve_count=8,
     opposing=(1 << 5, 1 << 4, 1 << 7, 1 << 6, 1 << 1, 1 << 0, 1 << 3, 1 << 2),
+    jets=0x5EA15EA1,
     bearing_after_trip=BearingPolicy.KEEP,
+    land_after_us=0,
     min_on_us=10_007,
     min_off_us=9_001,
     dead_us=2_003,

@@ -488,13 +488,82 @@ def test_bearing_is_on_or_off_only(host):
     assert not host.board.bearing
 
 
-@pytest.mark.parametrize("policy", list(BearingPolicy))
-def test_bearing_air_after_a_trip_is_as_configured(new_host, policy):
-    host = new_host(bearing_after_trip=policy)
-    host.bearing(True)
-    host.wait(host.limits.watchdog_us)
+LAND = {"bearing_after_trip": BearingPolicy.DROP, "land_after_us": 70_003}
+
+
+def trip_by(host, cause):
+    """Make the board trip now."""
+    match cause:
+        case "watchdog":
+            host.wait(host.limits.watchdog_us)
+        case "undervoltage":
+            host.board.sense(17_999, 0)
+            host.wait(host.limits.undervoltage_us)
+        case "interlock":
+            host.board.lib.board_flip_open(host.board.handle, 0)
+            host.board.lib.board_flip_open(host.board.handle, 5)
     assert host.ping().state == State.SAFE
-    assert host.board.bearing is (policy == BearingPolicy.KEEP)
+
+
+@pytest.mark.parametrize("cause", ["watchdog", "undervoltage", "interlock"])
+def test_after_a_trip_the_board_lands_when_its_limits_say_so(new_host, cause):
+    host = new_host(**LAND)
+    host.bearing(True)
+    trip_by(host, cause)
+    host.wait(70_002)
+    assert host.board.bearing
+    host.wait(1_000)  # between two runs
+    assert not host.board.bearing
+    host.arm()
+    host.wait(10)
+    assert not host.board.bearing
+
+
+@pytest.mark.parametrize("cause", ["watchdog", "undervoltage", "interlock"])
+def test_without_a_delay_it_lands_in_the_run_that_trips(new_host, cause):
+    host = new_host(**LAND | {"land_after_us": 0})
+    host.bearing(True)
+    host.wait(10)
+    trip_by(host, cause)
+    assert not host.board.bearing
+
+
+def test_bearing_air_stays_on_after_a_trip_if_the_limits_say_so(new_host):
+    host = new_host(land_after_us=70_003)
+    host.bearing(True)
+    host.wait(1_000_000)
+    assert host.ping().state == State.SAFE
+    assert host.board.bearing
+
+
+@pytest.mark.parametrize("order", ["arm", "bearing"])
+def test_a_sender_that_comes_back_in_time_keeps_the_air_on(new_host, order):
+    host = new_host(**LAND)
+    host.bearing(True)
+    host.wait(host.limits.watchdog_us + 70_000)
+    assert host.board.bearing
+    host.arm() if order == "arm" else host.bearing(True)
+    host.wait(100_000)
+    assert host.board.bearing
+
+
+@pytest.mark.parametrize("order", ["disarm", "ping", "hello"])
+def test_a_frame_that_decides_nothing_does_not_keep_it_on(new_host, order):
+    host = new_host(**LAND)
+    host.bearing(True)
+    host.wait(host.limits.watchdog_us + 70_000)
+    getattr(host, order)()
+    host.wait(1_000)
+    assert not host.board.bearing
+
+
+def test_a_disarmed_board_does_not_land(new_host):
+    """A sender that disarms is alive, and says BEARING when it wants to land."""
+    host = new_host(**LAND)
+    host.bearing(True)
+    host.disarm()
+    host.wait(1_000_000)
+    assert host.board.bearing
 
 
 # Limits that contradict each other, or not quite
@@ -519,6 +588,8 @@ def test_bearing_air_after_a_trip_is_as_configured(new_host, policy):
         ({"duty_window_us": 3_200_001}, State.BOOT),
         ({"watchdog_us": 2_000_001}, State.BOOT),
         ({"watchdog_us": 999}, State.BOOT),
+        ({"land_after_us": 60_000_000}, State.SAFE),
+        ({"land_after_us": 60_000_001}, State.BOOT),
     ],
 )
 def test_limits_are_checked_at_boot(new_host, limits, state):

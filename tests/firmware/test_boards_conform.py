@@ -24,6 +24,7 @@ from firmware_interface.host_pty import HostPtyBoard
 from firmware_interface.inproc import InprocBoard
 from firmware_interface.limits import config_hash, limits_of
 from firmware_interface.messages import (
+    VERSION,
     Ack,
     Arm,
     Bearing,
@@ -365,7 +366,7 @@ BAD = {
     "flipped bit": (lambda b: refresh(b)[:-9] + b"\x55" + refresh(b)[-8:], None),
     "truncated": (lambda b: refresh(b)[:40] + b"\0", None),
     "oversized": (lambda _: b"\x01" * (CODED_MAX + 9) + b"\0", "bad_length"),
-    "another version": (lambda b: refresh(b, version=2), "bad_version"),
+    "another version": (lambda b: refresh(b, version=VERSION + 1), "bad_version"),
     "unknown type": (lambda b: refresh(b, type=77), "unknown_type"),
     "replayed": (lambda b: refresh(b, seq=b.seq), "replayed"),
     "of another session": (

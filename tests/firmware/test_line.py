@@ -15,7 +15,16 @@ from firmware_interface.frame import (
     stuff,
     unstuff,
 )
-from firmware_interface.messages import PAYLOAD_MAX, Cmd, Fault, Hello, Ping, Result, State
+from firmware_interface.messages import (
+    PAYLOAD_MAX,
+    VERSION,
+    Cmd,
+    Fault,
+    Hello,
+    Ping,
+    Result,
+    State,
+)
 
 COUNTERS = ("bad_length", "bad_crc", "bad_version", "unknown_type", "foreign", "replayed")
 
@@ -33,7 +42,7 @@ BAD = {
     "not COBS": (lambda _: b"\x20" + b"\x01" * 5 + b"\0", "bad_length"),
     "oversized": (lambda _: b"\x01" * (CODED_MAX + 1) + b"\0", "bad_length"),
     "very oversized": (lambda _: b"\x01" * 1000 + b"\0", "bad_length"),
-    "another version": (lambda h: encode(refresh(h, version=2)), "bad_version"),
+    "another version": (lambda h: encode(refresh(h, version=VERSION + 1)), "bad_version"),
     "version 0": (lambda h: encode(refresh(h, version=0)), "bad_version"),
     "unknown type": (lambda h: encode(refresh(h, type=77)), "unknown_type"),
     "a board's type": (lambda h: encode(refresh(h, type=129)), "unknown_type"),

@@ -45,7 +45,7 @@ def test_this_version_is_what_was_published():
 )
 def test_a_changed_field_needs_a_new_version(old, new):
     assert TEXT.count(old) >= 1
-    with pytest.raises(SchemaError, match=r"differs from version 1 as published.*raise `version`"):
+    with pytest.raises(SchemaError, match=r"differs from version 2 as published.*raise `version`"):
         published.check(read(TEXT.replace(old, new, 1)))
 
 
@@ -66,35 +66,35 @@ CHANGED = TEXT.replace("max = 60_000", "max = 60_001")
 
 def test_a_record_rewritten_to_fit_the_fields_is_noticed(golden):
     """The easy way out when the test above fails, and the one that must not work."""
-    published.path_of(1, golden).unlink()
+    published.path_of(2, golden).unlink()
     published.publish(read(CHANGED), golden)
     with pytest.raises(
-        SchemaError, match=r"version_1\.json differs from what was published.*restore it"
+        SchemaError, match=r"version_2\.json differs from what was published.*restore it"
     ):
         published.check(read(CHANGED), golden)
 
 
 def next_version(golden):
-    text = CHANGED.replace("version = 1 ", "version = 2 ")
+    text = CHANGED.replace("version = 2 ", "version = 3 ")
     assert text != CHANGED
     return text.replace(read(TEXT).sealed, published.publish(read(text), golden))
 
 
 def test_a_new_version_is_published_once(golden):
-    text = CHANGED.replace("version = 1 ", "version = 2 ")
-    with pytest.raises(SchemaError, match="version 2 of the messages is not published"):
+    text = CHANGED.replace("version = 2 ", "version = 3 ")
+    with pytest.raises(SchemaError, match="version 3 of the messages is not published"):
         published.check(read(text), golden)
     text = next_version(golden)
     published.check(read(text), golden)
-    with pytest.raises(SchemaError, match="version 2 is already published"):
+    with pytest.raises(SchemaError, match="version 3 is already published"):
         published.publish(read(text), golden)
-    frames = json.loads(published.path_of(2, golden).read_text())["frames"]
+    frames = json.loads(published.path_of(3, golden).read_text())["frames"]
     assert {frame["message"] for frame in frames} == {kind.__name__ for kind in TYPES.values()}
 
 
 def test_its_golden_frames_are_read_by_other_code_than_wrote_them(golden):
     next_version(golden)
-    for one in json.loads(published.path_of(2, golden).read_text())["frames"]:
+    for one in json.loads(published.path_of(3, golden).read_text())["frames"]:
         (frame,) = Decoder().feed(bytes.fromhex(one["hex"]))
         fields = msgspec.to_builtins(frame.message)
         assert json.loads(json.dumps(fields)) == one["fields"]

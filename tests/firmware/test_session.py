@@ -7,7 +7,7 @@ import pytest
 from firmware_interface.board import settled
 from firmware_interface.frame import Frame, encode
 from firmware_interface.inproc import InprocBoard
-from firmware_interface.messages import Ack, Fault, Result, State
+from firmware_interface.messages import VERSION, Ack, Fault, Result, State
 from firmware_interface.session import CARRY_US, REFRESH_US, Session, SessionError, exchange
 from testbed.core.types import ValveCommand
 
@@ -236,8 +236,10 @@ def test_a_board_built_for_another_vehicle_is_refused(limits):
 
 
 def test_a_board_of_another_protocol_is_refused(limits):
-    with pytest.raises(SessionError, match="speaks protocol 2, this program 1"):
-        Session(limits, 5).receive(encode(Frame(Ack.CODE, 1, 0, b"", version=2)), 0)
+    with pytest.raises(
+        SessionError, match=rf"speaks protocol {VERSION + 1}, this program {VERSION}"
+    ):
+        Session(limits, 5).receive(encode(Frame(Ack.CODE, 1, 0, b"", version=VERSION + 1)), 0)
 
 
 def test_nothing_is_armed_before_hello_is_answered(limits):

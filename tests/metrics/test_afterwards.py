@@ -33,13 +33,12 @@ def test_a_vehicle_that_turns_is_not_at_rest():
     assert at_rest_after(np.array([0.0, 1.0]), np.array([[0.0, 0.0, 0.1]] * 2), 0.0) is None
 
 
-def test_hard_contacts_of_the_minute_count():
+def test_hard_contacts_after_the_flight_count():
     t, states = track(0.1, 0.0)
     touches = [
         Touch(19.9, "a", "b", 0.5),  # in flight
         Touch(20.5, "a", "b", 0.01),  # soft
         Touch(70.0, "a", "upper edge", 0.03),
-        Touch(80.5, "a", "b", 0.5),  # later
     ]
     after = judge_after(["a"], t, states, touches, {"a": True}, 20.0)
     assert after == After(1, pytest.approx(0.1), "on", {"a": Left(pytest.approx(0.1), "on")})

@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from testbed.config import ConfigError, find, load
+from testbed.core.codes import FaultId
 from testbed.net.direct_stop import stop_directly
 from testbed.net.stop import stop_everything
 from testbed.rig.chain import make_agent
@@ -227,6 +228,32 @@ def test_a_vehicle_is_stopped_without_its_host():
     assert ending.t < 20.0
     after = rig.come_to_rest(ending, NullObserver())
     assert (after.contacts, after.air) == (0, "off")
+    assert_nothing_is_left(met)
+
+
+@pytest.mark.parametrize(("hold_s", "stop_s"), [(30.0, 4.0), (1.5, 60.0)])
+def test_vehicles_hold_position_until_a_stop_or_for_their_time(hold_s, stop_s):
+    holds = f"flight.ending={{after='hold',hold_s={hold_s}}}"
+    rig, ending, noted, met = fly("hold", "duration_s=2", holds, stops=lambda r: r.now > stop_s)
+    assert (ending.fault, ending.t) == (None, 2.0)
+    held = [tick for tick in noted.ticks["sat1"] if tick.inputs.t >= 2.0]
+    assert held[-1].inputs.t == pytest.approx(min(stop_s, 2.0 + hold_s), abs=0.5)
+    assert rig.results.ended["sat1"].fault is None
+    after = rig.come_to_rest(ending, NullObserver())
+    assert (after.contacts, after.air) == (0, "off")
+    assert_nothing_is_left(met)
+
+
+def test_the_board_of_a_killed_process_lands_the_vehicle():
+    """So late that the twin's server has to wait for it: 2.5 s after the watchdog."""
+    late = "vehicles.sat1.model.landing={speed=0.01,slope=0.0,room=0.0265}"
+    dies = 'inject=[{kind="kill_process",vehicle="sat1",at_s=1.5}]'
+    rig, ending, _, met = fly("hold", "duration_s=30", dies, late)
+    assert ending.fault.id is FaultId.VEHICLE_SILENT
+    assert rig.results.report.left_as["sat1"] == ("SAFE", ["WATCHDOG"])
+    after = rig.come_to_rest(ending, NullObserver())
+    assert (after.contacts, after.air) == (0, "off")
+    assert after.at_rest_s is not None
     assert_nothing_is_left(met)
 
 

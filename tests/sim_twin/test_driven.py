@@ -11,6 +11,8 @@ from testbed.core.types import Pose, ValveCommand
 class Score:
     """A driver that plays edges written down beforehand."""
 
+    floats = True
+
     def __init__(self, edges):
         self._edges, self.heard = list(edges), []
 
@@ -81,3 +83,12 @@ def test_a_valve_without_a_closing_edge_stays_open(new_plant):
     plant = new_plant([(0, 1)])
     plant.advance(1.0)
     assert plant.boards["0"].pulses.down[0, -1] == LONG_AFTER
+
+
+def test_firmware_that_shuts_the_air_off_lands_its_vehicle(new_plant):
+    plant = new_plant([])
+    plant.advance(0.1)
+    assert plant.floats(0)
+    plant.boards["0"]._driver.floats = False
+    plant.advance(0.2)
+    assert not plant.floats(0)

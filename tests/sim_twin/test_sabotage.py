@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from sim_twin.board import last_closing
 from sim_twin.fault_injection import Sabotage
@@ -11,6 +12,7 @@ from sim_twin.plant import FRICTION, GRAVITY
 from testbed.core.fault_injection import Injection
 from testbed.core.table import Obstacle
 from testbed.core.types import ALL_WELL, PoseSample
+from testbed.core.vehicle import Landing
 
 AT_REST = [[0.0] * 6]
 
@@ -94,6 +96,34 @@ def test_a_vehicle_without_air_stands(make_plant, make_vehicle):
     assert plant.x[0, 0] == pytest.approx(0.1**2 / (2.0 * FRICTION * GRAVITY), rel=1e-9)
     assert plant.impulse[0] == 0.0
     assert plant.stands
+
+
+def drifting(make_plant, make_vehicle, **landing):
+    vehicle = replace(make_vehicle(), landing=Landing(**landing))
+    return make_plant([vehicle], [[0.0, 0.0, 0.0, 0.1, 0.0, 0.0]])
+
+
+def test_the_board_of_a_dead_process_lands_the_vehicle(make_plant, make_vehicle):
+    """At 0.1 m/s: 0.15 s to the watchdog, 0.1 s of the file's room, and a window of the plant."""
+    landing = {"speed": 0.1, "slope": 0.0, "room": 0.1 * 0.25 + 0.1**2 / (2.0 * 0.1 * GRAVITY)}
+    plant = drifting(make_plant, make_vehicle, **landing)
+    advance(plant, sabotage(plant, fault("kill_process", 1.0)), 1.2)
+    assert plant.floats(0)
+    advance(plant, sabotage(plant, fault("kill_process", 1.0)), 3.0)
+    assert plant.landed[0] == pytest.approx(1.3)
+    assert plant.stands
+    assert plant.x[0, 0] == pytest.approx(0.13 + 0.1**2 / (2.0 * FRICTION * GRAVITY), rel=1e-9)
+
+
+def test_it_keeps_the_air_on_if_its_file_says_so_or_the_process_is_back_in_time(
+    make_plant, make_vehicle
+):
+    plant = drifting(make_plant, make_vehicle, by_board=False)
+    advance(plant, sabotage(plant, fault("kill_process", 1.0)), 3.0)
+    assert plant.floats(0)
+    plant = drifting(make_plant, make_vehicle)
+    advance(plant, sabotage(plant, fault("kill_process", 1.0, for_s=0.149)), 3.0)
+    assert plant.floats(0)
 
 
 def test_what_stands_does_not_slide_down_the_slope(make_plant, make_vehicle, make_table):

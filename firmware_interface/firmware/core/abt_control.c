@@ -12,14 +12,13 @@ void abt_control_init(abt_control *control, const abt_config *config, uint32_t n
     abt_valves_init(&control->valves, config, now_us);
 }
 
-static void trip(abt_control *control, abt_fault fault)
+static void trip(abt_control *control, abt_fault fault, uint32_t now_us)
 {
     control->state = ABT_STATE_SAFE;
     control->faults = (uint8_t)(control->faults | fault);
     control->plan_waiting = false;
-    if (control->config->bearing_after_trip == ABT_BEARING_POLICY_DROP) {
-        control->bearing = false;
-    }
+    control->landing = control->config->bearing_after_trip == ABT_BEARING_POLICY_DROP;
+    control->land_us = now_us + control->config->land_after_us;
 }
 
 static void judge_supply(abt_control *control, uint32_t now_us, abt_sensors sensors)
@@ -32,7 +31,7 @@ static void judge_supply(abt_control *control, uint32_t now_us, abt_sensors sens
     control->sensors = sensors;
     if (low && control->state == ABT_STATE_ARMED &&
         now_us - control->low_since_us >= control->config->undervoltage_us) {
-        trip(control, ABT_FAULT_UNDERVOLTAGE);
+        trip(control, ABT_FAULT_UNDERVOLTAGE, now_us);
     }
 }
 
@@ -40,7 +39,7 @@ static void judge_watchdog(abt_control *control, uint32_t now_us)
 {
     if (control->state == ABT_STATE_ARMED &&
         abt_reached(now_us, control->fed_us + control->config->watchdog_us)) {
-        trip(control, ABT_FAULT_WATCHDOG);
+        trip(control, ABT_FAULT_WATCHDOG, now_us);
         control->watchdog_trips++;
     }
 }
@@ -78,11 +77,19 @@ static void drive(abt_control *control, uint32_t now_us)
     const uint8_t before = control->output.mask;
     const uint8_t wanted = abt_valves_mask(&control->valves);
     if (!abt_output_step(&control->output, control->config, wanted, now_us)) {
-        trip(control, ABT_FAULT_INTERLOCK);
+        trip(control, ABT_FAULT_INTERLOCK, now_us);
         abt_valves_close(&control->valves, now_us);
     }
     if (control->output.mask != before) {
         note_edge(control, now_us, control->output.mask);
+    }
+}
+
+/* After the valves: a trip of this run may land at once. */
+static void judge_landing(abt_control *control, uint32_t now_us)
+{
+    if (control->landing && abt_reached(now_us, control->land_us)) {
+        abt_control_bearing(control, false);
     }
 }
 
@@ -119,12 +126,19 @@ abt_outputs abt_control_run(abt_control *control, uint32_t now_us, abt_sensors s
         judge_watchdog(control, now_us);
         move_valves(control, now_us);
         drive(control, now_us);
+        judge_landing(control, now_us);
     }
     control->wake_us = next_wake_us(control, now_us);
     return (abt_outputs){control->output.mask, control->bearing, control->wake_us};
 }
 
 /* ---- What the host asks for --------------------------------------------------------------- */
+
+void abt_control_bearing(abt_control *control, bool on)
+{
+    control->bearing = on;
+    control->landing = false;
+}
 
 abt_result abt_control_arm(abt_control *control, uint32_t now_us)
 {
@@ -137,6 +151,7 @@ abt_result abt_control_arm(abt_control *control, uint32_t now_us)
     if (control->state == ABT_STATE_SAFE) {
         control->state = ABT_STATE_ARMED;
         control->faults = 0;
+        control->landing = false;
         control->fed_us = now_us;
     }
     return ABT_RESULT_OK;

@@ -27,6 +27,7 @@ typedef struct {
     abt_state state;
     uint8_t faults;
     bool bearing;
+    bool landing; /* bearing air goes off at `land_us` */
     bool plan_waiting; /* `plan` is for the next run */
     bool close_waiting; /* the next run closes everything first */
     bool plan_known; /* `plan_id` is one of this session */
@@ -35,6 +36,7 @@ typedef struct {
     abt_plan plan;
     uint32_t fed_us; /* watchdog */
     uint32_t low_since_us;
+    uint32_t land_us;
     uint32_t wake_us; /* what the last run asked for */
     uint32_t worst_late_us;
     uint16_t watchdog_trips;
@@ -53,6 +55,9 @@ void abt_control_init(abt_control *control, const abt_config *config, uint32_t n
 
 /* Let time pass. */
 abt_outputs abt_control_run(abt_control *control, uint32_t now_us, abt_sensors sensors);
+
+/* Bearing air as a sender wants it, who is alive: no landing. */
+void abt_control_bearing(abt_control *control, bool on);
 
 abt_result abt_control_arm(abt_control *control, uint32_t now_us);
 

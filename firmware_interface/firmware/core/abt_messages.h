@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define ABT_VERSION 1u
+#define ABT_VERSION 2u
 #define ABT_VALVES 8u
 #define ABT_EDGES 8u
 #define ABT_PAYLOAD_MAX 80u
@@ -67,8 +67,8 @@ typedef enum {
 
 /* What becomes of bearing air when the board trips. */
 typedef enum {
-    ABT_BEARING_POLICY_KEEP = 0, /* stays as it is: a moving vehicle must not be dropped onto the table */
-    ABT_BEARING_POLICY_DROP = 1, /* off */
+    ABT_BEARING_POLICY_KEEP = 0, /* stays as it is: the vehicle drifts */
+    ABT_BEARING_POLICY_DROP = 1, /* off, land_after_us later: the vehicle stands */
 } abt_bearing_policy;
 
 /* Reasons for SAFE; latched until the next ARM. */
@@ -399,11 +399,13 @@ static inline bool abt_edges_in_range(const abt_edges *it)
 }
 
 /* Valve map and limits. */
-#define ABT_CONFIG_SIZE 52u
+#define ABT_CONFIG_SIZE 60u
 typedef struct {
     uint8_t valve_count;
     uint8_t opposing[8]; /* per valve, mask of the valves that push against it */
+    uint32_t jets; /* CRC-32 of where the jets are and which way they push; only hashed */
     uint8_t bearing_after_trip;
+    uint32_t land_after_us; /* from a trip to bearing air off; ARM and BEARING cancel it [us] */
     uint32_t min_on_us; /* shorter pulses are not played [us] */
     uint32_t min_off_us; /* a valve stays closed at least so long [us] */
     uint32_t dead_us; /* between a valve's closing and its opposite's opening [us] */
@@ -423,18 +425,20 @@ static inline void abt_config_pack(const abt_config *from, uint8_t *to)
     for (unsigned i = 0; i < 8u; i++) {
         abt_put_u8(to + 1 + 1 * i, from->opposing[i]);
     }
-    abt_put_u8(to + 9, from->bearing_after_trip);
-    abt_put_u32(to + 10, from->min_on_us);
-    abt_put_u32(to + 14, from->min_off_us);
-    abt_put_u32(to + 18, from->dead_us);
-    abt_put_u32(to + 22, from->max_on_us);
-    abt_put_u32(to + 26, from->duty_window_us);
-    abt_put_u32(to + 30, from->duty_budget_us);
-    abt_put_u32(to + 34, from->max_ttl_us);
-    abt_put_u32(to + 38, from->watchdog_us);
-    abt_put_u16(to + 42, from->undervoltage_mv);
-    abt_put_u32(to + 44, from->undervoltage_us);
-    abt_put_u32(to + 48, from->status_period_us);
+    abt_put_u32(to + 9, from->jets);
+    abt_put_u8(to + 13, from->bearing_after_trip);
+    abt_put_u32(to + 14, from->land_after_us);
+    abt_put_u32(to + 18, from->min_on_us);
+    abt_put_u32(to + 22, from->min_off_us);
+    abt_put_u32(to + 26, from->dead_us);
+    abt_put_u32(to + 30, from->max_on_us);
+    abt_put_u32(to + 34, from->duty_window_us);
+    abt_put_u32(to + 38, from->duty_budget_us);
+    abt_put_u32(to + 42, from->max_ttl_us);
+    abt_put_u32(to + 46, from->watchdog_us);
+    abt_put_u16(to + 50, from->undervoltage_mv);
+    abt_put_u32(to + 52, from->undervoltage_us);
+    abt_put_u32(to + 56, from->status_period_us);
 }
 static inline void abt_config_unpack(const uint8_t *from, abt_config *to)
 {
@@ -442,24 +446,27 @@ static inline void abt_config_unpack(const uint8_t *from, abt_config *to)
     for (unsigned i = 0; i < 8u; i++) {
         to->opposing[i] = abt_get_u8(from + 1 + 1 * i);
     }
-    to->bearing_after_trip = abt_get_u8(from + 9);
-    to->min_on_us = abt_get_u32(from + 10);
-    to->min_off_us = abt_get_u32(from + 14);
-    to->dead_us = abt_get_u32(from + 18);
-    to->max_on_us = abt_get_u32(from + 22);
-    to->duty_window_us = abt_get_u32(from + 26);
-    to->duty_budget_us = abt_get_u32(from + 30);
-    to->max_ttl_us = abt_get_u32(from + 34);
-    to->watchdog_us = abt_get_u32(from + 38);
-    to->undervoltage_mv = abt_get_u16(from + 42);
-    to->undervoltage_us = abt_get_u32(from + 44);
-    to->status_period_us = abt_get_u32(from + 48);
+    to->jets = abt_get_u32(from + 9);
+    to->bearing_after_trip = abt_get_u8(from + 13);
+    to->land_after_us = abt_get_u32(from + 14);
+    to->min_on_us = abt_get_u32(from + 18);
+    to->min_off_us = abt_get_u32(from + 22);
+    to->dead_us = abt_get_u32(from + 26);
+    to->max_on_us = abt_get_u32(from + 30);
+    to->duty_window_us = abt_get_u32(from + 34);
+    to->duty_budget_us = abt_get_u32(from + 38);
+    to->max_ttl_us = abt_get_u32(from + 42);
+    to->watchdog_us = abt_get_u32(from + 46);
+    to->undervoltage_mv = abt_get_u16(from + 50);
+    to->undervoltage_us = abt_get_u32(from + 52);
+    to->status_period_us = abt_get_u32(from + 56);
 }
 static inline bool abt_config_in_range(const abt_config *it)
 {
     bool good = true;
     good = good && it->valve_count >= 1u && it->valve_count <= 8u;
     good = good && it->bearing_after_trip <= 1u;
+    good = good && it->land_after_us <= 60000000u;
     good = good && it->min_on_us <= 1000000u;
     good = good && it->min_off_us <= 1000000u;
     good = good && it->dead_us <= 1000000u;

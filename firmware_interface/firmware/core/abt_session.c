@@ -94,7 +94,7 @@ static abt_result on_bearing(abt_firmware *firmware, const abt_frame *frame)
         return ABT_RESULT_OUT_OF_RANGE;
     }
     abt_enter(firmware);
-    firmware->control.bearing = bearing.on == 1;
+    abt_control_bearing(&firmware->control, bearing.on == 1);
     abt_leave(firmware);
     return ABT_RESULT_OK;
 }

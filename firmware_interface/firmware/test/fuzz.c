@@ -11,6 +11,7 @@
 
 static const abt_config CONFIG = {
     .valve_count = 8, .opposing = {32, 16, 128, 64, 2, 1, 8, 4},
+    .bearing_after_trip = ABT_BEARING_POLICY_DROP, .land_after_us = 30000,
     .min_on_us = 5000, .min_off_us = 3000, .dead_us = 2000, .max_on_us = 60000,
     .duty_window_us = 320000, .duty_budget_us = 150000, .max_ttl_us = 200000,
     .watchdog_us = 50000, .undervoltage_mv = 9000, .undervoltage_us = 1500,

@@ -12,7 +12,7 @@ import msgspec
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.types import HostTick, Tick, Vitals
-from testbed.flight.loop import Ending, VehicleNode, come_to_rest
+from testbed.flight.loop import Ending, VehicleNode, come_to_rest, hold
 from testbed.flight.safety import SPARE_S
 from testbed.mocap.poses import MocapPoses
 from testbed.net.clock import HostClock
@@ -26,6 +26,7 @@ from testbed.net.impairment import NetworkImpairment
 from testbed.net.links import Party, ZenohVehicleLink
 from testbed.net.session import Publisher, Subscriber
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
+from testbed.rig.interface import holds
 from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
@@ -50,8 +51,10 @@ class VehicleFlight:
         drift: HostClock,
         link: ZenohVehicleLink,
         process_faults: ProcessFaults,
+        brakes: bool,
     ) -> None:
-        self._link, self._foreign = link, 0
+        """With `brakes` the vehicle brakes in an emergency, and else lands."""
+        self._link, self._foreign, self.brakes = link, 0, brakes
         self.process_faults, self.due = process_faults, 0.0
         self._storm = NetworkImpairment(
             party.lab.weather, party.seed, f"permit to {party.name}", party.worse
@@ -144,9 +147,9 @@ class VehicleFlight:
         return self._permit.newest is not None and self._permit.newest.may_fire
 
     def over(self) -> int:
-        """Number of stop requests; from 2 on valves and air are shut at once."""
+        """Number of stop requests; 2 shut valves and air at once, or brake if that is shorter."""
         times = self._asked()
-        if times > 1:
+        if times > 1 and (not self.brakes or self._thrusters.trouble is not None):
             self._thrusters.land()
         if times:
             self._tower.obey()
@@ -178,13 +181,14 @@ class Permitted:
         self.name, self._node, self._flight, self._clock = node.name, node, flight, clock
 
     def tick(
-        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
-    ) -> Tick:
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *,
+        end: bool = False, stay: bool = False,
+    ) -> Tick:  # fmt: skip
         """See `VehicleNode`. Coming to rest at the end needs no permit."""
         self._flight.due = t
         self._flight.process_faults.at_vehicle(self.name, self._clock)
         may_fire = self._flight.may_fire or end
-        return self._node.tick(t, armed and may_fire, fleet, end=end)
+        return self._node.tick(t, armed and may_fire, fleet, end=end, stay=stay)
 
 
 @contextmanager
@@ -209,14 +213,24 @@ def counted(asked: Asked) -> Iterator[None]:
 def land(
     experiment: Experiment, ending: Ending, clock: WallClock, node: Permitted,
     flight: VehicleFlight, thrusters: WiredThrusters,
-) -> None:  # fmt: skip
-    """Come to rest and turn the air off, after any end of the flight."""
+) -> FaultReport | None:  # fmt: skip
+    """Hold position if asked to, come to rest and turn the air off, after any end of the flight.
+
+    Returns:
+        the fault that ended a hold.
+    """
     params, period = experiment.flight.ending, experiment.flight.jet_period_s
     # after a fault the last tick was at the end, otherwise one period before
-    first = round(ending.t / period) + (ending.fault is not None)
+    first, ended_by = round(ending.t / period) + (ending.fault is not None), None
+    if holds(experiment, ending):
+        first, ended_by = hold(
+            clock, [node], period, first, math.ceil(params.hold_s / period), flight,
+            {node.name: experiment.vehicles[node.name].model.air.set_pressure},
+            stopped=flight.over,
+        )  # fmt: skip
     come_to_rest(
         clock, [node], period, first, math.ceil((params.brake_s + SPARE_S) / period), flight,
-        stopped=flight.over,
+        stopped=flight.over, brakes=[node.name] if flight.brakes else (),
     )  # fmt: skip
     thrusters.land()
     flight.landed_at = clock.now if flight.landed_at is None else flight.landed_at
@@ -224,3 +238,4 @@ def land(
     while thrusters.floats and monotonic_ns() < end:
         sleep_until_ns(monotonic_ns() + LOOK_NS)
         thrusters.land()
+    return ended_by

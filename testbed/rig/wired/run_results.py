@@ -77,7 +77,7 @@ class RunResults:
         self._paces.append(flown.pace)
         self._new_paces.append((name, flown.tick.inputs.t, flown.pace))
         self._new_valves += [(name, Valves(t, mask)) for t, mask in flown.edges]
-        if flown.tick.inputs.vitals.end:  # the flight is over
+        if flown.tick.inputs.vitals.end or flown.tick.inputs.t >= self.experiment.end_s:
             return
         state = flown.tick.outputs.state
         if state is not None:

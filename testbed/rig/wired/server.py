@@ -85,6 +85,8 @@ class TableServer:
         self._sabotage: Sabotage | None = None
         self._down: set[str] = set()  # boards without power
         self._landed: set[str] = set()  # vehicles whose air is off until the end
+        limits = [limits_of(model) for model in self.models.values()]
+        self._landing_ns = 1000 * max(one.land_after_us for one in limits)
 
     def __enter__(self) -> "TableServer":
         with ExitStack() as stack:
@@ -123,7 +125,8 @@ class TableServer:
         period, latency = 1e9 / mocap.rate_hz, round(1e9 * mocap.latency_s)
         began = monotonic_ns()
         frame, sense_due, dial_due, asked_at = 0, began, began, 0
-        for tap in self._taps.values():
+        taps = self._taps.values()
+        for tap in taps:
             tap.listen()
         fds = self._fds()
         while True:
@@ -145,7 +148,8 @@ class TableServer:
                 self._dial()
             if asked_at == 0 and ended():
                 asked_at = now
-            if asked_at and now - self._spoken_ns() > QUIET_NS and now - asked_at > QUIET_NS:
+            quiet = QUIET_NS + (self._landing_ns if any(t.bearing for t in taps) else 0)
+            if asked_at and now - self._spoken_ns() > quiet and now - asked_at > quiet:
                 return
 
     def _late_by(self) -> int:

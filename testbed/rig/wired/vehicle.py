@@ -41,7 +41,7 @@ from testbed.realtime.law_watch import patience
 from testbed.realtime.processes import orphaned
 from testbed.realtime.scheduling import no_garbage_collection, realtime_priority
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
-from testbed.rig.chain import make_agent, watched
+from testbed.rig.chain import brakes_first, make_agent, watched
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.command_guard import CommandGuard
 from testbed.rig.wired.command_server import CommandServer
@@ -163,8 +163,9 @@ def fly_vehicle(
             ear.close()
         poses = MocapPoses(source, wires.mocap, clock, name)
         flight = VehicleFlight(
-            party, thrusters, poses, tower, config_id(experiment), drift, link, process_faults
-        )
+            party, thrusters, poses, tower, config_id(experiment), drift, link, process_faults,
+            brakes_first(experiment, name),
+        )  # fmt: skip
         if tower.stop_reason is None:
             thrusters.arm()
         tower.take_off(thrusters.land)
@@ -175,8 +176,10 @@ def fly_vehicle(
                 clock, [Permitted(node, flight, clock)], [], experiment.flight.jet_period_s,
                 experiment.ticks, flight, stopped=flight.over,
             )  # fmt: skip
-            land(experiment, ending, clock, Permitted(node, flight, clock), flight, thrusters)
-        fault = ending.fault or (flight.fault and replace(flight.fault, vehicle=name))
+            last = Permitted(node, flight, clock)
+            ended_by = land(experiment, ending, clock, last, flight, thrusters)
+        fault = ending.fault or ended_by or flight.fault
+        fault = fault and replace(fault, vehicle=name)
         if poses.trouble is not None and fault is not None:
             why = getattr(source, "complaint", "")
             note = f"its body is {poses.trouble}{f': {why}' if why else ''}"

@@ -34,6 +34,7 @@ from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
 from testbed.realtime.scheduling import realtime_priority
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.chain import make_guidance
+from testbed.rig.interface import holds
 from testbed.rig.wired.preflight import order
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
@@ -84,8 +85,9 @@ class RemoteNode:
         self.fault: FaultReport | None = None
 
     def tick(
-        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
-    ) -> Tick:
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *,
+        end: bool = False, stay: bool = False,
+    ) -> Tick:  # fmt: skip
         """Its newest tick, or a substitute with a fault if it is silent or has ended."""
         self._meet(armed, fleet)
         tick = self._newest(t)
@@ -214,7 +216,10 @@ class HostFlight:
         def asked() -> int:
             return max(stopped(), self._asked.times)
 
-        if ending.t < experiment.end_s:
+        holding = holds(experiment, ending) and not asked()
+        if holding:
+            self._hold(asked)
+        if ending.t < experiment.end_s or holding:
             self._armed, self._at_once = False, asked() > 1
             self.permit()
             reason = ending.fault.words if ending.fault else "the host has ended the flight"
@@ -235,7 +240,7 @@ class HostFlight:
         if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
             # late setpoints look like a link fault
             fault = fault and replace(fault, notes=(*fault.notes, slow[0]))
-        if fault is None and self._asked.times:
+        if fault is None and self._asked.times and not holding:
             fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
         return Ending(ending.t, fault)
 
@@ -314,16 +319,32 @@ class HostFlight:
             except NetworkError:
                 continue  # it is lost, and its board's watchdog has closed the valves
 
+    def _hold(self, asked: Callable[[], int]) -> None:
+        """Let the vehicles hold position until a stop, a fault of one of them, or the time."""
+
+        def over() -> bool:
+            nodes = self._nodes.values()
+            return asked() > 0 or not all(map(self._comes_to_rest, nodes))
+
+        self._listen_until(self._experiment.flight.ending.hold_s, over)
+
     def _await_ends(self, asked: Callable[[], int]) -> None:
         """Receive until the vehicles are at rest; a silent vehicle is not waited for."""
-        longest = WAIT_S + self._experiment.flight.ending.brake_s
-        end, permit_at = monotonic_ns() + round(1e9 * longest), monotonic_ns()
-        self._listen()
-        while monotonic_ns() < end and any(map(self._comes_to_rest, self._nodes.values())):
+
+        def over() -> bool:
             if asked() > 1 and not self._at_once:
                 self._at_once = True
                 self.permit()
                 self._stop_all("the operator stopped twice", at_once=True)
+            return not any(map(self._comes_to_rest, self._nodes.values()))
+
+        self._listen_until(WAIT_S + self._experiment.flight.ending.brake_s, over)
+
+    def _listen_until(self, longest: float, over: Callable[[], bool]) -> None:
+        """Receive and permit until `over()`, or for `longest` [s]."""
+        end, permit_at = monotonic_ns() + round(1e9 * longest), monotonic_ns()
+        self._listen()
+        while monotonic_ns() < end and not over():
             if monotonic_ns() >= permit_at:
                 permit_at = monotonic_ns() + PERMIT_NS
                 self.permit()
