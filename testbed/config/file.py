@@ -13,6 +13,7 @@ from testbed.config.board import bad_board
 from testbed.config.error import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.experiment import Experiment
 from testbed.config.fault_schedule import bad_injections
+from testbed.config.fit import fit
 from testbed.config.hardware import bad_hardware
 from testbed.config.layout import bad_layout
 from testbed.config.network import bad_network
@@ -85,7 +86,7 @@ def _checked(source: Source, overrides: Sequence[str]) -> Experiment:
         raise source.error(mistake) from None
     for mistake in mistakes(experiment):
         raise source.error(mistake)
-    return with_content(experiment)
+    return with_content(fit(experiment, source.tree))
 
 
 def mistakes(experiment: Experiment) -> Iterator[Mistake]:
