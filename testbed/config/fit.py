@@ -20,6 +20,7 @@ from scipy.optimize import linprog
 from controllers.pd import PdParams
 from testbed.config.experiment import Experiment
 from testbed.config.key import Key
+from testbed.config.thresholds import blind_s
 from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
@@ -92,7 +93,7 @@ def _torque(data: bytes, jets: int) -> float:
 def defaults_of(experiment: Experiment) -> list[Default]:
     """Every derived default, with its arithmetic."""
     found = [*_guidance(experiment), *_flight(experiment), *_estimator(experiment)]
-    return [*found, *_law(experiment)]
+    return [*found, _gate(experiment), *_law(experiment)]
 
 
 def fit(experiment: Experiment, given: dict[str, Any]) -> Experiment:
@@ -139,6 +140,16 @@ def _guidance(experiment: Experiment) -> Iterator[Default]:
         ("guidance", "heading_accel"), min(FASTEST_TURN, TURNING * slowest.spin),
         f"{TURNING:g} of the {slowest.spin:.3g} rad/s^2 of {slowest.name},"
         f" at most {FASTEST_TURN:g} rad/s^2",
+    )  # fmt: skip
+
+
+def _gate(experiment: Experiment) -> Default:
+    """The last line of defence: a little later than the fault table's `pose_lost`."""
+    flight = experiment.flight
+    blind = blind_s(experiment.table, flight, len(experiment.vehicles))
+    return Default(
+        ("flight", "gate", "pose_timeout_s"), blind + 2.0 * flight.jet_period_s,
+        f"two jet periods after {blind:.2g} s, for which a prediction stays within its room",
     )  # fmt: skip
 
 
