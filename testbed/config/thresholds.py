@@ -210,8 +210,13 @@ def _value(node: ast.expr, words: Mapping[str, float]) -> float:
     raise ValueError("arithmetic with + - * / ( ), min and max")
 
 
+def words_in(text: str) -> list[str]:
+    """The words of arithmetic, in the order of WORDS."""
+    names = {n.id for n in ast.walk(ast.parse(text.strip())) if isinstance(n, ast.Name)}
+    return [name for name in WORDS if name in names]
+
+
 def worked_out(text: str, words: Mapping[str, float]) -> str:
-    """The arithmetic with the values of its words, as in "2 * frame 0.01"."""
-    names = {n.id for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Name)}
-    known = ", ".join(f"{name} {words[name]:.3g}" for name in words if name in names)
+    """The arithmetic with the values of its words: "2 * frame, with frame 0.01"."""
+    known = ", ".join(f"{name} {words[name]:.3g}" for name in words_in(text))
     return f"{text}, with {known}" if known else text
