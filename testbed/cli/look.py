@@ -137,6 +137,9 @@ def print_schema(kind: str) -> None:
         definitions = schema["$defs"]
         _allow_path(definitions["Experiment"]["properties"], "table")
         _allow_path(definitions["VehicleSetup"]["properties"], "model")
+        for bound in ("above", "below"):
+            text = {"type": "string", "description": "arithmetic of vehicle and table"}
+            definitions["Fault"]["properties"][bound]["anyOf"].append(text)
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
     sys.stdout.write(msgspec.json.format(msgspec.json.encode(schema)).decode() + "\n")
 

@@ -13,7 +13,10 @@ BLIND = {"zhang2023_table_pd", "zhang2023_table_lqr"}  # they show what avoidanc
 DOUBTED = {  # what is changed: what is said
     "thrust": ([f"{MODEL}.jets.*.thrust=250"], ["thrust", "acceleration"]),
     "one jet": ([f"{MODEL}.jets.4.thrust=0.06"], ["jets-unequal", "jets-unequal"]),
-    "mass": ([f"{MODEL}.mass=20000", f"{MODEL}.inertia=100"], ["mass", "acceleration"]),
+    "mass": (
+        [f"{MODEL}.mass=20000", f"{MODEL}.inertia=100"],
+        ["mass", "acceleration", "slope", "too-short"],
+    ),
     "pressure": ([f"{MODEL}.air.set_pressure=5"], ["pressure"]),
     "slope": (["table.tilt.uniform=[0.05,0.0]"], ["slope"]),
     "noise": (["table.mocap.noise=0.2"], ["cameras"]),

@@ -200,7 +200,7 @@ def flown(name, inject, duration):
 @pytest.mark.parametrize(
     ("inject", "named", "response", "within"),
     [
-        ('{kind="drop_mocap",vehicle="sat1",at_s=2.03}', "pose_lost", "brake", 0.6),
+        ('{kind="drop_mocap",vehicle="sat1",at_s=2.03}', "pose_missing", "brake", 0.6),
         ('{kind="freeze_mocap",vehicle="sat1",at_s=2.03}', "pose_frozen", "brake", 0.16),
         ('{kind="jump_mocap",vehicle="sat1",at_s=2.03}', "pose_jumped", "brake", 0.3),
         ('{kind="stick_open",vehicle="sat1",at_s=2.03,jet=3}', "valve_stuck_open", "land", 1.3),
