@@ -182,12 +182,9 @@ def admit(
 @main.command()
 @click.argument("experiment", required=False)
 @click.option(
-    "--rig",
-    type=click.Choice(["twin", "bench"]),
-    default="twin",
-    show_default=True,
+    "--rig", type=click.Choice(["twin", "bench"]), default="twin", show_default=True,
     help="Where to inject the faults.",
-)
+)  # fmt: skip
 @click.option(
     "--injections",
     type=click.IntRange(min=1),
