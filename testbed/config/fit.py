@@ -43,6 +43,7 @@ SPARE_BRAKE = 1.25  # factor on the time of a stop from top speed
 SATURATED = 4.0  # see `_law`
 NOISE, SPIN_NOISE = 1.5e-3, 4e-3  # at least [m/s^2, rad/s^2 / sqrt(Hz)]
 SPIN_SHARE = 0.23  # of alpha in use on average [assumption]
+TINY = 1e-6  # least force and torque, so that nothing divides by zero [m/s^2, rad/s^2]
 SPREAD = 3e-3  # of the slope at the start, at least [m/s^2]
 
 
@@ -68,7 +69,8 @@ def ability(experiment: Experiment, name: str) -> Ability:
     vehicle, mocap = experiment.vehicles[name].model, experiment.table.mocap
     delay = mocap.latency_s + vehicle.command_delay_s + vehicle.valve.open_delay_s
     return Ability(
-        name, weakest_force(vehicle) / vehicle.mass, weakest_torque(vehicle) / vehicle.inertia,
+        name, max(TINY, weakest_force(vehicle) / vehicle.mass),
+        max(TINY, weakest_torque(vehicle) / vehicle.inertia),
         delay + 0.5 * experiment.flight.jet_period_s,
     )  # fmt: skip
 
@@ -87,7 +89,7 @@ def _torque(data: bytes, jets: int) -> float:
         linprog(sign * effect[2], A_eq=effect[:2], b_eq=(0.0, 0.0), bounds=(0.0, 1.0))
         for sign in (1.0, -1.0)
     )
-    return min(-float(found.fun) for found in both)
+    return min(-float(found.fun or 0.0) for found in both)  # None: no answer
 
 
 def defaults_of(experiment: Experiment) -> list[Default]:

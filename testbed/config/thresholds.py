@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from testbed.config.error import Mistake, show
+from testbed.config.number import LARGEST
 from testbed.core.table import Link, Table
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
@@ -42,7 +43,7 @@ WORDS = {
 }
 SURE = 3.0  # sigmas of a prediction
 SHORTEST_BLIND, LONGEST_BLIND = 0.5, 3.0  # no model is trusted longer [s] [assumption]
-RARE = 1e-8  # per message: once in 100 flights of an hour with three vehicles at 10 Hz
+RARE = 1e-8  # per message: once in 460 hours with three vehicles at 10 Hz
 USUAL_UNDERVOLTAGE = 8.0  # of 12 V valves, where the file has none [V]
 
 OPERATORS = {
@@ -56,7 +57,7 @@ def words_of(
 ) -> dict[str, float]:
     """The value of each word; of several vehicles, the one that gives more time or room."""
     mocap = table.mocap
-    weakest = min(weakest_force(one) / one.mass for one in vehicles)
+    weakest = max(1e-6, min(weakest_force(one) / one.mass for one in vehicles))
     volts = [one.gauges.undervoltage_v or USUAL_UNDERVOLTAGE for one in vehicles]
     speed = flight.barrier.max_speed
     return {
@@ -105,15 +106,19 @@ def prediction(
     noise = max(noise, 1e-5)
     step, own = _motion(frame, params)
     pose = np.array([[1.0], [0.0], [0.0]])
-    # in millimetres: the solver needs numbers of ordinary size
-    scale = 1e6
-    before = solve_discrete_are(step.T, pose, scale * own, np.array([[scale * noise**2]])) / scale
+    scale = 1e6  # in millimetres: the solver needs numbers of ordinary size
+    try:
+        error = np.array([[scale * noise**2]])
+        before = solve_discrete_are(step.T, pose, scale * own, error) / scale
+    except (np.linalg.LinAlgError, ValueError):  # of parameters beyond all reason
+        return [math.inf] * len(looks)
     gain = before[:, :1] / (before[0, 0] + noise**2)
     after = before - gain @ before[:1]
     found = []
     for look in looks:
         step, own = _motion(look, params)
-        found.append(math.sqrt((step @ after @ step.T + own)[0, 0]))
+        variance = float((step @ after @ step.T + own)[0, 0])
+        found.append(math.sqrt(variance) if variance >= 0.0 else math.inf)
     return found
 
 
@@ -189,7 +194,7 @@ def value_of(text: str, words: Mapping[str, float]) -> float:
         raise ValueError("arithmetic with + - * / ( ), min and max") from None
     if not math.isfinite(value):
         raise ValueError("arithmetic with a finite value")
-    return round(value, 9)  # 12 * 0.1 is 1.2
+    return round(min(max(value, -LARGEST), LARGEST), 9)  # 12 * 0.1 is 1.2
 
 
 def _value(node: ast.expr, words: Mapping[str, float]) -> float:

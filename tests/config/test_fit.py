@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import tomli_w
 from msgspec.structs import replace
 
 from testbed.config import SHIPPED, dump, find, load, loads
@@ -52,9 +53,7 @@ def test_a_number_in_the_file_overrides(key):
     assert own == value
 
 
-def test_what_is_resolved_stays_when_it_is_loaded_again(tmp_path):
-    import tomli_w
-
+def test_what_is_resolved_stays_when_it_is_loaded_again():
     experiment = loads(PLAIN, ["vehicles.sat1.model.mass=20.0"])
     text = tomli_w.dumps(dump(experiment))
     assert dump(loads(text)) == dump(experiment)
@@ -82,6 +81,23 @@ def test_slow_valves_narrow_the_loops():
 
 def test_a_steep_table_starts_the_estimator_uncertain():
     assert derived("table.tilt.uniform=[0.02,0.0]")["flight.estimator.bias_spread"] > 0.019
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("vehicles.*.model.jets.*.thrust=1e-300",), ("vehicles.*.model.jets.*.thrust=1e9",),
+        ("flight.estimator.force_noise=1e8",), ("flight.estimator.force_noise=1e-300",),
+        ("flight.estimator.bias_walk=1e-200", "table.mocap.noise=0"),
+        ("table.mocap.rate_hz=9999", "table.mocap.noise=1e8"), ("flight.barrier.effort=1e-300",),
+        ("table.size=[0.9,0.9]",), ("vehicles.*.model.mass=1e9", "vehicles.*.model.inertia=1e7"),
+    ],
+)  # fmt: skip
+def test_no_number_that_is_allowed_makes_a_default_that_is_not(overrides):
+    where = ("vehicles.sat1.start=[0.0,0.0,0.0]", "vehicles.sat1.goal=[0.0,0.0,0.0]")
+    experiment = loads(PLAIN, [*overrides, *where])
+    assert all(0.0 < one.value < 1e9 for one in defaults_of(experiment))
+    assert dump(loads(tomli_w.dumps(dump(experiment)))) == dump(experiment)
 
 
 def test_the_torque_without_a_force_of_the_shipped_vehicle():
