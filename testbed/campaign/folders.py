@@ -6,6 +6,7 @@ the two agree, except for settings that a lab may have of its own:
     table, vehicles.*.model, board, names    not compared; but on twin and bench, which simulate the
                                              scenario, the values that a scenario sets must match
     faults, arming, flight.estimator         may differ; differences are listed
+    defaults that follow from the above      may differ: gains, limits and bounds of faults
     the rig                                  may differ; it is listed
 
 Everything else must match, and each seed is scored once. Skipped folders are listed with reasons.
@@ -24,6 +25,7 @@ from testbed.campaign.row import FlownRun
 from testbed.campaign.sweep import covers, experiment_path
 from testbed.config import ConfigError, Experiment, dump, load
 from testbed.config.error import did_you_mean, show
+from testbed.config.file import derived_of
 from testbed.config.key import ANY, Key, assignment, printable, spell
 from testbed.metrics.run_metrics import Metrics
 
@@ -148,7 +150,10 @@ def compare(
 ) -> tuple[str, set[str]]:
     """The reason why a run does not match, or an empty string; and its own settings."""
     own: set[str] = set()
+    derived = derived_of(found)
     for key, here, there in differences(dump(wanted), dump(found)):
+        if derived.get(key, ABSENT) == there:  # it follows from the lab's vehicles and table
+            continue
         by_twin = plays(rig, key) and any(covers(one, key) or covers(key, one) for one in played)
         lab = next((one for one in OF_A_LAB if covers(one, key)), None)
         if any(covers(one, key) for one in NOT_COMPARED) or same_law(key, here, there):

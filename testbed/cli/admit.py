@@ -3,6 +3,7 @@
 A refused experiment can be forced. The operator types its name, because `y` is typed by habit.
 """
 
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
@@ -87,7 +88,7 @@ def run_admission(
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(admission)).decode() + "\n")
     else:
-        print_admission(admission)
+        print_admission(admission, command(name, overrides))
     if admission.admitted:
         return OK
     if force and forced(experiment.name, errors.input):
@@ -96,8 +97,13 @@ def run_admission(
     return FAILED
 
 
-def print_admission(admission: Admission) -> None:
-    """Print the worst value of each limit and the verdict."""
+def command(name: str, overrides: Sequence[str]) -> str:
+    """What flies one of the flights again, but for its seed."""
+    return shlex.join(["testbed", "run", name, *overrides, "--seed"])
+
+
+def print_admission(admission: Admission, again: str = "testbed run --seed") -> None:
+    """Print the worst value of each limit, the flights that broke one, and the verdict."""
     out = Console(highlight=False)
     flights = "1 flight" if admission.flights == 1 else f"{admission.flights} flights"
     title = f"{admission.experiment}, {flights} in the twin"
@@ -109,6 +115,9 @@ def print_admission(admission: Admission) -> None:
     show(out, grid)
     for words in admission.faults:
         out.print(f"  {words}", style="red", markup=False, soft_wrap=True)
-    broken = ", ".join(one.name for one in admission.findings if not one.kept)
+    failed = [one for one in admission.findings if not one.kept]
+    for seed in dict.fromkeys(one.seed for one in failed):
+        out.print(f"  see it: {again} {seed}", markup=False, soft_wrap=True)
+    broken = ", ".join(one.name for one in failed)
     verdict = "[bold green]admitted[/]" if not broken else f"[bold red]refused[/]: {broken}"
     out.print(verdict)

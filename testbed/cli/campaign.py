@@ -127,8 +127,11 @@ def print_summary(
     )
     for reason, count in summary.reasons.items():
         out.print(f"  {count:5d}  {reason}", markup=False, style="red")
-    for words in summary.faults[:SHOWN]:
+    faulty = [run for run in runs if run.outcome == "fault"]
+    for words, run in zip(summary.faults[:SHOWN], faulty, strict=False):
         out.print(f"  {words}", markup=False, style="red", soft_wrap=True)
+        command = replay_command(campaign, folder, run.k)
+        out.print(f"    {command}", markup=False, soft_wrap=True)
     if (more := summary.outcomes.get("fault", 0) - SHOWN) > 0:
         out.print(f"  ... and {more} more in summary.json and results.parquet", style="red")
     _print_spreads(out, summary)

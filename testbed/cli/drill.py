@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterable, Sequence
 
 import msgspec
+from msgspec.structs import replace
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import track
@@ -12,13 +13,13 @@ from rich.table import Table as Grid
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import show
-from testbed.config import ConfigError
+from testbed.config import ConfigError, find, load
 from testbed.faults.drill import (
     Drill,
     Drilled,
     summarise,
 )
-from testbed.run.drill import drill_twin
+from testbed.run.drill import EXPERIMENTS, drill_twin
 
 HEADINGS = (  # numeric columns, narrow so that the table fits into 80 columns
     "n", "not\nfound", "dor-\nmant", "does\n[s]", "worst\n[s]", "shut\n[s]", "moved\n[m]",
@@ -26,9 +27,18 @@ HEADINGS = (  # numeric columns, narrow so that the table fits into 80 columns
 )  # fmt: skip
 
 
-def run_drill(rig: str, injections: int | None, seed: int, jobs: int, as_json: bool) -> int:
+def run_drill(
+    rig: str, injections: int | None, seed: int, jobs: int, as_json: bool,
+    experiment: str | None = None,
+) -> int:  # fmt: skip
     """Fly the drill and print the table; return the exit code."""
+    names = EXPERIMENTS if experiment is None else (experiment,)
     try:
+        if experiment is not None:
+            load(find(experiment))  # an error now, not in a worker
+            if rig == "bench":
+                expected = "no experiment: the bench has its own"
+                raise ConfigError("testbed drill --rig bench", "", expected, experiment)
         if rig == "bench":
             from testbed.run.drill_on_wires import COUNT, drill_wires
 
@@ -36,7 +46,7 @@ def run_drill(rig: str, injections: int | None, seed: int, jobs: int, as_json: b
             cases = progress(drill_wires(count, seed, say), count)
         else:
             count = injections or 540
-            cases = progress(drill_twin(count, seed, jobs), count)
+            cases = progress(drill_twin(count, seed, jobs, names), count)
     except ConfigError as error:
         return refuse(error)
     drill = summarise(rig, cases)
@@ -94,7 +104,10 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
     )
     for one in cases:
         if (one.detected_s is None and not one.dormant) or one.late or one.contacts or one.early:
-            out.print(f"  {msgspec.json.encode(one).decode()}", markup=False, soft_wrap=True)
+            text = msgspec.json.encode(replace(one, again="")).decode()
+            out.print(f"  {text}", markup=False, soft_wrap=True)
+            if one.again:
+                out.print(f"    {one.again}", markup=False, soft_wrap=True)
 
 
 def _number(value: float | None) -> str:

@@ -14,16 +14,20 @@ from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import show
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
-from testbed.config.experiment import VehicleSetup
+from testbed.config.capability import abilities
+from testbed.config.file import fault_texts, words_for
+from testbed.config.fit import defaults_of
 from testbed.config.guarantee import warnings_of
-from testbed.config.hardware import WAYS, strength
-from testbed.config.plausibility import doubts_of, quickest_s
+from testbed.config.key import spell
+from testbed.config.plausibility import doubts_of
+from testbed.config.thresholds import WORDS, words_in, worked_out
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
-from testbed.metrics.formation import has_formation
 
 
-def check_experiment(name: str, overrides: Sequence[str]) -> int:
+def check_experiment(
+    name: str, overrides: Sequence[str], *, faults: bool = False, defaults: bool = False
+) -> int:
     """Print the content of an experiment, or the first error in it."""
     try:
         path = find(name)
@@ -40,8 +44,14 @@ def check_experiment(name: str, overrides: Sequence[str]) -> int:
         f"{experiment.duration_s:g} s in {experiment.ticks} jet periods",
         markup=False, soft_wrap=True,
     )  # fmt: skip
-    for name, setup in experiment.vehicles.items():
-        out.print(f"  {name}: {abilities(experiment, setup)}", markup=False, soft_wrap=True)
+    for name in experiment.vehicles:
+        first, *rest = abilities(experiment, name)
+        for line in (f"{name}: {first}", *rest):
+            out.print(f"  {line}", markup=False, soft_wrap=True)
+    if defaults:
+        print_defaults(experiment, out)
+    if faults:
+        print_faults(path, experiment, overrides, out)
     for warning in [*warnings_of(experiment), *doubts_of(experiment)]:
         errors.print(
             f"warning: {warning.name}: {warning.text}", style="yellow", markup=False, soft_wrap=True
@@ -49,17 +59,35 @@ def check_experiment(name: str, overrides: Sequence[str]) -> int:
     return OK
 
 
-def abilities(experiment: Experiment, setup: VehicleSetup) -> str:
-    """Force, torque and acceleration of a vehicle, and its shortest time to the goal."""
-    model, can = setup.model, strength(setup.model)
-    force, torque = min(can[way] for way in WAYS[:4]), min(can[way] for way in WAYS[4:])
-    words = (
-        f"{counted(model.jets, 'jet')}, {force:.2f} N per axis, {torque:.3g} N m,"
-        f" {force / model.mass:.2g} m/s^2"
-    )
-    if setup.path is not None or has_formation(experiment.controller):
-        return words
-    return f"{words}, at least {quickest_s(experiment, setup):.3g} s from start to goal"
+def print_faults(
+    path: Path, experiment: Experiment, overrides: Sequence[str], out: Console
+) -> None:
+    """Print each row of the fault table, and the arithmetic of its bound."""
+    texts, words = fault_texts(path, overrides), words_for(experiment)
+    for name, row in experiment.faults.items():
+        bound = "above" if row.above is not None else "below"
+        text = texts.get((name, bound))
+        how = f" = {worked_out(text, words)}" if text else ""
+        holds = [f"{row.misses} times in a row"] * (row.misses > 1)
+        holds += [f"for {row.timeout_s:g} s"] * (row.timeout_s > 0.0)
+        out.print(
+            f"  {name}: {row.detector} {bound} {getattr(row, bound):.4g}"
+            f"{''.join(f', {one}' for one in holds)}: {row.response}{how}",
+            markup=False, soft_wrap=True,
+        )  # fmt: skip
+    names = sorted({one for text in texts.values() for one in words_in(text)})
+    for one in names:
+        out.print(f"  {one}: {WORDS[one]}", markup=False, soft_wrap=True)
+
+
+def print_defaults(given: Experiment, out: Console) -> None:
+    """Print each default that follows from the vehicles and the table, and its arithmetic."""
+    for key, value, how in defaults_of(given):
+        own = given
+        for part in key:
+            own = getattr(own, str(part))
+        differs = "" if own == value else f"; the file has {own:.4g}"
+        out.print(f"  {spell(key)} {value:.4g}: {how}{differs}", markup=False, soft_wrap=True)
 
 
 def counted(things: Sized, word: str) -> str:
@@ -110,6 +138,9 @@ def print_schema(kind: str) -> None:
         definitions = schema["$defs"]
         _allow_path(definitions["Experiment"]["properties"], "table")
         _allow_path(definitions["VehicleSetup"]["properties"], "model")
+        for bound in ("above", "below"):
+            text = {"type": "string", "description": "arithmetic of vehicle and table"}
+            definitions["Fault"]["properties"][bound]["anyOf"].append(text)
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
     sys.stdout.write(msgspec.json.format(msgspec.json.encode(schema)).decode() + "\n")
 

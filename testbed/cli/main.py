@@ -139,12 +139,17 @@ def run(
 @main.command()
 @click.argument("experiment")
 @click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option("--faults", is_flag=True, help="Print the fault table and how its bounds follow.")
+@click.option("--defaults", is_flag=True, help="Print gains and limits that fit, and their source.")
 @click.pass_context
-def check(context: click.Context, experiment: str, overrides: tuple[str, ...]) -> None:
+def check(
+    context: click.Context, experiment: str, overrides: tuple[str, ...], faults: bool,
+    defaults: bool,
+) -> None:  # fmt: skip
     """Validate an EXPERIMENT file without flying it."""
     from testbed.cli.look import check_experiment
 
-    context.exit(check_experiment(experiment, overrides))
+    context.exit(check_experiment(experiment, overrides, faults=faults, defaults=defaults))
 
 
 @main.command(name="list")
@@ -178,13 +183,11 @@ def admit(
 
 
 @main.command()
+@click.argument("experiment", required=False)
 @click.option(
-    "--rig",
-    type=click.Choice(["twin", "bench"]),
-    default="twin",
-    show_default=True,
+    "--rig", type=click.Choice(["twin", "bench"]), default="twin", show_default=True,
     help="Where to inject the faults.",
-)
+)  # fmt: skip
 @click.option(
     "--injections",
     type=click.IntRange(min=1),
@@ -198,16 +201,17 @@ def admit(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
 @click.pass_context
 def drill(
-    context: click.Context, rig: str, injections: int | None, seed: int, jobs: int, as_json: bool
-) -> None:
+    context: click.Context, experiment: str | None, rig: str, injections: int | None, seed: int,
+    jobs: int, as_json: bool,
+) -> None:  # fmt: skip
     """Inject every kind of fault and report the response.
 
-    Prints for each kind whether it was detected, how fast, and which response followed; see
-    docs/safety.md.
+    Flies EXPERIMENT, for instance with a lab's own vehicle, or two shipped ones. Prints for each
+    kind whether it was detected, how fast, and which response followed; see docs/safety.md.
     """
     from testbed.cli.drill import run_drill
 
-    context.exit(run_drill(rig, injections, seed, jobs, as_json))
+    context.exit(run_drill(rig, injections, seed, jobs, as_json, experiment))
 
 
 @main.command()

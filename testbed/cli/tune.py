@@ -1,5 +1,6 @@
 """`testbed tune`: optimise gains in flights, and write the best as an experiment."""
 
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import redirect_stdout
@@ -188,6 +189,8 @@ def print_result(tuning: Tuning, result: TuningResult, folder: Path) -> None:
         )
         for words in result.best_proof_reasons:
             out.print(f"  {words}", markup=False, style="red", soft_wrap=True)
+        tuned = shlex.quote(str(folder / "tuned.toml"))
+        out.print(f"  see one: testbed run {tuned} --seed SEED", markup=False, soft_wrap=True)
     out.print(f"tuned experiment: {folder / 'tuned.toml'}", markup=False, soft_wrap=True)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 
 from controllers.catalogue import make_law
 from controllers.own_law import OwnLawParams
@@ -13,15 +14,25 @@ from testbed.config.board import bad_board
 from testbed.config.error import ConfigError, Mistake, did_you_mean, refused
 from testbed.config.experiment import Experiment
 from testbed.config.fault_schedule import bad_injections
+from testbed.config.fit import defaults_of, fit
 from testbed.config.fork import bad_forks
 from testbed.config.hardware import bad_hardware
+from testbed.config.key import Key
 from testbed.config.layout import bad_layout
 from testbed.config.network import bad_network
 from testbed.config.number import bad_numbers
 from testbed.config.own_law import bad_own_law, with_content
 from testbed.config.plugin import bad_plugins
-from testbed.config.shipped import SHIPPED
+from testbed.config.shipped import FAULTS, SHIPPED
 from testbed.config.source import Source
+from testbed.config.thresholds import (
+    Texts,
+    mistakes_in,
+    resolved,
+    take_texts,
+    value_of,
+    words_of,
+)
 from testbed.config.timing import bad_timing
 from testbed.config.tree import read_text, read_toml, trouble_at
 from testbed.config.validation import first_misfit
@@ -77,6 +88,7 @@ def _checked(source: Source, overrides: Sequence[str]) -> Experiment:
         source.override(text)
     for mistake in bad_numbers(source.tree):
         raise source.error(mistake)
+    texts = take_texts(source.tree.get("faults"))
     try:
         experiment = msgspec.convert(source.tree, Experiment)
     except msgspec.ValidationError:
@@ -86,7 +98,36 @@ def _checked(source: Source, overrides: Sequence[str]) -> Experiment:
         raise source.error(mistake) from None
     for mistake in mistakes(experiment):
         raise source.error(mistake)
-    return with_content(experiment)
+    experiment = fit(experiment, source.tree)
+    words = words_for(experiment)
+    for mistake in mistakes_in(texts, words):
+        raise source.error(mistake)
+    faults = resolved(experiment.faults, texts, words)
+    return with_content(replace(experiment, faults=faults))
+
+
+def words_for(experiment: Experiment) -> dict[str, float]:
+    """The words of the fault table's arithmetic and their values in an experiment."""
+    models = [one.model for one in experiment.vehicles.values()]
+    return words_of(models, experiment.table, experiment.flight, experiment.guidance)
+
+
+def derived_of(experiment: Experiment) -> dict[Key, float]:
+    """What an experiment has where no file gives a number: defaults, and bounds of faults."""
+    words = words_for(experiment)
+    bounds = {
+        ("faults", *place): value_of(text, words)
+        for place, text in take_texts(read_toml(FAULTS)).items()
+    }
+    return bounds | {one.key: one.value for one in defaults_of(experiment)}
+
+
+def fault_texts(path: Path, overrides: Sequence[str] = ()) -> Texts:
+    """The arithmetic in the fault table of an experiment."""
+    source = Source(read_toml(path), str(path), path.parent)
+    for text in overrides:
+        source.override(text)
+    return take_texts(source.tree.get("faults"))
 
 
 def mistakes(experiment: Experiment) -> Iterator[Mistake]:

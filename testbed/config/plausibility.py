@@ -17,12 +17,15 @@ from testbed.config.experiment import Experiment, VehicleSetup
 from testbed.config.hardware import WAYS, strength
 from testbed.core.law import Concern
 from testbed.core.se2 import wrap
+from testbed.core.table import Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
+from testbed.flight.jet_faults import slopes
 
 BLIND = (PdParams, LqrParams)  # laws that ignore obstacles
 UNEQUAL = 0.8  # smallest plausible ratio of force between opposite directions
 FAST = 1.0  # largest plausible acceleration [m/s^2]
+STEEP = 0.4  # largest plausible share of the jets' acceleration for the slope
 SLOW = 0.003  # smallest plausible acceleration [m/s^2]
 
 
@@ -30,29 +33,34 @@ def doubts_of(experiment: Experiment) -> list[Concern]:
     """Warnings about implausible values."""
     found: list[Concern] = []
     for name, setup in experiment.vehicles.items():
-        found += [Concern(one, f"{name}: {text}") for one, text in _vehicle(setup.model)]
+        found += [
+            Concern(one, f"{name}: {text}")
+            for one, text in _vehicle(setup.model, experiment.table.tilt)
+        ]
         found += [Concern(one, f"{name}: {text}") for one, text in _flight(experiment, setup)]
     found += [Concern("cameras", text) for text in _cameras(experiment)]
     return [*found, *_wires(experiment)]
 
 
-def _vehicle(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
+def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
     weakest, strongest = (f(jet.thrust for jet in vehicle.jets) for f in (min, max))
     air, valve = vehicle.air, vehicle.valve
-    for name, what, value, low, high in (
-        ("mass", "mass", vehicle.mass, 0.5, 500.0),
-        ("thrust", "thrust of a jet", strongest if strongest > 20.0 else weakest, 0.005, 20.0),
-        ("pressure", "air.set_pressure", air.set_pressure, 2e4, 3e6),
-        ("pressure", "air.tank_pressure", air.tank_pressure, 1e5, 1e8),
-    ):
+    for name, what, value, low, high, usual, meant in (
+        ("mass", "mass", vehicle.mass, 0.5, 500.0, "4 to 220 kg", "g meant?"),
+        ("thrust", "thrust of a jet", strongest if strongest > 20.0 else weakest, 0.005, 20.0,
+         "0.1 to 12 N", "mN meant?"),
+        ("pressure", "air.set_pressure", air.set_pressure, 2e4, 3e6, "2e5 to 1e6 Pa", "bar meant?"),
+        ("pressure", "air.tank_pressure", air.tank_pressure, 1e5, 1e8, "1e6 to 3e7 Pa",
+         "bar meant?"),
+    ):  # fmt: skip
         unit = {"mass": "kg", "thrust": "N", "pressure": "Pa"}[name]
         if not low <= value <= high:
-            yield name, f"{what} is {value:g} {unit}, expected {low:g} to {high:g} {unit}"
+            yield name, f"{what} is {value:g} {unit}: published vehicles have {usual}; {meant}"
     accel = weakest_force(vehicle) / vehicle.mass
     if not SLOW <= accel <= FAST:
         yield (
             "acceleration",
-            f"the jets give it {accel:.2g} m/s^2, expected {SLOW:g} to {FAST:g} m/s^2:"
+            f"the jets give it {accel:.2g} m/s^2: published vehicles have 0.02 to 0.2 m/s^2;"
             " thrust in N, mass in kg?",
         )
     can = strength(vehicle)
@@ -65,6 +73,13 @@ def _vehicle(vehicle: Vehicle) -> Iterator[tuple[str, str]]:
                 f"{len(vehicle.jets)} jets, {can[weak]:.3g} {unit} {weak} but"
                 f" {can[strong]:.3g} {unit} {strong}: is a jet {weak} missing?",
             )
+    slope, _ = slopes(tilt)
+    if slope > STEEP * accel:
+        yield (
+            "slope",
+            f"the table's slope takes {slope:.2g} of the {accel:.2g} m/s^2 of the jets:"
+            " little is left to steer with",
+        )
     if valve.min_on_s < valve.open_delay_s:
         yield (
             "valve",
@@ -117,9 +132,15 @@ def _gap(start: tuple[float, ...], end: tuple[float, ...], point: tuple[float, .
 def _cameras(experiment: Experiment) -> Iterator[str]:
     mocap = experiment.table.mocap
     if mocap.noise > 0.02:
-        yield f"table.mocap.noise is {mocap.noise:g} m, expected at most 0.02 m: in metres?"
+        yield (
+            f"table.mocap.noise is {mocap.noise:g} m: published cameras have 0.0001 to 0.001 m;"
+            " mm meant?"
+        )
     if mocap.noise_deg > 5.0:
-        yield f"table.mocap.noise_deg is {mocap.noise_deg:g} deg, expected at most 5 deg"
+        yield (
+            f"table.mocap.noise_deg is {mocap.noise_deg:g} deg: published cameras have"
+            " 0.01 to 0.1 deg"
+        )
 
 
 def _wires(experiment: Experiment) -> Iterator[Concern]:

@@ -13,16 +13,18 @@ from msgspec import Struct
 from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.fault_injection import VALUES, Injection
 
+LINK = ("link_late", "link_out", "link_lost")
+NEIGHBOUR = ("neighbour_late", "neighbour_missing", "neighbour_silent")
 # kind of injection -> ids of the faults that identify it
 NAMES: dict[str, tuple[str, ...]] = {
-    "drop_mocap": ("pose_stale", "pose_lost"),
+    "drop_mocap": ("pose_stale", "pose_missing", "pose_lost"),
     "freeze_mocap": ("pose_frozen",),
     "jump_mocap": ("pose_jumped",),
     "noisy_mocap": ("estimator_inconsistent", "pose_jumped", "pose_stale"),
     "swap_bodies": ("pose_swapped",),
-    "delay_link": ("link_late", "link_out", "link_lost", "neighbour_late", "neighbour_silent"),
-    "lose_link": ("link_late", "link_out", "link_lost", "neighbour_late", "neighbour_silent"),
-    "kill_process": ("neighbour_late", "neighbour_silent", FaultId.VEHICLE_SILENT),
+    "delay_link": LINK + NEIGHBOUR,
+    "lose_link": LINK + NEIGHBOUR,
+    "kill_process": (*NEIGHBOUR, FaultId.VEHICLE_SILENT),
     "stick_open": ("valve_stuck_open", "valve_leaks", "valve_leaks_or_weak"),
     "stick_closed": ("valve_stuck_closed", "valve_leaks_or_weak"),
     "leak_valve": ("valve_leaks", "valve_leaks_or_weak", "valve_stuck_open"),
@@ -44,6 +46,7 @@ ASKED = 1.5  # commanded open time before a jet without thrust can be noticed [s
 WHEN = (2.0, 12.0)  # range of the injection time [s]
 ADRIFT = ("kill_process", "brown_out", "leak")  # the vehicle can no longer avoid a contact
 OTHERS = ("kill_process",)  # faults that only other vehicles can detect
+NEED_TWO = ("swap_bodies", *OTHERS)  # faults that need a second vehicle
 SPREAD = {  # range of sizes, as factors of the usual size
     "jump_mocap": (0.5, 3.0),
     "noisy_mocap": (0.5, 3.0),
@@ -78,6 +81,7 @@ class Drilled(Struct, frozen=True):
     contacts_after: int = 0  # part of `contacts` in the minute after the end
     at_rest_s: float | None = None  # from the end until all vehicles rested; null: never
     air: str = "off"  # bearing air a minute after the end; "on": at least one vehicle
+    again: str = ""  # the command that flies it again
 
 
 class Row(Struct, frozen=True):

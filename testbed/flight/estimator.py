@@ -96,6 +96,8 @@ class Model(NamedTuple):
     mass: float  # [kg]
     inertia: float  # [kg m^2]
     droop: float  # see vehicle.Air
+    drag: float  # of the bearing, over mass [1/s]
+    spin_drag: float  # over inertia [1/s]
     valve: Timing
 
 
@@ -106,6 +108,8 @@ def model_of(vehicle: Vehicle) -> Model:
         vehicle.mass,
         vehicle.inertia,
         vehicle.air.droop,
+        vehicle.drag / vehicle.mass,
+        vehicle.spin_drag / vehicle.inertia,
         timing(vehicle.valve),
     )
 
@@ -177,9 +181,9 @@ def predict_mean(x, fired, model, start, end):
         theta = x[2] + 0.5 * h * x[5]
         c, s = np.cos(theta), np.sin(theta)
         accel = (
-            (c * fx - s * fy) / model.mass + x[6],
-            (s * fx + c * fy) / model.mass + x[7],
-            tau / model.inertia + x[8],
+            (c * fx - s * fy) / model.mass + x[6] - model.drag * x[3],
+            (s * fx + c * fy) / model.mass + x[7] - model.drag * x[4],
+            tau / model.inertia + x[8] - model.spin_drag * x[5],
         )
         for i in range(3):
             x[i] += h * (x[3 + i] + 0.5 * h * accel[i])
@@ -377,5 +381,6 @@ def predict(model, m, fired, t, now, state):
     state.t = t
     state.x, state.y, state.theta = x[0], x[1], wrap_compiled(x[2])
     state.vx, state.vy, state.omega = x[3], x[4], x[5]
-    state.ax, state.ay, state.alpha = x[6], x[7], x[8]
+    state.ax, state.ay = x[6] - model.drag * x[3], x[7] - model.drag * x[4]
+    state.alpha = x[8] - model.spin_drag * x[5]
     state.pose_age, state.rejected = now - m.newest, int(m.refused)

@@ -66,6 +66,8 @@ class Known(NamedTuple):
     effect: Array  # acceleration by each fully open jet in B, (3, n) [m/s^2, rad/s^2]
     gyration: float  # mass over inertia [1/m^2]
     droop: float  # see vehicle.Air
+    drag: float  # see estimator.Model [1/s]
+    spin_drag: float  # [1/s]
     sure: Array  # 1 / tolerance^2 of z, (m,)
     slope: float  # [m/s^2], one sigma
     bumps: float  # [m/s^2], one sigma
@@ -158,9 +160,10 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
     fresh = heard.recent[look % looks]
     fresh[:] = 0.0
     e = np.empty(3)
-    e[0] = now[1] - before[1] - period * heard.bias[0]
-    e[1] = now[2] - before[2] - period * heard.bias[1]
-    e[2] = now[3] - before[3]
+    slowed, unspun = 0.5 * period * known.drag, 0.5 * period * known.spin_drag
+    e[0] = now[1] - before[1] - period * heard.bias[0] + slowed * (before[1] + now[1])
+    e[1] = now[2] - before[2] - period * heard.bias[1] + slowed * (before[2] + now[2])
+    e[2] = now[3] - before[3] + unspun * (before[3] + now[3])
     push_x = push_y = 0.0
     for j in range(n):
         ax, ay = known.effect[0, j], known.effect[1, j]
@@ -361,7 +364,8 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     push = float(np.hypot(effect[0], effect[1]).max())
     turn = float(np.abs(effect[2]).max())
     return Known(
-        effect, vehicle.mass / vehicle.inertia, vehicle.air.droop, tolerance**-2.0,
+        effect, vehicle.mass / vehicle.inertia, vehicle.air.droop,
+        vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia, tolerance**-2.0,
         *slopes(table.tilt),
         np.ascontiguousarray(response(estimator, vehicle, table.mocap, period)),
         HARDEST * period * np.array([push, turn]), period,

@@ -1,14 +1,16 @@
 """The drill on the twin: one injected fault per flight, and its outcome."""
 
+import json
 import math
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import cache
+from functools import cache, partial
 from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from sim_twin.board import last_closing
 from testbed.config import Experiment, find, load
@@ -20,6 +22,7 @@ from testbed.faults.drill import (
     ASKED,
     DEAD_WITHIN,
     NAMES,
+    NEED_TWO,
     OTHERS,
     Drilled,
     answered,
@@ -202,10 +205,12 @@ def somewhere(name: str, rng: np.random.Generator) -> Experiment:
     return replace(experiment, vehicles=vehicles)
 
 
-def case(number: int, seed: int) -> Drilled:
+def case(number: int, seed: int, names: Sequence[str] = EXPERIMENTS) -> Drilled:
     """Fly case `number` of a drill: kinds and experiments alternate, the rest is random."""
-    kinds, rng = list(NAMES), np.random.default_rng([seed, number])
-    name = EXPERIMENTS[(number // len(kinds)) % len(EXPERIMENTS)]
+    fleet = max(len(shipped(name).vehicles) for name in names)
+    kinds = [kind for kind in NAMES if fleet > 1 or kind not in NEED_TWO]
+    rng = np.random.default_rng([seed, number])
+    name = names[(number // len(kinds)) % len(names)]
     return drawn(kinds[number % len(kinds)], name, rng)
 
 
@@ -216,16 +221,27 @@ def drawn(kind: Any, name: str, rng: np.random.Generator) -> Drilled:
     what = draw(kind, list(begun.vehicles), jets, rng)
     duration = (what.at_s or 0.0) + NEEDED.get(kind, SOON)
     experiment = replace(begun, seed=int(rng.integers(2**31)), duration_s=duration, inject=[what])
-    return fly_case(experiment, what)
+    return replace(fly_case(experiment, what), again=command(experiment, name, what))
 
 
-def _one(pair: tuple[int, int]) -> Drilled:
-    return case(*pair)
+def command(experiment: Experiment, name: str, what: Injection) -> str:
+    """What flies a case again, as far as the response of the fault table."""
+    words = [
+        f"vehicles.{one}.start=[{', '.join(map(repr, setup.start))}]"
+        for one, setup in experiment.vehicles.items()
+    ]
+    fields = {key: value for key, value in asdict(what).items() if value not in (None, "")}
+    inject = ", ".join(f"{key} = {json.dumps(value)}" for key, value in fields.items())
+    words += [f"duration_s={experiment.duration_s!r}", f"inject=[{{{inject}}}]"]
+    return shlex.join(["testbed", "run", name, *words, "--seed", str(experiment.seed)])
 
 
-def drill_twin(injections: int, seed: int, jobs: int) -> Iterator[Drilled]:
+def drill_twin(
+    injections: int, seed: int, jobs: int, names: Sequence[str] = EXPERIMENTS
+) -> Iterator[Drilled]:
     """Fly all cases on the twin; yields the judged cases in order."""
-    yield case(0, seed)  # compiles before the worker processes start
+    yield case(0, seed, names)  # compiles before the worker processes start
+    fly = partial(case, seed=seed, names=names)
     # forked workers share the compiled code
     with ProcessPoolExecutor(jobs, mp_context=get_context("fork")) as pool:
-        yield from pool.map(_one, [(k, seed) for k in range(1, injections)], chunksize=4)
+        yield from pool.map(fly, range(1, injections), chunksize=4)

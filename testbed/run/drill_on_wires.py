@@ -49,7 +49,7 @@ ON_THE_WAY: dict[str, tuple[str, ...]] = {
     "delay_link": (*NAMES["delay_link"], "operator_gone"),
     "lose_link": (*NAMES["lose_link"], "operator_gone"),
     "overrun": ("overrun", FaultId.BOARD_LEFT_ARMED),
-    "clock_step": ("clock_off", "pose_stale", "pose_lost"),
+    "clock_step": ("clock_off", "pose_stale", "pose_missing", "pose_lost"),
     "stop_process": NAMES["kill_process"],
     "cut_serial": ("board_silent", FaultId.BOARD_LEFT_ARMED),
     "sag": ("supply_low", "supply_weak"),

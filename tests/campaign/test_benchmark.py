@@ -334,9 +334,16 @@ def test_a_lab_has_its_own_table_and_vehicles_and_what_else_is_its_own_is_named(
     record = scored(tmp_path)
     assert record.passed_over == []
     assert record.own == [
-        "faults.pose_lost.above = 0.4 (benchmark: 0.5)", "table", "vehicles.*.model",
+        "faults.pose_lost.above = 0.4 (benchmark: 3.0)", "table", "vehicles.*.model",
     ]  # fmt: skip
     assert record.version == "9.8.7"
+
+
+def test_defaults_that_follow_from_a_labs_own_vehicle_are_no_difference(put, tmp_path):
+    put("still/pd/0", "vehicles.sat1.model.mass=25.0", "table.mocap.rate_hz=50.0")
+    record = scored(tmp_path)
+    assert record.passed_over == []
+    assert record.own == ["table", "vehicles.*.model"]
 
 
 @pytest.mark.parametrize("rig", ["twin", "bench"])

@@ -14,7 +14,7 @@ import tomli_w
 
 from testbed.campaign.benchmark import score
 from testbed.campaign.engine import EngineError, workers
-from testbed.campaign.flight import CampaignEnd, open_journal
+from testbed.campaign.flight import CampaignEnd, open_journal, replay_command
 from testbed.campaign.journal import JournalError
 from testbed.campaign.result import write_parquet
 from testbed.campaign.row import FlownRun
@@ -268,6 +268,7 @@ def test_a_flight_that_ended_in_a_fault_is_named_with_its_seed(here, capsys):
     print_summary(summarise(campaign, "hold", CampaignEnd(runs, 0, 1.0, [])), campaign, runs, here)
     said = capsys.readouterr().out
     assert "  run 7, seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4" in said
+    assert f"\n    {replay_command(campaign, here, 7)}\n" in said
     assert "and 2 more in summary.json" in said
 
 
@@ -285,7 +286,9 @@ def test_what_is_not_safe_on_other_seeds_is_named(here, capsys):
         "t", 1, 1, best, best, 1, 1.0, 0, 1e6, 1, {}, best_proof_reasons=trial.reasons
     )
     print_result(tuning, result, here)
-    assert "  seed 1000004: leak of sat1 at 2.0 s: 3 %" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "  seed 1000004: leak of sat1 at 2.0 s: 3 %" in said
+    assert f"see one: testbed run {here / 'tuned.toml'} --seed SEED" in said
 
 
 def test_a_run_that_ends_in_a_fault_keeps_seed_and_time(here):

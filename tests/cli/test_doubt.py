@@ -13,8 +13,12 @@ BLIND = {"zhang2023_table_pd", "zhang2023_table_lqr"}  # they show what avoidanc
 DOUBTED = {  # what is changed: what is said
     "thrust": ([f"{MODEL}.jets.*.thrust=250"], ["thrust", "acceleration"]),
     "one jet": ([f"{MODEL}.jets.4.thrust=0.06"], ["jets-unequal", "jets-unequal"]),
-    "mass": ([f"{MODEL}.mass=20000", f"{MODEL}.inertia=100"], ["mass", "acceleration"]),
+    "mass": (
+        [f"{MODEL}.mass=20000", f"{MODEL}.inertia=100"],
+        ["mass", "acceleration", "slope", "too-short"],
+    ),
     "pressure": ([f"{MODEL}.air.set_pressure=5"], ["pressure"]),
+    "slope": (["table.tilt.uniform=[0.05,0.0]"], ["slope"]),
     "noise": (["table.mocap.noise=0.2"], ["cameras"]),
     "noise of the heading": (["table.mocap.noise_deg=9"], ["cameras"]),
     "a pulse that opens nothing": (
@@ -84,3 +88,39 @@ def test_check_says_what_each_vehicle_can_do(testbed):
 @pytest.mark.parametrize("changes", [case for case, _ in DOUBTED.values()], ids=list(DOUBTED))
 def test_a_doubt_changes_no_exit_code(testbed, changes):
     assert testbed("check", "hold", *changes).exit_code == 0
+
+
+def test_the_arithmetic_is_shown(testbed):
+    said = testbed("check", "hold", "--faults").stdout
+    words = "pose_stale: pose_age above 0.048: warn = latency + 2 * frame + 8 * jitter, with"
+    assert f"{words} frame 0.01, latency 0.02, jitter 0.001" in said
+    assert all(f"  {name}: " in said for name in load(find("hold")).faults)
+    plain = testbed("check", "hold", "--faults", "faults.pose_lost.above=0.4").stdout
+    assert "  pose_lost: pose_age above 0.4: brake\n" in plain
+
+
+def test_the_defaults_are_shown(testbed):
+    said = testbed("check", "hold", "--defaults").stdout
+    assert "guidance.heading_accel 0.1: 0.1 of the 1.08 rad/s^2 of sat1" in said
+    assert "the file has 0.02" in said
+
+
+def test_check_says_more_of_what_a_vehicle_can_do(testbed):
+    said = testbed("check", "hold").stdout
+    assert "along x 1.2 N, along y 1.2 N; in the weakest direction 0.096 m/s^2" in said
+    assert "turning 1.1 rad/s^2" in said
+    assert "shortest pulse 10 ms: 6 mN s, 0.48 mm/s" in said  # 0.6 N for 10 ms, on 12.5 kg
+    assert "about 1.5 g of 250 g gas to the goal" in said
+    assert "stop from 0.25 m/s: 0.34 m in 2.7 s" in said  # 0.25^2 / (2 x 0.0912)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (f"{MODEL}.jets.*.thrust=250", "250 N: published vehicles have 0.1 to 12 N; mN meant?"),
+        (f"{MODEL}.air.set_pressure=5", "published vehicles have 2e5 to 1e6 Pa; bar meant?"),
+        ("table.mocap.noise=0.2", "published cameras have 0.0001 to 0.001 m; mm meant?"),
+    ],
+)  # fmt: skip
+def test_a_doubt_says_what_it_compares_with(testbed, change, words):
+    assert words in testbed("check", "hold", change).stderr

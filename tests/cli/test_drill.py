@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 
 import msgspec
 import numpy as np
@@ -12,7 +13,7 @@ from testbed.cli.admit import fly_once, forced, print_admission
 from testbed.cli.drill import print_drill
 from testbed.config import ConfigError, find, load
 from testbed.core.codes import FaultId, FaultReport, Response
-from testbed.faults.drill import NAMES, WHEN, Drilled, draw, summarise
+from testbed.faults.drill import NAMES, NEED_TWO, WHEN, Drilled, draw, summarise
 from testbed.metrics.admission import (
     AdmissionFlight,
     AdmissionParams,
@@ -22,7 +23,7 @@ from testbed.metrics.admission import (
 )
 from testbed.metrics.fault_line import fault_line
 from testbed.metrics.run_metrics import Track
-from testbed.run.drill import EXPERIMENTS, drawn, fly_case
+from testbed.run.drill import EXPERIMENTS, case, drawn, fly_case
 
 GOOD = AdmissionFlight(3, None, 0, 0.5, 0.4, 0.3, 0.2, 100.0)
 
@@ -64,6 +65,15 @@ def test_each_flight_that_ended_in_a_fault_is_named(capsys):
     print_admission(judge_flights("x", flights, AdmissionParams()))
     said = capsys.readouterr().out
     assert "  seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4 gives no thrust\n" in said
+    assert "  see it: testbed run --seed 7\n" in said
+
+
+def test_admit_says_how_to_see_the_worst_flight(testbed):
+    result = testbed("admit", "hold", "duration_s=3", "faults.battery_low.below=12.5",
+                     "--flights", "1")  # fmt: skip
+    assert result.exit_code == 1
+    again = "testbed run hold duration_s=3 faults.battery_low.below=12.5 --seed 0"
+    assert f"  see it: {again}\n" in result.stdout
 
 
 def test_admit_flies_and_says_when_the_fault_was_found():
@@ -157,6 +167,31 @@ def test_a_drill_counts_what_went_wrong():
     assert drill.rows[0].detected_worst_s == 0.2
 
 
+def test_a_failed_case_is_printed_with_the_command_that_flies_it_again(capsys):
+    cases = [CASE, replace(CASE, contacts=1, again="testbed run hold --seed 5")]
+    print_drill(summarise("twin", cases), cases)
+    said = capsys.readouterr().out
+    assert said.count("    testbed run hold --seed 5\n") == 1
+    assert '"seed":0' in said
+
+
+def test_a_drill_of_one_experiment_flies_it_and_its_command_repeats_the_case():
+    one = case(0, 3, ("hold",))
+    words = shlex.split(one.again)
+    assert words[:3] == ["testbed", "run", "hold"]
+    again = load(find("hold"), [*words[3:-2], f"seed={words[-1]}"])
+    assert fly_case(again, again.inject[0]) == replace(one, again="")
+    kinds = {case_kind for case_kind in NAMES if case_kind not in NEED_TWO}
+    assert len(kinds) == len(NAMES) - 2  # one vehicle cannot be taken for another
+
+
+def test_a_drill_of_an_experiment_that_is_not_there(testbed):
+    assert testbed("drill", "nowhere").exit_code == 2
+    result = testbed("drill", "hold", "--rig", "bench")
+    assert result.exit_code == 2
+    assert "no experiment: the bench has its own" in result.stderr
+
+
 @pytest.mark.parametrize("kind", NAMES)
 def test_whatever_is_drawn_can_be_injected(kind):
     rng = np.random.default_rng(0)
@@ -200,7 +235,7 @@ def flown(name, inject, duration):
 @pytest.mark.parametrize(
     ("inject", "named", "response", "within"),
     [
-        ('{kind="drop_mocap",vehicle="sat1",at_s=2.03}', "pose_lost", "brake", 0.6),
+        ('{kind="drop_mocap",vehicle="sat1",at_s=2.03}', "pose_missing", "brake", 0.6),
         ('{kind="freeze_mocap",vehicle="sat1",at_s=2.03}', "pose_frozen", "brake", 0.16),
         ('{kind="jump_mocap",vehicle="sat1",at_s=2.03}', "pose_jumped", "brake", 0.3),
         ('{kind="stick_open",vehicle="sat1",at_s=2.03,jet=3}', "valve_stuck_open", "land", 1.3),

@@ -9,6 +9,9 @@ from pathlib import Path
 import pytest
 
 VOID = {"meta", "br", "link", "img", "input"}
+LOST = (  # every body, soon and for good
+    "table.mocap.dropout_rate=5", "table.mocap.dropout_s=100", "faults.pose_lost.above=0.5",
+)  # fmt: skip
 
 
 class Page(HTMLParser):
@@ -73,7 +76,7 @@ def test_a_flight_of_the_paper(testbed):
         ("hold", ("criteria={}",)),
         ("hold", ("guidance.mode=wrench",)),
         ("xue2024_table_constant", ()),
-        ("hold", ("table.mocap.dropout_rate=5", "table.mocap.dropout_s=100")),
+        ("hold", LOST),
     ],
     ids=["passed", "wrench", "moving goal", "fault"],
 )
@@ -131,13 +134,12 @@ def test_a_formation_is_judged_by_its_edges_and_not_by_goals(testbed):
 
 
 def test_why_a_flight_ended_is_among_the_events(testbed):
-    lost = ("table.mocap.dropout_rate=5", "table.mocap.dropout_s=100")
-    assert testbed("run", "hold", "duration_s=4", *lost, "--out", "out").exit_code == 3
+    assert testbed("run", "hold", "duration_s=4", *LOST, "--out", "out").exit_code == 3
     _, words = read()
     assert "aborted by a fault after" in words
     events = words[words.index("Faults and interventions") :]
     assert "warn: pose_stale" in events
-    assert "brake: pose_lost" in events
+    assert "brake: pose_missing, pose_lost" in events
     assert "fault: pose_lost: pose lost: no pose for" in events
     assert "supervisor" in events
 

@@ -29,7 +29,9 @@ VEHICLE_METRICS = {
     "filtered_ns",
 }  # fmt: skip
 FILES = ["config.toml", "figures", "log.mcap", "metrics.json", "report.html"]
-LOST = ("table.mocap.dropout_rate=5", "table.mocap.dropout_s=100")  # every body, soon and for good
+LOST = (  # every body, soon and for good
+    "table.mocap.dropout_rate=5", "table.mocap.dropout_s=100", "faults.pose_lost.above=0.5",
+)  # fmt: skip
 SHORT = "duration_s=3"
 
 

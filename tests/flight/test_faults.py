@@ -7,12 +7,12 @@ import pytest
 from msgspec.structs import replace
 
 from stages import QUIET, FaultMonitor, Safety
-from testbed.config import SHIPPED, read_toml
+from testbed.config.shipped import shipped_faults
 from testbed.core.codes import Detector, FaultCause, FaultReport, Response
 from testbed.core.types import Health, Inputs, Vitals, Wrench
 from testbed.flight.faults import Fault, FaultTable
 
-TABLE = msgspec.convert(read_toml(SHIPPED / "faults.toml"), FaultTable)
+TABLE = shipped_faults()
 DETECTORS = [one.words for one in Detector]
 WELL = {  # what every detector says when all is well
     **dict.fromkeys(DETECTORS, 0.0),

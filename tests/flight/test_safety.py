@@ -259,7 +259,7 @@ def test_no_valve_opens_in_a_forbidden_state(sequence):
         assert inputs.armed
         assert state is not None
         assert outputs.response <= Response.BRAKE
-        braking = outputs.response == "brake"
+        braking = outputs.response == Response.BRAKE
         assert state.pose_age <= (gate.blind_s if braking else gate.pose_timeout_s)
         assert braking or state.rejected <= gate.max_rejected
         assert abs(state.pose.x) <= fence[0]

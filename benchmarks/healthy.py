@@ -1,0 +1,159 @@
+"""Do random healthy vehicles fly on? Every stop of a healthy vehicle is false.
+
+    python benchmarks/healthy.py [--flights 200] [--seed 0] [--jobs 1] [--show 17]
+
+Flight k of a seed is always the same. Drawn are the valves' opening delay and shortest pulse, the
+thrust, the mass, the cameras' rate and noise, the table's slope, the spread of the thrust, losses
+of 60 ms of the cameras, and losses of the radio; `RANGES` has the limits. Two vehicles fly the
+start of zhang2023's experiment or one vehicle moves a metre and turns a radian.
+
+Prints each false stop and contact with its cause and the corner of the ranges in which it lies,
+then a count by cause. `--show K` prints the command that repeats flight K.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.config import ConfigError, find, load
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import make_twin
+
+RANGES = {  # name: low, high
+    "open delay [ms]": (5.0, 60.0),
+    "min_on [ms]": (5.0, 40.0),
+    "thrust [N]": (0.1, 1.5),
+    "mass [kg]": (8.0, 25.0),
+    "camera [Hz]": (50.0, 240.0),
+    "noise [mm]": (0.1, 1.0),
+    "tilt [mm/s^2]": (0.0, 20.0),
+    "spread [%]": (0.0, 20.0),
+    "cameras lost [%]": (0.0, 20.0),
+    "radio lost [%]": (0.0, 40.0),
+}
+LOSS_S = 0.06  # mean length of a loss of the cameras
+LASTS_S = 30.0
+HOLDS = 0.5  # largest share of the jets' force that the slope and an unequal pair may take
+EDGE = 0.1  # of a range: nearer to an end than that is in the corner
+
+
+class Flown(NamedTuple):
+    """One flight."""
+
+    number: int
+    drawn: dict[str, float]
+    cause: str  # id of the fault; "": none
+    text: str
+    contacts: int
+
+
+def draw(seed: int, number: int) -> dict[str, float]:
+    """A healthy vehicle, table and lab; one that the slope would carry away is drawn again."""
+    rng = np.random.default_rng([seed, number])
+    while True:
+        drawn = {name: float(rng.uniform(*limits)) for name, limits in RANGES.items()}
+        # uniform in the logarithm: 0.1 to 0.4 N are as frequent as 0.4 to 1.5 N
+        low, high = np.log(RANGES["thrust [N]"])
+        drawn["thrust [N]"] = float(np.exp(rng.uniform(low, high)))
+        spread = 1.0 - 2e-2 * drawn["spread [%]"]
+        force = 2.0 * drawn["thrust [N]"] * spread
+        if 1e-3 * drawn["tilt [mm/s^2]"] * drawn["mass [kg]"] < HOLDS * force:
+            return drawn
+
+
+def overrides_of(drawn: dict[str, float], number: int) -> list[str]:
+    """What differs from the shipped files, as for `testbed run`."""
+    rng = np.random.default_rng(number)
+    way = rng.uniform(0.0, 2.0 * np.pi)
+    tilt = 1e-3 * drawn["tilt [mm/s^2]"]
+    opens, mass = 1e-3 * drawn["open delay [ms]"], drawn["mass [kg]"]
+    lost, radio = 1e-2 * drawn["cameras lost [%]"], 1e-2 * drawn["radio lost [%]"]
+    model = "vehicles.*.model"
+    numbers = {
+        f"{model}.valve.open_delay_s": opens,
+        f"{model}.valve.close_delay_s": opens * rng.uniform(0.5, 1.0),
+        f"{model}.valve.min_on_s": 1e-3 * drawn["min_on [ms]"],
+        f"{model}.jets.*.thrust": drawn["thrust [N]"],
+        f"{model}.mass": mass,
+        f"{model}.inertia": 0.016 * mass,  # of the shipped vehicle: a radius of gyration of 13 cm
+        f"{model}.tolerance.thrust": 1e-2 * drawn["spread [%]"],
+        "table.mocap.rate_hz": drawn["camera [Hz]"],
+        "table.mocap.noise": 1e-3 * drawn["noise [mm]"],
+        "table.mocap.noise_deg": 0.15 * drawn["noise [mm]"],  # as of the shipped cameras
+        "table.mocap.dropout_s": LOSS_S,
+        "table.mocap.dropout_rate": lost / (1.0 - lost) / LOSS_S,
+        "table.link.loss": radio,
+        "table.link.burst_loss": max(0.5, radio),
+    }
+    words = [f"{key}={value:.6g}" for key, value in numbers.items()]
+    words.append(f"table.tilt.uniform=[{tilt * np.cos(way):.6g},{tilt * np.sin(way):.6g}]")
+    if number % 3:
+        words += ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0]"]
+    return [*words, f"duration_s={LASTS_S:g}", f"seed={number}"]
+
+
+def name_of(number: int) -> str:
+    """The experiment of a flight."""
+    return "hold" if number % 3 else "zhang2023_table_wrench"
+
+
+def fly(seed: int, number: int) -> Flown:
+    """One flight."""
+    drawn = draw(seed, number)
+    try:
+        experiment = load(find(name_of(number)), overrides_of(drawn, number))
+        rig = make_twin(experiment)
+        ending = rig.fly(NullObserver())
+    except ConfigError as error:
+        return Flown(number, drawn, "refused", str(error).replace("\n", " "), 0)
+    fault = ending.fault
+    text = "" if fault is None else f"{ending.t:.1f} s: {fault.words}"
+    return Flown(number, drawn, "" if fault is None else fault.id, text, len(rig.touches))
+
+
+def corner(drawn: dict[str, float]) -> str:
+    """The values near an end of their range."""
+    near = [
+        f"{name} {value:.3g}"
+        for name, value in drawn.items()
+        if min(value - RANGES[name][0], RANGES[name][1] - value) < EDGE * np.ptp(RANGES[name])
+    ]
+    return ", ".join(near) or "no corner"
+
+
+def main() -> int:
+    """Fly and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--flights", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--show", type=int)
+    options = parser.parse_args()
+    if options.show is not None:
+        words = overrides_of(draw(options.seed, options.show), options.show)
+        print(f"testbed run {name_of(options.show)} " + " ".join(f"'{word}'" for word in words))
+        return 0
+    seeds, numbers = [options.seed] * options.flights, range(options.flights)
+    if options.jobs == 1:
+        flown = list(map(fly, seeds, numbers))
+    else:
+        with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+            flown = list(pool.map(fly, seeds, numbers, chunksize=4))
+    for one in flown:
+        if one.cause or one.contacts:
+            print(f"{one.number}: {one.contacts} contacts, {one.text}\n    {corner(one.drawn)}")
+    causes = Counter(one.cause for one in flown if one.cause)
+    contacts = sum(one.contacts for one in flown)
+    print(f"{len(flown)} flights, {sum(causes.values())} false stops, {contacts} contacts")
+    for cause, count in causes.most_common():
+        print(f"  {cause}: {count}")
+    return int(bool(causes) or contacts > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
