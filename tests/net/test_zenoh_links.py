@@ -20,8 +20,8 @@ from testbed.net.links import (
 )
 from testbed.net.session import NetworkError, Publisher, answer_to, ask, dial, listen
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
-from testbed.rig.wired import vehicle
-from testbed.rig.wired.vehicle import VehicleError, await_alone
+from testbed.rig.wired import host_contact
+from testbed.rig.wired.host_contact import VehicleError, await_alone
 
 
 def endpoint():
@@ -157,13 +157,13 @@ def test_poses_from_a_topic(sessions):
 def test_a_second_vehicle_of_the_same_name_is_refused_until_the_first_is_gone(
     sessions, monkeypatch
 ):
-    monkeypatch.setattr(vehicle, "ALONE_NS", 0)
+    monkeypatch.setattr(host_contact, "ALONE_NS", 0)
     keys = Keys("lab")
     token = sessions[1].liveliness().declare_token(keys.of("sat1", "alive"))
     wait_for(lambda: list(sessions[0].liveliness().get(keys.of("sat1", "alive"))))
     with pytest.raises(VehicleError, match="another agent flies as sat1"):
         await_alone(sessions[2], keys, "sat1")
     await_alone(sessions[2], keys, "sat2")
-    monkeypatch.setattr(vehicle, "ALONE_NS", 60_000_000_000)
+    monkeypatch.setattr(host_contact, "ALONE_NS", 60_000_000_000)
     token.undeclare()
     await_alone(sessions[2], keys, "sat1")

@@ -19,8 +19,9 @@ from testbed.core.lab import Network
 from testbed.net.credentials import BadgeError, read_badge, untrusted
 from testbed.net.session import NetworkError
 from testbed.realtime.heartbeat import attach, in_file
-from testbed.realtime.processes import run_as_child
-from testbed.rig.wired.vehicle import VehicleError, fly_vehicle
+from testbed.realtime.processes import orphaned, run_as_child
+from testbed.rig.wired.host_contact import VehicleError
+from testbed.rig.wired.vehicle import VehicleProcess
 
 FAILURES = (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError)
 
@@ -61,10 +62,10 @@ def fly(agent: AgentOptions, say: Callable[[str], None], *, child: bool) -> None
     if agent.heart is not None:
         attach(in_file(agent.heart))
     say(f"looking for the host at {endpoint}")
-    fly_vehicle(
-        agent.name, endpoint, lab, agent.port, agent.keys, child=child, report=agent.report,
-        say=say,
-    )  # fmt: skip
+    VehicleProcess(
+        agent.name, endpoint, lab, agent.port, agent.keys, gone=orphaned if child else None,
+        report=agent.report, say=say,
+    ).run()  # fmt: skip
 
 
 def main() -> None:

@@ -43,7 +43,6 @@ from testbed.rig.wired.preflight import Preflight, order
 from testbed.rig.wired.process_faults import OF_PROCESSES
 from testbed.rig.wired.run_results import RunResults
 from testbed.rig.wired.table_report import TableReport
-from testbed.rig.wired.vehicle import unheard
 from testbed.rig.wired.wired_flight import HostFlight
 
 READY_S = 180.0  # time for vehicles to get ready; the first start compiles
@@ -101,7 +100,7 @@ class WireRig:
         agree: Callable[[Sequence[str]], bool] = anybody,
         latch: FaultLatch | None = None,
         latched: FaultReport | None = None,
-        say: Callable[[str], None] = unheard,
+        say: Callable[[str], None] = lambda text: None,
         checked: Callable[[Sequence[Check]], None] = uninterested,
         relay: Callable[[str], str] = str,
     ) -> None:
