@@ -59,14 +59,14 @@ def main() -> None:
         rng = np.random.default_rng(1)
         rows = []
         while len(rows) < options.runs:
-            rocks = np.array([obstacle.position for obstacle in shipped.obstacles.values()])
-            rocks = rocks + rng.uniform(-options.shift, options.shift, rocks.shape)
+            obstacles = np.array([obstacle.position for obstacle in shipped.obstacles.values()])
+            obstacles = obstacles + rng.uniform(-options.shift, options.shift, obstacles.shape)
             for setup in shipped.vehicles.values():
                 start = np.array(setup.start[:2])
                 goal = np.array(setup.goal[:2]) + rng.uniform(-options.shift, options.shift, 2)
                 goal = goal.clip(-2.7, 2.7)
-                if min(np.hypot(*(rocks - p).T).min() for p in (start, goal)) >= 0.9:
-                    rows.append(fly(law, start, goal, rocks, radius))
+                if min(np.hypot(*(obstacles - p).T).min() for p in (start, goal)) >= 0.9:
+                    rows.append(fly(law, start, goal, obstacles, radius))
         nearest, settled = np.array(rows).T
         print(
             f"{name}: {len(rows)} runs, worst clearance {nearest.min():.4f} m, "

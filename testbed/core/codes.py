@@ -122,7 +122,7 @@ class FaultId(StrEnum):
     BOARD_FAILED = auto()  # it no longer executes plans
     BOARD_LEFT_ARMED = auto()
     LINE_LOST = auto()  # the serial line to the board
-    NO_PERMIT = auto()  # the host never permitted the flight
+    NO_LEASE = auto()  # the host never permitted the flight
     STOPPED = auto()  # by an operator
     NOT_STARTED = auto()  # an arming check failed
     RIG_FAILED = auto()  # network or a process of the rig

@@ -26,14 +26,14 @@ class PoseTopic:
     """A `MocapSource`."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
-        self._ear, self.clock, self.bad = Subscriber(session, key), ClockOffset(), 0
+        self._subscriber, self.clock, self.bad = Subscriber(session, key), ClockOffset(), 0
         self._decode = msgspec.msgpack.Decoder(tuple[int, int, int, Bodies]).decode
         self._known: set[str] = set()
 
     def poll(self) -> list[Exposure]:
         """See `MocapSource`."""
         exposures = []
-        for arrived, data in self._ear.heard():
+        for arrived, data in self._subscriber.heard():
             try:
                 number, exposed, sent, bodies = self._decode(data)
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):

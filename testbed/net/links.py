@@ -40,16 +40,16 @@ class Heard(Generic[M]):
     """Receives a key and keeps its newest message."""
 
     def __init__(self, party: Party, key: str, open_body: Callable[[Any], M]) -> None:
-        storm = NetworkImpairment(
-            party.lab.weather, party.seed, f"{key} to {party.name}", party.worse
+        impairment = NetworkImpairment(
+            party.lab.impairment, party.seed, f"{key} to {party.name}", party.worse
         )
-        self._ear = Subscriber(party.session, key, storm.arrival)
+        self._subscriber = Subscriber(party.session, key, impairment.arrival)
         self._clock = party.clock
         self.inbox: Inbox[M] = Inbox(open_body, party.run, party.lab.late_s)
 
     def newest(self) -> M | None:
         """The newest message, of any age."""
-        for at, data in self._ear.heard():
+        for at, data in self._subscriber.heard():
             self.inbox.take(data, self._clock.of(at))
         return self.inbox.newest
 
@@ -63,14 +63,14 @@ class Said:
     """Sends messages on a key."""
 
     def __init__(self, party: Party, key: str) -> None:
-        self._mouth, self._clock = Publisher(party.session, key), party.clock
+        self._publisher, self._clock = Publisher(party.session, key), party.clock
         self.outbox = Outbox(party.run)
 
     def say(self, message: object, valid_until: float | None = None) -> None:
         """Send."""
         now = self._clock.now
         until = now + KEPT_S if valid_until is None else valid_until
-        self._mouth.say(self.outbox.seal(message, now, until))
+        self._publisher.say(self.outbox.seal(message, now, until))
 
 
 class ZenohVehicleLink:

@@ -182,12 +182,12 @@ def known_flights() -> Iterator[tuple[Path, StoppableFlight]]:
 
 def _of(keys: Path, connect: str | None) -> StoppableFlight:
     """The flight that the owner of a key folder can stop."""
-    from testbed.net.credentials import read_badge
+    from testbed.net.credentials import read_credentials
 
-    badge = read_badge(keys)
-    if badge.ending:
-        _complain(badge.ending)
-    return StoppableFlight(connect or badge.endpoint, badge.lab, str(keys))
+    credentials = read_credentials(keys)
+    if credentials.ending:
+        _complain(credentials.ending)
+    return StoppableFlight(connect or credentials.endpoint, credentials.lab, str(keys))
 
 
 def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> int:
@@ -198,7 +198,7 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
         lab: first part of the network keys; used without a key folder.
         keys: key folder of an operator; None: the operator's usual folder, if one is needed.
     """
-    from testbed.net.credentials import BadgeError
+    from testbed.net.credentials import CredentialsError
 
     stopped: list[bool] = []
     try:
@@ -210,7 +210,7 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
                 stopped.append(_stop_wires(_of(own_keys(), None)))
         else:
             stopped.append(_stop_wires(_of(keys or own_keys(), connect)))
-    except BadgeError as error:
+    except CredentialsError as error:
         stopped.append(False)
         _complain(str(error))
     if not stopped:

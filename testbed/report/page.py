@@ -17,7 +17,7 @@ from testbed.report.events import happened
 from testbed.report.figures import analogue, figures
 from testbed.report.item import Chart
 from testbed.report.law import law_of
-from testbed.report.provenance import colophon, timing
+from testbed.report.provenance import provenance, timing
 from testbed.report.verdict import CRITERIA, UNCOUNTED, missed, reasons, verdict
 
 CSS = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
@@ -88,7 +88,7 @@ def render(
         "<h2>Figures</h2>", _figures(scenario, [c for c in drawn if c.key not in first]),
         happened(scenario, history, metrics),
         timing(metrics),
-        colophon(metrics, config),
+        provenance(metrics, config),
     ]  # fmt: skip
     return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections))
 

@@ -44,7 +44,7 @@ def sentence(pieces: list[str]) -> str:
     return f"{words[:1].upper()}{words[1:]}."
 
 
-def colophon(metrics: Metrics, config: str) -> str:
+def provenance(metrics: Metrics, config: str) -> str:
     """The last section: the commands, the versions, the configuration."""
     used = ", ".join(f"{escape(k)} {escape(v)}" for k, v in versions().items())
     pace = ""

@@ -231,8 +231,8 @@ def eq43(t):
 
 def fly_in_space(satellite, at_rest, fixed_world, nobody, *, estimated):
     """1500 s under Eq. (43): error (n,), distance to each obstacle (n, 2), control (n, 3)."""
-    start, goal, rocks = satellite
-    law, world, others, h = sotsmc(PAPER, 3), fixed_world(goal, rocks), nobody(3), SPACE_STEP
+    start, goal, obstacles = satellite
+    law, world, others, h = sotsmc(PAPER, 3), fixed_world(goal, obstacles), nobody(3), SPACE_STEP
     own, path, control = at_rest(start), [], []
     state = law.initial(own, others, world)
     for k in range(round(1500.0 / h)):
@@ -245,7 +245,7 @@ def fly_in_space(satellite, at_rest, fixed_world, nobody, *, estimated):
         path.append(p)
         control.append(force)
     p = np.array(path)
-    gaps = np.array([np.linalg.norm(p - np.array(rock), axis=1) for rock in rocks]).T
+    gaps = np.array([np.linalg.norm(p - np.array(rock), axis=1) for rock in obstacles]).T
     return np.linalg.norm(p - np.array(goal), axis=1), gaps, np.array(control)
 
 
@@ -289,7 +289,7 @@ def table():
     return load(find("zhang2023_table"))
 
 
-def fly_over_the_table(experiment, start, goal, rocks, nobody, *, standoff, duration):
+def fly_over_the_table(experiment, start, goal, obstacles, nobody, *, standoff, duration):
     """Double integrator at 1 ms: clearance [m], settle time [s], accelerations (n, 2)."""
     params = experiment.controller
     potential = msgspec.structs.replace(params.potential, standoff=standoff)
@@ -298,27 +298,27 @@ def fly_over_the_table(experiment, start, goal, rocks, nobody, *, standoff, dura
     still = np.zeros(2)
     limit = experiment.guidance.force_share * weakest_force(vehicle)
     own = Body(np.array(start), still, vehicle.mass, still, still, limit)
-    obstacles = Discs(rocks, 0.0 * rocks, np.full(len(rocks), 0.8))
+    obstacles = Discs(obstacles, 0.0 * obstacles, np.full(len(obstacles), 0.8))
     world = World(Goal(np.array(goal), still, still, still), obstacles)
     path, _, forces = fly(law, own, world, duration, PERIOD, 100, nobody)
     error = np.linalg.norm(path - goal, axis=1)
-    clearance = min(np.linalg.norm(path - rock, axis=1).min() for rock in rocks)
+    clearance = min(np.linalg.norm(path - rock, axis=1).min() for rock in obstacles)
     return clearance, settled(error, 0.05, PERIOD), forces / vehicle.mass
 
 
 def layout(experiment):
     starts = [setup.start[:2] for setup in experiment.vehicles.values()]
     goals = np.array([setup.goal[:2] for setup in experiment.vehicles.values()])
-    rocks = np.array([rock.position for rock in experiment.obstacles.values()])
-    return starts, goals, rocks
+    obstacles = np.array([rock.position for rock in experiment.obstacles.values()])
+    return starts, goals, obstacles
 
 
 def shifted_layouts(experiment, count):
     """Obstacles and goals shifted by up to 0.3 m, nothing starts or ends in an obstacle."""
-    starts, goals, rocks = layout(experiment)
+    starts, goals, obstacles = layout(experiment)
     rng = np.random.default_rng(0)
     while count:
-        centres = rocks + rng.uniform(-0.3, 0.3, rocks.shape)
+        centres = obstacles + rng.uniform(-0.3, 0.3, obstacles.shape)
         ends = goals + rng.uniform(-0.3, 0.3, goals.shape)
         places = np.concatenate([starts, ends])
         if np.linalg.norm(places[:, None] - centres, axis=2).min() >= 0.85:
@@ -338,9 +338,9 @@ def test_shipped_law_has_the_papers_parameters(name):
 
 @pytest.mark.parametrize("satellite", [0, 1, 2])
 def test_paper_on_the_table(satellite, table, nobody):
-    starts, goals, rocks = layout(table)
+    starts, goals, obstacles = layout(table)
     clearance, settle, accel = fly_over_the_table(
-        table, starts[satellite], goals[satellite], rocks, nobody, standoff=0.0, duration=150.0
+        table, starts[satellite], goals[satellite], obstacles, nobody, standoff=0.0, duration=150.0
     )
     assert clearance >= 0.81
     assert settle == pytest.approx(71.0, abs=2.0)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from testbed.core.lab import Weather
+from testbed.core.lab import Impairment
 from testbed.core.types import Accel, Demand, LawMessage, Pose, Reference, Trajectory, Twist
 from testbed.net.envelope import SCHEMA, Inbox, Outbox, Sealed, Verdict, open_setpoint
 from testbed.net.impairment import NetworkImpairment
@@ -93,8 +93,8 @@ def test_flipped_bits_never_make_a_message_newer_than_it_is():
 
 
 def test_weather_loses_and_delays_as_it_was_told():
-    storm = NetworkImpairment(Weather(loss=0.05, delay_s=0.020, spread_s=0.010), 1, "a")
-    arrivals = [storm.arrival(0) for _ in range(20_000)]
+    impairment = NetworkImpairment(Impairment(loss=0.05, delay_s=0.020, spread_s=0.010), 1, "a")
+    arrivals = [impairment.arrival(0) for _ in range(20_000)]
     kept = [1e-9 * t for t in arrivals if t is not None]
     assert len(kept) / len(arrivals) == pytest.approx(0.95, abs=0.005)
     assert min(kept) >= 0.010
@@ -103,8 +103,8 @@ def test_weather_loses_and_delays_as_it_was_told():
 
 
 def test_fair_weather_does_nothing():
-    storm = NetworkImpairment(Weather(), 1, "a")
-    assert [storm.arrival(t) for t in range(100)] == list(range(100))
+    impairment = NetworkImpairment(Impairment(), 1, "a")
+    assert [impairment.arrival(t) for t in range(100)] == list(range(100))
 
 
 def test_laws_on_one_computer_hear_each_other_a_tick_later():

@@ -132,7 +132,7 @@ def test_an_address_that_is_taken():
 def test_poses_from_a_topic(sessions):
     host, vehicle, _ = sessions
     topic = PoseTopic(vehicle, "lab/table/pose")
-    mouth, exposures, number = Publisher(host, "lab/table/pose"), [], 0
+    publisher, exposures, number = Publisher(host, "lab/table/pose"), [], 0
 
     def enough():
         nonlocal number
@@ -141,7 +141,7 @@ def test_poses_from_a_topic(sessions):
         if number % 2:
             bodies["b"] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
         now = monotonic_ns()
-        mouth.say(encode_poses(number, now - 10**7, now, bodies))
+        publisher.say(encode_poses(number, now - 10**7, now, bodies))
         exposures.extend(topic.poll())
         return len(exposures) > 5
 
@@ -150,7 +150,7 @@ def test_poses_from_a_topic(sessions):
     assert last.bodies["a"].position == (1.0, 2.0, 3.0)
     assert last.bodies["b"].tracked == bool(last.number % 2)
     assert last.arrived_ns - last.exposed_ns >= 10**7 - 10**6
-    mouth.say(b"garbage")
+    publisher.say(b"garbage")
     wait_for(lambda: topic.poll() is None or topic.bad == 1)
 
 

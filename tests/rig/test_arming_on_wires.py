@@ -87,9 +87,9 @@ def test_setpoints_of_somebody_else_before_the_start_are_red():
 
     def intrude(endpoint):
         with dial(endpoint) as session:
-            mouth = Publisher(session, "lab/sat1/setpoint")
+            publisher = Publisher(session, "lab/sat1/setpoint")
             while not over.wait(0.1):
-                mouth.say(b"anything at all")
+                publisher.say(b"anything at all")
 
     def way(endpoint):
         threading.Thread(target=intrude, args=(endpoint,)).start()

@@ -189,7 +189,7 @@ def test_nothing_is_left(flown):
 def test_three_vehicles_with_the_law_on_board_and_bad_weather():
     rig, ending, noted, met = fly(
         "zhang2023_table", "duration_s=2", "deploy.law=vehicle",
-        "table.lab.weather={loss=0.05, delay_s=0.02, spread_s=0.01}",
+        "table.lab.impairment={loss=0.05, delay_s=0.02, spread_s=0.01}",
     )  # fmt: skip
     assert ending.fault is None
     assert set(noted.ticks) == {"sat1", "sat2", "sat3"}

@@ -48,7 +48,7 @@ from testbed.rig.wired.wired_flight import HostFlight
 READY_S = 180.0  # time for vehicles to get ready; the first start compiles
 GREEN_S = 10.0  # time for checks to pass: the camera rate is counted over a second
 AHEAD_NS = 1_500_000_000  # from the order to start to the run's time 0
-PERMIT_NS = 100_000_000  # between two permits before time 0
+LEASE_NS = 100_000_000  # between two leases before time 0
 LOOK_NS = 20_000_000
 SPARE = 6_000  # room for the overhead of a message [bytes]
 
@@ -352,7 +352,7 @@ class WireRig:
                     case Refused(reason):
                         raise HostError(f"{name} refuses to start: {reason}")
             # the vehicles float now: check them again
-            self._request("run", preflight, epoch - PERMIT_NS, stopped)
+            self._request("run", preflight, epoch - LEASE_NS, stopped)
         except (HostError, NotArmedError, NetworkError):
             self._call_off(session, keys)
             raise
@@ -362,9 +362,9 @@ class WireRig:
         self._ran = True
         if self._latch is not None:
             self._latch.set()
-        while monotonic_ns() < epoch - PERMIT_NS:
-            flight.permit()
-            sleep_until_ns(monotonic_ns() + PERMIT_NS)
+        while monotonic_ns() < epoch - LEASE_NS:
+            flight.lease()
+            sleep_until_ns(monotonic_ns() + LEASE_NS)
         return flight
 
     def _call_off(self, session: zenoh.Session, keys: Keys) -> None:

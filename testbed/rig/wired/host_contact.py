@@ -9,7 +9,7 @@ import zenoh
 from testbed.config import Experiment
 from testbed.core.error import TestbedError
 from testbed.net.keys import Keys
-from testbed.net.session import NetworkError, NobodyError, ask, dial
+from testbed.net.session import NetworkError, NoHostError, ask, dial
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 
 LOOK_NS = 10_000_000  # polling period while waiting
@@ -28,7 +28,7 @@ def connect(endpoint: str, credentials: Path | None, gone: Callable[[], bool]) -
     while True:
         try:
             return dial(endpoint, TRY_S, credentials)
-        except NobodyError:
+        except NoHostError:
             if monotonic_ns() > end or gone():
                 raise
 

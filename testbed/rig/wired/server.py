@@ -45,7 +45,7 @@ SENSE_NS = 100_000_000  # between two gauge readings of the boards
 TRUTH_FRAMES = 5  # exposures between two messages of the truth
 DIAL_NS = 1_000_000_000  # between two attempts to reach the host
 QUIET_NS = 500_000_000  # a serial line without traffic for this long is unused
-LARGEST_S = 1e6  # largest time stamp of a permit
+LARGEST_S = 1e6  # largest time stamp of a lease
 SUPPLY_MV = 12_000
 ERROR_M = 0.0002  # error of the marker fit that a healthy system reports
 UNTRACKED = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
@@ -81,7 +81,7 @@ class TableServer:
         self._spent: list[list[tuple[float, float, int]]] = []
         self._edges: dict[str, list[tuple[int, int]]] = {name: [] for name in self.names}
         self._pose_topic: Publisher | None = None
-        self._permits: Subscriber | None = None  # their stamps give the run's time 0
+        self._leases: Subscriber | None = None  # their stamps give the run's time 0
         self._sabotage: Sabotage | None = None
         self._down: set[str] = set()  # boards without power
         self._landed: set[str] = set()  # vehicles whose air is off until the end
@@ -269,7 +269,7 @@ class TableServer:
             self._stack.callback(self._session.close)
             self._truth = Publisher(self._session, self._keys.truth, bulk=True)
             self._pose_topic = Publisher(self._session, self._keys.pose)
-            self._permits = Subscriber(self._session, self._keys.permit)
+            self._leases = Subscriber(self._session, self._keys.lease)
 
     def _tell(self, exposed: int) -> None:
         if self._truth is not None:
@@ -293,9 +293,9 @@ class TableServer:
 
     def _plan_sabotage(self) -> None:
         """Schedule the injections as soon as the run's time 0 is known."""
-        if self._permits is None or self._released_ns is None or not self.experiment.inject:
+        if self._leases is None or self._released_ns is None or not self.experiment.inject:
             return
-        for at, data in self._permits.heard():
+        for at, data in self._leases.heard():
             try:
                 stamp = msgspec.msgpack.decode(data, type=Sealed).issued_at
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):

@@ -7,7 +7,7 @@
 An error in any phase ends the process. In every case it ends with closed valves and, as far as
 possible, at rest and without bearing air:
 
-* the host or the network is lost: setpoints and permit expire, and the vehicle follows the fault
+* the host or the network is lost: setpoints and lease expire, and the vehicle follows the fault
   table, wherever its law runs;
 * this process hangs or is killed: the plan ends and the board's watchdog latches SAFE;
 * the board, its line or the cameras fail: the flight ends, and the host gets a report.
@@ -51,7 +51,7 @@ from testbed.rig.wired.host_contact import (
     connect,
     port_of,
 )
-from testbed.rig.wired.onboard import KEPT_S, Permitted, VehicleFlight, counted, land
+from testbed.rig.wired.onboard import KEPT_S, LeasedNode, VehicleFlight, counted, land
 from testbed.rig.wired.preflight_monitor import PreflightMonitor
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.thrusters import make_thrusters
@@ -142,7 +142,7 @@ class VehicleProcess:
         reader = Reader(session, keys, self.clock_of_host)
         # these keys must be silent before the order to start
         self.strangers = [
-            Subscriber(session, key) for key in (keys.of(name, "setpoint"), keys.permit)
+            Subscriber(session, key) for key in (keys.of(name, "setpoint"), keys.lease)
         ]
         self.preflight = PreflightMonitor(
             self.experiment, name, self.source, self.thrusters, reader, self.strangers
@@ -208,7 +208,7 @@ class VehicleProcess:
         self.commands.take_off(thrusters.land)
         self.guard = CommandGuard(thrusters, lambda: clock.now, experiment.flight.jet_period_s)
         node = VehicleNode(name, self.agent, self.poses, self.guard, self.link, self.flight.vitals)
-        self.node = Permitted(node, self.flight, clock)
+        self.node = LeasedNode(node, self.flight, clock)
 
     def fly(self) -> Ending:
         """Fly until the last tick, a fault or a stop."""
@@ -222,7 +222,7 @@ class VehicleProcess:
         land(self.experiment, ending, self.clock, self.node, self.flight, self.thrusters)
 
     def fault(self, ending: Ending) -> FaultReport | None:
-        """The loop's fault, or else that of the board, the permit or the terminal."""
+        """The loop's fault, or else that of the board, the lease or the terminal."""
         fault = ending.fault or (
             self.flight.fault and replace(self.flight.fault, vehicle=self.name)
         )
