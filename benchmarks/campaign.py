@@ -17,7 +17,7 @@ from functools import partial
 import tomli_w
 
 from testbed.campaign.compilation import compile_first
-from testbed.campaign.engine import Fleet, workers
+from testbed.campaign.engine import WorkerPool, workers
 from testbed.campaign.row import FlownRun
 from testbed.campaign.trial import fly_batch, read, warm
 from testbed.config import dump, find, load
@@ -28,7 +28,7 @@ def lost(task):
 
 
 def fleet(client, base):
-    return Fleet(client, partial(fly_batch, base), lost, lambda run: run.wall_s, 3600.0)
+    return WorkerPool(client, partial(fly_batch, base), lost, lambda run: run.wall_s, 3600.0)
 
 
 def prepare(base):

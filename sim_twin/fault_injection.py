@@ -24,7 +24,7 @@ DEAD_BATTERY = 7.0  # [V] battery voltage that a board reports during a brown-ou
 NEVER = math.inf
 
 
-class Active:
+class ActiveInjection:
     """An injection and its start time."""
 
     def __init__(self, what: Injection) -> None:
@@ -55,7 +55,7 @@ class Sabotage:
         self._obstacles = [
             (*obstacle.position, *obstacle.velocity) for obstacle in obstacles.values()
         ]
-        self._active = [Active(one) for one in injections]
+        self._active = [ActiveInjection(one) for one in injections]
         self._frozen: dict[str, PoseSample] = {}
         self._rng = stream(seed, "sabotage")
         self._now = 0.0

@@ -24,7 +24,7 @@ from msgspec import Struct
 
 from testbed.campaign.code import code_digest, digest_of
 from testbed.campaign.compilation import Read, Warm, compile_first
-from testbed.campaign.engine import Fleet, count_workers, workers
+from testbed.campaign.engine import WorkerPool, count_workers, workers
 from testbed.campaign.journal import Head, Journal, JournalError
 from testbed.campaign.row import FlownRun, Kept, Task, within
 from testbed.campaign.sweep import Campaign, CampaignFile, deciding, difference, read_file
@@ -191,10 +191,10 @@ def fly_campaign(
     return ended
 
 
-def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> Fleet[Task, FlownRun]:
+def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> WorkerPool[Task, FlownRun]:
     fly = partial(fliers.fly, campaign.base)
     limit_s = campaign.file.limit_s
-    return Fleet(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
+    return WorkerPool(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
 
 
 def gone(limit_s: float, task: Task) -> FlownRun:
@@ -240,7 +240,7 @@ def keep_failures(
     if not missing:
         return
     watch.keeping(len(missing))
-    fleet: Fleet[Task, Kept] = Fleet(
+    fleet: WorkerPool[Task, Kept] = WorkerPool(
         client,
         partial(fliers.fly_with_log, campaign.base),
         lambda task: Kept(task[0], {"error.txt": b"its workers died\n"}, {}),

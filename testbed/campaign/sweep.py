@@ -47,7 +47,7 @@ from testbed.config.error import show
 from testbed.config.experiment import Seed
 from testbed.config.key import ANY, Key, assignment, spell
 from testbed.config.tree import leaves
-from testbed.config.validation import first_misfit
+from testbed.config.validation import first_violation
 from testbed.core.error import MismatchError
 from testbed.core.table import Probability
 from testbed.core.vehicle import Positive
@@ -348,9 +348,9 @@ def read_file(path: Path, kind: type[Any]) -> Any:
     try:
         return msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
-        misfit = first_misfit(tree, kind)
-        expected = misfit.expected if misfit.key else str(error)
-        raise ConfigError(str(path), spell(misfit.key), expected, misfit.found) from None
+        violation = first_violation(tree, kind)
+        expected = violation.expected if violation.key else str(error)
+        raise ConfigError(str(path), spell(violation.key), expected, violation.found) from None
 
 
 def check_name(path: Path, name: str) -> None:

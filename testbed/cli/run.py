@@ -18,7 +18,7 @@ from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
 from testbed.net.stop import noted
-from testbed.realtime.heartbeat import Phase, heartbeat, process_to_end
+from testbed.realtime.heartbeat import RunPhase, heartbeat, process_to_end
 from testbed.report.page import ReportError
 from testbed.rig.boards import check_boards
 from testbed.rig.chain import watched
@@ -75,8 +75,8 @@ def run_experiment(
         with interrupt.caught(), watched(experiment):
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
-            heart = heartbeat()
-            heart.rig, heart.folder, heart.phase = rig, str(folder), Phase.COMPILING
+            own = heartbeat()
+            own.rig, own.folder, own.phase = rig, str(folder), RunPhase.COMPILING
             if view is not None:
                 from testbed.cli.dash import beside_run
 

@@ -10,7 +10,7 @@ import msgspec
 from controllers.catalogue import make_law
 from controllers.own_law import OwnLawParams
 from testbed.config.board import bad_board
-from testbed.config.error import ConfigError, Mistake, did_you_mean, refused
+from testbed.config.error import ConfigError, Violation, did_you_mean, refused
 from testbed.config.experiment import Experiment
 from testbed.config.fault_schedule import bad_injections
 from testbed.config.hardware import bad_hardware
@@ -23,7 +23,7 @@ from testbed.config.shipped import SHIPPED
 from testbed.config.source import Source
 from testbed.config.timing import bad_timing
 from testbed.config.tree import read_text, read_toml, trouble_at
-from testbed.config.validation import first_misfit
+from testbed.config.validation import first_violation
 
 OTHER_KINDS = {  # by a first key that experiments do not have
     "mass": "a vehicle, which `vehicles.NAME.model` of an experiment names",
@@ -74,21 +74,21 @@ def loads(text: str, overrides: Sequence[str] = ()) -> Experiment:
 def _checked(source: Source, overrides: Sequence[str]) -> Experiment:
     for text in overrides:
         source.override(text)
-    for mistake in bad_numbers(source.tree):
-        raise source.error(mistake)
+    for violation in bad_numbers(source.tree):
+        raise source.error(violation)
     try:
         experiment = msgspec.convert(source.tree, Experiment)
     except msgspec.ValidationError:
-        mistake = first_misfit(source.tree, Experiment)
-        if len(mistake.key) == 1 and (kind := OTHER_KINDS.get(str(mistake.key[0]))):
-            mistake = mistake._replace(found=f"{mistake.found}: the file of {kind}?")
-        raise source.error(mistake) from None
-    for mistake in mistakes(experiment):
-        raise source.error(mistake)
+        violation = first_violation(source.tree, Experiment)
+        if len(violation.key) == 1 and (kind := OTHER_KINDS.get(str(violation.key[0]))):
+            violation = violation._replace(found=f"{violation.found}: the file of {kind}?")
+        raise source.error(violation) from None
+    for violation in violations(experiment):
+        raise source.error(violation)
     return with_content(experiment)
 
 
-def mistakes(experiment: Experiment) -> Iterator[Mistake]:
+def violations(experiment: Experiment) -> Iterator[Violation]:
     """Errors that the types do not exclude."""
     yield from chain(bad_layout(experiment), bad_hardware(experiment), bad_timing(experiment))
     yield from bad_own_law(experiment)
@@ -103,7 +103,7 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     except ValueError as error:
         yield refused(("controller",), error)
     except ArithmeticError as error:
-        yield Mistake(("controller",), "numbers of ordinary size", str(error))
+        yield Violation(("controller",), "numbers of ordinary size", str(error))
 
 
 def dump(experiment: Experiment) -> dict[str, Any]:

@@ -93,8 +93,8 @@ class Handler(BaseHTTPRequestHandler):
         elif self.path != "/stop":
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n")
         else:
-            told = self.server.answers.press(body.decode(errors="replace")[:64])
-            self._send(HTTPStatus.OK, "application/json", json.dumps(told).encode())
+            answer = self.server.answers.press(body.decode(errors="replace")[:64])
+            self._send(HTTPStatus.OK, "application/json", json.dumps(answer).encode())
 
     def _picture(self, after: str) -> None:
         if not self.server.readers.acquire(blocking=False):

@@ -126,8 +126,8 @@ class Stopper:
             if self._host is not None:
                 key = Keys(flight.lab).stop
                 self._host.put(key, stop.encode())
-                told = answers(self._host, key, ANSWER_S, stop.encode())
-                heard.update(one.decode(errors="replace") for one in told)
+                replies = answers(self._host, key, ANSWER_S, stop.encode())
+                heard.update(one.decode(errors="replace") for one in replies)
 
         both = [Thread(target=_quietly, args=(one,), daemon=True) for one in (directly, over_host)]
         for one in both:

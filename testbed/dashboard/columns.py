@@ -73,7 +73,7 @@ MAKE: dict[str, Callable[[list[Any]], Any]] = {
 }
 
 
-class Columns:
+class ColumnBuffer:
     """A buffer of rows not yet sent."""
 
     def __init__(self, recording: rr.RecordingStream) -> None:

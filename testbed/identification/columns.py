@@ -22,7 +22,7 @@ class LogRefusedError(TestbedError):
     """The log cannot be used: it says what is suspected."""
 
 
-class Columns(dict[str, Array]):
+class NumericColumns(dict[str, Array]):
     """Numeric columns of equal length; a missing one is refused with its name."""
 
     def __init__(self, where: str, columns: dict[str, Array]) -> None:
@@ -55,7 +55,7 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def read_columns(path: Path, wanted: Iterable[str] | None = None) -> Columns:
+def read_columns(path: Path, wanted: Iterable[str] | None = None) -> NumericColumns:
     """The columns of a log.
 
     Args:
@@ -71,10 +71,10 @@ def read_columns(path: Path, wanted: Iterable[str] | None = None) -> Columns:
         if path.stat().st_size > LARGEST:
             raise LogRefusedError(where=str(path), expected="at most 2 GB", found="a larger file")
         if path.suffix == ".mat":
-            return Columns(str(path), _read_mat(path))
+            return NumericColumns(str(path), _read_mat(path))
         if path.suffix == ".mcap":
-            return Columns(str(path), _read_mcap(path))
-        return Columns(str(path), _read_csv(path, None if wanted is None else set(wanted)))
+            return NumericColumns(str(path), _read_mcap(path))
+        return NumericColumns(str(path), _read_csv(path, None if wanted is None else set(wanted)))
     except (OSError, EOFError, UnicodeDecodeError, csv.Error, ValueError) as error:
         raise LogRefusedError(
             where=str(path), expected="a CSV, .mat or .mcap file", found=str(error)

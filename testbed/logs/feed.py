@@ -83,7 +83,7 @@ class Feed(Protocol):
         ...
 
 
-class Rows:
+class TypedRows:
     """Makes typed messages from the rows of a log, in its order."""
 
     def __init__(self) -> None:
@@ -139,7 +139,7 @@ class LogFeed:
     """A `Feed` that follows a log."""
 
     def __init__(self, book: LogReader) -> None:
-        self._book, self._rows = book, Rows()
+        self._book, self._rows = book, TypedRows()
         self._known: set[str] = set()  # topics of this version
 
     @property

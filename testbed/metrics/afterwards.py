@@ -32,7 +32,7 @@ class After(Struct, frozen=True):
     vehicles: dict[str, Left]
 
 
-class Contact(Protocol):
+class RecordedContact(Protocol):
     """A contact recorded by the plant."""
 
     @property
@@ -46,7 +46,7 @@ class Contact(Protocol):
         ...
 
 
-def contacts_after(touches: Iterable[Contact], end: float) -> int:
+def contacts_after(touches: Iterable[RecordedContact], end: float) -> int:
     """Number of contacts harder than `HARD` in the minute after `end` [s]."""
     return sum(end < touch.t <= end + MINUTE and touch.speed > HARD for touch in touches)
 
@@ -71,7 +71,7 @@ def judge_after(
     names: Sequence[str],
     t: NDArray[np.float64],
     states: NDArray[np.float64],
-    touches: Iterable[Contact],
+    touches: Iterable[RecordedContact],
     floats: Mapping[str, bool],
     end: float,
 ) -> After:

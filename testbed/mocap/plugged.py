@@ -27,7 +27,7 @@ class PluggedSource:
         try:
             made = plugin.load(plugin.MOCAP, wire.system, MOCAP_SYSTEMS)
             options = msgspec.convert(
-                wire.options, plugin.option_type(made, plugin.TOLD[plugin.MOCAP])
+                wire.options, plugin.option_type(made, plugin.PROVIDED[plugin.MOCAP])
             )
             self._source: MocapSource = plugin.call(made, options, {"wire": wire})
         except (plugin.PluginError, msgspec.ValidationError) as error:

@@ -23,7 +23,7 @@ _AT_FOLDER, _FOLDER_SIZE = 512, 3584
 Memory = bytearray | mmap.mmap
 
 
-class Phase(IntEnum):
+class RunPhase(IntEnum):
     """How far a run is."""
 
     STARTING = 0  # no file of the user has been read yet
@@ -92,12 +92,12 @@ class Heartbeat:
     # Both
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> RunPhase:
         """Phase of the run."""
-        return Phase(self._memory[_AT_PHASE])
+        return RunPhase(self._memory[_AT_PHASE])
 
     @phase.setter
-    def phase(self, phase: Phase) -> None:
+    def phase(self, phase: RunPhase) -> None:
         self._memory[_AT_PHASE] = phase
         self.beat()
 

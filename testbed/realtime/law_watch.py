@@ -28,7 +28,7 @@ from controllers.own_law import OwnLawParams
 from controllers.plain_law import LawError
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World
-from testbed.realtime.heartbeat import Phase, heartbeat
+from testbed.realtime.heartbeat import RunPhase, heartbeat
 
 READ_S = 30.0  # limit for reading a law's file: it may import large packages
 FIRST_S = 10.0  # limit for the first calls, before the flight, without numba's compilation
@@ -217,8 +217,8 @@ def reading(law: str) -> Iterator[None]:
         return
     heart = heartbeat()
     before = heart.phase
-    if before is Phase.STARTING:
-        heart.phase = Phase.READING
+    if before is RunPhase.STARTING:
+        heart.phase = RunPhase.READING
     try:
         with LawWatch(law, READ_S, float("inf"), 0.0) as watch, watch.call(b""):
             yield

@@ -21,7 +21,7 @@ from testbed.metrics.run_metrics import SETTLED_M
 Array = NDArray[np.float64]
 
 
-class Edge(NamedTuple):
+class FormationEdge(NamedTuple):
     """Two vehicles, or a vehicle and the leader, and their desired distance."""
 
     a: str
@@ -45,7 +45,7 @@ class GoalError:
         kind = formation_kind(self._law)
         self.forms = kind is not None  # vehicles have no individual goals
         self.led = kind == "led graph"
-        self.edges: list[Edge] = self._edges() if kind in ("graph", "led graph") else []
+        self.edges: list[FormationEdge] = self._edges() if kind in ("graph", "led graph") else []
         self.settled_m = SETTLED_M
         self.title = "Distance to the goal"
         if self.edges:
@@ -53,12 +53,14 @@ class GoalError:
         elif self.forms:
             self.title, self.settled_m = "Distance to the formation's curve", CURVE_M
 
-    def _edges(self) -> list[Edge]:
+    def _edges(self) -> list[FormationEdge]:
         names = list(self._scenario.vehicles)
         shape = formation(self._law.formation, names, self.led)
         everybody = [*names, LEADER]
         return [
-            Edge(everybody[i], everybody[j], float(shape.desired[i, j]) / self._law.scale.length)
+            FormationEdge(
+                everybody[i], everybody[j], float(shape.desired[i, j]) / self._law.scale.length
+            )
             for i, j in np.argwhere(np.triu(shape.first) > 0.0)
         ]
 

@@ -26,31 +26,31 @@ CRITERIA = {  # name, unit, scale from the unit of the file
 Look = Literal["passed", "failed", "fault", "unjudged"]
 
 
-class Verdict(NamedTuple):
+class RunVerdict(NamedTuple):
     """Text of the verdict and its colour."""
 
     look: Look
     words: str
 
 
-def verdict(scenario: Experiment, metrics: Metrics) -> Verdict:
+def verdict(scenario: Experiment, metrics: Metrics) -> RunVerdict:
     """The verdict on a run."""
     end = f"{metrics.duration_s:.1f} s"
     if metrics.contacts == UNCOUNTED:
-        return Verdict("unjudged", f"not judged, {end} in the log")
+        return RunVerdict("unjudged", f"not judged, {end} in the log")
     if metrics.red:
-        return Verdict("failed", "not started: a check failed")
+        return RunVerdict("failed", "not started: a check failed")
     hits = touched(scenario, metrics.touches[:1])
     if metrics.fault:
-        return Verdict("fault", "; ".join([*hits, f"aborted by a fault after {end}"]))
+        return RunVerdict("fault", "; ".join([*hits, f"aborted by a fault after {end}"]))
     if not metrics.completed:
-        return Verdict("unjudged", "; ".join([*hits, f"interrupted at {end}: not judged"]))
+        return RunVerdict("unjudged", "; ".join([*hits, f"interrupted at {end}: not judged"]))
     missed = [k for k, met in (metrics.criteria or {}).items() if not met]
     names = [CRITERIA.get(k, (k,))[0] for k in missed if not (hits and k == "max_contacts")]
     if missed:
         words = f"failed: {'; '.join([*hits, *names])}"
-        return Verdict("fault" if "max_contacts" in missed else "failed", words)
-    return Verdict("passed", "passed")
+        return RunVerdict("fault" if "max_contacts" in missed else "failed", words)
+    return RunVerdict("passed", "passed")
 
 
 def touched(scenario: Experiment, touches: Sequence[Touch]) -> list[str]:

@@ -26,7 +26,7 @@ from testbed.cli.dash import Dashboard, address_for  # noqa: E402
 from testbed.dashboard import feeder  # noqa: E402
 from testbed.dashboard.static_scene import HUES  # noqa: E402
 from testbed.dashboard.viewer import (  # noqa: E402
-    Address,
+    ViewerAddress,
     ViewerError,
     command,
     free_port,
@@ -237,7 +237,7 @@ def test_no_screen_is_said(monkeypatch):
 
 
 def test_addresses():
-    everywhere = Address("0.0.0.0", 9876, 9877)
+    everywhere = ViewerAddress("0.0.0.0", 9876, 9877)
     assert everywhere.data == "rerun+http://127.0.0.1:9876/proxy"
     assert everywhere.page.startswith("http://127.0.0.1:9877/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1")
     with socket.socket() as one:
@@ -289,11 +289,11 @@ def test_those_in_the_same_state_share_the_banner():
 
 def test_only_an_edge_of_the_formation_has_to_stay_in_range():
     from testbed.config import find, load
-    from testbed.dashboard.columns import Columns
+    from testbed.dashboard.columns import ColumnBuffer
     from testbed.dashboard.scene_goals import AimScene
 
     rr = pytest.importorskip("rerun")
-    columns = Columns(rr.RecordingStream("test"))
+    columns = ColumnBuffer(rr.RecordingStream("test"))
     aims = AimScene(load(find("xue2024_table_constant")), columns)
     assert aims.matters("sat2", "sat1")
     assert not aims.matters("sat1", "sat3")

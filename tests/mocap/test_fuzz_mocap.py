@@ -29,7 +29,7 @@ from testbed.mocap.natnet import (
     packet,
 )
 from testbed.mocap.natnet_client import MOST, NatNetClient
-from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.mocap.natnet_server import NatNetAddress, NatNetServer
 from testbed.mocap.poses import MocapPoses
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
 
@@ -274,7 +274,7 @@ def test_an_exposure_of_another_time_does_not_stop_the_watch(exposed_s):
 
 def test_a_server_answers_rubbish_with_little():
     rng = np.random.default_rng((ROUND, 2))
-    with NatNetServer(Address("127.0.0.1", 0, 1511), VERSION, NAMES) as server:
+    with NatNetServer(NatNetAddress("127.0.0.1", 0, 1511), VERSION, NAMES) as server:
         for _ in range(COUNT):
             kind, payload = int(rng.integers(200)), rng.bytes(int(rng.integers(100)))
             with suppress(ValueError):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from testbed.core.lab import Impairment
 from testbed.core.types import Accel, Demand, LawMessage, Pose, Reference, Trajectory, Twist
-from testbed.net.envelope import SCHEMA, Inbox, Outbox, Sealed, Verdict, open_setpoint
+from testbed.net.envelope import SCHEMA, Acceptance, Inbox, Outbox, Sealed, open_setpoint
 from testbed.net.impairment import NetworkImpairment
 from testbed.net.links import Blackboard
 
@@ -27,7 +27,7 @@ def test_what_is_sent_is_what_arrives():
     out, box = Outbox(7), inbox()
     reference = Reference(1.0, Pose(1, 2, 3), Twist(4, 5, 6), Accel(7, 8, 9))
     for setpoint in (demand(1.0), Trajectory((reference, reference), 1.5)):
-        assert box.take(out.seal(setpoint, 1.0, 1.3), 1.02) is Verdict.TAKEN
+        assert box.take(out.seal(setpoint, 1.0, 1.3), 1.02) is Acceptance.TAKEN
         assert box.newest == setpoint
         assert box.valid_until == 1.3
 
@@ -35,16 +35,16 @@ def test_what_is_sent_is_what_arrives():
 @pytest.mark.parametrize(
     ("arrived_at", "verdict"),
     [
-        (1.0, Verdict.TAKEN), (1.15, Verdict.TAKEN), (1.1500001, Verdict.LATE),
-        (1.2000001, Verdict.EXPIRED), (0.96, Verdict.TAKEN), (0.9, Verdict.GARBLED),
-        (math.nan, Verdict.EXPIRED),
+        (1.0, Acceptance.TAKEN), (1.15, Acceptance.TAKEN), (1.1500001, Acceptance.LATE),
+        (1.2000001, Acceptance.EXPIRED), (0.96, Acceptance.TAKEN), (0.9, Acceptance.GARBLED),
+        (math.nan, Acceptance.EXPIRED),
     ],
 )  # fmt: skip
 def test_by_the_time_on_the_way(arrived_at, verdict):
     box = inbox()
     assert box.take(Outbox(7).seal(demand(1.0), 1.0, 1.2), arrived_at) is verdict
     assert box.counts[verdict] == 1
-    assert (box.newest is None) == (verdict is not Verdict.TAKEN)
+    assert (box.newest is None) == (verdict is not Acceptance.TAKEN)
 
 
 def test_by_order():
@@ -52,17 +52,18 @@ def test_by_order():
     first, second, third = (out.seal(demand(t), 1.0, 1.2) for t in (1.0, 1.1, 1.2))
     order = [second, second, first, third, first]
     assert [box.take(data, 1.01) for data in order] == [
-        Verdict.TAKEN, Verdict.DUPLICATED, Verdict.REORDERED, Verdict.TAKEN, Verdict.REORDERED,
+        Acceptance.TAKEN, Acceptance.DUPLICATED, Acceptance.REORDERED, Acceptance.TAKEN,
+        Acceptance.REORDERED,
     ]  # fmt: skip
     assert box.newest == demand(1.2)
 
 
 def test_another_session_or_version_is_refused():
     box = inbox()
-    assert box.take(Outbox(8).seal(demand(1.0), 1.0, 1.2), 1.0) is Verdict.FOREIGN
+    assert box.take(Outbox(8).seal(demand(1.0), 1.0, 1.2), 1.0) is Acceptance.FOREIGN
     body = msgspec.Raw(msgspec.msgpack.encode(demand(1.0)))
     other = msgspec.msgpack.encode(Sealed(SCHEMA + 1, 7, 1, 1.0, 1.2, body))
-    assert box.take(other, 1.0) is Verdict.SCHEMA
+    assert box.take(other, 1.0) is Acceptance.SCHEMA
     assert box.newest is None
 
 
@@ -70,15 +71,15 @@ def test_a_refused_message_does_not_use_up_its_number():
     box = inbox()
     body = msgspec.Raw(msgspec.msgpack.encode({"type": "nonsense"}))
     nonsense = msgspec.msgpack.encode(Sealed(SCHEMA, 7, 5, 1.0, 1.2, body))
-    assert box.take(nonsense, 1.0) is Verdict.GARBLED
-    assert box.take(Outbox(7).seal(demand(1.0), 1.0, 1.2), 1.0) is Verdict.TAKEN
+    assert box.take(nonsense, 1.0) is Acceptance.GARBLED
+    assert box.take(Outbox(7).seal(demand(1.0), 1.0, 1.2), 1.0) is Acceptance.TAKEN
 
 
 @given(st.binary(max_size=300))
 @settings(deadline=None)
 def test_any_bytes_are_refused(data):
     box = inbox()
-    assert box.take(data, 1.0) is not Verdict.TAKEN
+    assert box.take(data, 1.0) is not Acceptance.TAKEN
     assert box.newest is None
 
 

@@ -38,10 +38,10 @@ from testbed.net.commands import Counts, Ended, Lease, Order, Refused, Start, St
 from testbed.net.credentials import CredentialsError, read_credentials
 from testbed.net.envelope import (
     SCHEMA,
+    Acceptance,
     Inbox,
     Outbox,
     Sealed,
-    Verdict,
     open_message,
     open_setpoint,
     open_state,
@@ -158,7 +158,7 @@ def test_messages(kind):
         fed[0] += 1
         bad = spoilt(rng, body) if rng.random() < 0.9 else body
         verdict = box.take(sealed(rng, bad, fed[0]), NOW + 0.01)
-        if verdict is Verdict.TAKEN and isinstance(
+        if verdict is Acceptance.TAKEN and isinstance(
             box.newest, State | Trajectory | Demand | LawMessage
         ):
             assert all(abs(x) < 1e9 for x in numbers(msgspec.to_builtins(box.newest)))
@@ -168,9 +168,9 @@ def test_messages(kind):
 
     grown = growth(feed, COUNT)
     assert sum(box.counts.values()) == fed[0]
-    assert box.counts[Verdict.TAKEN] > 0
+    assert box.counts[Acceptance.TAKEN] > 0
     if kind != "lease":  # of which nothing can be wrong but the envelope
-        assert box.counts[Verdict.GARBLED] > 0.3 * fed[0]
+        assert box.counts[Acceptance.GARBLED] > 0.3 * fed[0]
     assert grown < GROWN
 
 
@@ -189,14 +189,14 @@ def test_messages(kind):
 )
 def test_numbers_that_are_none_do_not_come_in(decode, message):
     box = Inbox(decode, RUN, LATE)
-    assert box.take(Outbox(RUN).seal(message, NOW, NOW + 0.3), NOW) is Verdict.GARBLED
+    assert box.take(Outbox(RUN).seal(message, NOW, NOW + 0.3), NOW) is Acceptance.GARBLED
     assert box.newest is None
 
 
 def test_a_message_for_ever_is_none():
     for until in (math.inf, NOW + 61.0):
         box = Inbox(open_state, RUN, LATE)
-        assert box.take(Outbox(RUN).seal(state(), NOW, until), NOW) is Verdict.GARBLED
+        assert box.take(Outbox(RUN).seal(state(), NOW, until), NOW) is Acceptance.GARBLED
 
 
 def test_a_vehicle_flies_on_whatever_it_is_told():

@@ -9,7 +9,7 @@ from ports import free_port
 from testbed.core.lab import Lab
 from testbed.core.types import Accel, Demand, LawMessage, Pose, State, Twist
 from testbed.mocap.topic import PoseTopic, encode_poses
-from testbed.net.envelope import Verdict
+from testbed.net.envelope import Acceptance
 from testbed.net.keys import Keys
 from testbed.net.links import (
     Blackboard,
@@ -76,7 +76,7 @@ def test_states_and_setpoints_get_across(party):
     assert set(to_a.neighbours()) == {"b"}
     assert set(b.neighbours()) == {"a"}
     assert b.messages()["a"].values == (1.0, 2.0)
-    assert a.heard.inbox.counts[Verdict.FOREIGN] == 0
+    assert a.heard.inbox.counts[Acceptance.FOREIGN] == 0
 
 
 def test_setpoints_of_another_run_are_refused(party):
@@ -88,7 +88,7 @@ def test_setpoints_of_another_run_are_refused(party):
     def refused():
         now = other.clock.now
         link.publish(Demand(now, 1, 2, 3, 0, 0, now + 0.3))
-        return a.setpoint() or a.heard.inbox.counts[Verdict.FOREIGN] > 3
+        return a.setpoint() or a.heard.inbox.counts[Acceptance.FOREIGN] > 3
 
     wait_for(refused)
     assert a.setpoint() is None

@@ -35,7 +35,7 @@ class AgentOptions(Struct, frozen=True):
     port: str | None = None  # serial port of the board; None: from the table file
     keys: Path | None = None
     report: Path | None = None  # file for the report at the end
-    heart: Path | None = None  # heartbeat file: shows the host whether the law is being called
+    heartbeat: Path | None = None  # heartbeat file: shows the host whether the law is being called
 
 
 def fly(agent: AgentOptions, say: Callable[[str], None], *, child: bool) -> None:
@@ -59,8 +59,8 @@ def fly(agent: AgentOptions, say: Callable[[str], None], *, child: bool) -> None
     endpoint, lab = endpoint or Network().endpoint, lab or Network().lab
     if (why := untrusted(endpoint, agent.keys)) is not None:
         raise CredentialsError(f"{endpoint} is not opened: {why}")
-    if agent.heart is not None:
-        attach(in_file(agent.heart))
+    if agent.heartbeat is not None:
+        attach(in_file(agent.heartbeat))
     say(f"looking for the host at {endpoint}")
     VehicleProcess(
         agent.name, endpoint, lab, agent.port, agent.keys, gone=orphaned if child else None,

@@ -251,7 +251,7 @@ class WireRig:
                 name, self._relay(network.endpoint), network.lab,
                 keys=neighbour(Path(network.keys), "vehicle", name) if network.keys else None,
                 report=None if self._keep is None else self._keep.with_name(f"{name}.json"),
-                heart=children.folder / f"{name}.heart",
+                heartbeat=children.folder / f"{name}.heartbeat",
             )  # fmt: skip
             words = msgspec.json.encode(agent, enc_hook=str).decode()
             children.start(name, [*python, "testbed.rig.wired.agent_process", words])
@@ -260,8 +260,8 @@ class WireRig:
     def _blamed(self, children: ProcessGroup, fault: FaultReport | None) -> FaultReport | None:
         """The fault, with the name of the law that ended or blocks its vehicle's process."""
         for name in self.experiment.vehicles:
-            heart = in_file(children.folder / f"{name}.heart")
-            if name in self.results.ended or heart.inside is None:
+            heartbeat = in_file(children.folder / f"{name}.heartbeat")
+            if name in self.results.ended or heartbeat.inside is None:
                 continue
             code = children.ended(name)
             if code is None:
@@ -271,7 +271,7 @@ class WireRig:
                 how = f"ended its process by {signal.Signals(-code).name}"
             else:
                 how = f"ended its process with exit code {code}"
-            text = f"law of {name} ({heart.law}) {how}"
+            text = f"law of {name} ({heartbeat.law}) {how}"
             return FaultReport(FaultId.LAW_STUCK, text, notes=(fault.words,) if fault else ())
         return fault
 
@@ -295,13 +295,13 @@ class WireRig:
         Raises:
             HostError: a vehicle cannot start.
         """
-        there, told, lost = set[str](), set[str](), dict[str, str]()
+        there, reported, lost = set[str](), set[str](), dict[str, str]()
         end = monotonic_ns() + round(1e9 * READY_S)
         while missing := set(self.experiment.vehicles) - there:
             if not self._bench:
                 for name, why in lost.items():
                     self._say(f"{name} has ended: {why}; start `testbed agent {name}` again")
-            if missing != told:
+            if missing != reported:
                 self._checked([
                     Check(f"{name} agent", "not on the network" if name in missing else "", True)
                     for name in self.experiment.vehicles
@@ -309,7 +309,7 @@ class WireRig:
                 if not self._bench:
                     absent = ", ".join(sorted(missing))
                     self._say(f"waiting for {absent}; start `testbed agent` on each computer")
-                told = missing
+                reported = missing
             if stopped():
                 return None
             if children is not None:

@@ -21,7 +21,7 @@ from testbed.net.commands import (
     Pace,
     TickReport,
 )
-from testbed.net.envelope import Inbox, Outbox, Verdict
+from testbed.net.envelope import Acceptance, Inbox, Outbox
 from testbed.net.impairment import NetworkImpairment
 from testbed.net.links import Party, ZenohVehicleLink
 from testbed.net.session import Publisher, Subscriber
@@ -103,7 +103,7 @@ class VehicleFlight:
 
     def _pace(self, late: float) -> Pace:
         inbox, poses = self._link.heard.inbox, self._poses
-        heard = inbox.counts[Verdict.TAKEN]
+        heard = inbox.counts[Acceptance.TAKEN]
         return Pace(
             late, self._pose_to_valve(), inbox.delay, heard, inbox.missed,
             sum(inbox.counts.values()) - heard, self._host_clock.trip,

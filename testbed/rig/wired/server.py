@@ -31,7 +31,7 @@ from testbed.core.types import Pose, PoseSample
 from testbed.metrics.afterwards import MINUTE, STEP
 from testbed.mocap.exposure import Axes, Sighting
 from testbed.mocap.natnet import Described, MocapFrame, RigidBody
-from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.mocap.natnet_server import NatNetAddress, NatNetServer
 from testbed.mocap.topic import encode_poses
 from testbed.net.credentials import neighbour
 from testbed.net.envelope import Sealed
@@ -93,7 +93,7 @@ class TableServer:
             major, minor = wire.version.split(".")
             self._mocap = stack.enter_context(
                 NatNetServer(
-                    Address(wire.server, wire.command_port, wire.data_port, wire.group),
+                    NatNetAddress(wire.server, wire.command_port, wire.data_port, wire.group),
                     (int(major), int(minor)),
                     [Described(k + 1, wire.bodies.get(n, n)) for k, n in enumerate(self.names)],
                 )

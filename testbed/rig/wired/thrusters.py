@@ -83,12 +83,12 @@ class PluggedThrusters:
         self.floats = False  # whether bearing air is on, as far as the plug-in obeyed
         self.sent = deque[tuple[int, int]](maxlen=1000)
         self._clock = MonotonicClock()
-        told = {"vehicle": vehicle, "name": name, "clock": self._clock}
+        provided = {"vehicle": vehicle, "name": name, "clock": self._clock}
         try:
             made = plugin.load(plugin.THRUSTERS, system, THRUSTER_SYSTEMS)
-            kind = plugin.option_type(made, plugin.TOLD[plugin.THRUSTERS])
+            kind = plugin.option_type(made, plugin.PROVIDED[plugin.THRUSTERS])
             values = msgspec.convert(options, kind)
-            self._driver: ThrusterBoard = plugin.call(made, values, told)
+            self._driver: ThrusterBoard = plugin.call(made, values, provided)
         except (plugin.PluginError, msgspec.ValidationError) as error:
             raise ThrustersError(f"{self.board}: {error}") from error
         except Exception as error:  # a plug-in may raise anything

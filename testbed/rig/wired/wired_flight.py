@@ -28,7 +28,7 @@ from testbed.core.types import (
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import Ending, HostNode, Observer, fly
 from testbed.net.commands import Ended, Lease, Stop, TickReport, config_id
-from testbed.net.envelope import Inbox, Outbox, Verdict
+from testbed.net.envelope import Acceptance, Inbox, Outbox
 from testbed.net.links import Blackboard, Party, ZenohHostLink, host_states
 from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
 from testbed.realtime.scheduling import realtime_priority
@@ -110,10 +110,10 @@ class RemoteNode:
 _open_truth = msgspec.msgpack.Decoder(tuple[int, dict[str, list[float]]]).decode
 
 
-def newest_truth(told: list[tuple[int, bytes]]) -> tuple[dict[str, list[float]] | None, int]:
+def newest_truth(messages: list[tuple[int, bytes]]) -> tuple[dict[str, list[float]] | None, int]:
     """The newest valid message of the truth, and the number of invalid ones."""
     bad = 0
-    for _, data in reversed(told):
+    for _, data in reversed(messages):
         try:
             poses = _open_truth(data)[1]
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
@@ -283,15 +283,15 @@ class HostFlight:
 
     def _listen(self) -> None:
         clock, book = self._party.clock, self._book
-        if self.truth is not None and (told := self.truth.heard()):
-            poses, bad = newest_truth(told)
+        if self.truth is not None and (messages := self.truth.heard()):
+            poses, bad = newest_truth(messages)
             self.bad_truth += bad
             if poses is not None:
                 book.note_truth({n: poses[n] for n in self._names if n in poses})
         for name, subscriber in self._ticks.items():
             for at, data in subscriber.heard():
                 box = self._flown[name]
-                if box.take(data, clock.of(at)) is Verdict.TAKEN and box.newest is not None:
+                if box.take(data, clock.of(at)) is Acceptance.TAKEN and box.newest is not None:
                     node = self._nodes[name]
                     node.heard_at, node.newest = clock.of(at), box.newest.tick
                     self._asked.at_least(box.newest.stops)  # a stop may reach a vehicle only
@@ -301,7 +301,7 @@ class HostFlight:
         for name, subscriber in self._events.items():
             for at, data in subscriber.heard():
                 end = self._ended[name]
-                if end.take(data, clock.of(at)) is Verdict.TAKEN and end.newest is not None:
+                if end.take(data, clock.of(at)) is Acceptance.TAKEN and end.newest is not None:
                     book.note_end(name, end.newest)
                     self._nodes[name].ended = end.newest
 
