@@ -10,14 +10,7 @@ from testbed.console.tiles import Judge
 from testbed.console.valve_pulses import Pulse, ValveHistory
 from testbed.core.codes import Response
 from testbed.core.types import HostTick, Tick
-from testbed.logs.feed import (
-    News,
-    SeenPace,
-    SeenPhase,
-    SeenValves,
-    pose_of,
-    stopping_point,
-)
+from testbed.logs.feed import News, SeenPace, SeenPhase, SeenValves, pose_of, stopping_point
 from testbed.logs.history import Happening, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
 from testbed.report.fault_story import (

@@ -45,8 +45,8 @@ class PlotScene:
         for name, flown in ticks.items():
             if name in self._names:
                 self._ticks(name, flown)
-        for name, ticks in hosts.items():
-            self._heard(name, ticks)
+        for name, own in hosts.items():
+            self._heard(name, own)
         if loops:
             self._column("plot/loop/late", [o.t for o in loops], [1e3 * o.late_s for o in loops])
             self._column("plot/loop/busy", [o.t for o in loops], [1e3 * o.busy_s for o in loops])

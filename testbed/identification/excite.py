@@ -101,9 +101,9 @@ def _one(
             "half_width": float(SURE * both), "unit": "1",
             "identifiable": bool(both < IDENTIFIABLE * before),
         }  # fmt: skip
-    plant_parameters = nominal_plant(vehicle)
-    schedule = schedule_of(inputs, plant_parameters, vehicle.command_delay_s)
-    gas = float(used_before(schedule, plant_parameters, np.array([seconds]))[0])
+    plant = nominal_plant(vehicle)
+    schedule = schedule_of(inputs, plant, vehicle.command_delay_s)
+    gas = float(used_before(schedule, plant, np.array([seconds]))[0])
     reach = float(np.abs(log.pose[:, :2]).max())
     return Design(inputs, log, intervals, float(np.linalg.slogdet(relative)[1]), gas, reach)
 

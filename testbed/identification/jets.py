@@ -35,7 +35,7 @@ class JetFinding(NamedTuple):
 
 def examine(model: VehicleModel, p: Array, logs: Sequence[Windows]) -> list[JetFinding]:
     """A finding for each jet, around a first fit `p`."""
-    base = model.plant_parameters.effect[0] * model.thrust(p)
+    base = model.plant.effect[0] * model.thrust(p)
     jets = base.shape[1]
     strong = float(np.median(np.hypot(base[0], base[1])))
     sizes = np.array([strong, strong, strong * LEVER])

@@ -78,7 +78,7 @@ class VehicleModel:
         self.sigma = np.array([p.sigma for p in self.parameters])
         self.step = np.array([p.step for p in self.parameters])
         self.least = np.array([p.least for p in self.parameters])
-        self.plant_parameters = nominal_plant(vehicle)
+        self.plant = nominal_plant(vehicle)
 
     def index(self, name: str) -> int:
         """Position of a parameter."""
@@ -99,12 +99,12 @@ class VehicleModel:
     ) -> tuple[Schedule, PlantParameters, Ground]:
         """Arguments of `sim_twin.prediction.shoot`; `effect` replaces the jets' wrenches."""
         at = dict(zip(self.names, p, strict=True))
-        m = self.plant_parameters
+        m = self.plant
         scale = self.thrust(p)
         timing = m.timing.copy()
         timing[0, 0] = at["delay"]
         timing[0, 1] = at["delay"] + at.get("hold", 0.0)
-        plant_parameters = m._replace(
+        plant = m._replace(
             mass=m.mass * at.get("mass", 1.0),
             inertia=m.inertia * at["inertia"],
             com=np.array([[at["com_x"], at["com_y"]]]),
@@ -117,11 +117,7 @@ class VehicleModel:
         )
         slope = self.ground.uniform + np.array([at["slope_x"], at["slope_y"]])
         ground = self.ground._replace(uniform=slope)
-        return (
-            schedule_of(inputs, plant_parameters, self.vehicle.command_delay_s),
-            plant_parameters,
-            ground,
-        )
+        return (schedule_of(inputs, plant, self.vehicle.command_delay_s), plant, ground)
 
     def fitted(self, p: Array) -> Vehicle:
         """The vehicle with these numbers; the slope belongs to the table."""

@@ -79,7 +79,7 @@ class _Parts:
         model = VehicleModel(vehicle, valves=valves)
         p = model.prior.copy()
         p[model.index("delay")] = 0.0
-        schedule, plant_parameters, _ = model.build(p, log.inputs)
+        schedule, plant, _ = model.build(p, log.inputs)
         self.windows = tiled(log, TILE).rows
         self.grid = np.arange(log.t[0] - 1.0, log.t[-1] + GRID, GRID)
         k = np.searchsorted(schedule.start, self.grid, side="right") - 1
@@ -87,11 +87,9 @@ class _Parts:
         k = np.clip(k, 0, len(schedule.value) - 1)
         after = (self.grid - schedule.start[k])[:, None]
         wrench = np.where(inside[:, None], schedule.value[k] + after * schedule.slope[k], 0.0)
-        self.force = (wrench[:, 0] + 1j * wrench[:, 1]) / plant_parameters.mass[0]
-        com = plant_parameters.com[0]
-        self.spin = (
-            wrench[:, 2] - com[0] * wrench[:, 1] + com[1] * wrench[:, 0]
-        ) / plant_parameters.inertia
+        self.force = (wrench[:, 0] + 1j * wrench[:, 1]) / plant.mass[0]
+        com = plant.com[0]
+        self.spin = (wrench[:, 2] - com[0] * wrench[:, 1] + com[1] * wrench[:, 0]) / plant.inertia
         self.in_table = isinstance(log.inputs, Wrenches) and log.inputs.in_table
         self.heading = np.interp(self.grid, log.t, log.pose[:, 2])
 

@@ -104,5 +104,6 @@ def place(
     return Place(
         orbit is not None, chief, np.array(goal), goal_v.wave(),
         centres, obstacles.velocity.wave(), np.full(len(centres), obstacles.radius), push.wave(),
-        law_g_sign, law_knows_coriolis, law_knows_rate, law_knows_push, near, far, edges_at, max_axis,
+        law_g_sign, law_knows_coriolis, law_knows_rate, law_knows_push, near, far, edges_at,
+        max_axis,
     )  # fmt: skip
