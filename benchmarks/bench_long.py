@@ -1,9 +1,9 @@
-"""A long flight on the bench while other programs want the machine: how near the watchdog came.
+"""A long flight on the bench on a loaded machine: how close the watchdog came to its limit.
 
     python benchmarks/bench_long.py [EXPERIMENT] [KEY=VALUE ...] [--hogs N]
 
 Prints how the flight ended, lateness, and for each board the longest time without a word from the
-vehicle while it was armed; the watchdog bites at 150 ms, and a word is said every 20 ms.
+vehicle while it was armed. The watchdog trips at 150 ms; a frame is sent every 20 ms.
 """
 
 import argparse

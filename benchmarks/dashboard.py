@@ -69,7 +69,7 @@ def looked_at(folder: Path, case: str, since: list[float]) -> Iterator[Dashboard
 
 @contextmanager
 def ahead(priority: int) -> Iterator[None]:
-    """Run this thread before everything ordinary; not the one that starts viewers."""
+    """Run this thread at real-time priority; not the thread that starts viewers."""
     with suppress(OSError):
         policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
         os.sched_setscheduler(0, policy, os.sched_param(priority))
@@ -115,7 +115,7 @@ def compare(folder: Path, seconds: float, rounds: int, speed: float, priority: i
 
 
 def resident(process: int | str) -> float:
-    """Memory of a process, 0 of one that is over [MB]."""
+    """Memory of a process, 0 after its end [MB]."""
     try:
         words = Path(f"/proc/{process}/status").read_text().split()
     except OSError:

@@ -7,7 +7,7 @@ a random instant, by a stop that is repeated within a second, and by the faults 
 turn. Counts contacts harder than 2 cm/s in the minute after the end.
 
 Said apart: flights with a vehicle whose process is dead. Its board keeps the bearing air on
-(docs/firmware.md), and nobody is left to brake it.
+(docs/firmware.md), and no process can brake it.
 """
 
 import argparse
@@ -68,7 +68,7 @@ def fly(number: int, seed: int) -> Flown:
 
 
 def seconds(value: float | None) -> str:
-    """A time, or that there is none."""
+    """A time, or a dash."""
     return "-" if value is None else f"{value:.2f}"
 
 

@@ -32,13 +32,15 @@ def fly(law, start, goal, obstacles, radius):
     """Smallest clearance [m] and when the error is below 0.05 m for good [s]."""
     zero = np.zeros(2)
     world = World(Goal(goal, zero, zero, zero), Discs(obstacles, 0.0 * obstacles, radius))
-    nobody = silent(Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
+    no_neighbours = silent(Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
     p, v = start, zero
-    state = law.initial(Body(p, v, MASS, zero, zero, MAX_FORCE), nobody, world)
+    state = law.initial(Body(p, v, MASS, zero, zero, MAX_FORCE), no_neighbours, world)
     nearest, settled = np.inf, 0.0
     for k in range(round(DURATION / PERIOD)):
         body = Body(p, v, MASS, zero, zero, MAX_FORCE)
-        state, p, v, *_ = law.propagate(state, body, nobody, world, k * PERIOD, PERIOD, STEPS)
+        state, p, v, *_ = law.propagate(
+            state, body, no_neighbours, world, k * PERIOD, PERIOD, STEPS
+        )
         nearest = min(nearest, np.hypot(*(obstacles - p).T).min())
         if np.hypot(*(goal - p)) > 0.05:
             settled = (k + 1) * PERIOD

@@ -23,7 +23,7 @@ from testbed.run.fly import fly_and_judge
 
 
 class Memory(NullObserver):
-    """Keeps what it is told."""
+    """Keeps all ticks."""
 
     def __init__(self) -> None:
         self.ticks: list[Tick | HostTick] = []

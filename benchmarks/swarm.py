@@ -57,7 +57,7 @@ def start(seed: int = 0) -> tuple[Array, Array]:
 
 
 def ours(control: NamedTuple) -> Flight:
-    """Fly under a control that `sim_twin.orbit.system` knows; `Coast()` is none."""
+    """Fly under a control of `sim_twin.orbit.system`; `Coast()` is free flight."""
     times = np.arange(0.0, SECONDS + 0.5 * SAMPLE, SAMPLE)
     return fly(control, np.concatenate(CENTRE.eci()), *start(), times, axes=NADIR)
 

@@ -54,7 +54,7 @@ class Case(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What came of it."""
+    """Result of a case."""
 
     case: Case
     verdict: str  # "well", "wrong", "dormant", or "other": ended by a fault that is not of valves

@@ -71,10 +71,10 @@ def law_of(
     made: Callable[..., Any], parameters: dict[str, Any], names: Sequence[str], d: int,
     path: Path | None = None,
 ) -> Law:  # fmt: skip
-    """The law that a class or function makes; `path` is of its file, for what is said of it.
+    """The law that a class or function returns; `path` of its file is for messages.
 
     Raises:
-        UnusableLawError: the parameters do not fit, or what is made is no law.
+        UnusableLawError: the parameters do not fit, or the result is not a law.
     """
     try:
         values = msgspec.convert(parameters, parameter_type(made))

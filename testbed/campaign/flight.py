@@ -73,7 +73,7 @@ class CampaignObserver:
 
 
 class CampaignEnd(Struct, frozen=True):
-    """A finished campaign."""
+    """Result of a campaign: its runs, where they are, what was lost."""
 
     runs: list[FlownRun]
     resumed: int  # number of runs flown by an earlier call
@@ -209,7 +209,7 @@ def failure_folder(folder: Path, k: int) -> Path:
 
 
 def kept_runs(campaign: Campaign, runs: dict[int, FlownRun]) -> list[int]:
-    """Runs that get a folder: the first ones that did not pass."""
+    """Runs that get a folder: the first failed ones."""
     failed = [k for k in sorted(runs) if runs[k].outcome not in ("passed", "lost")]
     return failed[: campaign.file.keep]
 

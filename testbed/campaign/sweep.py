@@ -87,7 +87,7 @@ class GridAxis(Struct, frozen=True, forbid_unknown_fields=True):
         return self.name or self.key
 
     def points(self) -> list[tuple[float | int | bool | str, Overrides]]:
-        """Each value as it is shown, with its overrides."""
+        """Each value as displayed, with its overrides."""
         if self.cases:
             return [(name, tuple(texts)) for name, texts in self.cases.items()]
         return [(_shown(value), (f"{self.key}={inline(value)}",)) for value in self.values]
@@ -371,7 +371,7 @@ def base_experiment(path: Path, name: str, overrides: list[str]) -> Experiment:
     try:
         return load(experiment_path(path, name), overrides)
     except ConfigError as error:
-        if error.where == name:  # there is no such experiment
+        if error.where == name:  # the experiment does not exist
             raise ConfigError(str(path), "experiment", error.expected, error.found) from None
         if error.where.startswith("command line"):
             where = f"{path}, set{error.where.removeprefix('command line')}"

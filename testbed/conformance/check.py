@@ -18,7 +18,7 @@ class NotConformingError(AssertionError):
 
 
 def must(holds: object, what: str, expected: str, found: object) -> None:
-    """Fail unless it holds."""
+    """Fail the check with `expected` and `found` unless it holds."""
     if not holds:
         raise NotConformingError(what, expected, str(found))
 

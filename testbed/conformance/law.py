@@ -2,7 +2,7 @@
 
 A law is asked in scenes that flights have: on the way, at rest in its goal, close to an obstacle,
 alone, with others of whom nothing was heard but where they are. What it remembers belongs into the
-law's state. So the same question has the same answer, whatever was asked between: replay needs it.
+law's state. Equal inputs give equal outputs, independent of calls in between: replay needs it.
 """
 
 from collections.abc import Callable, Iterator
@@ -56,7 +56,7 @@ class LawConformance:
                 yield law, scene
 
     def test_shapes(self) -> None:
-        """A force (d,), a rate as long as the state, as many words as it says."""
+        """A force (d,), a rate as long as the state, and `message_size` numbers to broadcast."""
         for law, scene in self._asked():
             d, here = len(scene.own.p), _at(scene)
             state = _initial(law, scene)
@@ -96,7 +96,7 @@ class LawConformance:
                 must(same, f"{name} {_at(scene)}", "inputs that are only read", "one was written")
 
     def test_same_question_same_answer(self) -> None:
-        """Asked again, with other questions between, it says the same to the last bit."""
+        """Equal inputs give equal outputs to the last bit, with other calls in between."""
         for d in self.dimensions:
             law = self._law(d)
             asked = list(scenes(d, law.message_size))

@@ -1,4 +1,4 @@
-"""What the testbed relies on in thrusters: plans are played as they are, and everything shuts.
+"""What the testbed requires of thrusters: plans are played unchanged, and all valves close in time.
 
 The checks play plans on a mock of the hardware, in time that they make pass themselves.
 """
@@ -128,7 +128,7 @@ class ThrustersConformance:
             one.after(60, what="the end of a plan that replaces another")
 
     def test_a_plan_ahead_waits_for_its_start(self) -> None:
-        """The one before it is played until then."""
+        """Until then the plan before it is played."""
         with self._flown() as one:
             one.plan({0: (0, 90)})
             one.plan({1: (0, 30)}, ahead=0.05)
@@ -137,7 +137,7 @@ class ThrustersConformance:
             one.after(30, what="the end of a plan that started at 50 ms")
 
     def test_a_late_plan_has_its_rest_played(self) -> None:
-        """Offsets count from its start, which is over; one that has ended opens nothing."""
+        """Offsets count from its start in the past; an expired plan opens no valve."""
         with self._flown() as one:
             one.plan({0: (0, 60), 1: (60, 30)}, ahead=-0.03)
             one.after(10, 0, what="a plan that started 30 ms ago")
@@ -147,7 +147,7 @@ class ThrustersConformance:
             one.after(5, what="a plan that ended 100 ms ago")
 
     def test_valves_shut_at_valid_until(self) -> None:
-        """Whatever the plan says, and without another word."""
+        """Whatever the plan says, and without another command."""
         with self._flown() as one:
             one.plan({0: (0, 400), 1: (50, 400)})
             one.after(90, 0, 1, what="a pulse longer than its plan")
@@ -155,7 +155,7 @@ class ThrustersConformance:
             one.after(400, what="silence")
 
     def test_short_pulses_are_not_played(self) -> None:
-        """One that is shorter than `min_on_s` does not open its valve."""
+        """A pulse shorter than `min_on_s` does not open its valve."""
         least = self.vehicle.valve.min_on_s
         with self._flown() as one:
             short = max(1, math.floor(1e3 * least) - 1)

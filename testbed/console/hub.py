@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-KEPT = 100  # versions, about 10 s; a reader that is older starts anew
+KEPT = 100  # versions, about 10 s; an older reader gets the whole picture
 TRAIL = 3000  # points kept of all trails together
 RASTER_S = 10.0
 EVENTS = 200  # lines kept
@@ -65,7 +65,7 @@ class Hub:
                 self._changed.notify_all()
 
     def newest(self, after: int, wait_s: float) -> bytes:
-        """The newest picture as JSON, as soon as it is newer than `after`, or after `wait_s`."""
+        """The newest picture as JSON, once it is newer than `after`, or after `wait_s`."""
         with self._changed:
             self._changed.wait_for(lambda: self._version > after, wait_s)
             oldest = self._parts[0].version if self._parts else 1

@@ -56,7 +56,7 @@ class Answers(NamedTuple):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """One connection."""
+    """Answers one browser's requests."""
 
     protocol_version = "HTTP/1.1"
     timeout = 20.0  # of a browser that neither asks nor reads [s]
@@ -177,7 +177,7 @@ class Server(ThreadingHTTPServer):
         return bool(self.token) and hmac.compare_digest(token.encode(), self.token.encode())
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that goes away is no error."""
+        """Ignore it: browsers may disconnect at any time."""
 
 
 def is_loopback(host: str) -> bool:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 LAWS, MOCAP, THRUSTERS = "testbed.laws", "testbed.mocap", "testbed.thrusters"  # groups
-PROVIDED = {  # parameters that the testbed fills in: they are no options
+PROVIDED = {  # parameters that the testbed fills in, not options
     LAWS: (
         "names",
         "d",
@@ -127,7 +127,7 @@ def option_type(plugin: Plugin, provided: Iterable[str]) -> type[Struct]:
 
 
 def call(plugin: Plugin, options: Struct, provided: Mapping[str, Any]) -> Any:
-    """What a plug-in makes of its options, and of what it asks for among `provided`."""
+    """Call a plug-in with its options and with the parameters that it has among `provided`."""
     if isinstance(plugin, type) and isinstance(options, plugin):
         return options
     asked = inspect.signature(plugin).parameters

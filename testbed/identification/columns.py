@@ -19,7 +19,7 @@ GROUPED = re.compile(r"[-+]?\d{1,3}([,' ]\d{3})+(\.\d+)?|[-+]?\d+,\d+")
 
 
 class LogRefusedError(TestbedError):
-    """The log cannot be used: it says what is suspected."""
+    """The log cannot be used; the message names the suspected reason."""
 
 
 class NumericColumns(dict[str, Array]):

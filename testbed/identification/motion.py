@@ -49,7 +49,7 @@ class RefusedError(LogRefusedError):
         super().__init__(
             where=where, expected="a log that the mapping and the vehicle describe",
             found="; ".join(f"{one.name}: {one.text}" for one in found),
-            hint="mend the mapping or the vehicle file; --force fits all the same",
+            hint="correct the mapping or the vehicle file; --force fits in spite of this",
         )  # fmt: skip
         self.suspicions = list(found)
 

@@ -19,7 +19,7 @@ def read_run_log(folder: Path, body: str | None) -> MotionLog:
         body: name of the vehicle; None: the only one.
 
     Raises:
-        LogRefusedError: there is no such vehicle, or too little of it.
+        LogRefusedError: the run has no such vehicle, or too few of its rows.
     """
     path = log_of(folder)
     history = gather(LogReader(path))

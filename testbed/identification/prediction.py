@@ -63,7 +63,7 @@ def pulses(t: Any, share: Any, period: float) -> Valves:
 
 
 def schedule_of(inputs: Inputs, plant: PlantParameters, delay: float) -> Schedule:
-    """The body wrench that a vehicle makes of its inputs."""
+    """Body wrench of a vehicle from its inputs."""
     if isinstance(inputs, Valves):
         return schedule_of_pulses(
             inputs.up, inputs.down, inputs.jet, delay, plant.timing[0], plant.effect[0],

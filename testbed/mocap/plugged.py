@@ -12,7 +12,7 @@ from testbed.mocap.exposure import Exposure, MocapSource
 
 
 class PluggedSource:
-    """A `MocapSource` round a plug-in: one that fails has no poses, and `complaint` says why.
+    """A plug-in as a `MocapSource`; after a failure it has no poses, and `complaint` says why.
 
     The vehicle goes on to fly its chain then: without poses it is brought to rest.
 

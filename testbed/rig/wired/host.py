@@ -87,7 +87,7 @@ class WireRig:
         latched: fault of the previous run, which must be reset first.
         say: called with messages for the operator; by default they are dropped.
         checked: called with every result of the arming checks.
-        relay: maps the host's endpoint to the one that the bench's vehicles call.
+        relay: maps the host's endpoint to the endpoint of the bench's vehicles.
     """
 
     def __init__(

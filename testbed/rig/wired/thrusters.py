@@ -158,7 +158,7 @@ class PluggedThrusters:
             self.sent.append((command.seq, round(1e6 * max(start, self._clock.now))))
 
     def health(self) -> Health:
-        """See `Thrusters`; of a plug-in that fails the last one, as old as it is."""
+        """See `Thrusters`; after a failure the last health, with its age."""
         with self._lock:
             now, before = self._clock.now, self._health
             self._health = self._ask(self._driver.health, before)

@@ -61,7 +61,7 @@ SENT_NS = 500_000_000  # time for the report to be sent
 
 
 class VehicleProcess:
-    """Goes through the phases once. The stack closes whatever they opened, valves included."""
+    """Goes through the phases once. The stack closes all that they open, valves included."""
 
     def __init__(
         self, name: str, endpoint: str, lab: str, port: str | None = None,
