@@ -84,7 +84,7 @@ class Schema(Struct, frozen=True):
 
 
 def read(text: str) -> Schema:
-    """Parse messages.toml."""
+    """Parse messages.toml and check its names and sizes."""
     tree = tomllib.loads(text)
     sizes = {"valves": tree["valves"], "edges": tree["edges"]}
     enums = [

@@ -66,7 +66,7 @@ class CampaignObserver:
         """The flights begin; `count_workers` may be called in any thread."""
 
     def flown(self, run: FlownRun) -> None:
-        """A run is finished."""
+        """Report a finished run."""
 
     def keeping(self, count: int) -> None:
         """`count` failures are flown again for their logs."""

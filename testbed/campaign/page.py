@@ -205,7 +205,7 @@ def bullets(lines: Sequence[str] | Iterator[str]) -> str:
 
 
 def markdown(table: Sequence[Score]) -> str:
-    """The table in Markdown."""
+    """The benchmark's table as a Markdown page."""
     rigs = any(row.rig != "twin" for row in table)
     headings = ["scenario", "law", "passed", *(h for h, *_ in COLUMNS), "robust"]
     headings += ["rig"] * rigs

@@ -49,7 +49,7 @@ MOST_MAPS = 18  # heat maps of one quantity; at most six pairs of parameters
 def html_report(
     campaign: Campaign, summary: Summary, runs: Sequence[FlownRun], table: Table, folder: Path
 ) -> str:
-    """The report as HTML."""
+    """The campaign's report as one HTML page."""
     error = main_error(summary, table)
     apart = groups(campaign, runs)
     sections = [

@@ -53,7 +53,7 @@ COLUMNS = ("run", "outcome", "reason", *SINGLE, *OF_A_VEHICLE)  # beside the fil
 
 
 class FlownRun(Struct, frozen=True):
-    """A finished run."""
+    """Outcome and numbers of one run of a campaign."""
 
     k: int
     outcome: Outcome

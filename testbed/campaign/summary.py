@@ -27,7 +27,7 @@ class Quantity(Struct, frozen=True):
 
     @property
     def titled(self) -> str:
-        """Title with unit."""
+        """Title of the quantity with its unit, for axes."""
         return f"{self.title} [{self.unit}]" if self.unit else self.title
 
 

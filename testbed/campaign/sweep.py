@@ -172,7 +172,7 @@ class Campaign:
 
     @property
     def count(self) -> int:
-        """Number of runs."""
+        """Number of runs: combinations times runs of each."""
         return len(self._grid) * self.file.samples
 
     @property

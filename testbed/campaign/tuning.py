@@ -197,7 +197,7 @@ class Optimiser(Protocol):
     """Proposes gains, and learns their costs."""
 
     def ask(self) -> list[float]:
-        """The next choice."""
+        """Values of the gains to try next."""
         ...
 
     def tell(self, cost: float) -> None:

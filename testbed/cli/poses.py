@@ -55,7 +55,7 @@ class Room:
         self.seen: dict[str, Seen] = {}
 
     def take(self, exposures: Sequence[Exposure]) -> None:
-        """Store new exposures."""
+        """Store new exposures for rates and latencies."""
         for exposure in exposures:
             for body, sighting in exposure.bodies.items():
                 one = self.seen.setdefault(body, Seen())

@@ -76,7 +76,7 @@ class Results(dict[str, dict[str, Any]]):
         self.made: list[TaskResult] = []
 
     def add(self, done: TaskResult) -> None:
-        """Add a finished run."""
+        """Add the result of a finished run."""
         self[done.paper][done.run] = done.values
         self.made.append(done)
 

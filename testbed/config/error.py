@@ -10,7 +10,7 @@ LONGEST = 72  # shown characters of a value
 
 
 class Violation(NamedTuple):
-    """An error at `key`."""
+    """An invalid value: its key, what was expected and found."""
 
     key: Key
     expected: str

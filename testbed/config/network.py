@@ -18,7 +18,7 @@ NAME = r"(?=.*[A-Za-z])[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"  # of a m
 
 
 def bad_network(experiment: Experiment) -> Iterator[Violation]:
-    """Errors in `[lab]`."""
+    """Find errors in `[lab]`: cameras, keys, endpoint, ports."""
     yield from _mocap(experiment)
     yield from _shared(experiment)
     network = experiment.table.lab.network

@@ -54,11 +54,11 @@ class LivePicture:
         self.said: list[EventLine] = []
 
     def clear(self) -> None:
-        """Forget what was new."""
+        """Drop the pulses, paths and messages added since the last call."""
         self.pulses, self.trail, self.said = [], [], []
 
     def take(self, news: Iterable[News]) -> None:
-        """Take messages in."""
+        """Update the picture with new messages of the log."""
         rows: list[tuple[str, Happening]] = []
         for _, who, t, message in news:
             self.t = max(self.t, t)

@@ -63,7 +63,7 @@ class Handler(BaseHTTPRequestHandler):
     server: "Server"
 
     def do_GET(self) -> None:
-        """See the module."""
+        """Answer a request; see the module."""
         url = urlsplit(self.path)
         words = parse_qs(url.query)
         if url.path == "/" and self.server.admits(words.get("token", [""])[0]):
@@ -81,7 +81,7 @@ class Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n")
 
     def do_POST(self) -> None:
-        """See the module."""
+        """Answer a request; see the module."""
         length = self.headers.get("Content-Length", "0")
         if not length.isdecimal() or int(length) > LARGEST:
             self.close_connection = True

@@ -12,7 +12,7 @@ from msgspec import Struct
 
 
 class Code(IntEnum):
-    """A number with words."""
+    """An enumeration member: a number and its words."""
 
     words: str
 
@@ -149,7 +149,7 @@ class Refusal(Struct, frozen=True, gc=False, omit_defaults=True):
 
     @property
     def words(self) -> str:
-        """Text for a person."""
+        """The report as one sentence."""
         return self.code.words.format(*self.values, *(math.nan,) * 3)  # a message may lack some
 
 

@@ -51,7 +51,7 @@ class SerialLines(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ThrusterWire(Struct, frozen=True, forbid_unknown_fields=True):
-    """What opens the valves."""
+    """Kind of board that opens the valves, and its options."""
 
     system: str = "serial"  # one of THRUSTER_SYSTEMS, or a plug-in; serial: the board's firmware
     options: dict[str, Any] = field(default_factory=dict)  # of the plug-in, on every vehicle

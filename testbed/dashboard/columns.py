@@ -22,7 +22,7 @@ class Lines(NamedTuple):
 
 
 class Label(NamedTuple):
-    """A text at a position."""
+    """A text label at a position on the table."""
 
     x: float  # [m]
     y: float  # [m]

@@ -30,7 +30,7 @@ class PlotScene:
         self._means: dict[str, tuple[float, float]] = {}
 
     def draw(self, news: Sequence[News]) -> None:
-        """Draw new messages."""
+        """Add new ticks to the plots."""
         ticks: dict[str, list[Tick]] = {}
         hosts: dict[str, list[HostTick]] = {}
         loops: list[Loop] = []

@@ -67,7 +67,7 @@ class TableScene:
             columns.add("colour", f"world/vehicle/{name}/body", 0.0, (*hue(k), 255))
 
     def draw(self, frame: Frame) -> None:
-        """Draw the next frame."""
+        """Draw vehicles, jets, goals and references at the newest time."""
         t = frame.t
         ticks, truths, said = self._take(frame)
         self._trouble.see(self._newest)

@@ -55,7 +55,7 @@ def _reachable(bind: str) -> str:
 
 
 def free_port(bind: str = LOOPBACK) -> int:
-    """A free TCP port."""
+    """A TCP port of this machine that is free now."""
     with socket.socket() as one:
         one.bind((bind, 0))
         return int(one.getsockname()[1])

@@ -6,7 +6,7 @@ from testbed.core.vehicle import NonNegative, Positive
 
 
 class EndingParams(Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits of a stop."""
+    """Longest braking time, and margins on the expected one."""
 
     brake_s: Positive = 6.0  # upper limit at any speed
     margin: Positive = 2.0  # factor on the time that its speed needs at its jets' deceleration

@@ -164,7 +164,7 @@ class Observer(Protocol):
     """Receives every tick: recorder, progress bar, dashboard. Must not slow the loop down."""
 
     def vehicle(self, name: str, tick: Tick) -> None:
-        """One vehicle's tick."""
+        """Receive one vehicle's inputs and outputs."""
         ...
 
     def host(self, name: str, tick: HostTick) -> None:
@@ -177,7 +177,7 @@ class Observer(Protocol):
 
 
 class Ending(Struct, frozen=True):
-    """How a flight ended."""
+    """Time and fault at the end of a flight."""
 
     t: float  # [s]
     fault: FaultReport | None  # None: flown to the end

@@ -29,7 +29,7 @@ class Piece(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Result of a fit."""
+    """Fitted parameters, their standard deviations and the residuals."""
 
     p: Array  # all parameters
     free: NDArray[np.int64]  # those that were fitted

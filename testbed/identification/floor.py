@@ -33,7 +33,7 @@ DELAY_SIGMA = 0.05  # [s]
 
 
 class Floor(NamedTuple):
-    """A learned map."""
+    """Slope of the table on a grid, learned from logs."""
 
     size: tuple[float, float]  # [m]
     slope: Array  # (rows, columns, 2) [m/s^2]

@@ -20,7 +20,7 @@ RADIANS = {"rad": 1.0, "deg": 0.017453292519943295}
 
 
 class Time(Struct, frozen=True, forbid_unknown_fields=True):
-    """The column of time."""
+    """Name and unit of the time column."""
 
     column: str
     unit: Literal["s", "ms", "us", "ns"] = "s"

@@ -176,7 +176,7 @@ def validate(
 
 
 def verdict(result: dict[str, Any]) -> str:
-    """The result in words."""
+    """The result of the validation in one sentence."""
     own = {h: one["vehicle"] for h, one in result["horizons"].items()}
     seen = {h: one for h, one in own.items() if one["count"]}
     if not seen:

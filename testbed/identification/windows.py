@@ -17,7 +17,7 @@ FEWEST = 5  # poses in a window
 
 
 class Windows(NamedTuple):
-    """Windows of one log."""
+    """Short pieces of one log that are predicted separately."""
 
     log: MotionLog
     begin: Array  # (w,) [s]

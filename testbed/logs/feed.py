@@ -62,7 +62,7 @@ Message = Tick | HostTick | Truth | Loop | SeenPace | SeenValves | SeenPhase
 
 
 class News(NamedTuple):
-    """One message."""
+    """One message of the log, decoded."""
 
     topic: str
     who: str  # the vehicle; empty: all vehicles

@@ -31,7 +31,7 @@ class Happening(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The whole line."""
+        """The event's line: its kind and words."""
         return f"{self.kind}: {self.words}" if self.words else self.kind
 
 

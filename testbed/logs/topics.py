@@ -18,7 +18,7 @@ GAP = 1.5  # a pause longer than this multiple of the usual one is a gap
 
 
 class TopicSummary(Struct, frozen=True):
-    """One topic of a log."""
+    """Name, kind, count and time span of one topic."""
 
     topic: str
     kind: str  # name of its schema
@@ -32,7 +32,7 @@ class TopicSummary(Struct, frozen=True):
 
 
 class Contents(Struct, frozen=True):
-    """Contents of a log."""
+    """All topics of a log, and damage."""
 
     finished: bool  # false: its writer was killed or still runs
     topics: list[TopicSummary]

@@ -17,7 +17,7 @@ LATE_S = 0.1  # without a frame, or without the body in the frames
 
 
 class PoseTrouble(StrEnum):
-    """Why no poses arrive."""
+    """Reason why a vehicle gets no poses."""
 
     SILENT = "silent"  # no frames arrive
     STALE = "stale"  # frames arrive, but the body is not tracked in them

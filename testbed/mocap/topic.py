@@ -18,12 +18,12 @@ Bodies = dict[str, tuple[float, float, float, float, float, float, float]]
 
 
 def encode_poses(number: int, exposed_ns: int, sent_ns: int, bodies: Bodies) -> bytes:
-    """Encode a message."""
+    """Encode an exposure as the message on the pose topic."""
     return msgspec.msgpack.encode((number, exposed_ns, sent_ns, bodies))
 
 
 class PoseTopic:
-    """A `MocapSource`."""
+    """Receives exposures from the pose topic."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._subscriber, self.clock, self.bad = Subscriber(session, key), ClockOffset(), 0

@@ -126,7 +126,7 @@ class StopListener:
         raise trouble
 
     def close(self) -> None:
-        """Stop listening."""
+        """Close the socket and end the thread."""
         self._closed = True
         with suppress(OSError):
             self._socket.sendto(b"", (LOCAL, self.port))  # wakes the thread

@@ -67,7 +67,7 @@ class MessageSender:
         self.outbox = Outbox(party.run)
 
     def say(self, message: object, valid_until: float | None = None) -> None:
-        """Send."""
+        """Send a message; without `valid_until` [s] it expires after `KEPT_S`."""
         now = self._clock.now
         until = now + KEPT_S if valid_until is None else valid_until
         self._publisher.say(self.outbox.seal(message, now, until))

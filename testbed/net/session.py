@@ -167,7 +167,7 @@ class Subscriber:
             self._waiting.append((at, sample.payload.to_bytes()))
 
     def close(self) -> None:
-        """Stop receiving."""
+        """Undeclare the subscription: no message arrives after this."""
         self._subscriber.undeclare()
 
     def heard(self) -> list[tuple[int, bytes]]:
@@ -200,7 +200,7 @@ class Publisher:
         )
 
     def say(self, data: bytes) -> None:
-        """Send without waiting."""
+        """Publish a message without waiting for the network."""
         self._publisher.put(data)
 
 

@@ -24,7 +24,7 @@ Memory = bytearray | mmap.mmap
 
 
 class RunPhase(IntEnum):
-    """How far a run is."""
+    """Phase of a run's process, for the process that supervises it."""
 
     STARTING = 0  # no file of the user has been read yet
     READING = 1  # reads the experiment and the law's file
@@ -93,7 +93,7 @@ class Heartbeat:
 
     @property
     def phase(self) -> RunPhase:
-        """Phase of the run."""
+        """Phase of the run, as written by its process."""
         return RunPhase(self._memory[_AT_PHASE])
 
     @phase.setter
@@ -122,7 +122,7 @@ class Heartbeat:
 
     @property
     def rig(self) -> str:
-        """Name of the rig."""
+        """Name of the rig, for the report of a dead run."""
         return self._text(_AT_RIG, _RIG_SIZE)
 
     @rig.setter

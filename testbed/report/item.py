@@ -47,7 +47,7 @@ class Disc(Struct, frozen=True):
 
 
 class Point(Struct, frozen=True):
-    """A place with a name."""
+    """A named point of a chart."""
 
     x: float
     y: float
@@ -99,7 +99,7 @@ class Box(Struct, frozen=True):
 
 
 class Words(Struct, frozen=True):
-    """Text at a place."""
+    """Text at a point of a chart."""
 
     x: float
     y: float

@@ -74,7 +74,7 @@ def write_report(
 def render(
     scenario: Experiment, history: History, metrics: Metrics, config: str, charts: Iterable[Chart]
 ) -> str:
-    """The page as HTML."""
+    """The run's report as one HTML page."""
     drawn = list(charts)
     first = FIRST if any(c.key == "error_xy" for c in drawn) else (*FIRST, "separation")
     sections = [

@@ -34,7 +34,7 @@ class RunVerdict(NamedTuple):
 
 
 def verdict(scenario: Experiment, metrics: Metrics) -> RunVerdict:
-    """The verdict on a run."""
+    """Sentence and colour for the outcome of a run."""
     end = f"{metrics.duration_s:.1f} s"
     if metrics.contacts == UNCOUNTED:
         return RunVerdict("unjudged", f"not judged, {end} in the log")
@@ -54,7 +54,7 @@ def verdict(scenario: Experiment, metrics: Metrics) -> RunVerdict:
 
 
 def touched(scenario: Experiment, touches: Sequence[Touch]) -> list[str]:
-    """Contacts as sentences."""
+    """One sentence per contact, in order of time."""
     return [
         f"{one.vehicle} hit {_other(scenario, one)} at {one.t:.1f} s, {_speed(one)}"
         for one in touches

@@ -20,7 +20,7 @@ CORES = 2  # upper limit: more do not help, because the longest run dominates
 
 
 class TaskResult(Struct, frozen=True):
-    """The result of a run."""
+    """Measures and figures of one run, and how long it took."""
 
     paper: str
     run: str
@@ -30,7 +30,7 @@ class TaskResult(Struct, frozen=True):
 
 
 class Task(Struct, frozen=True):
-    """A run to execute."""
+    """One run of a paper, for a worker."""
 
     paper: str
     name: str

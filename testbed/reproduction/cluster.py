@@ -120,7 +120,7 @@ def level_of(phase: Phase, p: Array) -> Array:
 
 
 def snapshot(phase: Phase, p: Array, v: Array) -> dict[str, float]:
-    """Measures at one time."""
+    """Error, size and five elements of the cluster at one time."""
     error, level = distance_to(phase, p), level_of(phase, p)
     five = characterise(p, v)
     return {

@@ -64,6 +64,6 @@ def fly_seed(run: TableRun, seed: int) -> tuple[dict[str, float | None], list[Fi
 
 
 def run_table(run: TableRun, *, quick: bool) -> tuple[Measures, list[Figure]]:
-    """Fly all seeds."""
+    """Fly all seeds on the twin and return their measures."""
     flown = [fly_seed(run, seed) for seed in range(run.quick_seeds if quick else run.seeds)]
     return {name: [found[name] for found, _ in flown] for name in flown[0][0]}, flown[0][1]

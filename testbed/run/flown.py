@@ -167,7 +167,7 @@ class Figures(Mapping[str, str]):
         self._drawings = dict(drawings)
 
     def __getitem__(self, key: str) -> str:
-        """The SVG of one figure."""
+        """One figure of the report as SVG."""
         return self._drawings[key]
 
     def __iter__(self) -> Iterator[str]:
