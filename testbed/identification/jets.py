@@ -26,7 +26,7 @@ INFLATED = 2.0  # errors within a window go together
 class JetFinding(NamedTuple):
     """What a valve's commands do."""
 
-    jet: int  # from 0
+    jet: int  # index, 0 is jet 1
     state: str  # ok, dead, weak, exchanged, not excited
     share: float  # of the nominal thrust, relative to the other jets
     sigma: float

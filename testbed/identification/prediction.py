@@ -114,8 +114,8 @@ def predict(vehicle: Vehicle, table: Table | None, inputs: Inputs, x0: Any, time
     plant = nominal_plant(vehicle)
     if isinstance(inputs, Valves) and len(inputs.jet) and max(inputs.jet) >= len(vehicle.jets):
         raise TestbedError(
-            where="predict", expected=f"jets 0 to {len(vehicle.jets) - 1}",
-            found=f"jet {max(inputs.jet)}",
+            where="predict", expected=f"jet indices 0 to {len(vehicle.jets) - 1}; 0 is jet 1",
+            found=f"{max(inputs.jet)}",
         )  # fmt: skip
     ground = LEVEL if table is None else lay(table)
     schedule = schedule_of(inputs, plant, vehicle.command_delay_s)

@@ -46,7 +46,7 @@ class SeenValves(Struct, frozen=True, gc=False):
     """Valve outputs that a board reports."""
 
     t: float  # from then on [s]
-    mask: int  # jet 0 is bit 0
+    mask: int  # bit 0 is jet 1
 
 
 class SeenPhase(Struct, frozen=True, gc=False):

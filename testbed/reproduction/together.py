@@ -109,8 +109,8 @@ def formation_of(controller: Controller, law: CompiledLaw) -> tuple[Formation, i
 
 def band_of(law: CompiledLaw) -> float:
     """Width of an obstacle's repulsion beyond its danger radius [m]."""
-    gains: Any = law.gains
-    return float(getattr(gains.potential, "band", 0.0)) if hasattr(gains, "potential") else 0.0
+    potential = getattr(law.gains, "potential", None)
+    return float(getattr(potential, "band", 0.0))
 
 
 def scene_of(run: Together, edges_at: int) -> Place:
