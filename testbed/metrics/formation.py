@@ -55,7 +55,7 @@ def has_formation(controller: object) -> bool:
     return formation_kind(controller) is not None
 
 
-def settled(t: Array, off: NDArray[Any]) -> float | None:
+def settled_after(t: Array, off: NDArray[Any]) -> float | None:
     """First time after which no sample is `off`; None if the last one is [s]."""
     late = np.flatnonzero(off)
     if len(late) == 0:
@@ -86,7 +86,7 @@ def edges(controller: Any, context: FormationContext, t: Array, p: Array) -> Sha
         longest = max(longest, float(gap.max()))
         lost += bool(gap.max() >= metres * shape.range)
     error = float(off[t >= t[-1] - END_S].max())
-    return ShapeError(error, settled(t, off > EDGE_M), longest, lost)
+    return ShapeError(error, settled_after(t, off > EDGE_M), longest, lost)
 
 
 def curves(controller: Any, t: Array, p: Array) -> ShapeError | None:
@@ -102,7 +102,7 @@ def curves(controller: Any, t: Array, p: Array) -> ShapeError | None:
         at = t[inside]
         off = distance_to(phase.shape, p[inside] - centre).max(axis=1)
         errors.append(float(off[at >= at[-1] - END_S].max()))
-        after = settled(at, off > CURVE_M)
+        after = settled_after(at, off > CURVE_M)
         times.append(None if after is None else after - phase.at)
     if not errors:
         return None

@@ -27,7 +27,7 @@ from controllers.law_file import LawStoppedError, UnusableLawError, file_of
 from controllers.own_law import OwnLawParams
 from controllers.plain_law import LawError
 from testbed.core.codes import FaultId, FaultReport
-from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World
+from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World, concerns_of
 from testbed.realtime.heartbeat import RunPhase, heartbeat
 
 READ_S = 30.0  # limit for reading a law's file: it may import large packages
@@ -267,8 +267,7 @@ class TimedLaw:
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """The law's concerns, and one more if it is too slow."""
-        say = getattr(self._law, "concerns", None)
-        found = [] if say is None else list(say(law_state))
+        found = concerns_of(self._law, law_state)
         if len(self.took) < FEW:
             return found
         usual = max(self.median(), self.median(FEW))

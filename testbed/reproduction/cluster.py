@@ -33,6 +33,7 @@ from sim_twin.orbit.kepler import Orbit
 from sim_twin.orbit.swarm import Flight, fly
 from testbed.core.vehicle import Positive
 from testbed.metrics.characterisation import characterise
+from testbed.metrics.formation import settled_after
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.kernel.cluster import (
     ATTRACT,
@@ -43,7 +44,6 @@ from testbed.reproduction.kernel.cluster import (
     cluster,
     in_metres,
 )
-from testbed.reproduction.settled import reached, settled_after
 from testbed.reproduction.targets import Measures
 
 Array = NDArray[np.float64]
@@ -150,8 +150,8 @@ def measure(run: Swarming, f: Flight) -> dict[str, float | None]:
     off = distance_to(last, f.p).mean(axis=1) > run.formed_m
     after = settled_after(t[since], off[since])
     found["formed_s"] = None if after is None else after - last.at
-    first = reached(t[since], off[since])
-    found["arrived_s"] = None if first is None else first - last.at
+    there = np.flatnonzero(~off[since])
+    found["arrived_s"] = float(t[since][there[0]]) - last.at if len(there) else None
     found["spent_ms"] = float(f.spent[-1].max())
     found["spent_mean_ms"] = float(f.spent[-1].mean())
     w = max(1, round(WINDOW / run.sample_s))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from controllers.potential import Potential, diagonal, potential
 from controllers.sotsmc import SotsmcParams
-from testbed.reproduction.settled import settled_after
+from testbed.metrics.formation import settled_after
 
 Array = NDArray[np.float64]
 

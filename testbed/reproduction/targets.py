@@ -8,11 +8,11 @@ from controllers.catalogue import Controller
 from controllers.sotsmc import SotsmcParams
 from sim_twin.orbit.relative import drift, frame_at
 from testbed.core.vehicle import Positive
+from testbed.metrics.formation import settled_after
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
 from testbed.reproduction.kernel.fleet import FleetFlight, fly, wave_at
 from testbed.reproduction.scene import STILL, Obstacles, OrbitParams, Vector, WaveParams, place
-from testbed.reproduction.settled import settled_after
 from testbed.reproduction.sliding import Trajectory, vanishing
 
 Array = NDArray[np.float64]

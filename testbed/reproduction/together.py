@@ -39,6 +39,7 @@ from controllers.proxy import Coupling
 from sim_twin.orbit.relative import field, frame_at
 from testbed.core.law import CompiledLaw
 from testbed.core.vehicle import NonNegative, Positive
+from testbed.metrics.formation import settled_after
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
 from testbed.reproduction.kernel.fleet import (
@@ -50,7 +51,6 @@ from testbed.reproduction.kernel.fleet import (
     wave_integral,
 )
 from testbed.reproduction.scene import NO_OBSTACLES, Leader, Obstacles, OrbitParams, Vector, place
-from testbed.reproduction.settled import settled_after
 from testbed.reproduction.targets import Measures
 
 Array = NDArray[np.float64]
