@@ -119,6 +119,12 @@ def level_of(phase: Phase, p: Array) -> Array:
     return q / (1e3 * a * b * r) if a * b * r > 0.0 else np.ones(p.shape[:-1])
 
 
+def reached(t: Array, off: NDArray[Any]) -> float | None:
+    """First time at which a sample is not `off`; None if all are."""
+    there = np.flatnonzero(~off)
+    return float(t[there[0]]) if len(there) else None
+
+
 def snapshot(phase: Phase, p: Array, v: Array) -> dict[str, float]:
     """Error, size and five elements of the cluster at one time."""
     error, level = distance_to(phase, p), level_of(phase, p)
@@ -150,8 +156,8 @@ def measure(run: Swarming, f: Flight) -> dict[str, float | None]:
     off = distance_to(last, f.p).mean(axis=1) > run.formed_m
     after = settled_after(t[since], off[since])
     found["formed_s"] = None if after is None else after - last.at
-    there = np.flatnonzero(~off[since])
-    found["arrived_s"] = float(t[since][there[0]]) - last.at if len(there) else None
+    first = reached(t[since], off[since])
+    found["arrived_s"] = None if first is None else first - last.at
     found["spent_ms"] = float(f.spent[-1].max())
     found["spent_mean_ms"] = float(f.spent[-1].mean())
     w = max(1, round(WINDOW / run.sample_s))

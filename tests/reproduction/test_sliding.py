@@ -5,7 +5,8 @@ import pytest
 
 from controllers.sotsmc import SotsmcParams, sotsmc
 from testbed.core.law import Body, Discs, Goal, Neighbours, World
-from testbed.reproduction.settled import reached, settled_after
+from testbed.metrics.formation import settled_after
+from testbed.reproduction.cluster import reached
 from testbed.reproduction.sliding import Trajectory, decades, slope, surfaces
 
 T = np.linspace(0.0, 60.0, 60_001)
