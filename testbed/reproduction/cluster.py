@@ -119,7 +119,7 @@ def level_of(phase: Phase, p: Array) -> Array:
     return q / (1e3 * a * b * r) if a * b * r > 0.0 else np.ones(p.shape[:-1])
 
 
-def reached(t: Array, off: NDArray[Any]) -> float | None:
+def reached(t: Array, off: NDArray[np.bool_]) -> float | None:
     """First time at which a sample is not `off`; None if all are."""
     there = np.flatnonzero(~off)
     return float(t[there[0]]) if len(there) else None
