@@ -1,6 +1,6 @@
 """Injected faults in the twin: their effect on cameras, radio, board and process.
 
-The parts of the twin query `Sabotage` for active faults. Camera faults begin with the first frame
+The parts of the twin query `FaultInjector` for active faults. Camera faults begin with the first frame
 exposed after their time, those of board and valves at exactly their time, those of a process with
 its next tick.
 """
@@ -36,7 +36,7 @@ class ActiveInjection:
         return self.since <= t < self.since + self.what.for_s
 
 
-class Sabotage:
+class FaultInjector:
     """All injected faults of a run and their state."""
 
     def __init__(
@@ -57,7 +57,9 @@ class Sabotage:
         ]
         self._active = [ActiveInjection(one) for one in injections]
         self._frozen: dict[str, PoseSample] = {}
-        self._rng = stream(seed, "sabotage")
+        self._rng = stream(
+            seed, "sabotage"
+        )  # a label of the random stream: another one changes flights
         self._now = 0.0
 
     def began(self) -> list[float]:

@@ -162,12 +162,12 @@ def maker(
     if rig == "twin":
         return make_twin
     from testbed.console.checklist import write_checks
-    from testbed.rig.wired.host import WireRig, anybody
+    from testbed.rig.wired.host import WireRig
 
     latch, latched = operator.latched(rig, experiment, str(folder))
     return lambda experiment: WireRig(
         experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched,
-        agree=operator.agree if rig == "table" else anybody,
+        agree=operator.agree if rig == "table" else lambda names: True,
         say=lambda text: errors.print(text, markup=False, soft_wrap=True),
         checked=partial(write_checks, folder),
     )  # fmt: skip

@@ -16,7 +16,7 @@ from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 
 
-class SabotageError(TestbedError):
+class InjectedFaultError(TestbedError):
     """The error that an injected fault raises in a law."""
 
 
@@ -47,7 +47,7 @@ class SpoiltLaw:
         """See `Law`."""
         what = self._spoilt()
         if what == "raise":
-            raise SabotageError("as injected")
+            raise InjectedFaultError("as injected")
         ahead = self._law.propagate(law_state, own, neighbours, world, t, duration, steps)
         if what == "nan":
             none = np.full(len(ahead.p), np.nan)

@@ -104,8 +104,8 @@ def permissions(
     def of(names: Iterable[str], *words: str) -> list[str]:
         return [keys.of(name, word) for name in names for word in words]
 
-    everybody, own = list(vehicles), [party.name]
-    seen = of(everybody, "state", "message", "tick", "event", "alive")
+    vehicles, own = list(vehicles), [party.name]
+    seen = of(vehicles, "state", "message", "tick", "event", "alive")
     seen += [keys.truth, keys.pose, keys.lease, keys.host_alive]
     match party.role:
         case "host":
@@ -116,7 +116,7 @@ def permissions(
                 (LIVE, of(own, "alive")),
                 (HEAR, of(own, "alive")),  # is another vehicle using its name?
                 (HEAR, [*of(own, "setpoint"), keys.lease, keys.stop, keys.pose]),
-                (HEAR, of(everybody, "state", "message")),
+                (HEAR, of(vehicles, "state", "message")),
                 (ASK, [*of(own, "roll"), keys.clock, keys.experiment]),
                 (ANSWER, [*of(own, "order"), keys.stop]),
             ]
@@ -126,7 +126,7 @@ def permissions(
             return [
                 (SAY, [keys.stop]),
                 (ASK, [keys.stop, keys.experiment]),
-                (HEAR, [*seen, *of(everybody, "setpoint"), keys.stop]),
+                (HEAR, [*seen, *of(vehicles, "setpoint"), keys.stop]),
             ]
         case _:  # a watcher
             return [(HEAR, seen), (ASK, [keys.experiment])]

@@ -56,10 +56,10 @@ class GoalError:
     def _edges(self) -> list[FormationEdge]:
         names = list(self._scenario.vehicles)
         shape = formation(self._law.formation, names, self.led)
-        everybody = [*names, LEADER]
+        members = [*names, LEADER]
         return [
             FormationEdge(
-                everybody[i], everybody[j], float(shape.desired[i, j]) / self._law.scale.length
+                members[i], members[j], float(shape.desired[i, j]) / self._law.scale.length
             )
             for i, j in np.argwhere(np.triu(shape.first) > 0.0)
         ]
@@ -72,11 +72,11 @@ class GoalError:
     def parts(self, t: Array, places: Mapping[str, Array]) -> dict[str, Array]:
         """Error by vehicle, or by edge [m]; `places` are of shape (len(t), 2)."""
         if self.edges:
-            everybody = {**places, LEADER: self.leader_at(t)} if self.led else places
+            members = {**places, LEADER: self.leader_at(t)} if self.led else places
             return {
-                f"{a}, {b}": np.abs(np.hypot(*(everybody[a] - everybody[b]).T) - length)
+                f"{a}, {b}": np.abs(np.hypot(*(members[a] - members[b]).T) - length)
                 for a, b, length in self.edges
-                if a in everybody and b in everybody
+                if a in members and b in members
             }
         if formation_kind(self._law) == "curves":
             return {name: self._to_curve(self._law, t, place) for name, place in places.items()}

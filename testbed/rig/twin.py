@@ -90,8 +90,8 @@ class TwinRig(Struct, frozen=True):
         times, states = [np.array(braked)], [seen[len(seen) - len(braked) :]]
         while plant.t < began + MINUTE and not (len(times) > 1 and plant.stands):
             until = min(plant.t + 1.0, began + MINUTE)
-            if twin.sabotage is not None:
-                twin.sabotage.before(until)
+            if twin.injector is not None:
+                twin.injector.before(until)
             marks = np.arange(plant.t, until, STEP)
             # within this second the last plan ends and the board's watchdog acts
             states.append(plant.advance(until, marks, boards=plant.t < twin.now + 1.0))
@@ -193,8 +193,8 @@ def make_twin(experiment: Experiment) -> TwinRig:
         injections=experiment.inject,
     )
     period = experiment.flight.jet_period_s
-    sabotage = twin.sabotage
-    spoilt = {n: None if sabotage is None else partial(sabotage.spoilt, n) for n in setups}
+    injector = twin.injector
+    spoilt = {n: None if injector is None else partial(injector.spoilt, n) for n in setups}
     vehicles: list[VehicleNode | CrashableNode] = []
     for name, setup in setups.items():
         node = VehicleNode(
@@ -205,11 +205,11 @@ def make_twin(experiment: Experiment) -> TwinRig:
             TwinVehicleLink(twin, name),
             partial(twin.vitals, name),
         )
-        if sabotage is None:
+        if injector is None:
             vehicles.append(node)
         else:
             jets = len(setup.model.jets)
-            vehicles.append(CrashableNode(node, jets, partial(sabotage.dead, name)))
+            vehicles.append(CrashableNode(node, jets, partial(injector.dead, name)))
     hosts = [
         HostNode(
             name,

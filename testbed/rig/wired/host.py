@@ -65,15 +65,6 @@ class NotArmedError(TestbedError):
         self.reasons = reasons
 
 
-def anybody(_: Sequence[str]) -> bool:
-    """Approve arming without asking: for the bench, which has no real vehicles."""
-    return True
-
-
-def uninterested(_: Sequence[Check]) -> None:
-    """Drop the arming checks: they are not shown."""
-
-
 class WireRig:
     """The experiment on real wires.
 
@@ -82,11 +73,11 @@ class WireRig:
         bench: start the twin and the vehicles here; else wait for those of the lab.
         keep: folder for the twin's report; None: a temporary folder.
         log: run folder; its disk must not be full.
-        agree: asks the operator whether these vehicles may be armed.
+        agree: asks the operator whether these vehicles may be armed; by default they may.
         latch: keeps a fault for the next run.
         latched: fault of the previous run, which must be reset first.
         say: called with messages for the operator; by default they are dropped.
-        checked: called with every result of the arming checks.
+        checked: called with every result of the arming checks; by default they are dropped.
         relay: maps the host's endpoint to the endpoint of the bench's vehicles.
     """
 
@@ -97,11 +88,11 @@ class WireRig:
         bench: bool,
         keep: Path | None = None,
         log: Path | None = None,
-        agree: Callable[[Sequence[str]], bool] = anybody,
+        agree: Callable[[Sequence[str]], bool] = lambda names: True,
         latch: FaultLatch | None = None,
         latched: FaultReport | None = None,
         say: Callable[[str], None] = lambda text: None,
-        checked: Callable[[Sequence[Check]], None] = uninterested,
+        checked: Callable[[Sequence[Check]], None] = lambda checks: None,
         relay: Callable[[str], str] = str,
     ) -> None:
         self.experiment = experiment
