@@ -1,8 +1,8 @@
 """Injected faults in the twin: their effect on cameras, radio, board and process.
 
-The parts of the twin query `FaultInjector` for active faults. Camera faults begin with the first frame
-exposed after their time, those of board and valves at exactly their time, those of a process with
-its next tick.
+The parts of the twin query `FaultInjector` for active faults. Camera faults begin with the first
+frame exposed after their time, those of board and valves at exactly their time, those of a process
+with its next tick.
 """
 
 import math
