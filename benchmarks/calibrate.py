@@ -1,4 +1,4 @@
-"""How well calibration and validation do: synthetic vehicles, and the logs of three labs.
+"""Accuracy of calibration and validation: synthetic vehicles, and the logs of three labs.
 
     python benchmarks/calibrate.py --quick
 

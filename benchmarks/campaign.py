@@ -1,4 +1,4 @@
-"""What a campaign costs beside the flights themselves: Dask's share, two workers, memory, growth.
+"""Overhead of a campaign beside its flights: Dask's share, two workers, memory, growth.
 
     python benchmarks/campaign.py [--runs 20] [--rounds 3] [--growth 0] [--jobs 2] [key=value ...]
 
@@ -47,7 +47,7 @@ def plain(base, tasks):
 
 
 def through_dask(client, base, tasks):
-    """The same through Dask: this process, which is the scheduler too, and all workers."""
+    """Time through Dask: of this process, which includes the scheduler, and of all workers."""
 
     def spent():
         return time.process_time() + sum(client.run(time.process_time).values())

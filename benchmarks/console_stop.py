@@ -1,4 +1,4 @@
-"""From the press of STOP in a browser to shut valves on the bench, by the boards' own stamps.
+"""Time from STOP in a browser to closed valves on the bench, by the boards' stamps.
 
     python benchmarks/console_stop.py [--count 5] [--case plain|hang|suspend] [--load 0]
 
@@ -75,7 +75,7 @@ def host(folder: Path, words: list[str], at: float, hangs: bool) -> None:
 
 
 def hang_after(t: float) -> None:
-    """From a time of the run on, a law's call never returns and holds Python's lock."""
+    """After a time of the run a call of the law never returns and holds Python's lock."""
     import ctypes
 
     from testbed.flight.guidance import Guidance

@@ -80,7 +80,7 @@ def ahead(priority: int) -> Iterator[None]:
 
 
 def make_run(folder: Path, seconds: float) -> Experiment:
-    """What is flown, and its folder."""
+    """Experiment and run folder of a case."""
     experiment = load(find("zhang2023_table"), [f"duration_s={seconds}"])
     folder.mkdir()
     write_config(folder, dump(experiment), "benchmark")
@@ -88,7 +88,7 @@ def make_run(folder: Path, seconds: float) -> Experiment:
 
 
 def lateness(folder: Path, case: str, seconds: float, speed: float, priority: int) -> np.ndarray:
-    """Of every tick since the case holds, and a second more [s]."""
+    """Lateness of every tick, from a second after the case begins [s]."""
     experiment, since, began = make_run(folder, speed * seconds), [], time.monotonic()
     with looked_at(folder, case, since), ahead(priority):
         fly_and_judge(experiment, folder, speed=speed)

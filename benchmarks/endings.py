@@ -30,7 +30,7 @@ ENDS = ("planned", "stop", "stop twice")
 
 
 class Flown(Struct, frozen=True):
-    """One flight."""
+    """How one flight ended, and the minute after."""
 
     end: str  # how it ended: one of ENDS, or a kind of injection
     after: After
@@ -73,7 +73,7 @@ def seconds(value: float | None) -> str:
 
 
 def row(name: str, flown: list[Flown]) -> str:
-    """One line of the table."""
+    """A row of the table."""
     rests = [one.after.at_rest_s for one in flown]
     known = [rest for rest in rests if rest is not None]
     median = float(np.median(known)) if known else None

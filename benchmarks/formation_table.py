@@ -59,7 +59,7 @@ def settling(t, off):
 
 
 def fly(name, seed, overrides=(), drift=0.0):
-    """One run; at the start all have the velocity `drift` along x."""
+    """Fly once; all vehicles start with the velocity `drift` along x."""
     experiment = load(find(name), [*overrides, f"seed={seed}"])
     names, controller = list(experiment.vehicles), experiment.controller
     led = type(controller).__struct_config__.tag in LED

@@ -1,4 +1,4 @@
-"""How near laws come to obstacles in shifted layouts: SOTSMC with and without standoff, MPC.
+"""Clearance of laws in shifted layouts: SOTSMC with and without standoff, MPC.
 
     python benchmarks/layouts.py [--runs 300] [--shift 0.3] [--laws sotsmc,standoff,mpc]
 

@@ -1,4 +1,4 @@
-"""How long a pseudo-terminal keeps a process of the highest priority waiting on a busy machine.
+"""Waiting times of a high-priority process at a pseudo-terminal on a busy machine.
 
     python benchmarks/pty_stall.py [--seconds 20] [--hogs 25]
 

@@ -61,7 +61,7 @@ def stop(env, connect):
 
 
 def one(condition, rng, folder):
-    """One flight: late closing [ms], exit code of the first stop, what is left open or running."""
+    """Fly once: late closing [ms], exit code of the first stop, valves or processes left."""
     host_env, env = surroundings(condition, folder)
     host, connect = Host([FLEET, *BUSY], folder / "report.json", host_env, PROGRAM), []
     try:

@@ -96,7 +96,7 @@ def gravity_file(folder: Path) -> Path:
 
 
 def basilisk(r: Array, v: Array) -> tuple[Array, float, float]:
-    """The same satellites in Basilisk: positions after 2000 s, wall time, time to set up [s]."""
+    """Fly the satellites in Basilisk: positions after 2000 s, wall time, time to set up [s]."""
     from Basilisk.simulation import spacecraft
     from Basilisk.utilities import SimulationBaseClass, macros, simIncludeGravBody
 

@@ -25,7 +25,7 @@ Pin = Annotated[int, Meta(ge=0, le=27)]
 
 
 class Chip(Protocol):
-    """What drives the pins."""
+    """The driver of the pins."""
 
     def write(self, pin: int, level: bool) -> None:
         """Make a pin high or low."""
@@ -174,5 +174,5 @@ class GpioBoard:
 
 
 def on_this_machine(vehicle: Vehicle, clock: Timer, valves: list[Pin], bearing: Pin) -> GpioBoard:
-    """What the entry point names."""
+    """The board on this machine's pins; the entry point names it."""
     return GpioBoard(vehicle, clock, valves, bearing, Lgpio([*valves, bearing]))

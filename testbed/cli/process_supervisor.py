@@ -60,7 +60,7 @@ def supervised() -> int | None:
 
 
 def _begin(libc: ctypes.CDLL, parent: int) -> None:
-    """In a new process: die with the parent, and unblock signals."""
+    """Begin a new process: it dies with its parent, and signals are unblocked."""
     libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(FAULT)
@@ -171,7 +171,7 @@ class ProcessSupervisor:
         return f"law of {vehicle} ({law}) {what}" if vehicle else f"law {law} {what}"
 
     def _words(self) -> str:
-        """How the child ended before it finished the run."""
+        """Describe how the child ended before it finished the run."""
         assert self._ended is not None
         code = os.waitstatus_to_exitcode(self._ended)
         how = f"with exit code {code}"

@@ -66,7 +66,7 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
 
 
 def loads(text: str, overrides: Sequence[str] = ()) -> Experiment:
-    """The same for the text of a resolved experiment, without a file."""
+    """Load the text of a resolved experiment, without a file."""
     where = "the resolved experiment"
     return _checked(Source(read_text(text.encode(), where), where, Path()), overrides)
 

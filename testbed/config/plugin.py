@@ -1,4 +1,4 @@
-"""What can be wrong with a lab's plug-ins: a name that nothing has, options that do not fit."""
+"""Checks a lab's plug-ins: unknown names and wrong options."""
 
 from collections.abc import Collection, Iterator
 
@@ -12,7 +12,7 @@ from testbed.core.lab import MOCAP_SYSTEMS, THRUSTER_SYSTEMS, MocapWire, Thruste
 
 
 def bad_plugins(experiment: Experiment) -> Iterator[Violation]:
-    """All that is wrong with what `[lab.mocap]` and `[lab.thrusters]` name."""
+    """Errors in the plug-ins of `[lab.mocap]` and `[lab.thrusters]`."""
     lab = experiment.table.lab
     yield from _plugin("mocap", lab.mocap, plugin.MOCAP, MOCAP_SYSTEMS)
     yield from _plugin("thrusters", lab.thrusters, plugin.THRUSTERS, THRUSTER_SYSTEMS)

@@ -1,4 +1,4 @@
-"""What the testbed relies on in a law: shapes, finite numbers, nothing written, nothing hidden.
+"""What the testbed requires of a law: shapes, finite numbers, no side effects, no hidden state.
 
 A law is asked in scenes that flights have: on the way, at rest in its goal, close to an obstacle,
 alone, with others of whom nothing was heard but where they are. What it remembers belongs into the
@@ -22,7 +22,7 @@ SCENES = 6  # drawn ones, beside the extremes
 
 
 class Situation(NamedTuple):
-    """What a law is asked about."""
+    """Arguments for a law."""
 
     own: Body
     neighbours: Neighbours
@@ -107,7 +107,7 @@ class LawConformance:
                 must(_same(one, other), f"a law asked twice {_at(scene)}", expected, "another")
 
     def test_two_laws_are_alike(self) -> None:
-        """One made later, for another vehicle or another run, says what the first one said."""
+        """A second instance, for another vehicle or run, gives the same outputs."""
         for d in self.dimensions:
             law = self._law(d)
             first = [_answer(law, scene) for scene in scenes(d, law.message_size)]

@@ -1,4 +1,4 @@
-"""What the testbed relies on in a motion-capture system: what is seen, when, in order, at once."""
+"""What the testbed requires of motion capture: right bodies and stamps, in order, no waiting."""
 
 import math
 import threading
@@ -125,7 +125,7 @@ class PoseSourceConformance:
         must(found, "frames counted from 1 after frame 100000", "some of 60", "none")
 
     def test_a_body_that_is_lost_is_said_to_be(self) -> None:
-        """It stays among the bodies, not tracked; when it is seen again, it is tracked."""
+        """A lost body stays in the exposure as not tracked, until it is seen again."""
         with self._bench() as bench:
             other = {"other": Sighting((0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=True)}
             for k, seen in ((1, True), (2, False), (3, True)):

@@ -118,7 +118,7 @@ class ThrustersConformance:
                 one.after(ms, *valves, what="valve 0 at 20 to 60 ms, valve 1 at 0 to 30 ms")
 
     def test_a_plan_replaces_the_one_before(self) -> None:
-        """Of the old one nothing is left."""
+        """No pulse of the old plan is played any more."""
         with self._flown() as one:
             one.plan({0: (0, 80)})
             one.after(30, 0)
@@ -166,7 +166,7 @@ class ThrustersConformance:
                 one.after(1, 1, what=f"a pulse of {short} ms on valve 0, shorter than min_on_s")
 
     def test_a_valve_rests_before_it_opens_again(self) -> None:
-        """At least `min_off_s`, also from one plan to the next."""
+        """A valve stays closed for `min_off_s`, also from one plan to the next."""
         rest = 1e3 * self.vehicle.valve.min_off_s
         with self._flown() as one:
             one.plan({0: (0, 30)})
@@ -177,7 +177,7 @@ class ThrustersConformance:
             one.after(rest + 5.0, 0, what="a valve that has rested for min_off_s")
 
     def test_disarm_shuts_the_valves_and_keeps_the_bearings(self) -> None:
-        """At once, and the plans are forgotten."""
+        """Valves close at once, and stored plans are dropped."""
         with self._flown() as one:
             at_once("bearing", lambda: one.board.bearing(on=True))
             one.plan({0: (0, 90), 1: (30, 60)})
@@ -202,7 +202,7 @@ class ThrustersConformance:
             one.after(60, what="land: a plan of before")
 
     def test_close_shuts_everything(self) -> None:
-        """In the middle of a pulse, and twice."""
+        """Closing works in the middle of a pulse, and twice."""
         with self._flown() as one:
             at_once("bearing", lambda: one.board.bearing(on=True))
             one.plan({0: (0, 90)})

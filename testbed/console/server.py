@@ -48,7 +48,7 @@ class ConsoleError(TestbedError):
 
 
 class Answers(NamedTuple):
-    """What the server asks of the rest."""
+    """Functions that the server calls: picture, scene, stop."""
 
     hub: Hub
     scene: Callable[[], bytes]

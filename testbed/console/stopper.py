@@ -27,7 +27,7 @@ PRIORITY = 90  # of a press, above hosts and vehicles
 
 
 class Ways(NamedTuple):
-    """How the flight can be stopped now."""
+    """Ways by which the flight can be stopped now."""
 
     words: str
     ready: bool
@@ -145,7 +145,7 @@ def _keys(flight: StoppableFlight) -> Path | None:
 
 
 def _quietly(stop: Callable[[], None]) -> None:
-    """One way may fail without the other."""
+    """Try one way; a failure does not stop the other."""
     with suppress(zenoh.ZError, OSError):
         stop()
 

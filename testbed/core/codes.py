@@ -69,7 +69,7 @@ class InhibitReason(Code):
 
 
 class Hazard(Code):
-    """What the safety filter avoids."""
+    """Kind of object that the safety filter keeps clear of."""
 
     OBSTACLE = 1, "an obstacle"
     VEHICLE = 2, "another vehicle"
@@ -154,7 +154,7 @@ class Refusal(Struct, frozen=True, gc=False, omit_defaults=True):
 
 
 class FaultCause(Struct, frozen=True, omit_defaults=True):
-    """What went wrong, and where."""
+    """Kind of a fault and its vehicle."""
 
     id: str  # row of the fault table, name of an `InhibitReason`, or a `FaultId`
     text: str  # for the operator

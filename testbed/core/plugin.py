@@ -1,4 +1,4 @@
-"""What an installed package adds to the testbed: an entry point, found by its name.
+"""Plug-ins: entry points of installed packages, found by name.
 
     [project.entry-points."testbed.laws"]
     springs = "my_package:Springs"

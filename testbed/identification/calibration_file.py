@@ -1,4 +1,4 @@
-"""What a calibration tells: as JSON, and as comments of the vehicle file."""
+"""Results of a calibration, as JSON and as comments of the vehicle file."""
 
 from collections.abc import Sequence
 from datetime import date
@@ -112,7 +112,7 @@ def _add(before: str | None, text: str) -> str:
 
 
 def _factor(model: VehicleModel, name: str) -> float:
-    """From the model's relative numbers to SI units."""
+    """Factor from the model's relative numbers to SI units."""
     return {"mass": model.vehicle.mass, "inertia": model.vehicle.inertia}.get(name, 1.0)
 
 

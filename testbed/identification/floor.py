@@ -53,7 +53,7 @@ def learn_floor(
 
 
 def flat_fit(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[VehicleModel, Array]:
-    """The same fit of common thrust and delay on a level table."""
+    """Fit of common thrust and delay on a level table, for comparison."""
     windows = [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
     delay = look_at(logs, vehicle).delay
     floor = _fit(windows, vehicle, (1.0, 1.0), (0, 0), 1.0, delay)

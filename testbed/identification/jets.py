@@ -24,7 +24,7 @@ INFLATED = 2.0  # errors within a window go together
 
 
 class JetFinding(NamedTuple):
-    """What a valve's commands do."""
+    """Which jet a valve's commands open, and how strong it is."""
 
     jet: int  # index, 0 is jet 1
     state: str  # ok, dead, weak, exchanged, not excited

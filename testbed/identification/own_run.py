@@ -12,7 +12,7 @@ from testbed.logs.log_reader import LogReader, log_of
 
 
 def read_run_log(folder: Path, body: str | None) -> MotionLog:
-    """One vehicle of a run.
+    """Read one vehicle's motion log from a run folder.
 
     Args:
         folder: of the run.

@@ -177,7 +177,7 @@ WORDS = {
 
 
 def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicion]:
-    """What is wrong with the logs as a whole."""
+    """Suspicions about the logs as a whole: units, axes, delay."""
     if not any(log.whole.any() for log in logs):
         look_at(logs, vehicle)  # refuses them
     implausible = [one for log in logs for one in _plausible(log)]

@@ -265,7 +265,7 @@ class LogReader:
         return found.records
 
     def _ended(self, file: BinaryIO) -> None:
-        """At the end: record what is missing since the last message, from the file's own count."""
+        """Record what is missing since the last message, from the file's own count."""
         if self._hurt is None:
             return
         summary = self._repeated(file)

@@ -1,4 +1,4 @@
-"""What a chart is made of: lines, limits, marks, boxes, words, and the axes around them."""
+"""Parts of a chart: lines, limits, marks, boxes, words, axes."""
 
 from collections.abc import Sequence
 

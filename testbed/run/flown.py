@@ -72,7 +72,7 @@ class Run(Mapping[str, Vehicle]):
 
     @property
     def fault(self) -> str | None:
-        """What ended the flight early; None if nothing did."""
+        """Fault that ended the flight early; None without one."""
         return self.metrics.fault
 
     def __getitem__(self, name: str) -> Vehicle:

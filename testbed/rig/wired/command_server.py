@@ -54,7 +54,7 @@ class CommandServer:
         ]
 
     def take_off(self, close: Callable[[], None]) -> None:
-        """From now on a repeated or ignored stop calls `close` in another thread."""
+        """Let a repeated or ignored stop call `close` in another thread from now on."""
         self._close = close
 
     def obey(self) -> None:

@@ -1,4 +1,4 @@
-"""What opens a vehicle's valves: the serial board, or a plug-in of the group `testbed.thrusters`.
+"""The driver of a vehicle's valves: the serial board, or a plug-in (group `testbed.thrusters`).
 
 A plug-in is a class or function. It is called with the `options` of [lab.thrusters], and with
 `vehicle`, `name` and `clock` where it has such parameters. What it returns is a `ThrusterBoard`.
@@ -26,7 +26,7 @@ FAILED = object()  # instead of an answer
 
 
 class WiredThrusters(Thrusters, Protocol):
-    """What a vehicle's process asks of its thrusters, whichever; see `SerialThrusters`."""
+    """Interface of all thrusters to a vehicle's process; see `SerialThrusters`."""
 
     epoch_us: int
     sent: deque[tuple[int, int]]
@@ -111,7 +111,7 @@ class PluggedThrusters:
         self._ask(self._driver.close, None)
 
     def _ask(self, verb: Callable[..., Any], otherwise: Any, *words: Any, **more: Any) -> Any:
-        """What the plug-in answers; what it raises is trouble."""
+        """Call the plug-in; an exception becomes `trouble`."""
         with self._lock:
             try:
                 return verb(*words, **more)
@@ -129,7 +129,7 @@ class PluggedThrusters:
             raise ThrustersError(self.trouble.text)
 
     def arm(self) -> None:
-        """From now on plans are handed over."""
+        """Pass plans to the plug-in from now on."""
         if self.trouble is not None:
             raise ThrustersError(self.trouble.text)
         self._armed = True
@@ -168,7 +168,7 @@ class PluggedThrusters:
             return replace(self._health, t=now - 1e-6 * self.epoch_us, silent_s=silent)
 
     def edges(self) -> list[tuple[float, int]]:
-        """What the valves did since the last call: the run's time, mask."""
+        """Valve edges since the last call: time of the run [s], mask."""
         with self._lock:
             self._look()
             found, self._edges = self._edges, []

@@ -126,7 +126,7 @@ def newest_truth(messages: list[tuple[int, bytes]]) -> tuple[dict[str, list[floa
 
 
 class HostFlight:
-    """One flight.
+    """The flight as the host sees it: leases, reports, stops.
 
     Args:
         experiment: the experiment to fly.
