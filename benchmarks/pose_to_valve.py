@@ -1,4 +1,4 @@
-"""Latency from a pose frame to the valve command on the serial line, beside bare UDP and a bare pty.
+"""Latency from a pose frame to the valve command on the serial line, beside bare UDP and pty.
 
     python benchmarks/pose_to_valve.py [--seconds 20] [--vehicles 3] [--rate 100]
 
