@@ -17,7 +17,7 @@ from testbed.cli.result import print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
-from testbed.net.stop import noted
+from testbed.net.flight_note import noted
 from testbed.realtime.heartbeat import RunPhase, heartbeat, process_to_end
 from testbed.report.page import ReportError
 from testbed.rig.boards import check_boards

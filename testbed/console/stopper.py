@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 import zenoh
 
 from testbed.net.direct_stop import stop_directly
+from testbed.net.flight_note import StoppableFlight, known_flights, runs
 from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, answers, dial
-from testbed.net.stop import ANSWER_S, StoppableFlight, end_twin, known_flights, runs
+from testbed.net.stop import ANSWER_S, end_twin
 
 LOOK_S = 0.5  # between two looks at the connections
 OPEN_S = 1.0  # time for a host's handshake

@@ -22,11 +22,13 @@ from ports import free_port
 from testbed.cli.keys import lab_keys
 from testbed.config import ConfigError, find, load
 from testbed.core.lab import Network
+from testbed.net import flight_note
 from testbed.net import stop as stopping
 from testbed.net.access import ACCESS, control, open_lab, read_access
 from testbed.net.certificate_authority import Wanted, make_keys
 from testbed.net.commands import Accepted, Answer, Refused, Start, Stop
 from testbed.net.credentials import CredentialsError, is_local, read_credentials
+from testbed.net.flight_note import noted
 from testbed.net.keys import Keys
 from testbed.net.session import (
     NetworkError,
@@ -38,7 +40,7 @@ from testbed.net.session import (
     dial,
     listen,
 )
-from testbed.net.stop import FAILED, OK, noted, stop_everything
+from testbed.net.stop import FAILED, OK, stop_everything
 from testbed.rig.wired.command_server import CommandServer
 
 BLIND = SimpleNamespace(ready=lambda: Refused("sees nothing"))  # a lookout
@@ -587,7 +589,7 @@ def test_a_note_that_says_nothing_does_not_stop_the_stop(nowhere, note):
 
     with noted("tcp/127.0.0.1:1", "lab"):
         pass
-    place = stopping._folders()[0][0] / f"{os.getpid()}.json"
+    place = flight_note._folders()[0][0] / f"{os.getpid()}.json"
     place.write_text(note)
     assert stop_everything(None, "lab") == FAILED
 

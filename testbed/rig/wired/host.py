@@ -26,11 +26,11 @@ from testbed.metrics.run_metrics import Touch
 from testbed.net.access import open_lab
 from testbed.net.commands import Accepted, Refused, Start, Stop
 from testbed.net.credentials import neighbour
+from testbed.net.flight_note import noted
 from testbed.net.keys import Keys
 from testbed.net.links import Party
 from testbed.net.roll_call import Roll
 from testbed.net.session import LARGEST, NetworkError, Subscriber, answer_to
-from testbed.net.stop import noted
 from testbed.realtime.heartbeat import in_file
 from testbed.realtime.processes import ChildError, ProcessGroup
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
