@@ -46,5 +46,5 @@ def _line(*cells: str) -> str:
 
 def _found(row: ClaimRow) -> str:
     if row.outcome == UNTESTABLE:
-        return row.verdict.partition(": ")[2]
+        return row.verdict.removeprefix("not reproducible: ")
     return "never" if row.measured is None else f"{row.measured:.4g} {row.unit}".strip()
