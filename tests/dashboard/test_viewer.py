@@ -143,7 +143,7 @@ def test_who_dies_is_started_again(headless):
     assert headless.feeder.wait(PATIENCE_S) == 0  # all is told
 
 
-def test_whoever_tells_a_viewer_that_is_gone_says_so_and_no_more(monkeypatch, capsys):
+def test_a_feeder_without_its_viewer_says_so_and_no_more(monkeypatch, capsys):
     def tell(words):
         raise RuntimeError(words)
 
@@ -211,7 +211,7 @@ def test_a_viewer_listens_to_this_machine_only():
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs /proc")
-def test_nobody_else_can_connect(run):
+def test_no_other_user_can_connect(run):
     board = Dashboard(run, "web", address_for())
     try:
         board.open(Event().wait)

@@ -163,7 +163,7 @@ def described(*bodies):
     return encode_models([Described(k, name) for k, name in bodies], VERSION)
 
 
-def test_a_body_that_nobody_describes_does_not_hide_the_others(port, client):
+def test_a_body_without_description_does_not_hide_the_others(port, client):
     now = monotonic_ns()
     port.waiting = [(greeting()[0], now), (described((1, "sat1")), now)]
     client.poll()

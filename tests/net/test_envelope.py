@@ -93,7 +93,7 @@ def test_flipped_bits_never_make_a_message_newer_than_it_is():
         assert sum(box.counts.values()) == 1
 
 
-def test_weather_loses_and_delays_as_it_was_told():
+def test_impairment_loses_and_delays_as_configured():
     impairment = NetworkImpairment(Impairment(loss=0.05, delay_s=0.020, spread_s=0.010), 1, "a")
     arrivals = [impairment.arrival(0) for _ in range(20_000)]
     kept = [1e-9 * t for t in arrivals if t is not None]
@@ -103,7 +103,7 @@ def test_weather_loses_and_delays_as_it_was_told():
     assert np.mean(kept) == pytest.approx(0.020, abs=2e-4)
 
 
-def test_fair_weather_does_nothing():
+def test_no_impairment_does_nothing():
     impairment = NetworkImpairment(Impairment(), 1, "a")
     assert [impairment.arrival(t) for t in range(100)] == list(range(100))
 

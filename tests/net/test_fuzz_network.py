@@ -348,7 +348,7 @@ def test_key_folders(tmp_path):
 # Zenoh itself
 
 
-def test_rubbish_at_the_hosts_door_keeps_nobody_out():
+def test_rubbish_at_the_hosts_port_keeps_no_vehicle_out():
     rng = np.random.default_rng((ROUND, 5))
     port = free_port()
     with listen(f"tcp/127.0.0.1:{port}") as host:

@@ -1,4 +1,4 @@
-"""With the lab's keys everybody may do what the list says, and nobody else anything at all.
+"""With the lab's keys each party may do what the list says, and strangers nothing.
 
 All of it with real certificates that `testbed lab-keys` made, over real TLS on loopback.
 """
@@ -214,7 +214,7 @@ def test_others_can_neither_arm_nor_stop(rig, who):
     assert told.nothing()
 
 
-def test_nobody_speaks_for_a_vehicle_but_itself(rig):
+def test_no_other_party_speaks_for_a_vehicle(rig):
     state = KEYS.of("sat1", "state")
     subscriber = Subscriber(rig.host, state)
     for who in ("vehicle-sat2", "watcher-screen", "operator-anna", "table"):
@@ -311,7 +311,7 @@ def client(endpoint, tls):
     )  # fmt: skip
 
 
-def test_without_a_certificate_nobody_gets_in(rig, folder, endpoint):
+def test_without_a_certificate_no_party_gets_in(rig, folder, endpoint):
     root = str(folder / "host" / "authority.pem")
     for tls in ({"root_ca_certificate": root}, {}):
         with pytest.raises(zenoh.ZError):
@@ -346,7 +346,7 @@ def test_an_expired_certificate_is_none(rig, tmp_path, folder, endpoint):
 
 
 @pytest.mark.parametrize("who", ["watcher-screen", "vehicle-sat2", "operator-anna"])
-def test_nobody_passes_for_the_host(folder, who):
+def test_no_party_passes_for_the_host(folder, who):
     where = f"tls/127.0.0.1:{free_port()}"
     with listen(where, folder / who), pytest.raises(NetworkError, match="no host answers"):
         dial(where, 0.3, folder / "vehicle-sat1")
@@ -376,7 +376,7 @@ def test_what_is_on_this_machine(endpoint, local):
     assert is_local(endpoint) is local
 
 
-def test_without_keys_nobody_listens_or_dials_beyond_this_machine():
+def test_without_keys_no_socket_reaches_beyond_this_machine():
     for act in (listen, dial):
         with pytest.raises(NetworkError, match="without keys only this machine"):
             act("tcp/0.0.0.0:7450")
@@ -445,7 +445,7 @@ def test_keys_are_not_overwritten_unless_that_is_said(tmp_path):
     assert [p.name for p in read_access(tmp_path / "host").party] == ["host", "table", "sat1"]
 
 
-def test_renewing_gives_everybody_new_keys_of_the_same_authority(tmp_path):
+def test_renewing_gives_all_parties_new_keys_of_the_same_authority(tmp_path):
     lab(tmp_path, "--host", "127.0.0.1", "--vehicle", "sat1", "--watcher", "screen")
     before = {p.name: p.fingerprint for p in read_access(tmp_path / "host").party}
     lab(tmp_path, "--renew", "--host", "::1", "--port", "7451")
@@ -489,7 +489,7 @@ def test_an_authority_that_cannot_be_read_is_said(tmp_path):
         ' "expires": "soon"}',
     ],
 )  # fmt: skip
-def test_a_badge_that_says_nothing_is_refused(tmp_path, text):
+def test_credentials_with_a_missing_field_are_refused(tmp_path, text):
     lab(tmp_path, "--host", "127.0.0.1")
     (tmp_path / "host" / "credentials.json").write_text(text)
     with pytest.raises(CredentialsError, match="lab-keys"):
@@ -603,7 +603,7 @@ def test_the_list_is_toml_that_a_person_can_edit(folder):
     assert Path(folder / "host" / ACCESS).exists()
 
 
-def test_a_vehicle_sees_whether_somebody_else_has_its_name_and_nothing_more(rig, folder, endpoint):
+def test_a_vehicle_sees_whether_another_has_its_name_and_nothing_more(rig, folder, endpoint):
     own, other = KEYS.of("sat1", "alive"), KEYS.of("sat2", "alive")
     tokens = [
         rig[who].liveliness().declare_token(key)

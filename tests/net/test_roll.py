@@ -1,4 +1,4 @@
-"""A vehicle starts at the order of the host it has enrolled with, and of nobody else."""
+"""A vehicle starts at the order of the host it has enrolled with, and of no other."""
 
 from types import SimpleNamespace
 

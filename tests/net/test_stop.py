@@ -97,7 +97,7 @@ def test_a_folder_that_others_can_write_is_refused(here, capsys):
     assert refused(here, capsys).count("can be written by others (mode 777, expected 700)") == 2
 
 
-def test_a_folder_of_somebody_else_is_refused(here, capsys, monkeypatch):
+def test_a_folder_of_another_user_is_refused(here, capsys, monkeypatch):
     here.mkdir(mode=0o700)
     folder = flight_note._folders()[0][0]
     monkeypatch.setattr(flight_note, "_folders", lambda: [(folder, os.getuid() + 1)])

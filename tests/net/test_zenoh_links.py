@@ -118,7 +118,7 @@ def test_a_lost_token_is_noticed(sessions):
     wait_for(lambda: not list(host.liveliness().get(key, timeout=1.0)))
 
 
-def test_nobody_there(tmp_path):
+def test_no_party_there(tmp_path):
     with pytest.raises(NetworkError, match="no host answers at"):
         dial(endpoint(), 0.0)
 
