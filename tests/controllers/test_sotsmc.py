@@ -296,7 +296,7 @@ def table():
     return load(find("zhang2023_table"))
 
 
-def fly_over_the_table(experiment, start, goal, obstacles, no_neighbours, *, standoff, duration):
+def fly_over_the_table(experiment, start, goal, centres, no_neighbours, *, standoff, duration):
     """Double integrator at 1 ms: clearance [m], settle time [s], accelerations (n, 2)."""
     params = experiment.controller
     potential = msgspec.structs.replace(params.potential, standoff=standoff)
@@ -305,11 +305,11 @@ def fly_over_the_table(experiment, start, goal, obstacles, no_neighbours, *, sta
     still = np.zeros(2)
     limit = experiment.guidance.force_share * weakest_force(vehicle)
     own = Body(np.array(start), still, vehicle.mass, still, still, limit)
-    obstacles = Discs(obstacles, 0.0 * obstacles, np.full(len(obstacles), 0.8))
+    obstacles = Discs(centres, 0.0 * centres, np.full(len(centres), 0.8))
     world = World(Goal(np.array(goal), still, still, still), obstacles)
     path, _, forces = fly(law, own, world, duration, PERIOD, 100, no_neighbours)
     error = np.linalg.norm(path - goal, axis=1)
-    clearance = min(np.linalg.norm(path - rock, axis=1).min() for rock in obstacles)
+    clearance = min(np.linalg.norm(path - centre, axis=1).min() for centre in centres)
     return clearance, settled(error, 0.05, PERIOD), forces / vehicle.mass
 
 
