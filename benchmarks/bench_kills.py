@@ -5,7 +5,7 @@
     agent-kill  agent-stop  serial-cut     valves closed within 200 ms, SAFE latched
     host-kill   host-stop   zenoh-cut      coast: closed within 200 ms of the last command's expiry
     host-kill-vehicle  host-stop-vehicle   coast, with the law on board: the last command is the
-                                           host's permit, good for a second
+                                           host's lease, good for a second
     host-kill-brake                        brake: at rest relative to the table, then closed
 
 Instants are read from the stamps of the boards, on the clock of this machine (see
@@ -45,7 +45,7 @@ PATIENCE_S = 300.0
 HOST = """
 import json, signal, socket, sys, threading
 from pathlib import Path
-from testbed.rig.wired.wired_flight import PERMIT_S
+from testbed.rig.wired.wired_flight import LEASE_S
 from testbed.rig.wired.host import WireRig
 from testbed.config import find, load
 from testbed.rig.observers import NullObserver
@@ -60,9 +60,9 @@ class Told(NullObserver):
                   flush=True)
 
     def done(self, t):
-        until = rig.results.epoch_ns + (t + PERMIT_S) * 1e9  # the permit was said just before
+        until = rig.results.epoch_ns + (t + LEASE_S) * 1e9  # the lease was said just before
         for name in rig.experiment.vehicles:
-            print(json.dumps(["permit", name, until]), flush=True)
+            print(json.dumps(["lease", name, until]), flush=True)
 
 def started(rig):
     print(json.dumps(["endpoint", rig.experiment.table.lab.network.endpoint]), flush=True)
@@ -230,7 +230,7 @@ def one_host(case, rng, folder):
             os.kill(host.process.pid, number)
         hit = monotonic_ns() // 1000
         sleep_until_ns(monotonic_ns() + 50_000_000)
-        said = host.find("permit" if on_board else "setpoint")
+        said = host.find("lease" if on_board else "setpoint")
         expiry = {n: 1e-3 * until for n, until in said}
         longer = case.endswith("brake") or on_board
         sleep_until_ns(monotonic_ns() + (4_000_000_000 if longer else 1_500_000_000))

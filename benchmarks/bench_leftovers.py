@@ -45,7 +45,7 @@ def sockets(processes):
 
 
 def run(way, rng, folder):
-    """One run; what is left of it."""
+    """Fly once; return the processes and files that are left."""
     env = os.environ | {"TMPDIR": str(folder), "XDG_RUNTIME_DIR": str(folder)}
     env["XDG_STATE_HOME"] = str(folder / "state")  # a killed run leaves its latch there
     process = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""How well calibration and validation do: synthetic vehicles, and the logs of three labs.
+"""Accuracy of calibration and validation: synthetic vehicles, and the logs of three labs.
 
     python benchmarks/calibrate.py --quick
 
@@ -21,14 +21,14 @@ from testbed.identification.columns import read_columns, read_sources
 from testbed.identification.floor import flat_fit, learn_floor
 from testbed.identification.jets import examine
 from testbed.identification.mapping import load_mapping
-from testbed.identification.model import Model
+from testbed.identification.model import VehicleModel
 from testbed.identification.motion import (
     RefusedError,
     calibrate_motion,
+    identifiable,
     interval,
     start_of,
     thrusts,
-    told_by,
 )
 from testbed.identification.motion_log import read_motion_log
 from testbed.identification.suspicion import suspicions
@@ -72,7 +72,7 @@ def synthetic(count, seconds):
         jets, bad = list(truth.jets), int(rng.integers(8))
         jets[bad] = structs.replace(jets[bad], thrust=1e-6)
         one = flown_log(structs.replace(truth, jets=jets), ground, inputs, seconds, rng)
-        model = Model(floater, valves=True)
+        model = VehicleModel(floater, valves=True)
         states = {
             f.jet: f.state
             for f in examine(model, start_of(model, [one], floater), [tiled(one, 2.5)])
@@ -82,7 +82,7 @@ def synthetic(count, seconds):
         part = excitation(truth, 40.0, 0.1, rng, used, slope=ground.tilt.uniform)
         quiet = calibrate_motion([flown_log(truth, ground, part, 40.0, rng)], floater)
         row = thrusts(quiet)[bad]
-        silent += (not row["identifiable"]) and told_by(quiet, 0)
+        silent += (not row["identifiable"]) and identifiable(quiet, 0)
         print(f"  vehicle {k}: {errors}", flush=True)
     units = {"thrust": 1.0, "inertia": 1.0, "com_x": 1e3, "com_y": 1e3, "delay": 1e3,
              "slope_x": 1e3, "slope_y": 1e3, "droop": 1.0}  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a campaign costs beside the flights themselves: Dask's share, two workers, memory, growth.
+"""Overhead of a campaign beside its flights: Dask's share, two workers, memory, growth.
 
     python benchmarks/campaign.py [--runs 20] [--rounds 3] [--growth 0] [--jobs 2] [key=value ...]
 
@@ -17,7 +17,7 @@ from functools import partial
 import tomli_w
 
 from testbed.campaign.compilation import compile_first
-from testbed.campaign.engine import Fleet, workers
+from testbed.campaign.engine import WorkerPool, workers
 from testbed.campaign.row import FlownRun
 from testbed.campaign.trial import fly_batch, read, warm
 from testbed.config import dump, find, load
@@ -28,7 +28,7 @@ def lost(task):
 
 
 def fleet(client, base):
-    return Fleet(client, partial(fly_batch, base), lost, lambda run: run.wall_s, 3600.0)
+    return WorkerPool(client, partial(fly_batch, base), lost, lambda run: run.wall_s, 3600.0)
 
 
 def prepare(base):
@@ -47,7 +47,7 @@ def plain(base, tasks):
 
 
 def through_dask(client, base, tasks):
-    """The same through Dask: this process, which is the scheduler too, and all workers."""
+    """Time through Dask: of this process, which includes the scheduler, and of all workers."""
 
     def spent():
         return time.process_time() + sum(client.run(time.process_time).values())

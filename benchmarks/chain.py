@@ -1,4 +1,4 @@
-"""How long a vehicle's tick takes on board, in flight, beside an earlier version.
+"""Duration of a vehicle's tick on board, in flight, beside an earlier version.
 
     python benchmarks/chain.py [--before CHECKOUT] [--rounds 3]
 
@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def timed(function, times: list[float]):
-    """The same function, its durations noted [s]."""
+    """Wrap a function so that its durations are recorded [s]."""
 
     def call(*args):
         began = time.perf_counter()
@@ -59,7 +59,7 @@ def measure(seconds: float) -> dict[str, float]:
 
 
 def in_checkout(folder: Path, seconds: float) -> dict[str, float]:
-    """The same with the version in a folder, in a process of its own."""
+    """Measure the version in a folder, in a separate process."""
     words = [sys.executable, __file__, "--here", "--seconds", str(seconds)]
     env = os.environ | {"PYTHONPATH": str(folder)}
     out = subprocess.run(words, env=env, cwd=folder, capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""What five browsers at the operator's page cost the flight, one of them stalled.
+"""Cost for the flight of five browsers at the operator's page, one of them stalled.
 
     python benchmarks/console_clients.py [--seconds 20] [--rounds 3] [--speed 10]
 

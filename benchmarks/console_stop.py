@@ -1,4 +1,4 @@
-"""From the press of STOP in a browser to shut valves on the bench, by the boards' own stamps.
+"""Time from STOP in a browser to closed valves on the bench, by the boards' stamps.
 
     python benchmarks/console_stop.py [--count 5] [--case plain|hang|suspend] [--load 0]
 
@@ -34,6 +34,7 @@ from testbed.run.folder import write_config
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs" / "pictures"))
 from browser import Browser
+from load import loaded
 
 FAST = [  # 0.25 m/s from 6 s on, so that the brake takes some seconds
     "vehicles.sat1.start=[-2.3,0.0,0.0]", "vehicles.sat1.goal=[2.3,0.0,0.0]",
@@ -74,7 +75,7 @@ def host(folder: Path, words: list[str], at: float, hangs: bool) -> None:
 
 
 def hang_after(t: float) -> None:
-    """From a time of the run on, a law's call never returns and holds Python's lock."""
+    """After a time of the run a call of the law never returns and holds Python's lock."""
     import ctypes
 
     from testbed.flight.guidance import Guidance
@@ -197,33 +198,29 @@ def main() -> None:
         host(options.host, words, options.at, options.hangs)
         return
     print(f"load average {os.getloadavg()[0]:.1f}", flush=True)
-    busy = [
-        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.load)
-    ]
     braked, shut, beside = [], [], 0
-    try:
-        with tempfile.TemporaryDirectory() as folder, Browser(1366, 768) as browser:
-            k, lost = 0, 0
-            while k < options.count:
-                try:
-                    one = one_flight(
-                        browser, Path(folder) / f"{k}_{lost}", words, options.case, options.at
-                    )
-                except LostError as error:
-                    lost += 1
-                    print(f"not counted: {error}", flush=True)
-                    if lost > LOST:
-                        raise
-                    continue
-                k += 1
-                braked += one[0]
-                shut += one[1]
-                beside += one[2]
-                print(f"{k}: brake {max(one[0]):.0f} ms, shut {max(one[1]):.0f} ms", flush=True)
-    finally:
-        for process in busy:
-            process.kill()
-            process.wait()
+    with (
+        loaded(options.load),
+        tempfile.TemporaryDirectory() as folder,
+        Browser(1366, 768) as browser,
+    ):
+        k, lost = 0, 0
+        while k < options.count:
+            try:
+                one = one_flight(
+                    browser, Path(folder) / f"{k}_{lost}", words, options.case, options.at
+                )
+            except LostError as error:
+                lost += 1
+                print(f"not counted: {error}", flush=True)
+                if lost > LOST:
+                    raise
+                continue
+            k += 1
+            braked += one[0]
+            shut += one[1]
+            beside += one[2]
+            print(f"{k}: brake {max(one[0]):.0f} ms, shut {max(one[1]):.0f} ms", flush=True)
     print(
         f"{options.case}, {options.count} flights, load {options.load}, {len(shut)} boards,"
         f" valves of {beside} in use within 0.3 s before the second press"

@@ -1,4 +1,4 @@
-"""What is left of a log of record that was damaged.
+"""Share of a damaged log that the reader recovers.
 
     python benchmarks/damaged_logs.py [--each 200] [--commands 10] [--seed 0] [--experiment NAME]
 

@@ -69,7 +69,7 @@ def looked_at(folder: Path, case: str, since: list[float]) -> Iterator[Dashboard
 
 @contextmanager
 def ahead(priority: int) -> Iterator[None]:
-    """Run this thread before everything ordinary; not the one that starts viewers."""
+    """Run this thread at real-time priority; not the thread that starts viewers."""
     with suppress(OSError):
         policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
         os.sched_setscheduler(0, policy, os.sched_param(priority))
@@ -80,7 +80,7 @@ def ahead(priority: int) -> Iterator[None]:
 
 
 def make_run(folder: Path, seconds: float) -> Experiment:
-    """What is flown, and its folder."""
+    """Experiment and run folder of a case."""
     experiment = load(find("zhang2023_table"), [f"duration_s={seconds}"])
     folder.mkdir()
     write_config(folder, dump(experiment), "benchmark")
@@ -88,7 +88,7 @@ def make_run(folder: Path, seconds: float) -> Experiment:
 
 
 def lateness(folder: Path, case: str, seconds: float, speed: float, priority: int) -> np.ndarray:
-    """Of every tick since the case holds, and a second more [s]."""
+    """Lateness of every tick, from a second after the case begins [s]."""
     experiment, since, began = make_run(folder, speed * seconds), [], time.monotonic()
     with looked_at(folder, case, since), ahead(priority):
         fly_and_judge(experiment, folder, speed=speed)
@@ -115,7 +115,7 @@ def compare(folder: Path, seconds: float, rounds: int, speed: float, priority: i
 
 
 def resident(process: int | str) -> float:
-    """Memory of a process, 0 of one that is over [MB]."""
+    """Memory of a process, 0 after its end [MB]."""
     try:
         words = Path(f"/proc/{process}/status").read_text().split()
     except OSError:

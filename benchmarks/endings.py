@@ -52,7 +52,7 @@ ON_BENCH = (
 
 
 class Flown(Struct, frozen=True):
-    """One flight."""
+    """How one flight ended, and the minute after."""
 
     end: str  # one of ENDS, or a kind of injection
     where: tuple[str, ...]  # experiment, table, place
@@ -181,7 +181,7 @@ def last_closing(report: TableReport) -> float:
 
 
 def seconds(value: float | None) -> str:
-    """A time, or that there is none."""
+    """A time, or a dash."""
     return "-" if value is None else f"{value:.2f}"
 
 

@@ -1,4 +1,4 @@
-"""What a vehicle costs among ten and among a hundred: the law on board, a radio that reaches 2.5 m.
+"""Cost of a vehicle among ten and among a hundred: law on board, a radio range of 2.5 m.
 
     python benchmarks/fleet.py [--seconds 10] [--rounds 3]
 

@@ -7,7 +7,7 @@ as the law's range; edges are settled when all of E(0) stay within 5 cm (8 cm) o
 be. Results of the twin, not of a table.
 
 `--as-printed` is for xue2021_table_static: the paper's own start, 1/48 of it. All drift towards the
-obstacle, which is where the paper has it. Nobody can start a table's vehicles like that, so no
+obstacle, as in the paper. Vehicles on a table cannot be started like that, so no
 experiment file can ask for it.
 """
 
@@ -28,8 +28,8 @@ NAMES = (
     "xue2021_table_static", "xue2021_table_dynamic", "xue2022_table", "xue2022_table_obstacle",
     "xue2024_table_constant", "xue2024_table_varying",
 )  # fmt: skip
-# Table 2 over 48 [m]; the check before arming wants vehicles at rest. An estimator that is not told
-# takes a throw for jets that give nothing, or too much (13 and 1 of 100 seeds, in 4 s).
+# Table 2 over 48 [m]; arming requires vehicles at rest. The estimator does not know of the initial
+# velocity and suspects jets that give nothing, or too much (13 and 1 of 100 seeds, in 4 s).
 AS_PRINTED = (
     "obstacles.o1.position=[1.25,0.0]", "arming.at_rest=0.2",
     "faults.valve_stuck_closed.above=1e9", "faults.valve_stuck_open.above=1e9",
@@ -40,7 +40,7 @@ LED = ("bounded_leader", "bounded_leader_varying")
 
 
 class Flight(NamedTuple):
-    """What came of a run."""
+    """Result of a run."""
 
     settled: tuple  # per tolerance [s]; inf: not
     lost: int  # edges of E(0) that became too long
@@ -59,7 +59,7 @@ def settling(t, off):
 
 
 def fly(name, seed, overrides=(), drift=0.0):
-    """One run; at the start all have the velocity `drift` along x."""
+    """Fly once; all vehicles start with the velocity `drift` along x."""
     experiment = load(find(name), [*overrides, f"seed={seed}"])
     names, controller = list(experiment.vehicles), experiment.controller
     led = type(controller).__struct_config__.tag in LED

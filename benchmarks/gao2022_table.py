@@ -1,4 +1,4 @@
-r"""How well gao2022's five formations are formed on the twin, over seeds.
+r"""Errors and settling times of gao2022's five formations on the twin, over seeds.
 
     python benchmarks/gao2022_table.py [--seeds 0:20] [--starts drawn|shipped] [key=value ...]
     python benchmarks/gao2022_table.py --seeds 100:200

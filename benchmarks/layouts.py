@@ -1,4 +1,4 @@
-"""How near laws come to obstacles in shifted layouts: SOTSMC with and without standoff, MPC.
+"""Clearance of laws in shifted layouts: SOTSMC with and without standoff, MPC.
 
     python benchmarks/layouts.py [--runs 300] [--shift 0.3] [--laws sotsmc,standoff,mpc]
 
@@ -32,13 +32,15 @@ def fly(law, start, goal, obstacles, radius):
     """Smallest clearance [m] and when the error is below 0.05 m for good [s]."""
     zero = np.zeros(2)
     world = World(Goal(goal, zero, zero, zero), Discs(obstacles, 0.0 * obstacles, radius))
-    nobody = silent(Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
+    no_neighbours = silent(Discs(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
     p, v = start, zero
-    state = law.initial(Body(p, v, MASS, zero, zero, MAX_FORCE), nobody, world)
+    state = law.initial(Body(p, v, MASS, zero, zero, MAX_FORCE), no_neighbours, world)
     nearest, settled = np.inf, 0.0
     for k in range(round(DURATION / PERIOD)):
         body = Body(p, v, MASS, zero, zero, MAX_FORCE)
-        state, p, v, *_ = law.propagate(state, body, nobody, world, k * PERIOD, PERIOD, STEPS)
+        state, p, v, *_ = law.propagate(
+            state, body, no_neighbours, world, k * PERIOD, PERIOD, STEPS
+        )
         nearest = min(nearest, np.hypot(*(obstacles - p).T).min())
         if np.hypot(*(goal - p)) > 0.05:
             settled = (k + 1) * PERIOD
@@ -59,14 +61,14 @@ def main() -> None:
         rng = np.random.default_rng(1)
         rows = []
         while len(rows) < options.runs:
-            rocks = np.array([obstacle.position for obstacle in shipped.obstacles.values()])
-            rocks = rocks + rng.uniform(-options.shift, options.shift, rocks.shape)
+            obstacles = np.array([obstacle.position for obstacle in shipped.obstacles.values()])
+            obstacles = obstacles + rng.uniform(-options.shift, options.shift, obstacles.shape)
             for setup in shipped.vehicles.values():
                 start = np.array(setup.start[:2])
                 goal = np.array(setup.goal[:2]) + rng.uniform(-options.shift, options.shift, 2)
                 goal = goal.clip(-2.7, 2.7)
-                if min(np.hypot(*(rocks - p).T).min() for p in (start, goal)) >= 0.9:
-                    rows.append(fly(law, start, goal, rocks, radius))
+                if min(np.hypot(*(obstacles - p).T).min() for p in (start, goal)) >= 0.9:
+                    rows.append(fly(law, start, goal, obstacles, radius))
         nearest, settled = np.array(rows).T
         print(
             f"{name}: {len(rows)} runs, worst clearance {nearest.min():.4f} m, "

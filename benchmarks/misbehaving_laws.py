@@ -79,7 +79,7 @@ def pause():
 
 
 def try_law(name, rig, folder):
-    """One run; what is to be told of it."""
+    """Run one law; return a line of the report."""
     text = HEAD + BODY.format(does=IN_FLIGHT.get(name, "pass"))
     (folder / NAMED).write_text(text + AT_IMPORT.get(name, "") + "\n")
     override = f'controller={{type="python",law="{folder / NAMED}:Mine"}}'
@@ -109,7 +109,7 @@ def try_law(name, rig, folder):
 
 
 def to_the_end(number, folder):
-    """From a signal to the end of the command [s], and whether the folder is whole."""
+    """Time from a signal to the end of the command [s], and whether the folder is complete."""
     process = begin(command(folder, "twin", "duration_s=4000"), folder)
     log = folder / "out" / "log.mcap"
     while not (log.exists() and log.stat().st_size > 200_000):

@@ -1,4 +1,4 @@
-"""How fast the plant is, and MuJoCo at 1 kHz with the same scene in the same run.
+"""Speed of the plant, and of MuJoCo at 1 kHz with the same scene in the same run.
 
     python benchmarks/plant.py [simulated seconds]
 
@@ -50,7 +50,7 @@ def draw_plans(seconds: float) -> list[dict[str, ValveCommand]]:
 
 
 def controls(plans: list[dict[str, ValveCommand]]) -> np.ndarray:
-    """The same for MuJoCo: every jet open or closed in every step, shape (steps, jets)."""
+    """Controls for MuJoCo: every jet open or closed in every step, shape (steps, jets)."""
     steps = np.arange(round(PERIOD / STEP)) * STEP * 1e6
     periods = []
     for plan in plans:

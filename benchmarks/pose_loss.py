@@ -1,4 +1,4 @@
-"""A vehicle's pose is lost at any instant of the table experiments, as they are shipped.
+"""A vehicle's pose is lost at a random instant of the shipped table experiments.
 
     python benchmarks/pose_loss.py [--seeds 100] [--jobs 2]
 
@@ -22,12 +22,12 @@ TABLE = (
     "xue2021_table_static", "xue2021_table_dynamic", "xue2022_table", "xue2022_table_obstacle",
     "xue2024_table_constant", "xue2024_table_varying",
 )  # fmt: skip
-AFTER_S = 10.0  # it is flown on for so long, or until everybody is at rest
+AFTER_S = 10.0  # flown on after the loss, or until all vehicles are at rest
 NAMED_WITHIN = 0.15  # [s]
 
 
 def case(seed: int) -> Drilled:
-    """Lose one vehicle's pose, for good, somewhere in the experiment whose turn it is."""
+    """Lose one vehicle's pose for good, at a random time of one of the experiments."""
     rng = np.random.default_rng(seed)
     experiment = shipped(TABLE[seed % len(TABLE)])
     at_s = round(float(rng.uniform(0.5, experiment.end_s)), 4)

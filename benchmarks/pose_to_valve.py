@@ -1,4 +1,4 @@
-"""From a pose frame to the valve command on the serial line, against bare UDP and a bare pty.
+"""Latency from a pose frame to the valve command on the serial line, beside bare UDP and pty.
 
     python benchmarks/pose_to_valve.py [--seconds 20] [--vehicles 3] [--rate 100]
 
@@ -32,7 +32,7 @@ from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
 from testbed.mocap.exposure import Axes
 from testbed.mocap.natnet import Described, MocapFrame, RigidBody, encode_frame
-from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.mocap.natnet_server import NatNetAddress, NatNetServer
 from testbed.realtime.scheduling import no_garbage_collection, realtime_priority
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.wired.local import free_port
@@ -150,7 +150,7 @@ def main():
         fars = [Far(tap) for tap in taps]
         command = free_port(socket.SOCK_DGRAM)
         server = NatNetServer(
-            Address("127.0.0.1", command, free_port(socket.SOCK_DGRAM)), (4, 1),
+            NatNetAddress("127.0.0.1", command, free_port(socket.SOCK_DGRAM)), (4, 1),
             [Described(k + 1, n) for k, n in enumerate(names)],
         )  # fmt: skip
         chains = [

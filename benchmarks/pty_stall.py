@@ -1,4 +1,4 @@
-"""How long a pseudo-terminal keeps a process of the highest priority waiting on a busy machine.
+"""Waiting times of a high-priority process at a pseudo-terminal on a busy machine.
 
     python benchmarks/pty_stall.py [--seconds 20] [--hogs 25]
 
@@ -13,11 +13,10 @@ import os
 import pty
 import select
 import socket
-import subprocess
-import sys
 import tty
 
 import numpy as np
+from load import loaded
 
 from testbed.realtime.scheduling import realtime_priority
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
@@ -51,22 +50,16 @@ def main():
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--hogs", type=int, default=25)
     args = parser.parse_args()
-    hogs = [subprocess.Popen([sys.executable, "-c", "while 1: pass"]) for _ in range(args.hogs)]
     master, slave = pty.openpty()
     tty.setraw(slave)
     one, other = socket.socketpair()
     rows = []
-    try:
-        with realtime_priority(30) as allowed:
-            due = monotonic_ns()
-            for _ in range(round(100 * args.seconds)):
-                due += 10_000_000
-                sleep_until_ns(due)
-                rows.append((*through_pty(master, slave), through_socket(one, other)))
-    finally:
-        for hog in hogs:
-            hog.kill()
-            hog.wait()
+    with loaded(args.hogs), realtime_priority(30) as allowed:
+        due = monotonic_ns()
+        for _ in range(round(100 * args.seconds)):
+            due += 10_000_000
+            sleep_until_ns(due)
+            rows.append((*through_pty(master, slave), through_socket(one, other)))
     print(
         f"{args.hogs} hogs, SCHED_FIFO {'allowed' if allowed else 'not allowed'}, {len(rows)} times"
     )

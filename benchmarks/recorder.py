@@ -46,7 +46,7 @@ Messages = tuple[list[Tick], list[HostTick]]
 
 
 def messages(path: Path, seconds: float) -> Messages:
-    """Of a flight on the twin; kept in a file, so that it is flown once."""
+    """Messages of a flight on the twin, stored in a file so that it is flown once."""
     if not path.exists():
         from testbed.config import find, load
         from testbed.rig.twin import make_twin
@@ -58,7 +58,7 @@ def messages(path: Path, seconds: float) -> Messages:
 
 
 def write(path: Path, seconds: float, announce: bool) -> float:
-    """In real time; returns the CPU time of this process [s]."""
+    """Write the messages in real time; returns the CPU time of this process [s]."""
     (ticks, hosts), pause = messages(path.with_name("messages"), 12.0), Event()
     motions = {f"sat{n}": Motion(1.0, 2.0, 3.0, 0.1, 0.2, 0.3) for n in range(VEHICLES)}
     with Recorder(path) as recorder:

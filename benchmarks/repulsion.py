@@ -1,4 +1,4 @@
-"""How long the repulsion sum takes for N = 50 ... 50 000, and what it takes of memory.
+"""Time and memory of the repulsion sum for N = 50 ... 50 000.
 
     python benchmarks/repulsion.py [--runs 7] [--threads 2]
 
@@ -60,7 +60,7 @@ def best(runs: int, clock: Callable[[], float], function: Callable[[], object]) 
 
 
 def measure(layout: Callable[[int], tuple[Array, float]], count: int, runs: int) -> str:
-    """One line of the table."""
+    """A row of the table."""
     x, reach = layout(count)
     force = np.empty_like(x)
     alone = pairs if count <= 500 else rows if layout is ring else cells

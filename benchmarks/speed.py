@@ -1,4 +1,4 @@
-"""How fast the twin is: the reference run, everything on, and what `testbed --help` takes.
+"""Speed of the twin in the reference run, everything on, and of `testbed --help`.
 
     python benchmarks/speed.py [--runs 5]
 
@@ -23,7 +23,7 @@ from testbed.run.fly import fly_and_judge
 
 
 class Memory(NullObserver):
-    """Keeps what it is told."""
+    """Keeps all ticks."""
 
     def __init__(self) -> None:
         self.ticks: list[Tick | HostTick] = []
@@ -38,7 +38,7 @@ class Memory(NullObserver):
 
 
 def in_memory(experiment: Experiment) -> float:
-    """How much faster than real time it flies, every tick kept."""
+    """Speed against real time with every tick kept in memory."""
     rig, memory = make_twin(experiment), Memory()
     with no_garbage_collection():
         began = time.perf_counter()

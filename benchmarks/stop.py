@@ -26,12 +26,12 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from bench_kills import BUSY, FLEET, HOST, Host, await_gone, last_open_us
+from load import loaded
 
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.wired.table_report import TableReport
 
 CONDITIONS = ("plain", "other-env", "no-note", "squatted", "host-hangs", "host-dead")
-HOG = "while True: pass"
 GAP_NS = 600_000_000
 PROGRAM = HOST.replace(", relay=way", "")  # the vehicles know the port of the host
 
@@ -61,7 +61,7 @@ def stop(env, connect):
 
 
 def one(condition, rng, folder):
-    """One flight: late closing [ms], exit code of the first stop, what is left open or running."""
+    """Fly once: late closing [ms], exit code of the first stop, valves or processes left."""
     host_env, env = surroundings(condition, folder)
     host, connect = Host([FLEET, *BUSY], folder / "report.json", host_env, PROGRAM), []
     try:
@@ -97,8 +97,7 @@ def main():
     parser.add_argument("--hogs", type=int, default=0, help="processes that load the machine")
     args = parser.parse_args()
     rng, failures = np.random.default_rng(args.seed), 0
-    hogs = [subprocess.Popen([sys.executable, "-c", HOG]) for _ in range(args.hogs)]
-    try:
+    with loaded(args.hogs):
         for condition in args.conditions:
             rows = []
             for _ in range(args.count):
@@ -114,10 +113,6 @@ def main():
             )
             for _, code, missing, open_, said in bad:
                 print(f"  exit {code}, missing {missing}, open or left {open_}: {said}", flush=True)
-    finally:
-        for hog in hogs:
-            hog.kill()
-            hog.wait()
     return int(failures > 0)
 
 

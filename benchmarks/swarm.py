@@ -57,7 +57,7 @@ def start(seed: int = 0) -> tuple[Array, Array]:
 
 
 def ours(control: NamedTuple) -> Flight:
-    """Fly under a control that `sim_twin.orbit.system` knows; `Coast()` is none."""
+    """Fly under a control of `sim_twin.orbit.system`; `Coast()` is free flight."""
     times = np.arange(0.0, SECONDS + 0.5 * SAMPLE, SAMPLE)
     return fly(control, np.concatenate(CENTRE.eci()), *start(), times, axes=NADIR)
 
@@ -96,7 +96,7 @@ def gravity_file(folder: Path) -> Path:
 
 
 def basilisk(r: Array, v: Array) -> tuple[Array, float, float]:
-    """The same satellites in Basilisk: positions after 2000 s, wall time, time to set up [s]."""
+    """Fly the satellites in Basilisk: positions after 2000 s, wall time, time to set up [s]."""
     from Basilisk.simulation import spacecraft
     from Basilisk.utilities import SimulationBaseClass, macros, simIncludeGravBody
 

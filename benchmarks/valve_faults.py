@@ -45,7 +45,7 @@ WHEN = (2.0, 20.0)  # [s]
 
 
 class Case(NamedTuple):
-    """One flight."""
+    """A flight with one valve fault."""
 
     kind: str
     what: str
@@ -54,7 +54,7 @@ class Case(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What came of it."""
+    """Result of a case."""
 
     case: Case
     verdict: str  # "well", "wrong", "dormant", or "other": ended by a fault that is not of valves
@@ -126,7 +126,7 @@ def prepared(case, rng):
 
 
 def fly(case):
-    """One flight and the verdict."""
+    """Fly a case and judge it."""
     rng = np.random.default_rng([list(NEEDED_S).index(case.kind), case.number])
     experiment, fault = prepared(case, rng)
     lasts = NEEDED_S[case.kind] + (fault.at_s if fault else 0.0)
@@ -163,7 +163,7 @@ def named_right(kind, jet, report, notes):
 
 
 def cases_of(options):
-    """All that is asked for."""
+    """The cases that the options select."""
     whats = {
         "slow": ["valves"],
         "odd": [

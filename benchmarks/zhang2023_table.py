@@ -2,7 +2,7 @@
 
     python benchmarks/zhang2023_table.py [--seeds 20] [key=value ...]
 
-Prints a Markdown table per variant: what the issue of record asks for, and what came out.
+Prints one row of a Markdown table per variant.
 """
 
 import argparse

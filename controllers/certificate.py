@@ -34,7 +34,7 @@ from testbed.core.law import Concern, Discs
 Array = NDArray[np.float64]
 
 
-class Fleet(NamedTuple):
+class ProxyFleet(NamedTuple):
     """Satellites with their proxies, and the leader; rows in the order of `Body.vehicle_index`."""
 
     mass: Array  # (n,) [kg]
@@ -46,9 +46,9 @@ class Fleet(NamedTuple):
     leader_v: Array  # (d,) zero without a leader [m/s]
 
 
-def starting(mass: Array, p: Array, v: Array, leader_p: Array, leader_v: Array) -> Fleet:
+def starting(mass: Array, p: Array, v: Array, leader_p: Array, leader_v: Array) -> ProxyFleet:
     """A fleet at the start: each proxy is at rest at its satellite's position."""
-    return Fleet(mass, p, v, p, np.zeros_like(v), leader_p, leader_v)
+    return ProxyFleet(mass, p, v, p, np.zeros_like(v), leader_p, leader_v)
 
 
 def spring_energy(c: Coupling, stretch: Array) -> Array:
@@ -65,7 +65,7 @@ def least_spring_energy(c: Coupling) -> float:
     return float(spring_energy(c, np.array([0.5 * margin])))
 
 
-def _edges_energy(c: Coupling, fleet: Fleet, edge: Array) -> float:
+def _edges_energy(c: Coupling, fleet: ProxyFleet, edge: Array) -> float:
     points = np.vstack((fleet.proxy_p, fleet.leader_p))
     total = 0.0
     for i, j in np.argwhere(np.triu(edge) > 0.0):
@@ -74,7 +74,7 @@ def _edges_energy(c: Coupling, fleet: Fleet, edge: Array) -> float:
     return c.weight * total
 
 
-def _obstacles_energy(c: Coupling, fleet: Fleet, obstacles: Discs) -> float:
+def _obstacles_energy(c: Coupling, fleet: ProxyFleet, obstacles: Discs) -> float:
     total = 0.0
     for centre, radius in zip(obstacles.p, obstacles.radius, strict=True):
         wall = BoundedPotential(radius + c.margin, c.potential.far, c.potential.height)
@@ -84,7 +84,7 @@ def _obstacles_energy(c: Coupling, fleet: Fleet, obstacles: Discs) -> float:
     return c.weight * total
 
 
-def energy(c: Coupling, fleet: Fleet, edge: Array, obstacles: Discs | None = None) -> float:
+def energy(c: Coupling, fleet: ProxyFleet, edge: Array, obstacles: Discs | None = None) -> float:
     """V, Eqs. (15)-(17), with the edges (n + 1, n + 1) given, leader last [J]."""
     s, bar = fleet.v - fleet.leader_v, fleet.proxy_v - fleet.leader_v
     kinetic = 0.5 * float(fleet.mass @ (s**2).sum(axis=1) + c.mass * (bar**2).sum())  # Eq. (16)
@@ -95,7 +95,7 @@ def energy(c: Coupling, fleet: Fleet, edge: Array, obstacles: Discs | None = Non
     return total
 
 
-def _edge_concerns(c: Coupling, fleet: Fleet, names: Sequence[str]) -> list[Concern]:
+def _edge_concerns(c: Coupling, fleet: ProxyFleet, names: Sequence[str]) -> list[Concern]:
     shape, found = c.formation, []
     points = np.vstack((fleet.p, fleet.leader_p))
     called = [*(names or map(str, range(len(fleet.p)))), "the leader"]
@@ -115,7 +115,7 @@ def _edge_concerns(c: Coupling, fleet: Fleet, names: Sequence[str]) -> list[Conc
 
 def certificate(
     c: Coupling,
-    fleet: Fleet,
+    fleet: ProxyFleet,
     max_force: float,
     obstacles: Discs | None = None,
     names: Sequence[str] = (),

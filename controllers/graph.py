@@ -209,7 +209,7 @@ def pinned(adjacency: Array) -> Array:
 
 
 def smallest_eigenvalue(h: Array) -> float:
-    """Of a symmetric matrix; that of H is positive if all followers have a path to the leader."""
+    """Smallest eigenvalue, symmetric matrix; positive for H if the leader reaches all followers."""
     return float(np.linalg.eigvalsh(h)[0])
 
 

@@ -38,7 +38,7 @@ REACHED = 1e-3  # relative error at which a desired distance counts as reached
 TRIES = 8  # initial guesses of the search for a shape, first the experiment's own start
 
 
-class Start(NamedTuple):
+class InitialState(NamedTuple):
     """Start of an experiment, all vehicles at rest; rows in the order of `Body.vehicle_index`."""
 
     mass: Array  # (n,) [kg]
@@ -50,7 +50,7 @@ class Start(NamedTuple):
     obstacles: Discs
 
 
-def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Concern]:
+def concerns(params: Controller, names: Sequence[str], start: InitialState) -> list[Concern]:
     """All conditions of the proof that this start violates; empty for laws without a proof."""
     if isinstance(params, BifurcatingParams):
         return _field(params)
@@ -60,7 +60,7 @@ def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Con
     mass = np.full_like(start.mass, s.mass) if s.mass else start.mass
     accel, speed = s.length / s.time**2, s.length / s.time
     obstacles = start.obstacles
-    scaled = Start(
+    scaled = InitialState(
         mass, start.p * s.length, start.goal_p * s.length, start.goal_v * speed,
         start.goal_accel * accel, start.max_force * accel * float(np.min(mass / start.mass)),
         Discs(obstacles.p * s.length, obstacles.v * speed, obstacles.radius * s.length),
@@ -76,7 +76,7 @@ def concerns(params: Controller, names: Sequence[str], start: Start) -> list[Con
     ]
 
 
-def _unbounded(params: Unbounded, start: Start) -> list[Concern]:
+def _unbounded(params: Unbounded, start: InitialState) -> list[Concern]:
     """Conditions of the theorems of xue2021 on gains and obstacles."""
     found = []
     if isinstance(params, ConnectivityStaticParams) and (start.obstacles.v != 0.0).any():
@@ -93,7 +93,7 @@ def _unbounded(params: Unbounded, start: Start) -> list[Concern]:
     return found
 
 
-def _demand(params: Unbounded, names: Sequence[str], start: Start) -> list[Concern]:
+def _demand(params: Unbounded, names: Sequence[str], start: InitialState) -> list[Concern]:
     """Force that the potential asks for at the start; xue2021's theorems assume no limit."""
     if isinstance(params, CollisionSlidingParams):
         return []  # its force is not the gradient
@@ -144,7 +144,7 @@ def _field(params: BifurcatingParams) -> list[Concern]:
     return [Concern("no-damping", text)]
 
 
-def _bounded(params: Bounded, names: Sequence[str], start: Start) -> list[Concern]:
+def _bounded(params: Bounded, names: Sequence[str], start: InitialState) -> list[Concern]:
     led = not isinstance(params, BoundedFormationParams)
     c = coupling(params.proxy, params.formation, names, led)
     shape, found = c.formation, []
@@ -171,7 +171,9 @@ def _bounded(params: Bounded, names: Sequence[str], start: Start) -> list[Concer
     return [*found, *_shape(shape, names, start)]
 
 
-def _edges(shape: Formation, names: Sequence[str], start: Start, safe: float) -> list[Concern]:
+def _edges(
+    shape: Formation, names: Sequence[str], start: InitialState, safe: float
+) -> list[Concern]:
     """Edges of the start that are beyond the range, too short or not connected."""
     n, found, heard = len(names), [], shape.first[:-1, :-1].copy()
     for i, j in np.argwhere(np.triu(heard) > 0.0).tolist():
@@ -193,7 +195,7 @@ def _edges(shape: Formation, names: Sequence[str], start: Start, safe: float) ->
     return found
 
 
-def _shape(shape: Formation, names: Sequence[str], start: Start) -> list[Concern]:
+def _shape(shape: Formation, names: Sequence[str], start: InitialState) -> list[Concern]:
     """Desired distances, including those to the leader, that are geometrically impossible."""
     n, d = len(start.p) + 1, start.p.shape[1]
     wanted = np.triu(shape.desired, 1)

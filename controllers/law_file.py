@@ -38,7 +38,7 @@ def file_of(law: str) -> Path | None:
 
 
 def source_of(law: str) -> Path | None:
-    """The file that a law is written in, also where `law` is an entry point; None: there is none.
+    """Source file of a law, also if `law` is an entry point; None: no file.
 
     Raises:
         UnusableLawError: see `maker`.
@@ -50,7 +50,7 @@ def source_of(law: str) -> Path | None:
 
 
 def content_of(law: str) -> str | None:
-    """SHA-256 of the file that a law is written in; None: there is none.
+    """SHA-256 of a law's source file; None: no file.
 
     A module is imported once in a process. What counts is its file as it was when it was asked for
     first, because a later edit does not fly.
@@ -69,7 +69,7 @@ def content_of(law: str) -> str | None:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file."""
+    """SHA-256 of a file's bytes, in hex."""
     return hashlib.sha256(_content(path)).hexdigest()
 
 

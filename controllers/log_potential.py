@@ -26,7 +26,7 @@ from testbed.core.compiled import compiled
 
 
 class LogPotential(NamedTuple):
-    """Gains and ranges."""
+    """Gains and ranges of the logarithmic potential."""
 
     repel: float
     attract: float

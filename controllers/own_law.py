@@ -52,7 +52,7 @@ class OwnLawParams(Struct, frozen=True, forbid_unknown_fields=True, tag="python"
 def parameter_type(made: Callable[..., Any]) -> type[Struct]:
     """The parameters of a law as a struct that refuses unknown keys."""
     try:
-        return plugin.option_type(made, plugin.TOLD[plugin.LAWS])
+        return plugin.option_type(made, plugin.PROVIDED[plugin.LAWS])
     except plugin.PluginError as error:
         raise UnusableLawError("law", f"a law with {error.expected}", error.found) from error
 
@@ -71,10 +71,10 @@ def law_of(
     made: Callable[..., Any], parameters: dict[str, Any], names: Sequence[str], d: int,
     path: Path | None = None,
 ) -> Law:  # fmt: skip
-    """The law that a class or function makes; `path` is of its file, for what is said of it.
+    """The law that a class or function returns; `path` of its file is for messages.
 
     Raises:
-        UnusableLawError: the parameters do not fit, or what is made is no law.
+        UnusableLawError: the parameters do not fit, or the result is not a law.
     """
     try:
         values = msgspec.convert(parameters, parameter_type(made))
@@ -104,9 +104,14 @@ def try_out(law: Law, satellites: int, d: int = 2) -> None:
     own = Body(somewhere(-1.3, 1)[0], still + 0.01, 10.0, still, still, 1.0, 0)
     goal = Goal(somewhere(1.1, 1)[0], still, still, still)
     n = max(0, satellites - 1)
-    told = np.zeros((n, law.message_size))
+    messages = np.zeros((n, law.message_size))
     others = Neighbours(
-        somewhere(0.4, n), np.zeros((n, d)), np.full(n, 0.5), np.arange(1, n + 1), told, np.zeros(n)
+        somewhere(0.4, n),
+        np.zeros((n, d)),
+        np.full(n, 0.5),
+        np.arange(1, n + 1),
+        messages,
+        np.zeros(n),
     )
     world = World(goal, Discs(somewhere(3.0, 1), np.zeros((1, d)), np.full(1, 0.5)))
     force, _ = law.rate(law.initial(own, others, world), own, others, world, 0.0)

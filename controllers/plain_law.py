@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from controllers.law_file import UnusableLawError, blame
 from testbed.core.error import TestbedError
-from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, propagate
+from testbed.core.law import Ahead, Body, Concern, Law, Neighbours, World, concerns_of, propagate
 
 Array = NDArray[np.float64]
 
@@ -97,9 +97,8 @@ class Watched:
         self.message_size = law.message_size
 
     def concerns(self, law_state: Array) -> list[Concern]:
-        """Concerns of the law about the flight, if it reports any."""
-        say = getattr(self._law, "concerns", None)
-        return [] if say is None else list(say(law_state))
+        """See `concerns_of`."""
+        return concerns_of(self._law, law_state)
 
     def _watch(self, verb: str, *arguments: Any) -> Any:
         try:

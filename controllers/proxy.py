@@ -126,10 +126,10 @@ def heard_proxy(neighbours, k, t, d):
     If the neighbour's law has sent no message, the neighbour itself is taken as its proxy.
     """
     q = np.empty((2, d))
-    told = neighbours.message.shape[1] >= 2 * d
+    has_message = neighbours.message.shape[1] >= 2 * d
     late = t - neighbours.message_t[k]
     for i in range(d):
-        if told:
+        if has_message:
             q[1, i] = neighbours.message[k, d + i]
             q[0, i] = neighbours.message[k, i] + late * q[1, i]
         else:

@@ -138,7 +138,7 @@ def rows(stiffness, reach, x, force):
 
 @on_all_cores
 def rows_on_all_cores(stiffness, reach, x, force):
-    """`rows` on all cores."""
+    """The same as `rows`, in parallel on all cores."""
     n = x.shape[0]
     places = columns(x)
     for c in prange((n + CHUNK - 1) // CHUNK):

@@ -36,7 +36,7 @@ def cells(stiffness, reach, x, force):
 
 @on_all_cores
 def cells_on_all_cores(stiffness, reach, x, force):
-    """`cells` on all cores."""
+    """The same as `cells`, in parallel on all cores."""
     n = x.shape[0]
     grid, start, who = sorted_into_cells(x, reach)
     row, places = np.empty(n, dtype=np.int64), np.zeros((3, n))
@@ -49,7 +49,7 @@ def cells_on_all_cores(stiffness, reach, x, force):
 
 @compiled
 def cell_width(reach):
-    """Width of a cell [m]."""
+    """Width of a cell, at least the reach of the force [m]."""
     return reach * WIDER if reach > 0.0 else 1.0
 
 

@@ -19,7 +19,7 @@ from testbed.core.law import Ahead, Body, Concern, Neighbours, World
 Array = NDArray[np.float64]
 
 
-class Model(NamedTuple):
+class DiscreteModel(NamedTuple):
     """The discrete linear model of a satellite."""
 
     a: Array  # (2d, 2d)
@@ -51,21 +51,21 @@ def generator(mean_motion: float, d: int) -> tuple[Array, Array]:
     return f, g
 
 
-def sampled(mean_motion: float, d: int, step: float) -> Model:
+def sampled(mean_motion: float, d: int, step: float) -> DiscreteModel:
     """Exact discrete model over `step` [s] under constant acceleration."""
     f, g = generator(mean_motion, d)
     whole = np.zeros((3 * d, 3 * d))
     whole[: 2 * d, : 2 * d], whole[: 2 * d, 2 * d :] = f, g
     both = expm(whole * step)
-    return Model(both[: 2 * d, : 2 * d], both[: 2 * d, 2 * d :])
+    return DiscreteModel(both[: 2 * d, : 2 * d], both[: 2 * d, 2 * d :])
 
 
-def cost_to_go(model: Model, cost: Weights) -> Array:
+def cost_to_go(model: DiscreteModel, cost: Weights) -> Array:
     """Solution P of the discrete Riccati equation, (2d, 2d): x'P x is the least cost from x on."""
     return solve_discrete_are(model.a, model.b, cost.state, cost.accel)
 
 
-def feedback(model: Model, cost: Weights) -> Array:
+def feedback(model: DiscreteModel, cost: Weights) -> Array:
     """K of the optimal a = -K x, shape (d, 2d)."""
     p, b = cost_to_go(model, cost), model.b
     gain = np.linalg.solve(cost.accel + b.T @ p @ b, b.T @ p @ model.a)

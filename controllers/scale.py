@@ -27,6 +27,7 @@ from testbed.core.law import (
     Law,
     Neighbours,
     World,
+    concerns_of,
     propagate,
 )
 from testbed.core.vehicle import Positive
@@ -127,9 +128,8 @@ class Scaled:
         return Units(length, speed, accel, jerk, time, accel * mass / vehicle, mass)
 
     def concerns(self, law_state: Array) -> list[Concern]:
-        """Concerns of the law about the flight, if it reports any."""
-        say = getattr(self.law, "concerns", None)
-        return [] if say is None else say(law_state)
+        """See `concerns_of`."""
+        return concerns_of(self.law, law_state)
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`; the law's state stays in the paper's units."""

@@ -39,7 +39,7 @@ class Board(Protocol):
 
     @property
     def now_us(self) -> int:
-        """Time since power-on."""
+        """The board's clock: time since power-on [us]."""
         ...
 
     @property

@@ -20,7 +20,7 @@ NOTE = "Written by `python -m firmware_interface.generate` from messages.toml: c
 
 
 def header(schema: Schema) -> str:
-    """The C header."""
+    """Text of the C header `abt_messages.h`."""
     lines = [
         f"/* {NOTE} */",
         "#ifndef ABT_MESSAGES_H",
@@ -220,7 +220,7 @@ def formatted(text: str) -> str:
 
 
 def main() -> None:
-    """Generate both files."""
+    """Generate the C header and the Python module."""
     schema = read(SOURCE.read_text())
     published.check(schema)
     HEADER.write_text(header(schema))

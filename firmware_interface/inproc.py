@@ -83,7 +83,7 @@ class InprocBoard:
 
     @property
     def now_us(self) -> int:
-        """Time since power-on."""
+        """The board's clock: time since power-on [us]."""
         return self._now_us
 
     @property

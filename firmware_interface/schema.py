@@ -30,7 +30,7 @@ class Field(Struct, frozen=True):
 
     @property
     def size(self) -> int:
-        """Bytes on the line."""
+        """Size of the field on the line [bytes]."""
         return self.width * max(1, self.count)
 
 
@@ -45,12 +45,12 @@ class Message(Struct, frozen=True):
 
     @property
     def size(self) -> int:
-        """Bytes of the payload."""
+        """Size of the payload [bytes]."""
         return sum(field.size for field in self.fields)
 
 
 class Enum(Struct, frozen=True):
-    """Named codes."""
+    """An enumeration or flags, with the name of each code."""
 
     name: str
     doc: str
@@ -59,7 +59,7 @@ class Enum(Struct, frozen=True):
 
 
 class Schema(Struct, frozen=True):
-    """All of messages.toml."""
+    """Contents of messages.toml."""
 
     version: int
     sizes: dict[str, int]  # of arrays
@@ -84,7 +84,7 @@ class Schema(Struct, frozen=True):
 
 
 def read(text: str) -> Schema:
-    """Parse messages.toml."""
+    """Parse messages.toml and check its names and sizes."""
     tree = tomllib.loads(text)
     sizes = {"valves": tree["valves"], "edges": tree["edges"]}
     enums = [

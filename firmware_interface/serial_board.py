@@ -231,7 +231,7 @@ class SerialBoard:
             return data
 
     def sense(self, supply_mv: int, supply_pa: int) -> None:
-        """Not supported: a real board measures."""
+        """Do nothing: a real board measures for itself."""
         raise BoardError("cannot set the sensors of a board on a serial port: they measure")
 
     def power_cycle(self, cause: ResetCause) -> None:

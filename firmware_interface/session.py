@@ -164,7 +164,7 @@ class Session:
         return self._send(Bearing(self._need_session(), int(on)), now_us)
 
     def ping(self, now_us: int) -> bytes:
-        """Request an ACK."""
+        """Request an ACK, which shows that the line works."""
         return self._send(Ping(), now_us)
 
     def apply(self, command: ValveCommand, now_us: int) -> bytes:

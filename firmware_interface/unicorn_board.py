@@ -51,7 +51,7 @@ class UnicornBoard:
 
     @property
     def now_us(self) -> int:
-        """Time since power-on."""
+        """The board's clock: time since power-on [us]."""
         return self.machine.now_us
 
     @property
@@ -93,4 +93,4 @@ class UnicornBoard:
         self._boot(cause)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: the emulator frees its memory itself."""

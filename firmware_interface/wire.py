@@ -113,7 +113,7 @@ class WiredBoard:
         )
 
     def apply(self, command: ValveCommand) -> None:
-        """Send a plan now."""
+        """Send a plan, moved to start `HEAD_START_US` later."""
         if self._landed:
             return
         shift = HEAD_START_US * 1e-6

@@ -1,8 +1,8 @@
 """Injected faults in the twin: their effect on cameras, radio, board and process.
 
-The parts of the twin query `Sabotage` for active faults. Camera faults begin with the first frame
-exposed after their time, those of board and valves at exactly their time, those of a process with
-its next tick.
+The parts of the twin query `FaultInjector` for active faults. Camera faults begin with the first
+frame exposed after their time, those of board and valves at exactly their time, those of a process
+with its next tick.
 """
 
 import math
@@ -24,7 +24,7 @@ DEAD_BATTERY = 7.0  # [V] battery voltage that a board reports during a brown-ou
 NEVER = math.inf
 
 
-class Active:
+class ActiveInjection:
     """An injection and its start time."""
 
     def __init__(self, what: Injection) -> None:
@@ -36,7 +36,7 @@ class Active:
         return self.since <= t < self.since + self.what.for_s
 
 
-class Sabotage:
+class FaultInjector:
     """All injected faults of a run and their state."""
 
     def __init__(
@@ -55,9 +55,11 @@ class Sabotage:
         self._obstacles = [
             (*obstacle.position, *obstacle.velocity) for obstacle in obstacles.values()
         ]
-        self._active = [Active(one) for one in injections]
+        self._active = [ActiveInjection(one) for one in injections]
         self._frozen: dict[str, PoseSample] = {}
-        self._rng = stream(seed, "sabotage")
+        self._rng = stream(
+            seed, "sabotage"
+        )  # a label of the random stream: another one changes flights
         self._now = 0.0
 
     def reseed(self, seed: int) -> None:

@@ -13,7 +13,7 @@ from testbed.core.vehicle import Tolerance, Vehicle
 Array = NDArray[np.float64]
 
 
-class Metal(NamedTuple):
+class PlantParameters(NamedTuple):
     """True parameters of a fleet of v vehicles with up to j jets, for compiled code.
 
     Torques and positions are about the body's origin, in B; unused columns have no thrust.
@@ -39,23 +39,23 @@ class Metal(NamedTuple):
     timing: Array  # (v, 4) open delay, close delay, open ramp, close ramp [s]
 
 
-def sample_plant(vehicles: Mapping[str, Vehicle], seed: int) -> Metal:
+def sample_plant(vehicles: Mapping[str, Vehicle], seed: int) -> PlantParameters:
     """Sample the true parameters of all vehicles."""
     jets = max(len(v.jets) for v in vehicles.values())
     drawn = [
         _sample_one(vehicle, stream(seed, name, "metal"), jets)
         for name, vehicle in vehicles.items()
     ]
-    return Metal(*(np.array(column) for column in zip(*drawn, strict=True)))
+    return PlantParameters(*(np.array(column) for column in zip(*drawn, strict=True)))
 
 
-def nominal_plant(vehicle: Vehicle) -> Metal:
+def nominal_plant(vehicle: Vehicle) -> PlantParameters:
     """The parameters of one vehicle as in its file, without tolerances."""
     exact = Tolerance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return sample_plant({"": structs.replace(vehicle, tolerance=exact)}, 0)
 
 
-def _sample_one(vehicle: Vehicle, rng: np.random.Generator, jets: int) -> Metal:
+def _sample_one(vehicle: Vehicle, rng: np.random.Generator, jets: int) -> PlantParameters:
     spread, air, valve = vehicle.tolerance, vehicle.air, vehicle.valve
     effect, thrust = np.zeros((3, jets)), np.zeros(jets)
     for j, jet in enumerate(vehicle.jets):
@@ -71,7 +71,7 @@ def _sample_one(vehicle: Vehicle, rng: np.random.Generator, jets: int) -> Metal:
     mass, inertia = (1.0 + np.array([spread.mass, spread.inertia]) * rng.standard_normal(2)).clip(
         0.5
     )
-    return Metal(
+    return PlantParameters(
         mass=vehicle.mass * mass,
         inertia=vehicle.inertia * inertia,
         com=np.array(vehicle.com) + spread.com * rng.standard_normal(2),

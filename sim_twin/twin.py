@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim_twin.board import Driver
 from sim_twin.camera import Cameras, photograph
-from sim_twin.fault_injection import Sabotage
+from sim_twin.fault_injection import FaultInjector
 from sim_twin.plant import Plant
 from sim_twin.radio import Radio, Whole, listen
 from sim_twin.randomness import stream
@@ -91,8 +91,8 @@ class Twin:
         self.rows = {name: k for k, name in enumerate(self.names)}
         self.plant = Plant(vehicles, starts, table, obstacles, seed, drivers)
         half = (table.size[0] / 2, table.size[1] / 2)
-        self.sabotage = (
-            Sabotage(injections, self.plant, obstacles, half, seed) if injections else None
+        self.injector = (
+            FaultInjector(injections, self.plant, obstacles, half, seed) if injections else None
         )
         self.cameras = Cameras(self.names, table.mocap, seed)
         self.radio = Radio(table.link, seed)
@@ -122,8 +122,8 @@ class Twin:
         self.radio.reseed(seed)
         for name, board in self.plant.boards.items():
             board.reseed(stream(seed, name, "pulses"))
-        if self.sabotage is not None:
-            self.sabotage.reseed(seed)
+        if self.injector is not None:
+            self.injector.reseed(seed)
 
     def wait_until(self, t: float) -> None:
         """Advance the simulation to `t` [s]."""
@@ -134,8 +134,8 @@ class Twin:
         self._frame = max(self._frame, last + 1)
         exposed = [(frame + self._phase) / self._rate for frame in frames]
         times = np.array(exposed, dtype=np.float64)
-        if self.sabotage is not None:
-            self.sabotage.before(t)
+        if self.injector is not None:
+            self.injector.before(t)
         seen = self.plant.advance(t, times)
         self.now = t
         self.seen_at += exposed
@@ -144,7 +144,7 @@ class Twin:
 
     def _look(self, times: Array, seen: Array) -> None:
         """Let cameras, radio and sensors follow the plant."""
-        shown, broken = self.cameras.own, self.sabotage
+        shown, broken = self.cameras.own, self.injector
         if broken is not None:
             broken.look(self.now)
             if (rows := broken.sources(self.names, times)) is not None:
@@ -186,14 +186,14 @@ class Twin:
 
     def vitals(self, name: str) -> Vitals:
         """Health of a vehicle's process; good unless a fault is injected."""
-        return ALL_WELL if self.sabotage is None else self.sabotage.vitals(name)
+        return ALL_WELL if self.injector is None else self.injector.vitals(name)
 
     def health(self, name: str) -> Health:
         """Readings of the board's sensors."""
         supply, tank = self.pressures[self.rows[name]]
-        if self.sabotage is None:
+        if self.injector is None:
             return Health(self.now, supply, tank)
-        return Health(self.now, supply, tank, *self.sabotage.power(name))
+        return Health(self.now, supply, tank, *self.injector.power(name))
 
 
 class TwinPoses:
@@ -205,7 +205,7 @@ class TwinPoses:
     def samples(self) -> Sequence[PoseSample]:
         """See `PoseSource`."""
         twin, samples = self._twin, self._twin.cameras.arrived(self._row)
-        return samples if twin.sabotage is None else twin.sabotage.poses(self._name, samples)
+        return samples if twin.injector is None else twin.injector.poses(self._name, samples)
 
 
 class TwinThrusters:

@@ -73,7 +73,7 @@ class Browser:
         self._home.cleanup()
 
     def call(self, method: str, patience: float = 60.0, **params: Any) -> dict[str, Any]:
-        """One command and its answer."""
+        """Send a command and return its answer."""
         self._number += 1
         words: dict[str, Any] = {"id": self._number, "method": method, "params": params}
         if self._session:
@@ -101,7 +101,7 @@ class Browser:
         self.call("Page.navigate", url=url)
 
     def value(self, script: str) -> Any:
-        """Of an expression on the page."""
+        """Value of an expression on the page."""
         return self.call("Runtime.evaluate", expression=script, returnByValue=True,
                          awaitPromise=True)["result"].get("value")  # fmt: skip
 

@@ -25,7 +25,7 @@ SCREEN, TABLET, PHONE = (1366, 768), (820, 1180), (390, 844)
 
 
 class Shot(NamedTuple):
-    """One picture of a case."""
+    """A picture to take of a case."""
 
     name: str
     size: tuple[int, int] = SCREEN

@@ -6,7 +6,7 @@
 
 Pin i of `valves` drives jet i of the vehicle's file; high is open. One thread opens and shuts, and
 it is the watchdog, too: what no plan keeps open, it shuts. It dies with its process, and pins stay
-as they are then: before air is on, put a monostable between each pin and its valve.
+in their last state: before air is on, put a monostable between each pin and its valve.
 """
 
 import threading
@@ -25,7 +25,7 @@ Pin = Annotated[int, Meta(ge=0, le=27)]
 
 
 class Chip(Protocol):
-    """What drives the pins."""
+    """The driver of the pins."""
 
     def write(self, pin: int, level: bool) -> None:
         """Make a pin high or low."""
@@ -40,7 +40,7 @@ class Lgpio:
     """The pins of this machine, by the package `lgpio`."""
 
     def __init__(self, pins: list[int]) -> None:
-        import lgpio  # here: an experiment is also checked where there are no pins
+        import lgpio  # imported here, because experiments are also checked on machines without pins
 
         self._lgpio, self._handle = lgpio, lgpio.gpiochip_open(0)
         for pin in pins:
@@ -68,7 +68,7 @@ class GpioBoard:
         self._pins, self._bearing, self._clock = valves, bearing, clock
         self._valve, self._air = vehicle.valve, vehicle.air
         self._lock = threading.Lock()
-        self._plans: list[ValveCommand] = []  # the one that is played, and the one that is next
+        self._plans: list[ValveCommand] = []  # the plan being played, and the next one
         self._mask = 0
         self._shut_at = [-1e9] * len(valves)  # when each was shut last [s]
         self._edges: deque[tuple[float, int]] = deque(maxlen=10_000)
@@ -174,5 +174,5 @@ class GpioBoard:
 
 
 def on_this_machine(vehicle: Vehicle, clock: Timer, valves: list[Pin], bearing: Pin) -> GpioBoard:
-    """What the entry point names."""
+    """The board on this machine's pins; the entry point names it."""
     return GpioBoard(vehicle, clock, valves, bearing, Lgpio([*valves, bearing]))

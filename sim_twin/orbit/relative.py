@@ -50,7 +50,7 @@ class Frame(NamedTuple):
 
 
 def chief_on(orbit: Orbit) -> Chief:
-    """The chief on `orbit`."""
+    """The chief on `orbit`, as compiled code needs it."""
     start = mean_of_true(orbit.theta, orbit.e)
     return Chief(orbit.mu, orbit.momentum, orbit.e, orbit.mean_motion, start)
 

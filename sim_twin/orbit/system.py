@@ -139,7 +139,7 @@ def compiled_control(control_type: type) -> Callable[[Callable], Callable]:
 
 
 class Coast(NamedTuple):
-    """No thrust."""
+    """Free flight: the thrust is zero."""
 
     unused: float = 0.0  # numba does not support fields of an empty tuple
 

@@ -163,7 +163,7 @@ def _fly_here(
             faulthandler.cancel_dump_traceback_later()
 
 
-class Fleet(Generic[Task, Result]):
+class WorkerPool(Generic[Task, Result]):
     """Flies tasks on all workers of a client.
 
     Args:

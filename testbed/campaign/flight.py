@@ -23,7 +23,7 @@ import msgspec
 from msgspec import Struct
 
 from testbed.campaign.compilation import Read, Warm, compile_first
-from testbed.campaign.engine import Fleet, count_workers, workers
+from testbed.campaign.engine import WorkerPool, count_workers, workers
 from testbed.campaign.journal import Head, Journal, JournalError
 from testbed.campaign.row import FlownRun, Kept, Task, within
 from testbed.campaign.sweep import Campaign, CampaignFile, deciding, difference, read_file
@@ -66,14 +66,14 @@ class CampaignObserver:
         """The flights begin; `count_workers` may be called in any thread."""
 
     def flown(self, run: FlownRun) -> None:
-        """A run is finished."""
+        """Report a finished run."""
 
     def keeping(self, count: int) -> None:
         """`count` failures are flown again for their logs."""
 
 
 class CampaignEnd(Struct, frozen=True):
-    """A finished campaign."""
+    """Result of a campaign: its runs, where they are, what was lost."""
 
     runs: list[FlownRun]
     resumed: int  # number of runs flown by an earlier call
@@ -191,10 +191,10 @@ def fly_campaign(
     return ended
 
 
-def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> Fleet[Task, FlownRun]:
+def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> WorkerPool[Task, FlownRun]:
     fly = partial(fliers.fly, campaign.base)
     limit_s = campaign.file.limit_s
-    return Fleet(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
+    return WorkerPool(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
 
 
 def gone(limit_s: float, task: Task) -> FlownRun:
@@ -209,7 +209,7 @@ def failure_folder(folder: Path, k: int) -> Path:
 
 
 def kept_runs(campaign: Campaign, runs: dict[int, FlownRun]) -> list[int]:
-    """Runs that get a folder: the first ones that did not pass."""
+    """Runs that get a folder: the first failed ones."""
     failed = [k for k in sorted(runs) if runs[k].outcome not in ("passed", "lost")]
     return failed[: campaign.file.keep]
 
@@ -240,7 +240,7 @@ def keep_failures(
     if not missing:
         return
     watch.keeping(len(missing))
-    fleet: Fleet[Task, Kept] = Fleet(
+    fleet: WorkerPool[Task, Kept] = WorkerPool(
         client,
         partial(fliers.fly_with_log, campaign.base),
         lambda task: Kept(task[0], {"error.txt": b"its workers died\n"}, {}),

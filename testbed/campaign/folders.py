@@ -61,21 +61,21 @@ def score_folders(path: Path, whole: BenchmarkFile, file: BenchmarkFile, runs: P
             if folder.name not in scenario.laws:
                 hint = did_you_mean(folder.name, scenario.laws)
                 pile.pass_over(folder, f"not a law of this scenario{hint}")
-        nobody: list[str] = []
+        missing: list[str] = []
         for law in scenario.laws:
             flown, rigs, left = pile.cell(name, law)
             if not flown:
-                nobody.append(law)
+                missing.append(law)
                 continue
             if left:
                 seeds = f"seed{'s' * (len(left) > 1)} {', '.join(map(str, left))}"
                 not_flown.append(f"{name}: {law}, {seeds}")
             one = score(name, law, flown)
             table.append(msgspec.structs.replace(one, rig=" + ".join(sorted(rigs))))
-        if nobody == scenario.laws:
+        if missing == scenario.laws:
             not_flown.append(f"{name}: all")
-        elif nobody:
-            not_flown.append(f"{name}: {', '.join(nobody)}")
+        elif missing:
+            not_flown.append(f"{name}: {', '.join(missing)}")
     if not table:
         expected = (
             "run folders in SCENARIO/LAW/: `testbed benchmark --commands` prints the commands"

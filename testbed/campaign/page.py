@@ -115,9 +115,9 @@ def scenarios(path: Path, file: BenchmarkFile) -> Iterator[str]:
     for name, scenario in file.scenarios.items():
         flown = base_experiment(path, scenario.experiment, scenario.set)
         what = scenario.description or flown.description
-        told = [text for text in scenario.set if assignment(text)[0][0] != "criteria"]
-        if told:  # criteria are among the limits
-            what += f", with {', '.join(f'`{text}`' for text in told)}"
+        overrides = [text for text in scenario.set if assignment(text)[0][0] != "criteria"]
+        if overrides:  # criteria are among the limits
+            what += f", with {', '.join(f'`{text}`' for text in overrides)}"
         many = plural(len(flown.vehicles), "vehicle")
         limits = ", ".join(bounds(scenario, flown)) or "the end of the run"
         yield f"**{name}**: {what}; {many}, {flown.duration_s:g} s. Passed: {limits}."
@@ -205,7 +205,7 @@ def bullets(lines: Sequence[str] | Iterator[str]) -> str:
 
 
 def markdown(table: Sequence[Score]) -> str:
-    """The table in Markdown."""
+    """The benchmark's table as a Markdown page."""
     rigs = any(row.rig != "twin" for row in table)
     headings = ["scenario", "law", "passed", *(h for h, *_ in COLUMNS), "robust"]
     headings += ["rig"] * rigs

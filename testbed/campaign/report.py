@@ -49,7 +49,7 @@ MOST_MAPS = 18  # heat maps of one quantity; at most six pairs of parameters
 def html_report(
     campaign: Campaign, summary: Summary, runs: Sequence[FlownRun], table: Table, folder: Path
 ) -> str:
-    """The report as HTML."""
+    """The campaign's report as one HTML page."""
     error = main_error(summary, table)
     apart = groups(campaign, runs)
     sections = [
@@ -165,7 +165,7 @@ def _medians(campaign: Campaign, summary: Summary, runs: Sequence[FlownRun], apa
     heads = "".join(f'<th class="n">{escape(quantity.titled)}</th>' for quantity in quantities)
     return (
         '<h2>Numbers by case</h2><p class="soft">Median of the runs that have the number, whether '
-        f'they passed or not. {escape(apart.told(campaign.combinations))}</p><div class="wide">'
+        f'they passed or not. {escape(apart.sentence(campaign.combinations))}</p><div class="wide">'
         f"<table><tr><th>case</th>{heads}</tr>{''.join(rows)}</table></div>"
     )
 
@@ -231,7 +231,7 @@ def _influences(campaign: Campaign, table: Table, error: Quantity, apart: Groups
 
 
 def _maps(
-    campaign: Campaign, runs: Sequence[FlownRun], table: Table, error: Quantity, told: Groups
+    campaign: Campaign, runs: Sequence[FlownRun], table: Table, error: Quantity, groups: Groups
 ) -> str:
     """Heat maps over pairs of numeric parameters; one panel per non-numeric case."""
     names = numeric_parameters(campaign, table)
@@ -244,7 +244,7 @@ def _maps(
         for what in (None, error):
             words = "passed [%]" if what is None else f"median {what.titled}"
             figures = [
-                f"<figure>{picture}<figcaption>{swatch(told.place(panel.name))}"
+                f"<figure>{picture}<figcaption>{swatch(groups.place(panel.name))}"
                 f"{escape(': '.join(filter(None, (panel.name, words))))}</figcaption></figure>"
                 for panel, picture in zip(panels, heat_maps(table, a, b, what, panels), strict=True)
                 if picture

@@ -53,7 +53,7 @@ COLUMNS = ("run", "outcome", "reason", *SINGLE, *OF_A_VEHICLE)  # beside the fil
 
 
 class FlownRun(Struct, frozen=True):
-    """A finished run."""
+    """Outcome and numbers of one run of a campaign."""
 
     k: int
     outcome: Outcome
@@ -67,7 +67,7 @@ class FlownRun(Struct, frozen=True):
     fault: FaultReport | None = None  # that ended the flight
     limit_s: float | None = None  # of a lost run: how long its workers were waited for [s]
 
-    def told(self, reason: str) -> str:
+    def explained(self, reason: str) -> str:
         """The reason with the seed that repeats the run, and the time of a fault."""
         if self.fault is not None:
             return fault_line(self.seed, self.fault, self.fault_t)

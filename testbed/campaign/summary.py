@@ -27,7 +27,7 @@ class Quantity(Struct, frozen=True):
 
     @property
     def titled(self) -> str:
-        """Title with unit."""
+        """Title of the quantity with its unit, for axes."""
         return f"{self.title} [{self.unit}]" if self.unit else self.title
 
 
@@ -99,7 +99,7 @@ class Groups(Struct, frozen=True):
         )
         return words if self.left_out else ""
 
-    def told(self, combinations: int) -> str:
+    def sentence(self, combinations: int) -> str:
         """A sentence on how the figures distinguish the cases."""
         if not self.shown:
             return "The figures below pool all cases."
@@ -161,9 +161,9 @@ def summarise(campaign: Campaign, experiment: str, ended: CampaignEnd) -> Summar
         not_repeatable=ended.unlike,
         cases=cases(campaign, runs),
         spreads=[s for s in (spread(quantity, runs) for quantity in QUANTITIES) if s],
-        faults=[f"run {run.k}, {run.told(run.reason)}" for run in failed if run.outcome == "fault"][
-            :FAULTS
-        ],
+        faults=[
+            f"run {run.k}, {run.explained(run.reason)}" for run in failed if run.outcome == "fault"
+        ][:FAULTS],
     )
 
 

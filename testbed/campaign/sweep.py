@@ -47,7 +47,7 @@ from testbed.config.error import show
 from testbed.config.experiment import Seed
 from testbed.config.key import ANY, Key, assignment, spell
 from testbed.config.tree import leaves
-from testbed.config.validation import first_misfit
+from testbed.config.validation import first_violation
 from testbed.core.error import MismatchError
 from testbed.core.table import Probability
 from testbed.core.vehicle import Positive
@@ -87,7 +87,7 @@ class GridAxis(Struct, frozen=True, forbid_unknown_fields=True):
         return self.name or self.key
 
     def points(self) -> list[tuple[float | int | bool | str, Overrides]]:
-        """Each value as it is shown, with its overrides."""
+        """Each value as displayed, with its overrides."""
         if self.cases:
             return [(name, tuple(texts)) for name, texts in self.cases.items()]
         return [(_shown(value), (f"{self.key}={inline(value)}",)) for value in self.values]
@@ -172,7 +172,7 @@ class Campaign:
 
     @property
     def count(self) -> int:
-        """Number of runs."""
+        """Number of runs: combinations times runs of each."""
         return len(self._grid) * self.file.samples
 
     @property
@@ -348,9 +348,9 @@ def read_file(path: Path, kind: type[Any]) -> Any:
     try:
         return msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
-        misfit = first_misfit(tree, kind)
-        expected = misfit.expected if misfit.key else str(error)
-        raise ConfigError(str(path), spell(misfit.key), expected, misfit.found) from None
+        violation = first_violation(tree, kind)
+        expected = violation.expected if violation.key else str(error)
+        raise ConfigError(str(path), spell(violation.key), expected, violation.found) from None
 
 
 def check_name(path: Path, name: str) -> None:
@@ -371,7 +371,7 @@ def base_experiment(path: Path, name: str, overrides: list[str]) -> Experiment:
     try:
         return load(experiment_path(path, name), overrides)
     except ConfigError as error:
-        if error.where == name:  # there is no such experiment
+        if error.where == name:  # the experiment does not exist
             raise ConfigError(str(path), "experiment", error.expected, error.found) from None
         if error.where.startswith("command line"):
             where = f"{path}, set{error.where.removeprefix('command line')}"

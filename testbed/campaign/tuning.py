@@ -177,7 +177,7 @@ def judged(tuning: Tuning, number: int, gains: list[float], runs: Sequence[Flown
     for run in sorted(runs, key=lambda run: run.k):
         if reason := broken(file, run):
             first = first or reason
-            reasons.append(run.told(reason))
+            reasons.append(run.explained(reason))
         for name, weight in file.cost.items():
             cost += weight * float(run.columns.get(name) or 0.0) / len(runs)
     return Trial(number, gains, cost + BROKEN * len(reasons), len(reasons), first, reasons)
@@ -197,7 +197,7 @@ class Optimiser(Protocol):
     """Proposes gains, and learns their costs."""
 
     def ask(self) -> list[float]:
-        """The next choice."""
+        """Values of the gains to try next."""
         ...
 
     def tell(self, cost: float) -> None:

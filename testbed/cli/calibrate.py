@@ -91,7 +91,7 @@ def motion(
         logs = read_logs(asked)
         found = calibrate_motion(
             logs, load_vehicle(vehicle), force=force,
-            told=lambda text: None if as_json else screen.print(f"[dim]{text}"),
+            progress=lambda text: None if as_json else screen.print(f"[dim]{text}"),
         )  # fmt: skip
         if out is not None:
             save(out, found, vehicle, logs, today())
@@ -111,16 +111,16 @@ def motion(
     warn([f"{one['name']}: {one['text']}" for one in result["suspicions"]])
     for name, row in result["parameters"].items():
         kept = "" if row["chosen"] else "  kept as in the file"
-        told = "" if row["identifiable"] else "  not identifiable from this log"
+        note = "" if row["identifiable"] else "  not identifiable from this log"
         screen.print(
             f"{name:<10} {row['value']:>10.5g} {row['unit']:<9}"
-            f" 95 %: {row['low']:.4g} to {row['high']:.4g}{kept}{told}"
+            f" 95 %: {row['low']:.4g} to {row['high']:.4g}{kept}{note}"
         )
     for row in result["jets"]:
-        told = "" if row["identifiable"] else "  not identifiable from this log"
+        note = "" if row["identifiable"] else "  not identifiable from this log"
         screen.print(
             f"jet {row['jet']:<6} {row['thrust_n']:>10.4g} N         95 %: {row['low_n']:.4g} to"
-            f" {row['high_n']:.4g}  {row['state']}{told}"
+            f" {row['high_n']:.4g}  {row['state']}{note}"
         )
     for line in result["findings"]:
         screen.print(f"[bold]{line}")
@@ -318,6 +318,6 @@ def excite(
         f" {found.reach:.2f} m from the start"
     )
     for name, row in found.intervals.items():
-        told = "" if row["identifiable"] else "  not identifiable"
-        screen.print(f"{name:<16} +- {row['half_width']:.3g} {row['unit']}{told}")
+        note = "" if row["identifiable"] else "  not identifiable"
+        screen.print(f"{name:<16} +- {row['half_width']:.3g} {row['unit']}{note}")
     return OK

@@ -51,7 +51,7 @@ FIRST_COLUMN = 25  # width of the first column and its frame [characters]
 
 
 class ComparedRun(msgspec.Struct, frozen=True):
-    """A run to compare."""
+    """One of the runs that are compared."""
 
     label: str
     experiment: Experiment
@@ -85,7 +85,7 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
 
 
 def read_run(folder: Path, label: str) -> ComparedRun:
-    """Read a run folder."""
+    """Read metrics and log of a run folder."""
     log, experiment = log_of(folder), load(config_of(folder))
     book = LogReader(log)
     history = gather(book)

@@ -11,7 +11,7 @@ from testbed.config import ConfigError
 from testbed.console.process import serve
 from testbed.core.error import TestbedError
 from testbed.logs.log_reader import LogError, config_of
-from testbed.net.stop import known_flights, runs
+from testbed.net.flight_note import known_flights, runs
 
 
 def show_page(run: Path | None, bind: str, port: int | None) -> int:

@@ -17,8 +17,8 @@ from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse, warn
 from testbed.dashboard.viewer import (
     LOOPBACK,
-    Address,
     Kind,
+    ViewerAddress,
     ViewerError,
     free_port,
     listens,
@@ -36,7 +36,7 @@ PATIENCE = 150  # periods until the viewer must accept connections
 class Dashboard:
     """The viewer process and the feeder process; each is restarted if it dies."""
 
-    def __init__(self, run: Path, kind: Kind, address: Address) -> None:
+    def __init__(self, run: Path, kind: Kind, address: ViewerAddress) -> None:
         self._run, self._kind, self.address = run, kind, address
         self.viewer: subprocess.Popen[bytes] | None = None
         self.feeder: subprocess.Popen[bytes] | None = None
@@ -91,11 +91,11 @@ class Dashboard:
                 process.wait()
 
 
-def address_for(bind: str = LOOPBACK, port: int | None = None) -> Address:
+def address_for(bind: str = LOOPBACK, port: int | None = None) -> ViewerAddress:
     """The given port and the next one, or two free ports."""
     if port is None:
-        return Address(bind, free_port(bind), free_port(bind))
-    return Address(bind, port, port + 1)
+        return ViewerAddress(bind, free_port(bind), free_port(bind))
+    return ViewerAddress(bind, port, port + 1)
 
 
 def show_run(run: Path, kind: Kind, bind: str, port: int | None) -> int:

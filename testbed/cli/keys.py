@@ -77,14 +77,14 @@ def lab_keys(
       testbed lab-keys keys                     lists keys and expiry dates
     """  # noqa: D301
     from testbed.cli.exit_code import BAD_INPUT, OK
-    from testbed.net.credentials import BadgeError
+    from testbed.net.credentials import CredentialsError
 
     wanted = [("vehicle", name) for name in vehicle]
     wanted += [("operator", name) for name in operator] + [("watcher", name) for name in watcher]
     try:
         _make(folder, host, wanted, (lab, port), days, force=force, renew=renew)
         context.exit(OK)
-    except (BadgeError, OSError) as error:
+    except (CredentialsError, OSError) as error:
         from testbed.cli.refusal import refuse
 
         refuse(error)
@@ -107,33 +107,37 @@ def _make(
     from testbed.net.certificate_authority import (
         Wanted,
         addresses_of,
-        host_badge,
+        host_credentials,
         listed,
         make_keys,
     )
-    from testbed.net.credentials import BadgeError
+    from testbed.net.credentials import CredentialsError
 
-    there, before = host_badge(folder), listed(folder)
+    there, before = host_credentials(folder), listed(folder)
     lab, port = where
     if there is None:
         if not host:
-            raise BadgeError(f"there are no keys in {folder} yet; expected --host to make some")
+            raise CredentialsError(
+                f"there are no keys in {folder} yet; expected --host to make some"
+            )
         endpoint, addresses = _endpoint(host[0], port or PORT), list(host)
         wanted = [("host", "host"), ("table", "table"), *wanted]
     else:
         if lab not in (None, there.lab):
-            raise BadgeError(f"the keys in {folder} are for the lab {there.lab!r}, not {lab!r}")
+            raise CredentialsError(
+                f"the keys in {folder} are for the lab {there.lab!r}, not {lab!r}"
+            )
         addresses, endpoint = list(host) or addresses_of(folder), there.endpoint
         if host or port:
             if not renew:
-                raise BadgeError(
+                raise CredentialsError(
                     "the host has keys already; a new address changes every key folder,"
                     " so it needs --renew"
                 )
             old_host, _, old_port = endpoint.removeprefix("tls/").rpartition(":")
             endpoint = _endpoint(host[0] if host else old_host.strip("[]"), port or int(old_port))
         if renew:
-            named = {(badge.role, badge.name): None for badge in before}
+            named = {(party.role, party.name): None for party in before}
             wanted = list(named | dict.fromkeys(wanted))
     if wanted:
         name = there.lab if there is not None else lab or "lab"
@@ -158,11 +162,11 @@ def _endpoint(host: str, port: int) -> str:
     return f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}"
 
 
-def _show(folder: Path, badges: "Sequence[Credentials]") -> None:
-    for badge in badges:
+def _show(folder: Path, parties: "Sequence[Credentials]") -> None:
+    for party in parties:
         sys.stdout.write(
-            f"{folder / badge.common_name}  until {badge.expires[:10]}\n"
-            f"  SHA-256 {badge.fingerprint}\n"
+            f"{folder / party.common_name}  until {party.expires[:10]}\n"
+            f"  SHA-256 {party.fingerprint}\n"
         )
 
 

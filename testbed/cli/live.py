@@ -115,7 +115,7 @@ class LiveTable(FlightScreen):
         self._t = t
 
     def picture(self) -> RenderableType:
-        """The current table."""
+        """Table of the vehicles' current numbers."""
         words = f"{self._words} [bold]{self.phase}[/]"
         self._progress.update(self._bar, completed=self._t, description=words)
         if not self._ticks:

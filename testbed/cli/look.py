@@ -131,7 +131,7 @@ def list_everything(as_json: bool) -> None:
 
 
 def print_schema(kind: str) -> None:
-    """Print a JSON Schema."""
+    """Print the JSON Schema of experiment files, for editors."""
     types = {"experiment": Experiment, "vehicle": Vehicle, "table": Table}
     schema = msgspec.json.schema(types[kind])
     if kind == "experiment":

@@ -71,7 +71,7 @@ class Operator:
         """Ask whether these vehicles may be armed."""
         vehicles = ", ".join(names)
         return self._arm or self._says_yes(
-            f"All checks are green. Is everybody clear of the table, and may {vehicles} be armed?"
+            f"All checks are green. Is the table clear of people, and may {vehicles} be armed?"
         )
 
     def _says_yes(self, question: str) -> bool:

@@ -23,7 +23,7 @@ from testbed.mocap.exposure import Axes, Exposure, MocapSource
 from testbed.mocap.source import datagrams, make_source
 from testbed.net.access import open_lab
 from testbed.net.keys import Keys
-from testbed.net.session import NetworkError, NobodyError, dial
+from testbed.net.session import NetworkError, NoHostError, dial
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 
 LOOK_NS = 100_000_000  # period of polling the sockets and of redrawing
@@ -55,7 +55,7 @@ class Room:
         self.seen: dict[str, Seen] = {}
 
     def take(self, exposures: Sequence[Exposure]) -> None:
-        """Store new exposures."""
+        """Store new exposures for rates and latencies."""
         for exposure in exposures:
             for body, sighting in exposure.bodies.items():
                 one = self.seen.setdefault(body, Seen())
@@ -99,7 +99,7 @@ def cameras(experiment: Experiment, stack: ExitStack) -> MocapSource:
     network = lab.network
     try:
         session = dial(network.endpoint, HOST_S, Path(network.keys) if network.keys else None)
-    except NobodyError:
+    except NoHostError:
         session, _ = open_lab(network, experiment.vehicles)
     stack.enter_context(session)
     return make_source(lab.mocap, session, Keys(network.lab))

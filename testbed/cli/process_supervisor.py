@@ -26,7 +26,7 @@ from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 
-from testbed.realtime.heartbeat import SIZE, Heartbeat, Phase, attach
+from testbed.realtime.heartbeat import SIZE, Heartbeat, RunPhase, attach
 
 BAD_INPUT, FAULT, INTERRUPTED = 2, 3, 130
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -46,7 +46,7 @@ SHOW_CURSOR = "\x1b[?25h"
 
 def supervised() -> int | None:
     """Fork. Returns the exit code in the parent, None in the child, which runs the command."""
-    heart = Heartbeat(mmap.mmap(-1, SIZE))
+    heartbeat = Heartbeat(mmap.mmap(-1, SIZE))
     libc = ctypes.CDLL(None)
     libc.prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)  # orphans of a dead child become our children
     signal.pthread_sigmask(signal.SIG_BLOCK, HEARD)
@@ -54,13 +54,13 @@ def supervised() -> int | None:
     child = os.fork()
     if child == 0:
         _begin(libc, parent)
-        attach(heart, parent)
+        attach(heartbeat, parent)
         return None
-    return ProcessSupervisor(child, heart, libc).watch()
+    return ProcessSupervisor(child, heartbeat, libc).watch()
 
 
 def _begin(libc: ctypes.CDLL, parent: int) -> None:
-    """In a new process: die with the parent, and unblock signals."""
+    """Begin a new process: it dies with its parent, and signals are unblocked."""
     libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(FAULT)
@@ -70,8 +70,8 @@ def _begin(libc: ctypes.CDLL, parent: int) -> None:
 class ProcessSupervisor:
     """Watches one child process and finishes its run."""
 
-    def __init__(self, child: int, heart: Heartbeat, libc: ctypes.CDLL) -> None:
-        self._child, self._heart, self._libc = child, heart, libc
+    def __init__(self, child: int, heartbeat: Heartbeat, libc: ctypes.CDLL) -> None:
+        self._child, self._heartbeat, self._libc = child, heartbeat, libc
         self._ended: int | None = None  # wait status of the child
         self._asked = 0  # the operator's stop signal
         self._to_hand_on: tuple[int, int] | None = (
@@ -89,7 +89,7 @@ class ProcessSupervisor:
             if self._ended is None and (why := self._stuck()):
                 fault = why
                 self._end_child()
-        code = self._heart.result
+        code = self._heartbeat.result
         strays = [pid for pid in children() if session_of(pid) == os.getsid(0)]
         for pid in strays:  # in the child's session: started by a law
             kill(pid)
@@ -106,13 +106,13 @@ class ProcessSupervisor:
         if self._to_hand_on is not None:
             number, noted = self._to_hand_on
             self._to_hand_on = None
-            if self._heart.signals == noted:
+            if self._heartbeat.signals == noted:
                 kill(self._child, number)
         info = signal.sigtimedwait(HEARD, LOOK_S)
         if info is not None and info.si_signo in STOPS:
             self._asked = self._asked or info.si_signo
             if (info.si_signo, info.si_code) != (signal.SIGINT, SENT_BY_KERNEL):
-                self._to_hand_on = info.si_signo, self._heart.signals
+                self._to_hand_on = info.si_signo, self._heartbeat.signals
                 signal.sigtimedwait([signal.SIGCHLD], LOOK_S)
         self._reap()
 
@@ -127,27 +127,27 @@ class ProcessSupervisor:
 
         Looks are counted, not seconds: a suspended command must not look like a hanging law.
         """
-        heart = self._heart
-        beats, vehicle = heart.beats, heart.inside
+        heartbeat = self._heartbeat
+        beats, vehicle = heartbeat.beats, heartbeat.inside
         self._looks = 0 if beats != self._beats else self._looks + 1
         self._since_asked += bool(self._asked)
         memory = resident_mb(self._child)
         if beats != self._beats:
             self._beats, self._entered_mb = beats, memory
         still_s = LOOK_S * self._looks
-        if heart.result is not None:
+        if heartbeat.result is not None:
             return "it did not exit" if still_s > LEAVE_S else ""
         if self._asked and still_s > ASKED_S and LOOK_S * self._since_asked > ASKED_S:
-            if heart.phase is Phase.COMPILING:
+            if heartbeat.phase is RunPhase.COMPILING:
                 return "it was still compiling"
             if vehicle is not None:
                 return self._law(f"did not return after the stop, within {ASKED_S:g} s")
         if vehicle is None:
             return ""
-        limit_s, memory_mb = heart.limits
+        limit_s, memory_mb = heartbeat.limits
         limit = limit_s + GRACE_S
-        limit = {Phase.READING: READ_S, Phase.COMPILING: max(FIRST_S, limit)}.get(
-            heart.phase, limit
+        limit = {RunPhase.READING: READ_S, RunPhase.COMPILING: max(FIRST_S, limit)}.get(
+            heartbeat.phase, limit
         )
         if still_s > limit:
             return self._law(f"did not return within {still_s:.0f} s")
@@ -167,11 +167,11 @@ class ProcessSupervisor:
     # Words
 
     def _law(self, what: str) -> str:
-        vehicle, law = self._heart.inside, self._heart.law
+        vehicle, law = self._heartbeat.inside, self._heartbeat.law
         return f"law of {vehicle} ({law}) {what}" if vehicle else f"law {law} {what}"
 
     def _words(self) -> str:
-        """How the child ended before it finished the run."""
+        """Describe how the child ended before it finished the run."""
         assert self._ended is not None
         code = os.waitstatus_to_exitcode(self._ended)
         how = f"with exit code {code}"
@@ -179,25 +179,25 @@ class ProcessSupervisor:
             how = f"by {signal.Signals(-code).name}"
             if code == -signal.SIGKILL:
                 how += ", as the system does when memory runs out"
-        if self._heart.inside is not None:
+        if self._heartbeat.inside is not None:
             return self._law(f"ended its process {how}")
         return f"the process of the run ended {how} before it had finished"
 
     # Finishing
 
     def _finish(self, fault: str) -> int:
-        heart, code = self._heart, os.waitstatus_to_exitcode(self._ended or 0)
-        if heart.inside is None and self._asked and not heart.folder:
+        heartbeat, code = self._heartbeat, os.waitstatus_to_exitcode(self._ended or 0)
+        if heartbeat.inside is None and self._asked and not heartbeat.folder:
             return INTERRUPTED
-        if heart.phase is Phase.READING and heart.inside is not None:
+        if heartbeat.phase is RunPhase.READING and heartbeat.inside is not None:
             say(f"error: the file of the law\n  expected  a readable law\n  found     {fault}")
             return BAD_INPUT
-        if not heart.folder:  # the child has printed its error, or the operator stopped it
+        if not heartbeat.folder:  # the child has printed its error, or the operator stopped it
             return INTERRUPTED if code in (-n for n in STOPS) else code if code > 0 else FAULT
         for pid in children():
             if b"testbed.logs.mcap_writer" in words_of(pid):
                 self._wait([pid], LAST_S)
-        if self._asked and (heart.inside is None or heart.phase is Phase.COMPILING):
+        if self._asked and (heartbeat.inside is None or heartbeat.phase is RunPhase.COMPILING):
             fault = ""
         self._judge(fault)
         self._wait([pid for pid in children() if not shows(words_of(pid))], LAST_S)
@@ -213,12 +213,12 @@ class ProcessSupervisor:
                 signal.signal(number, signal.SIG_IGN)  # it takes a moment only
             from testbed.cli.finish import finish_run
 
-            folder, rig = Path(self._heart.folder), self._heart.rig
+            folder, rig = Path(self._heartbeat.folder), self._heartbeat.rig
             finish_run(folder, rig, fault or None, as_json="--json" in sys.argv)
             sys.stdout.flush()
             os._exit(0)
         if self._wait([finisher], FINISH_S):
-            say(f"warning: the run folder is incomplete: {self._heart.folder}")
+            say(f"warning: the run folder is incomplete: {self._heartbeat.folder}")
 
     def _wait(self, pids: list[int], limit_s: float) -> bool:
         """Wait for processes to end and kill the rest; returns whether any was killed."""

@@ -26,7 +26,7 @@ from testbed.cli.refusal import errors
 
 LINE_S = 60.0  # interval of lines without a terminal [s]
 LOOK_S = 5.0  # interval of counting workers, at a terminal [s]
-NOBODY = "no workers yet; waiting"
+NO_WORKERS = "no workers yet; waiting"
 
 
 class Bar(CampaignObserver):
@@ -90,16 +90,16 @@ class Bar(CampaignObserver):
     def _tell(self) -> None:
         """Thread that prints progress, because the main thread waits for the workers."""
         while not self._end.wait(self._every_s):
-            nobody = self._is_nobody_there()
+            no_workers = self._has_no_workers()
             if self._end.is_set():
                 return
             if not errors.is_terminal:
-                words = self.line(time.monotonic(), nobody)
+                words = self.line(time.monotonic(), no_workers)
                 errors.print(words, markup=False, soft_wrap=True)
-            elif nobody:
-                self._progress.update(self._bar, description=f"{self._name} {NOBODY}")
+            elif no_workers:
+                self._progress.update(self._bar, description=f"{self._name} {NO_WORKERS}")
 
-    def _is_nobody_there(self) -> bool:
+    def _has_no_workers(self) -> bool:
         try:
             return self._count_workers is not None and self._count_workers() == 0
         # Dask raises errors of many classes for a lost cluster, which the main thread reports;
@@ -107,10 +107,10 @@ class Bar(CampaignObserver):
         except Exception:
             return False
 
-    def line(self, now: float, nobody: bool) -> str:
-        """The progress line at time `now` [s]; `nobody`: there are no workers."""
+    def line(self, now: float, no_workers: bool) -> str:
+        """The progress line at time `now` [s]; `no_workers`: the cluster has none."""
         parts = [f"{self._name} {self._over} of {self._total} runs".strip()] if self._total else []
-        parts.append(NOBODY if nobody else self._words)
+        parts.append(NO_WORKERS if no_workers else self._words)
         if self._here > 1 and now > self._began:
             rate = (self._here - 1) / (now - self._began)
             left = timedelta(seconds=round((self._total - self._over) / rate))

@@ -24,7 +24,7 @@ def refuse(error: Exception | str, code: int = BAD_INPUT) -> int:
 
 
 def warn(lines: Iterable[str]) -> None:
-    """Print warnings."""
+    """Print warnings on stderr, one line each."""
     for line in lines:
         errors.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
 

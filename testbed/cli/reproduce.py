@@ -17,7 +17,7 @@ from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import show
 from testbed.config import ConfigError
 from testbed.report.chart import alone
-from testbed.reproduction.audit import Made, RunError, made, rows_of, tasks_of
+from testbed.reproduction.audit import RunError, TaskResult, made, rows_of, tasks_of
 from testbed.reproduction.claim import (
     CHECK,
     CORRECTED,
@@ -74,10 +74,10 @@ class Results(dict[str, dict[str, Any]]):
 
     def __init__(self, names: Mapping[str, Paper]) -> None:
         super().__init__({name: {} for name in names})
-        self.made: list[Made] = []
+        self.made: list[TaskResult] = []
 
-    def add(self, done: Made) -> None:
-        """Add a finished run."""
+    def add(self, done: TaskResult) -> None:
+        """Add the result of a finished run."""
         self[done.paper][done.run] = done.values
         self.made.append(done)
 

@@ -13,7 +13,7 @@ from testbed.core.lab import Network
 from testbed.logs.log_reader import LogReader, log_of
 from testbed.net.ros2 import Ros2Node
 from testbed.net.ros2_publisher import ROUTER, WAIT_S, publish
-from testbed.net.session import NobodyError, dial
+from testbed.net.session import NoHostError, dial
 
 LAST_S = 2.0  # time for the last messages after a flight
 
@@ -25,7 +25,7 @@ def publish_run(run: Path, endpoint: str, domain: int, speed: float) -> int:
         with dial(endpoint, WAIT_S) as session:
             node = Ros2Node(session, domain)
             number = publish(log, node, monotonic, Event().wait, speed)
-    except NobodyError:
+    except NoHostError:
         expected, found = "the router of ROS 2", "no answer"
         return refuse(TestbedError(where=endpoint, expected=expected, found=found, hint=ROUTER))
     except TestbedError as error:

@@ -16,8 +16,8 @@ from testbed.cli.result import code_of, print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
-from testbed.net.stop import noted
-from testbed.realtime.heartbeat import Phase, heartbeat, process_to_end
+from testbed.net.flight_note import noted
+from testbed.realtime.heartbeat import RunPhase, heartbeat, process_to_end
 from testbed.report.page import ReportError
 from testbed.rig.boards import check_boards
 from testbed.rig.chain import watched
@@ -74,8 +74,8 @@ def run_experiment(
         with interrupt.caught(), watched(experiment):
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
-            heart = heartbeat()
-            heart.rig, heart.folder, heart.phase = rig, str(folder), Phase.COMPILING
+            own = heartbeat()
+            own.rig, own.folder, own.phase = rig, str(folder), RunPhase.COMPILING
             if view is not None:
                 from testbed.cli.dash import beside_run
 
@@ -163,12 +163,12 @@ def maker(
     if rig == "twin":
         return make_twin
     from testbed.console.checklist import write_checks
-    from testbed.rig.wired.host import WireRig, anybody
+    from testbed.rig.wired.host import WireRig
 
     latch, latched = operator.latched(rig, experiment, str(folder))
     return lambda experiment: WireRig(
         experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched,
-        agree=operator.agree if rig == "table" else anybody,
+        agree=operator.agree if rig == "table" else lambda names: True,
         say=lambda text: errors.print(text, markup=False, soft_wrap=True),
         checked=partial(write_checks, folder),
     )  # fmt: skip

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table as Grid
 
 from testbed.campaign.compilation import compile_first
-from testbed.campaign.engine import Fleet, workers
+from testbed.campaign.engine import WorkerPool, workers
 from testbed.campaign.flight import gone, make_folder
 from testbed.campaign.journal import Head, Journal
 from testbed.campaign.row import FlownRun, Task
@@ -118,10 +118,10 @@ def fly_tuning(tuning: Tuning, folder: Path, jobs: int, scheduler: str | None) -
             return compare(tuning, trials, fly)
 
 
-def _fleet(client: object, tuning: Tuning) -> Fleet[Task, FlownRun]:
+def _fleet(client: object, tuning: Tuning) -> WorkerPool[Task, FlownRun]:
     fly = partial(fly_batch, tuning.base)
     limit_s = tuning.file.limit_s
-    return Fleet(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
+    return WorkerPool(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
 
 
 def compare(tuning: Tuning, trials: Sequence[Trial], fly: object) -> TuningResult:

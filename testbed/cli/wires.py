@@ -6,7 +6,7 @@ from pathlib import Path
 from testbed.cli.exit_code import FAULT, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.config import ConfigError, find, load
-from testbed.net.credentials import BadgeError
+from testbed.net.credentials import CredentialsError
 from testbed.realtime.processes import end_on_terminate
 from testbed.rig.wired import agent_process, twin_process
 from testbed.rig.wired.agent_process import AgentOptions
@@ -40,7 +40,7 @@ def fly_agent(agent: AgentOptions) -> int:
 
     try:
         agent_process.fly(agent, say, child=False)
-    except BadgeError as error:
+    except CredentialsError as error:
         return refuse(error)
     except agent_process.FAILURES as error:
         return refuse(error, FAULT)

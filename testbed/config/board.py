@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 
 from firmware_interface.limits import LimitsError, limits_of
-from testbed.config.error import Mistake
+from testbed.config.error import Violation
 from testbed.config.experiment import Experiment
 
 
-def bad_board(experiment: Experiment) -> Iterator[Mistake]:
+def bad_board(experiment: Experiment) -> Iterator[Violation]:
     """Errors for the firmware of the board; the model has no limits."""
     if experiment.board == "model":
         return
@@ -17,9 +17,9 @@ def bad_board(experiment: Experiment) -> Iterator[Mistake]:
             limits = limits_of(setup.model)
         except LimitsError as error:
             expected = 'a vehicle that the firmware can drive, or `board = "model"`'
-            yield Mistake(("vehicles", name, "model"), expected, str(error))
+            yield Violation(("vehicles", name, "model"), expected, str(error))
             continue
         longest = min(limits.max_ttl_us, limits.max_on_us) * 1e-6
         if period > longest:
             expected = f"at most {longest:g} s, the longest plan of the firmware"
-            yield Mistake(("flight", "jet_period_s"), expected, f"{period:g} s")
+            yield Violation(("flight", "jet_period_s"), expected, f"{period:g} s")

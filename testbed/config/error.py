@@ -9,8 +9,8 @@ from testbed.core.spelling import did_you_mean as did_you_mean
 LONGEST = 72  # shown characters of a value
 
 
-class Mistake(NamedTuple):
-    """An error at `key`."""
+class Violation(NamedTuple):
+    """An invalid value: its key, what was expected and found."""
 
     key: Key
     expected: str
@@ -26,13 +26,13 @@ class ConfigError(TestbedError):
         self.key = key
 
 
-def refused(key: Key, error: Exception) -> Mistake:
-    """The error of a struct's own check, or of a law, as a Mistake."""
+def refused(key: Key, error: Exception) -> Violation:
+    """The error of a struct's own check, or of a law, as a Violation."""
     cause = error if isinstance(error, MismatchError) else error.__cause__
     if not isinstance(cause, MismatchError):
-        return Mistake(key, "values that fit together", str(error))
+        return Violation(key, "values that fit together", str(error))
     expected, found, about = cause.args
-    return Mistake(key, expected, f"{found}: {about}" if about else found)
+    return Violation(key, expected, f"{found}: {about}" if about else found)
 
 
 def show(value: object) -> str:

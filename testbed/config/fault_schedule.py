@@ -2,32 +2,34 @@
 
 from collections.abc import Iterator
 
-from testbed.config.error import Mistake, show
+from testbed.config.error import Violation, show
 from testbed.config.experiment import Experiment
 
 
-def bad_injections(experiment: Experiment) -> Iterator[Mistake]:
+def bad_injections(experiment: Experiment) -> Iterator[Violation]:
     """Errors in `[[inject]]`."""
     names = ", ".join(experiment.vehicles)
     for k, what in enumerate(experiment.inject):
         key = ("inject", k)
         if what.vehicle not in experiment.vehicles:
-            yield Mistake((*key, "vehicle"), f"one of: {names}", show(what.vehicle))
+            yield Violation((*key, "vehicle"), f"one of: {names}", show(what.vehicle))
             continue
         if what.kind == "swap_bodies" and (
             what.other == what.vehicle or what.other not in experiment.vehicles
         ):
-            yield Mistake((*key, "other"), f"another one of: {names}", show(what.other))
+            yield Violation((*key, "other"), f"another one of: {names}", show(what.other))
         if what.kind == "brown_out" and experiment.board in ("inproc", "unicorn", "qemu"):
             found = f'board = "{experiment.board}"'
-            yield Mistake((*key, "kind"), 'board = "model" with it', found)
+            yield Violation((*key, "kind"), 'board = "model" with it', found)
         jets = len(experiment.vehicles[what.vehicle].model.jets)
         if not 1 <= what.jet <= jets:
-            yield Mistake((*key, "jet"), f"a jet from 1 to {jets}", show(what.jet))
+            yield Violation((*key, "jet"), f"a jet from 1 to {jets}", show(what.jet))
         if what.kind == "leak_valve" and not 0.0 < what.size <= 1.0:
             expected = "a share of the jet's flow, more than 0 and at most 1: 30 % is 0.3"
-            yield Mistake((*key, "value"), expected, f"{what.size:g}")
+            yield Violation((*key, "value"), expected, f"{what.size:g}")
         if what.event == "near_obstacle" and not experiment.obstacles:
-            yield Mistake((*key, "event"), "an event that can happen", "no obstacle is there")
+            yield Violation((*key, "event"), "an event that can happen", "no obstacle is there")
         if what.event == "near_vehicle" and len(experiment.vehicles) < 2:
-            yield Mistake((*key, "event"), "an event that can happen", "no other vehicle is there")
+            yield Violation(
+                (*key, "event"), "an event that can happen", "no other vehicle is there"
+            )

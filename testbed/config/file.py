@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from controllers.catalogue import make_law
 from controllers.own_law import OwnLawParams
 from testbed.config.board import bad_board
-from testbed.config.error import ConfigError, Mistake, did_you_mean, refused
+from testbed.config.error import ConfigError, Violation, did_you_mean, refused
 from testbed.config.experiment import Experiment
 from testbed.config.fault_schedule import bad_injections
 from testbed.config.fit import defaults_of, fit
@@ -27,15 +27,15 @@ from testbed.config.shipped import FAULTS, SHIPPED
 from testbed.config.source import Source
 from testbed.config.thresholds import (
     Texts,
-    mistakes_in,
     resolved,
     take_texts,
     value_of,
+    violations_in,
     words_of,
 )
 from testbed.config.timing import bad_timing
 from testbed.config.tree import read_text, read_toml, trouble_at
-from testbed.config.validation import first_misfit
+from testbed.config.validation import first_violation
 
 OTHER_KINDS = {  # by a first key that experiments do not have
     "mass": "a vehicle, which `vehicles.NAME.model` of an experiment names",
@@ -78,7 +78,7 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
 
 
 def loads(text: str, overrides: Sequence[str] = ()) -> Experiment:
-    """The same for the text of a resolved experiment, without a file."""
+    """Load the text of a resolved experiment, without a file."""
     where = "the resolved experiment"
     return _checked(Source(read_text(text.encode(), where), where, Path()), overrides)
 
@@ -86,22 +86,22 @@ def loads(text: str, overrides: Sequence[str] = ()) -> Experiment:
 def _checked(source: Source, overrides: Sequence[str]) -> Experiment:
     for text in overrides:
         source.override(text)
-    for mistake in bad_numbers(source.tree):
-        raise source.error(mistake)
+    for violation in bad_numbers(source.tree):
+        raise source.error(violation)
     texts = take_texts(source.tree.get("faults"))
     try:
         experiment = msgspec.convert(source.tree, Experiment)
     except msgspec.ValidationError:
-        mistake = first_misfit(source.tree, Experiment)
-        if len(mistake.key) == 1 and (kind := OTHER_KINDS.get(str(mistake.key[0]))):
-            mistake = mistake._replace(found=f"{mistake.found}: the file of {kind}?")
-        raise source.error(mistake) from None
-    for mistake in mistakes(experiment):
-        raise source.error(mistake)
+        violation = first_violation(source.tree, Experiment)
+        if len(violation.key) == 1 and (kind := OTHER_KINDS.get(str(violation.key[0]))):
+            violation = violation._replace(found=f"{violation.found}: the file of {kind}?")
+        raise source.error(violation) from None
+    for violation in violations(experiment):
+        raise source.error(violation)
     experiment = fit(experiment, source.tree)
     words = words_for(experiment)
-    for mistake in mistakes_in(texts, words):
-        raise source.error(mistake)
+    for violation in violations_in(texts, words):
+        raise source.error(violation)
     faults = resolved(experiment.faults, texts, words)
     return with_content(replace(experiment, faults=faults))
 
@@ -130,7 +130,7 @@ def fault_texts(path: Path, overrides: Sequence[str] = ()) -> Texts:
     return take_texts(source.tree.get("faults"))
 
 
-def mistakes(experiment: Experiment) -> Iterator[Mistake]:
+def violations(experiment: Experiment) -> Iterator[Violation]:
     """Errors that the types do not exclude."""
     yield from chain(bad_layout(experiment), bad_hardware(experiment), bad_timing(experiment))
     yield from bad_own_law(experiment)
@@ -138,7 +138,7 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     yield from bad_injections(experiment)
     yield from bad_network(experiment)
     yield from bad_plugins(experiment)
-    yield from bad_forks(experiment, mistakes)
+    yield from bad_forks(experiment, violations)
     if isinstance(experiment.controller, OwnLawParams):
         return  # checked by bad_own_law
     try:
@@ -146,7 +146,7 @@ def mistakes(experiment: Experiment) -> Iterator[Mistake]:
     except ValueError as error:
         yield refused(("controller",), error)
     except ArithmeticError as error:
-        yield Mistake(("controller",), "numbers of ordinary size", str(error))
+        yield Violation(("controller",), "numbers of ordinary size", str(error))
 
 
 def dump(experiment: Experiment) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from controllers.bifurcating import BifurcatingParams
 from controllers.bifurcating_design import reaches
-from controllers.guarantee import Bounded, Start, Unbounded, concerns
+from controllers.guarantee import Bounded, InitialState, Unbounded, concerns
 from testbed.config.experiment import Experiment
 from testbed.core.codes import Detector
 from testbed.core.law import Concern, Discs
@@ -23,7 +23,7 @@ def warnings_of(experiment: Experiment) -> list[Concern]:
     moves = [s.path.at(0.0).v if s.path else (0.0, 0.0) for s in setups]
     accels = [math.hypot(*s.path.at(t).a) for s in setups if s.path for t in times]
     share = experiment.guidance.force_share
-    start = Start(
+    start = InitialState(
         np.array([s.model.mass for s in setups]),
         np.array([s.start[:2] for s in setups]),
         np.array([s.goal[:2] for s in setups]),

@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 from scipy.optimize import nnls
 
-from testbed.config.error import Mistake, show
+from testbed.config.error import Violation, show
 from testbed.config.experiment import Experiment
 from testbed.core.jets import effect_matrix
 from testbed.core.vehicle import Jet, Point, Vehicle
@@ -20,36 +20,36 @@ NEAR = 1e-6  # tolerance of a wrench
 WEAK = 1e-3  # pushes and levers below this share of thrust and radius count as zero
 
 
-def bad_hardware(experiment: Experiment) -> Iterator[Mistake]:
+def bad_hardware(experiment: Experiment) -> Iterator[Violation]:
     """Errors in the vehicles."""
     for name, setup in experiment.vehicles.items():
-        for key, expected, found in vehicle_mistakes(setup.model):
-            yield Mistake(("vehicles", name, "model", *key), expected, found)
+        for key, expected, found in vehicle_violations(setup.model):
+            yield Violation(("vehicles", name, "model", *key), expected, found)
 
 
-def vehicle_mistakes(model: Vehicle) -> Iterator[Mistake]:
+def vehicle_violations(model: Vehicle) -> Iterator[Violation]:
     """Errors in one vehicle; keys are those of its file."""
     yield from chain(_jets(model), _body(model), _air(model), _gauges(model), _spread(model))
 
 
-def _jets(vehicle: Vehicle) -> Iterator[Mistake]:
+def _jets(vehicle: Vehicle) -> Iterator[Violation]:
     jets = vehicle.jets
     for i, jet in enumerate(jets):
         if abs(math.hypot(*jet.push) - 1.0) > 1e-6:
-            yield Mistake(("jets", i, "push"), "a vector of length 1", show(list(jet.push)))
+            yield Violation(("jets", i, "push"), "a vector of length 1", show(list(jet.push)))
         yield from _within(("jets", i, "position"), jet.position, vehicle.radius)
     if len(jets) > MOST_JETS:
-        yield Mistake(("jets",), f"at most {MOST_JETS} jets", f"{len(jets)}")
+        yield Violation(("jets",), f"at most {MOST_JETS} jets", f"{len(jets)}")
     elif not push_everywhere(jets, vehicle.com, vehicle.radius):
         expected = "jets that push the body every way and turn it both ways"
         ways = "; none ".join(missing_ways(vehicle))
-        yield Mistake(("jets",), expected, f"{len(jets)}: none {ways or 'of them strongly'}")
+        yield Violation(("jets",), expected, f"{len(jets)}: none {ways or 'of them strongly'}")
 
 
-def _within(key: tuple[str | int, ...], point: Point, radius: float) -> Iterator[Mistake]:
+def _within(key: tuple[str | int, ...], point: Point, radius: float) -> Iterator[Violation]:
     if math.hypot(*point) > radius:
         expected = f"a point of the vehicle, at most {radius:g} m from its origin"
-        yield Mistake(key, expected, show(list(point)))
+        yield Violation(key, expected, show(list(point)))
 
 
 WAYS = ("towards +x", "towards -x", "towards +y", "towards -y", "turning left", "turning right")
@@ -92,52 +92,52 @@ def push_everywhere(jets: Sequence[Jet], com: Point, radius: float) -> bool:
     return bool(np.all(reach.max(axis=1) > WEAK) and np.all(reach.min(axis=1) < -WEAK))
 
 
-def _body(vehicle: Vehicle) -> Iterator[Mistake]:
+def _body(vehicle: Vehicle) -> Iterator[Violation]:
     yield from _within(("com",), vehicle.com, vehicle.radius)
     largest = vehicle.mass * (vehicle.radius**2 - math.hypot(*vehicle.com) ** 2)
     if vehicle.inertia > largest:
         expected = f"at most {largest:g} kg m^2: {vehicle.mass:g} kg within {vehicle.radius:g} m"
-        yield Mistake(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
+        yield Violation(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
     least = DENSEST**2 * vehicle.mass * vehicle.radius**2
     if vehicle.inertia < least:
         expected = f"at least {least:g} kg m^2, or the mass is a point"
-        yield Mistake(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
+        yield Violation(("inertia",), expected, f"{vehicle.inertia:g} kg m^2")
     for name, mass in (("drag", vehicle.mass), ("spin_drag", vehicle.inertia)):
         if (drag := getattr(vehicle, name)) > mass / QUICKEST_STOP:
             expected = f"at most {mass / QUICKEST_STOP:g}: with more it does not float"
-            yield Mistake((name,), expected, f"{drag:g}")
+            yield Violation((name,), expected, f"{drag:g}")
 
 
-def _air(vehicle: Vehicle) -> Iterator[Mistake]:
+def _air(vehicle: Vehicle) -> Iterator[Violation]:
     air = vehicle.air
     if air.gas >= 0.5 * vehicle.mass:
         expected = f"less than half of the mass, {0.5 * vehicle.mass:g} kg"
-        yield Mistake(("air", "gas"), expected, f"{air.gas:g} kg")
+        yield Violation(("air", "gas"), expected, f"{air.gas:g} kg")
     arm = math.dist(air.tank_position, vehicle.com)
     if air.gas * arm**2 > 0.25 * vehicle.inertia:  # the gas is used up, and its inertia with it
         furthest = math.sqrt(0.25 * vehicle.inertia / air.gas)
         expected = f"at most {furthest:g} m from `com`, or the gas has the vehicle's inertia"
-        yield Mistake(("air", "tank_position"), expected, show(list(air.tank_position)))
+        yield Violation(("air", "tank_position"), expected, show(list(air.tank_position)))
     if air.tank_pressure < air.set_pressure + air.dropout:
         expected = f"at least set_pressure + dropout, {air.set_pressure + air.dropout:g} Pa"
-        yield Mistake(("air", "tank_pressure"), expected, f"{air.tank_pressure:g} Pa")
+        yield Violation(("air", "tank_pressure"), expected, f"{air.tank_pressure:g} Pa")
 
 
-def _gauges(vehicle: Vehicle) -> Iterator[Mistake]:
+def _gauges(vehicle: Vehicle) -> Iterator[Violation]:
     gauges = vehicle.gauges
     if gauges.undervoltage_v > 0.0 and not gauges.battery:
         expected = "0 without a voltmeter (`battery = false`)"
-        yield Mistake(("gauges", "undervoltage_v"), expected, f"{gauges.undervoltage_v:g} V")
+        yield Violation(("gauges", "undervoltage_v"), expected, f"{gauges.undervoltage_v:g} V")
     if gauges.undervoltage_v > HIGHEST_V:
         expected = f"volts, at most {HIGHEST_V:g}"
-        yield Mistake(("gauges", "undervoltage_v"), expected, f"{gauges.undervoltage_v:g}")
+        yield Violation(("gauges", "undervoltage_v"), expected, f"{gauges.undervoltage_v:g}")
 
 
-def _spread(vehicle: Vehicle) -> Iterator[Mistake]:
+def _spread(vehicle: Vehicle) -> Iterator[Violation]:
     spread = vehicle.tolerance
     for name in ("thrust", "pulse", "mass", "inertia"):
         if (share := getattr(spread, name)) > 0.5:
-            yield Mistake(("tolerance", name), "a share, at most 0.5: 5 % is 0.05", f"{share:g}")
+            yield Violation(("tolerance", name), "a share, at most 0.5: 5 % is 0.05", f"{share:g}")
     if spread.com > vehicle.radius:
         expected = f"at most the radius, {vehicle.radius:g} m"
-        yield Mistake(("tolerance", "com"), expected, f"{spread.com:g} m")
+        yield Violation(("tolerance", "com"), expected, f"{spread.com:g} m")

@@ -20,7 +20,7 @@ _BRACKET = re.compile(r"""[^="']*\[""")
 
 
 def spell(key: Key) -> str:
-    """The key as a string."""
+    """The key as in an override: `vehicles.sat1.goal`."""
     return ".".join(_spell(part) for part in key)
 
 
@@ -33,7 +33,7 @@ def _spell(part: str | int) -> str:
 
 
 def quoted(text: str) -> str:
-    """A TOML string."""
+    """The text as a TOML string, quoted and escaped."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return f'"{printable(escaped)}"'
 

@@ -11,9 +11,9 @@ from controllers.law_file import UnusableLawError, content_of, digest, file_of, 
 from controllers.onnx_policy import OnnxParams
 from controllers.own_law import OwnLawParams, own_law, parameter_type, try_out
 from controllers.plain_law import LawError
-from testbed.config.error import Mistake, refused
+from testbed.config.error import Violation, refused
 from testbed.config.experiment import Experiment
-from testbed.config.validation import first_misfit
+from testbed.config.validation import first_violation
 from testbed.realtime.law_watch import reading
 
 C = TypeVar("C")
@@ -34,7 +34,7 @@ def place_law(tree: Any, folder: Path) -> None:
             controller["file"] = str((folder / file).resolve())
 
 
-def bad_own_law(experiment: Experiment) -> Iterator[Mistake]:
+def bad_own_law(experiment: Experiment) -> Iterator[Violation]:
     """Errors in a user's own law."""
     params = experiment.controller
     if not isinstance(params, OwnLawParams):
@@ -47,18 +47,18 @@ def bad_own_law(experiment: Experiment) -> Iterator[Mistake]:
         yield refused(("controller", error.key), error)
 
 
-def _tried(params: OwnLawParams, names: list[str]) -> list[Mistake]:
+def _tried(params: OwnLawParams, names: list[str]) -> list[Violation]:
     """Read the file, make the law and call it once."""
     kind = parameter_type(maker(params.law, params.sha256))
     try:
         msgspec.convert(params.parameters, kind)
     except msgspec.ValidationError:
-        key, expected, found = first_misfit(params.parameters, kind)
-        return [Mistake(("controller", "parameters", *key), expected, found)]
+        key, expected, found = first_violation(params.parameters, kind)
+        return [Violation(("controller", "parameters", *key), expected, found)]
     try:
         try_out(own_law(params, names, 2), len(names))
     except LawError as error:
-        return [Mistake(("controller", "law"), "a law that says what to do", str(error))]
+        return [Violation(("controller", "law"), "a law that says what to do", str(error))]
     return []
 
 

@@ -5,7 +5,7 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from testbed.config.error import ConfigError, Mistake, did_you_mean, show
+from testbed.config.error import ConfigError, Violation, did_you_mean, show
 from testbed.config.key import Key, assignment, spell
 from testbed.config.own_law import place_law
 from testbed.config.shipped import FAULTS
@@ -31,9 +31,9 @@ class Source:
             self.tree["faults"] = str(FAULTS)
         self._include(folder)
 
-    def error(self, mistake: Mistake) -> ConfigError:
-        """The mistake as an error that names its file or override."""
-        key, expected, found = mistake
+    def error(self, violation: Violation) -> ConfigError:
+        """The violation as an error that names its file or override."""
+        key, expected, found = violation
         above = (key[:n] for n in range(len(key), -1, -1))
         origin = next(self._origins[part] for part in above if part in self._origins)
         inside = [
@@ -103,7 +103,7 @@ class Source:
                 file = folder / name
                 if trouble := trouble_at(file):
                     found = f"{show(name)}: {trouble}"
-                    raise self.error(Mistake(key, "the path of a TOML file", found))
+                    raise self.error(Violation(key, "the path of a TOML file", found))
                 parent[key[-1]] = read_toml(file.resolve())
                 self._note(key, Origin(str(file.resolve()), key))
 

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from testbed.config.error import Mistake, show
+from testbed.config.error import Violation, show
 from testbed.config.number import LARGEST
 from testbed.core.table import Link, Table
 from testbed.core.vehicle import Vehicle
@@ -161,13 +161,13 @@ def take_texts(faults: Any) -> Texts:
     return texts
 
 
-def mistakes_in(texts: Texts, words: Mapping[str, float]) -> Iterator[Mistake]:
+def violations_in(texts: Texts, words: Mapping[str, float]) -> Iterator[Violation]:
     """Arithmetic that cannot be worked out."""
     for (name, bound), text in texts.items():
         try:
             value_of(text, words)
         except ValueError as error:
-            yield Mistake(("faults", name, bound), str(error), show(text))
+            yield Violation(("faults", name, bound), str(error), show(text))
 
 
 def resolved(faults: FaultTable, texts: Texts, words: Mapping[str, float]) -> FaultTable:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from testbed.config.error import Mistake
+from testbed.config.error import Violation
 from testbed.config.experiment import Experiment
 from testbed.core.vehicle import Vehicle
 
@@ -16,64 +16,64 @@ MOST_DELAY = 2.0  # largest valve delay in jet periods; boards remember four pul
 HAIR = 1e-9  # [s] tolerance for rounding errors
 
 
-def bad_timing(experiment: Experiment) -> Iterator[Mistake]:
+def bad_timing(experiment: Experiment) -> Iterator[Violation]:
     """Errors in times and rates."""
     yield from _run(experiment)
     yield from _camera(experiment)
     yield from _guidance(experiment)
     for name, setup in experiment.vehicles.items():
         key = ("vehicles", name, "model")
-        for mistake in _valves(setup.model, experiment.flight.jet_period_s):
-            yield mistake._replace(key=(*key, *mistake.key))
+        for violation in _valves(setup.model, experiment.flight.jet_period_s):
+            yield violation._replace(key=(*key, *violation.key))
         air = setup.model.air
         if air.bearing_flow * experiment.duration_s > air.gas:
             lasts = air.gas / air.bearing_flow
             expected = f"at most {lasts:g} s: then the bearings of {name} have used all its gas"
-            yield Mistake(("duration_s",), expected, f"{experiment.duration_s:g} s")
+            yield Violation(("duration_s",), expected, f"{experiment.duration_s:g} s")
 
 
-def _run(experiment: Experiment) -> Iterator[Mistake]:
+def _run(experiment: Experiment) -> Iterator[Violation]:
     duration, period = experiment.duration_s, experiment.flight.jet_period_s
     if period < SHORTEST_PERIOD:
         expected = f"at least {SHORTEST_PERIOD:g} s"
-        yield Mistake(("flight", "jet_period_s"), expected, f"{period:g} s")
+        yield Violation(("flight", "jet_period_s"), expected, f"{period:g} s")
     if duration < period:
-        yield Mistake(
+        yield Violation(
             ("duration_s",), f"at least flight.jet_period_s, {period:g} s", f"{duration:g} s"
         )
     if duration > MOST_TICKS * period:
         expected = f"at most {MOST_TICKS} jet periods, {MOST_TICKS * period:g} s"
-        yield Mistake(("duration_s",), expected, f"{duration:g} s")
+        yield Violation(("duration_s",), expected, f"{duration:g} s")
 
 
-def _camera(experiment: Experiment) -> Iterator[Mistake]:
+def _camera(experiment: Experiment) -> Iterator[Violation]:
     mocap, key = experiment.table.mocap, ("table", "mocap", "rate_hz")
     if mocap.rate_hz > FASTEST_CAMERA:
-        yield Mistake(key, f"at most {FASTEST_CAMERA:g} Hz", f"{mocap.rate_hz:g} Hz")
+        yield Violation(key, f"at most {FASTEST_CAMERA:g} Hz", f"{mocap.rate_hz:g} Hz")
     if mocap.rate_hz * experiment.duration_s > MOST_FRAMES:
         expected = f"at most {MOST_FRAMES:.0e} frames in {experiment.duration_s:g} s"
-        yield Mistake(key, expected, f"{mocap.rate_hz * experiment.duration_s:.1e}")
+        yield Violation(key, expected, f"{mocap.rate_hz * experiment.duration_s:.1e}")
     timeout = experiment.flight.gate.pose_timeout_s
     if mocap.latency_s >= timeout:
         expected = f"less than flight.gate.pose_timeout_s, {timeout:g} s"
-        yield Mistake(("table", "mocap", "latency_s"), expected, f"{mocap.latency_s:g} s")
+        yield Violation(("table", "mocap", "latency_s"), expected, f"{mocap.latency_s:g} s")
     elif 1.0 / mocap.rate_hz + mocap.latency_s >= timeout:
         slowest = 1.0 / (timeout - mocap.latency_s)
         expected = f"more than {slowest:.3g} Hz: the gate waits {timeout:g} s for a pose"
-        yield Mistake(key, expected, f"{mocap.rate_hz:g} Hz")
+        yield Violation(key, expected, f"{mocap.rate_hz:g} Hz")
 
 
-def _guidance(experiment: Experiment) -> Iterator[Mistake]:
+def _guidance(experiment: Experiment) -> Iterator[Violation]:
     guidance, period = experiment.guidance, experiment.flight.jet_period_s
     if period > MOST_STEPS * guidance.step_s:
         expected = f"at least {period / MOST_STEPS:g} s, {MOST_STEPS} steps in a jet period"
-        yield Mistake(("guidance", "step_s"), expected, f"{guidance.step_s:g} s")
+        yield Violation(("guidance", "step_s"), expected, f"{guidance.step_s:g} s")
     if guidance.preview_s > MOST_REFERENCES * period:
         expected = f"at most {MOST_REFERENCES} jet periods, {MOST_REFERENCES * period:g} s"
-        yield Mistake(("guidance", "preview_s"), expected, f"{guidance.preview_s:g} s")
+        yield Violation(("guidance", "preview_s"), expected, f"{guidance.preview_s:g} s")
 
 
-def _valves(vehicle: Vehicle, period: float) -> Iterator[Mistake]:
+def _valves(vehicle: Vehicle, period: float) -> Iterator[Violation]:
     """A plan must start, flow and end before the plans after it are forgotten."""
     valve = vehicle.valve
     expected = f"at most flight.jet_period_s, {period:g} s"
@@ -85,15 +85,15 @@ def _valves(vehicle: Vehicle, period: float) -> Iterator[Mistake]:
         (("valve", "close_ramp_s"), valve.close_ramp_s),
     ):
         if time > period + HAIR:
-            yield Mistake(key, expected, f"{time:g} s")
+            yield Violation(key, expected, f"{time:g} s")
     for name in ("open_delay_s", "close_delay_s"):
         if (delay := getattr(valve, name)) > MOST_DELAY * period + HAIR:
             longest = f"at most {MOST_DELAY:g} times flight.jet_period_s, {MOST_DELAY * period:g} s"
-            yield Mistake(("valve", name), longest, f"{delay:g} s")
+            yield Violation(("valve", name), longest, f"{delay:g} s")
     if valve.open_delay_s - valve.close_delay_s > period + HAIR:
         nothing = f"less than {valve.close_delay_s + period:g} s, or nothing flows in a jet period"
-        yield Mistake(("valve", "open_delay_s"), nothing, f"{valve.open_delay_s:g} s")
+        yield Violation(("valve", "open_delay_s"), nothing, f"{valve.open_delay_s:g} s")
     shortest = valve.close_delay_s + valve.close_ramp_s - valve.open_delay_s
     if valve.min_off_s < shortest - HAIR:
         expected = f"at least {shortest:g} s: before, the valve is still closing"
-        yield Mistake(("valve", "min_off_s"), expected, f"{valve.min_off_s:g} s")
+        yield Violation(("valve", "min_off_s"), expected, f"{valve.min_off_s:g} s")

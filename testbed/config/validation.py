@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct, inspect
 
-from testbed.config.error import Mistake, did_you_mean, refused, show
+from testbed.config.error import Violation, did_you_mean, refused, show
 from testbed.config.key import Key, spell
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
@@ -19,10 +19,10 @@ MISSING = "nothing: the key is missing"
 INCLUDED = (Table, Vehicle)  # may be separate files
 
 
-def first_misfit(tree: Any, struct: type[Struct]) -> Mistake:
+def first_violation(tree: Any, struct: type[Struct]) -> Violation:
     """The first mismatch of a tree that msgspec could not convert to `struct`."""
     kind = inspect.type_info(struct)
-    return _misfit((), tree, kind) or Mistake((), describe(kind), show(tree))
+    return _violation((), tree, kind) or Violation((), describe(kind), show(tree))
 
 
 def describe(kind: inspect.Type) -> str:
@@ -68,13 +68,13 @@ def _tagged(kind: inspect.UnionType) -> dict[str, inspect.StructType]:
     return {str(t.tag): t for t in structs if t.tag_field == "type"}
 
 
-def _misfit(key: Key, value: Any, kind: inspect.Type) -> Mistake | None:
+def _violation(key: Key, value: Any, kind: inspect.Type) -> Violation | None:
     """The first mismatch of `value` at `key`."""
     match kind, value:
         case inspect.StructType(), dict():
-            return _struct_misfit(key, value, kind)
+            return _struct_violation(key, value, kind)
         case inspect.UnionType(), _:
-            return _union_misfit(key, value, kind)
+            return _union_violation(key, value, kind)
         case inspect.DictType(value_type=entry), dict():
             entries = [((*key, name), item, entry) for name, item in value.items()]
         case ((inspect.ListType(item_type=entry) | inspect.VarTupleType(item_type=entry)), list()):
@@ -83,12 +83,12 @@ def _misfit(key: Key, value: Any, kind: inspect.Type) -> Mistake | None:
             pairs = enumerate(zip(value, types, strict=True))
             entries = [((*key, i), item, entry) for i, (item, entry) in pairs]
         case _:
-            return None if _fits(value, kind) else Mistake(key, describe(kind), show(value))
+            return None if _fits(value, kind) else Violation(key, describe(kind), show(value))
     return _first(entries)
 
 
-def _first(entries: Sequence[tuple[Key, Any, inspect.Type]]) -> Mistake | None:
-    return next((misfit for entry in entries if (misfit := _misfit(*entry))), None)
+def _first(entries: Sequence[tuple[Key, Any, inspect.Type]]) -> Violation | None:
+    return next((violation for entry in entries if (violation := _violation(*entry))), None)
 
 
 def _fits(value: Any, kind: inspect.Type) -> bool:
@@ -115,23 +115,25 @@ def _fits(value: Any, kind: inspect.Type) -> bool:
     return False
 
 
-def _struct_misfit(key: Key, table: dict[str, Any], kind: inspect.StructType) -> Mistake | None:
+def _struct_violation(
+    key: Key, table: dict[str, Any], kind: inspect.StructType
+) -> Violation | None:
     fields = {field.encode_name: field for field in kind.fields}
     known = sorted([*fields, *filter(None, [kind.tag_field])])
     for name in table:
         if name not in known:
             found = f"unknown key `{spell((name,))}`{did_you_mean(name, known)}"
-            return Mistake((*key, name), f"one of: {', '.join(known)}", found)
+            return Violation((*key, name), f"one of: {', '.join(known)}", found)
     for name, field in fields.items():
         if name in table:
-            if misfit := _misfit((*key, name), table[name], field.type):
-                return misfit
+            if violation := _violation((*key, name), table[name], field.type):
+                return violation
         elif field.required:
-            return Mistake((*key, name), describe(field.type), MISSING)
+            return Violation((*key, name), describe(field.type), MISSING)
     return _refusal(key, table, kind.cls)
 
 
-def _refusal(key: Key, table: dict[str, Any], cls: type) -> Mistake | None:
+def _refusal(key: Key, table: dict[str, Any], cls: type) -> Violation | None:
     """The error of the struct's own check on values that are valid one by one."""
     try:
         msgspec.convert(table, cls)
@@ -140,25 +142,25 @@ def _refusal(key: Key, table: dict[str, Any], cls: type) -> Mistake | None:
     return None
 
 
-def _union_misfit(key: Key, value: Any, kind: inspect.UnionType) -> Mistake | None:
+def _union_violation(key: Key, value: Any, kind: inspect.UnionType) -> Violation | None:
     tagged = _tagged(kind)
     if tagged and isinstance(value, dict):
-        return _tagged_misfit(key, value, tagged)
-    misfits = [_misfit(key, value, t) for t in kind.types]
-    if None in misfits:
+        return _tagged_violation(key, value, tagged)
+    violations = [_violation(key, value, t) for t in kind.types]
+    if None in violations:
         return None
-    inside = (misfit for misfit in misfits if misfit and misfit.key != key)
-    return next(inside, Mistake(key, describe(kind), show(value)))
+    inside = (violation for violation in violations if violation and violation.key != key)
+    return next(inside, Violation(key, describe(kind), show(value)))
 
 
-def _tagged_misfit(
+def _tagged_violation(
     key: Key, table: dict[str, Any], options: dict[str, inspect.StructType]
-) -> Mistake | None:
+) -> Violation | None:
     """The mismatch of a table whose `type` selects the struct."""
     found = MISSING
     if "type" in table:
         tag = table["type"]
         if isinstance(tag, str) and tag in options:
-            return _struct_misfit(key, table, options[tag])
+            return _struct_violation(key, table, options[tag])
         found = show(tag) + (did_you_mean(tag, options) if isinstance(tag, str) else "")
-    return Mistake((*key, "type"), f"one of: {', '.join(options)}", found)
+    return Violation((*key, "type"), f"one of: {', '.join(options)}", found)

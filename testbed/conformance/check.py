@@ -1,4 +1,4 @@
-"""What the checks have in common: how one fails, how all are run, and calls that must not wait."""
+"""Shared by all checks: failing, running all, and calls that must not block."""
 
 import inspect
 import threading
@@ -18,7 +18,7 @@ class NotConformingError(AssertionError):
 
 
 def must(holds: object, what: str, expected: str, found: object) -> None:
-    """Fail unless it holds."""
+    """Fail the check with `expected` and `found` unless it holds."""
     if not holds:
         raise NotConformingError(what, expected, str(found))
 
@@ -38,7 +38,7 @@ def run_all(suite: Any) -> None:
 
 
 def at_once(what: str, call: Callable[[], T]) -> T:
-    """What a call returns; fail if it does not, instead of waiting with it."""
+    """Result of a call; the check fails if the call blocks."""
     done: list[T] = []
     raised: list[BaseException] = []
 

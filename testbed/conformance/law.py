@@ -1,8 +1,8 @@
-"""What the testbed relies on in a law: shapes, finite numbers, nothing written, nothing hidden.
+"""What the testbed requires of a law: shapes, finite numbers, no side effects, no hidden state.
 
 A law is asked in scenes that flights have: on the way, at rest in its goal, close to an obstacle,
 alone, with others of whom nothing was heard but where they are. What it remembers belongs into the
-law's state. So the same question has the same answer, whatever was asked between: replay needs it.
+law's state. Equal inputs give equal outputs, independent of calls in between: replay needs it.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,8 +21,8 @@ SECONDS, STEPS = 0.1, 4  # of a look ahead
 SCENES = 6  # drawn ones, beside the extremes
 
 
-class Scene(NamedTuple):
-    """What a law is asked about."""
+class Situation(NamedTuple):
+    """Arguments for a law."""
 
     own: Body
     neighbours: Neighbours
@@ -49,14 +49,14 @@ class LawConformance:
         except UnusableLawError as error:
             raise NotConformingError("the law", "one that can be made", str(error)) from error
 
-    def _asked(self) -> Iterator[tuple[Law, Scene]]:
+    def _asked(self) -> Iterator[tuple[Law, Situation]]:
         for d in self.dimensions:
             law = self._law(d)
             for scene in scenes(d, law.message_size):
                 yield law, scene
 
     def test_shapes(self) -> None:
-        """A force (d,), a rate as long as the state, as many words as it says."""
+        """A force (d,), a rate as long as the state, and `message_size` numbers to broadcast."""
         for law, scene in self._asked():
             d, here = len(scene.own.p), _at(scene)
             state = _initial(law, scene)
@@ -96,7 +96,7 @@ class LawConformance:
                 must(same, f"{name} {_at(scene)}", "inputs that are only read", "one was written")
 
     def test_same_question_same_answer(self) -> None:
-        """Asked again, with other questions between, it says the same to the last bit."""
+        """Equal inputs give equal outputs to the last bit, with other calls in between."""
         for d in self.dimensions:
             law = self._law(d)
             asked = list(scenes(d, law.message_size))
@@ -107,7 +107,7 @@ class LawConformance:
                 must(_same(one, other), f"a law asked twice {_at(scene)}", expected, "another")
 
     def test_two_laws_are_alike(self) -> None:
-        """One made later, for another vehicle or another run, says what the first one said."""
+        """A second instance, for another vehicle or run, gives the same outputs."""
         for d in self.dimensions:
             law = self._law(d)
             first = [_answer(law, scene) for scene in scenes(d, law.message_size)]
@@ -134,7 +134,7 @@ def check_law(
     run_all(suite)
 
 
-def scenes(d: int, words: int) -> Iterator[Scene]:
+def scenes(d: int, words: int) -> Iterator[Situation]:
     """Situations of a flight for positions of shape (d,), of others who say so many words."""
     rng = np.random.default_rng(20)
     for k in range(SCENES):
@@ -160,7 +160,7 @@ def _scene(
     obstacles: int,
     moving: bool,
     t: float,
-) -> Scene:
+) -> Situation:
     def vectors(n: int, reach: float) -> Array:
         return rng.uniform(-reach, reach, (n, d))
 
@@ -174,7 +174,7 @@ def _scene(
         vectors(others, 2.5), vectors(others, pace), np.full(others, 0.5),
         np.arange(1, others + 1), np.zeros((others, words)), np.full(others, t),
     )  # fmt: skip
-    return Scene(
+    return Situation(
         own,
         around,
         World(
@@ -184,39 +184,39 @@ def _scene(
     )
 
 
-def _at(scene: Scene) -> str:
+def _at(scene: Situation) -> str:
     n, obstacles = len(scene.neighbours.radius), len(scene.world.obstacles.radius)
     return f"(at {np.round(scene.own.p, 2)}, {n} neighbours, {obstacles} obstacles, {scene.t:g} s)"
 
 
-def _told(ask: Callable[[], Any], what: str, scene: Scene) -> Any:
+def _ask_law(ask: Callable[[], Any], what: str, scene: Situation) -> Any:
     try:
         return ask()
     except (LawError, ArithmeticError) as error:
         raise NotConformingError(f"{what} {_at(scene)}", "an answer", str(error)) from error
 
 
-def _initial(law: Law, scene: Scene) -> Array:
+def _initial(law: Law, scene: Situation) -> Array:
     ask = lambda: np.asarray(law.initial(scene.own, scene.neighbours, scene.world))  # noqa: E731
-    found: Array = _told(ask, "initial", scene)
+    found: Array = _ask_law(ask, "initial", scene)
     return found
 
 
-def _initial_twice(law: Law, state: Array, scene: Scene) -> None:
+def _initial_twice(law: Law, state: Array, scene: Situation) -> None:
     _initial(law, scene)
 
 
-def _rate(law: Law, state: Array, scene: Scene) -> tuple[Array, Array]:
+def _rate(law: Law, state: Array, scene: Situation) -> tuple[Array, Array]:
     ask = lambda: law.rate(state, *scene)  # noqa: E731
-    force, rate = _told(ask, "rate", scene)
+    force, rate = _ask_law(ask, "rate", scene)
     return np.asarray(force), np.asarray(rate)
 
 
-def _ahead(law: Law, state: Array, scene: Scene) -> Any:
-    return _told(lambda: law.propagate(state, *scene, SECONDS, STEPS), "propagate", scene)
+def _ahead(law: Law, state: Array, scene: Situation) -> Any:
+    return _ask_law(lambda: law.propagate(state, *scene, SECONDS, STEPS), "propagate", scene)
 
 
-def _answer(law: Law, scene: Scene) -> list[Array]:
+def _answer(law: Law, scene: Situation) -> list[Array]:
     state = _initial(law, scene)
     return [np.array(x) for x in (state, *_rate(law, state, scene), *_ahead(law, state, scene))]
 

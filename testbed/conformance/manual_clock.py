@@ -66,13 +66,13 @@ class ManualClock:
         def all_wait() -> bool:
             return all(one in self._waiting or not one.is_alive() for one in self._known)
 
-        for _ in range(round(PATIENCE_S / 0.1)):  # one that ends says nothing
+        for _ in range(round(PATIENCE_S / 0.1)):  # a thread that ends does not report it
             if self._change.wait_for(all_wait, 0.1):
                 return
         must(False, "a thread of the plug-in", "clock.wait_until to be called again", "no call")
 
     def let_go(self) -> None:
-        """No thread waits any more: time jumps to where a thread wants it."""
+        """Remove the limit: time jumps to each thread's deadline."""
         with self._change:
             self._free = True
             self._change.notify_all()

@@ -1,4 +1,4 @@
-"""What the testbed relies on in a motion-capture system: what is seen, when, in order, at once."""
+"""What the testbed requires of motion capture: right bodies and stamps, in order, no waiting."""
 
 import math
 import threading
@@ -34,7 +34,7 @@ def nothing() -> None:
 
 
 class CamerasBench(NamedTuple):
-    """A plug-in, and cameras that say what the checks want them to say."""
+    """A plug-in, and simulated cameras that the checks control."""
 
     source: MocapSource
     send: Callable[[int, dict[str, Sighting]], None]  # a frame: its number, what it shows
@@ -115,7 +115,7 @@ class PoseSourceConformance:
         must(shown in ([1, 3, 4, 5], [1, 2, 3, 4, 5]), "frames 1, 3, 2, 4, 4, 5", expected, shown)
 
     def test_cameras_that_start_again_are_heard(self) -> None:
-        """Their program was started anew and counts from 1."""
+        """After a restart of the camera program frames count from 1."""
         with self._bench() as bench:
             bench.send(100_000, _at(1))
             _until(bench, 1)
@@ -125,7 +125,7 @@ class PoseSourceConformance:
         must(found, "frames counted from 1 after frame 100000", "some of 60", "none")
 
     def test_a_body_that_is_lost_is_said_to_be(self) -> None:
-        """It stays among the bodies, not tracked; when it is seen again, it is tracked."""
+        """A lost body stays in the exposure as not tracked, until it is seen again."""
         with self._bench() as bench:
             other = {"other": Sighting((0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=True)}
             for k, seen in ((1, True), (2, False), (3, True)):
@@ -154,7 +154,7 @@ class PoseSourceConformance:
                 must(fine or not body.tracked, name, "finite numbers, or not tracked", body)
 
     def test_rubbish_does_no_harm(self) -> None:
-        """What is no frame is passed over, and the next frame is heard."""
+        """Data that is not a frame is ignored, and the next frame is received."""
         with self._bench() as bench:
             if bench.rubbish is None:
                 return
@@ -174,7 +174,7 @@ class PoseSourceConformance:
         must(len(found) == 50, "50 frames before a poll", "50 exposures", len(found))
 
     def test_closed_and_opened_again(self) -> None:
-        """Closing gives ports back, and may be said twice."""
+        """Closing releases ports, and may be called twice."""
         for k in (1, 2):
             with self._bench() as bench:
                 bench.send(k, _at(k))
@@ -194,7 +194,7 @@ def check_pose_source(factory: Callable[[], CamerasBench]) -> None:
 
 
 def _at(k: int) -> dict[str, Sighting]:
-    """What frame k shows."""
+    """Positions of the bodies in frame k."""
     return {"sat1": Sighting((k * STEP, 0.5, 0.25), (0.0, 0.0, 0.0, 1.0), tracked=True)}
 
 
@@ -211,7 +211,7 @@ def _frame_of(one: Exposure, body: str = "sat1") -> int | None:
 
 
 def _until(bench: CamerasBench, k: int, body: str = "sat1") -> list[Exposure]:
-    """All exposures up to the one that shows frame k."""
+    """All exposures up to frame k."""
     found: list[Exposure] = []
     for _ in range(LOOKS):
         found += at_once("poll", bench.source.poll)

@@ -1,4 +1,4 @@
-"""What the testbed relies on in thrusters: plans are played as they are, and everything shuts.
+"""What the testbed requires of thrusters: plans are played unchanged, and all valves close in time.
 
 The checks play plans on a mock of the hardware, in time that they make pass themselves.
 """
@@ -118,7 +118,7 @@ class ThrustersConformance:
                 one.after(ms, *valves, what="valve 0 at 20 to 60 ms, valve 1 at 0 to 30 ms")
 
     def test_a_plan_replaces_the_one_before(self) -> None:
-        """Of the old one nothing is left."""
+        """No pulse of the old plan is played any more."""
         with self._flown() as one:
             one.plan({0: (0, 80)})
             one.after(30, 0)
@@ -128,7 +128,7 @@ class ThrustersConformance:
             one.after(60, what="the end of a plan that replaces another")
 
     def test_a_plan_ahead_waits_for_its_start(self) -> None:
-        """The one before it is played until then."""
+        """Until then the plan before it is played."""
         with self._flown() as one:
             one.plan({0: (0, 90)})
             one.plan({1: (0, 30)}, ahead=0.05)
@@ -137,7 +137,7 @@ class ThrustersConformance:
             one.after(30, what="the end of a plan that started at 50 ms")
 
     def test_a_late_plan_has_its_rest_played(self) -> None:
-        """Offsets count from its start, which is over; one that has ended opens nothing."""
+        """Offsets count from its start in the past; an expired plan opens no valve."""
         with self._flown() as one:
             one.plan({0: (0, 60), 1: (60, 30)}, ahead=-0.03)
             one.after(10, 0, what="a plan that started 30 ms ago")
@@ -147,7 +147,7 @@ class ThrustersConformance:
             one.after(5, what="a plan that ended 100 ms ago")
 
     def test_valves_shut_at_valid_until(self) -> None:
-        """Whatever the plan says, and without another word."""
+        """Whatever the plan says, and without another command."""
         with self._flown() as one:
             one.plan({0: (0, 400), 1: (50, 400)})
             one.after(90, 0, 1, what="a pulse longer than its plan")
@@ -155,7 +155,7 @@ class ThrustersConformance:
             one.after(400, what="silence")
 
     def test_short_pulses_are_not_played(self) -> None:
-        """One that is shorter than `min_on_s` does not open its valve."""
+        """A pulse shorter than `min_on_s` does not open its valve."""
         least = self.vehicle.valve.min_on_s
         with self._flown() as one:
             short = max(1, math.floor(1e3 * least) - 1)
@@ -166,7 +166,7 @@ class ThrustersConformance:
                 one.after(1, 1, what=f"a pulse of {short} ms on valve 0, shorter than min_on_s")
 
     def test_a_valve_rests_before_it_opens_again(self) -> None:
-        """At least `min_off_s`, also from one plan to the next."""
+        """A valve stays closed for `min_off_s`, also from one plan to the next."""
         rest = 1e3 * self.vehicle.valve.min_off_s
         with self._flown() as one:
             one.plan({0: (0, 30)})
@@ -177,7 +177,7 @@ class ThrustersConformance:
             one.after(rest + 5.0, 0, what="a valve that has rested for min_off_s")
 
     def test_disarm_shuts_the_valves_and_keeps_the_bearings(self) -> None:
-        """At once, and the plans are forgotten."""
+        """Valves close at once, and stored plans are dropped."""
         with self._flown() as one:
             at_once("bearing", lambda: one.board.bearing(on=True))
             one.plan({0: (0, 90), 1: (30, 60)})
@@ -202,7 +202,7 @@ class ThrustersConformance:
             one.after(60, what="land: a plan of before")
 
     def test_close_shuts_everything(self) -> None:
-        """In the middle of a pulse, and twice."""
+        """Closing works in the middle of a pulse, and twice."""
         with self._flown() as one:
             at_once("bearing", lambda: one.board.bearing(on=True))
             one.plan({0: (0, 90)})
@@ -228,17 +228,17 @@ class ThrustersConformance:
             )
             shown = [(round(t - start, 4), mask) for t, mask in found]
             must(same, "edges, from the plan's start", f"{expected}", shown)
-            must(one.board.edges() == [], "edges asked again", "none: they were told", "some")
+            must(one.board.edges() == [], "edges asked again", "none: each is given once", "some")
 
     def test_health_is_of_now(self) -> None:
         """Finite numbers, at any time."""
         with self._flown() as one:
             for _ in range(2):
-                told = at_once("health", one.board.health)
-                numbers = (told.t, told.supply_pressure, told.tank_pressure, told.battery)
-                must(all(map(math.isfinite, numbers)), "health", "finite numbers", told)
-                age = one.clock.now - told.t
-                must(0.0 <= age <= 1.0, "health.t", "the clock's time, less than 1 s ago", told.t)
+                health = at_once("health", one.board.health)
+                numbers = (health.t, health.supply_pressure, health.tank_pressure, health.battery)
+                must(all(map(math.isfinite, numbers)), "health", "finite numbers", health)
+                age = one.clock.now - health.t
+                must(0.0 <= age <= 1.0, "health.t", "the clock's time, less than 1 s ago", health.t)
                 one.clock.advance(2.0)
 
 

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-KEPT = 100  # versions, about 10 s; a reader that is older starts anew
+KEPT = 100  # versions, about 10 s; an older reader gets the whole picture
 TRAIL = 3000  # points kept of all trails together
 RASTER_S = 10.0
 EVENTS = 200  # lines kept
 
 
-class Part(NamedTuple):
+class Update(NamedTuple):
     """What one version added."""
 
     version: int
@@ -35,7 +35,7 @@ class Hub:
         self._now: dict[str, Any] = {}
         self._status: dict[str, Any] = {}  # what changes without a new picture
         self._drawn_at: float | None = None  # when the newest message of the flight was read
-        self._parts: deque[Part] = deque(maxlen=KEPT)
+        self._parts: deque[Update] = deque(maxlen=KEPT)
         self._pulses: deque[Any] = deque()
         self._trail: list[Any] = []
         self._events: deque[Any] = deque(maxlen=EVENTS)
@@ -45,7 +45,7 @@ class Hub:
         with self._changed:
             self._version += 1
             self._now, self._drawn_at = now, monotonic()
-            self._parts.append(Part(self._version, *part))
+            self._parts.append(Update(self._version, *part))
             self._pulses += part[0]
             while self._pulses and self._pulses[0].shut < now["t"] - RASTER_S:
                 self._pulses.popleft()
@@ -61,11 +61,11 @@ class Hub:
             if {**self._status, **status} != self._status:
                 self._status.update(status)
                 self._version += 1
-                self._parts.append(Part(self._version, [], [], []))
+                self._parts.append(Update(self._version, [], [], []))
                 self._changed.notify_all()
 
     def newest(self, after: int, wait_s: float) -> bytes:
-        """The newest picture as JSON, as soon as it is newer than `after`, or after `wait_s`."""
+        """The newest picture as JSON, once it is newer than `after`, or after `wait_s`."""
         with self._changed:
             self._changed.wait_for(lambda: self._version > after, wait_s)
             oldest = self._parts[0].version if self._parts else 1

@@ -7,20 +7,20 @@ from typing import Any, TypeVar
 
 from testbed.config import Experiment
 from testbed.console.tiles import Judge
-from testbed.console.valve_pulses import Pulse, Pulses
+from testbed.console.valve_pulses import Pulse, ValveHistory
 from testbed.core.codes import Response
 from testbed.core.types import HostTick, Tick
-from testbed.logs.feed import (
-    News,
-    SeenPace,
-    SeenPhase,
-    SeenValves,
-    pose_of,
-    stopping_point,
-)
+from testbed.logs.feed import News, SeenPace, SeenPhase, SeenValves, pose_of, stopping_point
 from testbed.logs.history import Happening, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
-from testbed.report.fault_story import OVER, STOPPING_TOO, SUPERVISOR, Said, Story, Trouble
+from testbed.report.fault_story import (
+    OVER,
+    STOPPING_TOO,
+    SUPERVISOR,
+    EventLine,
+    FaultyVehicles,
+    Story,
+)
 
 SILENT_S = 1.0  # a vehicle without a tick for this long is silent
 LOSS_S = 5.0  # over which the share of lost messages is taken
@@ -43,22 +43,22 @@ class LivePicture:
         self._places: dict[str, tuple[float, ...]] = {}
         self._true: set[str] = set()  # vehicles whose true pose the rig knows
         self._traced: dict[str, float] = {}
-        self._trouble, self._story = Trouble(scenario), Story(scenario)
+        self._trouble, self._story = FaultyVehicles(scenario), Story(scenario)
         self._judges = {n: Judge(scenario, n) for n in self._names}
         self._pulses = {
-            n: Pulses(k, len(one.model.jets), one.model.command_delay_s)
+            n: ValveHistory(k, len(one.model.jets), one.model.command_delay_s)
             for k, (n, one) in enumerate(scenario.vehicles.items())
         }
         self.pulses: list[Pulse] = []  # new since the last `clear`
         self.trail: list[tuple[int, float, float]] = []
-        self.said: list[Said] = []
+        self.said: list[EventLine] = []
 
     def clear(self) -> None:
-        """Forget what was new."""
+        """Drop the pulses, paths and messages added since the last call."""
         self.pulses, self.trail, self.said = [], [], []
 
     def take(self, news: Iterable[News]) -> None:
-        """Take messages in."""
+        """Update the picture with new messages of the log."""
         rows: list[tuple[str, Happening]] = []
         for _, who, t, message in news:
             self.t = max(self.t, t)

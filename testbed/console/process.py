@@ -74,7 +74,7 @@ def open_server(bind: str, port: int | None, token: str, answers: Answers) -> Se
 
 
 def address(bind: str, port: int, token: str) -> str:
-    """What to open in a browser."""
+    """Address of the page, for a browser."""
     host = os.uname().nodename if bind in ("0.0.0.0", "::") else bind
     return f"http://{f'[{host}]' if ':' in host else host}:{port}/{token and f'?token={token}'}"
 

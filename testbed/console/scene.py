@@ -12,7 +12,7 @@ POINTS = 121  # of a planned path
 
 
 def scene(scenario: Experiment) -> dict[str, Any]:
-    """What the page draws once."""
+    """Table, obstacles and vehicles, which the page draws once."""
     width, height = scenario.table.size
     reach = max(one.model.radius for one in scenario.vehicles.values())
     reach += scenario.flight.gate.fence_margin

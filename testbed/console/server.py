@@ -48,7 +48,7 @@ class ConsoleError(TestbedError):
 
 
 class Answers(NamedTuple):
-    """What the server asks of the rest."""
+    """Functions that the server calls: picture, scene, stop."""
 
     hub: Hub
     scene: Callable[[], bytes]
@@ -56,14 +56,14 @@ class Answers(NamedTuple):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """One connection."""
+    """Answers one browser's requests."""
 
     protocol_version = "HTTP/1.1"
     timeout = 20.0  # of a browser that neither asks nor reads [s]
     server: "Server"
 
     def do_GET(self) -> None:
-        """See the module."""
+        """Answer a request; see the module."""
         url = urlsplit(self.path)
         words = parse_qs(url.query)
         if url.path == "/" and self.server.admits(words.get("token", [""])[0]):
@@ -81,7 +81,7 @@ class Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n")
 
     def do_POST(self) -> None:
-        """See the module."""
+        """Answer a request; see the module."""
         length = self.headers.get("Content-Length", "0")
         if not length.isdecimal() or int(length) > LARGEST:
             self.close_connection = True
@@ -93,8 +93,8 @@ class Handler(BaseHTTPRequestHandler):
         elif self.path != "/stop":
             self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n")
         else:
-            told = self.server.answers.press(body.decode(errors="replace")[:64])
-            self._send(HTTPStatus.OK, "application/json", json.dumps(told).encode())
+            answer = self.server.answers.press(body.decode(errors="replace")[:64])
+            self._send(HTTPStatus.OK, "application/json", json.dumps(answer).encode())
 
     def _picture(self, after: str) -> None:
         if not self.server.readers.acquire(blocking=False):
@@ -177,7 +177,7 @@ class Server(ThreadingHTTPServer):
         return bool(self.token) and hmac.compare_digest(token.encode(), self.token.encode())
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that goes away is no error."""
+        """Ignore it: browsers may disconnect at any time."""
 
 
 def is_loopback(host: str) -> bool:

@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 import zenoh
 
 from testbed.net.direct_stop import stop_directly
+from testbed.net.flight_note import StoppableFlight, known_flights, runs
 from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, answers, dial
-from testbed.net.stop import ANSWER_S, StoppableFlight, end_twin, known_flights, runs
+from testbed.net.stop import ANSWER_S, end_twin
 
 LOOK_S = 0.5  # between two looks at the connections
 OPEN_S = 1.0  # time for a host's handshake
@@ -27,7 +28,7 @@ PRIORITY = 90  # of a press, above hosts and vehicles
 
 
 class Ways(NamedTuple):
-    """How the flight can be stopped now."""
+    """Ways by which the flight can be stopped now."""
 
     words: str
     ready: bool
@@ -126,8 +127,8 @@ class Stopper:
             if self._host is not None:
                 key = Keys(flight.lab).stop
                 self._host.put(key, stop.encode())
-                told = answers(self._host, key, ANSWER_S, stop.encode())
-                heard.update(one.decode(errors="replace") for one in told)
+                replies = answers(self._host, key, ANSWER_S, stop.encode())
+                heard.update(one.decode(errors="replace") for one in replies)
 
         both = [Thread(target=_quietly, args=(one,), daemon=True) for one in (directly, over_host)]
         for one in both:
@@ -145,7 +146,7 @@ def _keys(flight: StoppableFlight) -> Path | None:
 
 
 def _quietly(stop: Callable[[], None]) -> None:
-    """One way may fail without the other."""
+    """Try one way; a failure does not stop the other."""
     with suppress(zenoh.ZError, OSError):
         stop()
 

@@ -18,7 +18,7 @@ MILD = ("warn", "hold")
 
 
 class Number(NamedTuple):
-    """One number of a tile."""
+    """One number of a vehicle's tile, with label, level and limit."""
 
     key: str
     label: str
@@ -35,7 +35,7 @@ class Bounds(NamedTuple):
     is_floor: bool  # the number must stay above them
 
     def level(self, value: float) -> str:
-        """Level of a number."""
+        """`ok`, `warn` or `bad` for a value."""
         sign = -1.0 if self.is_floor else 1.0
         if sign * value > sign * self.bad:
             return "bad"

@@ -17,7 +17,7 @@ class Pulse(NamedTuple):
     shut: float  # [s]
 
 
-class Pulses:
+class ValveHistory:
     """The valves of one vehicle."""
 
     def __init__(self, vehicle: int, jets: int, delay_s: float) -> None:

@@ -12,7 +12,7 @@ from msgspec import Struct
 
 
 class Code(IntEnum):
-    """A number with words."""
+    """An enumeration member: a number and its words."""
 
     words: str
 
@@ -69,7 +69,7 @@ class InhibitReason(Code):
 
 
 class Hazard(Code):
-    """What the safety filter avoids."""
+    """Kind of object that the safety filter keeps clear of."""
 
     OBSTACLE = 1, "an obstacle"
     VEHICLE = 2, "another vehicle"
@@ -122,7 +122,7 @@ class FaultId(StrEnum):
     BOARD_FAILED = auto()  # it no longer executes plans
     BOARD_LEFT_ARMED = auto()
     LINE_LOST = auto()  # the serial line to the board
-    NO_PERMIT = auto()  # the host never permitted the flight
+    NO_LEASE = auto()  # the host never permitted the flight
     STOPPED = auto()  # by an operator
     NOT_STARTED = auto()  # an arming check failed
     RIG_FAILED = auto()  # network or a process of the rig
@@ -149,12 +149,12 @@ class Refusal(Struct, frozen=True, gc=False, omit_defaults=True):
 
     @property
     def words(self) -> str:
-        """Text for a person."""
+        """The report as one sentence."""
         return self.code.words.format(*self.values, *(math.nan,) * 3)  # a message may lack some
 
 
 class FaultCause(Struct, frozen=True, omit_defaults=True):
-    """What went wrong, and where."""
+    """Kind of a fault and its vehicle."""
 
     id: str  # row of the fault table, name of an `InhibitReason`, or a `FaultId`
     text: str  # for the operator

@@ -1,4 +1,4 @@
-"""How to install the packages that only some verbs need."""
+"""The `pip` line for packages that only some verbs need."""
 
 import shlex
 import sys

@@ -54,13 +54,13 @@ class SerialLines(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ThrusterWire(Struct, frozen=True, forbid_unknown_fields=True):
-    """What opens the valves."""
+    """Kind of board that opens the valves, and its options."""
 
     system: str = "serial"  # one of THRUSTER_SYSTEMS, or a plug-in; serial: the board's firmware
     options: dict[str, Any] = field(default_factory=dict)  # of the plug-in, on every vehicle
 
 
-class Weather(Struct, frozen=True, forbid_unknown_fields=True):
+class Impairment(Struct, frozen=True, forbid_unknown_fields=True):
     """Simulated delay and loss of incoming messages, for tests."""
 
     loss: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
@@ -75,5 +75,5 @@ class Lab(Struct, frozen=True, forbid_unknown_fields=True):
     network: Network = field(default_factory=Network)
     serial: SerialLines = field(default_factory=SerialLines)
     thrusters: ThrusterWire = field(default_factory=ThrusterWire)
-    weather: Weather = field(default_factory=Weather)
+    impairment: Impairment = field(default_factory=Impairment)
     late_s: Positive = 0.2  # a command older than this on arrival is dropped

@@ -134,6 +134,12 @@ class Law(Protocol):
         ...
 
 
+def concerns_of(law: Any, law_state: Array) -> list[Concern]:
+    """The law's concerns about the flight; laws without `concerns` have none."""
+    concerns = getattr(law, "concerns", None)
+    return [] if concerns is None else list(concerns(law_state))
+
+
 def rate_of(law, law_state, own, neighbours, world, t):
     """Force and rate of a law's state; the law is selected by the type of its gains.
 

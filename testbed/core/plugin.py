@@ -1,4 +1,4 @@
-"""What an installed package adds to the testbed: an entry point, found by its name.
+"""Plug-ins: entry points of installed packages, found by name.
 
     [project.entry-points."testbed.laws"]
     springs = "my_package:Springs"
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 LAWS, MOCAP, THRUSTERS = "testbed.laws", "testbed.mocap", "testbed.thrusters"  # groups
-TOLD = {  # parameters that the testbed fills in: they are no options
+PROVIDED = {  # parameters that the testbed fills in, not options
     LAWS: (
         "names",
         "d",
@@ -98,12 +98,12 @@ def load(group: str, name: str, built_in: Iterable[str] = ()) -> Plugin:
     return cast(Plugin, plugin)
 
 
-def option_type(plugin: Plugin, told: Iterable[str]) -> type[Struct]:
+def option_type(plugin: Plugin, provided: Iterable[str]) -> type[Struct]:
     """The options of a plug-in as a struct that refuses unknown keys.
 
     Args:
         plugin: the class or function.
-        told: names of parameters that the testbed fills in.
+        provided: names of parameters that the testbed fills in.
 
     Raises:
         PluginError: it has parameters without names, or annotations that name nothing.
@@ -120,16 +120,16 @@ def option_type(plugin: Plugin, told: Iterable[str]) -> type[Struct]:
     for key, one in inspect.signature(plugin).parameters.items():
         if one.kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD, one.POSITIONAL_ONLY):
             raise PluginError("parameters that all have names", f"`{one}` among those of {name}")
-        if key not in told:
+        if key not in provided:
             default = msgspec.NODEFAULT if one.default is one.empty else one.default
             fields.append((key, hints.get(key, Any), default))
     return msgspec.defstruct(name, fields, forbid_unknown_fields=True, kw_only=True)
 
 
-def call(plugin: Plugin, options: Struct, told: Mapping[str, Any]) -> Any:
-    """What a plug-in makes of its options, and of what it asks for among `told`."""
+def call(plugin: Plugin, options: Struct, provided: Mapping[str, Any]) -> Any:
+    """Call a plug-in with its options and with the parameters that it has among `provided`."""
     if isinstance(plugin, type) and isinstance(options, plugin):
         return options
     asked = inspect.signature(plugin).parameters
     given = {key: getattr(options, key) for key in options.__struct_fields__}
-    return plugin(**given, **{key: told[key] for key in told if key in asked})
+    return plugin(**given, **{key: provided[key] for key in provided if key in asked})

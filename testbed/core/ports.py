@@ -72,7 +72,7 @@ class ThrusterBoard(Thrusters, Protocol):
         ...
 
     def close(self) -> None:
-        """Shut everything and give the hardware back; may be said again."""
+        """Close all valves and release the hardware; may be called again."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""A name that is not known, and the known one that was probably meant."""
+"""Suggests the known name that an unknown one probably meant."""
 
 import difflib
 from collections.abc import Iterable

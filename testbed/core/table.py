@@ -22,7 +22,7 @@ class Tilt(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mocap(Struct, frozen=True, forbid_unknown_fields=True):
-    """Motion capture."""
+    """Rate, latency, noise and drop-outs of the cameras."""
 
     rate_hz: Positive
     latency_s: NonNegative  # exposure to arrival

@@ -2,7 +2,7 @@
 
 SI units and radians. One quantity, one frame: pose and twist are in the table frame W (origin at
 the table's centre, x right, y up, theta counter-clockwise), a wrench is in the body frame B. Where
-a quantity leaves its usual frame, its name says so (`force_w`).
+a quantity is not in its usual frame, its name has the frame (`force_w`).
 
 All are frozen: a value that is passed on never changes. A frozen value cannot be part of a cycle,
 so the garbage collector does not track it (`gc=False`): a flight creates half a million of them.

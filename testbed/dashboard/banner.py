@@ -24,7 +24,7 @@ class Banner(NamedTuple):
 
 
 def picture(banner: Banner) -> bytes:
-    """The banner as PNG."""
+    """The banner with verdict and events, as PNG."""
     image = Image.new("RGB", (WIDTH, HEIGHT), banner.colour)
     pen, words = ImageDraw.Draw(image), banner.words
     for size in SIZES:

@@ -22,7 +22,7 @@ class Lines(NamedTuple):
 
 
 class Label(NamedTuple):
-    """A text at a position."""
+    """A text label at a position on the table."""
 
     x: float  # [m]
     y: float  # [m]
@@ -73,7 +73,7 @@ MAKE: dict[str, Callable[[list[Any]], Any]] = {
 }
 
 
-class Columns:
+class ColumnBuffer:
     """A buffer of rows not yet sent."""
 
     def __init__(self, recording: rr.RecordingStream) -> None:

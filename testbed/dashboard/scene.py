@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import rerun as rr
 
 from testbed.config.experiment import Experiment
-from testbed.dashboard.columns import Columns
+from testbed.dashboard.columns import ColumnBuffer
 from testbed.dashboard.frame import Frames
 from testbed.dashboard.scene_plots import PlotScene
 from testbed.dashboard.scene_table import TableScene
@@ -27,7 +27,7 @@ class Scene:
 
     def __init__(self, scenario: Experiment, recording: rr.RecordingStream) -> None:
         setting(recording, scenario)
-        self._columns, self._frames = Columns(recording), Frames()
+        self._columns, self._frames = ColumnBuffer(recording), Frames()
         self._plots = PlotScene(scenario, recording)
         self._wires = WireScene(scenario, recording)
         self._table = TableScene(scenario, self._columns)

@@ -6,7 +6,7 @@ import numpy as np
 
 from testbed.config.experiment import Experiment
 from testbed.core.types import Tick
-from testbed.dashboard.columns import Columns
+from testbed.dashboard.columns import ColumnBuffer
 from testbed.dashboard.static_scene import plain
 from testbed.report.goal_error import GoalError, goal_at
 
@@ -14,7 +14,7 @@ from testbed.report.goal_error import GoalError, goal_at
 class AimScene:
     """Draws moving goals and the errors to what the experiment asks for."""
 
-    def __init__(self, scenario: Experiment, columns: Columns) -> None:
+    def __init__(self, scenario: Experiment, columns: ColumnBuffer) -> None:
         self._scenario, self._columns = scenario, columns
         self._goal_error = GoalError(scenario)
 

@@ -30,7 +30,7 @@ class PlotScene:
         self._means: dict[str, tuple[float, float]] = {}
 
     def draw(self, news: Sequence[News]) -> None:
-        """Draw new messages."""
+        """Add new ticks to the plots."""
         ticks: dict[str, list[Tick]] = {}
         hosts: dict[str, list[HostTick]] = {}
         loops: list[Loop] = []
@@ -45,8 +45,8 @@ class PlotScene:
         for name, flown in ticks.items():
             if name in self._names:
                 self._ticks(name, flown)
-        for name, told in hosts.items():
-            self._heard(name, told)
+        for name, own in hosts.items():
+            self._heard(name, own)
         if loops:
             self._column("plot/loop/late", [o.t for o in loops], [1e3 * o.late_s for o in loops])
             self._column("plot/loop/busy", [o.t for o in loops], [1e3 * o.busy_s for o in loops])
@@ -180,9 +180,9 @@ class PlotScene:
                     rr.StateChange.columns(state=states),
                 )
 
-    def _heard(self, name: str, told: list[HostTick]) -> None:
+    def _heard(self, name: str, ticks: list[HostTick]) -> None:
         """Draw age and loss of the states that the host receives from a vehicle."""
-        rows = [(h.inputs.t, h.inputs.own) for h in told if h.inputs.own is not None]
+        rows = [(h.inputs.t, h.inputs.own) for h in ticks if h.inputs.own is not None]
         if rows:
             t = [at for at, _ in rows]
             self._column(f"plot/link/{name}", t, [1e3 * (at - own.t) for at, own in rows])

@@ -8,7 +8,7 @@ from testbed.core.codes import Response
 from testbed.core.types import HostTick, Tick
 from testbed.dashboard.banner import AMBER, GREEN, GREY, Banner, picture
 from testbed.dashboard.banner import RED as ALARM
-from testbed.dashboard.columns import Columns, Label, Lines
+from testbed.dashboard.columns import ColumnBuffer, Label, Lines
 from testbed.dashboard.frame import FRAME_S, Frame
 from testbed.dashboard.scene_goals import AimScene
 from testbed.dashboard.static_scene import (
@@ -27,7 +27,7 @@ from testbed.dashboard.static_scene import (
 from testbed.logs.feed import SeenPace, SeenPhase, pose_of, stopping_point
 from testbed.logs.history import Happening, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
-from testbed.report.fault_story import OVER, SUPERVISOR, Story, Trouble
+from testbed.report.fault_story import OVER, SUPERVISOR, FaultyVehicles, Story
 from testbed.report.law import law_of, range_of
 
 STALE_S = 1.0  # links of a vehicle are not drawn from messages older than this
@@ -48,7 +48,7 @@ def grouped(states: Mapping[str, str]) -> list[str]:
 class TableScene:
     """Draws the table, the headline and the events of one run."""
 
-    def __init__(self, scenario: Experiment, columns: Columns) -> None:
+    def __init__(self, scenario: Experiment, columns: ColumnBuffer) -> None:
         self._scenario, self._columns = scenario, columns
         self._names = list(scenario.vehicles)
         self._newest: dict[str, Tick] = {}
@@ -58,7 +58,7 @@ class TableScene:
         self._trail_due = 0.0  # [s]
         self._cameras: dict[str, str] = {}
         self._phase = SeenPhase(0.0, "")  # of the supervisor
-        self._trouble, self._story = Trouble(scenario), Story(scenario)
+        self._trouble, self._story = FaultyVehicles(scenario), Story(scenario)
         self._aims = AimScene(scenario, columns)
         self._banner = Banner("", GREY)
         self._culprits: dict[str, str] = {}
@@ -67,7 +67,7 @@ class TableScene:
             columns.add("colour", f"world/vehicle/{name}/body", 0.0, (*hue(k), 255))
 
     def draw(self, frame: Frame) -> None:
-        """Draw the next frame."""
+        """Draw vehicles, jets, goals and references at the newest time."""
         t = frame.t
         ticks, truths, said = self._take(frame)
         self._trouble.see(self._newest)
@@ -192,8 +192,8 @@ class TableScene:
         """Draw the links between vehicles, with distances."""
         pairs = {
             tuple(sorted((name, other)))
-            for told in (self._newest, self._heard)
-            for name, one in told.items()
+            for states in (self._newest, self._heard)
+            for name, one in states.items()
             if t - one.inputs.t <= max(STALE_S, FRAME_S)
             for other in one.inputs.neighbours
         }

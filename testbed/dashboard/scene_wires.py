@@ -21,7 +21,7 @@ class WireScene:
         self._open: dict[tuple[str, int], bool] = {}
 
     def draw(self, news: Sequence[News]) -> None:
-        """Draw new messages."""
+        """Add new timing messages to the plots."""
         paces: dict[str, list[tuple[float, SeenPace]]] = {}
         edges: dict[str, list[SeenValves]] = {}
         for one in news:

@@ -73,7 +73,7 @@ def circle(x: float, y: float, radius: float, z: float) -> Array:
 
 
 def disc(x: float, y: float, radius: float, z: float, colour: Sequence[int]) -> rr.Mesh3D:
-    """A filled circle."""
+    """A filled circle as a mesh of triangles."""
     rim = circle(x, y, radius, z)[:-1]
     n = len(rim)
     fan = [(n, k, (k + 1) % n) for k in range(n)]

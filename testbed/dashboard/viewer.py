@@ -30,7 +30,7 @@ class ViewerError(TestbedError):
     """No viewer can be started."""
 
 
-class Address(Struct, frozen=True):
+class ViewerAddress(Struct, frozen=True):
     """Host and ports of a viewer."""
 
     bind: str
@@ -55,7 +55,7 @@ def _reachable(bind: str) -> str:
 
 
 def free_port(bind: str = LOOPBACK) -> int:
-    """A free TCP port."""
+    """A TCP port of this machine that is free now."""
     with socket.socket() as one:
         one.bind((bind, 0))
         return int(one.getsockname()[1])
@@ -74,7 +74,7 @@ def program() -> Path:
     return Path(rerun_cli.__file__).parent / "rerun"
 
 
-def command(kind: Kind, address: Address, files: Sequence[Path] = ()) -> list[str]:
+def command(kind: Kind, address: ViewerAddress, files: Sequence[Path] = ()) -> list[str]:
     """The viewer's command line."""
     words = [
         str(program()), *map(str, files), "--bind", address.bind, "--port", str(address.port),
@@ -89,7 +89,9 @@ def command(kind: Kind, address: Address, files: Sequence[Path] = ()) -> list[st
             return [*words, "--window-size", "1600x1000", "--hide-welcome-screen"]
 
 
-def start(kind: Kind, address: Address, files: Sequence[Path] = ()) -> "subprocess.Popen[bytes]":
+def start(
+    kind: Kind, address: ViewerAddress, files: Sequence[Path] = ()
+) -> "subprocess.Popen[bytes]":
     """Start a viewer; its output is discarded."""
     if kind == "window" and sys.platform.startswith("linux"):
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -109,7 +111,7 @@ def step_back(process: "subprocess.Popen[bytes]") -> None:
         os.setpriority(os.PRIO_PROCESS, process.pid, BEHIND)
 
 
-def listens(address: Address) -> bool:
+def listens(address: ViewerAddress) -> bool:
     """Whether the viewer accepts connections."""
     with socket.socket() as one:
         one.settimeout(0.2)

@@ -84,7 +84,7 @@ class Drilled(Struct, frozen=True):
     again: str = ""  # the command that flies it again
 
 
-class Row(Struct, frozen=True):
+class DrillRow(Struct, frozen=True):
     """One kind of injection, all its cases."""
 
     kind: str
@@ -115,7 +115,7 @@ class Drill(Struct, frozen=True):
     contacts: int  # without `adrift`, which no response can prevent
     contacts_adrift: int
     false_alarms: int
-    rows: list[Row]
+    rows: list[DrillRow]
     contacts_after: int = 0  # part of `contacts` in the minute after the end
 
 
@@ -177,7 +177,7 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
         shut = [one.shut_s for one in own if one.shut_s is not None]
         responses = {one.response for one in own if one.response}
         rows.append(
-            Row(
+            DrillRow(
                 kind,
                 len(own),
                 sum(one.detected_s is None and not one.dormant for one in own),

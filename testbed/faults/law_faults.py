@@ -10,13 +10,13 @@ import numpy as np
 
 from testbed.core.codes import FaultReport, InhibitReason, Refusal
 from testbed.core.error import TestbedError
-from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World
+from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World, concerns_of
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 
 
-class SabotageError(TestbedError):
+class InjectedFaultError(TestbedError):
     """The error that an injected fault raises in a law."""
 
 
@@ -28,8 +28,7 @@ class SpoiltLaw:
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """See `Law`."""
-        say = getattr(self._law, "concerns", None)
-        return [] if say is None else list(say(law_state))
+        return concerns_of(self._law, law_state)
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""
@@ -48,7 +47,7 @@ class SpoiltLaw:
         """See `Law`."""
         what = self._spoilt()
         if what == "raise":
-            raise SabotageError("as injected")
+            raise InjectedFaultError("as injected")
         ahead = self._law.propagate(law_state, own, neighbours, world, t, duration, steps)
         if what == "nan":
             none = np.full(len(ahead.p), np.nan)

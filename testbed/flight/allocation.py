@@ -42,7 +42,7 @@ class AllocatorParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 @compiled
 def inverse_3x3(m):
-    """Inverse by cofactors."""
+    """Inverse of a 3 x 3 matrix by cofactors."""
     inv = np.empty((3, 3))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3

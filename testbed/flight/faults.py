@@ -46,12 +46,12 @@ class Fault(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def code(self) -> Response:
-        """The response's code."""
+        """Number of the row's response, for compiled code."""
         return Response[self.response.upper()]
 
     @property
     def measures(self) -> Detector:
-        """The detector's code."""
+        """Number of the row's detector, for compiled code."""
         return Detector[self.detector.upper()]
 
     def report(self, name: str, value: float, said: str, cause: FaultCause | None) -> FaultReport:

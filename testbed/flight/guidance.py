@@ -23,7 +23,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World
+from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World, concerns_of
 from testbed.core.path import Path
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
@@ -160,8 +160,7 @@ class Guidance:
     @property
     def concerns(self) -> list[Concern]:
         """The law's concerns so far, for the operator."""
-        say = getattr(self._law, "concerns", None)
-        return [] if say is None or self._law_state is None else say(self._law_state)
+        return [] if self._law_state is None else concerns_of(self._law, self._law_state)
 
     def step(
         self,

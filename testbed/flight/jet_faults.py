@@ -271,7 +271,7 @@ def suspect(since, least, y):
 
 @compiled
 def forget(suspicion):
-    """No jet is suspected."""
+    """Reset the detector: no jet is suspected."""
     suspicion.jet, suspicion.share, suspicion.gain = 0, 0.0, 0.0
 
 

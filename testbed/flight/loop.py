@@ -23,6 +23,7 @@ from testbed.core.types import (
     Outputs,
     Setpoint,
     Tick,
+    Trajectory,
     Vitals,
 )
 from testbed.flight.faults import LONGEST_WORDS
@@ -46,6 +47,10 @@ class Chain(Protocol):
         ...
 
     def step(self, inputs: Inputs) -> Outputs:
+        """See `Agent`."""
+        ...
+
+    def staying(self, t: float) -> Trajectory | None:
         """See `Agent`."""
         ...
 
@@ -181,7 +186,7 @@ class Observer(Protocol):
     """Receives every tick: recorder, progress bar, dashboard. Must not slow the loop down."""
 
     def vehicle(self, name: str, tick: Tick) -> None:
-        """One vehicle's tick."""
+        """Receive one vehicle's inputs and outputs."""
         ...
 
     def host(self, name: str, tick: HostTick) -> None:
@@ -194,7 +199,7 @@ class Observer(Protocol):
 
 
 class Ending(Struct, frozen=True):
-    """How a flight ended."""
+    """Time and fault at the end of a flight."""
 
     t: float  # [s]
     fault: FaultReport | None  # None: flown to the end

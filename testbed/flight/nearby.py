@@ -24,7 +24,7 @@ def place(state: State, t: float) -> tuple[float, float]:
 
 
 class Contact(NamedTuple):
-    """A possible contact."""
+    """The nearest body or edge of a suspected contact, and when."""
 
     other: str  # body or edge
     t: float  # when its gap was smallest [s]

@@ -38,7 +38,7 @@ HARMLESS = ("stop", "disarm")  # always accepted, also if there is nothing to do
 
 
 class Answer(NamedTuple):
-    """Answer to a request."""
+    """Answer of the supervisor to a request: granted, or why not."""
 
     done: bool
     phase: Phase  # afterwards
@@ -66,7 +66,7 @@ class Supervisor:
 
     @property
     def phase(self) -> Phase:
-        """The current phase."""
+        """Phase that the supervisor is in now."""
         return self._phase
 
     @property
@@ -112,7 +112,7 @@ class Supervisor:
             self._move(t, "FAULT", "", fault)
 
     def end(self, t: float) -> None:
-        """The run ends normally."""
+        """End a running flight as planned: its phase becomes STOPPED."""
         if self._phase == "RUNNING":
             self._move(t, "STOPPED", "the end of the run")
 

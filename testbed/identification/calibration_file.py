@@ -1,4 +1,4 @@
-"""What a calibration tells: as JSON, and as comments of the vehicle file."""
+"""Results of a calibration, as JSON and as comments of the vehicle file."""
 
 from collections.abc import Sequence
 from datetime import date
@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from testbed.identification.model import Model
-from testbed.identification.motion import Calibration, interval, thrusts, told_by
+from testbed.identification.model import VehicleModel
+from testbed.identification.motion import Calibration, identifiable, interval, thrusts
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.vehicle_file import write_vehicle
 
@@ -24,7 +24,7 @@ def report_of(c: Calibration, name: str, logs: Sequence[MotionLog]) -> dict[str,
         rows[own.name] = {
             "value": factor * float(c.estimate.p[k]), "low": factor * low, "high": factor * high,
             "file": factor * float(own.value), "unit": own.unit or _unit(own.name),
-            "chosen": bool(k in c.estimate.free), "identifiable": told_by(c, k),
+            "chosen": bool(k in c.estimate.free), "identifiable": identifiable(c, k),
         }  # fmt: skip
     jets = thrusts(c) if c.model.valves else []
     unknown = [n for n, row in rows.items() if not row["identifiable"]]
@@ -77,7 +77,7 @@ def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: 
             continue
         factor = _factor(c.model, own.name)
         low, high = (factor * one for one in interval(c, k))
-        if not told_by(c, k):
+        if not identifiable(c, k):
             notes[place] = _add(notes.get(place), f"{own.name}: as in {name}, not identifiable")
         elif k not in c.estimate.free:
             text = f"{own.name}: as in {name}; these logs: {low:.4g} to {high:.4g}"
@@ -89,8 +89,8 @@ def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: 
         notes["mass"] = f"as in {name}: only thrust over mass is identifiable"
     for row in thrusts(c) if c.model.valves else []:
         words = "" if row["state"] == "ok" else f", {row['state']}"
-        told = "" if row["identifiable"] else ", not identifiable"
-        text = f"fitted, {row['low_n']:.4g} to {row['high_n']:.4g} N{words}{told}"
+        note = "" if row["identifiable"] else ", not identifiable"
+        text = f"fitted, {row['low_n']:.4g} to {row['high_n']:.4g} N{words}{note}"
         notes[f"jets.{row['jet'] - 1}"] = text
     origin = [f"{Path(log.where).name}, sha256 {log.digest}, {used_s(log):.1f} s" for log in logs]
     origin.append(f"values that were not fitted: vehicle {name}")
@@ -111,8 +111,8 @@ def _add(before: str | None, text: str) -> str:
     return f"{before}; {text}" if before else text
 
 
-def _factor(model: Model, name: str) -> float:
-    """From the model's relative numbers to SI units."""
+def _factor(model: VehicleModel, name: str) -> float:
+    """Factor from the model's relative numbers to SI units."""
     return {"mass": model.vehicle.mass, "inertia": model.vehicle.inertia}.get(name, 1.0)
 
 

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from testbed.core.vehicle import Vehicle
 from testbed.identification.columns import LogRefusedError
 from testbed.identification.estimate import fit
-from testbed.identification.model import Model
+from testbed.identification.model import VehicleModel
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves
 from testbed.identification.suspicion import look_at
@@ -76,11 +76,11 @@ def seen_in_flight(log: MotionLog, vehicle: Vehicle) -> dict[str, Any]:
     """Noise of a pose, what the axes look like, and the centre of mass in the cameras' body."""
     look = look_at([log], vehicle)
     position, heading = noise_of_poses([log])
-    model = Model(vehicle, valves=isinstance(log.inputs, Valves))
+    model = VehicleModel(vehicle, valves=isinstance(log.inputs, Valves))
     windows = [tiled(log, 2.5)]
     found = fit(model, windows, ["thrust", "delay", "inertia", "com"])
     at = [model.index(axis) for axis in ("com_x", "com_y")]
-    told = bool(np.all(found.sigma[at] < 0.6 * model.sigma[at]))
+    identifiable = bool(np.all(found.sigma[at] < 0.6 * model.sigma[at]))
     return {
         "noise_m": position, "noise_deg": float(np.degrees(heading)),
         "axes": look.other or "as the mapping says",
@@ -88,5 +88,5 @@ def seen_in_flight(log: MotionLog, vehicle: Vehicle) -> dict[str, Any]:
         "command_to_pose_s": float(look.delay),
         "body_offset_x_m": float(-found.p[at[0]]), "body_offset_y_m": float(-found.p[at[1]]),
         "body_offset_sigma_m": float(np.max(found.sigma[at])),
-        "body_offset_identifiable": told,
+        "body_offset_identifiable": identifiable,
     }  # fmt: skip

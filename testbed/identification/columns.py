@@ -19,10 +19,10 @@ GROUPED = re.compile(r"[-+]?\d{1,3}([,' ]\d{3})+(\.\d+)?|[-+]?\d+,\d+")
 
 
 class LogRefusedError(TestbedError):
-    """The log cannot be used: it says what is suspected."""
+    """The log cannot be used; the message names the suspected reason."""
 
 
-class Columns(dict[str, Array]):
+class NumericColumns(dict[str, Array]):
     """Numeric columns of equal length; a missing one is refused with its name."""
 
     def __init__(self, where: str, columns: dict[str, Array]) -> None:
@@ -51,11 +51,11 @@ class Columns(dict[str, Array]):
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file."""
+    """SHA-256 of a file's bytes, in hex."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def read_columns(path: Path, wanted: Iterable[str] | None = None) -> Columns:
+def read_columns(path: Path, wanted: Iterable[str] | None = None) -> NumericColumns:
     """The columns of a log.
 
     Args:
@@ -71,10 +71,10 @@ def read_columns(path: Path, wanted: Iterable[str] | None = None) -> Columns:
         if path.stat().st_size > LARGEST:
             raise LogRefusedError(where=str(path), expected="at most 2 GB", found="a larger file")
         if path.suffix == ".mat":
-            return Columns(str(path), _read_mat(path))
+            return NumericColumns(str(path), _read_mat(path))
         if path.suffix == ".mcap":
-            return Columns(str(path), _read_mcap(path))
-        return Columns(str(path), _read_csv(path, None if wanted is None else set(wanted)))
+            return NumericColumns(str(path), _read_mcap(path))
+        return NumericColumns(str(path), _read_csv(path, None if wanted is None else set(wanted)))
     except (OSError, EOFError, UnicodeDecodeError, csv.Error, ValueError) as error:
         raise LogRefusedError(
             where=str(path), expected="a CSV, .mat or .mcap file", found=str(error)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.identification.model import Model
+from testbed.identification.model import VehicleModel
 from testbed.identification.windows import Windows, first_guess, fly, fly_with_slopes
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ class Piece(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Result of a fit."""
+    """Fitted parameters, their standard deviations and the residuals."""
 
     p: Array  # all parameters
     free: NDArray[np.int64]  # those that were fitted
@@ -41,7 +41,7 @@ class Estimate(NamedTuple):
 
 
 def linearise(
-    model: Model, p: Array, free: NDArray[np.int64], logs: Sequence[Windows],
+    model: VehicleModel, p: Array, free: NDArray[np.int64], logs: Sequence[Windows],
     states: list[Array], scales: Array,
 ) -> tuple[list[Piece], list[tuple[Array, Array, Array]]]:  # fmt: skip
     """Pieces of all windows, and what `corrected` needs of each."""
@@ -89,11 +89,11 @@ def noise_of(pieces: Sequence[Piece], scales: Array) -> Array:
 
 
 def fit(
-    model: Model,
+    model: VehicleModel,
     logs: Sequence[Windows],
     groups: Sequence[str],
     start: Array | None = None,
-    told: Callable[[int, Array], None] | None = None,
+    progress: Callable[[int, Array], None] | None = None,
 ) -> Estimate:
     """Fit the parameters of some groups; the others keep the value of `start`, or the prior's."""
     free = model.of_groups(groups)
@@ -116,8 +116,8 @@ def fit(
             states[piece.log][piece.window] += np.linalg.lstsq(
                 by_x, error - by_p @ step, rcond=None
             )[0]
-        if told:
-            told(turn, p)
+        if progress:
+            progress(turn, p)
         scales = noise_of(pieces, scales)
         if turn > 1 and np.all(np.abs(step) < 2e-3 * model.sigma[free]):
             break

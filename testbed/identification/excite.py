@@ -16,8 +16,8 @@ from testbed.core.error import TestbedError
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 from testbed.identification.estimate import linearise, normal
-from testbed.identification.model import Model
-from testbed.identification.motion import LENGTH, SURE, TOLD
+from testbed.identification.model import VehicleModel
+from testbed.identification.motion import IDENTIFIABLE, LENGTH, SURE
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves, schedule_of, used_before
 from testbed.identification.synthetic import excitation, flown_log
@@ -77,7 +77,7 @@ def _one(
     inputs = excitation(vehicle, seconds, period, rng, room=0.5 * room, slope=slope)
     rate = min(50.0, table.mocap.rate_hz)
     log = flown_log(vehicle, table, inputs, seconds, rng, rate, 0.0, 0.0)
-    model = Model(vehicle, valves=True, table=table)
+    model = VehicleModel(vehicle, valves=True, table=table)
     windows = tiled(log, LENGTH)
     free = np.arange(len(model.names))
     noise = np.radians(table.mocap.noise_deg)
@@ -91,7 +91,7 @@ def _one(
     sigma = np.sqrt(np.diag(covariance))
     intervals = {
         own.name: {"half_width": float(SURE * sigma[k]), "unit": own.unit or "1",
-                   "identifiable": bool(sigma[k] < TOLD * own.sigma)}
+                   "identifiable": bool(sigma[k] < IDENTIFIABLE * own.sigma)}
         for k, own in enumerate(model.parameters) if own.group not in ("thrust", "jets")
     }  # fmt: skip
     before = float(np.hypot(model.sigma[0], model.sigma[1]))
@@ -99,11 +99,11 @@ def _one(
         both = covariance[np.ix_([0, 1 + j], [0, 1 + j])].sum() ** 0.5
         intervals[f"thrust of jet {j + 1}"] = {
             "half_width": float(SURE * both), "unit": "1",
-            "identifiable": bool(both < TOLD * before),
+            "identifiable": bool(both < IDENTIFIABLE * before),
         }  # fmt: skip
-    metal = nominal_plant(vehicle)
-    schedule = schedule_of(inputs, metal, vehicle.command_delay_s)
-    gas = float(used_before(schedule, metal, np.array([seconds]))[0])
+    plant = nominal_plant(vehicle)
+    schedule = schedule_of(inputs, plant, vehicle.command_delay_s)
+    gas = float(used_before(schedule, plant, np.array([seconds]))[0])
     reach = float(np.abs(log.pose[:, :2]).max())
     return Design(inputs, log, intervals, float(np.linalg.slogdet(relative)[1]), gas, reach)
 

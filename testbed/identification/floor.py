@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 from testbed.identification.estimate import SCALES, Piece, huber, linearise, noise_of, normal
-from testbed.identification.model import Model
+from testbed.identification.model import VehicleModel
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves
 from testbed.identification.suspicion import look_at
@@ -33,14 +33,14 @@ DELAY_SIGMA = 0.05  # [s]
 
 
 class Floor(NamedTuple):
-    """A learned map."""
+    """Slope of the table on a grid, learned from logs."""
 
     size: tuple[float, float]  # [m]
     slope: Array  # (rows, columns, 2) [m/s^2]
     sigma: Array  # (rows, columns, 2) its standard deviation [m/s^2]
     reach: float  # correlation length [m]
     p: Array  # numbers of the model
-    model: Model
+    model: VehicleModel
 
 
 def learn_floor(
@@ -52,8 +52,8 @@ def learn_floor(
     return _fit(windows, vehicle, size, (nodes, nodes), REACH * min(size), delay)
 
 
-def flat_fit(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[Model, Array]:
-    """The same fit of common thrust and delay on a level table."""
+def flat_fit(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[VehicleModel, Array]:
+    """Fit of common thrust and delay on a level table, for comparison."""
     windows = [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
     delay = look_at(logs, vehicle).delay
     floor = _fit(windows, vehicle, (1.0, 1.0), (0, 0), 1.0, delay)
@@ -64,7 +64,7 @@ def _fit(
     windows: Sequence[Windows], vehicle: Vehicle, size: tuple[float, float],
     shape: tuple[int, int], reach: float, delay: float,
 ) -> Floor:  # fmt: skip
-    model = Model(vehicle, valves=isinstance(windows[0].log.inputs, Valves))
+    model = VehicleModel(vehicle, valves=isinstance(windows[0].log.inputs, Valves))
     model.prior[model.index("delay")] = max(0.0, delay - vehicle.command_delay_s)
     free = model.of_groups(["thrust", "delay"])
     p = model.prior.copy()
@@ -103,7 +103,7 @@ def _fit(
 
 
 def _precision(
-    model: Model, free: NDArray[np.int64], size: tuple[float, float], shape: tuple[int, int],
+    model: VehicleModel, free: NDArray[np.int64], size: tuple[float, float], shape: tuple[int, int],
     reach: float,
 ) -> Array:  # fmt: skip
     """Inverse covariance of the prior: thrust and delay, then the map of x and of y."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.identification.estimate import SCALES, Piece, huber, noise_of, normal
-from testbed.identification.model import Model
+from testbed.identification.model import VehicleModel
 from testbed.identification.prediction import Valves
 from testbed.identification.windows import Windows, first_guess, fly, fly_with_slopes
 
@@ -23,19 +23,19 @@ LEVER = 0.2  # [m] of a free torque
 INFLATED = 2.0  # errors within a window go together
 
 
-class Finding(NamedTuple):
-    """What a valve's commands do."""
+class JetFinding(NamedTuple):
+    """Which jet a valve's commands open, and how strong it is."""
 
-    jet: int  # from 0
+    jet: int  # index, 0 is jet 1
     state: str  # ok, dead, weak, exchanged, not excited
     share: float  # of the nominal thrust, relative to the other jets
     sigma: float
     other: int = -1  # the jet that it is exchanged with
 
 
-def examine(model: Model, p: Array, logs: Sequence[Windows]) -> list[Finding]:
+def examine(model: VehicleModel, p: Array, logs: Sequence[Windows]) -> list[JetFinding]:
     """A finding for each jet, around a first fit `p`."""
-    base = model.metal.effect[0] * model.thrust(p)
+    base = model.plant.effect[0] * model.thrust(p)
     jets = base.shape[1]
     strong = float(np.median(np.hypot(base[0], base[1])))
     sizes = np.array([strong, strong, strong * LEVER])
@@ -80,7 +80,7 @@ def examine(model: Model, p: Array, logs: Sequence[Windows]) -> list[Finding]:
         else:
             state = "ok"
         other = k if state == "exchanged" else -1
-        found.append(Finding(j, state, float(shares[j]), float(sigmas[j]), other))
+        found.append(JetFinding(j, state, float(shares[j]), float(sigmas[j]), other))
     return found
 
 
@@ -89,7 +89,7 @@ def _opened(logs: Sequence[Windows], jet: int) -> bool:
 
 
 def _linearised(
-    model: Model, p: Array, logs: Sequence[Windows], base: Array, sizes: Array,
+    model: VehicleModel, p: Array, logs: Sequence[Windows], base: Array, sizes: Array,
     scales: Array = SCALES,
 ) -> list[Piece]:  # fmt: skip
     """Windows linearised by the wrench of each jet, in units of `sizes`."""

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from testbed.identification.columns import Columns, LogRefusedError
+from testbed.identification.columns import LogRefusedError, NumericColumns
 
 BURSTS = 2.0  # a loss is this many times likelier after a loss: losses come in bursts
 
 
-def link_of(columns: Columns, sent: str, received: str) -> dict[str, float]:
+def link_of(columns: NumericColumns, sent: str, received: str) -> dict[str, float]:
     """Numbers of `[link]` in a table file.
 
     Args:

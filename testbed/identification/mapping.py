@@ -11,7 +11,7 @@ from testbed.config.key import spell
 from testbed.config.number import bad_numbers
 from testbed.config.shipped import SHIPPED
 from testbed.config.tree import read_toml, trouble_at
-from testbed.config.validation import first_misfit
+from testbed.config.validation import first_violation
 from testbed.core.vehicle import NonNegative, Point, Positive
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -20,7 +20,7 @@ RADIANS = {"rad": 1.0, "deg": 0.017453292519943295}
 
 
 class Time(Struct, frozen=True, forbid_unknown_fields=True):
-    """The column of time."""
+    """Name and unit of the time column."""
 
     column: str
     unit: Literal["s", "ms", "us", "ns"] = "s"
@@ -106,6 +106,6 @@ def convert(tree: dict[str, object], kind: type, path: Path) -> Struct:
     try:
         converted: Struct = msgspec.convert(tree, kind)
     except msgspec.ValidationError:
-        key, expected, found = first_misfit(tree, kind)
+        key, expected, found = first_violation(tree, kind)
         raise ConfigError(str(path), spell(key), expected, found) from None
     return converted

@@ -12,7 +12,7 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from sim_twin.ground import Ground, lay
-from sim_twin.plant_parameters import Metal, nominal_plant
+from sim_twin.plant_parameters import PlantParameters, nominal_plant
 from sim_twin.schedule import Schedule
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
@@ -35,7 +35,7 @@ class Parameter(NamedTuple):
     least: float = -np.inf
 
 
-class Model:
+class VehicleModel:
     """A vehicle file and the parameters that are varied.
 
     `thrust` scales all jets, `thrust_j` the jet j on top of it. `delay` is the opening and closing
@@ -78,7 +78,7 @@ class Model:
         self.sigma = np.array([p.sigma for p in self.parameters])
         self.step = np.array([p.step for p in self.parameters])
         self.least = np.array([p.least for p in self.parameters])
-        self.metal = nominal_plant(vehicle)
+        self.plant = nominal_plant(vehicle)
 
     def index(self, name: str) -> int:
         """Position of a parameter."""
@@ -96,15 +96,15 @@ class Model:
 
     def build(
         self, p: Array, inputs: Inputs, effect: Array | None = None
-    ) -> tuple[Schedule, Metal, Ground]:
+    ) -> tuple[Schedule, PlantParameters, Ground]:
         """Arguments of `sim_twin.prediction.shoot`; `effect` replaces the jets' wrenches."""
         at = dict(zip(self.names, p, strict=True))
-        m = self.metal
+        m = self.plant
         scale = self.thrust(p)
         timing = m.timing.copy()
         timing[0, 0] = at["delay"]
         timing[0, 1] = at["delay"] + at.get("hold", 0.0)
-        metal = m._replace(
+        plant = m._replace(
             mass=m.mass * at.get("mass", 1.0),
             inertia=m.inertia * at["inertia"],
             com=np.array([[at["com_x"], at["com_y"]]]),
@@ -117,7 +117,7 @@ class Model:
         )
         slope = self.ground.uniform + np.array([at["slope_x"], at["slope_y"]])
         ground = self.ground._replace(uniform=slope)
-        return schedule_of(inputs, metal, self.vehicle.command_delay_s), metal, ground
+        return (schedule_of(inputs, plant, self.vehicle.command_delay_s), plant, ground)
 
     def fitted(self, p: Array) -> Vehicle:
         """The vehicle with these numbers; the slope belongs to the table."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from testbed.core.vehicle import Vehicle
 from testbed.identification.columns import LogRefusedError
 from testbed.identification.estimate import Estimate, fit
-from testbed.identification.jets import Finding, examine
-from testbed.identification.model import Model, Parameter
+from testbed.identification.jets import JetFinding, examine
+from testbed.identification.model import Parameter, VehicleModel
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves
 from testbed.identification.selection import choose
@@ -20,7 +20,9 @@ from testbed.identification.windows import Windows, tiled
 
 Array = NDArray[np.float64]
 LENGTH = 2.5  # [s] of a window of the fit
-TOLD = 0.6  # standard deviation over that of the prior: above, the log does not tell the number
+IDENTIFIABLE = (
+    0.6  # standard deviation over that of the prior: above, the log does not tell the number
+)
 SURE = 1.96  # standard deviations of a 95 % interval
 TOO_STRONG = 0.08  # of common thrust over the file's, beyond its tolerance
 TOO_WEAK = 0.3
@@ -30,12 +32,12 @@ class Calibration(NamedTuple):
     """Result of a calibration."""
 
     vehicle: Vehicle
-    model: Model
+    model: VehicleModel
     estimate: Estimate  # of the chosen groups
     wide: Estimate  # of all groups: intervals of what was not chosen
     chosen: list[str]
     gains: dict[str, float]
-    jets: list[Finding]
+    jets: list[JetFinding]
     suspicions: list[Suspicion]
     logs: list[Windows]
 
@@ -47,7 +49,7 @@ class RefusedError(LogRefusedError):
         super().__init__(
             where=where, expected="a log that the mapping and the vehicle describe",
             found="; ".join(f"{one.name}: {one.text}" for one in found),
-            hint="mend the mapping or the vehicle file; --force fits all the same",
+            hint="correct the mapping or the vehicle file; --force fits in spite of this",
         )  # fmt: skip
         self.suspicions = list(found)
 
@@ -57,7 +59,7 @@ def calibrate_motion(
     vehicle: Vehicle,
     *,
     force: bool = False,
-    told: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
 ) -> Calibration:
     """Fit a vehicle to logs.
 
@@ -65,13 +67,13 @@ def calibrate_motion(
         logs: of one vehicle, all with valves or all with wrenches.
         vehicle: prior values, with their tolerances.
         force: fit in spite of suspicions.
-        told: is called with the name of each step.
+        progress: is called with the name of each step.
 
     Raises:
         RefusedError: a suspicion forbids a fit.
     """
     try:
-        return _calibrated(logs, vehicle, force, told)
+        return _calibrated(logs, vehicle, force, progress)
     except (np.linalg.LinAlgError, FloatingPointError) as error:
         raise LogRefusedError(
             where=", ".join(log.where for log in logs),
@@ -81,11 +83,11 @@ def calibrate_motion(
 
 
 def _calibrated(
-    logs: Sequence[MotionLog], vehicle: Vehicle, force: bool, told: Callable[[str], None]
+    logs: Sequence[MotionLog], vehicle: Vehicle, force: bool, progress: Callable[[str], None]
 ) -> Calibration:
     """See `calibrate_motion`."""
     where = ", ".join(log.where for log in logs)
-    told("check the logs")
+    progress("check the logs")
     model, doubts = checked(logs, vehicle)
     refusing = [one for one in doubts if one.refuses]
     if refusing and not force:
@@ -97,22 +99,22 @@ def _calibrated(
             found="less", hint="see [use] of the mapping",
         )  # fmt: skip
     first = start_of(model, logs, vehicle)
-    told("try dead, weak and exchanged jets")
+    progress("try dead, weak and exchanged jets")
     rough = fit(model, windows, ["thrust", "delay", "inertia"], first)
-    jets: list[Finding] = []
+    jets: list[JetFinding] = []
     if model.valves:
         jets = examine(model, rough.p, windows)
         if exchanged := [one for one in jets if one.state == "exchanged"]:
             vehicle = _exchanged(vehicle, exchanged)
-            model = Model(vehicle, valves=True)
+            model = VehicleModel(vehicle, valves=True)
             rough = fit(model, windows, ["thrust", "delay", "inertia"], first)
         _expect(model, jets)
-    told("fit all parameters")
+    progress("fit all parameters")
     groups = list(dict.fromkeys(p.group for p in model.parameters))
     if not model.valves:
-        groups = [g for g in groups if g not in _untold_by_wrenches(logs)]
+        groups = [g for g in groups if g not in _unidentifiable_from_wrenches(logs)]
     wide = fit(model, windows, groups, _merged(model, rough))
-    told("cross-validate")
+    progress("cross-validate")
     chosen, gains = choose(model, wide, windows)
     start = model.prior.copy()
     free = model.of_groups(chosen)
@@ -126,7 +128,7 @@ def _calibrated(
     return Calibration(fitted, model, estimate, wide, chosen, gains, jets, doubts, windows)
 
 
-def checked(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[Model, list[Suspicion]]:
+def checked(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[VehicleModel, list[Suspicion]]:
     """The model for these logs, and what is wrong with them."""
     valves = isinstance(logs[0].inputs, Valves)
     jets = max((int(i.jet.max(initial=-1)) for i in (log.inputs for log in logs)
@@ -136,10 +138,10 @@ def checked(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[Model, list[Su
             where=logs[0].where, expected=f"{len(vehicle.jets)} valves, the vehicle's jets",
             found=f"valve {jets + 1}", hint="another vehicle?",
         )  # fmt: skip
-    return Model(vehicle, valves=valves), list(suspicions(logs, vehicle))
+    return VehicleModel(vehicle, valves=valves), list(suspicions(logs, vehicle))
 
 
-def start_of(model: Model, logs: Sequence[MotionLog], vehicle: Vehicle) -> Array:
+def start_of(model: VehicleModel, logs: Sequence[MotionLog], vehicle: Vehicle) -> Array:
     """A start near the solution: delay and scale from the regression of the check."""
     look = look_at(logs, vehicle)
     p = model.prior.copy()
@@ -149,7 +151,9 @@ def start_of(model: Model, logs: Sequence[MotionLog], vehicle: Vehicle) -> Array
     return p
 
 
-def other_vehicle(model: Model, estimate: Estimate, windows: Sequence[Windows]) -> list[Suspicion]:
+def other_vehicle(
+    model: VehicleModel, estimate: Estimate, windows: Sequence[Windows]
+) -> list[Suspicion]:
     """Whether the fit says that this is another vehicle than the file's."""
     if not model.valves:
         return []
@@ -170,13 +174,13 @@ def other_vehicle(model: Model, estimate: Estimate, windows: Sequence[Windows]) 
     return []
 
 
-def _untold_by_wrenches(logs: Sequence[MotionLog]) -> list[str]:
+def _unidentifiable_from_wrenches(logs: Sequence[MotionLog]) -> list[str]:
     """Groups that say nothing where the torque is not in the log."""
     silent = all(not np.any(log.inputs.wrench[:, 2]) for log in logs)  # type: ignore[union-attr]
     return ["inertia", "com", "spin_drag"] if silent else []
 
 
-def _exchanged(vehicle: Vehicle, found: Sequence[Finding]) -> Vehicle:
+def _exchanged(vehicle: Vehicle, found: Sequence[JetFinding]) -> Vehicle:
     """The vehicle with exchanged jets at each other's place, with their own thrust."""
     jets = list(vehicle.jets)
     for one in found:
@@ -184,24 +188,24 @@ def _exchanged(vehicle: Vehicle, found: Sequence[Finding]) -> Vehicle:
     return structs.replace(vehicle, jets=jets)
 
 
-def _expect(model: Model, jets: Sequence[Finding]) -> None:
+def _expect(model: VehicleModel, jets: Sequence[JetFinding]) -> None:
     """Priors of dead and weak jets."""
     for one in jets:
         if one.state in ("dead", "weak"):
             model.prior[1 + one.jet] = max(model.least[1 + one.jet], one.share)
 
 
-def _merged(model: Model, rough: Estimate) -> Array:
+def _merged(model: VehicleModel, rough: Estimate) -> Array:
     """The first fit, with the priors of the jets."""
     p = model.prior.copy()
     p[rough.free] = rough.p[rough.free]
     return p
 
 
-def told_by(calibration: Calibration, k: int) -> bool:
+def identifiable(calibration: Calibration, k: int) -> bool:
     """Whether the logs tell the number `k` of the model."""
     wide = calibration.wide
-    return bool(k in wide.free and wide.sigma[k] < TOLD * calibration.model.sigma[k])
+    return bool(k in wide.free and wide.sigma[k] < IDENTIFIABLE * calibration.model.sigma[k])
 
 
 def interval(calibration: Calibration, k: int) -> tuple[float, float]:
@@ -238,6 +242,6 @@ def thrusts(calibration: Calibration) -> list[dict[str, Any]]:
             "jet": j + 1, "thrust_n": value, "low_n": max(0.0, value - reach),
             "high_n": value + reach, "file_n": nominal, "state": found.state,
             "exchanged_with": found.other + 1 if found.other >= 0 else None,
-            "identifiable": bool(found.state != "not excited" and sigma < TOLD * own),
+            "identifiable": bool(found.state != "not excited" and sigma < IDENTIFIABLE * own),
         })  # fmt: skip
     return rows

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.identification.columns import Columns, LogRefusedError, digest, read_columns
+from testbed.identification.columns import LogRefusedError, NumericColumns, digest, read_columns
 from testbed.identification.mapping import METRES, RADIANS, SECONDS, Mapping
 from testbed.identification.prediction import Inputs, Wrenches, pulses
 
@@ -100,7 +100,7 @@ def gaps(t: Array) -> list[str]:
     return notes
 
 
-def _poses(columns: Columns, mapping: Mapping) -> tuple[Array, NDArray[np.bool_]]:
+def _poses(columns: NumericColumns, mapping: Mapping) -> tuple[Array, NDArray[np.bool_]]:
     own = mapping.pose
     x, y, theta = (columns[name] for name in (own.x, own.y, own.theta))
     pose = np.stack(
@@ -121,7 +121,7 @@ def _poses(columns: Columns, mapping: Mapping) -> tuple[Array, NDArray[np.bool_]
     return pose, measured
 
 
-def _inputs(columns: Columns, mapping: Mapping, t: Array, pose: Array) -> Inputs:
+def _inputs(columns: NumericColumns, mapping: Mapping, t: Array, pose: Array) -> Inputs:
     if mapping.wrench:
         own = mapping.wrench
         tau = columns.whole(own.tau) if own.tau else np.zeros(len(t))

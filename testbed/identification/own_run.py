@@ -12,14 +12,14 @@ from testbed.logs.log_reader import LogReader, log_of
 
 
 def read_run_log(folder: Path, body: str | None) -> MotionLog:
-    """One vehicle of a run.
+    """Read one vehicle's motion log from a run folder.
 
     Args:
         folder: of the run.
         body: name of the vehicle; None: the only one.
 
     Raises:
-        LogRefusedError: there is no such vehicle, or too little of it.
+        LogRefusedError: the run has no such vehicle, or too few of its rows.
     """
     path = log_of(folder)
     history = gather(LogReader(path))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.ground import Ground, lay
-from sim_twin.plant_parameters import Metal, nominal_plant
+from sim_twin.plant_parameters import PlantParameters, nominal_plant
 from sim_twin.prediction import shoot
 from sim_twin.schedule import Schedule, schedule_of_pulses, schedule_of_wrenches
 from testbed.core.error import TestbedError
@@ -62,18 +62,18 @@ def pulses(t: Any, share: Any, period: float) -> Valves:
     return Valves(up[first], down[last], jets[first].astype(np.int64))
 
 
-def schedule_of(inputs: Inputs, metal: Metal, delay: float) -> Schedule:
-    """The body wrench that a vehicle makes of its inputs."""
+def schedule_of(inputs: Inputs, plant: PlantParameters, delay: float) -> Schedule:
+    """Body wrench of a vehicle from its inputs."""
     if isinstance(inputs, Valves):
         return schedule_of_pulses(
-            inputs.up, inputs.down, inputs.jet, delay, metal.timing[0], metal.effect[0],
-            metal.thrust[0], metal.droop[0],
+            inputs.up, inputs.down, inputs.jet, delay, plant.timing[0], plant.effect[0],
+            plant.thrust[0], plant.droop[0],
         )  # fmt: skip
-    timing = metal.timing[0]
+    timing = plant.timing[0]
     return schedule_of_wrenches(inputs.t, inputs.wrench, delay + timing[0], timing[2])
 
 
-def used_before(schedule: Schedule, metal: Metal, t: Array) -> Array:
+def used_before(schedule: Schedule, plant: PlantParameters, t: Array) -> Array:
     """Gas that jets and bearings have used since the first command, at most half a tank [kg].
 
     The tank's level at the start of a log is not known: it is taken as full, and the supply of a
@@ -81,10 +81,10 @@ def used_before(schedule: Schedule, metal: Metal, t: Array) -> Array:
     """
     width = np.diff(schedule.start)
     impulse = width * (schedule.value[:, 3] + 0.5 * width * schedule.slope[:, 3])
-    total = np.concatenate([[0.0], np.cumsum(impulse)]) / metal.exhaust_speed[0]
+    total = np.concatenate([[0.0], np.cumsum(impulse)]) / plant.exhaust_speed[0]
     used = np.interp(t, schedule.start, total)
-    used += metal.bearing_flow[0] * np.maximum(t - schedule.start[0], 0.0)
-    return np.minimum(used, 0.5 * metal.gas[0])
+    used += plant.bearing_flow[0] * np.maximum(t - schedule.start[0], 0.0)
+    return np.minimum(used, 0.5 * plant.gas[0])
 
 
 def predict(vehicle: Vehicle, table: Table | None, inputs: Inputs, x0: Any, times: Any) -> Array:
@@ -111,15 +111,15 @@ def predict(vehicle: Vehicle, table: Table | None, inputs: Inputs, x0: Any, time
         )  # fmt: skip
     if not (np.isfinite(start).all() and np.isfinite(marks).all()):
         raise TestbedError(where="predict", expected="finite x0 and times", found="nan or inf")
-    metal = nominal_plant(vehicle)
+    plant = nominal_plant(vehicle)
     if isinstance(inputs, Valves) and len(inputs.jet) and max(inputs.jet) >= len(vehicle.jets):
         raise TestbedError(
-            where="predict", expected=f"jets 0 to {len(vehicle.jets) - 1}",
-            found=f"jet {max(inputs.jet)}",
+            where="predict", expected=f"jet indices 0 to {len(vehicle.jets) - 1}; 0 is jet 1",
+            found=f"{max(inputs.jet)}",
         )  # fmt: skip
     ground = LEVEL if table is None else lay(table)
-    schedule = schedule_of(inputs, metal, vehicle.command_delay_s)
+    schedule = schedule_of(inputs, plant, vehicle.command_delay_s)
     in_table = isinstance(inputs, Wrenches) and inputs.in_table
     return shoot(
-        start[None], np.zeros(1), marks[:1], marks[None], schedule, metal, ground, in_table
+        start[None], np.zeros(1), marks[:1], marks[None], schedule, plant, ground, in_table
     )[0]

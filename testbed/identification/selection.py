@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.identification.estimate import Estimate, normal
-from testbed.identification.model import Model
+from testbed.identification.model import VehicleModel
 from testbed.identification.windows import Windows
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ def folds(estimate: Estimate, logs: Sequence[Windows]) -> list[NDArray[np.int64]
 
 
 def choose(
-    model: Model, estimate: Estimate, logs: Sequence[Windows]
+    model: VehicleModel, estimate: Estimate, logs: Sequence[Windows]
 ) -> tuple[list[str], dict[str, float]]:
     """The groups that predict unseen parts better, and the gain of each (relative).
 
@@ -61,7 +61,10 @@ def choose(
 
 
 def _unseen(
-    model: Model, estimate: Estimate, parts: Sequence[NDArray[np.int64]], groups: Sequence[str]
+    model: VehicleModel,
+    estimate: Estimate,
+    parts: Sequence[NDArray[np.int64]],
+    groups: Sequence[str],
 ) -> Array:
     """Weighted square error of each piece when its part was not in the fit; both ways of parts."""
     free = estimate.free

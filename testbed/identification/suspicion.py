@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.core.vehicle import Vehicle
 from testbed.identification.columns import LogRefusedError
-from testbed.identification.model import Model
+from testbed.identification.model import VehicleModel
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves, Wrenches
 from testbed.identification.windows import tiled
@@ -37,7 +37,7 @@ class Suspicion(NamedTuple):
     refuses: bool = True  # nothing is fitted
 
 
-class Look(NamedTuple):
+class MappingFit(NamedTuple):
     """How well commands explain a log."""
 
     plain: float  # explained share of the motion with the mapping as it is, positive scale
@@ -49,7 +49,7 @@ class Look(NamedTuple):
     delay: float  # [s]
 
 
-def look_at(logs: Sequence[MotionLog], vehicle: Vehicle) -> Look:
+def look_at(logs: Sequence[MotionLog], vehicle: Vehicle) -> MappingFit:
     """Compare commands and motion of some logs together."""
     parts = [_Parts(log, vehicle) for log in logs]
     parts = [part for part in parts if part.windows]
@@ -60,7 +60,7 @@ def look_at(logs: Sequence[MotionLog], vehicle: Vehicle) -> Look:
             found="none", hint="see [use] of the mapping, --from and --until",
         )  # fmt: skip
     tried = [(delay, [part.at(delay) for part in parts]) for delay in DELAYS]
-    best: tuple[float, Look] | None = None
+    best: tuple[float, MappingFit] | None = None
     for delay, found in tried:
         look = _judge(found, delay)
         score = look.explained + 0.5 * look.turn
@@ -76,10 +76,10 @@ class _Parts:
     def __init__(self, log: MotionLog, vehicle: Vehicle) -> None:
         self.log = log
         valves = isinstance(log.inputs, Valves)
-        model = Model(vehicle, valves=valves)
+        model = VehicleModel(vehicle, valves=valves)
         p = model.prior.copy()
         p[model.index("delay")] = 0.0
-        schedule, metal, _ = model.build(p, log.inputs)
+        schedule, plant, _ = model.build(p, log.inputs)
         self.windows = tiled(log, TILE).rows
         self.grid = np.arange(log.t[0] - 1.0, log.t[-1] + GRID, GRID)
         k = np.searchsorted(schedule.start, self.grid, side="right") - 1
@@ -87,9 +87,9 @@ class _Parts:
         k = np.clip(k, 0, len(schedule.value) - 1)
         after = (self.grid - schedule.start[k])[:, None]
         wrench = np.where(inside[:, None], schedule.value[k] + after * schedule.slope[k], 0.0)
-        self.force = (wrench[:, 0] + 1j * wrench[:, 1]) / metal.mass[0]
-        com = metal.com[0]
-        self.spin = (wrench[:, 2] - com[0] * wrench[:, 1] + com[1] * wrench[:, 0]) / metal.inertia
+        self.force = (wrench[:, 0] + 1j * wrench[:, 1]) / plant.mass[0]
+        com = plant.com[0]
+        self.spin = (wrench[:, 2] - com[0] * wrench[:, 1] + com[1] * wrench[:, 0]) / plant.inertia
         self.in_table = isinstance(log.inputs, Wrenches) and log.inputs.in_table
         self.heading = np.interp(self.grid, log.t, log.pose[:, 2])
 
@@ -122,7 +122,7 @@ class _Parts:
 READINGS = ("", "heading-sign", "unit-angle", "unit-angle", "frame")
 
 
-def _judge(found: list[list[Array]], delay: float) -> Look:
+def _judge(found: list[list[Array]], delay: float) -> MappingFit:
     windows = [one for part in found for one in part]
     weights = np.ones(len(windows))
     best, plain, scale, explained = "", 0.0, 0.0, -1.0
@@ -152,7 +152,7 @@ def _judge(found: list[list[Array]], delay: float) -> Look:
     theta = np.real(stack[:, 1])
     turn_scale = float(q @ theta) / max(float(q @ q), 1e-18)
     left = float(np.sum((theta - turn_scale * q) ** 2)) / max(float(theta @ theta), 1e-18)
-    return Look(plain, scale, 1.0 - left, turn_scale, best, explained, delay)
+    return MappingFit(plain, scale, 1.0 - left, turn_scale, best, explained, delay)
 
 
 def _named(reading: str, mirrored: bool, c: complex) -> str:
@@ -177,7 +177,7 @@ WORDS = {
 
 
 def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicion]:
-    """What is wrong with the logs as a whole."""
+    """Suspicions about the logs as a whole: units, axes, delay."""
     if not any(log.whole.any() for log in logs):
         look_at(logs, vehicle)  # refuses them
     implausible = [one for log in logs for one in _plausible(log)]

@@ -14,7 +14,7 @@ from testbed.identification.prediction import Valves, predict, pulses
 Array = NDArray[np.float64]
 
 
-class Spread(NamedTuple):
+class DrawnSpread(NamedTuple):
     """Standard deviations of a drawn vehicle."""
 
     thrust: float = 0.10
@@ -24,10 +24,10 @@ class Spread(NamedTuple):
     droop: float = 0.05
 
 
-USUAL = Spread()
+USUAL = DrawnSpread()
 
 
-def drawn(vehicle: Vehicle, rng: np.random.Generator, spread: Spread = USUAL) -> Vehicle:
+def drawn(vehicle: Vehicle, rng: np.random.Generator, spread: DrawnSpread = USUAL) -> Vehicle:
     """A vehicle with true values near those of the file."""
     jets = [
         structs.replace(j, thrust=j.thrust * float(np.exp(spread.thrust * rng.standard_normal())))

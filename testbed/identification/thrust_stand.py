@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.identification.columns import Columns, LogRefusedError
+from testbed.identification.columns import LogRefusedError, NumericColumns
 
 Array = NDArray[np.float64]
 GRAM_FORCE = 9.80665e-3  # [N]
@@ -14,7 +14,9 @@ LEAST = 1.0  # [s] of steady reading per pulse
 HUGE = 100.0  # [N] of one jet
 
 
-def thrust_of(columns: Columns, time: str, force: str, unit: str, pulse: str) -> dict[str, Any]:
+def thrust_of(
+    columns: NumericColumns, time: str, force: str, unit: str, pulse: str
+) -> dict[str, Any]:
     """Mean thrust, its interval and its change over the run, from a stand log.
 
     Args:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
-from testbed.identification.model import Model
+from testbed.identification.model import VehicleModel
 from testbed.identification.motion_log import MotionLog
 from testbed.identification.prediction import Valves
 from testbed.identification.windows import ahead_of, sliding, stretches
@@ -20,7 +20,7 @@ EVERY = 0.5  # [s] between two predictions
 WEIGHT = np.array([1e3, 1e3, 3e2])  # 1 mm and 3.3 mrad count alike in the start state
 
 
-class Ahead(NamedTuple):
+class HorizonErrors(NamedTuple):
     """Errors at one horizon, measured minus predicted."""
 
     horizon: float  # [s]
@@ -46,14 +46,14 @@ class Ahead(NamedTuple):
 
 def errors_ahead(
     logs: Sequence[MotionLog], vehicle: Vehicle, horizon: float, table: Table | None = None
-) -> Ahead:
+) -> HorizonErrors:
     """Errors of a vehicle at one horizon, of all logs together."""
     parts = []
     for log in logs:
         windows = sliding(log, BEFORE, horizon, EVERY)
         if not windows.rows:
             continue
-        model = Model(vehicle, valves=isinstance(log.inputs, Valves), table=table)
+        model = VehicleModel(vehicle, valves=isinstance(log.inputs, Valves), table=table)
         error = ahead_of(model, model.prior, windows, BEFORE, WEIGHT)
         last = np.array([len(rows) - 1 for rows in windows.rows])
         begin = windows.begin + BEFORE
@@ -68,10 +68,10 @@ def errors_ahead(
                       _open_time(log, begin, begin + horizon, len(vehicle.jets))))  # fmt: skip
     if not parts:
         none = np.zeros(0)
-        return Ahead(horizon, none, np.zeros((0, 2)), np.zeros((0, 3)),
+        return HorizonErrors(horizon, none, np.zeros((0, 2)), np.zeros((0, 3)),
                      np.zeros((0, len(vehicle.jets))), none)  # fmt: skip
     begin, start, error, on = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return Ahead(horizon, begin, start[:, :2], error, on, start[:, 2])
+    return HorizonErrors(horizon, begin, start[:, :2], error, on, start[:, 2])
 
 
 def _open_time(log: MotionLog, begin: Array, end: Array, jets: int) -> Array:
@@ -103,7 +103,7 @@ def noise_of_poses(logs: Sequence[MotionLog]) -> tuple[float, float]:
     return float(np.mean(size[:2])), float(size[2])
 
 
-def whiteness(ahead: Ahead) -> float | None:
+def whiteness(ahead: HorizonErrors) -> float | None:
     """Correlation of successive 1 s errors that share no time; 0 is white."""
     error, t = ahead.error[:, :2], ahead.t
     skip = round((BEFORE + ahead.horizon) / EVERY)
@@ -115,7 +115,7 @@ def whiteness(ahead: Ahead) -> float | None:
     return float(2.0 * np.sum(a * b) / power) if power > 0.0 and len(a) > 3 else None
 
 
-def by_jet(ahead: Ahead, vehicle: Vehicle) -> list[float | None]:
+def by_jet(ahead: HorizonErrors, vehicle: Vehicle) -> list[float | None]:
     """For each jet, how its open time goes with an error along its push (correlation)."""
     found: list[float | None] = []
     for j, jet in enumerate(vehicle.jets):
@@ -130,7 +130,7 @@ def by_jet(ahead: Ahead, vehicle: Vehicle) -> list[float | None]:
     return found
 
 
-def by_region(ahead: Ahead) -> list[dict[str, Any]]:
+def by_region(ahead: HorizonErrors) -> list[dict[str, Any]]:
     """RMS error in the four quarters around the median position."""
     if len(ahead.t) < 8:
         return []
@@ -153,7 +153,7 @@ def by_region(ahead: Ahead) -> list[dict[str, Any]]:
 def validate(
     logs: Sequence[MotionLog], vehicle: Vehicle, against: Vehicle | None,
     table: Table | None = None,
-) -> tuple[dict[str, Any], dict[str, list[Ahead]]]:  # fmt: skip
+) -> tuple[dict[str, Any], dict[str, list[HorizonErrors]]]:  # fmt: skip
     """All figures for --json, and the errors for the page."""
     errors = {"vehicle": [errors_ahead(logs, vehicle, h, table) for h in HORIZONS]}
     if against is not None:
@@ -176,7 +176,7 @@ def validate(
 
 
 def verdict(result: dict[str, Any]) -> str:
-    """The result in words."""
+    """The result of the validation in one sentence."""
     own = {h: one["vehicle"] for h, one in result["horizons"].items()}
     seen = {h: one for h, one in own.items() if one["count"]}
     if not seen:

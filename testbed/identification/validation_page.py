@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from testbed.core.error import TestbedError
-from testbed.identification.validation import Ahead
+from testbed.identification.validation import HorizonErrors
 from testbed.report.chart import Chart, Limit, Line
 from testbed.report.page import figure, page
 
@@ -16,7 +16,7 @@ NAMES = {"vehicle": "file under test", "against": "compared file"}
 
 
 def write_page(
-    path: Path, title: str, result: dict[str, Any], errors: dict[str, list[Ahead]]
+    path: Path, title: str, result: dict[str, Any], errors: dict[str, list[HorizonErrors]]
 ) -> None:
     """Write the page.
 
@@ -59,7 +59,7 @@ def _cells(figures: dict[str, Any]) -> str:
     )
 
 
-def _charts(errors: dict[str, list[Ahead]], noise: float) -> Sequence[Chart]:
+def _charts(errors: dict[str, list[HorizonErrors]], noise: float) -> Sequence[Chart]:
     charts = []
     for k, own in enumerate(errors["vehicle"]):
         if not len(own.t):

@@ -8,7 +8,7 @@ from pathlib import Path
 from msgspec import structs
 
 from testbed.config.error import ConfigError
-from testbed.config.hardware import vehicle_mistakes
+from testbed.config.hardware import vehicle_violations
 from testbed.config.key import spell
 from testbed.config.tree import read_toml
 from testbed.core.error import TestbedError
@@ -24,7 +24,7 @@ def load_vehicle(name: str) -> Vehicle:
     """
     path = named_file(name, "vehicles", "a vehicle file")
     vehicle: Vehicle = convert(read_toml(path), Vehicle, path)  # type: ignore[assignment]
-    for key, expected, found in vehicle_mistakes(vehicle):
+    for key, expected, found in vehicle_violations(vehicle):
         raise ConfigError(str(path), spell(key), expected, found)
     return vehicle
 

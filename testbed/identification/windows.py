@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.prediction import shoot
-from testbed.identification.model import Model
+from testbed.identification.model import VehicleModel
 from testbed.identification.motion_log import PAUSE, MotionLog
 from testbed.identification.prediction import Wrenches, used_before
 
@@ -17,7 +17,7 @@ FEWEST = 5  # poses in a window
 
 
 class Windows(NamedTuple):
-    """Windows of one log."""
+    """Short pieces of one log that are predicted separately."""
 
     log: MotionLog
     begin: Array  # (w,) [s]
@@ -82,7 +82,9 @@ def first_guess(windows: Windows, known: NDArray[np.bool_]) -> Array:
     return x0
 
 
-def fly(model: Model, p: Array, windows: Windows, x0: Array, effect: Array | None = None) -> Array:
+def fly(
+    model: VehicleModel, p: Array, windows: Windows, x0: Array, effect: Array | None = None
+) -> Array:
     """Poses at the marks, (w, m, 3)."""
     inputs = windows.log.inputs
     in_table = isinstance(inputs, Wrenches) and inputs.in_table
@@ -91,7 +93,9 @@ def fly(model: Model, p: Array, windows: Windows, x0: Array, effect: Array | Non
     return shoot(x0, used, windows.begin, windows.marks, *plant, in_table)[..., :3]
 
 
-def fly_with_slopes(model: Model, p: Array, windows: Windows, x0: Array) -> tuple[Array, Array]:
+def fly_with_slopes(
+    model: VehicleModel, p: Array, windows: Windows, x0: Array
+) -> tuple[Array, Array]:
     """Poses at the marks, and their derivatives by the initial state, (w, m, 3, 6).
 
     Those by position and velocity are 1 and the time: exact without drag and map, and close enough
@@ -111,7 +115,7 @@ def fly_with_slopes(model: Model, p: Array, windows: Windows, x0: Array) -> tupl
 
 
 def ahead_of(
-    model: Model, p: Array, windows: Windows, before: float, weight: Array, passes: int = 3
+    model: VehicleModel, p: Array, windows: Windows, before: float, weight: Array, passes: int = 3
 ) -> Array:
     """Errors of the flown poses, (w, m, 3); states are fitted to the first `before` seconds only.
 

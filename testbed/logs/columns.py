@@ -50,7 +50,7 @@ class Columns:
                 raise LogError(f"{topic}: expected records of {kind}, found {error}") from None
 
 
-class Shape:
+class LoggedType:
     """A message as a log defines it."""
 
     def __init__(self, definition: Definition, dtypes: Mapping[str, np.dtype]) -> None:
@@ -71,10 +71,10 @@ class Shape:
         return tuple(found)
 
 
-def shape_of(kind: str, text: str) -> Shape:
+def shape_of(kind: str, text: str) -> LoggedType:
     """The shape of a message, from the text of its schema in the log; empty: ours."""
     if kind in DTYPES and text in ("", schema_text(kind)):
-        return Shape(MESSAGES[kind], DTYPES)
+        return LoggedType(MESSAGES[kind], DTYPES)
     head, *others = text.split(f"{LINE}\n")
     named = {}
     for one in others:
@@ -91,10 +91,10 @@ def shape_of(kind: str, text: str) -> Shape:
         dtypes[name] = dtype_of(named[name], dtypes)
 
     define(_TOP)
-    return Shape(named[_TOP], dtypes)
+    return LoggedType(named[_TOP], dtypes)
 
 
-def _stacked(shape: Shape, rows: list[bytes]) -> Rows:
+def _stacked(shape: LoggedType, rows: list[bytes]) -> Rows:
     """All rows as one array, with the largest capacities among them."""
     names = [one.name for one in shape.definition.sequences]
     parts = [one for _, same in groupby(rows, len) for one in _alike(shape, list(same), names)]
@@ -118,7 +118,7 @@ def _stacked(shape: Shape, rows: list[bytes]) -> Rows:
     return found
 
 
-class Part(NamedTuple):
+class RowBlock(NamedTuple):
     """Rows with the same capacities."""
 
     data: NDArray[np.uint8]  # (rows, bytes)
@@ -126,7 +126,7 @@ class Part(NamedTuple):
     layout: Layout
 
 
-def _alike(shape: Shape, rows: list[bytes], names: list[str]) -> list[Part]:
+def _alike(shape: LoggedType, rows: list[bytes], names: list[str]) -> list[RowBlock]:
     """Rows of one size; one part if they have the same capacities."""
     capacities = shape.capacities(rows[0])
     layout = shape.layout(dict(zip(names, capacities, strict=True)))
@@ -135,5 +135,5 @@ def _alike(shape: Shape, rows: list[bytes], names: list[str]) -> list[Part]:
     data = np.frombuffer(b"".join(rows), np.uint8).reshape(len(rows), layout.size)
     found = data.view(layout.dtype())[:, 0]
     if all(np.all(found[f"{n}_length"] == k) for n, k in zip(names, capacities, strict=True)):
-        return [Part(data, capacities, layout)]
+        return [RowBlock(data, capacities, layout)]
     return [one for row in rows for one in _alike(shape, [row], names)]

@@ -30,7 +30,7 @@ PLACE = {name: k + 1 for k, name in enumerate(leaves("Tick"))}
 
 
 class Extra(NamedTuple):
-    """A message to add."""
+    """A standard ROS message, made from rows, with its topic."""
 
     topic: str
     kind: str

@@ -46,7 +46,7 @@ class SeenValves(Struct, frozen=True, gc=False):
     """Valve outputs that a board reports."""
 
     t: float  # from then on [s]
-    mask: int  # jet 0 is bit 0
+    mask: int  # bit 0 is jet 1
 
 
 class SeenPhase(Struct, frozen=True, gc=False):
@@ -62,7 +62,7 @@ Message = Tick | HostTick | Truth | Loop | SeenPace | SeenValves | SeenPhase
 
 
 class News(NamedTuple):
-    """One message."""
+    """One message of the log, decoded."""
 
     topic: str
     who: str  # the vehicle; empty: all vehicles
@@ -83,7 +83,7 @@ class Feed(Protocol):
         ...
 
 
-class Rows:
+class TypedRows:
     """Makes typed messages from the rows of a log, in its order."""
 
     def __init__(self) -> None:
@@ -139,7 +139,7 @@ class LogFeed:
     """A `Feed` that follows a log."""
 
     def __init__(self, book: LogReader) -> None:
-        self._book, self._rows = book, Rows()
+        self._book, self._rows = book, TypedRows()
         self._known: set[str] = set()  # topics of this version
 
     @property

@@ -14,7 +14,7 @@ from testbed.core.records.definition import MESSAGES
 from testbed.core.records.kinds import Active
 from testbed.core.types import Tick
 from testbed.logs.columns import Columns
-from testbed.logs.feed import Rows, SeenPace, SeenPhase, same_version
+from testbed.logs.feed import SeenPace, SeenPhase, TypedRows, same_version
 from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ class Happening(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The whole line."""
+        """The event's line: its kind and words."""
         return f"{self.kind}: {self.words}" if self.words else self.kind
 
 
@@ -115,7 +115,7 @@ def gather(book: LogReader) -> History:
 
 
 def _history(log: Columns) -> History:
-    reader, vehicles, none = Rows(), dict[str, VehicleHistory](), np.zeros(0)
+    reader, vehicles, none = TypedRows(), dict[str, VehicleHistory](), np.zeros(0)
     for data in log.texts.get("/names", [])[-1:]:
         reader.message("/names", "Names", data)
     truth = log.rows.get("/truth")
@@ -154,7 +154,7 @@ def _numbers(records: Any) -> Array:
 
 
 def _vehicle(
-    log: Columns, name: str, ticks: Any, true: Array, reader: Rows
+    log: Columns, name: str, ticks: Any, true: Array, reader: TypedRows
 ) -> VehicleHistory:  # fmt: skip
     inputs, out = ticks["inputs"], ticks["outputs"]
     state, pulses = out["state"], ticks["pulses"]
@@ -186,7 +186,7 @@ def _vehicle(
     )  # fmt: skip
 
 
-def _changes(log: Columns, name: str, ticks: Any, reader: Rows) -> Iterator[Tick]:
+def _changes(log: Columns, name: str, ticks: Any, reader: TypedRows) -> Iterator[Tick]:
     """The first tick, and every tick whose codes or texts are not those of the tick before."""
     out, t = ticks["outputs"], ticks["inputs"]["t"]
     codes = np.column_stack(
@@ -209,7 +209,7 @@ def _changes(log: Columns, name: str, ticks: Any, reader: Rows) -> Iterator[Tick
         yield reader.read.tick(topic, ticks[k].tobytes())
 
 
-def _paces(log: Columns, name: str, reader: Rows) -> list[tuple[float, SeenPace]]:
+def _paces(log: Columns, name: str, reader: TypedRows) -> list[tuple[float, SeenPace]]:
     rows = log.rows.get(f"/{name}/pace")
     found = []
     for row in [] if rows is None else rows:

@@ -29,10 +29,10 @@ from testbed.logs.mcap_record import (
     BrokenError,
     Channel,
     CutOffError,
+    FileSummary,
     Message,
     Record,
     Schema,
-    Summary,
     check_index,
     read_chunk,
     read_head,
@@ -265,7 +265,7 @@ class LogReader:
         return found.records
 
     def _ended(self, file: BinaryIO) -> None:
-        """At the end: record what is missing since the last message, from the file's own count."""
+        """Record what is missing since the last message, from the file's own count."""
         if self._hurt is None:
             return
         summary = self._repeated(file)
@@ -278,8 +278,8 @@ class LogReader:
         self.damages.append(Damage(self._hurt, missing, self._seconds(self._stamp), until))
         self._hurt = None
 
-    def _repeated(self, file: BinaryIO) -> Summary:
-        return read_summary(file) or Summary([])
+    def _repeated(self, file: BinaryIO) -> FileSummary:
+        return read_summary(file) or FileSummary([])
 
     def _rows(self, file: BinaryIO, records: list[Record]) -> Iterator[Row]:
         if self._epoch is None:

@@ -70,7 +70,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Summary(NamedTuple):
+class FileSummary(NamedTuple):
     """The summary at the end of a file."""
 
     records: list[Schema | Channel]
@@ -242,7 +242,7 @@ def _inside(data: bytes) -> Iterator[Record]:
         at += length
 
 
-def read_summary(file: BinaryIO) -> Summary | None:
+def read_summary(file: BinaryIO) -> FileSummary | None:
     """The summary at the end of the file; None if it is missing or damaged."""
     size = file.seek(0, os.SEEK_END)
     if size < len(MCAP0_MAGIC) + _TAIL:
@@ -253,7 +253,7 @@ def read_summary(file: BinaryIO) -> Summary | None:
     if tail[_FOOTER.size :] != MCAP0_MAGIC or (opcode, length) != (Opcode.FOOTER, 20):
         return None
     if start == 0:
-        return Summary([])
+        return FileSummary([])
     if not len(MCAP0_MAGIC) <= start <= size - _TAIL:
         return None
     found = 0
@@ -275,7 +275,7 @@ def read_summary(file: BinaryIO) -> Summary | None:
         return None
 
 
-def _summary(data: bytes) -> Summary:
+def _summary(data: bytes) -> FileSummary:
     records: list[Schema | Channel] = []
     messages, last, at = None, None, 0
     while len(data) - at >= HEAD.size:
@@ -289,4 +289,4 @@ def _summary(data: bytes) -> Summary:
             messages = cursor.number(8)
             cursor.bytes(2 + 4 + 4 + 4 + 4 + 8)
             last = cursor.number(8)
-    return Summary(records, messages, last)
+    return FileSummary(records, messages, last)

@@ -97,7 +97,7 @@ class Packer:
         self._most = [1] * len(self._kinds)
 
     def pack(self, fixed: Sequence[Any], sequences: Sequence[tuple[int, bytes]]) -> bytes:
-        """One message.
+        """Encode one message as CDR.
 
         Args:
             fixed: numbers of the fixed part.

@@ -40,7 +40,7 @@ class Difference(Struct, frozen=True):
 
 
 class Replay(Struct, frozen=True, omit_defaults=True):
-    """Result of a replay."""
+    """How many ticks were compared, and the first difference."""
 
     ticks: int  # of all topics together
     first_difference: Difference | None

@@ -31,7 +31,7 @@ class GiveUpError(Exception):
 
 
 class Found(NamedTuple):
-    """An intact chunk."""
+    """Position and contents of the next intact chunk."""
 
     at: int
     end: int

@@ -17,8 +17,8 @@ UNTIMED = {
 GAP = 1.5  # a pause longer than this multiple of the usual one is a gap
 
 
-class Topic(Struct, frozen=True):
-    """One topic of a log."""
+class TopicSummary(Struct, frozen=True):
+    """Name, kind, count and time span of one topic."""
 
     topic: str
     kind: str  # name of its schema
@@ -32,14 +32,14 @@ class Topic(Struct, frozen=True):
 
 
 class Contents(Struct, frozen=True):
-    """Contents of a log."""
+    """All topics of a log, and damage."""
 
     finished: bool  # false: its writer was killed or still runs
-    topics: list[Topic]
+    topics: list[TopicSummary]
     damage: list[str]  # messages about missing parts
 
 
-def survey(rows: Iterable[Row], kinds: dict[str, str]) -> list[Topic]:
+def survey(rows: Iterable[Row], kinds: dict[str, str]) -> list[TopicSummary]:
     """Count the messages; `kinds` is complete after the last row."""
     stamps: dict[str, list[int]] = {}
     sizes: dict[str, int] = {}
@@ -49,11 +49,11 @@ def survey(rows: Iterable[Row], kinds: dict[str, str]) -> list[Topic]:
     return [_topic(name, kinds.get(name, ""), stamps[name], sizes[name]) for name in sorted(stamps)]
 
 
-def _topic(name: str, kind: str, stamps: list[int], size: int) -> Topic:
+def _topic(name: str, kind: str, stamps: list[int], size: int) -> TopicSummary:
     steps = np.diff(np.array(stamps)) * 1e-9
     usual = float(np.median(steps)) if len(steps) and kind not in UNTIMED else 0.0
     long = steps[steps > GAP * usual] if usual > 0.0 else steps[:0]
-    return Topic(
+    return TopicSummary(
         name,
         kind,
         len(stamps),

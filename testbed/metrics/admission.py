@@ -45,7 +45,7 @@ class AdmissionFlight(Struct, frozen=True):
 
 
 class Finding(Struct, frozen=True):
-    """Result for one limit."""
+    """Worst value of one metric against its limit."""
 
     name: str
     worst: float

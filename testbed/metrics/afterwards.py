@@ -35,7 +35,7 @@ class After(Struct, frozen=True):
     fault: FaultReport | None = None  # that ended a hold after the flight
 
 
-class Contact(Protocol):
+class RecordedContact(Protocol):
     """A contact recorded by the plant."""
 
     @property
@@ -49,7 +49,7 @@ class Contact(Protocol):
         ...
 
 
-def contacts_after(touches: Iterable[Contact], end: float) -> int:
+def contacts_after(touches: Iterable[RecordedContact], end: float) -> int:
     """Number of contacts harder than `HARD` after `end` [s], of those that were simulated."""
     return sum(end < touch.t and touch.speed > HARD for touch in touches)
 
@@ -74,7 +74,7 @@ def judge_after(
     names: Sequence[str],
     t: NDArray[np.float64],
     states: NDArray[np.float64],
-    touches: Iterable[Contact],
+    touches: Iterable[RecordedContact],
     floats: Mapping[str, bool],
     end: float,
 ) -> After:

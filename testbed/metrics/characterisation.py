@@ -51,7 +51,7 @@ def characterise(
 
     Args:
         positions: shape (n, d), n >= 1 [m].
-        velocities: shape (n, d) [m/s]; zero if there are none.
+        velocities: shape (n, d) [m/s]; zero if omitted.
         radii: of the satellites themselves, one or n of them [m].
 
     Raises:

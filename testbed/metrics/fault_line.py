@@ -6,7 +6,7 @@ from testbed.core.codes import FaultReport
 
 
 def fault_line(seed: int | None, fault: FaultReport, t: float | None) -> str:
-    """Such as "seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4 gives no thrust".
+    """A line such as "seed 7: valve_stuck_closed of sat1 at 12.3 s: jet 4 gives no thrust".
 
     Args:
         seed: of the flight, if it is known.

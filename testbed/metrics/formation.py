@@ -55,7 +55,7 @@ def has_formation(controller: object) -> bool:
     return formation_kind(controller) is not None
 
 
-def settled(t: Array, off: NDArray[Any]) -> float | None:
+def settled_after(t: Array, off: NDArray[Any]) -> float | None:
     """First time after which no sample is `off`; None if the last one is [s]."""
     late = np.flatnonzero(off)
     if len(late) == 0:
@@ -63,7 +63,7 @@ def settled(t: Array, off: NDArray[Any]) -> float | None:
     return float(t[late[-1] + 1]) if late[-1] + 1 < len(t) else None
 
 
-class Shape(Struct, frozen=True):
+class ShapeError(Struct, frozen=True):
     """Error of the formation."""
 
     error_m: float
@@ -72,7 +72,7 @@ class Shape(Struct, frozen=True):
     lost_edges: int | None = None
 
 
-def edges(controller: Any, context: FormationContext, t: Array, p: Array) -> Shape:
+def edges(controller: Any, context: FormationContext, t: Array, p: Array) -> ShapeError:
     """Error of a graph's edges; `p` of shape (m, n, 2)."""
     led = formation_kind(controller) == "led graph"
     shape = formation(controller.formation, list(context.names), led)
@@ -86,10 +86,10 @@ def edges(controller: Any, context: FormationContext, t: Array, p: Array) -> Sha
         longest = max(longest, float(gap.max()))
         lost += bool(gap.max() >= metres * shape.range)
     error = float(off[t >= t[-1] - END_S].max())
-    return Shape(error, settled(t, off > EDGE_M), longest, lost)
+    return ShapeError(error, settled_after(t, off > EDGE_M), longest, lost)
 
 
-def curves(controller: Any, t: Array, p: Array) -> Shape | None:
+def curves(controller: Any, t: Array, p: Array) -> ShapeError | None:
     """Error to the curves of phases that have one; `p` of shape (m, n, 2)."""
     centre = np.zeros(2) if controller.centre is None else np.array(controller.centre)
     ends = [*(phase.at for phase in controller.phases[1:]), np.inf]
@@ -102,12 +102,12 @@ def curves(controller: Any, t: Array, p: Array) -> Shape | None:
         at = t[inside]
         off = distance_to(phase.shape, p[inside] - centre).max(axis=1)
         errors.append(float(off[at >= at[-1] - END_S].max()))
-        after = settled(at, off > CURVE_M)
+        after = settled_after(at, off > CURVE_M)
         times.append(None if after is None else after - phase.at)
     if not errors:
         return None
     known = [time for time in times if time is not None]
-    return Shape(max(errors), max(known) if len(known) == len(times) else None)
+    return ShapeError(max(errors), max(known) if len(known) == len(times) else None)
 
 
 def formation_metrics(
@@ -121,7 +121,7 @@ def formation_metrics(
     p = states[:, :, :2]
     end = characterise(p[-1], states[-1, :, 3:5], context.radius)
     closest, widest = extremes(np.concatenate([p[::STRIDE], p[-1:]]), context.radius)
-    shape: Shape | None = None
+    shape: ShapeError | None = None
     kind = formation_kind(controller)
     if kind == "curves":
         shape = curves(controller, t, p)

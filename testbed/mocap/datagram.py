@@ -14,7 +14,7 @@ def stamped(host: str, port: int, *, shared: bool = False) -> socket.socket:
     """A socket that does not wait, and of whose datagrams the kernel notes when they came in.
 
     Raises:
-        OSError: the address is none of this machine's, or the port is taken.
+        OSError: the address is not one of this machine's, or the port is taken.
     """
     one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     if shared:

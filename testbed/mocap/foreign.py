@@ -12,6 +12,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from importlib.util import find_spec
+from pathlib import Path
 
 import msgspec
 
@@ -26,28 +27,7 @@ AGAIN_NS = 500_000_000  # between two starts, so that a child that dies at once 
 GIVEN_UP = 0  # deadline of a child that is not waited for
 LONGEST = 1 << 20  # longest message [bytes]; a longer one is not a message
 PACKAGE = "motioncapture"
-CHILD = """
-import os, struct, sys, threading, time
-def end_with_parent():
-    sys.stdin.buffer.read()
-    os._exit(0)
-threading.Thread(target=end_with_parent, daemon=True).start()
-out = os.dup(1)
-os.dup2(2, 1)  # keep the package's output out of the pipe
-import motioncapture, msgspec
-system = motioncapture.connect(sys.argv[1], msgspec.json.decode(sys.argv[2]))
-number = 0
-while True:
-    system.waitForNextFrame()
-    now = time.monotonic_ns()
-    bodies = {}
-    for name, body in system.rigidBodies.items():
-        p, q = body.position, body.rotation
-        bodies[name] = (float(p[0]), float(p[1]), float(p[2]), q.x, q.y, q.z, q.w)
-    number += 1
-    data = msgspec.msgpack.encode((number, now, bodies))
-    os.write(out, struct.pack("<I", len(data)) + data)
-"""
+PROGRAM = Path(__file__).with_name("foreign_process.py")
 HEAD = struct.Struct("<I")
 Bodies = dict[str, tuple[float, float, float, float, float, float, float]]
 
@@ -57,14 +37,14 @@ class ForeignSource:
 
     Args:
     wire: from the table file.
-    program: source code of the child; tests pass faulty ones.
+    program: script of the process; tests pass faulty ones.
 
     Raises:
         OSError: the package is not installed.
     """
 
-    def __init__(self, wire: MocapWire, program: str = CHILD) -> None:
-        if program is CHILD and find_spec(PACKAGE) is None:
+    def __init__(self, wire: MocapWire, program: Path = PROGRAM) -> None:
+        if program == PROGRAM and find_spec(PACKAGE) is None:
             raise OSError(
                 f"[lab.mocap] system = {wire.system!r} needs the package {PACKAGE}, which is not"
                 f" installed: {pip_install('mocap')}"
@@ -82,7 +62,7 @@ class ForeignSource:
             settings["port_command"] = str(w.command_port)
         system = {"natnet": "optitrack"}.get(w.system, w.system)
         self._child = subprocess.Popen(
-            [sys.executable, "-c", self._program, system, msgspec.json.encode(settings).decode()],
+            [sys.executable, "-P", self._program, system, msgspec.json.encode(settings).decode()],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

@@ -28,7 +28,7 @@ Version = tuple[int, int]
 
 
 class Packet(IntEnum):
-    """Kind of a packet."""
+    """Number of a NatNet packet's kind."""
 
     CONNECT = 0
     SERVER_INFO = 1
@@ -89,7 +89,7 @@ class ServerInfo(Struct, frozen=True, gc=False):
 
 
 def packet(kind: Packet, payload: bytes = b"") -> bytes:
-    """Encode a datagram."""
+    """Encode a NatNet datagram: kind, length, payload."""
     return HEAD.pack(kind, len(payload)) + payload
 
 
@@ -116,7 +116,7 @@ def _sized(data: bytes, version: Version) -> bytes:
 
 
 def encode_frame(frame: MocapFrame, version: Version) -> bytes:
-    """Encode a frame."""
+    """Encode a frame of mocap data with its rigid bodies."""
     empty = struct.pack("<i", 0) + _sized(b"", version)
     bodies = b"".join(
         BODY.pack(b.id, *b.position, *b.rotation, b.error, b.tracked) for b in frame.bodies
@@ -189,13 +189,13 @@ class _Reader:
         return values
 
     def skip(self, size: int) -> None:
-        """Skip bytes."""
+        """Skip bytes, checking that they are there."""
         if size < 0 or self.at + size > len(self.data):
             raise NatNetError(f"a size of {size} at byte {self.at} of {len(self.data)}")
         self.at += size
 
     def number(self) -> int:
-        """Read an integer."""
+        """Read a 32-bit integer."""
         return int(self.take(_I32)[0])
 
     def count(self) -> int:

@@ -30,7 +30,7 @@ from testbed.realtime.wall_clock import monotonic_ns
 FORGET_NS = 30_000_000_000  # a client whose keep-alives stop is dropped after this time
 
 
-class Address(NamedTuple):
+class NatNetAddress(NamedTuple):
     """Addresses of a server."""
 
     host: str
@@ -46,7 +46,9 @@ class NatNetServer:
         OSError: the port is taken.
     """
 
-    def __init__(self, address: Address, version: Version, bodies: Sequence[Described]) -> None:
+    def __init__(
+        self, address: NatNetAddress, version: Version, bodies: Sequence[Described]
+    ) -> None:
         self._address, self._version, self._bodies = address, version, bodies
         self._alive: dict[tuple[str, int], int] = {}  # time of each client's last keep-alive
         self._silent: set[str] = set()  # machines that asked without keep-alives

@@ -12,7 +12,7 @@ from testbed.mocap.exposure import Exposure, MocapSource
 
 
 class PluggedSource:
-    """A `MocapSource` round a plug-in: one that fails has no poses, and `complaint` says why.
+    """A plug-in as a `MocapSource`; after a failure it has no poses, and `complaint` says why.
 
     The vehicle goes on to fly its chain then: without poses it is brought to rest.
 
@@ -27,7 +27,7 @@ class PluggedSource:
         try:
             made = plugin.load(plugin.MOCAP, wire.system, MOCAP_SYSTEMS)
             options = msgspec.convert(
-                wire.options, plugin.option_type(made, plugin.TOLD[plugin.MOCAP])
+                wire.options, plugin.option_type(made, plugin.PROVIDED[plugin.MOCAP])
             )
             self._source: MocapSource = plugin.call(made, options, {"wire": wire})
         except (plugin.PluginError, msgspec.ValidationError) as error:

@@ -16,8 +16,8 @@ FARTHEST = 1e4  # largest plausible coordinate [m]
 LATE_S = 0.1  # without a frame, or without the body in the frames
 
 
-class Trouble(StrEnum):
-    """Why no poses arrive."""
+class PoseTrouble(StrEnum):
+    """Reason why a vehicle gets no poses."""
 
     SILENT = "silent"  # no frames arrive
     STALE = "stale"  # frames arrive, but the body is not tracked in them
@@ -33,8 +33,8 @@ class MocapPoses:
     def __init__(self, source: MocapSource, wire: MocapWire, clock: WallClock, name: str) -> None:
         self._source, self._axes, self._clock = source, Axes(wire), clock
         self._body = wire.bodies.get(name, name)
-        self.trouble: Trouble | None = None
-        self.troubles: dict[Trouble, int] = {}  # how often each began
+        self.trouble: PoseTrouble | None = None
+        self.troubles: dict[PoseTrouble, int] = {}  # how often each began
         self._frame_at: float | None = None  # exposure of the newest frame [s]
         self._pose_at = -math.inf  # of the newest one in which the body is tracked [s]
         self.arrived_ns: int | None = None  # arrival of the newest pose passed on
@@ -73,9 +73,9 @@ class MocapPoses:
         if self._frame_at is None:
             return
         if now - self._frame_at > LATE_S:
-            trouble = Trouble.SILENT
+            trouble = PoseTrouble.SILENT
         elif now - self._pose_at > LATE_S:
-            trouble = Trouble.STALE
+            trouble = PoseTrouble.STALE
         if trouble is not None and trouble is not self.trouble:
             self.troubles[trouble] = self.troubles.get(trouble, 0) + 1
         self.trouble = trouble

@@ -18,22 +18,22 @@ Bodies = dict[str, tuple[float, float, float, float, float, float, float]]
 
 
 def encode_poses(number: int, exposed_ns: int, sent_ns: int, bodies: Bodies) -> bytes:
-    """Encode a message."""
+    """Encode an exposure as the message on the pose topic."""
     return msgspec.msgpack.encode((number, exposed_ns, sent_ns, bodies))
 
 
 class PoseTopic:
-    """A `MocapSource`."""
+    """Receives exposures from the pose topic."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
-        self._ear, self.clock, self.bad = Subscriber(session, key), ClockOffset(), 0
+        self._subscriber, self.clock, self.bad = Subscriber(session, key), ClockOffset(), 0
         self._decode = msgspec.msgpack.Decoder(tuple[int, int, int, Bodies]).decode
         self._known: set[str] = set()
 
     def poll(self) -> list[Exposure]:
         """See `MocapSource`."""
         exposures = []
-        for arrived, data in self._ear.heard():
+        for arrived, data in self._subscriber.heard():
             try:
                 number, exposed, sent, bodies = self._decode(data)
             except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):

@@ -2,7 +2,7 @@
 
     role       publishes                   subscribes to              queries and answers
     host       everything: all other parties connect to it
-    vehicle    its own state, message,     its setpoint; permit,      the host's clock, experiment;
+    vehicle    its own state, message,     its setpoint; lease,       the host's clock, experiment;
                and event; liveliness       stop, poses; states and    gives the host its ticket;
                                            messages of other laws     answers orders and stop
     table      truth, poses
@@ -24,7 +24,14 @@ import zenoh
 from msgspec import Struct
 
 from testbed.core.lab import Network
-from testbed.net.credentials import ROLES, BadgeError, Credentials, common_name, known, read_badge
+from testbed.net.credentials import (
+    ROLES,
+    Credentials,
+    CredentialsError,
+    common_name,
+    known,
+    read_credentials,
+)
 from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, listen
 
@@ -59,7 +66,7 @@ class Access(Struct, frozen=True, forbid_unknown_fields=True):
     party: list[Admitted]
 
     @property
-    def badges(self) -> list[Credentials]:
+    def parties(self) -> list[Credentials]:
         """Every party on the list."""
         return [
             Credentials(self.lab, self.endpoint, p.role, p.name, p.fingerprint, p.expires)
@@ -71,32 +78,36 @@ def read_access(folder: Path) -> Access:
     """Read the access list in the host's key folder.
 
     Raises:
-        BadgeError: it is missing or cannot be read.
+        CredentialsError: it is missing or cannot be read.
     """
     path = folder / ACCESS
     expected = "expected the list that `testbed lab-keys` keeps in the host's key folder"
     try:
         access = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Access)
     except OSError as error:
-        raise BadgeError(f"{path}: {error.strerror}; {expected}") from None
+        raise CredentialsError(f"{path}: {error.strerror}; {expected}") from None
     except (ValueError, RecursionError) as error:  # not TOML, not UTF-8, or other fields
-        raise BadgeError(f"{path}: {error}; {expected}") from None
+        raise CredentialsError(f"{path}: {error}; {expected}") from None
     for one in access.party:
         if one.role not in ROLES:
-            raise BadgeError(f"{path}: a role {one.role!r}; expected one of: {', '.join(ROLES)}")
+            raise CredentialsError(
+                f"{path}: a role {one.role!r}; expected one of: {', '.join(ROLES)}"
+            )
     return access
 
 
-def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple[Act, list[str]]]:
+def permissions(
+    party: Credentials, keys: Keys, vehicles: Iterable[str]
+) -> list[tuple[Act, list[str]]]:
     """Which actions a party may do on which keys."""
 
     def of(names: Iterable[str], *words: str) -> list[str]:
         return [keys.of(name, word) for name in names for word in words]
 
-    everybody, own = list(vehicles), [badge.name]
-    seen = of(everybody, "state", "message", "tick", "event", "alive")
-    seen += [keys.truth, keys.pose, keys.permit, keys.host_alive]
-    match badge.role:
+    vehicles, own = list(vehicles), [party.name]
+    seen = of(vehicles, "state", "message", "tick", "event", "alive")
+    seen += [keys.truth, keys.pose, keys.lease, keys.host_alive]
+    match party.role:
         case "host":
             return [(act, [keys.everything]) for act in (SAY, HEAR, ASK, ANSWER, LIVE)]
         case "vehicle":
@@ -104,8 +115,8 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
                 (SAY, of(own, "state", "message", "tick", "event")),
                 (LIVE, of(own, "alive")),
                 (HEAR, of(own, "alive")),  # is another vehicle using its name?
-                (HEAR, [*of(own, "setpoint"), keys.permit, keys.stop, keys.pose]),
-                (HEAR, of(everybody, "state", "message")),
+                (HEAR, [*of(own, "setpoint"), keys.lease, keys.stop, keys.pose]),
+                (HEAR, of(vehicles, "state", "message")),
                 (ASK, [*of(own, "roll"), keys.clock, keys.experiment]),
                 (ANSWER, [*of(own, "order"), keys.stop]),
             ]
@@ -115,7 +126,7 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
             return [
                 (SAY, [keys.stop]),
                 (ASK, [keys.stop, keys.experiment]),
-                (HEAR, [*seen, *of(everybody, "setpoint"), keys.stop]),
+                (HEAR, [*seen, *of(vehicles, "setpoint"), keys.stop]),
             ]
         case _:  # a watcher
             return [(HEAR, seen), (ASK, [keys.experiment])]
@@ -123,25 +134,25 @@ def deeds(badge: Credentials, keys: Keys, vehicles: Iterable[str]) -> list[tuple
 
 def control(access: Access, keys: Keys) -> dict[str, Any]:
     """Zenoh's access-control configuration; a party that is not on the list may do nothing."""
-    vehicles = known(access.badges, "vehicle")
+    vehicles = known(access.parties, "vehicle")
     rules: list[dict[str, Any]] = []
     subjects, policies = [], []
-    for badge in access.badges:
-        who = common_name(badge.role, badge.name)
+    for party in access.parties:
+        name = common_name(party.role, party.name)
         own: list[str] = []
-        for act, where in deeds(badge, keys, vehicles):
+        for act, where in permissions(party, keys, vehicles):
             for flow, messages in act:
                 if not where:
                     continue
-                rule = f"{who} {len(own)}"
+                rule = f"{name} {len(own)}"
                 own.append(rule)
                 rules.append({
                     "id": rule, "permission": "allow", "flows": [flow],
                     "messages": list(messages), "key_exprs": where,
                 })  # fmt: skip
         if own:
-            subjects.append({"id": who, "cert_common_names": [who]})
-            policies.append({"rules": own, "subjects": [who]})
+            subjects.append({"id": name, "cert_common_names": [name]})
+            policies.append({"rules": own, "subjects": [name]})
     return {
         "enabled": True, "default_permission": "deny",
         "rules": rules, "subjects": subjects, "policies": policies,
@@ -162,22 +173,24 @@ def open_lab(network: Network, vehicles: Iterable[str]) -> tuple[zenoh.Session, 
         return listen(network.endpoint), []
     folder = Path(network.keys)
     try:
-        badge = read_badge(folder)
-        if badge.role != "host":
-            raise BadgeError(f"{folder} has the keys of {badge.common_name}, expected the host's")
+        credentials = read_credentials(folder)
+        if credentials.role != "host":
+            raise CredentialsError(
+                f"{folder} has the keys of {credentials.common_name}, expected the host's"
+            )
         access = read_access(folder)
-    except BadgeError as error:
+    except CredentialsError as error:
         raise NetworkError(str(error)) from None
     if access.lab != network.lab:
         raise NetworkError(
             f"{folder} is of the lab {access.lab!r}, and [lab.network] of {network.lab!r}"
         )
-    missing = [name for name in vehicles if name not in known(access.badges, "vehicle")]
+    missing = [name for name in vehicles if name not in known(access.parties, "vehicle")]
     if missing:
         raise NetworkError(
             f"no keys for {', '.join(missing)} in {folder / ACCESS}; expected every vehicle there:"
             f" testbed lab-keys {folder.parent} --vehicle {missing[0]}"
         )
-    ends = [badge.ending for badge in access.badges]
+    ends = [party.ending for party in access.parties]
     session = listen(network.endpoint, folder, control(access, Keys(network.lab)))
     return session, [words for words in ends if words]

@@ -30,13 +30,13 @@ from testbed.files import write_atomic
 from testbed.net.access import ACCESS, read_access
 from testbed.net.credentials import (
     AUTHORITY,
-    BADGE,
     CERTIFICATE,
+    CREDENTIALS,
     KEY,
-    BadgeError,
     Credentials,
+    CredentialsError,
     common_name,
-    read_badge,
+    read_credentials,
 )
 
 AUTHORITY_DAYS = 3650
@@ -62,18 +62,18 @@ class Wanted(NamedTuple):
 
 
 def make_keys(folder: Path, wanted: Wanted, *, force: bool) -> list[Credentials]:
-    """Make keys for these parties and add them to the access list; returns their badges.
+    """Make keys for these parties and add them to the access list; returns their credentials.
 
     The authority's key is made first if it does not exist.
 
     Raises:
-        BadgeError: a party has keys already and `force` is not given, or the authority's key
+        CredentialsError: a party has keys already and `force` is not given, or the authority's key
             cannot be used.
     """
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)  # noqa: TID251  (a date)
     for role, name in wanted.parties:
         if (folder / common_name(role, name)).exists() and not force:
-            raise BadgeError(
+            raise CredentialsError(
                 f"{folder / common_name(role, name)} has keys already; --force makes new ones, and"
                 " the old ones stay good until they expire"
             )
@@ -91,7 +91,7 @@ def listed(folder: Path) -> list[Credentials]:
     """Every party on the access list; empty if there is no list yet."""
     if not (folder / "host" / ACCESS).exists():
         return []
-    return read_access(folder / "host").badges
+    return read_access(folder / "host").parties
 
 
 def addresses_of(folder: Path) -> list[str]:
@@ -110,13 +110,13 @@ def _authority(folder: Path, lab: str, now: datetime.datetime) -> Signer:
             key = load_pem_private_key((place / KEY).read_bytes(), None)
             certificate = x509.load_pem_x509_certificate((place / CERTIFICATE).read_bytes())
         except (OSError, ValueError) as error:
-            raise BadgeError(
+            raise CredentialsError(
                 f"the authority in {place} cannot be read: {error}; without it no keys can be"
                 " added: restore its backup, or make new keys in another folder"
             ) from None
         assert isinstance(key, ec.EllipticCurvePrivateKey)
         if certificate.not_valid_after_utc <= now:
-            raise BadgeError(
+            raise CredentialsError(
                 f"the authority in {place} expired on"
                 f" {certificate.not_valid_after_utc:%Y-%m-%d}: make new keys in another folder"
             )
@@ -157,17 +157,17 @@ def _party(
         builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
     certificate = builder.sign(root_key, hashes.SHA256())
     digest = certificate.fingerprint(hashes.SHA256()).hex(":").upper()
-    badge = Credentials(wanted.lab, wanted.endpoint, role, name, digest, end.isoformat())
+    credentials = Credentials(wanted.lab, wanted.endpoint, role, name, digest, end.isoformat())
     _put(
         folder / who,
         {
             KEY: _pem(key),
             CERTIFICATE: certificate.public_bytes(Encoding.PEM),
             AUTHORITY: root.public_bytes(Encoding.PEM),
-            BADGE: json.dumps(badge._asdict(), indent=2).encode() + b"\n",
+            CREDENTIALS: json.dumps(credentials._asdict(), indent=2).encode() + b"\n",
         },
     )
-    return badge
+    return credentials
 
 
 def _name(text: str) -> x509.Name:
@@ -223,7 +223,7 @@ def _put(place: Path, files: dict[str, bytes]) -> None:
 
 def _write_list(folder: Path, wanted: Wanted, made: Sequence[Credentials]) -> None:
     """Add new parties to the host's access list."""
-    entries = {badge.common_name: badge for badge in (*listed(folder), *made)}
+    entries = {party.common_name: party for party in (*listed(folder), *made)}
     tree = {
         "lab": wanted.lab,
         "endpoint": wanted.endpoint,
@@ -235,6 +235,6 @@ def _write_list(folder: Path, wanted: Wanted, made: Sequence[Credentials]) -> No
     write_atomic(folder / "host" / ACCESS, (HEADING + tomli_w.dumps(tree)).encode())
 
 
-def host_badge(folder: Path) -> Credentials | None:
-    """The host's badge; None if it has no keys."""
-    return read_badge(folder / "host") if (folder / "host").exists() else None
+def host_credentials(folder: Path) -> Credentials | None:
+    """The host's credentials; None if it has no keys."""
+    return read_credentials(folder / "host") if (folder / "host").exists() else None

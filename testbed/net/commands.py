@@ -56,7 +56,7 @@ Answer = Accepted | Ready | Refused
 
 
 class Lease(Struct, frozen=True):
-    """Permit to fly until the envelope's valid-until, with the host data that a vehicle needs."""
+    """Permission to fly until the envelope's valid-until, with host data for the vehicle."""
 
     may_fire: bool = True  # by the supervisor; when it becomes false: come to rest
     fleet: FaultReport | None = None  # fault of another vehicle that stops all vehicles

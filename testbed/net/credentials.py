@@ -1,6 +1,6 @@
 """A key folder: a party's identity on the network, its certificate and its private key.
 
-    badge.json        role, name, lab, endpoint of the host, expiry date
+    credentials.json  role, name, lab, endpoint of the host, expiry date
     authority.pem     certificate of the lab's authority; other authorities are not trusted
     certificate.pem   certificate of the party
     private.key       its private key; only its owner may read it
@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 from testbed.core.error import TestbedError
 
-BADGE, AUTHORITY, CERTIFICATE, KEY = (
-    "badge.json", "authority.pem", "certificate.pem", "private.key",
+CREDENTIALS, AUTHORITY, CERTIFICATE, KEY = (
+    "credentials.json", "authority.pem", "certificate.pem", "private.key",
 )  # fmt: skip
 ROLES = ("host", "table", "vehicle", "operator", "watcher")
 PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws")  # Zenoh's protocols with host and port
@@ -29,12 +29,12 @@ OPEN_MODE = 0o077  # mode bits that a private key must not have
 SOON = datetime.timedelta(days=30)  # warn about keys that expire earlier
 
 
-class BadgeError(TestbedError):
+class CredentialsError(TestbedError):
     """The key folder is missing, damaged or must not be used."""
 
 
 class Credentials(NamedTuple):
-    """Identity of a party, as in its `badge.json`."""
+    """Identity of a party, as in its `credentials.json`."""
 
     lab: str  # first part of the lab's network keys
     endpoint: str  # where the host listens
@@ -64,39 +64,39 @@ def common_name(role: str, name: str) -> str:
     return role if role in ("host", "table") else f"{role}-{name}"
 
 
-def read_badge(folder: Path) -> Credentials:
-    """Read the badge of a key folder.
+def read_credentials(folder: Path) -> Credentials:
+    """Read the credentials of a key folder.
 
     Raises:
-        BadgeError: it is not a key folder, or others can read its private key.
+        CredentialsError: it is not a key folder, or others can read its private key.
     """
     made = "expected a folder that `testbed lab-keys` has made"
     try:
-        tree = json.loads((folder / BADGE).read_bytes())
-        badge = Credentials(**tree)
+        tree = json.loads((folder / CREDENTIALS).read_bytes())
+        credentials = Credentials(**tree)
     except OSError as error:
-        raise BadgeError(f"no keys in {folder}: {error.strerror}; {made}") from None
+        raise CredentialsError(f"no keys in {folder}: {error.strerror}; {made}") from None
     except (ValueError, TypeError, RecursionError):
-        raise BadgeError(f"{folder / BADGE} cannot be read; {made}") from None
-    if not all(isinstance(word, str) for word in badge) or not _is_sound(badge):
-        raise BadgeError(f"{folder / BADGE} has a missing or wrong field; {made}")
+        raise CredentialsError(f"{folder / CREDENTIALS} cannot be read; {made}") from None
+    if not all(isinstance(word, str) for word in credentials) or not _is_sound(credentials):
+        raise CredentialsError(f"{folder / CREDENTIALS} has a missing or wrong field; {made}")
     for name in (AUTHORITY, CERTIFICATE, KEY):
         if not (folder / name).is_file():
-            raise BadgeError(f"{folder / name} is missing; {made}")
+            raise CredentialsError(f"{folder / name} is missing; {made}")
     if (mode := (folder / KEY).stat().st_mode & 0o777) & OPEN_MODE:
-        raise BadgeError(
+        raise CredentialsError(
             f"{folder / KEY} can be read by others (mode {mode:o}, expected 600): try"
             f" `chmod 600 {folder / KEY}`; if others have read it, make new keys"
         )
-    return badge
+    return credentials
 
 
-def _is_sound(badge: Credentials) -> bool:
+def _is_sound(credentials: Credentials) -> bool:
     try:
-        dated = datetime.datetime.fromisoformat(badge.expires).tzinfo is not None
+        dated = datetime.datetime.fromisoformat(credentials.expires).tzinfo is not None
     except ValueError:
         dated = False
-    return dated and badge.role in ROLES
+    return dated and credentials.role in ROLES
 
 
 def tls(folder: Path) -> dict[str, object]:
@@ -170,6 +170,6 @@ def neighbour(folder: Path, role: str, name: str) -> Path:
     return folder.parent / common_name(role, name)
 
 
-def known(badges: Iterable[Credentials], role: str) -> list[str]:
+def known(parties: Iterable[Credentials], role: str) -> list[str]:
     """Names of all parties in this role."""
-    return [badge.name for badge in badges if badge.role == role]
+    return [party.name for party in parties if party.role == role]

@@ -61,7 +61,7 @@ def _signer(keys: Path | None) -> "Signer | None":
 
 
 def _decode(data: bytes, lab: str) -> dict[str, Any]:
-    """A message of this lab; empty: it is none."""
+    """A message of this lab; empty: not a message of this lab."""
     with suppress(ValueError, RecursionError):
         message = json.loads(data)
         if isinstance(message, dict) and message.get("lab") == lab:
@@ -126,7 +126,7 @@ class StopListener:
         raise trouble
 
     def close(self) -> None:
-        """Stop listening."""
+        """Close the socket and end the thread."""
         self._closed = True
         with suppress(OSError):
             self._socket.sendto(b"", (LOCAL, self.port))  # wakes the thread

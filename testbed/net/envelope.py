@@ -42,7 +42,7 @@ def head_of(data: bytes) -> Head | None:
     return Head(*_ENVELOPE.unpack_from(data, len(HEADER)))
 
 
-class Verdict(StrEnum):
+class Acceptance(StrEnum):
     """Result of judging a message."""
 
     TAKEN = "taken"
@@ -82,45 +82,45 @@ class Inbox(Generic[M]):
         self._seq = 0
         self.newest: M | None = None
         self.valid_until = self.issued_at = -float("inf")  # of the newest message
-        self.counts = dict.fromkeys(Verdict, 0)
+        self.counts = dict.fromkeys(Acceptance, 0)
         self.missed = 0  # lost messages, from gaps in the sequence numbers
         self.delay: float | None = None  # of the newest message, from issue to arrival [s]
 
     @property
     def foreign(self) -> int:
         """Number of messages of another session so far."""
-        return self.counts[Verdict.FOREIGN]
+        return self.counts[Acceptance.FOREIGN]
 
-    def take(self, data: bytes, arrived_at: float) -> Verdict:
+    def take(self, data: bytes, arrived_at: float) -> Acceptance:
         """Judge a message that arrived at this time of the run."""
         verdict = self._judge(data, arrived_at)
         self.counts[verdict] += 1
         return verdict
 
-    def _judge(self, data: bytes, arrived_at: float) -> Verdict:
+    def _judge(self, data: bytes, arrived_at: float) -> Acceptance:
         if (head := head_of(data)) is None:
-            return Verdict.GARBLED
+            return Acceptance.GARBLED
         try:
             if head.schema != SCHEMA:
-                return Verdict.SCHEMA
+                return Acceptance.SCHEMA
             if head.session != self._session:
-                return Verdict.FOREIGN
+                return Acceptance.FOREIGN
             if head.seq <= self._seq:
-                return Verdict.DUPLICATED if head.seq == self._seq else Verdict.REORDERED
+                return Acceptance.DUPLICATED if head.seq == self._seq else Acceptance.REORDERED
             if not arrived_at <= head.valid_until:
-                return Verdict.EXPIRED
+                return Acceptance.EXPIRED
             if not arrived_at - head.issued_at <= self._late_s:
-                return Verdict.LATE
+                return Acceptance.LATE
             if not arrived_at - head.issued_at >= -EARLY_S:
-                return Verdict.GARBLED
+                return Acceptance.GARBLED
             if not head.valid_until - head.issued_at <= LONGEST_S:
-                return Verdict.GARBLED
+                return Acceptance.GARBLED
             message = self._open(data[START:])
         except (msgspec.MsgspecError, ValueError, RecursionError):
-            return Verdict.GARBLED
+            return Acceptance.GARBLED
         if self._seq:
             self.missed += head.seq - self._seq - 1
         self.delay = arrived_at - head.issued_at
         self._seq, self.newest, self.valid_until = head.seq, message, head.valid_until
         self.issued_at = head.issued_at
-        return Verdict.TAKEN
+        return Acceptance.TAKEN

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from testbed.core.lab import Weather
+from testbed.core.lab import Impairment
 
 
 def calm() -> tuple[float, float]:
@@ -16,10 +16,10 @@ class NetworkImpairment:
     """Loss or delay of each message; `worse` returns what an injected fault adds."""
 
     def __init__(
-        self, weather: Weather, seed: int, name: str,
+        self, impairment: Impairment, seed: int, name: str,
         worse: Callable[[], tuple[float, float]] = calm,
     ) -> None:  # fmt: skip
-        self._w, self._worse = weather, worse
+        self._w, self._worse = impairment, worse
         key = tuple(name.encode())
         self._rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 

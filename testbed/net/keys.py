@@ -10,7 +10,7 @@
     <lab>/<vehicle>/alive      liveliness token
     <lab>/table/truth          true poses of all vehicles; only from a twin
     <lab>/table/pose           poses, where the cameras speak Zenoh
-    <lab>/host/permit          permit to fly; expires                   host -> vehicles
+    <lab>/host/lease           permission to fly; expires              host -> vehicles
     <lab>/host/clock           get: the host's clock
     <lab>/host/experiment      get: the experiment
     <lab>/host/alive           liveliness token
@@ -28,7 +28,7 @@ class Keys:
         self._lab = lab
         self.truth = f"{lab}/table/truth"
         self.pose = f"{lab}/table/pose"
-        self.permit = f"{lab}/host/permit"
+        self.lease = f"{lab}/host/lease"
         self.clock = f"{lab}/host/clock"
         self.experiment = f"{lab}/host/experiment"
         self.host_alive = f"{lab}/host/alive"

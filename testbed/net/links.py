@@ -37,41 +37,41 @@ class Party(Struct, frozen=True):
         return Keys(self.lab.network.lab)
 
 
-class Heard(Generic[M]):
+class NewestMessage(Generic[M]):
     """Receives a key and keeps its newest message."""
 
     def __init__(self, party: Party, key: str, open_body: Callable[[Any], M]) -> None:
-        storm = NetworkImpairment(
-            party.lab.weather, party.seed, f"{key} to {party.name}", party.worse
+        impairment = NetworkImpairment(
+            party.lab.impairment, party.seed, f"{key} to {party.name}", party.worse
         )
-        self._ear = Subscriber(party.session, key, storm.arrival)
+        self._subscriber = Subscriber(party.session, key, impairment.arrival)
         self._clock = party.clock
         self.inbox: Inbox[M] = Inbox(open_body, party.run, party.lab.late_s)
 
     def newest(self) -> M | None:
         """The newest message, of any age."""
-        for at, data in self._ear.heard():
+        for at, data in self._subscriber.heard():
             self.inbox.take(data, self._clock.of(at))
         return self.inbox.newest
 
 
-def _newest(heard: Mapping[str, Heard[M]]) -> dict[str, M]:
+def _newest(heard: Mapping[str, NewestMessage[M]]) -> dict[str, M]:
     found = {name: one.newest() for name, one in heard.items()}
     return {name: message for name, message in found.items() if message is not None}
 
 
-class Said:
+class MessageSender:
     """Sends messages on a key."""
 
     def __init__(self, party: Party, key: str) -> None:
-        self._mouth, self._clock = Publisher(party.session, key), party.clock
+        self._publisher, self._clock = Publisher(party.session, key), party.clock
         self.outbox = Outbox(party.run)
 
     def say(self, message: object, valid_until: float | None = None) -> None:
-        """Send."""
+        """Send a message; without `valid_until` [s] it expires after `KEPT_S`."""
         now = self._clock.now
         until = now + KEPT_S if valid_until is None else valid_until
-        self._mouth.say(self.outbox.seal(message, now, until))
+        self._publisher.say(self.outbox.seal(message, now, until))
 
 
 class ZenohVehicleLink:
@@ -79,18 +79,24 @@ class ZenohVehicleLink:
 
     def __init__(self, party: Party, others: Iterable[str]) -> None:
         keys, name = party.keys, party.name
-        self.heard = Heard(party, keys.of(name, "setpoint"), open_setpoint)
+        self.heard = NewestMessage(party, keys.of(name, "setpoint"), open_setpoint)
         others = [other for other in others if other != name]
-        self._states = {n: Heard(party, keys.of(n, "state"), open_state) for n in others}
-        self._messages = {n: Heard(party, keys.of(n, "message"), open_message) for n in others}
+        self._states = {n: NewestMessage(party, keys.of(n, "state"), open_state) for n in others}
+        self._messages = {
+            n: NewestMessage(party, keys.of(n, "message"), open_message) for n in others
+        }
         self._state, self._message = (
-            Said(party, keys.of(name, what)) for what in ("state", "message")
+            MessageSender(party, keys.of(name, what)) for what in ("state", "message")
         )
 
     @property
     def foreign(self) -> int:
         """Number of messages of another session so far."""
-        heard: list[Heard[Any]] = [self.heard, *self._states.values(), *self._messages.values()]
+        heard: list[NewestMessage[Any]] = [
+            self.heard,
+            *self._states.values(),
+            *self._messages.values(),
+        ]
         return sum(one.inbox.foreign for one in heard)
 
     def setpoint(self) -> Setpoint | None:
@@ -140,10 +146,14 @@ class ZenohHostLink:
     """See `HostLink`. The links of all vehicles share one `states`."""
 
     def __init__(
-        self, party: Party, vehicle: str, states: Mapping[str, Heard[State]], board: Blackboard
+        self,
+        party: Party,
+        vehicle: str,
+        states: Mapping[str, NewestMessage[State]],
+        board: Blackboard,
     ) -> None:
         self._name, self._states, self._board = vehicle, states, board
-        self.said = Said(party, party.keys.of(vehicle, "setpoint"))
+        self.said = MessageSender(party, party.keys.of(vehicle, "setpoint"))
 
     def own(self) -> State | None:
         """See `HostLink`."""
@@ -168,6 +178,6 @@ class ZenohHostLink:
         self._board.write(self._name, message)
 
 
-def host_states(party: Party, vehicles: Iterable[str]) -> dict[str, Heard[State]]:
+def host_states(party: Party, vehicles: Iterable[str]) -> dict[str, NewestMessage[State]]:
     """Receivers of each vehicle's state, for the host."""
-    return {n: Heard(party, party.keys.of(n, "state"), open_state) for n in vehicles}
+    return {n: NewestMessage(party, party.keys.of(n, "state"), open_state) for n in vehicles}

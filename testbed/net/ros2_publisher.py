@@ -26,7 +26,7 @@ from testbed.core.records.ros import schema_text
 from testbed.logs.extras import Extras
 from testbed.logs.log_reader import LogError, LogReader, log_of
 from testbed.net.ros2 import Ros2Node
-from testbed.net.session import NetworkError, NobodyError, dial
+from testbed.net.session import NetworkError, NoHostError, dial
 
 PERIOD_S = 0.02  # between two looks at the log
 REPEAT_S = 1.0
@@ -158,7 +158,7 @@ def beside(run: Path, endpoint: str, domain: int) -> None:
         try:
             session = dial(endpoint, WAIT_S)
             break
-        except NobodyError:
+        except NoHostError:
             if not waiting:
                 sys.stderr.write(f"ros2: waiting for a router at {endpoint}: {ROUTER}\n")
                 waiting = True

@@ -17,7 +17,7 @@ from typing import Any
 import zenoh
 
 from testbed.core.error import TestbedError
-from testbed.net.credentials import BadgeError, read_badge, tls, untrusted
+from testbed.net.credentials import CredentialsError, read_credentials, tls, untrusted
 from testbed.realtime.wall_clock import monotonic_ns
 
 LARGEST = 1 << 18  # largest message [bytes]; an experiment has 20 kB
@@ -31,7 +31,7 @@ class NetworkError(TestbedError):
     """A session cannot be opened, or a query was not answered."""
 
 
-class NobodyError(NetworkError):
+class NoHostError(NetworkError):
     """No host listens at the endpoint, or one side rejects the other's certificate."""
 
 
@@ -88,8 +88,8 @@ def _checked(endpoint: str, keys: Path | None) -> None:
         raise NetworkError(f"{endpoint} is not opened: {why}")
     if keys is not None:
         try:
-            read_badge(keys)
-        except BadgeError as error:
+            read_credentials(keys)
+        except CredentialsError as error:
             raise NetworkError(str(error)) from None
 
 
@@ -128,7 +128,7 @@ def dial(
         open_s: time for the host's handshake.
 
     Raises:
-        NobodyError: no host listens there, or one side rejects the other's certificate.
+        NoHostError: no host listens there, or one side rejects the other's certificate.
         NetworkError: the endpoint must not be opened with these keys.
     """
     _checked(endpoint, keys)
@@ -138,7 +138,7 @@ def dial(
         )
     except zenoh.ZError as error:
         doubt = "" if keys is None else f", and are the keys in {keys} of its lab and not expired"
-        raise NobodyError(
+        raise NoHostError(
             f"no host answers at {endpoint}: {_words(error)}; is `testbed run` waiting on the host,"
             f" and is the address right{doubt}?"
         ) from None
@@ -167,7 +167,7 @@ class Subscriber:
             self._waiting.append((at, sample.payload.to_bytes()))
 
     def close(self) -> None:
-        """Stop receiving."""
+        """Undeclare the subscription: no message arrives after this."""
         self._subscriber.undeclare()
 
     def heard(self) -> list[tuple[int, bytes]]:
@@ -200,7 +200,7 @@ class Publisher:
         )
 
     def say(self, data: bytes) -> None:
-        """Send without waiting."""
+        """Publish a message without waiting for the network."""
         self._publisher.put(data)
 
 

@@ -1,10 +1,9 @@
 """`testbed stop`: stop every flight, from any machine, without any arguments.
 
-It needs no experiment and imports no slow modules such as numpy. A flight leaves a note on its
-machine. The note of a host has its endpoint and its key folder, so the reader needs no keys of
-their own; the note of a flight on the twin has its process id. The default endpoint is also tried
-without a note. On another machine the operator's key folder has the host's endpoint; it is in one
-fixed place, so that nothing has to be typed in a hurry.
+It needs no experiment and imports no slow modules such as numpy. Flights on this machine are found
+by their notes (`flight_note.py`); the default endpoint is also tried without a note. On another
+machine the operator's key folder has the host's endpoint; it is in one fixed place, so that nothing
+has to be typed in a hurry.
 
 Flights and vehicles that did not answer are listed; the exit code is 0 only if all answered.
 """
@@ -14,18 +13,14 @@ import os
 import secrets
 import signal
 import socket
-import stat
 import sys
-import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from time import monotonic
-from typing import NamedTuple
 
-from testbed.core.error import TestbedError
-from testbed.files import write_atomic
+from testbed.net.flight_note import StoppableFlight, complain, known_flights, runs
 
 OK, FAILED = 0, 1
 WAIT_S = 0.0  # time for a host to start listening
@@ -39,155 +34,19 @@ LAST_RESORT = "if a vehicle still moves: shut the main valve or pull the cord by
 BY_THEMSELVES = "vehicles without a host brake and shut by themselves after one second"
 
 
-class StoppableFlight(NamedTuple):
-    """A flight that can be stopped."""
-
-    endpoint: str  # of its host; empty: a flight on the twin
-    lab: str = "lab"
-    keys: str = ""  # key folder; empty: no keys
-    vehicles: Sequence[str] = ()  # empty: ask the host
-    name: str = ""
-    pid: int = 0  # 0: not known
-    started: str = ""  # start time of the process in /proc: process ids are reused
-    folder: str = ""  # run folder; empty: not known
-
-
-class NoteError(TestbedError):
-    """The folder of the notes cannot be trusted."""
-
-
-def _bases(uid: int) -> list[Path]:
-    """Folders that may hold a user's notes; ssh, sudo and cron do not set XDG_RUNTIME_DIR."""
-    said = os.environ.get("XDG_RUNTIME_DIR")
-    if said and uid == os.getuid():
-        return [Path(said)]
-    login = Path(f"/run/user/{uid}")
-    return [*([login] if login.is_dir() else []), Path(tempfile.gettempdir())]
-
-
-def _folders() -> list[tuple[Path, int]]:
-    """Folders of notes and their expected owners; under sudo also those of the calling user."""
-    users = [os.getuid()]
-    if users == [0] and os.environ.get("SUDO_UID", "").isdecimal():
-        users.append(int(os.environ["SUDO_UID"]))
-    return [(base / f"airbearing-testbed-{uid}", uid) for uid in users for base in _bases(uid)]
-
-
-def _check(folder: Path, uid: int) -> None:
-    """Raise a NoteError if other users could have written these notes."""
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode):
-        raise NoteError(f"{folder} is not a folder; remove it")
-    if found.st_uid != uid:
-        raise NoteError(
-            f"{folder} belongs to user {found.st_uid}, expected {uid}: another user made it;"
-            " have it removed"
-        )
-    if found.st_mode & 0o022:
-        raise NoteError(
-            f"{folder} can be written by others (mode {found.st_mode & 0o777:o}, expected 700):"
-            f" chmod 700 {folder}"
-        )
-
-
 def own_keys() -> Path:
     """The operator's key folder."""
     return Path.home() / ".airbearing-testbed"
 
 
-def _complain(text: str) -> None:
-    sys.stderr.write(f"{text}\n")
-
-
-@contextmanager
-def noted(
-    endpoint: str, lab: str, keys: str = "", vehicles: Sequence[str] = (), name: str = "",
-    pid: int = 0, say: Callable[[str], None] = _complain, folder: Path | None = None,
-) -> Iterator[None]:  # fmt: skip
-    """Keep a note of a flight while the context is open.
-
-    Args:
-        endpoint: where its host listens; empty: it is flown on the twin.
-        lab, keys: of that host.
-        vehicles: the flight's vehicles.
-        name: of the experiment.
-        pid: process that ends the flight; 0: this one.
-        say: called with a warning if the note cannot be written; the flight goes on.
-        folder: run folder, by which an operator's page finds the flight.
-    """
-    pid = pid or os.getpid()
-    keys = str(Path(keys).absolute()) if keys else ""
-    where = "" if folder is None else str(folder.absolute())
-    flight = StoppableFlight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid), where)
-    try:
-        note = _leave(json.dumps(flight._asdict()).encode())
-    except (OSError, NoteError) as error:
-        note = None
-        place = f" --connect {endpoint}" if endpoint else ": not on the twin, use Ctrl-C"
-        say(f"warning: no note for `testbed stop`: {error}; it needs{place}")
-    try:
-        yield
-    finally:
-        if note is not None:
-            with suppress(OSError):
-                note.unlink()
-
-
-def _leave(text: bytes) -> Path:
-    """Write the note in the first folder that can be used."""
-    trouble: Exception = NoteError("no folder for it")
-    for folder, uid in _folders()[: len(_bases(os.getuid()))]:
-        try:
-            folder.mkdir(mode=0o700, exist_ok=True)
-            _check(folder, uid)
-            note = folder / f"{os.getpid()}.json"
-            write_atomic(note, text)
-        except (OSError, NoteError) as error:
-            trouble = error
-        else:
-            return note
-    raise trouble
-
-
-def _started(pid: int) -> str:
-    """Start time of a process as in /proc; empty: it has ended."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return ""
-    return "" if fields[0] == "Z" else fields[19]
-
-
-def runs(flight: StoppableFlight) -> bool:
-    """Whether the process of a note still runs."""
-    return not flight.pid or _started(flight.pid) == flight.started != ""
-
-
-def known_flights() -> Iterator[tuple[Path, StoppableFlight]]:
-    """Every note on this machine."""
-    for folder, uid in _folders():
-        try:
-            _check(folder, uid)
-        except FileNotFoundError:
-            continue
-        except (OSError, NoteError) as error:
-            _complain(f"notes of flights are not read: {error}")
-            continue
-        for note in sorted(folder.glob("*.json")):
-            with suppress(OSError, ValueError, TypeError, RecursionError):
-                flight = StoppableFlight(**json.loads(note.read_text()))
-                if [type(value) for value in flight] == [str, str, str, list, str, int, str, str]:
-                    yield note, flight
-
-
 def _of(keys: Path, connect: str | None) -> StoppableFlight:
     """The flight that the owner of a key folder can stop."""
-    from testbed.net.credentials import read_badge
+    from testbed.net.credentials import read_credentials
 
-    badge = read_badge(keys)
-    if badge.ending:
-        _complain(badge.ending)
-    return StoppableFlight(connect or badge.endpoint, badge.lab, str(keys))
+    credentials = read_credentials(keys)
+    if credentials.ending:
+        complain(credentials.ending)
+    return StoppableFlight(connect or credentials.endpoint, credentials.lab, str(keys))
 
 
 def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> int:
@@ -198,7 +57,7 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
         lab: first part of the network keys; used without a key folder.
         keys: key folder of an operator; None: the operator's usual folder, if one is needed.
     """
-    from testbed.net.credentials import BadgeError
+    from testbed.net.credentials import CredentialsError
 
     stopped: list[bool] = []
     try:
@@ -210,11 +69,11 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
                 stopped.append(_stop_wires(_of(own_keys(), None)))
         else:
             stopped.append(_stop_wires(_of(keys or own_keys(), connect)))
-    except BadgeError as error:
+    except CredentialsError as error:
         stopped.append(False)
-        _complain(str(error))
+        complain(str(error))
     if not stopped:
-        _complain("no flight on this machine; on another one: testbed stop --connect, or --keys")
+        complain("no flight on this machine; on another one: testbed stop --connect, or --keys")
     elif not all(stopped):
         sys.stderr.write(LAST_RESORT)
     return OK if stopped and all(stopped) else FAILED
@@ -227,7 +86,7 @@ def _stop_here() -> Iterator[bool]:
         tried.add(flight.endpoint)
         if not runs(flight):
             if flight.endpoint:
-                _complain(f"{flight.endpoint}: the host, process {flight.pid}, was killed")
+                complain(f"{flight.endpoint}: the host, process {flight.pid}, was killed")
                 shut = _stop_directly(flight, _new_id())
                 yield _report(flight, set(flight.vehicles), shut, "it was killed")
             if not flight.endpoint or not shut:  # the second stop needs the note
@@ -268,7 +127,7 @@ def _stop_twin(note: Path, flight: StoppableFlight) -> bool:
     try:
         end_twin(note, flight)
     except OSError as error:
-        _complain(f"{flight.name} on the twin, process {flight.pid}: not asked: {error}")
+        complain(f"{flight.name} on the twin, process {flight.pid}: not asked: {error}")
         return False
     end = monotonic() + END_S
     while over := note.exists() and runs(flight):
@@ -330,9 +189,9 @@ def _stop_host(flight: StoppableFlight, stop: bytes) -> tuple[set[str], set[str]
 def _report(flight: StoppableFlight, names: set[str], shut: set[str], trouble: str) -> bool:
     """Print which vehicles stopped, and the host's trouble; whether all vehicles stopped."""
     if trouble and not shut:
-        _complain(f"{flight.endpoint}: not stopped: {trouble}")
+        complain(f"{flight.endpoint}: not stopped: {trouble}")
         if flight.pid:
-            _complain(BY_THEMSELVES)
+            complain(BY_THEMSELVES)
         return False
     sys.stdout.write(f"{flight.endpoint}\n")
     for name in sorted({*names, *shut}):

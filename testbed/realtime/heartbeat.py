@@ -23,8 +23,8 @@ _AT_FOLDER, _FOLDER_SIZE = 512, 3584
 Memory = bytearray | mmap.mmap
 
 
-class Phase(IntEnum):
-    """How far a run is."""
+class RunPhase(IntEnum):
+    """Phase of a run's process, for the process that supervises it."""
 
     STARTING = 0  # no file of the user has been read yet
     READING = 1  # reads the experiment and the law's file
@@ -92,12 +92,12 @@ class Heartbeat:
     # Both
 
     @property
-    def phase(self) -> Phase:
-        """Phase of the run."""
-        return Phase(self._memory[_AT_PHASE])
+    def phase(self) -> RunPhase:
+        """Phase of the run, as written by its process."""
+        return RunPhase(self._memory[_AT_PHASE])
 
     @phase.setter
-    def phase(self, phase: Phase) -> None:
+    def phase(self, phase: RunPhase) -> None:
         self._memory[_AT_PHASE] = phase
         self.beat()
 
@@ -122,7 +122,7 @@ class Heartbeat:
 
     @property
     def rig(self) -> str:
-        """Name of the rig."""
+        """Name of the rig, for the report of a dead run."""
         return self._text(_AT_RIG, _RIG_SIZE)
 
     @rig.setter

@@ -27,8 +27,8 @@ from controllers.law_file import LawStoppedError, UnusableLawError, file_of
 from controllers.own_law import OwnLawParams
 from controllers.plain_law import LawError
 from testbed.core.codes import FaultId, FaultReport
-from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World
-from testbed.realtime.heartbeat import Phase, heartbeat
+from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World, concerns_of
+from testbed.realtime.heartbeat import RunPhase, heartbeat
 
 READ_S = 30.0  # limit for reading a law's file: it may import large packages
 FIRST_S = 10.0  # limit for the first calls, before the flight, without numba's compilation
@@ -217,8 +217,8 @@ def reading(law: str) -> Iterator[None]:
         return
     heart = heartbeat()
     before = heart.phase
-    if before is Phase.STARTING:
-        heart.phase = Phase.READING
+    if before is RunPhase.STARTING:
+        heart.phase = RunPhase.READING
     try:
         with LawWatch(law, READ_S, float("inf"), 0.0) as watch, watch.call(b""):
             yield
@@ -267,8 +267,7 @@ class TimedLaw:
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """The law's concerns, and one more if it is too slow."""
-        say = getattr(self._law, "concerns", None)
-        found = [] if say is None else list(say(law_state))
+        found = concerns_of(self._law, law_state)
         if len(self.took) < FEW:
             return found
         usual = max(self.median(), self.median(FEW))

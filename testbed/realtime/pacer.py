@@ -6,7 +6,7 @@ from collections.abc import Callable
 from testbed.core.ports import Clock
 
 
-class Pace:
+class PacedClock:
     """Clock that waits for the wall clock, then for the clock that it wraps.
 
     Deadlines are absolute, so one late tick does not delay the next.

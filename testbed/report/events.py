@@ -6,7 +6,7 @@ from html import escape
 from testbed.config.experiment import Experiment
 from testbed.logs.history import History
 from testbed.metrics.run_metrics import Touch
-from testbed.report.fault_story import RANK, SUPERVISOR, Said, Story
+from testbed.report.fault_story import RANK, SUPERVISOR, EventLine, Story
 from testbed.report.verdict import hit
 
 SHOWN = 40  # most lines in the list
@@ -14,19 +14,19 @@ REPEATED = 3  # repetitions from which an event becomes one line
 LOOKS = {"CRITICAL": "not", "ERROR": "not", "WARN": "warn", "INFO": ""}
 
 
-def lines(scenario: Experiment, history: History, touches: Sequence[Touch]) -> list[Said]:
+def lines(scenario: Experiment, history: History, touches: Sequence[Touch]) -> list[EventLine]:
     """Events in order of time; repeated ones are merged."""
     rows = [(name, one) for name, vehicle in history.vehicles.items() for one in vehicle.events]
     rows += [(SUPERVISOR, one) for one in history.phases]
     told = Story(scenario).tell(rows)
-    told += [Said(t.t, (t.vehicle,), "CRITICAL", hit(scenario, t)) for t in touches]
+    told += [EventLine(t.t, (t.vehicle,), "CRITICAL", hit(scenario, t)) for t in touches]
     return sorted(gathered(told), key=lambda one: (one.t, RANK.index(one.level)))
 
 
-def gathered(told: list[Said]) -> list[Said]:
+def gathered(lines: list[EventLine]) -> list[EventLine]:
     """Merge repeated events into one line, at the time of the first."""
-    often: dict[tuple[str, str], list[Said]] = {}
-    for one in told:
+    often: dict[tuple[str, str], list[EventLine]] = {}
+    for one in lines:
         often.setdefault((one.level, one.words), []).append(one)
     found = []
     for (level, words), same in often.items():
@@ -37,11 +37,11 @@ def gathered(told: list[Said]) -> list[Said]:
         who = tuple(dict.fromkeys(name for one in same for name in one.who))
         first, last = same[0].t, same[-1].t
         often_said = f"{count} x {words}, first {first:.1f} s, last {last:.1f} s"
-        found.append(Said(first, who, same[0].level, often_said))
+        found.append(EventLine(first, who, same[0].level, often_said))
     return found
 
 
-def happened(told: Sequence[Said]) -> str:
+def happened(told: Sequence[EventLine]) -> str:
     """The report's section of faults and interventions, as HTML."""
     rows = [_row(one) for one in told]
     if not rows:
@@ -57,7 +57,7 @@ def happened(told: Sequence[Said]) -> str:
     )
 
 
-def _row(one: Said) -> str:
+def _row(one: EventLine) -> str:
     look = LOOKS[one.level]
     words = f'<span class="{look}">{escape(one.words)}</span>' if look else escape(one.words)
     who = escape(", ".join(one.who))

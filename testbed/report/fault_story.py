@@ -35,7 +35,7 @@ def _state(tick: Tick) -> str:
     return over if out.inhibit_reason else flying
 
 
-class Trouble:
+class FaultyVehicles:
     """Vehicles with faults, in order of time, and which of these faults are their own."""
 
     def __init__(self, scenario: Experiment) -> None:
@@ -82,7 +82,7 @@ class Trouble:
         return "FAULT " + "   |   ".join(pieces)
 
 
-class Said(NamedTuple):
+class EventLine(NamedTuple):
     """One line of the list of events."""
 
     t: float  # [s]
@@ -98,7 +98,7 @@ class Story:
         self._scenario = scenario
         self._known: set[tuple[str, str, str]] = set()  # faults already reported, by `_key`
 
-    def tell(self, rows: Iterable[tuple[str, Happening]]) -> list[Said]:
+    def tell(self, rows: Iterable[tuple[str, Happening]]) -> list[EventLine]:
         """Lines of rows (who, what); each call must be later than the previous one."""
         ordered = sorted(rows, key=lambda row: row[1].t)
         for who, one in ordered:
@@ -108,7 +108,7 @@ class Story:
         for who, one in ordered:
             if (line := self._line(who, one)) is not None:
                 lines.setdefault((one.t, *line), []).append(who)
-        said = [Said(t, tuple(who), level, words) for (t, level, words), who in lines.items()]
+        said = [EventLine(t, tuple(who), level, words) for (t, level, words), who in lines.items()]
         return sorted(said, key=lambda one: (one.t, RANK.index(one.level)))
 
     def _line(self, who: str, one: Happening) -> tuple[Level, str] | None:

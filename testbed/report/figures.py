@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from testbed.config.experiment import Experiment
 from testbed.logs.history import History
 from testbed.metrics.run_metrics import HOLD_S, Touch, Track
-from testbed.report.fault_story import Said
+from testbed.report.fault_story import EventLine
 from testbed.report.goal_error import GoalError, goal_at
 from testbed.report.item import WIDTH, Box, Chart, Item, Limit, Line, Moment, Raster
 from testbed.report.marking import crosses_of, moments_of, with_events
@@ -30,7 +30,7 @@ PAPERS = {  # corresponding figures of the papers
 
 def figures(
     scenario: Experiment, history: History, touches: Sequence[Touch] = (),
-    told: Sequence[Said] = (),
+    told: Sequence[EventLine] = (),
 ) -> list[Chart]:  # fmt: skip
     """All applicable figures, in the order of the report, with contacts and events marked."""
     makers = (

@@ -11,7 +11,7 @@ from testbed.core.error import TestbedError
 from testbed.core.extra import pip_install
 from testbed.logs.history import History
 from testbed.report.chart import THEME
-from testbed.report.fault_story import RANK, Said
+from testbed.report.fault_story import RANK, EventLine
 from testbed.report.goal_error import GoalError
 from testbed.report.item import HUES
 from testbed.report.scrubber import FULL, flight_data
@@ -37,7 +37,7 @@ class Film:
     """Frames of one run."""
 
     def __init__(
-        self, scenario: Experiment, history: History, told: Sequence[Said], width: int
+        self, scenario: Experiment, history: History, told: Sequence[EventLine], width: int
     ) -> None:
         if Image is None:
             raise FilmError(f"a film needs Pillow: {pip_install('film')}")

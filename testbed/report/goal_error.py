@@ -21,7 +21,7 @@ from testbed.metrics.run_metrics import SETTLED_M
 Array = NDArray[np.float64]
 
 
-class Edge(NamedTuple):
+class FormationEdge(NamedTuple):
     """Two vehicles, or a vehicle and the leader, and their desired distance."""
 
     a: str
@@ -60,7 +60,7 @@ class GoalError:
         kind = formation_kind(self._law)
         self.forms = kind is not None  # vehicles have no individual goals
         self.led = kind == "led graph"
-        self.edges: list[Edge] = self._edges() if kind in ("graph", "led graph") else []
+        self.edges: list[FormationEdge] = self._edges() if kind in ("graph", "led graph") else []
         self.settled_m = SETTLED_M
         self.title = "Distance to the goal"
         if self.edges:
@@ -68,12 +68,14 @@ class GoalError:
         elif self.forms:
             self.title, self.settled_m = "Distance to the formation's curve", CURVE_M
 
-    def _edges(self) -> list[Edge]:
+    def _edges(self) -> list[FormationEdge]:
         names = list(self._scenario.vehicles)
         shape = formation(self._law.formation, names, self.led)
-        everybody = [*names, LEADER]
+        members = [*names, LEADER]
         return [
-            Edge(everybody[i], everybody[j], float(shape.desired[i, j]) / self._law.scale.length)
+            FormationEdge(
+                members[i], members[j], float(shape.desired[i, j]) / self._law.scale.length
+            )
             for i, j in np.argwhere(np.triu(shape.first) > 0.0)
         ]
 
@@ -85,11 +87,11 @@ class GoalError:
     def parts(self, t: Array, places: Mapping[str, Array]) -> dict[str, Array]:
         """Error by vehicle, or by edge [m]; `places` are of shape (len(t), 2)."""
         if self.edges:
-            everybody = {**places, LEADER: self.leader_at(t)} if self.led else places
+            members = {**places, LEADER: self.leader_at(t)} if self.led else places
             return {
-                f"{a}, {b}": np.abs(np.hypot(*(everybody[a] - everybody[b]).T) - length)
+                f"{a}, {b}": np.abs(np.hypot(*(members[a] - members[b]).T) - length)
                 for a, b, length in self.edges
-                if a in everybody and b in everybody
+                if a in members and b in members
             }
         if formation_kind(self._law) == "curves":
             return {name: self._to_curve(self._law, t, place) for name, place in places.items()}

@@ -1,4 +1,4 @@
-"""What a chart is made of: lines, limits, marks, boxes, words, and the axes around them."""
+"""Parts of a chart: lines, limits, marks, boxes, words, axes."""
 
 from collections.abc import Sequence
 
@@ -49,7 +49,7 @@ class Disc(Struct, frozen=True):
 
 
 class Point(Struct, frozen=True):
-    """A place with a name."""
+    """A named point of a chart."""
 
     x: float
     y: float
@@ -101,7 +101,7 @@ class Box(Struct, frozen=True):
 
 
 class Words(Struct, frozen=True):
-    """Text at a place."""
+    """Text at a point of a chart."""
 
     x: float
     y: float

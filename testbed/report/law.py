@@ -1,4 +1,4 @@
-"""What a page says of an experiment's law."""
+"""The section on the law of a report."""
 
 from pathlib import PurePath
 

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from testbed.logs.history import History
 from testbed.metrics.run_metrics import Touch
 from testbed.report.chart import TIME
-from testbed.report.fault_story import Said
+from testbed.report.fault_story import EventLine
 from testbed.report.item import Chart, Item, Moment, Point
 
 APART = 0.01  # of the flight: events nearer to each other share one line
@@ -25,7 +25,7 @@ def with_events(chart: Chart, moments: Sequence[Item], crosses: Sequence[Item]) 
     return replace(chart, items=[*chart.items, *crosses], note=note)
 
 
-def moments_of(history: History, touches: Sequence[Touch], told: Sequence[Said]) -> list[Item]:
+def moments_of(history: History, touches: Sequence[Touch], told: Sequence[EventLine]) -> list[Item]:
     """A line at each contact, each vehicle's own fault, and the first mild events."""
     named = [(one.t, f"{one.vehicle} hits {one.other}") for one in touches]
     named += [(one.t, f"{', '.join(one.who)}: {fault_in(one.words)}") for one in _faults(told)]
@@ -38,7 +38,7 @@ def moments_of(history: History, touches: Sequence[Touch], told: Sequence[Said])
             *(Moment(t, "", "mild") for t in dict.fromkeys(mild))]  # fmt: skip
 
 
-def _faults(told: Sequence[Said]) -> list[Said]:
+def _faults(told: Sequence[EventLine]) -> list[EventLine]:
     """Faults of the vehicles that are the culprits."""
     return [one for one in told if one.level == "CRITICAL" and one.words.startswith("fault: ")]
 
@@ -48,7 +48,7 @@ def fault_in(words: str) -> str:
     return words.removeprefix("fault: ").partition(":")[0].replace("_", " ")
 
 
-def crosses_of(history: History, touches: Sequence[Touch], told: Sequence[Said]) -> list[Item]:
+def crosses_of(history: History, touches: Sequence[Touch], told: Sequence[EventLine]) -> list[Item]:
     """A star at each contact, a cross where a vehicle had its fault."""
     found: list[Item] = []
     first = {one.vehicle: one.t for one in reversed(touches)}

@@ -14,12 +14,12 @@ from testbed.metrics.formation import FormationMetrics, has_formation
 from testbed.metrics.run_metrics import TO_THE_START, Metrics
 from testbed.report.chart import THEME, alone, draw
 from testbed.report.events import happened, lines
-from testbed.report.fault_story import Said
+from testbed.report.fault_story import EventLine
 from testbed.report.figures import analogue, figures
 from testbed.report.item import Chart
 from testbed.report.law import law_of
 from testbed.report.original import Original, with_original
-from testbed.report.provenance import colophon, timing
+from testbed.report.provenance import provenance, timing
 from testbed.report.scrubber import bar, flight_data
 from testbed.report.verdict import CRITERIA, UNCOUNTED, missed, reasons, verdict
 
@@ -81,7 +81,7 @@ def write_report(
 
 def render(
     scenario: Experiment, history: History, metrics: Metrics, config: str,
-    charts: Iterable[Chart], told: Sequence[Said],
+    charts: Iterable[Chart], told: Sequence[EventLine],
 ) -> str:  # fmt: skip
     """The page as HTML."""
     drawn = list(charts)
@@ -102,7 +102,7 @@ def render(
         _results(scenario, metrics),
         "<h2>Figures</h2>", _figures(scenario, later),
         timing(metrics),
-        colophon(metrics, config),
+        provenance(metrics, config),
         bar(flight_data(scenario, history, told)),
     ]  # fmt: skip
     return page(f"{metrics.experiment}, {metrics.rig}", "\n".join(sections), script=SCRIPT)

@@ -52,7 +52,7 @@ def sentence(pieces: list[str]) -> str:
     return f"{words[:1].upper()}{words[1:]}."
 
 
-def colophon(metrics: Metrics, config: str) -> str:
+def provenance(metrics: Metrics, config: str) -> str:
     """The last section: the commands, the versions, the configuration."""
     used = flown(config) or "The run folder does not say when and with which code it was flown"
     pace = ""

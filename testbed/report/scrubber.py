@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from testbed.config.experiment import Experiment
 from testbed.logs.history import History, VehicleHistory
-from testbed.report.fault_story import SUPERVISOR, Said
+from testbed.report.fault_story import SUPERVISOR, EventLine
 from testbed.report.item import HUES
 from testbed.report.valves import openings
 
@@ -20,7 +20,7 @@ FULL = 9  # of a digit: a jet that is open all the time
 
 
 def flight_data(
-    scenario: Experiment, history: History, events: Sequence[Said] = ()
+    scenario: Experiment, history: History, events: Sequence[EventLine] = ()
 ) -> dict[str, Any]:
     """What report.js needs of a flight; positions in mm, headings in 0.01 deg."""
     end = max(history.end, 1e-3)

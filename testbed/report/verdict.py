@@ -27,37 +27,37 @@ CRITERIA = {  # name, unit, scale from the unit of the file
 Look = Literal["passed", "failed", "fault", "unjudged"]
 
 
-class Verdict(NamedTuple):
+class RunVerdict(NamedTuple):
     """Text of the verdict and its colour."""
 
     look: Look
     words: str
 
 
-def verdict(scenario: Experiment, metrics: Metrics) -> Verdict:
-    """The verdict on a run."""
+def verdict(scenario: Experiment, metrics: Metrics) -> RunVerdict:
+    """Sentence and colour for the outcome of a run."""
     end = f"{metrics.duration_s:.1f} s"
     if metrics.contacts == UNCOUNTED:
-        return Verdict("unjudged", f"not judged, {end} in the log")
+        return RunVerdict("unjudged", f"not judged, {end} in the log")
     if metrics.red:
-        return Verdict("failed", "not started: a check failed")
+        return RunVerdict("failed", "not started: a check failed")
     hits = touched(scenario, metrics.touches[:1])
     if metrics.fault:
-        return Verdict("fault", "; ".join([*hits, f"aborted by a fault after {end}"]))
+        return RunVerdict("fault", "; ".join([*hits, f"aborted by a fault after {end}"]))
     if not metrics.completed:
-        return Verdict("unjudged", "; ".join([*hits, f"interrupted at {end}: not judged"]))
+        return RunVerdict("unjudged", "; ".join([*hits, f"interrupted at {end}: not judged"]))
     missed = [k for k, met in (metrics.criteria or {}).items() if not met]
     names = [CRITERIA.get(k, (k,))[0] for k in missed if not (hits and k == "max_contacts")]
     if missed:
         words = f"failed: {'; '.join([*hits, *names])}"
-        return Verdict("fault" if "max_contacts" in missed else "failed", words)
+        return RunVerdict("fault" if "max_contacts" in missed else "failed", words)
     if not metrics.criteria:
-        return Verdict("unjudged", NOTHING_TO_JUDGE)
-    return Verdict("passed", "passed")
+        return RunVerdict("unjudged", NOTHING_TO_JUDGE)
+    return RunVerdict("passed", "passed")
 
 
 def touched(scenario: Experiment, touches: Sequence[Touch]) -> list[str]:
-    """Contacts as sentences."""
+    """One sentence per contact, in order of time."""
     return [
         f"{one.vehicle} hit {_other(scenario, one)} at {one.t:.1f} s, {_speed(one)}"
         for one in touches

@@ -19,8 +19,8 @@ from testbed.reproduction.run import Run, execute
 CORES = 2  # upper limit: more do not help, because the longest run dominates
 
 
-class Made(Struct, frozen=True):
-    """The result of a run."""
+class TaskResult(Struct, frozen=True):
+    """Measures and figures of one run, and how long it took."""
 
     paper: str
     run: str
@@ -30,7 +30,7 @@ class Made(Struct, frozen=True):
 
 
 class Task(Struct, frozen=True):
-    """A run to execute."""
+    """One run of a paper, for a worker."""
 
     paper: str
     name: str
@@ -42,7 +42,7 @@ class RunError(TestbedError):
     """A run failed; the message names the run and the cause."""
 
 
-def make(task: Task) -> Made:
+def make(task: Task) -> TaskResult:
     """Execute one run.
 
     Raises:
@@ -53,7 +53,7 @@ def make(task: Task) -> Made:
         values, figures = execute(task.run, quick=task.quick)
     except (ValueError, ArithmeticError, RuntimeError, ConfigError) as error:
         raise RunError(f"run {task.name} of {task.paper}: {error}") from None
-    return Made(task.paper, task.name, values, figures, time.perf_counter() - began)
+    return TaskResult(task.paper, task.name, values, figures, time.perf_counter() - began)
 
 
 def tasks_of(papers: Mapping[str, Paper], *, quick: bool) -> list[Task]:
@@ -96,7 +96,7 @@ def grouped(tasks: Sequence[Task]) -> list[list[Task]]:
     return sorted(groups.values(), key=len, reverse=True)
 
 
-def made(tasks: Sequence[Task], cores: int | None = None) -> Iterator[Made]:
+def made(tasks: Sequence[Task], cores: int | None = None) -> Iterator[TaskResult]:
     """Execute runs and yield results as they complete; the caller may stop at any time.
 
     The first run of each kind compiles code for the others, which wait for it.
@@ -109,7 +109,7 @@ def made(tasks: Sequence[Task], cores: int | None = None) -> Iterator[Made]:
     with _pool(size) as pool:
         pioneers = {id(group): pool.apply_async(make, (group[0],)) for group in groups}
         waiting = list(groups)
-        followers: list[AsyncResult[Made]] = []
+        followers: list[AsyncResult[TaskResult]] = []
         while waiting or followers:
             for group in [g for g in waiting if pioneers[id(g)].ready()]:
                 waiting.remove(group)

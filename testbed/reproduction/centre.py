@@ -30,8 +30,8 @@ def run_centre(run: Centre, *, quick: bool) -> tuple[Measures, list[Figure]]:
     """Distance of the centre from each column of the table: "gap_km at 1000" and so on."""
     hub = 1e3 * np.concatenate([run.positions[0], run.velocities[0]])
     planet = EARTH if run.j2 else POINT_EARTH
-    nobody = np.zeros((1, 3))
-    flight = fly(Coast(), hub, nobody, nobody, run.times, axes=NADIR, planet=planet)
+    none = np.zeros((1, 3))
+    flight = fly(Coast(), hub, none, none, run.times, axes=NADIR, planet=planet)
     gaps = np.linalg.norm(flight.centre[:, :3] - 1e3 * np.array(run.positions), axis=1) / 1e3
     slips = np.linalg.norm(flight.centre[:, 3:] - 1e3 * np.array(run.velocities), axis=1)
     found = {f"gap_km at {t:.0f}": [float(gap)] for t, gap in zip(run.times, gaps, strict=True)}

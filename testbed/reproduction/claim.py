@@ -272,7 +272,7 @@ class VerdictCounts(Struct, frozen=True):
     input_checks: dict[str, int]
 
     def __str__(self) -> str:
-        """Summary in one line."""
+        """Claim, measured value and verdict in one line."""
         said = ", ".join(f"{n} {kind}" for kind, n in self.claims.items())
         total, checks = sum(self.claims.values()), sum(self.input_checks.values())
         failed = checks - self.input_checks["passed"]

@@ -33,6 +33,7 @@ from sim_twin.orbit.kepler import Orbit
 from sim_twin.orbit.swarm import Flight, fly
 from testbed.core.vehicle import Positive
 from testbed.metrics.characterisation import characterise
+from testbed.metrics.formation import settled_after
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.kernel.cluster import (
     ATTRACT,
@@ -43,7 +44,6 @@ from testbed.reproduction.kernel.cluster import (
     cluster,
     in_metres,
 )
-from testbed.reproduction.settled import reached, settled_after
 from testbed.reproduction.targets import Measures
 
 Array = NDArray[np.float64]
@@ -119,8 +119,14 @@ def level_of(phase: Phase, p: Array) -> Array:
     return q / (1e3 * a * b * r) if a * b * r > 0.0 else np.ones(p.shape[:-1])
 
 
+def reached(t: Array, off: NDArray[np.bool_]) -> float | None:
+    """First time at which a sample is not `off`; None if all are."""
+    there = np.flatnonzero(~off)
+    return float(t[there[0]]) if len(there) else None
+
+
 def snapshot(phase: Phase, p: Array, v: Array) -> dict[str, float]:
-    """Measures at one time."""
+    """Error, size and five elements of the cluster at one time."""
     error, level = distance_to(phase, p), level_of(phase, p)
     five = characterise(p, v)
     return {

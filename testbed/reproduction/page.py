@@ -6,7 +6,7 @@ QUICK = " These numbers are of `--quick`: fewer seeds, coarser steps."
 
 
 def page(key: str, paper: Paper, rows: list[ClaimRow]) -> str:
-    """The page as Markdown."""
+    """The paper's claims and verdicts as Markdown."""
     lines = [
         f"# {key}: {paper.title}", "", paper.source, "", paper.remark.strip(), "",
         f"Repeat: `testbed reproduce {key}`; this page is `testbed reproduce {key} --markdown`. "
@@ -46,5 +46,5 @@ def _line(*cells: str) -> str:
 
 def _found(row: ClaimRow) -> str:
     if row.outcome == UNTESTABLE:
-        return row.verdict.partition(": ")[2]
+        return row.verdict.removeprefix("not reproducible: ")
     return "never" if row.measured is None else f"{row.measured:.4g} {row.unit}".strip()

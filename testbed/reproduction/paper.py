@@ -13,7 +13,7 @@ import msgspec
 from testbed.config import SHIPPED, ConfigError, read_toml
 from testbed.config.error import did_you_mean
 from testbed.config.key import spell
-from testbed.config.validation import first_misfit
+from testbed.config.validation import first_violation
 from testbed.reproduction.claim import Paper
 
 PAPERS = SHIPPED / "papers"
@@ -54,8 +54,10 @@ def read_paper(path: Path) -> Paper:
     try:
         return msgspec.convert(tree, Paper)
     except msgspec.ValidationError:
-        mistake = first_misfit(tree, Paper)
-        raise ConfigError(str(path), spell(mistake.key), mistake.expected, mistake.found) from None
+        violation = first_violation(tree, Paper)
+        raise ConfigError(
+            str(path), spell(violation.key), violation.expected, violation.found
+        ) from None
 
 
 def complete_runs(runs: Any) -> None:

@@ -7,7 +7,7 @@ from testbed.reproduction.figure import Figure
 from testbed.reproduction.targets import Measures
 
 
-class Refusal(Struct, frozen=True, forbid_unknown_fields=True, tag="refusal"):
+class RefusedLaw(Struct, frozen=True, forbid_unknown_fields=True, tag="refusal"):
     """A law with invalid parameters, and text that its error must contain."""
 
     controller: Controller
@@ -17,7 +17,7 @@ class Refusal(Struct, frozen=True, forbid_unknown_fields=True, tag="refusal"):
     assumptions: tuple[str, ...] = ()
 
 
-def run_refusal(run: Refusal, *, quick: bool) -> tuple[Measures, list[Figure]]:
+def run_refusal(run: RefusedLaw, *, quick: bool) -> tuple[Measures, list[Figure]]:
     """`refused` is 1 if the law raises the expected error."""
     try:
         make_law(run.controller, list(run.names), 3)

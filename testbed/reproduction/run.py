@@ -4,12 +4,12 @@ from testbed.reproduction.centre import Centre, run_centre
 from testbed.reproduction.cluster import Swarming, run_swarming
 from testbed.reproduction.figure import Figure
 from testbed.reproduction.layout import Layouts, run_layouts
-from testbed.reproduction.refusal import Refusal, run_refusal
-from testbed.reproduction.table import Table, run_table
+from testbed.reproduction.refusal import RefusedLaw, run_refusal
+from testbed.reproduction.table import TableRun, run_table
 from testbed.reproduction.targets import Measures, Targets, run_targets
 from testbed.reproduction.together import Together, run_together
 
-Run = Targets | Together | Swarming | Layouts | Centre | Table | Refusal
+Run = Targets | Together | Swarming | Layouts | Centre | TableRun | RefusedLaw
 
 
 def execute(run: Run, *, quick: bool) -> tuple[Measures, list[Figure]]:
@@ -25,7 +25,7 @@ def execute(run: Run, *, quick: bool) -> tuple[Measures, list[Figure]]:
             return run_layouts(run, quick=quick)
         case Centre():
             return run_centre(run, quick=quick)
-        case Table():
+        case TableRun():
             return run_table(run, quick=quick)
-        case Refusal():
+        case RefusedLaw():
             return run_refusal(run, quick=quick)

@@ -89,10 +89,10 @@ def place(
     obstacles: Obstacles = NO_OBSTACLES,
     push: WaveParams = STILL,
     *,
-    told_sign: float = 1.0,
-    told_coriolis: float = 1.0,
-    told_rate: bool = False,
-    told_push: bool = False,
+    law_g_sign: float = 1.0,
+    law_knows_coriolis: float = 1.0,
+    law_knows_rate: bool = False,
+    law_knows_push: bool = False,
     near: float = 0.0,
     far: float = 0.0,
     edges_at: int = 0,
@@ -104,5 +104,6 @@ def place(
     return Place(
         orbit is not None, chief, np.array(goal), goal_v.wave(),
         centres, obstacles.velocity.wave(), np.full(len(centres), obstacles.radius), push.wave(),
-        told_sign, told_coriolis, told_rate, told_push, near, far, edges_at, max_axis,
+        law_g_sign, law_knows_coriolis, law_knows_rate, law_knows_push, near, far, edges_at,
+        max_axis,
     )  # fmt: skip

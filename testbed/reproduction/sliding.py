@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from controllers.potential import Potential, diagonal, potential
 from controllers.sotsmc import SotsmcParams
-from testbed.reproduction.settled import settled_after
+from testbed.metrics.formation import settled_after
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ TOP_ERROR = 10.0  # the same for e: past the obstacles [m]
 HOP = 1e-3  # step of the numerical derivative along the trajectory [s]
 
 
-class Motion(NamedTuple):
+class Trajectory(NamedTuple):
     """A satellite's trajectory; arrays of shape (m, d), obstacles stand still."""
 
     t: Array  # (m,) [s]
@@ -37,7 +37,7 @@ class Motion(NamedTuple):
     radius: float  # of the danger areas [m]
 
 
-def slope(u: Potential, way: Motion, hop: float = 0.0) -> Array:
+def slope(u: Potential, way: Trajectory, hop: float = 0.0) -> Array:
     """Nabla U, Eq. (16), after `hop` seconds at the present velocity; shape (m, d) [m]."""
     step = hop * way.v
     e, p = way.e + step, way.p + step
@@ -51,7 +51,7 @@ def slope(u: Potential, way: Motion, hop: float = 0.0) -> Array:
     return total
 
 
-def surfaces(params: SotsmcParams, way: Motion) -> tuple[Array, Array]:
+def surfaces(params: SotsmcParams, way: Trajectory) -> tuple[Array, Array]:
     """The surface s and the switching function sigma, each (m, d) [m/s]."""
     d = way.p.shape[1]
     u, gain = potential(params.potential, d), diagonal(params.surface, d)
@@ -70,7 +70,7 @@ def decades(t: Array, x: Array, top: float) -> float | None:
     return (third - second) / (second - first) if second > first else None
 
 
-def vanishing(params: SotsmcParams, way: Motion) -> dict[str, float | None]:
+def vanishing(params: SotsmcParams, way: Trajectory) -> dict[str, float | None]:
     """Convergence of sigma, s and e, see `decades`."""
     s, sigma = surfaces(params, way)
     return {

@@ -22,7 +22,7 @@ from testbed.rig.twin import make_twin
 SMALLEST = ("min_obstacle_distance_m",)  # measures whose worst value is the smallest
 
 
-class Table(Struct, frozen=True, forbid_unknown_fields=True, tag="table"):
+class TableRun(Struct, frozen=True, forbid_unknown_fields=True, tag="table"):
     """An experiment with overrides."""
 
     experiment: str
@@ -33,7 +33,7 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True, tag="table"):
     assumptions: tuple[str, ...] = ()
 
 
-def fly_seed(run: Table, seed: int) -> tuple[dict[str, float | None], list[Figure]]:
+def fly_seed(run: TableRun, seed: int) -> tuple[dict[str, float | None], list[Figure]]:
     """Fly once; returns measures and figures."""
     alone = "flight.barrier.on=false"  # tests the law without the safety filter
     experiment = load(find(run.experiment), [*run.overrides, alone, f"seed={seed}"])
@@ -63,7 +63,7 @@ def fly_seed(run: Table, seed: int) -> tuple[dict[str, float | None], list[Figur
     return found, [Figure("obstacle avoidance trajectory", "x [m]", "y [m]", ways, dots=True)]
 
 
-def run_table(run: Table, *, quick: bool) -> tuple[Measures, list[Figure]]:
-    """Fly all seeds."""
+def run_table(run: TableRun, *, quick: bool) -> tuple[Measures, list[Figure]]:
+    """Fly all seeds on the twin and return their measures."""
     flown = [fly_seed(run, seed) for seed in range(run.quick_seeds if quick else run.seeds)]
     return {name: [found[name] for found, _ in flown] for name in flown[0][0]}, flown[0][1]

@@ -8,12 +8,12 @@ from controllers.catalogue import Controller
 from controllers.sotsmc import SotsmcParams
 from sim_twin.orbit.relative import drift, frame_at
 from testbed.core.vehicle import Positive
+from testbed.metrics.formation import settled_after
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
 from testbed.reproduction.kernel.fleet import FleetFlight, fly, wave_at
 from testbed.reproduction.scene import STILL, Obstacles, OrbitParams, Vector, WaveParams, place
-from testbed.reproduction.settled import settled_after
-from testbed.reproduction.sliding import Motion, vanishing
+from testbed.reproduction.sliding import Trajectory, vanishing
 
 Array = NDArray[np.float64]
 Measures = dict[str, list[float | None]]
@@ -43,7 +43,7 @@ class Targets(Struct, frozen=True, forbid_unknown_fields=True, tag="targets"):
     step_s: Positive
     quick_step_s: Positive
     disturbance: WaveParams = STILL  # [m/s^2]
-    told_disturbance: bool = False  # the drift given to the law includes the disturbance
+    law_knows_disturbance: bool = False  # the drift given to the law includes the disturbance
     mass: Positive = 1.0  # [kg]
     corrections: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
@@ -55,7 +55,7 @@ def fly_one(run: Targets, satellite: Satellite, step: float) -> FleetFlight:
     obstacles = Obstacles(satellite.obstacles, run.radius)
     where = place(
         run.orbit, satellite.goal, obstacles=obstacles, push=run.disturbance,
-        told_rate=True, told_push=run.told_disturbance,
+        law_knows_rate=True, law_knows_push=run.law_knows_disturbance,
     )  # fmt: skip
     steps = round(run.duration_s / step)
     every = max(1, round(0.5 / step))
@@ -66,17 +66,17 @@ def fly_one(run: Targets, satellite: Satellite, step: float) -> FleetFlight:
     )  # fmt: skip
 
 
-def motion_of(run: Targets, satellite: Satellite, flight: FleetFlight) -> Motion:
+def motion_of(run: Targets, satellite: Satellite, flight: FleetFlight) -> Trajectory:
     """The trajectory with the accelerations known to the law."""
     chief, push = run.orbit.chief(), run.disturbance.wave()
     p, v = flight.p[:, 0], flight.v[:, 0]
     a = flight.wanted[:, 0] / run.mass
     for k, t in enumerate(flight.t):
         a[k] += drift(frame_at(chief, t), p[k], v[k])
-        if run.told_disturbance:
+        if run.law_knows_disturbance:
             a[k] += wave_at(push, t)
     obstacles = np.array(satellite.obstacles, dtype=float).reshape(-1, 3)
-    return Motion(flight.t, p - np.array(satellite.goal), p, v, a, obstacles, run.radius)
+    return Trajectory(flight.t, p - np.array(satellite.goal), p, v, a, obstacles, run.radius)
 
 
 def measure_one(run: Targets, satellite: Satellite, flight: FleetFlight) -> dict[str, float | None]:

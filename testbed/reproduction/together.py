@@ -39,6 +39,7 @@ from controllers.proxy import Coupling
 from sim_twin.orbit.relative import field, frame_at
 from testbed.core.law import CompiledLaw
 from testbed.core.vehicle import NonNegative, Positive
+from testbed.metrics.formation import settled_after
 from testbed.reproduction.compiled_law import gains_of
 from testbed.reproduction.figure import Figure, thinned
 from testbed.reproduction.kernel.fleet import (
@@ -50,7 +51,6 @@ from testbed.reproduction.kernel.fleet import (
     wave_integral,
 )
 from testbed.reproduction.scene import NO_OBSTACLES, Leader, Obstacles, OrbitParams, Vector, place
-from testbed.reproduction.settled import settled_after
 from testbed.reproduction.targets import Measures
 
 Array = NDArray[np.float64]
@@ -79,8 +79,8 @@ class Together(Struct, frozen=True, forbid_unknown_fields=True, tag="together"):
     max_axis_n: Positive = 1e9  # force limit of the thrusters on each axis [N]
     settle_m: Positive = 1.0
     literal_graph: tuple[NonNegative, Positive] | None = None  # range of edges [m]
-    told_sign: float = 1.0  # sign of g in the feed-forward; -1: as printed
-    told_coriolis: bool = True
+    law_g_sign: float = 1.0  # sign of g in the feed-forward; -1: as printed
+    law_knows_coriolis: bool = True
     corrections: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
 
@@ -109,8 +109,8 @@ def formation_of(controller: Controller, law: CompiledLaw) -> tuple[Formation, i
 
 def band_of(law: CompiledLaw) -> float:
     """Width of an obstacle's repulsion beyond its danger radius [m]."""
-    gains: Any = law.gains
-    return float(getattr(gains.potential, "band", 0.0)) if hasattr(gains, "potential") else 0.0
+    potential = getattr(law.gains, "potential", None)
+    return float(getattr(potential, "band", 0.0))
 
 
 def scene_of(run: Together, edges_at: int) -> Place:
@@ -122,7 +122,7 @@ def scene_of(run: Together, edges_at: int) -> Place:
         leader.start if leader else (0.0, 0.0, 0.0),
         leader.velocity if leader else NO_OBSTACLES.velocity,
         run.obstacles,
-        told_sign=run.told_sign, told_coriolis=float(run.told_coriolis),
+        law_g_sign=run.law_g_sign, law_knows_coriolis=float(run.law_knows_coriolis),
         near=near, far=far, edges_at=edges_at, max_axis=run.max_axis_n,
     )  # fmt: skip
 
@@ -216,7 +216,7 @@ def energies(run: Together, c: Coupling, track: Tracks, f: FleetFlight) -> Array
         [
             proof.energy(
                 c,
-                proof.Fleet(
+                proof.ProxyFleet(
                     mass,
                     f.p[k],
                     f.v[k],
@@ -265,7 +265,7 @@ def certificates(run: Together, law: CompiledLaw, params: Bounded) -> Measures:
     return found | {f"concern {kind}": [float(kind in raised)] for kind in KINDS}
 
 
-def bars(c: Coupling, fleet: proof.Fleet) -> Measures:
+def bars(c: Coupling, fleet: proof.ProxyFleet) -> Measures:
     """Delta bar of xue2022, Eq. (18), at which the potentials of initial edges add up to Q."""
     p = np.vstack([fleet.p, fleet.leader_p])
     pairs = np.argwhere(np.triu(c.formation.first) > 0.0)

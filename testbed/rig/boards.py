@@ -33,7 +33,7 @@ class Valves(Struct, frozen=True, gc=False):
     """The outputs of a board from time `t` on."""
 
     t: float  # [s]
-    mask: int  # jet 0 is bit 0, 1 is open
+    mask: int  # bit 0 is jet 1; 1 is open
 
 
 def make_board(kind: str, config: Config) -> Board:

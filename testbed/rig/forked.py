@@ -11,7 +11,7 @@ from typing import TypeVar
 from controllers.own_law import OwnLawParams
 from testbed.config import Experiment
 from testbed.core.ports import HostLink
-from testbed.core.types import HostTick, Inputs, Outputs
+from testbed.core.types import HostTick, Inputs, Outputs, Trajectory
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.guidance import Guidance, Kept
 from testbed.flight.loop import HostNode
@@ -54,6 +54,10 @@ class ForkedAgent:
             after.take_over(self._now, keeps)
             self._now = after
         return self._now.step(inputs)
+
+    def staying(self, t: float) -> Trajectory | None:
+        """See `Agent`."""
+        return self._now.staying(t)
 
 
 class ForkedHost(HostNode):

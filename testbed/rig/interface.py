@@ -23,7 +23,7 @@ class Rig(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the rig."""
+        """`twin`, `bench` or `table`."""
         ...
 
     @property

@@ -69,14 +69,15 @@ class ResumedNode(VehicleNode):
     """A node whose arming is that of the log before the fork."""
 
     def tick(
-        self, t: float, armed: bool, fleet: FaultReport | None = None, *, end: bool = False
-    ) -> Tick:
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *,
+        end: bool = False, stay: bool = False,
+    ) -> Tick:  # fmt: skip
         """See `VehicleNode`."""
         ports = self._poses
         assert isinstance(ports, ResumedVehicle)
         then = ports.then
         if then is None:
-            return super().tick(t, armed, fleet, end=end)
+            return super().tick(t, armed, fleet, end=end, stay=stay)
         tick = super().tick(then.inputs.t, then.inputs.armed)
         ports.put(tick)
         return tick

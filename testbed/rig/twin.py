@@ -135,8 +135,8 @@ class TwinRig(Struct, frozen=True):
             stood = plant.stands  # then this is the last window, and shows it
             boards = plant.t < acted
             until = min(plant.t + (period if boards else 1.0), rests + MINUTE)
-            if twin.sabotage is not None:
-                twin.sabotage.before(until)
+            if twin.injector is not None:
+                twin.injector.before(until)
             marks = np.arange(plant.t, until, STEP)
             states.append(plant.advance(until, marks, boards=boards))
             times.append(marks)
@@ -248,16 +248,16 @@ def make_twin(
         drivers=drivers,
         injections=experiment.inject,
     )
-    sabotage = twin.sabotage
-    spoilt = {n: None if sabotage is None else partial(sabotage.spoilt, n) for n in setups}
+    injector = twin.injector
+    spoilt = {n: None if injector is None else partial(injector.spoilt, n) for n in setups}
     vehicles: list[VehicleNode | CrashableNode] = []
     for name, setup in setups.items():
         node = make_node(twin, name, make_vehicle(experiment, name, spoilt[name]))
-        if sabotage is None:
+        if injector is None:
             vehicles.append(node)
         else:
             jets = len(setup.model.jets)
-            vehicles.append(CrashableNode(node, jets, partial(sabotage.dead, name)))
+            vehicles.append(CrashableNode(node, jets, partial(injector.dead, name)))
     hosts = [
         make_host(experiment, name, make_link(twin, name), spoilt[name])
         for name in setups

@@ -80,8 +80,8 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
     last = max(last_closing(board.pulses) for board in plant.boards.values())
     rest = rig.come_to_rest(ending, notes)
     assert rest is not None
-    assert twin.sabotage is not None
-    began = twin.sabotage.began()[0]
+    assert twin.injector is not None
+    began = twin.injector.began()[0]
     after = [(t, name, one) for t, name, one in notes.responses if t >= began]
     own = [(t, one) for t, name, one in after if concerned(what, name)]
     named, found = answered(_named(what, notes, began), own, began)

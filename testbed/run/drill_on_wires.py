@@ -142,8 +142,8 @@ def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
     _, said = host.communicate()
     if not report.exists() or not start.exists():
         ending = folder / "ending.json"
-        told = ending.read_text() if ending.exists() else said.decode()[-2000:]
-        raise DrillError(f"the flight did not begin: {told}")
+        output = ending.read_text() if ending.exists() else said.decode()[-2000:]
+        raise DrillError(f"the flight did not begin: {output}")
     ended = {
         name: msgspec.json.decode((folder / f"{name}.json").read_bytes(), type=Ended)
         for name in names
@@ -181,8 +181,8 @@ def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: 
     for name in names:
         severest, since = Response.NONE, began
         if (one := flown.ended.get(name)) is not None:
-            told = [r for r, t in one.responses.items() if t >= began]
-            severest = max(told, default=Response.NONE)
+            responses = [r for r, t in one.responses.items() if t >= began]
+            severest = max(responses, default=Response.NONE)
             since = one.responses.get(severest, began)
         limit = since + deadline(severest)
         if what.kind in MUTE and name == what.vehicle:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomli_w
 
 from testbed import config
@@ -57,7 +58,7 @@ def load(name_or_path: str | Path, *overrides: str, seed: int | None = None) -> 
 
 def toml(value: Any) -> str:
     """A Python value as TOML writes it; numpy's numbers and arrays too."""
-    if hasattr(value, "tolist"):
+    if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, Path):
         value = str(value)

@@ -77,7 +77,7 @@ class Run(Mapping[str, Vehicle]):
 
     @property
     def fault(self) -> str | None:
-        """What ended the flight early; None if nothing did."""
+        """Fault that ended the flight early; None without one."""
         return self.metrics.fault
 
     def __getitem__(self, name: str) -> Vehicle:
@@ -192,7 +192,7 @@ class Figures(Mapping[str, str]):
         self._drawings = dict(drawings)
 
     def __getitem__(self, key: str) -> str:
-        """The SVG of one figure."""
+        """One figure of the report as SVG."""
         return self._drawings[key]
 
     def __iter__(self) -> Iterator[str]:

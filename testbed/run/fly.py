@@ -26,9 +26,9 @@ from testbed.logs.recorder import (
 from testbed.logs.tick_row import Names
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Metrics, ReferenceLog
-from testbed.realtime.heartbeat import Phase, heartbeat
+from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience
-from testbed.realtime.pacer import Pace
+from testbed.realtime.pacer import PacedClock
 from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.interface import Rig
 from testbed.rig.observers import NullObserver
@@ -65,7 +65,7 @@ class FlightLog:
         references: Mapping[str, ReferenceLog],
         recorder: Recorder,
         screen: FlightScreen,
-        pace: Pace | None = None,
+        pace: PacedClock | None = None,
     ) -> None:
         self._rig, self._references = rig, references
         self._recorder, self._screen, self._pace = recorder, screen, pace
@@ -164,7 +164,7 @@ def fly_and_judge(
     rig, ending, wall = make(experiment), Ending(0.0, None), 0.0
     pace = None
     if speed is not None and isinstance(rig, TwinRig):
-        pace = Pace(rig.twin, speed)
+        pace = PacedClock(rig.twin, speed)
         rig = replace(rig, pace=pace)
     references = {name: ReferenceLog() for name in experiment.vehicles}
     metrics = None
@@ -178,7 +178,7 @@ def fly_and_judge(
             with interrupt.at_once(), patience():
                 warm_up(experiment, lambda: interrupt.asked)
             if not interrupt.asked:
-                heartbeat().phase = Phase.FLYING
+                heartbeat().phase = RunPhase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)
                 screen.flies()
                 with no_garbage_collection():
@@ -201,7 +201,7 @@ def fly_and_judge(
         if metrics is not None:
             metrics = replace(metrics, fault=fault.words, fault_report=fault, completed=False)
         ending = Ending(rig.now, fault)
-    heartbeat().phase = Phase.ENDING
+    heartbeat().phase = RunPhase.ENDING
     metrics = metrics or measure(rig, references, ending, wall, completed=False)
     if recorder.lost:
         lost = Concern("log_rows_lost", f"{recorder.lost} rows: the log writer did not keep up")

@@ -124,7 +124,7 @@ def _keep_law(folder: Path, controller: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_metrics(folder: Path, metrics: Metrics) -> None:
-    """Write metrics.json."""
+    """Write metrics.json to the run folder."""
     text = msgspec.json.format(msgspec.json.encode(metrics), indent=2).decode()
     _replace(folder / "metrics.json", text + "\n")
 

@@ -32,7 +32,7 @@ from testbed.rig.chain import formation_context
 
 
 def judged(folder: Path, log: Path, experiment: Experiment, history: History) -> Metrics:
-    """metrics.json of a run, or metrics from its log if there is none."""
+    """metrics.json of a run, or metrics from its log if the file is missing."""
     if (folder / "metrics.json").exists() or not history.vehicles:
         return read_metrics(folder)
     return of_the_log(log, experiment, history)
@@ -72,9 +72,9 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
 
 
 def _vehicle(track: Track, k: int, experiment: Experiment, name: str, aimed: Aim) -> VehicleMetrics:
-    goal, nobody_knows = experiment.vehicles[name].goal, Consumption(0.0, 0.0, None)
+    goal, unknown = experiment.vehicles[name].goal, Consumption(0.0, 0.0, None)
     distances = obstacle_distances(track, k, experiment.obstacles)
-    found = vehicle_metrics(track, k, goal, aimed, nobody_knows, distances)
+    found = vehicle_metrics(track, k, goal, aimed, unknown, distances)
     return replace(found, impulse_ns=None, gas_g=None)
 
 

@@ -29,7 +29,7 @@ def make_report(folder: Path, warn: Callable[[list[str]], None] = lambda lines: 
 def write_page(
     folder: Path, scenario: Experiment, warn: Callable[[list[str]], None] = lambda lines: None
 ) -> list[Path]:
-    """The same for an experiment that is loaded already, so that no law's file is executed."""
+    """Write the page for a loaded experiment, so that no law's file is executed."""
     config, log = folder / "config.toml", log_of(folder)
     book = LogReader(log)
     history = gather(book)

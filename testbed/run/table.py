@@ -26,7 +26,7 @@ class Table(Mapping[str, Array]):
         self.units = dict(units or {})
 
     def __getitem__(self, name: str) -> Array:
-        """One column."""
+        """A column as an array."""
         return self._columns[name]
 
     def __iter__(self) -> Iterator[str]:

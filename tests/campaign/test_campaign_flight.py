@@ -49,7 +49,7 @@ def fly(campaign, folder, fliers, watch=None):
     return fly_campaign(campaign, b"text", folder, fliers, watch or CampaignObserver())
 
 
-def test_every_run_once_whoever_flies_and_however_often_it_is_stopped(write, fliers, tmp_path):
+def test_every_run_once_on_any_worker_and_after_any_stops(write, fliers, tmp_path):
     campaign = load_campaign(write(grid=[GRID], draw=[MASS], samples=20, keep=3))
     straight = fly(campaign, tmp_path / "a", fliers(1))
     assert [run.k for run in straight.runs] == list(range(40))
@@ -85,7 +85,7 @@ def test_a_run_that_was_not_the_same_the_second_time_stays_one(write, fliers, tm
     assert [note.read_text() for note in notes] == ["gas_g\n", "how it ended\n"]
 
 
-def test_results_are_written_while_nobody_else_may(write, fliers, tmp_path):
+def test_results_are_written_under_a_lock(write, fliers, tmp_path):
     campaign = load_campaign(write(samples=2))
     ends = []
 

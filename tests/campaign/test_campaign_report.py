@@ -291,7 +291,7 @@ def test_the_front_is_of_all_runs_also_of_those_that_are_not_drawn(write, tmp_pa
     assert {int(hint.split(":")[0].removeprefix("run ")) for hint in hints} == unbeaten
 
 
-def test_the_front_is_what_nobody_beats():
+def test_no_run_beats_the_front():
     rng = np.random.default_rng(2)
     points = [Mark(*rng.uniform(0, 1, 2), passed=bool(rng.integers(2))) for _ in range(300)]
     good = [p for p in points if p.passed]

@@ -295,7 +295,7 @@ def test_a_run_that_ends_in_a_fault_keeps_seed_and_time(here):
     base = tomli_w.dumps(dump(load(find("hold"))))
     run = fly(base, 3, ["duration_s=3", "faults.battery_low.below=12.5", "seed=9"])
     assert (run.outcome, run.seed) == ("fault", 9)
-    assert run.told(run.reason).startswith("seed 9: battery_low of sat1 at 0.")
+    assert run.explained(run.reason).startswith("seed 9: battery_low of sat1 at 0.")
 
 
 # What is wrong is said

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from testbed.net.stop import noted
+from testbed.net.flight_note import noted
 
 
 @pytest.fixture

@@ -101,13 +101,13 @@ def test_a_fault_in_one_line(fault, words):
     assert fault_line(None, fault, 2.0) == words
 
 
-def nobody(_):
+def declined(_):
     raise EOFError
 
 
 def test_force_needs_the_name_and_no_other_word():
     assert forced("hold", lambda _: "hold")
-    assert not forced("hold", nobody)
+    assert not forced("hold", declined)
     assert not any(forced("hold", lambda _, word=word: word) for word in ("y", "yes", "", "HOLD"))
 
 

@@ -45,7 +45,7 @@ def words(live: LiveTable) -> str:
     return out.file.getvalue()
 
 
-def test_a_row_for_everybody():
+def test_a_row_for_every_vehicle():
     said = words(flown(Console(file=io.StringIO())))
     for word in ("zhang2023_table", "sat1", "sat2", "sat3", "flies", "error [mm]", "gas [%]",
                  "clearance [m]", "pose age [ms]"):  # fmt: skip

@@ -62,12 +62,14 @@ def test_list_as_json(testbed):
 # schema
 
 
-def misfits(schema: dict[str, Any], value: Any, whole: dict[str, Any], at: str = "$") -> list[str]:
+def violations(
+    schema: dict[str, Any], value: Any, whole: dict[str, Any], at: str = "$"
+) -> list[str]:
     """What is wrong with `value`, by the part of JSON Schema that msgspec writes."""
     if "$ref" in schema:
-        return misfits(whole["$defs"][schema["$ref"].removeprefix("#/$defs/")], value, whole, at)
+        return violations(whole["$defs"][schema["$ref"].removeprefix("#/$defs/")], value, whole, at)
     if "anyOf" in schema:
-        options = [misfits(option, value, whole, at) for option in schema["anyOf"]]
+        options = [violations(option, value, whole, at) for option in schema["anyOf"]]
         return [] if [] in options else min(options, key=len)
     kinds = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int,
              "number": (int, float), "null": type(None)}  # fmt: skip
@@ -96,13 +98,13 @@ def misfits(schema: dict[str, Any], value: Any, whole: dict[str, Any], at: str =
             if others is False and name not in known:
                 found.append(f"{at}.{name}: unknown")
             elif isinstance(rule := known.get(name, others), dict):
-                found += misfits(rule, item, whole, f"{at}.{name}")
+                found += violations(rule, item, whole, f"{at}.{name}")
     if kind == "array":
         first = schema.get("prefixItems", [])
         rest = schema.get("items", {})
         for i, item in enumerate(value):
             rule = first[i] if i < len(first) else rest
-            found += misfits(rule or {}, item, whole, f"{at}[{i}]")
+            found += violations(rule or {}, item, whole, f"{at}[{i}]")
     return found
 
 
@@ -120,20 +122,20 @@ def schema_of(testbed):
 @pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
 def test_shipped_experiments_fit_the_schema(schema_of, path):
     schema = schema_of()
-    assert misfits(schema, tomllib.loads(path.read_text()), schema) == []
+    assert violations(schema, tomllib.loads(path.read_text()), schema) == []
     resolved = tomllib.loads(tomli_w.dumps(dump(load(path))))
-    assert misfits(schema, resolved, schema) == []
+    assert violations(schema, resolved, schema) == []
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "table"])
 def test_shipped_parts_fit_their_schema(schema_of, kind):
     schema = schema_of(kind)
     for path in (SHIPPED / f"{kind}s").glob("*.toml"):
-        assert misfits(schema, tomllib.loads(path.read_text()), schema) == []
+        assert violations(schema, tomllib.loads(path.read_text()), schema) == []
 
 
 @pytest.mark.parametrize(
-    ("change", "misfit"),
+    ("change", "violation"),
     [
         ({"nmae": "x"}, "$.nmae: unknown"),
         ({"duration_s": 0}, "$.duration_s: exclusiveMinimum"),
@@ -145,19 +147,19 @@ def test_shipped_parts_fit_their_schema(schema_of, kind):
         ({"obstacles": {"o": {"position": [1], "radius": 1}}}, "$.obstacles.o.position: minItems"),
     ],
 )  # fmt: skip
-def test_the_schema_finds_mistakes(schema_of, change, misfit):
+def test_the_schema_finds_mistakes(schema_of, change, violation):
     schema = schema_of()
     tree = tomllib.loads(find("hold").read_text()) | change
-    assert misfits(schema, tree, schema) == [misfit]
+    assert violations(schema, tree, schema) == [violation]
 
 
 def test_the_schema_knows_every_law_by_its_type(schema_of):
     schema = schema_of()
     tree = tomllib.loads(find("hold").read_text())
     for law in ("sotsmc", "smc", "pd"):
-        assert misfits(schema, tree | {"controller": {"type": law}}, schema) == []
-    assert misfits(schema, tree | {"controller": {"type": "pid"}}, schema)
-    assert misfits(schema, tree | {"controller": {}}, schema)
+        assert violations(schema, tree | {"controller": {"type": law}}, schema) == []
+    assert violations(schema, tree | {"controller": {"type": "pid"}}, schema)
+    assert violations(schema, tree | {"controller": {}}, schema)
 
 
 @pytest.mark.parametrize("kind", ["experiment", "vehicle", "table"])

@@ -47,7 +47,7 @@ def test_a_script_says_it_with_a_flag():
     assert Operator(arm=True).agree(["sat1"])
 
 
-def test_without_a_terminal_nobody_agrees(monkeypatch):
+def test_without_a_terminal_arming_is_declined(monkeypatch):
     monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
     assert not Operator().agree(["sat1"])
     with pytest.raises(ConfigError, match="--arm"):
@@ -56,7 +56,7 @@ def test_without_a_terminal_nobody_agrees(monkeypatch):
     Operator(arm=True).must_be_there("table")
 
 
-def test_a_latched_fault_needs_somebody_who_has_looked(tmp_path, monkeypatch):
+def test_a_latched_fault_needs_an_operator_who_has_looked(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
     experiment = load(find("hold"))

@@ -12,7 +12,7 @@ from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
 from testbed.mocap.exposure import Axes, Exposure, Sighting
 from testbed.mocap.topic import encode_poses
-from testbed.net.session import NobodyError, Publisher, dial, listen
+from testbed.net.session import NoHostError, Publisher, dial, listen
 from testbed.realtime.wall_clock import monotonic_ns
 
 LOST = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
@@ -101,13 +101,13 @@ def where():
 
 def speak(session, over):
     """Say where sat1 is, as cameras do that speak Zenoh."""
-    mouth, x = (
+    publisher, x = (
         Publisher(session, "lab/table/pose"),
         Axes(MocapWire()).to_cameras(Pose(0.5, 0.0, 0.0)),
     )
     while not over.wait(0.02):
         now = monotonic_ns()
-        mouth.say(encode_poses(1, now, now, {"sat1": (*x.position, *x.rotation)}))
+        publisher.say(encode_poses(1, now, now, {"sat1": (*x.position, *x.rotation)}))
 
 
 @pytest.mark.parametrize("host", [True, False])
@@ -116,7 +116,7 @@ def test_poses_on_zenoh_come_by_the_host_or_in_its_absence(testbed, where, host)
 
     def cameras():
         while not over.is_set():
-            with suppress(NobodyError), dial(where, 0.5) as session:
+            with suppress(NoHostError), dial(where, 0.5) as session:
                 speak(session, over)
 
     thread = threading.Thread(target=cameras)

@@ -25,13 +25,13 @@ def heard(monkeypatch):
 def test_a_line_says_how_far_it_is_how_fast_and_how_long_still(monkeypatch):
     monkeypatch.setattr(progress.time, "monotonic", lambda: 100.0)
     with Bar("margins") as bar:
-        assert bar.line(50.0, nobody=False) == "getting ready (compiles on the first run)"
+        assert bar.line(50.0, no_workers=False) == "getting ready (compiles on the first run)"
         bar.begun(1000, [FlownRun(0, "passed"), FlownRun(1, "failed")])
         bar.flying(lambda: 2)
-        assert bar.line(100.0, nobody=False) == "margins 2 of 1000 runs, flying"
+        assert bar.line(100.0, no_workers=False) == "margins 2 of 1000 runs, flying"
         for k in range(2, 23):
             bar.flown(FlownRun(k, "passed"))
-        assert bar.line(110.0, nobody=False) == (  # 20 more than the first in 10 s
+        assert bar.line(110.0, no_workers=False) == (  # 20 more than the first in 10 s
             "margins 23 of 1000 runs, passed 95.7 %, 2 per second, 0:08:08 left"
         )
 

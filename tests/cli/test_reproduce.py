@@ -196,7 +196,7 @@ def test_2_when_the_command_is_wrong(testbed, small, words, complaint):
     assert complaint in result.stderr
 
 
-def test_2_when_a_claim_asks_for_what_nobody_measures(testbed, small):
+def test_2_when_a_claim_needs_a_number_that_is_not_measured(testbed, small):
     small.write_text(SMALL.replace('measure = "refused"', 'measure = "refuse"'))
     result = testbed("reproduce", "small")
     assert result.exit_code == 2

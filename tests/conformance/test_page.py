@@ -54,6 +54,6 @@ def test_its_command_is_understood(installed):
 
 
 def test_every_parameter_that_is_filled_in_is_named():
-    for group, told in plugin.TOLD.items():
+    for group, told in plugin.PROVIDED.items():
         row = next(line for line in PAGE.splitlines() if line.startswith(f"| `{group}`"))
         assert all(f"`{name}`" in row for name in told)

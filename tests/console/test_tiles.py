@@ -10,7 +10,7 @@ from testbed.config import find, load
 from testbed.console.checklist import TO_DO, of_reasons, read_checks, what_to_do, write_checks
 from testbed.console.picture import LivePicture
 from testbed.console.tiles import Bounds, Gas, bounds
-from testbed.console.valve_pulses import Pulses
+from testbed.console.valve_pulses import ValveHistory
 from testbed.core.codes import FaultReport, Response
 from testbed.core.types import (
     Accel,
@@ -130,7 +130,7 @@ def test_a_silent_vehicle_that_ends_the_flight_is_red(experiment, heard):
 
 
 def test_valves_are_as_planned_until_the_board_reports():
-    pulses = Pulses(2, 8, 0.05)
+    pulses = ValveHistory(2, 8, 0.05)
     on = (0, 20_000, *JETS[2:])
     (one,) = pulses.planned(tick(1.0, on=on))
     assert one[:2] == (2, 1)

@@ -17,7 +17,7 @@ def no_discs():
 
 
 @pytest.fixture(scope="session")
-def nobody(no_discs):
+def no_neighbours(no_discs):
     """No neighbours in `d` dimensions."""
     return lambda d: silent(no_discs(d))
 

@@ -72,11 +72,11 @@ def slope(function, x, h=1e-5):
     + [(3, n) for n in SURFACES],
 )
 def test_formation_force_is_the_slope_of_the_papers_potential(
-    seed, d, numbers, at_rest, fixed_world, nobody
+    seed, d, numbers, at_rest, fixed_world, no_neighbours
 ):
     rng = np.random.default_rng(seed)
     centre, x = rng.normal(size=d), rng.uniform(-2.0, 2.0, d)
-    force = push(law_of(d, **numbers), at_rest(centre + x), fixed_world(centre), nobody(d))
+    force = push(law_of(d, **numbers), at_rest(centre + x), fixed_world(centre), no_neighbours(d))
     expected = -slope(lambda y: formation_potential(y, **numbers), x)
     assert force == pytest.approx(expected, rel=1e-6, abs=1e-8)
 
@@ -84,7 +84,7 @@ def test_formation_force_is_the_slope_of_the_papers_potential(
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("distance", [0.01, 0.5, 1.0, 1.99, 2.01, 5.0])
 def test_repulsion_is_the_slope_of_the_corrected_potential(
-    d, distance, at_rest, fixed_world, nobody
+    d, distance, at_rest, fixed_world, no_neighbours
 ):
     k_c, s = 0.8, 2.0
     p, rng = np.full(d, 0.3), np.random.default_rng(d)
@@ -92,7 +92,7 @@ def test_repulsion_is_the_slope_of_the_corrected_potential(
     other = p - distance * away / np.linalg.norm(away)
     world, own = fixed_world(np.zeros(d)), at_rest(p)
     law = law_of(d, **CIRCLE, k_c=k_c, s=s)
-    force = push(law, own, world, around([other])) - push(law, own, world, nobody(d))
+    force = push(law, own, world, around([other])) - push(law, own, world, no_neighbours(d))
 
     def potential(x):
         gap = np.linalg.norm(x - other)
@@ -109,9 +109,9 @@ def test_no_force_where_it_has_no_direction(d, numbers, at_rest, fixed_world):
     assert (force == 0.0).all()
 
 
-def test_the_plane_holds_at_the_centre_too(at_rest, fixed_world, nobody):
+def test_the_plane_holds_at_the_centre_too(at_rest, fixed_world, no_neighbours):
     law = law_of(3, **CIRCLE, sigma=2.0)
-    force = push(law, at_rest([0.0, 0.1, 0.0]), fixed_world([0.0] * 3), nobody(3))
+    force = push(law, at_rest([0.0, 0.1, 0.0]), fixed_world([0.0] * 3), no_neighbours(3))
     assert force == pytest.approx([0.0, -2.0 * 1.1 * 2.0 * 0.1, 0.0])
 
 
@@ -145,13 +145,13 @@ SEMI_AXES = [
 
 @pytest.mark.parametrize(("numbers", "axis", "places"), SEMI_AXES)
 def test_formations_are_where_the_corrected_tables_say(
-    numbers, axis, places, at_rest, fixed_world, nobody
+    numbers, axis, places, at_rest, fixed_world, no_neighbours
 ):
     d = len(axis)
     law, world = law_of(d, **numbers), fixed_world(np.zeros(d))
     for place in places:
         near = [
-            push(law, at_rest((place + off) * axis), world, nobody(d)) @ axis
+            push(law, at_rest((place + off) * axis), world, no_neighbours(d)) @ axis
             for off in (-1e-3, 0.0, 1e-3)
         ]
         assert near[1] == pytest.approx(0.0, abs=1e-9)
@@ -159,10 +159,10 @@ def test_formations_are_where_the_corrected_tables_say(
         assert near[2] < -1e-5
 
 
-def test_an_exact_line_does_not_split_and_any_other_does(at_rest, fixed_world, nobody):
+def test_an_exact_line_does_not_split_and_any_other_does(at_rest, fixed_world, no_neighbours):
     law, world = law_of(2, **ellipse(1.0, 0.0, 0.75)), fixed_world([0.0, 0.0])
-    assert (push(law, at_rest([0.4, 0.0]), world, nobody(2)) == 0.0).all()
-    assert push(law, at_rest([0.4, 1e-6]), world, nobody(2))[1] > 0.0
+    assert (push(law, at_rest([0.4, 0.0]), world, no_neighbours(2)) == 0.0).all()
+    assert push(law, at_rest([0.4, 1e-6]), world, no_neighbours(2))[1] > 0.0
 
 
 def ring(n, radius):
@@ -194,12 +194,14 @@ def test_fifty_satellites_make_a_ring_of_511_metres(unit, at_rest, fixed_world):
     assert repulsion / (3.0 * 5.0) == pytest.approx(1e-3 * low - 0.5, rel=0.01)  # push/K
 
 
-def test_both_readings_of_the_papers_force(at_rest, fixed_world, nobody):
+def test_both_readings_of_the_papers_force(at_rest, fixed_world, no_neighbours):
     # 0.2 km outside the circle: k_f (rho^2 - mu rho) = 3 (0.04 + 1) = 3.12 kN or N
     own = at_rest([700.0, 0.0], mass=100.0)
     for unit, newton in (("kN", 3120.0), ("N", 3.12)):
         law = make_law(BifurcatingParams(phases=(Phase(**PAPER),), scale=KILOMETRES[unit]))
-        assert push(law, own, fixed_world([0.0, 0.0]), nobody(2)) == pytest.approx([-newton, 0.0])
+        assert push(law, own, fixed_world([0.0, 0.0]), no_neighbours(2)) == pytest.approx(
+            [-newton, 0.0]
+        )
 
 
 # What is wrong with the print
@@ -230,7 +232,9 @@ def test_the_printed_potential_is_that_of_neither_sign():
     )
 
 
-def fly_together(law, starts, seconds, at_rest, fixed_world, nobody, *, repulsion=None, mass=15.0):
+def fly_together(
+    law, starts, seconds, at_rest, fixed_world, no_neighbours, *, repulsion=None, mass=15.0
+):
     """All of them, each with what it knows of the others: positions (n, d), smallest gap [m].
 
     `repulsion` is added to the law's force; the others are then not told to the law.
@@ -243,7 +247,7 @@ def fly_together(law, starts, seconds, at_rest, fixed_world, nobody, *, repulsio
         for i in range(n):
             others = np.delete(p, i, axis=0)
             own = at_rest(p[i], mass, 1.0)._replace(v=v[i])
-            heard = around(others) if n > 1 and repulsion is None else nobody(d)
+            heard = around(others) if n > 1 and repulsion is None else no_neighbours(d)
             force[i] = push(law, own, world, heard, k * h)
             if repulsion is not None:
                 force[i] += sum(repulsion(p[i] - other) for other in others)
@@ -269,10 +273,10 @@ def designed(*shapes, fleet=FLEET, **more):
     return bifurcating(BifurcatingParams(phases=phases, fleet=fleet, **more), 2)
 
 
-def test_with_the_printed_force_the_cluster_collapses(at_rest, fixed_world, nobody):
+def test_with_the_printed_force_the_cluster_collapses(at_rest, fixed_world, no_neighbours):
     numbers = BifurcatingParams(phases=(Phase(shape="circle"),), fleet=FLEET)
     field = numbers.field(numbers.phases[0])
-    starts, scene = starts_of(4, 5), (at_rest, fixed_world, nobody)
+    starts, scene = starts_of(4, 5), (at_rest, fixed_world, no_neighbours)
 
     def printed(gap):
         return as_printed_13(field.k_c, field.s, gap)
@@ -287,9 +291,9 @@ def test_with_the_printed_force_the_cluster_collapses(at_rest, fixed_world, nobo
 
 
 @pytest.mark.parametrize(("seed", "n"), [(0, 5), (1, 5), (2, 4), (3, 3)])
-def test_a_circle_forms_evenly_spaced(seed, n, at_rest, fixed_world, nobody):
+def test_a_circle_forms_evenly_spaced(seed, n, at_rest, fixed_world, no_neighbours):
     law = designed("circle", fleet=Fleet(n, 15.0, 1.0))
-    p, nearest = fly_together(law, starts_of(seed, n), 75.0, at_rest, fixed_world, nobody)
+    p, nearest = fly_together(law, starts_of(seed, n), 75.0, at_rest, fixed_world, no_neighbours)
     assert np.hypot(*p.T) == pytest.approx(np.full(n, 1.5), abs=0.01)
     angles = np.sort(np.arctan2(p[:, 1], p[:, 0]))
     turns = np.diff(np.append(angles, angles[0] + 2.0 * np.pi))
@@ -298,15 +302,17 @@ def test_a_circle_forms_evenly_spaced(seed, n, at_rest, fixed_world, nobody):
 
 
 @pytest.mark.parametrize("start", [[0.3, -0.1], [-2.4, 2.0]])
-def test_one_alone_goes_to_the_nearest_point_of_the_circle(start, at_rest, fixed_world, nobody):
+def test_one_alone_goes_to_the_nearest_point_of_the_circle(
+    start, at_rest, fixed_world, no_neighbours
+):
     law = designed("circle", fleet=Fleet(1, 15.0, 1.0))
-    p, _ = fly_together(law, [start], 60.0, at_rest, fixed_world, nobody)
+    p, _ = fly_together(law, [start], 60.0, at_rest, fixed_world, no_neighbours)
     assert p[0] == pytest.approx(1.5 * np.array(start) / math.hypot(*start), abs=1e-3)
 
 
-def test_four_in_space_make_a_tetrahedron_on_a_sphere(at_rest, fixed_world, nobody):
+def test_four_in_space_make_a_tetrahedron_on_a_sphere(at_rest, fixed_world, no_neighbours):
     law = law_of(3, **(CIRCLE | {"c": 1.0}), k_c=0.5, s=2.9)
-    p, _ = fly_together(law, starts_of(0, 4, 3), 120.0, at_rest, fixed_world, nobody)
+    p, _ = fly_together(law, starts_of(0, 4, 3), 120.0, at_rest, fixed_world, no_neighbours)
     radii = np.linalg.norm(p, axis=1)
     assert radii == pytest.approx(np.full(4, radii[0]), abs=0.01)
     assert radii[0] == pytest.approx(1.5, abs=0.15)  # the repulsion widens it
@@ -314,15 +320,15 @@ def test_four_in_space_make_a_tetrahedron_on_a_sphere(at_rest, fixed_world, nobo
     assert gaps == pytest.approx(np.full(6, radii[0] * math.sqrt(8.0 / 3.0)), abs=0.02)
 
 
-def test_a_planar_formation_in_space_stays_in_its_plane(at_rest, fixed_world, nobody):
+def test_a_planar_formation_in_space_stays_in_its_plane(at_rest, fixed_world, no_neighbours):
     law = law_of(3, **CIRCLE, k_c=0.5, s=1.9, sigma=2.0)
-    p, _ = fly_together(law, starts_of(1, 4, 3), 90.0, at_rest, fixed_world, nobody)
+    p, _ = fly_together(law, starts_of(1, 4, 3), 90.0, at_rest, fixed_world, no_neighbours)
     assert np.abs(p[:, 1]).max() < 0.01
     assert np.hypot(p[:, 0], p[:, 2]) == pytest.approx(np.full(4, 1.5), abs=0.1)
 
 
-def test_phases_follow_each_other(at_rest, fixed_world, nobody):
-    law, scene = designed("line", "double_line"), (at_rest, fixed_world, nobody)
+def test_phases_follow_each_other(at_rest, fixed_world, no_neighbours):
+    law, scene = designed("line", "double_line"), (at_rest, fixed_world, no_neighbours)
     wall = designed("line", "double_line", wall=Wall(at=2.55, stiffness=8.0))
     start = starts_of(5, 5)
     p, _ = fly_together(wall, start, 75.0, *scene)
@@ -348,43 +354,47 @@ def test_the_field_switches_at_the_phases_times(t, shape, at_rest, fixed_world):
     assert (push(all_three, own, world, others, t) == push(alone, own, world, others)).all()
 
 
-def test_the_formation_force_is_cut_and_the_whole_force_bounded(at_rest, fixed_world, nobody):
+def test_the_formation_force_is_cut_and_the_whole_force_bounded(
+    at_rest, fixed_world, no_neighbours
+):
     far, world = [30.0, 40.0], fixed_world([0.0, 0.0])
-    force = push(designed("circle"), at_rest(far, 15.0), world, nobody(2))
+    force = push(designed("circle"), at_rest(far, 15.0), world, no_neighbours(2))
     assert force == pytest.approx(-0.8 * np.array([0.6, 0.8]))
     crowd = around([[30.0, 40.1], [30.1, 40.0]])
     force = push(designed("circle"), at_rest(far, 15.0, 1.0), world, crowd)
     assert np.linalg.norm(force) == pytest.approx(1.0)
 
 
-def test_velocity_is_relative_to_the_centre_which_may_accelerate(at_rest, fixed_world, nobody):
+def test_velocity_is_relative_to_the_centre_which_may_accelerate(
+    at_rest, fixed_world, no_neighbours
+):
     law, world = law_of(2, **CIRCLE), fixed_world([0.0, 0.0])
     v, a = np.array([7560.0, 10.0]), np.array([0.2, -8.0])  # an orbit's, Eq. (10) as printed
     moving = world._replace(goal=world.goal._replace(v=v, a=a))
     own = at_rest([1.1, 0.4], 15.0)
-    still = push(law, own, world, nobody(2))
-    assert push(law, own._replace(v=v), moving, nobody(2)) == pytest.approx(still + 15.0 * a)
-    slow = push(law, own._replace(v=np.array([0.1, 0.0])), world, nobody(2))
+    still = push(law, own, world, no_neighbours(2))
+    assert push(law, own._replace(v=v), moving, no_neighbours(2)) == pytest.approx(still + 15.0 * a)
+    slow = push(law, own._replace(v=np.array([0.1, 0.0])), world, no_neighbours(2))
     assert slow - still == pytest.approx([-0.7, 0.0])
 
 
-def test_drift_is_cancelled(at_rest, fixed_world, nobody):
+def test_drift_is_cancelled(at_rest, fixed_world, no_neighbours):
     law, world, own = law_of(2, **CIRCLE), fixed_world([0.0, 0.0]), at_rest([1.1, 0.4], 15.0)
     tilted = own._replace(disturbance=np.array([2e-3, -1e-3]))
-    change = push(law, tilted, world, nobody(2)) - push(law, own, world, nobody(2))
+    change = push(law, tilted, world, no_neighbours(2)) - push(law, own, world, no_neighbours(2))
     assert change == pytest.approx([-0.03, 0.015])
 
 
-def test_a_centre_of_its_own_takes_the_place_of_the_goal(at_rest, fixed_world, nobody):
+def test_a_centre_of_its_own_takes_the_place_of_the_goal(at_rest, fixed_world, no_neighbours):
     numbers = BifurcatingParams(phases=(Phase(**CIRCLE),), centre=(0.4, -0.2))
-    own, others = at_rest([1.1, 0.4]), nobody(2)
+    own, others = at_rest([1.1, 0.4]), no_neighbours(2)
     force = push(bifurcating(numbers, 2), own, fixed_world([9.0, 9.0]), others)
     assert (force == push(law_of(2, **CIRCLE), own, fixed_world([0.4, -0.2]), others)).all()
 
 
-def test_the_wall_is_a_spring_beyond_its_place(at_rest, fixed_world, nobody):
+def test_the_wall_is_a_spring_beyond_its_place(at_rest, fixed_world, no_neighbours):
     free, walled = designed("line"), designed("line", wall=Wall(at=2.55, stiffness=8.0))
-    world, others = fixed_world([0.0, 0.0]), nobody(2)
+    world, others = fixed_world([0.0, 0.0]), no_neighbours(2)
     for p, spring in (
         ([2.5, -2.5], [0.0, 0.0]),
         ([2.65, 0.0], [-0.8, 0.0]),

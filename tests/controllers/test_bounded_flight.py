@@ -72,20 +72,20 @@ def circling(speed, period):
 def energies(fleet, flight):
     """V over a flight, with the edges of the moment."""
     t, p, v, z, _ = flight
-    nobody = np.zeros(2), np.zeros(2)
+    no_neighbours = np.zeros(2), np.zeros(2)
     found = []
     for k in range(len(t)):
         edge = np.zeros((4, 4))
         edge[:3] = z[k][:, 4:]
         edge[3, :3] = edge[:3, 3]
-        leader_p, leader_v = fleet.leader(t[k])[:2] if fleet.leader else nobody
+        leader_p, leader_v = fleet.leader(t[k])[:2] if fleet.leader else no_neighbours
         whole = proof.Fleet(fleet.mass, p[k], v[k], z[k][:, :2], z[k][:, 2:4], leader_p, leader_v)
         found.append(proof.energy(fleet.law.gains.coupling, whole, edge))
     return np.array(found)
 
 
 def promised(p):
-    """Edges of the chain inside the range, nobody too near, by at least how much [m]."""
+    """Edges of the chain inside the range, no_neighbours too near, by at least how much [m]."""
     edges = np.array([gaps(p, 0, 1), gaps(p, 1, 2)])
     return 2.0 - edges.max(), edges.min() - 0.5
 

@@ -207,13 +207,13 @@ def test_edges_jump_and_nothing_else_does(module, law):
 def test_a_stranger_is_no_neighbour(module, law):
     scene = Scene(1, 3, leader=False)
     own, neighbours, world = scene.sight()
-    nobody = neighbours._replace(p=own.p[None], v=own.v[None], radius=np.ones(1))
-    nobody = nobody._replace(
+    no_neighbours = neighbours._replace(p=own.p[None], v=own.v[None], radius=np.ones(1))
+    no_neighbours = no_neighbours._replace(
         vehicle_index=np.array([-1]), message=np.ones((1, 6)), message_t=np.zeros(1)
     )
-    none = Neighbours(*(column[:0] for column in nobody))
+    none = Neighbours(*(column[:0] for column in no_neighbours))
     for f in (law.rate, lambda *a: (module.jump(law.gains, *a),)):
-        found, expected = (f(scene.state(), own, n, world, 7.0) for n in (nobody, none))
+        found, expected = (f(scene.state(), own, n, world, 7.0) for n in (no_neighbours, none))
         assert all((a == b).all() for a, b in zip(found, expected, strict=True))
 
 
@@ -255,7 +255,7 @@ def test_proxies_are_repelled_by_an_obstacle_inside_its_band_only():
         range=2.0, safe=0.5, far_margin=0.2, near_margin=0.2, distances={"a-b": 1.5}
     )
     law = bounded_formation(BoundedFormationParams(two, params, 1.0), ("a", "b"), 2)
-    still, nobody = np.zeros(2), Neighbours(
+    still, no_neighbours = np.zeros(2), Neighbours(
         np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0, int), np.zeros((0, 4)),
         np.zeros(0),
     )  # fmt: skip
@@ -264,7 +264,7 @@ def test_proxies_are_repelled_by_an_obstacle_inside_its_band_only():
     for x, pushed in ((0.94, True), (0.96, False)):
         rock = Discs(np.array([[x, 0.0]]), np.zeros((1, 2)), np.array([0.5]))
         world = World(Goal(still, still, still, still), rock)
-        _, change = law.rate(state, own, nobody, world, 0.0)
+        _, change = law.rate(state, own, no_neighbours, world, 0.0)
         assert (change[2] < 0.0) == pushed
         assert change[3] == 0.0
 

@@ -64,12 +64,12 @@ def test_a_formation_that_cannot_be_is_refused(changes, says):
         formation(chain(**changes), NAMES)
 
 
-def test_somebody_must_hear_the_leader():
+def test_a_follower_must_hear_the_leader():
     with pytest.raises(ValueError, match="from leader to a, b, c"):
         formation(chain(), NAMES, led=True)
 
 
-def test_nobody_is_called_leader():
+def test_no_vehicle_is_called_leader():
     with pytest.raises(ValueError, match="rename it"):
         formation(chain(), ("a", "leader"))
 

@@ -63,7 +63,7 @@ def unexplained(program, z):
     return nnls((binding / size[:, None]).T, -slope)[1] / np.linalg.norm(slope)
 
 
-def scene(seed, d, at_rest, fixed_world, nobody):
+def scene(seed, d, at_rest, fixed_world, no_neighbours):
     rng = np.random.default_rng(seed)
     own = at_rest(rng.uniform(-2.0, 2.0, d), mass=12.0, max_force=0.6)
     own = own._replace(v=0.1 * rng.normal(size=d), disturbance=1e-3 * rng.normal(size=d))
@@ -71,14 +71,14 @@ def scene(seed, d, at_rest, fixed_world, nobody):
     middle = 0.5 * (own.p + goal) + 0.3 * rng.normal(size=d)
     world = fixed_world(goal)
     obstacles = discs((middle, 0.02 * rng.normal(size=d), 0.8), d=d)
-    return own, nobody(d), World(world.goal, obstacles)
+    return own, no_neighbours(d), World(world.goal, obstacles)
 
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_program_is_solved(seed, d, at_rest, fixed_world, nobody):
+def test_a_program_is_solved(seed, d, at_rest, fixed_world, no_neighbours):
     law = Mpc(MpcParams(steps=6, step_s=2.0), d)
-    own, others, world = scene(seed, d, at_rest, fixed_world, nobody)
+    own, others, world = scene(seed, d, at_rest, fixed_world, no_neighbours)
     plan = np.zeros(6 * d)
     program = law.program(plan, own, others, world)
     z = solved(program, plan)
@@ -96,15 +96,15 @@ def test_a_program_is_solved(seed, d, at_rest, fixed_world, nobody):
     assert cost(other) == pytest.approx(cost(z), rel=0.01)
 
 
-def test_without_constraints_it_is_the_lqr(at_rest, fixed_world, nobody):
+def test_without_constraints_it_is_the_lqr(at_rest, fixed_world, no_neighbours):
     weights = {"error": 1.0, "speed": 0.3, "accel": 0.02}
     own, world = at_rest([1.0, -0.5], mass=3.0), fixed_world([0.0, 0.2])
     own = own._replace(v=np.array([0.1, 0.05]), disturbance=np.array([1e-3, 2e-3]))
     plans = mpc(MpcParams(**weights, steps=5, step_s=0.5), 2)
-    state = plans.initial(own, nobody(2), world)
-    planned = plans.propagate(state, own, nobody(2), world, 0.0, 0.5, 1)
+    state = plans.initial(own, no_neighbours(2), world)
+    planned = plans.propagate(state, own, no_neighbours(2), world, 0.0, 0.5, 1)
     regulated = lqr(LqrParams(**weights), 2).propagate(
-        np.zeros(0), own, nobody(2), world, 0.0, 0.5, 1
+        np.zeros(0), own, no_neighbours(2), world, 0.0, 0.5, 1
     )
     assert planned.mean_force == pytest.approx(regulated.mean_force, rel=1e-6)
 
@@ -139,12 +139,14 @@ def test_a_tangent_is_of_length_one_and_tilts_towards_the_goal(d):
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("aside", [0.0, 1e-9, 0.1, -0.3])
-def test_it_goes_round_an_obstacle_even_one_dead_in_line(d, aside, at_rest, fixed_world, nobody):
+def test_it_goes_round_an_obstacle_even_one_dead_in_line(
+    d, aside, at_rest, fixed_world, no_neighbours
+):
     own = at_rest([-2.0, aside, 0.0][:d], mass=12.0, max_force=0.6)
     obstacles = discs((np.zeros(d), np.zeros(d), 0.8), d=d)
     goal = np.array([2.0, 0.0, 0.0][:d])
     world = World(fixed_world(goal).goal, obstacles)
-    track, state, _ = fly(mpc(MpcParams(), d), own, nobody(d), world, 80.0)
+    track, state, _ = fly(mpc(MpcParams(), d), own, no_neighbours(d), world, 80.0)
     assert clearance(track, obstacles) > 0.04
     assert np.linalg.norm(track[-1] - goal) < 0.01
     assert list(state[:3]) == pytest.approx([0.0, 0.0, 0.0], abs=1e-3)
@@ -178,16 +180,16 @@ def test_two_that_swap_places_pass_each_other(at_rest, fixed_world):
             moved.append(seen[i]._replace(p=ahead.p, v=ahead.v))
         bodies = moved
         gaps.append(np.linalg.norm(bodies[0].p - bodies[1].p))
-    # each takes the other's velocity for constant, so the margin is not quite kept; nobody touches
+    # each assumes that the other's velocity is constant, so the margin shrinks; there is no contact
     assert min(gaps) > 0.65
     assert {c.name for state in states for c in law.concerns(state)} <= {"margin-given-up"}
     assert bodies[0].p == pytest.approx([1.5, 0.0], abs=0.02)
     assert bodies[1].p == pytest.approx([-1.5, 0.0], abs=0.02)
 
 
-def test_every_force_is_one_that_the_jets_have(at_rest, fixed_world, nobody):
+def test_every_force_is_one_that_the_jets_have(at_rest, fixed_world, no_neighbours):
     own = at_rest([-2.5, 0.3], mass=12.0, max_force=0.2)
-    law, others = mpc(MpcParams(), 2), nobody(2)
+    law, others = mpc(MpcParams(), 2), no_neighbours(2)
     world = World(fixed_world([2.0, 0.0]).goal, discs(((0.0, 0.0), (0.0, 0.0), 0.8)))
     state, sizes = law.initial(own, others, world), []
     for k in range(300):
@@ -198,7 +200,7 @@ def test_every_force_is_one_that_the_jets_have(at_rest, fixed_world, nobody):
     assert max(sizes) > 0.9 * 0.2  # and it uses them
 
 
-def test_in_orbit_it_holds_a_goal_beside_a_debris(at_rest, fixed_world, nobody):
+def test_in_orbit_it_holds_a_goal_beside_a_debris(at_rest, fixed_world, no_neighbours):
     n, d, h = 1.1e-3, 3, 20.0
     goal = np.array([0.0, 200.0, 0.0])
     params = MpcParams(
@@ -211,8 +213,8 @@ def test_in_orbit_it_holds_a_goal_beside_a_debris(at_rest, fixed_world, nobody):
     x, state, gaps = np.array([0.0, -200.0, 0.0, 0.0, 0.0, 0.0]), None, []
     for k in range(300):
         own = at_rest(x[:d], mass=100.0, max_force=0.5)._replace(v=x[d:])
-        state = law.initial(own, nobody(d), world) if state is None else state
-        ahead = law.propagate(state, own, nobody(d), world, k * h, h, 1)
+        state = law.initial(own, no_neighbours(d), world) if state is None else state
+        ahead = law.propagate(state, own, no_neighbours(d), world, k * h, h, 1)
         state, x = ahead.law_state, model.a @ x + model.b @ (ahead.mean_force / own.mass)
         gaps.append(np.linalg.norm(x[:d] - obstacles.p[0]))
     assert min(gaps) > 50.0
@@ -223,43 +225,43 @@ def test_in_orbit_it_holds_a_goal_beside_a_debris(at_rest, fixed_world, nobody):
 # When there is no way
 
 
-def test_a_margin_that_cannot_be_kept_is_given_up_and_named(at_rest, fixed_world, nobody):
+def test_a_margin_that_cannot_be_kept_is_given_up_and_named(at_rest, fixed_world, no_neighbours):
     own = at_rest([0.3, 0.0], mass=12.0, max_force=0.6)  # begins half a metre inside
     obstacles = discs(((0.0, 0.0), (0.0, 0.0), 0.8))
     law, world = mpc(MpcParams(), 2), World(fixed_world([2.0, 0.0]).goal, obstacles)
-    track, state, _ = fly(law, own, nobody(2), world, 60.0)
+    track, state, _ = fly(law, own, no_neighbours(2), world, 60.0)
     assert np.linalg.norm(track[-1] - [2.0, 0.0]) < 0.01
     (concern,) = law.concerns(state)
     assert concern.name == "margin-given-up"
     assert "0.5" in concern.text
 
 
-def test_the_price_of_a_margin_is_exact(at_rest, fixed_world, nobody):
+def test_the_price_of_a_margin_is_exact(at_rest, fixed_world, no_neighbours):
     # a margin that can be kept is kept, whatever the goal would gain: here it lies inside
     own = at_rest([-2.0, 0.1], mass=12.0, max_force=0.6)
     obstacles = discs(((0.0, 0.0), (0.0, 0.0), 0.8))
     law, world = mpc(MpcParams(), 2), World(fixed_world([0.0, 0.0]).goal, obstacles)
-    track, state, _ = fly(law, own, nobody(2), world, 60.0)
+    track, state, _ = fly(law, own, no_neighbours(2), world, 60.0)
     assert clearance(track, obstacles) >= 0.05 - 1e-3
     assert law.concerns(state) == []
 
 
-def test_without_a_plan_it_brakes_and_says_so(monkeypatch, at_rest, fixed_world, nobody):
+def test_without_a_plan_it_brakes_and_says_so(monkeypatch, at_rest, fixed_world, no_neighbours):
     monkeypatch.setattr(module.daqp, "solve", lambda *a, **k: (np.zeros(40), 0.0, -4, {}))
     own = at_rest([-2.0, 0.0], mass=12.0, max_force=0.6)
     own = own._replace(v=np.array([0.08, -0.03]), disturbance=np.array([0.0, 1e-3]))
     law, world = mpc(MpcParams(), 2), fixed_world([2.0, 0.0])
-    _, state, end = fly(law, own, nobody(2), world, 10.0)
+    _, state, end = fly(law, own, no_neighbours(2), world, 10.0)
     assert end.v == pytest.approx([0.0, 0.0], abs=1e-6)
     (concern,) = law.concerns(state)
     assert concern.name == "solver-failed"
     assert "100 decisions" in concern.text
 
 
-def test_numbers_beyond_measure_are_a_failure_and_no_crash(at_rest, fixed_world, nobody):
+def test_numbers_beyond_measure_are_a_failure_and_no_crash(at_rest, fixed_world, no_neighbours):
     own, law = at_rest([np.nan, 0.0], mass=12.0, max_force=0.6), Mpc(MpcParams(), 2)
     force, state = law.decide(
-        law.initial(own, None, None), own, nobody(2), fixed_world([2.0, 0.0]), 0.1
+        law.initial(own, None, None), own, no_neighbours(2), fixed_world([2.0, 0.0]), 0.1
     )
     assert state[module.FAILED] == 1.0
     assert np.isfinite(force).all()
@@ -268,10 +270,10 @@ def test_numbers_beyond_measure_are_a_failure_and_no_crash(at_rest, fixed_world,
 # Sameness
 
 
-def test_it_does_the_same_again(at_rest, fixed_world, nobody):
+def test_it_does_the_same_again(at_rest, fixed_world, no_neighbours):
     own = at_rest([-2.0, 0.1], mass=12.0, max_force=0.6)
     world = World(fixed_world([2.0, 0.0]).goal, discs(((0.0, 0.0), (0.0, 0.0), 0.8)))
-    one, two = (fly(mpc(MpcParams(), 2), own, nobody(2), world, 20.0) for _ in range(2))
+    one, two = (fly(mpc(MpcParams(), 2), own, no_neighbours(2), world, 20.0) for _ in range(2))
     assert (one[0] == two[0]).all()
     assert (one[1] == two[1]).all()
     assert one[1].shape == (PLAN + 40,)

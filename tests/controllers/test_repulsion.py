@@ -107,7 +107,7 @@ def test_force_is_the_descent_of_the_potential(d):
 
 @every_way
 @pytest.mark.parametrize("d", [2, 3])
-def test_nobody_at_the_same_place_pushes(way, d):
+def test_satellites_at_the_same_place_do_not_push(way, d):
     x = np.repeat(scattered(30, d), 3, axis=0)
     force = force_by(way, 1.0, 0.5, x)
     assert_same(force, in_numpy(1.0, 0.5, x))
@@ -118,7 +118,7 @@ def test_nobody_at_the_same_place_pushes(way, d):
 @every_way
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_who_is_nowhere_gets_nan_and_pushes_nobody(way, d, value):
+def test_a_nan_position_gets_nan_and_pushes_no_other(way, d, value):
     x = scattered(100, d)
     x[17, d - 1] = value
     force = force_by(way, 1.0, 0.5, x)
@@ -163,7 +163,7 @@ def test_the_way_that_is_chosen_gives_the_same(count, reach):
 
 @pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize(("apart", "scattered"), [(0.0, False), (1e5, True)])
-def test_rows_of_cells_lie_in_order_or_scattered_and_nobody_is_asked_twice(d, apart, scattered):
+def test_rows_of_cells_in_order_or_scattered_give_each_pair_once(d, apart, scattered):
     x = scattered_in_two(d, apart)
     assert (grid_of(x, 0.2)[3] > 0) == scattered
     for way in (cells, cells_on_all_cores):

@@ -67,24 +67,24 @@ def test_rate_is_eq28(d, seed, random_scene):
 
 
 @pytest.mark.parametrize("centres", [[], [[30.0, 40.0, 10.0]], [[1.0, 0.0, 0.0]]])
-def test_equilibrium_at_the_goal(centres, at_rest, fixed_world, nobody):
+def test_equilibrium_at_the_goal(centres, at_rest, fixed_world, no_neighbours):
     own, world = at_rest([1.0, 2.0, 3.0]), fixed_world([1.0, 2.0, 3.0], centres)
-    force, change = sotsmc(PAPER, 3).rate(np.zeros(4), own, nobody(3), world, 0.0)
+    force, change = sotsmc(PAPER, 3).rate(np.zeros(4), own, no_neighbours(3), world, 0.0)
     assert (force == 0.0).all()
     assert (change == 0.0).all()
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_pushes_towards_the_goal_when_nothing_is_near(seed, at_rest, fixed_world, nobody):
+def test_pushes_towards_the_goal_when_nothing_is_near(seed, at_rest, fixed_world, no_neighbours):
     goal = np.random.default_rng(seed).uniform(-300.0, 300.0, 3)
     _, change = sotsmc(PAPER, 3).rate(
-        np.zeros(4), at_rest([0.0] * 3), nobody(3), fixed_world(goal, [[900.0] * 3]), 0.0
+        np.zeros(4), at_rest([0.0] * 3), no_neighbours(3), fixed_world(goal, [[900.0] * 3]), 0.0
     )
     assert (np.sign(change[:3]) == np.sign(goal)).all()
 
 
-def test_starts_without_force_and_without_disturbance(at_rest, fixed_world, nobody):
-    start = sotsmc(PAPER, 3).initial(at_rest([9.0] * 3), nobody(3), fixed_world([0.0] * 3))
+def test_starts_without_force_and_without_disturbance(at_rest, fixed_world, no_neighbours):
+    start = sotsmc(PAPER, 3).initial(at_rest([9.0] * 3), no_neighbours(3), fixed_world([0.0] * 3))
     assert (start == np.zeros(4)).all()
 
 
@@ -138,9 +138,9 @@ def test_a_mirrored_world_gives_mirrored_thrust(axis, random_scene):
 # On the way
 
 
-def fly(law, own, world, duration, period, steps, nobody):
+def fly(law, own, world, duration, period, steps, no_neighbours):
     """Fly the double integrator: p (n + 1, d), law states (n + 1, m), mean forces (n, d)."""
-    others = nobody(len(own.p))
+    others = no_neighbours(len(own.p))
     state = law.initial(own, others, world)
     path, states, forces = [own.p], [state], []
     for k in range(round(duration / period)):
@@ -157,56 +157,56 @@ def settled(error, limit, step):
     return (np.nonzero(error > limit)[0][-1] + 1) * step
 
 
-def test_rate_of_convergence_on_the_sliding_surface(at_rest, fixed_world, nobody):
+def test_rate_of_convergence_on_the_sliding_surface(at_rest, fixed_world, no_neighbours):
     # s = 0 is e' = -lambda P e: a time constant of 1 / 0.012 = 83 s
     own, world = at_rest([100.0, -60.0, 30.0]), fixed_world([0.0] * 3)
-    path, _, _ = fly(sotsmc(PAPER, 3), own, world, 500.0, 1.0, 100, nobody)
+    path, _, _ = fly(sotsmc(PAPER, 3), own, world, 500.0, 1.0, 100, no_neighbours)
     slope = np.log(np.abs(path[500] / path[300])) / 200.0
     assert slope == pytest.approx(np.full(3, -0.012), rel=0.02)
 
 
-def test_follows_a_goal_that_moves(at_rest, fixed_world, nobody):
+def test_follows_a_goal_that_moves(at_rest, fixed_world, no_neighbours):
     world = fixed_world([0.0, 0.0])
     velocity = np.array([0.3, -0.2])
     world = world._replace(goal=world.goal._replace(v=velocity))
     own, law = at_rest([20.0, 5.0]), sotsmc(PAPER, 2)
-    state = law.initial(own, nobody(2), world)
-    ahead = law.propagate(state, own, nobody(2), world, 0.0, 1200.0, 120_000)
+    state = law.initial(own, no_neighbours(2), world)
+    ahead = law.propagate(state, own, no_neighbours(2), world, 0.0, 1200.0, 120_000)
     assert ahead.p == pytest.approx(1200.0 * velocity, abs=0.01)
     assert ahead.v == pytest.approx(velocity, abs=0.01)
 
 
-def test_the_adapted_bound_only_grows(at_rest, fixed_world, nobody):
+def test_the_adapted_bound_only_grows(at_rest, fixed_world, no_neighbours):
     world = fixed_world([0.0, 50.0, 0.0], [[-130.0, 180.0, 75.0], [-80.0, 70.0, 30.0]])
     own = at_rest([-200.0, 200.0, 100.0])
-    _, states, _ = fly(sotsmc(PAPER, 3), own, world, 1000.0, 1.0, 50, nobody)
+    _, states, _ = fly(sotsmc(PAPER, 3), own, world, 1000.0, 1.0, 50, no_neighbours)
     assert (np.diff(states[:, 3]) >= 0.0).all()
     assert states[-1, 3] > 0.0
 
 
-def fly_saturated(limit, at_rest, fixed_world, nobody):
+def fly_saturated(limit, at_rest, fixed_world, no_neighbours):
     """Sat1 of Table 1, which asks for 0.04 N, with less: error (n,), forces (n, 3)."""
     own, world = at_rest(SAT_1[0], max_force=limit), fixed_world(*SAT_1[1:])
-    path, _, forces = fly(sotsmc(PAPER, 3), own, world, 1100.0, 0.1, 10, nobody)
+    path, _, forces = fly(sotsmc(PAPER, 3), own, world, 1100.0, 0.1, 10, no_neighbours)
     return np.linalg.norm(path - SAT_1[1], axis=1), forces
 
 
 @pytest.mark.parametrize("limit", [0.02, 0.01])
-def test_force_stays_within_what_there_is(limit, at_rest, fixed_world, nobody):
-    _, forces = fly_saturated(limit, at_rest, fixed_world, nobody)
+def test_force_stays_within_what_there_is(limit, at_rest, fixed_world, no_neighbours):
+    _, forces = fly_saturated(limit, at_rest, fixed_world, no_neighbours)
     assert np.linalg.norm(forces, axis=1).max() <= limit * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("limit", [0.02, 0.01])
-def test_saturation_does_not_wind_up(limit, at_rest, fixed_world, nobody):
-    error, forces = fly_saturated(limit, at_rest, fixed_world, nobody)
+def test_saturation_does_not_wind_up(limit, at_rest, fixed_world, no_neighbours):
+    error, forces = fly_saturated(limit, at_rest, fixed_world, no_neighbours)
     assert np.linalg.norm(forces, axis=1).max() > 0.95 * limit
     assert settled(error, 0.1, 0.1) < 1050.0
 
 
-def test_the_integral_stays_near_the_bound(at_rest, fixed_world, nobody):
+def test_the_integral_stays_near_the_bound(at_rest, fixed_world, no_neighbours):
     own, world = at_rest(SAT_1[0], max_force=0.01), fixed_world(*SAT_1[1:])
-    _, states, _ = fly(sotsmc(PAPER, 3), own, world, 1100.0, 0.1, 10, nobody)
+    _, states, _ = fly(sotsmc(PAPER, 3), own, world, 1100.0, 0.1, 10, no_neighbours)
     assert np.linalg.norm(states[:, :3], axis=1).max() < 1.2 * 0.01
 
 
@@ -229,10 +229,15 @@ def eq43(t):
     return 1.2e-3 * np.array([math.sin(0.01 * t), math.cos(0.01 * t), math.sin(0.01 * t)])
 
 
-def fly_in_space(satellite, at_rest, fixed_world, nobody, *, estimated):
+def fly_in_space(satellite, at_rest, fixed_world, no_neighbours, *, estimated):
     """1500 s under Eq. (43): error (n,), distance to each obstacle (n, 2), control (n, 3)."""
-    start, goal, rocks = satellite
-    law, world, others, h = sotsmc(PAPER, 3), fixed_world(goal, rocks), nobody(3), SPACE_STEP
+    start, goal, obstacles = satellite
+    law, world, others, h = (
+        sotsmc(PAPER, 3),
+        fixed_world(goal, obstacles),
+        no_neighbours(3),
+        SPACE_STEP,
+    )
     own, path, control = at_rest(start), [], []
     state = law.initial(own, others, world)
     for k in range(round(1500.0 / h)):
@@ -245,34 +250,36 @@ def fly_in_space(satellite, at_rest, fixed_world, nobody, *, estimated):
         path.append(p)
         control.append(force)
     p = np.array(path)
-    gaps = np.array([np.linalg.norm(p - np.array(rock), axis=1) for rock in rocks]).T
+    gaps = np.array([np.linalg.norm(p - np.array(rock), axis=1) for rock in obstacles]).T
     return np.linalg.norm(p - np.array(goal), axis=1), gaps, np.array(control)
 
 
 @pytest.mark.parametrize("satellite", [SAT_1, SAT_2], ids=["sat1", "sat2"])
-def test_paper_in_space_with_an_unknown_disturbance(satellite, at_rest, fixed_world, nobody):
-    error, gaps, _ = fly_in_space(satellite, at_rest, fixed_world, nobody, estimated=False)
+def test_paper_in_space_with_an_unknown_disturbance(satellite, at_rest, fixed_world, no_neighbours):
+    error, gaps, _ = fly_in_space(satellite, at_rest, fixed_world, no_neighbours, estimated=False)
     assert gaps.min() > 50.0  # Figs. 3, 4
     assert settled(error, 0.1, SPACE_STEP) == pytest.approx(1000.0, abs=70.0)  # Fig. 5
     assert error[round(1200.0 / SPACE_STEP) :].max() < 0.02
     assert error[round(1400.0 / SPACE_STEP) :].max() < 0.005  # "within 0.005 m"
 
 
-def test_paper_in_space_with_the_disturbance_estimated(at_rest, fixed_world, nobody):
+def test_paper_in_space_with_the_disturbance_estimated(at_rest, fixed_world, no_neighbours):
     # the figures of an independent prototype for the same run
-    error, gaps, control = fly_in_space(SAT_1, at_rest, fixed_world, nobody, estimated=True)
+    error, gaps, control = fly_in_space(SAT_1, at_rest, fixed_world, no_neighbours, estimated=True)
     assert gaps.min(axis=0) == pytest.approx([53.3, 50.5], abs=0.3)
     assert settled(error, 0.1, SPACE_STEP) == pytest.approx(993.0, abs=20.0)
     assert error[round(1300.0 / SPACE_STEP) :].max() < 0.005
     assert np.abs(control).max() == pytest.approx(0.031, abs=0.002)
 
 
-def test_a_coarser_step_leaves_a_larger_error(at_rest, fixed_world, nobody):
+def test_a_coarser_step_leaves_a_larger_error(at_rest, fixed_world, no_neighbours):
     # the sgn in u': ten times the step leaves ten times the error and more
     own, world = at_rest(SAT_1[0]), fixed_world(*SAT_1[1:])
     rest = {}
     for step in (0.1, 0.01):
-        path, _, _ = fly(sotsmc(PAPER, 3), own, world, 1500.0, 1.0, round(1.0 / step), nobody)
+        path, _, _ = fly(
+            sotsmc(PAPER, 3), own, world, 1500.0, 1.0, round(1.0 / step), no_neighbours
+        )
         rest[step] = np.linalg.norm(path[-50:] - SAT_1[1], axis=1).max()
     assert rest[0.1] > 5.0 * rest[0.01]
     assert rest[0.01] < 0.005
@@ -289,7 +296,7 @@ def table():
     return load(find("zhang2023_table"))
 
 
-def fly_over_the_table(experiment, start, goal, rocks, nobody, *, standoff, duration):
+def fly_over_the_table(experiment, start, goal, centres, no_neighbours, *, standoff, duration):
     """Double integrator at 1 ms: clearance [m], settle time [s], accelerations (n, 2)."""
     params = experiment.controller
     potential = msgspec.structs.replace(params.potential, standoff=standoff)
@@ -298,27 +305,27 @@ def fly_over_the_table(experiment, start, goal, rocks, nobody, *, standoff, dura
     still = np.zeros(2)
     limit = experiment.guidance.force_share * weakest_force(vehicle)
     own = Body(np.array(start), still, vehicle.mass, still, still, limit)
-    obstacles = Discs(rocks, 0.0 * rocks, np.full(len(rocks), 0.8))
+    obstacles = Discs(centres, 0.0 * centres, np.full(len(centres), 0.8))
     world = World(Goal(np.array(goal), still, still, still), obstacles)
-    path, _, forces = fly(law, own, world, duration, PERIOD, 100, nobody)
+    path, _, forces = fly(law, own, world, duration, PERIOD, 100, no_neighbours)
     error = np.linalg.norm(path - goal, axis=1)
-    clearance = min(np.linalg.norm(path - rock, axis=1).min() for rock in rocks)
+    clearance = min(np.linalg.norm(path - centre, axis=1).min() for centre in centres)
     return clearance, settled(error, 0.05, PERIOD), forces / vehicle.mass
 
 
 def layout(experiment):
     starts = [setup.start[:2] for setup in experiment.vehicles.values()]
     goals = np.array([setup.goal[:2] for setup in experiment.vehicles.values()])
-    rocks = np.array([rock.position for rock in experiment.obstacles.values()])
-    return starts, goals, rocks
+    obstacles = np.array([rock.position for rock in experiment.obstacles.values()])
+    return starts, goals, obstacles
 
 
 def shifted_layouts(experiment, count):
     """Obstacles and goals shifted by up to 0.3 m, nothing starts or ends in an obstacle."""
-    starts, goals, rocks = layout(experiment)
+    starts, goals, obstacles = layout(experiment)
     rng = np.random.default_rng(0)
     while count:
-        centres = rocks + rng.uniform(-0.3, 0.3, rocks.shape)
+        centres = obstacles + rng.uniform(-0.3, 0.3, obstacles.shape)
         ends = goals + rng.uniform(-0.3, 0.3, goals.shape)
         places = np.concatenate([starts, ends])
         if np.linalg.norm(places[:, None] - centres, axis=2).min() >= 0.85:
@@ -337,19 +344,25 @@ def test_shipped_law_has_the_papers_parameters(name):
 
 
 @pytest.mark.parametrize("satellite", [0, 1, 2])
-def test_paper_on_the_table(satellite, table, nobody):
-    starts, goals, rocks = layout(table)
+def test_paper_on_the_table(satellite, table, no_neighbours):
+    starts, goals, obstacles = layout(table)
     clearance, settle, accel = fly_over_the_table(
-        table, starts[satellite], goals[satellite], rocks, nobody, standoff=0.0, duration=150.0
+        table,
+        starts[satellite],
+        goals[satellite],
+        obstacles,
+        no_neighbours,
+        standoff=0.0,
+        duration=150.0,
     )
     assert clearance >= 0.81
     assert settle == pytest.approx(71.0, abs=2.0)
     assert np.abs(accel).max() <= 0.025
 
 
-def test_standoff_keeps_shifted_layouts_clear(table, nobody):
+def test_standoff_keeps_shifted_layouts_clear(table, no_neighbours):
     flights = [
-        fly_over_the_table(table, *where, nobody, standoff=2.5, duration=100.0)[:2]
+        fly_over_the_table(table, *where, no_neighbours, standoff=2.5, duration=100.0)[:2]
         for where in shifted_layouts(table, 40)
     ]
     clearance, settle = np.array(flights).T
@@ -358,8 +371,8 @@ def test_standoff_keeps_shifted_layouts_clear(table, nobody):
     assert settle.max() <= 90.0
 
 
-def test_without_the_standoff_a_shifted_layout_is_violated(table, nobody):
+def test_without_the_standoff_a_shifted_layout_is_violated(table, no_neighbours):
     assert any(
-        fly_over_the_table(table, *where, nobody, standoff=0.0, duration=100.0)[0] < 0.80
+        fly_over_the_table(table, *where, no_neighbours, standoff=0.0, duration=100.0)[0] < 0.80
         for where in shifted_layouts(table, 40)
     )

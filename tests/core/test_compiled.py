@@ -62,7 +62,7 @@ def fly(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_law_of_somebody_elses_leaves_nothing_on_disk(fly, tmp_path):
+def test_a_law_of_a_user_leaves_nothing_on_disk(fly, tmp_path):
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     file, law = theirs / "their_law.py", "from their_law import Gains, rate"

@@ -26,7 +26,7 @@ from testbed.cli.dash import Dashboard, address_for  # noqa: E402
 from testbed.dashboard import feeder  # noqa: E402
 from testbed.dashboard.static_scene import HUES  # noqa: E402
 from testbed.dashboard.viewer import (  # noqa: E402
-    Address,
+    ViewerAddress,
     ViewerError,
     command,
     free_port,
@@ -143,7 +143,7 @@ def test_who_dies_is_started_again(headless):
     assert headless.feeder.wait(PATIENCE_S) == 0  # all is told
 
 
-def test_whoever_tells_a_viewer_that_is_gone_says_so_and_no_more(monkeypatch, capsys):
+def test_a_feeder_without_its_viewer_says_so_and_no_more(monkeypatch, capsys):
     def tell(words):
         raise RuntimeError(words)
 
@@ -211,7 +211,7 @@ def test_a_viewer_listens_to_this_machine_only():
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs /proc")
-def test_nobody_else_can_connect(run):
+def test_no_other_user_can_connect(run):
     board = Dashboard(run, "web", address_for())
     try:
         board.open(Event().wait)
@@ -237,7 +237,7 @@ def test_no_screen_is_said(monkeypatch):
 
 
 def test_addresses():
-    everywhere = Address("0.0.0.0", 9876, 9877)
+    everywhere = ViewerAddress("0.0.0.0", 9876, 9877)
     assert everywhere.data == "rerun+http://127.0.0.1:9876/proxy"
     assert everywhere.page.startswith("http://127.0.0.1:9877/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1")
     with socket.socket() as one:
@@ -289,11 +289,11 @@ def test_those_in_the_same_state_share_the_banner():
 
 def test_only_an_edge_of_the_formation_has_to_stay_in_range():
     from testbed.config import find, load
-    from testbed.dashboard.columns import Columns
+    from testbed.dashboard.columns import ColumnBuffer
     from testbed.dashboard.scene_goals import AimScene
 
     rr = pytest.importorskip("rerun")
-    columns = Columns(rr.RecordingStream("test"))
+    columns = ColumnBuffer(rr.RecordingStream("test"))
     aims = AimScene(load(find("xue2024_table_constant")), columns)
     assert aims.matters("sat2", "sat1")
     assert not aims.matters("sat1", "sat3")

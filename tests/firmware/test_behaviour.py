@@ -596,7 +596,7 @@ def test_limits_are_checked_at_boot(new_host, limits, state):
     assert new_host(armed=False, **limits).ping().state == state
 
 
-def test_edges_that_nobody_fetches_in_time_are_counted(host):
+def test_edges_that_are_not_fetched_in_time_are_counted(host):
     """A burst within one frame's time overflows the ring: the port sent nothing meanwhile."""
     host.board.lib.board_hold(host.board.handle, 1)
     for number in range(40):

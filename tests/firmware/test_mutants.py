@@ -30,7 +30,7 @@ def test_enough_faults_are_noticed():
 
 
 @pytest.mark.parametrize("one", SURVIVORS, ids=lambda one: f"{one['function']}: {one['now'][:40]}")
-def test_every_survivor_is_a_fault_of_this_core_and_somebody_says_why(one):
+def test_every_survivor_is_a_fault_of_this_core_and_is_explained(one):
     assert tuple(one[name] for name in NAMES) in {fault.name for fault in all_mutants()}
     assert len(one["why"].split()) >= 4
 

@@ -49,7 +49,7 @@ def start_and_say(record: str) -> None:
     sys.stdin.read()
 
 
-def test_it_ends_when_whoever_started_it_is_killed(limits):
+def test_it_ends_when_its_parent_is_killed(limits):
     code = "import sys; from test_qemu import start_and_say; start_and_say(sys.argv[1])"
     here = Path(__file__).parent
     with subprocess.Popen(

@@ -105,7 +105,7 @@ def test_no_process_and_no_link_stay_behind(limits, tmp_path):
     assert not (tmp_path / "board").is_symlink()
 
 
-def test_the_process_ends_when_whoever_started_it_is_killed(limits):
+def test_the_process_ends_when_its_parent_is_killed(limits):
     code = (
         "import sys; from firmware_interface.host_pty import HostPtyBoard;"
         " from firmware_interface.messages import Config;"
@@ -124,7 +124,7 @@ def test_the_process_ends_when_whoever_started_it_is_killed(limits):
     os.close(end)
 
 
-def test_a_link_of_somebody_else_is_left_alone(limits, tmp_path):
+def test_a_link_of_another_process_is_left_alone(limits, tmp_path):
     first = HostPtyBoard(limits, link=tmp_path / "board")
     second = HostPtyBoard(limits, link=tmp_path / "board")
     first.close()
@@ -192,7 +192,7 @@ def test_of_plans_not_yet_written_only_the_newest_counts(port, monkeypatch):
         assert board.superseded == 2
 
 
-def test_a_line_that_nobody_reads_never_holds_up_the_sender(port):
+def test_a_line_without_a_reader_never_holds_up_the_sender(port):
     _, name = port
     with closing(SerialBoard(name)) as board:
         for number in range(2000):  # 32 000 bytes: more than a terminal keeps
@@ -247,7 +247,7 @@ def test_a_clock_that_jumps_is_that_of_another_boot(t_us):
     assert reports.board_us == t_us
 
 
-def test_edges_that_nobody_takes_do_not_pile_up(monkeypatch):
+def test_edges_that_are_not_taken_do_not_pile_up(monkeypatch):
     monkeypatch.setattr("firmware_interface.reports.KEPT", 5)
     reports = Reports()
     for t in range(1, 9):

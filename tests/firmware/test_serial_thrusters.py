@@ -103,7 +103,7 @@ def test_a_cut_line_is_trouble_and_the_board_closes(limits, tmp_path):
         assert edges[-1].mask == 0
 
 
-def test_somebody_else_has_the_port(limits, tmp_path):
+def test_another_process_has_the_port(limits, tmp_path):
     with (
         served(limits, tmp_path) as (tap, _),
         SerialThrusters(str(tap.link), limits, 0.0, 1),
@@ -113,7 +113,7 @@ def test_somebody_else_has_the_port(limits, tmp_path):
         pass
 
 
-def test_nobody_at_the_other_end(limits, tmp_path, monkeypatch):
+def test_no_board_at_the_other_end(limits, tmp_path, monkeypatch):
     monkeypatch.setattr("firmware_interface.serial_thrusters.ANSWER_US", 100_000)
     with (
         LineTap(limits, 1, tmp_path / "port") as tap,  # it does not pass anything on

@@ -100,7 +100,7 @@ def flown(diary, vehicles, hosts=(), ticks=3, **options):
     return fly(Clock(diary), vehicles, hosts, PERIOD, ticks, Observer(diary), **options)
 
 
-def test_vehicles_first_then_hosts_then_everybody_waits(diary):
+def test_vehicles_first_then_hosts_then_all_wait(diary):
     nodes = [Node(diary, "a"), Node(diary, "b")]
     hosts = [Host(diary, "host a")]
     ending = flown(diary, nodes, hosts, ticks=1)

@@ -158,7 +158,7 @@ def test_the_second_stop_of_a_row_that_is_not_latched_is_a_stop_again(vehicle, m
     assert act(safety, moving, 100.0, gone).braking
 
 
-def test_whoever_holds_comes_to_rest_also_where_setpoints_still_come(vehicle, make_state):
+def test_a_holding_vehicle_comes_to_rest_also_with_setpoints(vehicle, make_state):
     safety = edited(vehicle, "operator_gone", latched=False, response="hold")
     moving, gone = make_state((0.0, 0.0, 0.0), (0.05, 0.0, 0.0)), Vitals(operator_age=1.5)
     held = act(safety, moving, 0.0, gone)

@@ -13,8 +13,8 @@ from testbed.cli.main import main
 from testbed.config import SHIPPED
 from testbed.identification.calibration_file import report_of
 from testbed.identification.jets import examine
-from testbed.identification.model import Model
-from testbed.identification.motion import calibrate_motion, interval, thrusts, told_by
+from testbed.identification.model import VehicleModel
+from testbed.identification.motion import calibrate_motion, identifiable, interval, thrusts
 from testbed.identification.synthetic import excitation, flown_log
 from testbed.identification.vehicle_file import load_vehicle, write_vehicle
 from testbed.identification.windows import tiled
@@ -53,7 +53,7 @@ def examined(flight, floater, change):
     altered = change(truth)
     rng = np.random.default_rng(2)
     other = flown_log(altered, None, log.inputs, 60.0, rng)
-    model = Model(floater, valves=True)
+    model = VehicleModel(floater, valves=True)
     return {f.jet + 1: f for f in examine(model, model.prior, [tiled(other, 2.5)])}
 
 
@@ -87,7 +87,7 @@ def test_a_jet_that_never_opened_is_not_identifiable(floater):
     row = thrusts(found)[6]
     assert row["state"] == "not excited"
     assert not row["identifiable"]
-    assert told_by(found, 0)
+    assert identifiable(found, 0)
     assert "thrust of jet 7" in report_of(found, "generic_8jet", [log])["not_identifiable"]
 
 
@@ -183,7 +183,7 @@ def test_the_vehicles_of_the_labs_can_fly(name):
 
 
 def test_a_valve_that_closes_late_has_time_to_close(floater, tmp_path):
-    model = Model(floater, valves=True)
+    model = VehicleModel(floater, valves=True)
     p = model.prior.copy()
     p[model.index("hold")] = 0.0412345678
     path = tmp_path / "late.toml"

@@ -311,7 +311,7 @@ def test_what_does_not_apply_is_not_met(name):
     assert judge(Criteria(**{name: 1e9}), vehicles, 0, True)[name] is False
 
 
-def test_tracking_is_not_judged_where_nobody_tracked():
+def test_tracking_is_not_judged_without_references():
     nobody = {"a": flight(track_rms_m=None), "b": flight(track_rms_m=None)}
     assert "track_rms_m" not in judge(Criteria(track_rms_m=1.0), nobody, 0, True)
     one = {"a": flight(track_rms_m=None), "b": flight()}

@@ -34,10 +34,12 @@ def poll_until(source, done):
 
 
 @pytest.fixture
-def make():
+def make(tmp_path):
     sources = []
 
-    def make(program, **wire):
+    def make(text, **wire):
+        program = tmp_path / "program.py"
+        program.write_text(text)
         sources.append(ForeignSource(MocapWire(system="vicon", **wire), program))
         return sources[-1]
 

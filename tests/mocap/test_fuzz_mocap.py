@@ -29,7 +29,7 @@ from testbed.mocap.natnet import (
     packet,
 )
 from testbed.mocap.natnet_client import MOST, NatNetClient
-from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.mocap.natnet_server import NatNetAddress, NatNetServer
 from testbed.mocap.poses import MocapPoses
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
 
@@ -163,7 +163,7 @@ def described(*bodies):
     return encode_models([Described(k, name) for k, name in bodies], VERSION)
 
 
-def test_a_body_that_nobody_describes_does_not_hide_the_others(port, client):
+def test_a_body_without_description_does_not_hide_the_others(port, client):
     now = monotonic_ns()
     port.waiting = [(greeting()[0], now), (described((1, "sat1")), now)]
     client.poll()
@@ -274,7 +274,7 @@ def test_an_exposure_of_another_time_does_not_stop_the_watch(exposed_s):
 
 def test_a_server_answers_rubbish_with_little():
     rng = np.random.default_rng((ROUND, 2))
-    with NatNetServer(Address("127.0.0.1", 0, 1511), VERSION, NAMES) as server:
+    with NatNetServer(NatNetAddress("127.0.0.1", 0, 1511), VERSION, NAMES) as server:
         for _ in range(COUNT):
             kind, payload = int(rng.integers(200)), rng.bytes(int(rng.integers(100)))
             with suppress(ValueError):

@@ -6,7 +6,7 @@ import pytest
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
 from testbed.mocap.exposure import Axes, Exposure
-from testbed.mocap.poses import LATE_S, MocapPoses, Trouble
+from testbed.mocap.poses import LATE_S, MocapPoses, PoseTrouble
 from testbed.realtime.clock_sync import ClockOffset
 from testbed.realtime.wall_clock import WallClock
 
@@ -51,7 +51,7 @@ def test_poses_of_one_vehicle_in_the_frame_and_time_of_the_run():
     ]
     assert list(poses.latencies) == pytest.approx([0.02] * 4)
     assert poses.lost_frames == 2
-    assert poses.trouble == Trouble.SILENT  # the present is long after these frames
+    assert poses.trouble == PoseTrouble.SILENT  # the present is long after these frames
 
 
 def test_the_quickest_exchange_tells_the_clock():
@@ -88,11 +88,11 @@ def test_why_no_poses_arrive():
         return poses.trouble
 
     assert at(0.0) is None  # nothing was ever heard: the cameras may start later
-    assert at(0.1, "sat2") is Trouble.STALE
+    assert at(0.1, "sat2") is PoseTrouble.STALE
     assert at(0.2, "sat1", "sat2") is None
     assert at(0.19 + LATE_S, "sat2") is None
-    assert at(0.21 + LATE_S, "sat2") is Trouble.STALE
-    assert at(0.4) is Trouble.STALE  # once for as long as it lasts
-    assert at(0.6) is Trouble.SILENT
+    assert at(0.21 + LATE_S, "sat2") is PoseTrouble.STALE
+    assert at(0.4) is PoseTrouble.STALE  # once for as long as it lasts
+    assert at(0.6) is PoseTrouble.SILENT
     assert at(0.7, "sat1") is None
-    assert poses.troubles == {Trouble.STALE: 2, Trouble.SILENT: 1}
+    assert poses.troubles == {PoseTrouble.STALE: 2, PoseTrouble.SILENT: 1}

@@ -17,7 +17,7 @@ from testbed.core.types import Pose
 from testbed.mocap.exposure import Axes, Sighting
 from testbed.mocap.natnet import Described, MocapFrame, RigidBody
 from testbed.mocap.natnet_client import NatNetClient
-from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.mocap.natnet_server import NatNetAddress, NatNetServer
 from testbed.realtime.wall_clock import monotonic_ns
 
 WAYS = [((3, 1), None), ((4, 1), None), ((3, 1), "239.255.42.99"), ((4, 1), "239.255.42.99")]
@@ -40,7 +40,7 @@ def frame(number):
 @contextmanager
 def streaming(version, group):
     """A server that answers, and sends a frame every few milliseconds until the end."""
-    address = Address("127.0.0.1", *(free_port(socket.SOCK_DGRAM) for _ in range(2)), group)
+    address = NatNetAddress("127.0.0.1", *(free_port(socket.SOCK_DGRAM) for _ in range(2)), group)
     bodies = [Described(k + 1, name) for k, name in enumerate(NAMES)]
     sent, over = {}, threading.Event()
     with NatNetServer(address, version, bodies) as server:

@@ -10,7 +10,8 @@ from ports import free_port
 from testbed.net import stop as stopping
 from testbed.net.certificate_authority import Wanted, make_keys
 from testbed.net.direct_stop import GROUP, PORTS, StopListener, ports, stop_directly
-from testbed.net.stop import FAILED, OK, noted, stop_everything
+from testbed.net.flight_note import noted
+from testbed.net.stop import FAILED, OK, stop_everything
 
 
 @pytest.fixture

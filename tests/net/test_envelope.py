@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from testbed.core.lab import Weather
+from testbed.core.lab import Impairment
 from testbed.core.types import Accel, Demand, LawMessage, Pose, Reference, Trajectory, Twist
-from testbed.net.envelope import SCHEMA, START, Inbox, Outbox, Verdict, head_of
+from testbed.net.envelope import SCHEMA, START, Acceptance, Inbox, Outbox, head_of
 from testbed.net.impairment import NetworkImpairment
 from testbed.net.links import Blackboard
 from testbed.net.payload import open_setpoint
@@ -28,7 +28,7 @@ def test_what_is_sent_is_what_arrives():
     out, box = Outbox(7), inbox()
     reference = Reference(1.0, Pose(1, 2, 3), Twist(4, 5, 6), Accel(7, 8, 9))
     for setpoint in (demand(1.0), Trajectory((reference, reference), 1.5)):
-        assert box.take(out.seal(setpoint, 1.0, 1.3), 1.02) is Verdict.TAKEN
+        assert box.take(out.seal(setpoint, 1.0, 1.3), 1.02) is Acceptance.TAKEN
         assert box.newest == setpoint
         assert box.valid_until == 1.3
 
@@ -36,16 +36,16 @@ def test_what_is_sent_is_what_arrives():
 @pytest.mark.parametrize(
     ("arrived_at", "verdict"),
     [
-        (1.0, Verdict.TAKEN), (1.15, Verdict.TAKEN), (1.1500001, Verdict.LATE),
-        (1.2000001, Verdict.EXPIRED), (0.96, Verdict.TAKEN), (0.9, Verdict.GARBLED),
-        (math.nan, Verdict.EXPIRED),
+        (1.0, Acceptance.TAKEN), (1.15, Acceptance.TAKEN), (1.1500001, Acceptance.LATE),
+        (1.2000001, Acceptance.EXPIRED), (0.96, Acceptance.TAKEN), (0.9, Acceptance.GARBLED),
+        (math.nan, Acceptance.EXPIRED),
     ],
 )  # fmt: skip
 def test_by_the_time_on_the_way(arrived_at, verdict):
     box = inbox()
     assert box.take(Outbox(7).seal(demand(1.0), 1.0, 1.2), arrived_at) is verdict
     assert box.counts[verdict] == 1
-    assert (box.newest is None) == (verdict is not Verdict.TAKEN)
+    assert (box.newest is None) == (verdict is not Acceptance.TAKEN)
 
 
 def test_by_order():
@@ -53,18 +53,19 @@ def test_by_order():
     first, second, third = (out.seal(demand(t), 1.0, 1.2) for t in (1.0, 1.1, 1.2))
     order = [second, second, first, third, first]
     assert [box.take(data, 1.01) for data in order] == [
-        Verdict.TAKEN, Verdict.DUPLICATED, Verdict.REORDERED, Verdict.TAKEN, Verdict.REORDERED,
+        Acceptance.TAKEN, Acceptance.DUPLICATED, Acceptance.REORDERED, Acceptance.TAKEN,
+        Acceptance.REORDERED,
     ]  # fmt: skip
     assert box.newest == demand(1.2)
 
 
 def test_another_session_or_version_is_refused():
     box = inbox()
-    assert box.take(Outbox(8).seal(demand(1.0), 1.0, 1.2), 1.0) is Verdict.FOREIGN
+    assert box.take(Outbox(8).seal(demand(1.0), 1.0, 1.2), 1.0) is Acceptance.FOREIGN
     other = bytearray(Outbox(7).seal(demand(1.0), 1.0, 1.2))
     assert head_of(bytes(other)) == (7, 1, 1.0, 1.2, SCHEMA)
     other[4 + 32] += 1
-    assert box.take(bytes(other), 1.0) is Verdict.SCHEMA
+    assert box.take(bytes(other), 1.0) is Acceptance.SCHEMA
     assert box.newest is None
 
 
@@ -73,15 +74,15 @@ def test_a_refused_message_does_not_use_up_its_number():
     out = Outbox(7)
     out.sent = 4
     nonsense = out.seal(demand(1.0), 1.0, 1.2)[:START] + b"nonsense"
-    assert box.take(nonsense, 1.0) is Verdict.GARBLED
-    assert box.take(Outbox(7).seal(demand(1.0), 1.0, 1.2), 1.0) is Verdict.TAKEN
+    assert box.take(nonsense, 1.0) is Acceptance.GARBLED
+    assert box.take(Outbox(7).seal(demand(1.0), 1.0, 1.2), 1.0) is Acceptance.TAKEN
 
 
 @given(st.binary(max_size=300))
 @settings(deadline=None)
 def test_any_bytes_are_refused(data):
     box = inbox()
-    assert box.take(data, 1.0) is not Verdict.TAKEN
+    assert box.take(data, 1.0) is not Acceptance.TAKEN
     assert box.newest is None
 
 
@@ -95,9 +96,9 @@ def test_flipped_bits_never_make_a_message_newer_than_it_is():
         assert sum(box.counts.values()) == 1
 
 
-def test_weather_loses_and_delays_as_it_was_told():
-    storm = NetworkImpairment(Weather(loss=0.05, delay_s=0.020, spread_s=0.010), 1, "a")
-    arrivals = [storm.arrival(0) for _ in range(20_000)]
+def test_impairment_loses_and_delays_as_configured():
+    impairment = NetworkImpairment(Impairment(loss=0.05, delay_s=0.020, spread_s=0.010), 1, "a")
+    arrivals = [impairment.arrival(0) for _ in range(20_000)]
     kept = [1e-9 * t for t in arrivals if t is not None]
     assert len(kept) / len(arrivals) == pytest.approx(0.95, abs=0.005)
     assert min(kept) >= 0.010
@@ -105,9 +106,9 @@ def test_weather_loses_and_delays_as_it_was_told():
     assert np.mean(kept) == pytest.approx(0.020, abs=2e-4)
 
 
-def test_fair_weather_does_nothing():
-    storm = NetworkImpairment(Weather(), 1, "a")
-    assert [storm.arrival(t) for t in range(100)] == list(range(100))
+def test_no_impairment_does_nothing():
+    impairment = NetworkImpairment(Impairment(), 1, "a")
+    assert [impairment.arrival(t) for t in range(100)] == list(range(100))
 
 
 def test_laws_on_one_computer_hear_each_other_a_tick_later():

@@ -36,8 +36,8 @@ from testbed.core.types import (
 from testbed.mocap.topic import MOST_BODIES, PoseTopic, encode_poses
 from testbed.net.access import ACCESS, read_access
 from testbed.net.commands import Counts, Ended, Lease, Order, Refused, Start, Stop
-from testbed.net.credentials import BadgeError, read_badge
-from testbed.net.envelope import SCHEMA, Inbox, Outbox, Verdict
+from testbed.net.credentials import CredentialsError, read_credentials
+from testbed.net.envelope import SCHEMA, Acceptance, Inbox, Outbox
 from testbed.net.keys import Keys
 from testbed.net.payload import body_of, open_message, open_setpoint, open_state
 from testbed.net.session import LARGEST, NetworkError, answer_to, ask, dial, listen
@@ -70,7 +70,7 @@ MESSAGES = {
     "trajectory": (open_setpoint, Trajectory((reference(), reference(NOW + 0.1)), NOW + 0.3)),
     "demand": (open_setpoint, Demand(NOW, 0.1, 0.2, 0.3, 0.0, 0.0, NOW + 0.2)),
     "message": (open_message, LawMessage(NOW, (1.0, 2.0, 3.0))),
-    "permit": (msgspec.msgpack.Decoder(Lease).decode, Lease()),
+    "lease": (msgspec.msgpack.Decoder(Lease).decode, Lease()),
     "event": (
         msgspec.msgpack.Decoder(Ended).decode,
         Ended(NOW, FaultReport("leak", "a fault", "sat1"), COUNTS),
@@ -161,7 +161,7 @@ def test_messages(kind):
         fed[0] += 1
         bad = spoilt(rng, body) if rng.random() < 0.9 else body
         verdict = box.take(sealed(rng, bad, fed[0]), NOW + 0.01)
-        if verdict is Verdict.TAKEN and isinstance(
+        if verdict is Acceptance.TAKEN and isinstance(
             box.newest, State | Trajectory | Demand | LawMessage
         ):
             assert all(abs(x) < 1e9 for x in numbers(msgspec.to_builtins(box.newest)))
@@ -171,9 +171,9 @@ def test_messages(kind):
 
     grown = growth(feed, COUNT)
     assert sum(box.counts.values()) == fed[0]
-    assert box.counts[Verdict.TAKEN] > 0
-    if kind != "permit":  # of which nothing can be wrong but the envelope
-        assert box.counts[Verdict.GARBLED] > 0.3 * fed[0]
+    assert box.counts[Acceptance.TAKEN] > 0
+    if kind != "lease":  # of which nothing can be wrong but the envelope
+        assert box.counts[Acceptance.GARBLED] > 0.3 * fed[0]
     assert grown < GROWN
 
 
@@ -192,14 +192,14 @@ def test_messages(kind):
 )
 def test_numbers_that_are_none_do_not_come_in(decode, message):
     box = Inbox(decode, RUN, LATE)
-    assert box.take(Outbox(RUN).seal(message, NOW, NOW + 0.3), NOW) is Verdict.GARBLED
+    assert box.take(Outbox(RUN).seal(message, NOW, NOW + 0.3), NOW) is Acceptance.GARBLED
     assert box.newest is None
 
 
 def test_a_message_for_ever_is_none():
     for until in (math.inf, NOW + 61.0):
         box = Inbox(open_state, RUN, LATE)
-        assert box.take(Outbox(RUN).seal(state(), NOW, until), NOW) is Verdict.GARBLED
+        assert box.take(Outbox(RUN).seal(state(), NOW, until), NOW) is Acceptance.GARBLED
 
 
 def test_a_vehicle_flies_on_whatever_it_is_told():
@@ -245,33 +245,37 @@ def test_orders():
     rng = np.random.default_rng((ROUND, 1))
     now = monotonic_ns()
     whole = [pack(Start(7, now, TICKET)), pack(Stop("enough"))]
-    tower = CommandServer(NoSession(), Keys("lab"), "sat1", "a board", BLIND, TICKET, lambda ns: ns)
+    commands = CommandServer(
+        NoSession(), Keys("lab"), "sat1", "a board", BLIND, TICKET, lambda ns: ns
+    )
     fed = answered = 0
 
     def feed():
         nonlocal fed, answered
         fed += 1
-        tower._flying.clear()
+        commands._flying.clear()
         try:
-            tower._order(spoilt(rng, whole[fed % 2]))
+            commands._order(spoilt(rng, whole[fed % 2]))
             answered += 1
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
             pass  # told to the asker, see `answer_to`
-        while not tower.starts.empty():
-            assert abs(tower.starts.get().epoch_ns - monotonic_ns()) < 40e9
+        while not commands.starts.empty():
+            assert abs(commands.starts.get().epoch_ns - monotonic_ns()) < 40e9
 
     assert growth(feed, COUNT) < GROWN
     assert 0 < answered < fed
-    assert tower.bad_orders >= fed - answered > 0.3 * fed
+    assert commands.refused_orders >= fed - answered > 0.3 * fed
 
 
 @pytest.mark.parametrize("ahead_s", [-2.0, 31.0, 1e9, -1e9])
 def test_an_order_to_start_at_another_time_is_refused(ahead_s):
-    tower = CommandServer(NoSession(), Keys("lab"), "sat1", "a board", BLIND, TICKET, lambda ns: ns)
+    commands = CommandServer(
+        NoSession(), Keys("lab"), "sat1", "a board", BLIND, TICKET, lambda ns: ns
+    )
     when = max(0, monotonic_ns() + round(1e9 * ahead_s))
-    assert b"expected 0 to 30 s" in tower._order(pack(Start(7, when, TICKET)))
-    assert tower.starts.empty()
-    assert b"Accepted" in tower._order(pack(Start(7, monotonic_ns() + 10**9, TICKET)))
+    assert b"expected 0 to 30 s" in commands._order(pack(Start(7, when, TICKET)))
+    assert commands.starts.empty()
+    assert b"Accepted" in commands._order(pack(Start(7, monotonic_ns() + 10**9, TICKET)))
 
 
 def test_truth():
@@ -304,7 +308,7 @@ def test_poses_of_a_topic():
         if rng.random() < 0.2:  # ever new names
             name = rng.bytes(8).hex()
             data = encode_poses(1, 10**9, 10**9, {name: (0.0,) * 7})
-        topic._ear._waiting.append((monotonic_ns(), data))
+        topic._subscriber._waiting.append((monotonic_ns(), data))
         topic.poll()
         assert len(topic._known) <= MOST_BODIES
 
@@ -316,7 +320,7 @@ def test_poses_of_a_topic():
 
 def test_key_folders(tmp_path):
     rng = np.random.default_rng((ROUND, 4))
-    badge = (
+    credentials = (
         b'{"lab": "lab", "endpoint": "tls/127.0.0.1:7450", "role": "host", "name": "host",'
         b' "fingerprint": "AA", "expires": "2030-01-01T00:00:00+00:00"}'
     )
@@ -330,7 +334,7 @@ def test_key_folders(tmp_path):
     refused = 0
     for _ in range(COUNT // 3):
         for name, whole, read in (
-            ("badge.json", badge, read_badge), (ACCESS, access, read_access),
+            ("credentials.json", credentials, read_credentials), (ACCESS, access, read_access),
         ):  # fmt: skip
             broken = bytearray(whole)
             for _ in range(rng.integers(1, 5)):
@@ -339,7 +343,7 @@ def test_key_folders(tmp_path):
             (tmp_path / name).write_bytes(bytes(broken))
             try:
                 read(tmp_path)
-            except BadgeError:
+            except CredentialsError:
                 refused += 1
     assert refused > COUNT / 20
 
@@ -347,7 +351,7 @@ def test_key_folders(tmp_path):
 # Zenoh itself
 
 
-def test_rubbish_at_the_hosts_door_keeps_nobody_out():
+def test_rubbish_at_the_hosts_port_keeps_no_vehicle_out():
     rng = np.random.default_rng((ROUND, 5))
     port = free_port()
     with listen(f"tcp/127.0.0.1:{port}") as host:

@@ -1,4 +1,4 @@
-"""With the lab's keys everybody may do what the list says, and nobody else anything at all.
+"""With the lab's keys each party may do what the list says, and strangers nothing.
 
 All of it with real certificates that `testbed lab-keys` made, over real TLS on loopback.
 """
@@ -22,11 +22,13 @@ from ports import free_port
 from testbed.cli.keys import lab_keys
 from testbed.config import ConfigError, find, load
 from testbed.core.lab import Network
+from testbed.net import flight_note
 from testbed.net import stop as stopping
 from testbed.net.access import ACCESS, control, open_lab, read_access
 from testbed.net.certificate_authority import Wanted, make_keys
 from testbed.net.commands import Accepted, Answer, Refused, Start, Stop
-from testbed.net.credentials import BadgeError, is_local, read_badge
+from testbed.net.credentials import CredentialsError, is_local, read_credentials
+from testbed.net.flight_note import noted
 from testbed.net.keys import Keys
 from testbed.net.session import (
     NetworkError,
@@ -38,7 +40,7 @@ from testbed.net.session import (
     dial,
     listen,
 )
-from testbed.net.stop import FAILED, OK, noted, stop_everything
+from testbed.net.stop import FAILED, OK, stop_everything
 from testbed.rig.wired.command_server import CommandServer
 
 BLIND = SimpleNamespace(ready=lambda: Refused("sees nothing"))  # a lookout
@@ -68,26 +70,28 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def endpoint(folder):
-    return read_badge(folder / "host").endpoint
+    return read_credentials(folder / "host").endpoint
 
 
 class Commanded:
     """What a vehicle has been told to do."""
 
     def __init__(self, session, name):
-        self.tower = CommandServer(session, KEYS, name, "a board", BLIND, TICKET)
+        self.commands = CommandServer(session, KEYS, name, "a board", BLIND, TICKET)
         self.shut = 0
-        self.tower.take_off(self.close)
+        self.commands.take_off(self.close)
         self.setpoints = Subscriber(session, KEYS.of(name, "setpoint"))
-        self.permits = Subscriber(session, KEYS.permit)
+        self.leases = Subscriber(session, KEYS.lease)
 
     def close(self):
         self.shut += 1
 
     def nothing(self):
-        words = {data for ear in (self.setpoints, self.permits) for _, data in ear.heard()}
+        words = {
+            data for subscriber in (self.setpoints, self.leases) for _, data in subscriber.heard()
+        }
         return (
-            self.tower.starts.empty() and self.tower.stop_reason is None and self.shut == 0
+            self.commands.starts.empty() and self.commands.stop_reason is None and self.shut == 0
             and words <= {LATER}
         )  # fmt: skip
 
@@ -112,14 +116,14 @@ class LabOnLoopback:
             self._sessions[who] = self._stack.enter_context(session)
         return self._sessions[who]
 
-    def settle(self, *ears):
-        """Whatever was said before has arrived, or never will: each ear hears a later word."""
-        for key, ear in ears:
-            mouth, heard = Publisher(self.host, key), []
+    def settle(self, *subscribers):
+        """Wait until each subscriber hears a later message than all before."""
+        for key, subscriber in subscribers:
+            publisher, heard = Publisher(self.host, key), []
 
-            def again(mouth=mouth, ear=ear, heard=heard):
-                mouth.say(LATER)
-                heard.extend(data for _, data in ear.heard())
+            def again(publisher=publisher, subscriber=subscriber, heard=heard):
+                publisher.say(LATER)
+                heard.extend(data for _, data in subscriber.heard())
                 return LATER in heard
 
             wait_for(again)
@@ -142,15 +146,15 @@ def answer(data):
 def test_the_host_arms_and_an_operator_stops(rig):
     told = Commanded(rig["vehicle-sat1"], "sat1")
     order = KEYS.of("sat1", "order")
-    wait_for(lambda: told.tower is not None and _answers(rig.host, order))
+    wait_for(lambda: told.commands is not None and _answers(rig.host, order))
     with pytest.raises(NetworkError, match="no party is there"):
         ask(rig["operator-anna"], order, START, wait_s=0.5)
-    assert told.tower.starts.empty()
+    assert told.commands.starts.empty()
     assert answer(ask(rig.host, order, START)) == Accepted("a board")
-    assert told.tower.starts.get_nowait() == Start(7, 10**9, TICKET)
+    assert told.commands.starts.get_nowait() == Start(7, 10**9, TICKET)
     halt = msgspec.msgpack.encode(Stop("enough"))
     assert answer(ask(rig.host, order, halt)) == Accepted("a board")
-    assert told.tower.stop_reason == "enough"
+    assert told.commands.stop_reason == "enough"
     assert len(answers(rig["operator-anna"], KEYS.stop, 0.5)) == 1
     wait_for(lambda: told.shut > 0)  # here no loop obeys: it is shut without one
     shut = told.shut
@@ -159,10 +163,10 @@ def test_the_host_arms_and_an_operator_stops(rig):
 
 def test_a_flight_that_obeys_a_stop_is_not_shut_before_it_rests(rig):
     told = Commanded(rig["vehicle-sat1"], "sat1")
-    told.tower.obey()
+    told.commands.obey()
     wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
     assert len(answers(rig["operator-anna"], KEYS.stop, 0.5)) == 1
-    assert told.tower.stop_reason == "stopped by the operator"
+    assert told.commands.stop_reason == "stopped by the operator"
     assert told.shut == 0
     at_once = msgspec.msgpack.encode(Stop("twice", at_once=True))
     ask(rig.host, KEYS.of("sat1", "order"), at_once)
@@ -176,13 +180,13 @@ def _answers(session, key):
 
 def test_commands_come_from_the_host_alone(rig):
     told = Commanded(rig["vehicle-sat1"], "sat1")
-    ears = [(KEYS.of("sat1", "setpoint"), told.setpoints), (KEYS.permit, told.permits)]
-    assert list(rig.settle(*ears)) == [[], []]
+    subscribers = [(KEYS.of("sat1", "setpoint"), told.setpoints), (KEYS.lease, told.leases)]
+    assert list(rig.settle(*subscribers)) == [[], []]
     for who in (*UNWELCOME, "operator-anna"):
-        for key in (KEYS.of("sat1", "setpoint"), KEYS.permit, "lab/sat1/*", "lab/**", "**"):
+        for key in (KEYS.of("sat1", "setpoint"), KEYS.lease, "lab/sat1/*", "lab/**", "**"):
             rig[who].put(key, b"forged")
         _passed_on(rig, who)
-    assert list(rig.settle(*ears)) == [[], []]
+    assert list(rig.settle(*subscribers)) == [[], []]
 
 
 def _passed_on(rig, who):
@@ -206,13 +210,13 @@ def test_others_can_neither_arm_nor_stop(rig, who):
     for key in (KEYS.stop, "lab/operator/*", "lab/**", "**"):
         rig[who].put(key, b"stop")
     _passed_on(rig, who)
-    list(rig.settle((KEYS.permit, told.permits)))
+    list(rig.settle((KEYS.lease, told.leases)))
     assert told.nothing()
 
 
-def test_nobody_speaks_for_a_vehicle_but_itself(rig):
+def test_no_other_party_speaks_for_a_vehicle(rig):
     state = KEYS.of("sat1", "state")
-    ear = Subscriber(rig.host, state)
+    subscriber = Subscriber(rig.host, state)
     for who in ("vehicle-sat2", "watcher-screen", "operator-anna", "table"):
         rig[who].put(state, who.encode())
         token = rig[who].liveliness().declare_token(KEYS.of("sat1", "alive"))
@@ -225,7 +229,7 @@ def test_nobody_speaks_for_a_vehicle_but_itself(rig):
 
     def said():
         own.say(b"sat1")
-        heard.extend(data for _, data in ear.heard())
+        heard.extend(data for _, data in subscriber.heard())
         return heard
 
     wait_for(said)
@@ -258,14 +262,14 @@ def test_a_watcher_watches_what_may_be_watched(rig):
 
     def all_seen():
         setpoint.say(b"a command")
-        for word, mouth in mouths.items():
-            mouth.say(b"a word")
+        for word, publisher in mouths.items():
+            publisher.say(b"a word")
             got[word] += len(seen[word].heard())
         heard.extend(told.setpoints.heard())
         return all(got.values()) and heard
 
     wait_for(all_seen)
-    told_of = {data for ear in hidden.values() for _, data in ear.heard()}
+    told_of = {data for subscriber in hidden.values() for _, data in subscriber.heard()}
     assert told_of <= {b"a word"}  # its own session passes on to ** what it may hear
     assert ask(screen, KEYS.experiment) == b"an experiment"
     with pytest.raises(NetworkError):
@@ -287,7 +291,7 @@ def test_the_ones_struck_out_are_shut_out(folder, endpoint, tmp_path):
         assert len(answers(anna, KEYS.stop, 0.5)) == 0
         with pytest.raises(NetworkError):
             ask(anna, KEYS.of("sat1", "order"), START, wait_s=0.3)
-        assert told.tower.starts.empty()
+        assert told.commands.starts.empty()
 
 
 # Who gets in
@@ -307,7 +311,7 @@ def client(endpoint, tls):
     )  # fmt: skip
 
 
-def test_without_a_certificate_nobody_gets_in(rig, folder, endpoint):
+def test_without_a_certificate_no_party_gets_in(rig, folder, endpoint):
     root = str(folder / "host" / "authority.pem")
     for tls in ({"root_ca_certificate": root}, {}):
         with pytest.raises(zenoh.ZError):
@@ -335,14 +339,14 @@ def test_an_expired_certificate_is_none(rig, tmp_path, folder, endpoint):
     for name in ("private.key", "certificate.pem"):
         (copied / "authority" / name).write_bytes((folder / "authority" / name).read_bytes())
     wanted = Wanted("lab", endpoint, [], [("operator", "anna")], -0.5)  # backdated by a day
-    (badge,) = make_keys(copied, wanted, force=False)
-    assert "expired" in badge.ending
+    (credentials,) = make_keys(copied, wanted, force=False)
+    assert "expired" in credentials.ending
     with pytest.raises(NetworkError, match="not expired"):
         dial(endpoint, 0.3, copied / "operator-anna")
 
 
 @pytest.mark.parametrize("who", ["watcher-screen", "vehicle-sat2", "operator-anna"])
-def test_nobody_passes_for_the_host(folder, who):
+def test_no_party_passes_for_the_host(folder, who):
     where = f"tls/127.0.0.1:{free_port()}"
     with listen(where, folder / who), pytest.raises(NetworkError, match="no host answers"):
         dial(where, 0.3, folder / "vehicle-sat1")
@@ -372,7 +376,7 @@ def test_what_is_on_this_machine(endpoint, local):
     assert is_local(endpoint) is local
 
 
-def test_without_keys_nobody_listens_or_dials_beyond_this_machine():
+def test_without_keys_no_socket_reaches_beyond_this_machine():
     for act in (listen, dial):
         with pytest.raises(NetworkError, match="without keys only this machine"):
             act("tcp/0.0.0.0:7450")
@@ -401,8 +405,8 @@ def test_a_key_that_others_can_read_is_not_used(tmp_path):
     lab(tmp_path, "--host", "127.0.0.1")
     key = tmp_path / "host" / "private.key"
     key.chmod(0o640)
-    with pytest.raises(BadgeError, match=r"mode 640, expected 600.*chmod"):
-        read_badge(tmp_path / "host")
+    with pytest.raises(CredentialsError, match=r"mode 640, expected 600.*chmod"):
+        read_credentials(tmp_path / "host")
 
 
 def test_fingerprints_and_expiry_are_what_the_certificates_say(folder):
@@ -410,12 +414,12 @@ def test_fingerprints_and_expiry_are_what_the_certificates_say(folder):
     for who in ("host", "vehicle-sat1", "operator-anna"):
         text = (folder / who / "certificate.pem").read_text()
         digest = hashlib.sha256(ssl.PEM_cert_to_DER_cert(text)).hexdigest()
-        badge = read_badge(folder / who)
-        assert badge.fingerprint.replace(":", "").lower() == digest
-        assert listed[badge.name].fingerprint == badge.fingerprint
+        credentials = read_credentials(folder / who)
+        assert credentials.fingerprint.replace(":", "").lower() == digest
+        assert listed[credentials.name].fingerprint == credentials.fingerprint
         inside = ssl._ssl._test_decode_cert(str(folder / who / "certificate.pem"))
         ends = ssl.cert_time_to_seconds(inside["notAfter"])
-        assert badge.expires.startswith(_date(ends))
+        assert credentials.expires.startswith(_date(ends))
     shown = lab(folder)
     assert all(p.fingerprint in shown and p.expires[:10] in shown for p in listed.values())
 
@@ -441,14 +445,14 @@ def test_keys_are_not_overwritten_unless_that_is_said(tmp_path):
     assert [p.name for p in read_access(tmp_path / "host").party] == ["host", "table", "sat1"]
 
 
-def test_renewing_gives_everybody_new_keys_of_the_same_authority(tmp_path):
+def test_renewing_gives_all_parties_new_keys_of_the_same_authority(tmp_path):
     lab(tmp_path, "--host", "127.0.0.1", "--vehicle", "sat1", "--watcher", "screen")
     before = {p.name: p.fingerprint for p in read_access(tmp_path / "host").party}
     lab(tmp_path, "--renew", "--host", "::1", "--port", "7451")
     after = {p.name: p.fingerprint for p in read_access(tmp_path / "host").party}
     assert before.keys() == after.keys()
     assert not before.items() & after.items()
-    assert read_badge(tmp_path / "vehicle-sat1").endpoint == "tls/[::1]:7451"
+    assert read_credentials(tmp_path / "vehicle-sat1").endpoint == "tls/[::1]:7451"
     assert list(tmp_path.glob(".*")) == []
 
 
@@ -485,11 +489,11 @@ def test_an_authority_that_cannot_be_read_is_said(tmp_path):
         ' "expires": "soon"}',
     ],
 )  # fmt: skip
-def test_a_badge_that_says_nothing_is_refused(tmp_path, text):
+def test_credentials_with_a_missing_field_are_refused(tmp_path, text):
     lab(tmp_path, "--host", "127.0.0.1")
-    (tmp_path / "host" / "badge.json").write_text(text)
-    with pytest.raises(BadgeError, match="lab-keys"):
-        read_badge(tmp_path / "host")
+    (tmp_path / "host" / "credentials.json").write_text(text)
+    with pytest.raises(CredentialsError, match="lab-keys"):
+        read_credentials(tmp_path / "host")
 
 
 @pytest.mark.parametrize(
@@ -498,7 +502,7 @@ def test_a_badge_that_says_nothing_is_refused(tmp_path, text):
 def test_a_list_that_says_nothing_is_refused(tmp_path, text):
     lab(tmp_path, "--host", "127.0.0.1")
     (tmp_path / "host" / ACCESS).write_text(text)
-    with pytest.raises(BadgeError, match=r"access\.toml"):
+    with pytest.raises(CredentialsError, match=r"access\.toml"):
         read_access(tmp_path / "host")
 
 
@@ -546,11 +550,11 @@ def test_stop_with_an_operators_keys(rig, folder, nowhere, monkeypatch, capsys):
     assert stop_everything(None, "lab", folder / "vehicle-sat2") == FAILED
     assert told.nothing()
     assert stop_everything(None, "lab", folder / "operator-anna") == OK
-    assert told.tower.stop_reason == "stopped by the operator"
-    told.tower.stop_reason = None
+    assert told.commands.stop_reason == "stopped by the operator"
+    told.commands.stop_reason = None
     monkeypatch.setattr(stopping, "own_keys", lambda: folder / "operator-anna")
     assert stop_everything(None, "lab") == OK  # the same without a word
-    assert told.tower.stop_reason == "stopped by the operator"
+    assert told.commands.stop_reason == "stopped by the operator"
     assert "  sat1: stops\n" in capsys.readouterr().out
 
 
@@ -559,7 +563,7 @@ def test_stop_on_the_hosts_machine_needs_no_keys(rig, folder, endpoint, nowhere)
     wait_for(lambda: _answers(rig.host, KEYS.of("sat1", "order")))
     with noted(endpoint, "lab", str(folder / "host")):
         assert stop_everything(None, "lab") == OK
-    assert told.tower.stop_reason == "stopped by the operator"
+    assert told.commands.stop_reason == "stopped by the operator"
 
 
 def test_stop_without_the_keys_it_needs_says_what_still_works(nowhere, endpoint, capsys):
@@ -575,7 +579,7 @@ def test_bad_keys_at_home_do_not_keep_the_flights_here_from_being_stopped(
     (nowhere / "home").mkdir()
     with noted(endpoint, "lab", str(folder / "host")):
         assert stop_everything(None, "lab") == FAILED
-    assert told.tower.stop_reason == "stopped by the operator"
+    assert told.commands.stop_reason == "stopped by the operator"
     assert "no keys in" in capsys.readouterr().err
 
 
@@ -585,7 +589,7 @@ def test_a_note_that_says_nothing_does_not_stop_the_stop(nowhere, note):
 
     with noted("tcp/127.0.0.1:1", "lab"):
         pass
-    place = stopping._folders()[0][0] / f"{os.getpid()}.json"
+    place = flight_note._folders()[0][0] / f"{os.getpid()}.json"
     place.write_text(note)
     assert stop_everything(None, "lab") == FAILED
 
@@ -599,7 +603,7 @@ def test_the_list_is_toml_that_a_person_can_edit(folder):
     assert Path(folder / "host" / ACCESS).exists()
 
 
-def test_a_vehicle_sees_whether_somebody_else_has_its_name_and_nothing_more(rig, folder, endpoint):
+def test_a_vehicle_sees_whether_another_has_its_name_and_nothing_more(rig, folder, endpoint):
     own, other = KEYS.of("sat1", "alive"), KEYS.of("sat2", "alive")
     tokens = [
         rig[who].liveliness().declare_token(key)

@@ -1,4 +1,4 @@
-"""A vehicle starts at the order of the host it has enrolled with, and of nobody else."""
+"""A vehicle starts at the order of the host it has enrolled with, and of no other."""
 
 from types import SimpleNamespace
 
@@ -48,17 +48,17 @@ def test_only_an_order_with_the_ticket_is_obeyed(host, endpoint):
     with dial(endpoint) as vehicle, dial(endpoint) as stranger:
         enrolment = Enrolment(vehicle, KEYS, "sat1")
         assert roll.tickets == {"sat1": enrolment.ticket}
-        tower = CommandServer(
+        commands = CommandServer(
             vehicle, KEYS, "sat1", "a board", BLIND, enrolment.ticket, lambda host_ns: host_ns
         )
         soon = monotonic_ns() + 10**9
         for ticket in (0, 1, enrolment.ticket ^ 1):
             answer = ordered(stranger, Start(7, soon, ticket))
             assert answer == Refused("the order to start is not from the host of this session")
-        assert tower.starts.empty()
-        assert tower.bad_orders == 3
+        assert commands.starts.empty()
+        assert commands.refused_orders == 3
         assert ordered(host, Start(8, soon, roll.tickets["sat1"])) == Accepted("a board")
-        assert tower.starts.get_nowait().session == 8
+        assert commands.starts.get_nowait().session == 8
 
 
 def test_a_host_that_was_started_anew_is_given_the_ticket_again(host, endpoint, monkeypatch):

@@ -14,10 +14,12 @@ import pytest
 
 from ports import free_port
 from testbed.core.lab import Network
+from testbed.net import flight_note
 from testbed.net import stop as stopping
+from testbed.net.flight_note import noted
 from testbed.net.keys import Keys
 from testbed.net.session import answer_to, listen
-from testbed.net.stop import FAILED, OK, noted, stop_everything
+from testbed.net.stop import FAILED, OK, stop_everything
 
 KEYS = Keys("lab")
 WAITS = "import sys; print(flush=True); sys.stdin.read()"
@@ -95,10 +97,10 @@ def test_a_folder_that_others_can_write_is_refused(here, capsys):
     assert refused(here, capsys).count("can be written by others (mode 777, expected 700)") == 2
 
 
-def test_a_folder_of_somebody_else_is_refused(here, capsys, monkeypatch):
+def test_a_folder_of_another_user_is_refused(here, capsys, monkeypatch):
     here.mkdir(mode=0o700)
-    folder = stopping._folders()[0][0]
-    monkeypatch.setattr(stopping, "_folders", lambda: [(folder, os.getuid() + 1)])
+    folder = flight_note._folders()[0][0]
+    monkeypatch.setattr(flight_note, "_folders", lambda: [(folder, os.getuid() + 1)])
     assert refused(here, capsys).count(f"belongs to user {os.getuid()}, expected") == 2
 
 
@@ -112,7 +114,7 @@ def test_a_note_that_cannot_be_written_is_said_and_the_flight_goes_on(here, monk
     def full(path, data):
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr(stopping, "write_atomic", full)
+    monkeypatch.setattr(flight_note, "write_atomic", full)
     said, flown = [], False
     with noted("tcp/127.0.0.1:1", "lab", say=said.append):
         flown = True
@@ -122,8 +124,8 @@ def test_a_note_that_cannot_be_written_is_said_and_the_flight_goes_on(here, monk
 
 def test_notes_are_found_without_the_variable_of_the_login(tmp_path, monkeypatch):
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
-    monkeypatch.setattr(stopping.tempfile, "tempdir", str(tmp_path))
-    places = [folder for folder, _ in stopping._folders()]
+    monkeypatch.setattr(flight_note.tempfile, "tempdir", str(tmp_path))
+    places = [folder for folder, _ in flight_note._folders()]
     assert tmp_path / f"airbearing-testbed-{os.getuid()}" in places
 
 
@@ -198,9 +200,9 @@ def test_another_process_with_the_same_number_is_left_alone(here, process):
     pid = process(WAITS)
     with noted("", "", name="hold", pid=pid):
         note = next(here.iterdir())
-        note.write_text(note.read_text().replace(stopping._started(pid), "1"))
+        note.write_text(note.read_text().replace(flight_note._started(pid), "1"))
         assert stop_everything(None, "lab") == FAILED
-    assert stopping._started(pid)
+    assert flight_note._started(pid)
 
 
 def test_a_run_on_the_twin_is_stopped(here, tmp_path):

@@ -9,7 +9,7 @@ from ports import free_port
 from testbed.core.lab import Lab
 from testbed.core.types import Accel, Demand, LawMessage, Pose, State, Twist
 from testbed.mocap.topic import PoseTopic, encode_poses
-from testbed.net.envelope import Verdict
+from testbed.net.envelope import Acceptance
 from testbed.net.keys import Keys
 from testbed.net.links import (
     Blackboard,
@@ -20,8 +20,8 @@ from testbed.net.links import (
 )
 from testbed.net.session import NetworkError, Publisher, answer_to, ask, dial, listen
 from testbed.realtime.wall_clock import WallClock, monotonic_ns
-from testbed.rig.wired import vehicle
-from testbed.rig.wired.vehicle import VehicleError, await_alone
+from testbed.rig.wired import host_contact
+from testbed.rig.wired.host_contact import VehicleError, await_alone
 
 
 def endpoint():
@@ -76,7 +76,7 @@ def test_states_and_setpoints_get_across(party):
     assert set(to_a.neighbours()) == {"b"}
     assert set(b.neighbours()) == {"a"}
     assert b.messages()["a"].values == (1.0, 2.0)
-    assert a.heard.inbox.counts[Verdict.FOREIGN] == 0
+    assert a.heard.inbox.counts[Acceptance.FOREIGN] == 0
 
 
 def test_setpoints_of_another_run_are_refused(party):
@@ -88,7 +88,7 @@ def test_setpoints_of_another_run_are_refused(party):
     def refused():
         now = other.clock.now
         link.publish(Demand(now, 1, 2, 3, 0, 0, now + 0.3))
-        return a.setpoint() or a.heard.inbox.counts[Verdict.FOREIGN] > 3
+        return a.setpoint() or a.heard.inbox.counts[Acceptance.FOREIGN] > 3
 
     wait_for(refused)
     assert a.setpoint() is None
@@ -118,7 +118,7 @@ def test_a_lost_token_is_noticed(sessions):
     wait_for(lambda: not list(host.liveliness().get(key, timeout=1.0)))
 
 
-def test_nobody_there(tmp_path):
+def test_no_party_there(tmp_path):
     with pytest.raises(NetworkError, match="no host answers at"):
         dial(endpoint(), 0.0)
 
@@ -132,7 +132,7 @@ def test_an_address_that_is_taken():
 def test_poses_from_a_topic(sessions):
     host, vehicle, _ = sessions
     topic = PoseTopic(vehicle, "lab/table/pose")
-    mouth, exposures, number = Publisher(host, "lab/table/pose"), [], 0
+    publisher, exposures, number = Publisher(host, "lab/table/pose"), [], 0
 
     def enough():
         nonlocal number
@@ -141,7 +141,7 @@ def test_poses_from_a_topic(sessions):
         if number % 2:
             bodies["b"] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
         now = monotonic_ns()
-        mouth.say(encode_poses(number, now - 10**7, now, bodies))
+        publisher.say(encode_poses(number, now - 10**7, now, bodies))
         exposures.extend(topic.poll())
         return len(exposures) > 5
 
@@ -150,20 +150,20 @@ def test_poses_from_a_topic(sessions):
     assert last.bodies["a"].position == (1.0, 2.0, 3.0)
     assert last.bodies["b"].tracked == bool(last.number % 2)
     assert last.arrived_ns - last.exposed_ns >= 10**7 - 10**6
-    mouth.say(b"garbage")
+    publisher.say(b"garbage")
     wait_for(lambda: topic.poll() is None or topic.bad == 1)
 
 
 def test_a_second_vehicle_of_the_same_name_is_refused_until_the_first_is_gone(
     sessions, monkeypatch
 ):
-    monkeypatch.setattr(vehicle, "ALONE_NS", 0)
+    monkeypatch.setattr(host_contact, "ALONE_NS", 0)
     keys = Keys("lab")
     token = sessions[1].liveliness().declare_token(keys.of("sat1", "alive"))
     wait_for(lambda: list(sessions[0].liveliness().get(keys.of("sat1", "alive"))))
     with pytest.raises(VehicleError, match="another agent flies as sat1"):
         await_alone(sessions[2], keys, "sat1")
     await_alone(sessions[2], keys, "sat2")
-    monkeypatch.setattr(vehicle, "ALONE_NS", 60_000_000_000)
+    monkeypatch.setattr(host_contact, "ALONE_NS", 60_000_000_000)
     token.undeclare()
     await_alone(sessions[2], keys, "sat1")

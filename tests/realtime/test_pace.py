@@ -2,7 +2,7 @@
 
 import pytest
 
-from testbed.realtime.pacer import Pace
+from testbed.realtime.pacer import PacedClock
 
 
 class Wall:
@@ -30,7 +30,7 @@ class Virtual:
 @pytest.mark.parametrize("speed", [0.5, 1.0, 20.0])
 def test_deadlines_are_absolute(speed):
     wall, inner = Wall(0.003), Virtual()
-    pace = Pace(inner, speed, wall.now, wall.sleep)
+    pace = PacedClock(inner, speed, wall.now, wall.sleep)
     for k in range(200):
         pace.wait_until(0.1 * k)
         assert 0.0 <= pace.late_s <= 0.003 + 1e-9
@@ -40,7 +40,7 @@ def test_deadlines_are_absolute(speed):
 
 def test_a_tick_that_takes_too_long_is_late_and_the_next_is_not():
     wall = Wall(0.0)
-    pace = Pace(Virtual(), 1.0, wall.now, wall.sleep)
+    pace = PacedClock(Virtual(), 1.0, wall.now, wall.sleep)
     pace.wait_until(0.0)
     wall.t += 0.15
     assert pace.busy_s == pytest.approx(0.15)
@@ -52,6 +52,6 @@ def test_a_tick_that_takes_too_long_is_late_and_the_next_is_not():
 
 def test_it_may_begin_in_the_middle():
     wall, inner = Wall(0.0), Virtual()
-    pace = Pace(inner, 1.0, wall.now, wall.sleep)
+    pace = PacedClock(inner, 1.0, wall.now, wall.sleep)
     pace.wait_until(5.0)
     assert (wall.t, wall.sleeps) == (100.0, 0)

@@ -5,7 +5,7 @@ from testbed.core.codes import FaultReport, InhibitReason, Refusal, Response
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Wrench
 from testbed.logs.feed import SeenPhase
 from testbed.logs.history import Happening, phase_change
-from testbed.report.fault_story import SUPERVISOR, Said, Story, Trouble
+from testbed.report.fault_story import SUPERVISOR, EventLine, FaultyVehicles, Story
 
 SCENARIO = load(find("zhang2023_table"))
 STUCK = FaultReport("valve_stuck_open", "pushed by 0.045 m/s^2", detector="jet_open")
@@ -29,7 +29,7 @@ def test_every_shipped_fault_is_short():
 
 
 def test_the_banner_names_the_culprit_first():
-    trouble = Trouble(SCENARIO)
+    trouble = FaultyVehicles(SCENARIO)
     lands = Response.LAND
     trouble.see({"sat1": tick(1.0), "sat2": tick(1.0), "sat3": tick(1.0, STUCK, lands, SHUT)})
     newest = {
@@ -48,14 +48,14 @@ def test_who_cannot_speak_is_named_by_the_others():
     said = FaultReport("fleet", "stopped", detector="fleet", cause=silent.origin)
     brakes = Response.BRAKE
     newest = {"sat1": tick(1.0, said, brakes), "sat2": tick(0.4), "sat3": tick(1.0, said, brakes)}
-    trouble = Trouble(SCENARIO)
+    trouble = FaultyVehicles(SCENARIO)
     trouble.see(newest)
     assert trouble.banner(newest).startswith("FAULT sat2: vehicle silent - silent   |")
 
 
 def test_no_fault_no_banner():
     newest = {"sat1": tick(1.0), "sat2": tick(1.0, None, Response.HOLD)}
-    trouble = Trouble(SCENARIO)
+    trouble = FaultyVehicles(SCENARIO)
     trouble.see(newest)
     assert (trouble.banner(newest), trouble.culprits(newest)) == ("", {})
 
@@ -80,13 +80,13 @@ def test_one_sentence_once():
     ]  # fmt: skip
     lines = Story(SCENARIO).tell(rows)
     assert lines == [
-        Said(2.0, ("sat3",), "CRITICAL", f"fault: {STUCK.words}"),
-        Said(2.0, ("sat3",), "ERROR", "valves shut"),
-        Said(2.0, ("sat3",), "ERROR", "land: valve_stuck_open"),
-        Said(2.1, ("sat1", "sat2"), "ERROR", "stopping with the others"),
-        Said(2.2, ("sat3",), "ERROR", "land: pose_stale"),
-        Said(2.8, ("sat1",), "ERROR", "valves shut"),
-        Said(2.9, (SUPERVISOR,), "CRITICAL", "FAULT: sat3"),
+        EventLine(2.0, ("sat3",), "CRITICAL", f"fault: {STUCK.words}"),
+        EventLine(2.0, ("sat3",), "ERROR", "valves shut"),
+        EventLine(2.0, ("sat3",), "ERROR", "land: valve_stuck_open"),
+        EventLine(2.1, ("sat1", "sat2"), "ERROR", "stopping with the others"),
+        EventLine(2.2, ("sat3",), "ERROR", "land: pose_stale"),
+        EventLine(2.8, ("sat1",), "ERROR", "valves shut"),
+        EventLine(2.9, (SUPERVISOR,), "CRITICAL", "FAULT: sat3"),
     ]
     assert sum(STUCK.text in line.words for line in lines) == 1
 

@@ -5,8 +5,9 @@ import pytest
 
 from controllers.sotsmc import SotsmcParams, sotsmc
 from testbed.core.law import Body, Discs, Goal, Neighbours, World
-from testbed.reproduction.settled import reached, settled_after
-from testbed.reproduction.sliding import Motion, decades, slope, surfaces
+from testbed.metrics.formation import settled_after
+from testbed.reproduction.cluster import reached
+from testbed.reproduction.sliding import Trajectory, decades, slope, surfaces
 
 T = np.linspace(0.0, 60.0, 60_001)
 
@@ -41,7 +42,7 @@ def motion(seed, gain=1.0):
         gain * rng.normal(size=(1, 3)),
     )
     obstacles = p + 20.0 * rng.normal(size=(2, 3))
-    return Motion(np.zeros(1), p - 10.0, p, v, a, obstacles, 50.0)
+    return Trajectory(np.zeros(1), p - 10.0, p, v, a, obstacles, 50.0)
 
 
 @pytest.mark.parametrize("seed", range(10))

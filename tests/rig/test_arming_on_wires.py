@@ -82,14 +82,14 @@ def test_a_law_that_dies_and_a_clock_that_is_not_known_are_red():
     assert phases("out") == []
 
 
-def test_setpoints_of_somebody_else_before_the_start_are_red():
+def test_setpoints_of_another_host_before_the_start_are_red():
     over = threading.Event()
 
     def intrude(endpoint):
         with dial(endpoint) as session:
-            mouth = Publisher(session, "lab/sat1/setpoint")
+            publisher = Publisher(session, "lab/sat1/setpoint")
             while not over.wait(0.1):
-                mouth.say(b"anything at all")
+                publisher.say(b"anything at all")
 
     def way(endpoint):
         threading.Thread(target=intrude, args=(endpoint,)).start()
@@ -197,7 +197,7 @@ def test_the_run_after_a_fault_says_so_and_resets_it():
     assert FaultLatch("bench", "lab", "").fault is None
 
 
-def test_on_the_table_somebody_has_to_be_there():
+def test_on_the_table_an_operator_must_be_there():
     done = run("--rig", "table", "--out", "out")
     assert done.exit_code == BAD_INPUT
     assert "--arm" in done.output

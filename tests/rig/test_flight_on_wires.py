@@ -173,7 +173,7 @@ def test_the_same_chain_gives_the_same_outputs(flown):
         assert agent.step(tick.inputs) == tick.outputs
 
 
-def test_nobody_listens_beyond_this_machine(flown):
+def test_no_socket_listens_beyond_this_machine(flown):
     assert flown[3]["addresses"] == {"127.0.0.1"}
 
 
@@ -187,10 +187,10 @@ def test_nothing_is_left(flown):
     assert_nothing_is_left(flown[3])
 
 
-def test_three_vehicles_with_the_law_on_board_and_bad_weather():
+def test_three_vehicles_with_the_law_on_board_and_a_bad_network():
     rig, ending, noted, met = fly(
         "zhang2023_table", "duration_s=2", "deploy.law=vehicle",
-        "table.lab.weather={loss=0.05, delay_s=0.02, spread_s=0.01}",
+        "table.lab.impairment={loss=0.05, delay_s=0.02, spread_s=0.01}",
     )  # fmt: skip
     assert ending.fault is None
     assert set(noted.ticks) == {"sat1", "sat2", "sat3"}

@@ -1,4 +1,4 @@
-"""A flight on the bench in a lab with keys: a watcher stops nobody, an operator everybody."""
+"""A flight on the bench in a lab with keys: a watcher stops no vehicle, an operator all."""
 
 import threading
 
@@ -30,7 +30,7 @@ def make(folder, *arguments):
     assert done.exit_code == 0, done.output
 
 
-def test_a_watcher_stops_nobody_and_an_operator_everybody(tmp_path):
+def test_a_watcher_stops_no_vehicle_and_an_operator_all(tmp_path):
     make(tmp_path, "--vehicle", "sat1", "--operator", "anna", "--watcher", "screen")
     told = []
 

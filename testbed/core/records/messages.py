@@ -250,7 +250,7 @@ CONTACT = message("Contact", "A touch of a vehicle and another body.", """
 
 VALVES = message("Valves", "Outputs of a valve board from t on.", """
     float64 t  # [s]
-    uint64 mask  # jet k is bit k, 1 is open
+    uint64 mask  # bit 0 is jet 1; 1 is open
 """)  # fmt: skip
 
 LOOP = message("Loop", "Timing of a flight's loop in real time.", """

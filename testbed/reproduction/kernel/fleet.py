@@ -40,10 +40,10 @@ class Place(NamedTuple):
     obstacles_v: Wave  # the velocity of all of them [m/s]
     radius: Array  # (k,) of them [m]
     push: Wave  # acceleration in addition to the orbit's [m/s^2]
-    told_sign: float  # sign of g in the drift given to the laws; 1: correct
-    told_coriolis: float  # 1: the drift given to the laws includes C p', 0: it does not
-    told_rate: bool  # laws get the rate of their drift
-    told_push: bool  # the drift given to the laws includes `push`
+    law_g_sign: float  # sign of g in the drift given to the laws; 1: correct
+    law_knows_coriolis: float  # 1: the drift given to the laws includes C p', 0: it does not
+    law_knows_rate: bool  # laws get the rate of their drift
+    law_knows_push: bool  # the drift given to the laws includes `push`
     near: float  # Eq. (2) of xue2022 as printed: two satellites have an edge
     far: float  # exactly if their distance is in (near, far); far = 0: the laws' own graph [m]
     edges_at: int  # index of the first a_ij in a law's state
@@ -69,7 +69,7 @@ class Sight(NamedTuple):
     others: Neighbours  # of the satellite being evaluated
     unheard: Neighbours  # the same without messages
     drift: Array  # (n, d) acceleration without thrust [m/s^2]
-    told: Array  # (n, d) the drift given to the laws [m/s^2]
+    known: Array  # (n, d) the drift given to the laws [m/s^2]
     still: Array  # (d,) zeros
     jolt: Array  # (d,) rate of the given drift of the satellite being evaluated [m/s^3]
 
@@ -170,31 +170,31 @@ def look_at_others(i, t, p, v, said, others):
 
 
 @compiled
-def drifts(place, t, p, v, true, told):
+def drifts(place, t, p, v, true, known):
     """Write the acceleration without thrust, true and as given to the laws; all (n, d)."""
     true[:] = 0.0
-    told[:] = 0.0
+    known[:] = 0.0
     if place.orbiting:
         frame = frame_at(place.chief, t)
         for i in range(p.shape[0]):
             g, c = field(frame, p[i]), coriolis(frame, v[i])
             for a in range(p.shape[1]):
                 true[i, a] = g[a] + c[a]
-                told[i, a] = place.told_sign * g[a] + place.told_coriolis * c[a]
+                known[i, a] = place.law_g_sign * g[a] + place.law_knows_coriolis * c[a]
     push = wave_at(place.push, t)
     for i in range(p.shape[0]):
         for a in range(p.shape[1]):
             true[i, a] += push[a]
-            if place.told_push:
-                told[i, a] += push[a]
+            if place.law_knows_push:
+                known[i, a] += push[a]
 
 
 @compiled
-def jolt(place, t, p, v, told, force, mass, out):
+def jolt(place, t, p, v, known, force, mass, out):
     """Write the rate of the drift of one satellite, shape (d,) [m/s^3]."""
     accel = np.empty(p.shape[0])
     for a in range(p.shape[0]):
-        accel[a] = told[a] + force[a] / mass
+        accel[a] = known[a] + force[a] / mass
     rate = drift_rate(frame_at(place.chief, t), p, v, accel)
     for a in range(p.shape[0]):
         out[a] = rate[a]
@@ -205,29 +205,31 @@ def flow(law, place, mass, t, p, v, z, said, sight, a, z_rate, wanted):
     """Write accelerations, rates of the laws' states and forces at one time."""
     law, place, sight = borrowed(law), borrowed(place), borrowed(sight)
     mass, p, v, z, said = borrowed((mass, p, v, z, said))
-    told, still = sight.told, sight.still
-    drifts(place, t, p, v, sight.drift, told)
+    known, still = sight.known, sight.still
+    drifts(place, t, p, v, sight.drift, known)
     look_round(place, t, sight)
     n, d = p.shape
     if said.shape[1] > 0:
         for i in range(n):
             look_at_others(i, t, p, v, said, sight.unheard)
-            own = Body(p[i], v[i], mass[i], told[i], still, np.inf, i)
+            own = Body(p[i], v[i], mass[i], known[i], still, np.inf, i)
             word = broadcast_of(law, z[i], own, sight.unheard, sight.world, t)
             for k in range(said.shape[1]):
                 said[i, k] = word[k]
     for i in range(n):
         look_at_others(i, t, p, v, said, sight.others)
         sight.jolt[:] = 0.0
-        for _ in range(2 if place.told_rate else 1):  # one call site halves compile time
-            own = Body(p[i], v[i], mass[i], told[i], sight.jolt, np.inf, i)
+        for _ in range(2 if place.law_knows_rate else 1):  # one call site halves compile time
+            own = Body(p[i], v[i], mass[i], known[i], sight.jolt, np.inf, i)
             force, change = rate_of(law, z[i], own, sight.others, sight.world, t)
             for k in range(d):
                 wanted[i, k] = force[k]
             for k in range(z.shape[1]):
                 z_rate[i, k] = change[k]
-            if place.told_rate:  # depends on the force, which in these laws does not depend on it
-                jolt(place, t, p[i], v[i], told[i], wanted[i], mass[i], sight.jolt)
+            if (
+                place.law_knows_rate
+            ):  # depends on the force, which in these laws does not depend on it
+                jolt(place, t, p[i], v[i], known[i], wanted[i], mass[i], sight.jolt)
         for k in range(d):
             applied = within(wanted[i, k], place.max_axis)
             a[i, k] = applied / mass[i] + sight.drift[i, k]

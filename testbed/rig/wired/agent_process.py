@@ -16,11 +16,12 @@ from firmware_interface.limits import LimitsError
 from firmware_interface.serial_board import BoardError
 from firmware_interface.serial_thrusters import ThrustersError
 from testbed.core.lab import Network
-from testbed.net.credentials import BadgeError, read_badge, untrusted
+from testbed.net.credentials import CredentialsError, read_credentials, untrusted
 from testbed.net.session import NetworkError
 from testbed.realtime.heartbeat import attach, in_file
-from testbed.realtime.processes import run_as_child
-from testbed.rig.wired.vehicle import VehicleError, fly_vehicle
+from testbed.realtime.processes import orphaned, run_as_child
+from testbed.rig.wired.host_contact import VehicleError
+from testbed.rig.wired.vehicle import VehicleProcess
 
 FAILURES = (NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError)
 
@@ -34,37 +35,37 @@ class AgentOptions(Struct, frozen=True):
     port: str | None = None  # serial port of the board; None: from the table file
     keys: Path | None = None
     report: Path | None = None  # file for the report at the end
-    heart: Path | None = None  # heartbeat file: shows the host whether the law is being called
+    heartbeat: Path | None = None  # heartbeat file: shows the host whether the law is being called
 
 
 def fly(agent: AgentOptions, say: Callable[[str], None], *, child: bool) -> None:
     """Fly one vehicle, until its host or the operator ends it.
 
     Raises:
-        BadgeError: the keys are not this vehicle's, or do not match the endpoint.
+        CredentialsError: the keys are not this vehicle's, or do not match the endpoint.
         NetworkError, VehicleError, ThrustersError, BoardError, LimitsError, OSError: the host or
             the board is not available.
     """
     endpoint, lab = agent.endpoint, agent.lab
     if agent.keys is not None:
-        badge = read_badge(agent.keys)
-        if (badge.role, badge.name) != ("vehicle", agent.name):
-            raise BadgeError(
-                f"{agent.keys} has the keys of {badge.common_name}, not of {agent.name}"
+        credentials = read_credentials(agent.keys)
+        if (credentials.role, credentials.name) != ("vehicle", agent.name):
+            raise CredentialsError(
+                f"{agent.keys} has the keys of {credentials.common_name}, not of {agent.name}"
             )
-        if badge.ending:
-            say(badge.ending)
-        endpoint, lab = endpoint or badge.endpoint, lab or badge.lab
+        if credentials.ending:
+            say(credentials.ending)
+        endpoint, lab = endpoint or credentials.endpoint, lab or credentials.lab
     endpoint, lab = endpoint or Network().endpoint, lab or Network().lab
     if (why := untrusted(endpoint, agent.keys)) is not None:
-        raise BadgeError(f"{endpoint} is not opened: {why}")
-    if agent.heart is not None:
-        attach(in_file(agent.heart))
+        raise CredentialsError(f"{endpoint} is not opened: {why}")
+    if agent.heartbeat is not None:
+        attach(in_file(agent.heartbeat))
     say(f"looking for the host at {endpoint}")
-    fly_vehicle(
-        agent.name, endpoint, lab, agent.port, agent.keys, child=child, report=agent.report,
-        say=say,
-    )  # fmt: skip
+    VehicleProcess(
+        agent.name, endpoint, lab, agent.port, agent.keys, gone=orphaned if child else None,
+        report=agent.report, say=say,
+    ).run()  # fmt: skip
 
 
 def main() -> None:
@@ -76,4 +77,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(run_as_child(main, (BadgeError, *FAILURES)))
+    sys.exit(run_as_child(main, (CredentialsError, *FAILURES)))

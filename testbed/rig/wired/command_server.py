@@ -23,8 +23,9 @@ class CommandServer:
     """Receives and answers orders to a vehicle."""
 
     def __init__(
-        self, session: zenoh.Session, keys: Keys, name: str, board: str, lookout: PreflightMonitor,
-        ticket: int, to_own: Callable[[int], int | None] = lambda host_ns: None,
+        self, session: zenoh.Session, keys: Keys, name: str, board: str,
+        preflight: PreflightMonitor, ticket: int,
+        to_own: Callable[[int], int | None] = lambda host_ns: None,
     ) -> None:  # fmt: skip
         """Start to receive orders.
 
@@ -33,12 +34,12 @@ class CommandServer:
             keys: of the lab.
             name: of the vehicle.
             board: name of the board that drives the valves.
-            lookout: reports the vehicle's readiness.
+            preflight: reports the vehicle's readiness.
             ticket: an order to start must contain it.
             to_own: converts a time of the host's clock to this machine's clock.
         """
-        self._lookout, self._ticket, self._to_own = lookout, ticket, to_own
-        self.bad_orders = 0  # orders that could not be decoded
+        self._preflight, self._ticket, self._to_own = preflight, ticket, to_own
+        self.refused_orders = 0  # orders that could not be decoded
         self.starts: SimpleQueue[Start] = SimpleQueue()
         self.stop_reason: str | None = None
         self._name, self._board, self._flying = name, board, threading.Event()
@@ -53,7 +54,7 @@ class CommandServer:
         ]
 
     def take_off(self, close: Callable[[], None]) -> None:
-        """From now on a repeated or ignored stop calls `close` in another thread."""
+        """Let a repeated or ignored stop call `close` in another thread from now on."""
         self._close = close
 
     def obey(self) -> None:
@@ -64,12 +65,12 @@ class CommandServer:
         try:
             order: Order = msgspec.msgpack.decode(data, type=Order)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-            self.bad_orders += 1
+            self.refused_orders += 1
             raise
         answer: Answer
         match order:
             case Look():
-                answer = self._lookout.ready()
+                answer = self._preflight.ready()
             case Stop(reason, at_once):
                 if at_once:
                     self.asked.insist()
@@ -79,12 +80,12 @@ class CommandServer:
                 begin = self._to_own(order.epoch_ns)
                 ahead = 0 if begin is None else begin - monotonic_ns()
                 if order.ticket != self._ticket:
-                    self.bad_orders += 1
+                    self.refused_orders += 1
                     answer = Refused("the order to start is not from the host of this session")
                 elif self._flying.is_set():
                     answer = Refused("it already flies")
                 elif not -SOONEST_NS <= ahead <= FARTHEST_NS:
-                    self.bad_orders += 1
+                    self.refused_orders += 1
                     answer = Refused(f"start time is in {1e-9 * ahead:.1f} s; expected 0 to 30 s")
                 else:
                     self._flying.set()

@@ -21,7 +21,7 @@ from testbed.rig.wired.host import WireRig
 
 
 def main() -> int:
-    """Fly."""
+    """Fly one case of the drill on the bench and write its result."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     experiment, folder = load(Path(sys.argv[1]), []), Path(sys.argv[2])
     warm_up(experiment)

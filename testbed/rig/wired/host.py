@@ -26,11 +26,11 @@ from testbed.metrics.run_metrics import Touch
 from testbed.net.access import open_lab
 from testbed.net.commands import Accepted, Refused, Start, Stop
 from testbed.net.credentials import neighbour
+from testbed.net.flight_note import noted
 from testbed.net.keys import Keys
 from testbed.net.links import Party
 from testbed.net.roll_call import Roll
 from testbed.net.session import LARGEST, NetworkError, Subscriber, answer_to
-from testbed.net.stop import noted
 from testbed.realtime.heartbeat import in_file
 from testbed.realtime.processes import ChildError, ProcessGroup
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
@@ -43,13 +43,12 @@ from testbed.rig.wired.preflight import Preflight, order
 from testbed.rig.wired.process_faults import OF_PROCESSES
 from testbed.rig.wired.run_results import RunResults
 from testbed.rig.wired.table_report import TableReport
-from testbed.rig.wired.vehicle import unheard
 from testbed.rig.wired.wired_flight import HostFlight
 
 READY_S = 180.0  # time for vehicles to get ready; the first start compiles
 GREEN_S = 10.0  # time for checks to pass: the camera rate is counted over a second
 AHEAD_NS = 1_500_000_000  # from the order to start to the run's time 0
-PERMIT_NS = 100_000_000  # between two permits before time 0
+LEASE_NS = 100_000_000  # between two leases before time 0
 LOOK_NS = 20_000_000
 SPARE = 6_000  # room for the overhead of a message [bytes]
 
@@ -66,15 +65,6 @@ class NotArmedError(TestbedError):
         self.reasons = reasons
 
 
-def anybody(_: Sequence[str]) -> bool:
-    """Approve arming without asking: for the bench, which has no real vehicles."""
-    return True
-
-
-def uninterested(_: Sequence[Check]) -> None:
-    """Drop the arming checks: they are not shown."""
-
-
 class WireRig:
     """The experiment on real wires.
 
@@ -83,12 +73,12 @@ class WireRig:
         bench: start the twin and the vehicles here; else wait for those of the lab.
         keep: folder for the twin's report; None: a temporary folder.
         log: run folder; its disk must not be full.
-        agree: asks the operator whether these vehicles may be armed.
+        agree: asks the operator whether these vehicles may be armed; by default they may.
         latch: keeps a fault for the next run.
         latched: fault of the previous run, which must be reset first.
         say: called with messages for the operator; by default they are dropped.
-        checked: called with every result of the arming checks.
-        relay: maps the host's endpoint to the one that the bench's vehicles call.
+        checked: called with every result of the arming checks; by default they are dropped.
+        relay: maps the host's endpoint to the endpoint of the bench's vehicles.
     """
 
     def __init__(
@@ -98,11 +88,11 @@ class WireRig:
         bench: bool,
         keep: Path | None = None,
         log: Path | None = None,
-        agree: Callable[[Sequence[str]], bool] = anybody,
+        agree: Callable[[Sequence[str]], bool] = lambda names: True,
         latch: FaultLatch | None = None,
         latched: FaultReport | None = None,
-        say: Callable[[str], None] = unheard,
-        checked: Callable[[Sequence[Check]], None] = uninterested,
+        say: Callable[[str], None] = lambda text: None,
+        checked: Callable[[Sequence[Check]], None] = lambda checks: None,
         relay: Callable[[str], str] = str,
     ) -> None:
         self.experiment = experiment
@@ -255,7 +245,7 @@ class WireRig:
                 name, self._relay(network.endpoint), network.lab,
                 keys=neighbour(Path(network.keys), "vehicle", name) if network.keys else None,
                 report=None if self._keep is None else self._keep.with_name(f"{name}.json"),
-                heart=children.folder / f"{name}.heart",
+                heartbeat=children.folder / f"{name}.heartbeat",
             )  # fmt: skip
             words = msgspec.json.encode(agent, enc_hook=str).decode()
             children.start(name, [*python, "testbed.rig.wired.agent_process", words])
@@ -264,8 +254,8 @@ class WireRig:
     def _blamed(self, children: ProcessGroup, fault: FaultReport | None) -> FaultReport | None:
         """The fault, with the name of the law that ended or blocks its vehicle's process."""
         for name in self.experiment.vehicles:
-            heart = in_file(children.folder / f"{name}.heart")
-            if name in self.results.ended or heart.inside is None:
+            heartbeat = in_file(children.folder / f"{name}.heartbeat")
+            if name in self.results.ended or heartbeat.inside is None:
                 continue
             code = children.ended(name)
             if code is None:
@@ -275,7 +265,7 @@ class WireRig:
                 how = f"ended its process by {signal.Signals(-code).name}"
             else:
                 how = f"ended its process with exit code {code}"
-            text = f"law of {name} ({heart.law}) {how}"
+            text = f"law of {name} ({heartbeat.law}) {how}"
             return FaultReport(FaultId.LAW_STUCK, text, notes=(fault.words,) if fault else ())
         return fault
 
@@ -299,13 +289,13 @@ class WireRig:
         Raises:
             HostError: a vehicle cannot start.
         """
-        there, told, lost = set[str](), set[str](), dict[str, str]()
+        there, reported, lost = set[str](), set[str](), dict[str, str]()
         end = monotonic_ns() + round(1e9 * READY_S)
         while missing := set(self.experiment.vehicles) - there:
             if not self._bench:
                 for name, why in lost.items():
                     self._say(f"{name} has ended: {why}; start `testbed agent {name}` again")
-            if missing != told:
+            if missing != reported:
                 self._checked([
                     Check(f"{name} agent", "not on the network" if name in missing else "", True)
                     for name in self.experiment.vehicles
@@ -313,7 +303,7 @@ class WireRig:
                 if not self._bench:
                     absent = ", ".join(sorted(missing))
                     self._say(f"waiting for {absent}; start `testbed agent` on each computer")
-                told = missing
+                reported = missing
             if stopped():
                 return None
             if children is not None:
@@ -356,7 +346,7 @@ class WireRig:
                     case Refused(reason):
                         raise HostError(f"{name} refuses to start: {reason}")
             # the vehicles float now: check them again
-            self._request("run", preflight, epoch - PERMIT_NS, stopped)
+            self._request("run", preflight, epoch - LEASE_NS, stopped)
         except (HostError, NotArmedError, NetworkError):
             self._call_off(session, keys)
             raise
@@ -366,9 +356,9 @@ class WireRig:
         self._ran = True
         if self._latch is not None:
             self._latch.set()
-        while monotonic_ns() < epoch - PERMIT_NS:
-            flight.permit()
-            sleep_until_ns(monotonic_ns() + PERMIT_NS)
+        while monotonic_ns() < epoch - LEASE_NS:
+            flight.lease()
+            sleep_until_ns(monotonic_ns() + LEASE_NS)
         return flight
 
     def _call_off(self, session: zenoh.Session, keys: Keys) -> None:

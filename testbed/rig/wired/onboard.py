@@ -21,7 +21,7 @@ from testbed.net.commands import (
     Pace,
     TickReport,
 )
-from testbed.net.envelope import Inbox, Outbox, Verdict
+from testbed.net.envelope import Acceptance, Inbox, Outbox
 from testbed.net.impairment import NetworkImpairment
 from testbed.net.links import Party, ZenohVehicleLink
 from testbed.net.session import Publisher, Subscriber
@@ -35,7 +35,7 @@ from testbed.rig.wired.thrusters import WiredThrusters
 LOOK_NS = 10_000_000  # polling period while waiting
 KEPT_S = 10.0
 AIR_S = 1.0  # time for a board to report that its bearing air is off
-PERMITTED_S = 3.0  # without a permit by then the flight ends
+FIRST_LEASE_S = 3.0  # without a lease by then the flight ends
 
 
 class VehicleFlight:
@@ -46,9 +46,9 @@ class VehicleFlight:
         party: Party,
         thrusters: WiredThrusters,
         poses: MocapPoses,
-        tower: CommandServer,
+        commands: CommandServer,
         config: str,
-        drift: HostClock,
+        host_clock: HostClock,
         link: ZenohVehicleLink,
         process_faults: ProcessFaults,
         brakes: bool,
@@ -56,17 +56,19 @@ class VehicleFlight:
         """With `brakes` the vehicle brakes in an emergency, and else lands."""
         self._link, self._foreign, self.brakes = link, 0, brakes
         self.process_faults, self.due = process_faults, 0.0
-        self._storm = NetworkImpairment(
-            party.lab.weather, party.seed, f"permit to {party.name}", party.worse
+        self._impairment = NetworkImpairment(
+            party.lab.impairment, party.seed, f"lease to {party.name}", party.worse
         )
 
-        self._thrusters, self._poses, self._tower = thrusters, poses, tower
-        self._clock, self._config, self._offset = party.clock, config, drift.off
-        self._drift = drift
-        self._mouth = Publisher(party.session, party.keys.of(party.name, "tick"), bulk=True)
+        self._thrusters, self._poses, self._commands = thrusters, poses, commands
+        self._clock, self._config, self._offset = party.clock, config, host_clock.off
+        self._host_clock = host_clock
+        self._publisher = Publisher(party.session, party.keys.of(party.name, "tick"), bulk=True)
         self._out = Outbox(party.run)
-        self._permit_ear = Subscriber(party.session, party.keys.permit, self._storm.arrival)
-        self._permit: Inbox[Lease] = Inbox(
+        self._lease_subscriber = Subscriber(
+            party.session, party.keys.lease, self._impairment.arrival
+        )
+        self._lease: Inbox[Lease] = Inbox(
             msgspec.msgpack.Decoder(Lease).decode, party.run, party.lab.late_s
         )
         self._k = 0
@@ -93,17 +95,21 @@ class VehicleFlight:
         clock = self._clock
         edges = tuple(self._thrusters.edges())
         flown = TickReport(
-            self._k, tick, self._pace(tick.inputs.vitals.late_s), edges, self._tower.operator_stops
+            self._k,
+            tick,
+            self._pace(tick.inputs.vitals.late_s),
+            edges,
+            self._commands.operator_stops,
         )
         self._k += 1
-        self._mouth.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
+        self._publisher.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
 
     def _pace(self, late: float) -> Pace:
         inbox, poses = self._link.heard.inbox, self._poses
-        heard = inbox.counts[Verdict.TAKEN]
+        heard = inbox.counts[Acceptance.TAKEN]
         return Pace(
             late, self._pose_to_valve(), inbox.delay, heard, inbox.missed,
-            sum(inbox.counts.values()) - heard, self._drift.trip,
+            sum(inbox.counts.values()) - heard, self._host_clock.trip,
             str(poses.trouble or ""), poses.lost_frames,
         )  # fmt: skip
 
@@ -124,27 +130,27 @@ class VehicleFlight:
 
     def vitals(self) -> Vitals:
         """Vital data of this process, the network and the operator."""
-        for at, data in self._permit_ear.heard():
-            self._permit.take(data, self._clock.of(at))
-        clock, permit = self._clock, self._permit.newest
+        for at, data in self._lease_subscriber.heard():
+            self._lease.take(data, self._clock.of(at))
+        clock, lease = self._clock, self._lease.newest
         late = max(0.0, clock.now - self.due)
-        before, self._foreign = self._foreign, self._permit.foreign + self._link.foreign
-        if permit is None:
+        before, self._foreign = self._foreign, self._lease.foreign + self._link.foreign
+        if lease is None:
             return Vitals(operator_age=max(0.0, clock.now), late_s=late)
         return Vitals(
-            operator_age=max(0.0, clock.now - self._permit.issued_at),
+            operator_age=max(0.0, clock.now - self._lease.issued_at),
             clock_offset=self._offset(),
             late_s=late,
-            disk_free=permit.disk_free,
-            same_config=permit.config == self._config,
-            fleet=permit.fleet,
+            disk_free=lease.disk_free,
+            same_config=lease.config == self._config,
+            fleet=lease.fleet,
             foreign=self._foreign - before,
         )
 
     @property
     def may_fire(self) -> bool:
-        """Whether the host's supervisor lets this vehicle fire; false before its first permit."""
-        return self._permit.newest is not None and self._permit.newest.may_fire
+        """Whether the host's supervisor lets this vehicle fire; false before its first lease."""
+        return self._lease.newest is not None and self._lease.newest.may_fire
 
     def over(self) -> int:
         """Number of stop requests; 2 shut valves and air at once, or brake if that is shorter."""
@@ -152,29 +158,29 @@ class VehicleFlight:
         if times > 1 and (not self.brakes or self._thrusters.trouble is not None):
             self._thrusters.land()
         if times:
-            self._tower.obey()
+            self._commands.obey()
         return times
 
     def _asked(self) -> int:
-        permit, tower = self._permit.newest, self._tower
+        lease, commands = self._lease.newest, self._commands
         if self._thrusters.trouble is not None:  # the jets cannot be trusted
             if self.fault is None:
                 self.responses.setdefault(Response.LAND, self._clock.now)
             self.fault = self.fault or self._thrusters.trouble
             return 2
-        if permit is None and self._clock.now > PERMITTED_S:
-            self.fault = FaultReport(FaultId.NO_PERMIT, "the host never permitted the flight")
+        if lease is None and self._clock.now > FIRST_LEASE_S:
+            self.fault = FaultReport(FaultId.NO_LEASE, "the host never permitted the flight")
             return 2
-        if permit is not None and permit.at_once:
+        if lease is not None and lease.at_once:
             return 2
         if self.signals.times:
             stop = FaultReport(FaultId.STOPPED, "stopped at the vehicle's own terminal")
             self.fault = self.fault or stop
-        stopped = tower.stop_reason is not None or (permit is not None and not permit.may_fire)
-        return max(tower.asked.times, self.signals.times, int(stopped))
+        stopped = commands.stop_reason is not None or (lease is not None and not lease.may_fire)
+        return max(commands.asked.times, self.signals.times, int(stopped))
 
 
-class Permitted:
+class LeasedNode:
     """A node that is armed only while the host's supervisor permits it."""
 
     def __init__(self, node: VehicleNode, flight: VehicleFlight, clock: WallClock) -> None:
@@ -184,7 +190,7 @@ class Permitted:
         self, t: float, armed: bool, fleet: FaultReport | None = None, *,
         end: bool = False, stay: bool = False,
     ) -> Tick:  # fmt: skip
-        """See `VehicleNode`. Coming to rest at the end needs no permit."""
+        """See `VehicleNode`. Coming to rest at the end needs no lease."""
         self._flight.due = t
         self._flight.process_faults.at_vehicle(self.name, self._clock)
         may_fire = self._flight.may_fire or end
@@ -211,7 +217,7 @@ def counted(asked: Asked) -> Iterator[None]:
 
 
 def land(
-    experiment: Experiment, ending: Ending, clock: WallClock, node: Permitted,
+    experiment: Experiment, ending: Ending, clock: WallClock, node: LeasedNode,
     flight: VehicleFlight, thrusters: WiredThrusters,
 ) -> FaultReport | None:  # fmt: skip
     """Hold position if asked to, come to rest and turn the air off, after any end of the flight.

@@ -54,7 +54,7 @@ class PreflightMonitor:
             return
         self._due = now + self._period
         self._reader.look()
-        if sum(len(ear.heard()) for ear in self._strangers):
+        if sum(len(key.heard()) for key in self._strangers):
             self._strange_at = now
         samples = tuple(self._poses.samples())
         health = self._thrusters.health()

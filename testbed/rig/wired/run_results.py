@@ -12,7 +12,7 @@ from testbed.flight.loop import Ending, Observer
 from testbed.metrics.afterwards import After, Left
 from testbed.metrics.run_metrics import Commands, Consumption, Touch, Track
 from testbed.net.commands import Ended, Pace, TickReport
-from testbed.net.envelope import Verdict
+from testbed.net.envelope import Acceptance
 from testbed.realtime.wall_clock import WallClock
 from testbed.rig.boards import Valves
 from testbed.rig.wired.table_report import TableReport
@@ -177,7 +177,7 @@ class RunResults:
         delays = [1e3 * p.pose_to_valve_s for p in self._paces if p.pose_to_valve_s is not None]
         counts = [ended.counts for ended in self.ended.values()]
 
-        def total(*verdicts: Verdict) -> int:
+        def total(*verdicts: Acceptance) -> int:
             return sum(c.commands.get(v, 0) for c in counts for v in verdicts)
 
         boards = self.report.boards if self.report is not None else self.boards.values()
@@ -187,9 +187,9 @@ class RunResults:
             "pose_to_valve_p99_ms": _percentile(delays, 99),
             "commands": Commands(
                 sent=self._sent,
-                late=total(Verdict.LATE, Verdict.DUPLICATED, Verdict.REORDERED),
-                expired=total(Verdict.EXPIRED),
-                rejected=total(Verdict.FOREIGN, Verdict.SCHEMA, Verdict.GARBLED)
+                late=total(Acceptance.LATE, Acceptance.DUPLICATED, Acceptance.REORDERED),
+                expired=total(Acceptance.EXPIRED),
+                rejected=total(Acceptance.FOREIGN, Acceptance.SCHEMA, Acceptance.GARBLED)
                 + sum(sum(c.refusals.values()) for c in counts),
             ),
             "board": "; ".join(sorted(set(boards))) or None,

@@ -22,7 +22,7 @@ from firmware_interface.limits import limits_of
 from firmware_interface.line_tap import LineTap
 from firmware_interface.messages import Status
 from sim_twin.camera import Cameras
-from sim_twin.fault_injection import Sabotage
+from sim_twin.fault_injection import FaultInjector
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
 from sim_twin.reported import ReportedValves
@@ -31,7 +31,7 @@ from testbed.core.types import Pose, PoseSample
 from testbed.metrics.afterwards import MINUTE, STEP
 from testbed.mocap.exposure import Axes, Sighting
 from testbed.mocap.natnet import Described, MocapFrame, RigidBody
-from testbed.mocap.natnet_server import Address, NatNetServer
+from testbed.mocap.natnet_server import NatNetAddress, NatNetServer
 from testbed.mocap.topic import encode_poses
 from testbed.net.credentials import neighbour
 from testbed.net.envelope import head_of
@@ -45,7 +45,7 @@ SENSE_NS = 100_000_000  # between two gauge readings of the boards
 TRUTH_FRAMES = 5  # exposures between two messages of the truth
 DIAL_NS = 1_000_000_000  # between two attempts to reach the host
 QUIET_NS = 500_000_000  # a serial line without traffic for this long is unused
-LARGEST_S = 1e6  # largest time stamp of a permit
+LARGEST_S = 1e6  # largest time stamp of a lease
 SUPPLY_MV = 12_000
 ERROR_M = 0.0002  # error of the marker fit that a healthy system reports
 UNTRACKED = Sighting((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), tracked=False)
@@ -81,8 +81,8 @@ class TableServer:
         self._spent: list[list[tuple[float, float, int]]] = []
         self._edges: dict[str, list[tuple[int, int]]] = {name: [] for name in self.names}
         self._pose_topic: Publisher | None = None
-        self._permits: Subscriber | None = None  # their stamps give the run's time 0
-        self._sabotage: Sabotage | None = None
+        self._leases: Subscriber | None = None  # their stamps give the run's time 0
+        self._injector: FaultInjector | None = None
         self._down: set[str] = set()  # boards without power
         self._landed: set[str] = set()  # vehicles whose air is off until the end
         limits = [limits_of(model) for model in self.models.values()]
@@ -95,7 +95,7 @@ class TableServer:
             major, minor = wire.version.split(".")
             self._mocap = stack.enter_context(
                 NatNetServer(
-                    Address(wire.server, wire.command_port, wire.data_port, wire.group),
+                    NatNetAddress(wire.server, wire.command_port, wire.data_port, wire.group),
                     (int(major), int(minor)),
                     [Described(k + 1, wire.bodies.get(n, n)) for k, n in enumerate(self.names)],
                 )
@@ -199,10 +199,10 @@ class TableServer:
             air = self.models[name].air
             pressure = air.supply_pressure(air.gas - float(self.plant.used[k]))
             supply_mv = SUPPLY_MV
-            if self._sabotage is not None:
-                if sag := self._sabotage.found(name, "sag"):
+            if self._injector is not None:
+                if sag := self._injector.found(name, "sag"):
                     pressure *= sag.size
-                if flat := self._sabotage.found(name, "flat_battery"):
+                if flat := self._injector.found(name, "flat_battery"):
                     supply_mv = round(1e3 * flat.size)
             self._taps[name].sense(supply_mv, round(pressure))
 
@@ -213,19 +213,19 @@ class TableServer:
         self._follow()
         t = None if self._released_ns is None else 1e-9 * (exposed - self._released_ns)
         if t is not None and t > self.plant.t:
-            if self._sabotage is not None:
-                self._sabotage.before(t)
+            if self._injector is not None:
+                self._injector.before(t)
             self.plant.advance(t)
-            if self._sabotage is not None:
-                self._sabotage.look(t)
+            if self._injector is not None:
+                self._injector.look(t)
             self._t.append(t)
             self._states.append(self.plant.x.tolist())
             openings = [valves.openings for valves in self._valves.values()]
             impulse, used = self.plant.impulse.tolist(), self.plant.used.tolist()
             self._spent.append(list(zip(impulse, used, openings, strict=True)))
         bodies, rows = [], None
-        if self._sabotage is not None and t is not None:
-            rows = self._sabotage.sources(self.names, np.array([t]))
+        if self._injector is not None and t is not None:
+            rows = self._injector.sources(self.names, np.array([t]))
         shown = None if rows is None else np.array(rows, np.int64)
         self._cameras.expose(np.array([1e-9 * exposed]), self.plant.x[None], np.inf, shown)
         for k, name in enumerate(self.names):
@@ -255,10 +255,10 @@ class TableServer:
 
     def _look(self, name: str, k: int) -> Sighting:
         samples = self._cameras.arrived(k)
-        if self._sabotage is not None:
+        if self._injector is not None:
             now = self.plant.t  # injections use the plant's time here
             fresh = [PoseSample(now, one.x, one.y, one.theta) for one in samples]
-            samples = self._sabotage.poses(name, fresh)
+            samples = self._injector.poses(name, fresh)
         if not samples:
             return UNTRACKED
         return self._axes.to_cameras(Pose(samples[-1].x, samples[-1].y, samples[-1].theta))
@@ -273,7 +273,7 @@ class TableServer:
             self._stack.callback(self._session.close)
             self._truth = Publisher(self._session, self._keys.truth, bulk=True)
             self._pose_topic = Publisher(self._session, self._keys.pose)
-            self._permits = Subscriber(self._session, self._keys.permit)
+            self._leases = Subscriber(self._session, self._keys.lease)
 
     def _tell(self, exposed: int) -> None:
         if self._truth is not None:
@@ -284,22 +284,22 @@ class TableServer:
 
     def _rehearse(self) -> None:
         """Inject the faults that are due; their times are converted to the plant's time."""
-        if self._sabotage is None:
-            self._plan_sabotage()
+        if self._injector is None:
+            self._plan_injections()
             return
-        sabotage = self._sabotage
+        injector = self._injector
         for name, tap in self._taps.items():
-            if sabotage.found(name, "cut_serial"):
+            if injector.found(name, "cut_serial"):
                 tap.cut = True
-            dead = sabotage.found(name, "brown_out") is not None
+            dead = injector.found(name, "brown_out") is not None
             if dead != (name in self._down):
                 self._power(name, tap, off=dead)
 
-    def _plan_sabotage(self) -> None:
+    def _plan_injections(self) -> None:
         """Schedule the injections as soon as the run's time 0 is known."""
-        if self._permits is None or self._released_ns is None or not self.experiment.inject:
+        if self._leases is None or self._released_ns is None or not self.experiment.inject:
             return
-        for at, data in self._permits.heard():
+        for at, data in self._leases.heard():
             head = head_of(data)
             if head is None or not abs(head.issued_at) < LARGEST_S:
                 continue  # not from the host
@@ -312,7 +312,7 @@ class TableServer:
             size, seed = self.experiment.table.size, self.experiment.seed
             half = (size[0] / 2, size[1] / 2)
             obstacles = self.experiment.obstacles
-            self._sabotage = Sabotage(shifted, self.plant, obstacles, half, seed, boards=False)
+            self._injector = FaultInjector(shifted, self.plant, obstacles, half, seed, boards=False)
             return
 
     def _power(self, name: str, tap: LineTap, *, off: bool) -> None:
@@ -365,8 +365,8 @@ class TableServer:
         end = plant.t + MINUTE
         while plant.t < end and not (t and plant.stands):
             until = min(plant.t + 1.0, end)
-            if self._sabotage is not None:
-                self._sabotage.before(until)
+            if self._injector is not None:
+                self._injector.before(until)
             marks = np.arange(plant.t, until, STEP)
             states += plant.advance(until, marks).tolist()
             t += marks.tolist()

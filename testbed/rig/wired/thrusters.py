@@ -1,4 +1,4 @@
-"""What opens a vehicle's valves: the serial board, or a plug-in of the group `testbed.thrusters`.
+"""The driver of a vehicle's valves: the serial board, or a plug-in (group `testbed.thrusters`).
 
 A plug-in is a class or function. It is called with the `options` of [lab.thrusters], and with
 `vehicle`, `name` and `clock` where it has such parameters. What it returns is a `ThrusterBoard`.
@@ -26,7 +26,7 @@ FAILED = object()  # instead of an answer
 
 
 class WiredThrusters(Thrusters, Protocol):
-    """What a vehicle's process asks of its thrusters, whichever; see `SerialThrusters`."""
+    """Interface of all thrusters to a vehicle's process; see `SerialThrusters`."""
 
     epoch_us: int
     sent: deque[tuple[int, int]]
@@ -83,12 +83,12 @@ class PluggedThrusters:
         self.floats = False  # whether bearing air is on, as far as the plug-in obeyed
         self.sent = deque[tuple[int, int]](maxlen=1000)
         self._clock = MonotonicClock()
-        told = {"vehicle": vehicle, "name": name, "clock": self._clock}
+        provided = {"vehicle": vehicle, "name": name, "clock": self._clock}
         try:
             made = plugin.load(plugin.THRUSTERS, system, THRUSTER_SYSTEMS)
-            kind = plugin.option_type(made, plugin.TOLD[plugin.THRUSTERS])
+            kind = plugin.option_type(made, plugin.PROVIDED[plugin.THRUSTERS])
             values = msgspec.convert(options, kind)
-            self._driver: ThrusterBoard = plugin.call(made, values, told)
+            self._driver: ThrusterBoard = plugin.call(made, values, provided)
         except (plugin.PluginError, msgspec.ValidationError) as error:
             raise ThrustersError(f"{self.board}: {error}") from error
         except Exception as error:  # a plug-in may raise anything
@@ -111,7 +111,7 @@ class PluggedThrusters:
         self._ask(self._driver.close, None)
 
     def _ask(self, verb: Callable[..., Any], otherwise: Any, *words: Any, **more: Any) -> Any:
-        """What the plug-in answers; what it raises is trouble."""
+        """Call the plug-in; an exception becomes `trouble`."""
         with self._lock:
             try:
                 return verb(*words, **more)
@@ -129,7 +129,7 @@ class PluggedThrusters:
             raise ThrustersError(self.trouble.text)
 
     def arm(self) -> None:
-        """From now on plans are handed over."""
+        """Pass plans to the plug-in from now on."""
         if self.trouble is not None:
             raise ThrustersError(self.trouble.text)
         self._armed = True
@@ -158,7 +158,7 @@ class PluggedThrusters:
             self.sent.append((command.seq, round(1e6 * max(start, self._clock.now))))
 
     def health(self) -> Health:
-        """See `Thrusters`; of a plug-in that fails the last one, as old as it is."""
+        """See `Thrusters`; after a failure the last health, with its age."""
         with self._lock:
             now, before = self._clock.now, self._health
             self._health = self._ask(self._driver.health, before)
@@ -168,7 +168,7 @@ class PluggedThrusters:
             return replace(self._health, t=now - 1e-6 * self.epoch_us, silent_s=silent)
 
     def edges(self) -> list[tuple[float, int]]:
-        """What the valves did since the last call: the run's time, mask."""
+        """Valve edges since the last call: time of the run [s], mask."""
         with self._lock:
             self._look()
             found, self._edges = self._edges, []

@@ -1,4 +1,4 @@
-"""The flight in the host's process: laws, permits and the vehicles' reports."""
+"""The flight in the host's process: laws, leases and the vehicles' reports."""
 
 import math
 from collections.abc import Callable
@@ -28,7 +28,7 @@ from testbed.core.types import (
 from testbed.flight.agent import lead_time
 from testbed.flight.loop import Ending, HostNode, Observer, fly
 from testbed.net.commands import Ended, Lease, Stop, TickReport, config_id
-from testbed.net.envelope import Inbox, Outbox, Verdict
+from testbed.net.envelope import Acceptance, Inbox, Outbox
 from testbed.net.links import Blackboard, Party, ZenohHostLink, host_states
 from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
 from testbed.realtime.scheduling import realtime_priority
@@ -40,11 +40,11 @@ from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
 
 PRIORITY = 10  # below the vehicles, which drive the valves
-PERMIT_S = 1.0  # lifetime of a permit: as long as the operator may be absent
+LEASE_S = 1.0  # lifetime of a lease: as long as the operator may be absent
 LOST_S = 1.0  # a vehicle that is silent for this long is lost
 WAIT_S = 4.0  # time for the vehicles' final reports, beyond their longest brake
 LOOK_NS = 20_000_000
-PERMIT_NS = 100_000_000  # between two permits after the end
+LEASE_NS = 100_000_000  # between two leases after the end
 WORDS_S = 1.0  # from a vehicle's last tick to its final report
 
 
@@ -112,10 +112,10 @@ class RemoteNode:
 _open_truth = msgspec.msgpack.Decoder(tuple[int, dict[str, list[float]]]).decode
 
 
-def newest_truth(told: list[tuple[int, bytes]]) -> tuple[dict[str, list[float]] | None, int]:
+def newest_truth(messages: list[tuple[int, bytes]]) -> tuple[dict[str, list[float]] | None, int]:
     """The newest valid message of the truth, and the number of invalid ones."""
     bad = 0
-    for _, data in reversed(told):
+    for _, data in reversed(messages):
         try:
             poses = _open_truth(data)[1]
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
@@ -128,7 +128,7 @@ def newest_truth(told: list[tuple[int, bytes]]) -> tuple[dict[str, list[float]] 
 
 
 class HostFlight:
-    """One flight.
+    """The flight as the host sees it: leases, reports, stops.
 
     Args:
         experiment: the experiment to fly.
@@ -160,7 +160,7 @@ class HostFlight:
         open_event = msgspec.msgpack.Decoder(Ended).decode
         self._flown = {n: Inbox(open_tick, party.run, LOST_S) for n in self._names}
         self._ended = {n: Inbox(open_event, party.run, LOST_S) for n in self._names}
-        self._permit, self._seal = Publisher(party.session, keys.permit), Outbox(party.run)
+        self._lease, self._seal = Publisher(party.session, keys.lease), Outbox(party.run)
         self._board = Blackboard()
         self._nodes = {
             n: RemoteNode(n, len(experiment.vehicles[n].model.jets), self._meet)
@@ -180,8 +180,8 @@ class HostFlight:
         """Whether an operator asked for a stop at any terminal."""
         return self._asked.times > 0
 
-    def permit(self) -> None:
-        """Send a permit to the vehicles, with the host data that they need."""
+    def lease(self) -> None:
+        """Send a lease to the vehicles, with the host data that they need."""
         now = self._party.clock.now
         faults = (replace(n.fault, vehicle=n.name) for n in self._nodes.values() if n.fault)
         fleet = self._fleet or next(faults, None)
@@ -190,8 +190,8 @@ class HostFlight:
             return
         config = "another" if rehearsed("config_differs") else self._config
         disk_free = 0.0 if rehearsed("disk_full") else self._disk_free()
-        permit = Lease(self._armed, fleet, config, disk_free, self._at_once)
-        self._permit.say(self._seal.seal(permit, now, now + PERMIT_S))
+        lease = Lease(self._armed, fleet, config, disk_free, self._at_once)
+        self._lease.say(self._seal.seal(lease, now, now + LEASE_S))
 
     def fly(self, observer: Observer, stopped: Callable[[], int]) -> Ending:
         """Fly to the end, to a fault, or until `stopped()`."""
@@ -221,7 +221,7 @@ class HostFlight:
             self._hold(asked)
         if ending.t < experiment.end_s or holding:
             self._armed, self._at_once = False, asked() > 1
-            self.permit()
+            self.lease()
             reason = ending.fault.words if ending.fault else "the host has ended the flight"
             self._stop_all(reason, at_once=self._at_once)
         self._await_ends(asked)
@@ -245,7 +245,7 @@ class HostFlight:
         return Ending(ending.t, fault)
 
     def _meet(self, armed: bool, fleet: FaultReport | None) -> None:
-        """Receive from all vehicles; the loop's data for them goes into the next permit."""
+        """Receive from all vehicles; the loop's data for them goes into the next lease."""
         self._armed, self._fleet = armed, fleet
         self._listen()
 
@@ -266,7 +266,7 @@ class HostFlight:
     def done(self, t: float) -> None:
         """See `Observer`."""
         self._process_faults.at_host()
-        self.permit()
+        self.lease()
         if intruder := self._process_faults.found("foreign_session"):
             self._intrude(intruder.vehicle)
         self._board.tick += 1
@@ -288,25 +288,25 @@ class HostFlight:
 
     def _listen(self) -> None:
         clock, book = self._party.clock, self._book
-        if self.truth is not None and (told := self.truth.heard()):
-            poses, bad = newest_truth(told)
+        if self.truth is not None and (messages := self.truth.heard()):
+            poses, bad = newest_truth(messages)
             self.bad_truth += bad
             if poses is not None:
                 book.note_truth({n: poses[n] for n in self._names if n in poses})
-        for name, ear in self._ticks.items():
-            for at, data in ear.heard():
+        for name, subscriber in self._ticks.items():
+            for at, data in subscriber.heard():
                 box = self._flown[name]
-                if box.take(data, clock.of(at)) is Verdict.TAKEN and box.newest is not None:
+                if box.take(data, clock.of(at)) is Acceptance.TAKEN and box.newest is not None:
                     node = self._nodes[name]
                     node.heard_at, node.newest = clock.of(at), box.newest.tick
                     self._asked.at_least(box.newest.stops)  # a stop may reach a vehicle only
                     book.note_tick(name, box.newest)
                     assert self._observer is not None
                     self._observer.vehicle(name, box.newest.tick)
-        for name, ear in self._events.items():
-            for at, data in ear.heard():
+        for name, subscriber in self._events.items():
+            for at, data in subscriber.heard():
                 end = self._ended[name]
-                if end.take(data, clock.of(at)) is Verdict.TAKEN and end.newest is not None:
+                if end.take(data, clock.of(at)) is Acceptance.TAKEN and end.newest is not None:
                     book.note_end(name, end.newest)
                     self._nodes[name].ended = end.newest
 
@@ -334,20 +334,20 @@ class HostFlight:
         def over() -> bool:
             if asked() > 1 and not self._at_once:
                 self._at_once = True
-                self.permit()
+                self.lease()
                 self._stop_all("the operator stopped twice", at_once=True)
             return not any(map(self._comes_to_rest, self._nodes.values()))
 
         self._listen_until(WAIT_S + self._experiment.flight.ending.brake_s, over)
 
     def _listen_until(self, longest: float, over: Callable[[], bool]) -> None:
-        """Receive and permit until `over()`, or for `longest` [s]."""
-        end, permit_at = monotonic_ns() + round(1e9 * longest), monotonic_ns()
+        """Receive and renew leases until `over()`, or for `longest` [s]."""
+        end, lease_at = monotonic_ns() + round(1e9 * longest), monotonic_ns()
         self._listen()
         while monotonic_ns() < end and not over():
-            if monotonic_ns() >= permit_at:
-                permit_at = monotonic_ns() + PERMIT_NS
-                self.permit()
+            if monotonic_ns() >= lease_at:
+                lease_at = monotonic_ns() + LEASE_NS
+                self.lease()
             sleep_until_ns(monotonic_ns() + LOOK_NS)
             self._listen()
 

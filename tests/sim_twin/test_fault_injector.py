@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from sim_twin.board import last_closing
-from sim_twin.fault_injection import Sabotage
+from sim_twin.fault_injection import FaultInjector
 from sim_twin.plant import FRICTION, GRAVITY
 from testbed.core.fault_injection import Injection
 from testbed.core.table import Obstacle
@@ -22,8 +22,8 @@ def plant(make_plant, make_vehicle):
     return make_plant([make_vehicle()], AT_REST)
 
 
-def sabotage(plant, *injections, obstacles=None):
-    return Sabotage(injections, plant, obstacles or {}, (3.0, 3.0), seed=0)
+def injector(plant, *injections, obstacles=None):
+    return FaultInjector(injections, plant, obstacles or {}, (3.0, 3.0), seed=0)
 
 
 def fault(kind, at_s=1.0, **more):
@@ -38,7 +38,7 @@ def advance(plant, broken, until, step=0.1):
 
 
 def test_a_valve_that_is_stuck_open_pushes_from_that_instant(plant, make_vehicle):
-    vehicle, broken = make_vehicle(), sabotage(plant, fault("stick_open", 1.03, jet=1))
+    vehicle, broken = make_vehicle(), injector(plant, fault("stick_open", 1.03, jet=1))
     advance(plant, broken, 1.0)
     assert not plant.x.any()
     advance(plant, broken, 2.0)
@@ -48,7 +48,7 @@ def test_a_valve_that_is_stuck_open_pushes_from_that_instant(plant, make_vehicle
 
 
 def test_a_valve_that_is_stuck_shut_plays_nothing(plant, make_plan):
-    broken = sabotage(plant, fault("stick_closed", 0.05, jet=1))
+    broken = injector(plant, fault("stick_closed", 0.05, jet=1))
     for k in range(3):
         plant.boards["0"].apply(make_plan(0.1 * k, {0: (0.0, 0.1), 4: (0.0, 0.1)}))
         broken.before(0.1 * (k + 1))
@@ -59,13 +59,13 @@ def test_a_valve_that_is_stuck_shut_plays_nothing(plant, make_plan):
 
 
 def test_a_stuck_valve_may_come_free(plant):
-    broken = sabotage(plant, fault("stick_open", 1.0, jet=1, for_s=0.5))
+    broken = injector(plant, fault("stick_open", 1.0, jet=1, for_s=0.5))
     advance(plant, broken, 3.0)
     assert plant.impulse[0] == pytest.approx(0.6 * 0.5, rel=1e-9)
 
 
 def test_a_valve_that_leaks_pushes_a_share_and_open_no_more_than_whole(plant, make_plan):
-    broken = sabotage(plant, fault("leak_valve", 1.0, value=0.3, jet=1))
+    broken = injector(plant, fault("leak_valve", 1.0, value=0.3, jet=1))
     advance(plant, broken, 1.0)
     assert not plant.x.any()
     advance(plant, broken, 2.0)
@@ -78,7 +78,7 @@ def test_a_valve_that_leaks_pushes_a_share_and_open_no_more_than_whole(plant, ma
 
 
 def test_a_leak_takes_gas(plant):
-    broken = sabotage(plant, fault("leak", 1.05, value=0.01, for_s=2.0))
+    broken = injector(plant, fault("leak", 1.05, value=0.01, for_s=2.0))
     advance(plant, broken, 1.0)
     assert plant.used[0] == 0.0
     advance(plant, broken, 5.0)
@@ -107,9 +107,9 @@ def test_the_board_of_a_dead_process_lands_the_vehicle(make_plant, make_vehicle)
     """At 0.1 m/s: 0.15 s to the watchdog, 0.1 s of the file's room, and a window of the plant."""
     landing = {"speed": 0.1, "slope": 0.0, "room": 0.1 * 0.25 + 0.1**2 / (2.0 * 0.1 * GRAVITY)}
     plant = drifting(make_plant, make_vehicle, **landing)
-    advance(plant, sabotage(plant, fault("kill_process", 1.0)), 1.2)
+    advance(plant, injector(plant, fault("kill_process", 1.0)), 1.2)
     assert plant.floats(0)
-    advance(plant, sabotage(plant, fault("kill_process", 1.0)), 3.0)
+    advance(plant, injector(plant, fault("kill_process", 1.0)), 3.0)
     assert plant.landed[0] == pytest.approx(1.3)
     assert plant.stands
     assert plant.x[0, 0] == pytest.approx(0.13 + 0.1**2 / (2.0 * FRICTION * GRAVITY), rel=1e-9)
@@ -119,10 +119,10 @@ def test_it_keeps_the_air_on_if_its_file_says_so_or_the_process_is_back_in_time(
     make_plant, make_vehicle
 ):
     plant = drifting(make_plant, make_vehicle, by_board=False)
-    advance(plant, sabotage(plant, fault("kill_process", 1.0)), 3.0)
+    advance(plant, injector(plant, fault("kill_process", 1.0)), 3.0)
     assert plant.floats(0)
     plant = drifting(make_plant, make_vehicle)
-    advance(plant, sabotage(plant, fault("kill_process", 1.0, for_s=0.149)), 3.0)
+    advance(plant, injector(plant, fault("kill_process", 1.0, for_s=0.149)), 3.0)
     assert plant.floats(0)
 
 
@@ -136,7 +136,7 @@ def test_what_stands_does_not_slide_down_the_slope(make_plant, make_vehicle, mak
 
 
 def test_a_board_without_power_shuts_its_valves_and_hears_nothing(plant, make_plan):
-    board, broken = plant.boards["0"], sabotage(plant, fault("brown_out", 0.05, for_s=0.2))
+    board, broken = plant.boards["0"], injector(plant, fault("brown_out", 0.05, for_s=0.2))
     board.apply(make_plan(0.0, {0: (0.0, 0.1)}))
     broken.before(0.1)
     assert last_closing(board.pulses) == pytest.approx(0.05)
@@ -169,21 +169,21 @@ SEEN = [PoseSample(t, 0.1 * t, 0.0, 0.0) for t in (0.9, 1.0, 1.1)]
     ],
 )
 def test_cameras_fail_with_the_first_frame_after_it(kind, expected, plant):
-    broken = sabotage(plant, fault(kind))
+    broken = injector(plant, fault(kind))
     broken.look(1.2)
     assert broken.poses("0", SEEN) == expected
     assert broken.poses("another", SEEN) == SEEN
 
 
 def test_noise_is_drawn_from_the_seed(plant):
-    looks = [sabotage(plant, fault("noisy_mocap")).poses("0", SEEN) for _ in range(2)]
+    looks = [injector(plant, fault("noisy_mocap")).poses("0", SEEN) for _ in range(2)]
     assert looks[0] == looks[1]
     assert looks[0][0] == SEEN[0]
     assert looks[0][1] != SEEN[1]
 
 
 def test_a_step_of_the_clock_moves_the_stamps(plant):
-    broken = sabotage(plant, fault("clock_step", value=0.2))
+    broken = injector(plant, fault("clock_step", value=0.2))
     broken.look(1.2)
     assert [s.captured_at for s in broken.poses("0", SEEN)] == pytest.approx([0.7, 0.8, 0.9])
     assert broken.vitals("0").clock_offset == 0.2
@@ -191,7 +191,7 @@ def test_a_step_of_the_clock_moves_the_stamps(plant):
 
 def test_bodies_are_swapped_frame_by_frame(make_plant, make_vehicle):
     plant = make_plant([make_vehicle()] * 2, [[0.0] * 6, [1.0] + [0.0] * 5])
-    broken = sabotage(plant, fault("swap_bodies", 1.0, other="1", for_s=0.5))
+    broken = injector(plant, fault("swap_bodies", 1.0, other="1", for_s=0.5))
     rows = broken.sources(["0", "1"], np.array([0.9, 1.0, 1.4, 1.5]))
     assert rows == [[0, 1], [1, 0], [1, 0], [0, 1]]
     assert broken.sources(["0", "1"], np.array([0.5])) is None
@@ -205,7 +205,7 @@ def test_bodies_are_swapped_frame_by_frame(make_plant, make_vehicle):
     ],
 )  # fmt: skip
 def test_vitals(kind, says, plant):
-    broken = sabotage(plant, fault(kind, for_s=1.0))
+    broken = injector(plant, fault(kind, for_s=1.0))
     assert broken.vitals("0") == ALL_WELL
     broken.look(1.5)
     assert {name: getattr(broken.vitals("0"), name) for name in says} == says
@@ -217,11 +217,11 @@ def test_what_befalls_law_process_and_link(plant):
     for kind, before, after in (
         ("nan_law", "", "nan"), ("raise_law", "", "raise"),
     ):  # fmt: skip
-        broken = sabotage(plant, fault(kind))
+        broken = injector(plant, fault(kind))
         assert broken.spoilt("0") == before
         broken.look(1.0)
         assert broken.spoilt("0") == after
-    broken = sabotage(plant, fault("kill_process"), fault("delay_link"), fault("lose_link"))
+    broken = injector(plant, fault("kill_process"), fault("delay_link"), fault("lose_link"))
     assert not broken.dead("0")
     assert broken.air("0") == (0.0, 0.0)
     broken.look(1.0)
@@ -239,7 +239,7 @@ def test_what_befalls_law_process_and_link(plant):
 def test_an_event_begins_a_fault(event, threshold, place, plant):
     obstacles = {"o": Obstacle((2.0, 0.0), 0.8)}
     what = Injection("drop_mocap", "0", event=event, threshold=threshold)
-    broken = sabotage(plant, what, obstacles=obstacles)
+    broken = injector(plant, what, obstacles=obstacles)
     broken.look(1.0)
     assert broken.began() == [math.inf]
     plant.x[0, :2] = place
@@ -252,7 +252,7 @@ def test_an_event_begins_a_fault(event, threshold, place, plant):
 def test_two_that_meet_begin_a_fault(make_plant, make_vehicle):
     plant = make_plant([make_vehicle()] * 2, [[0.0] * 6, [1.0] + [0.0] * 5])
     what = Injection("drop_mocap", "0", event="near_vehicle", threshold=0.8)
-    broken = sabotage(plant, what)
+    broken = injector(plant, what)
     broken.look(1.0)
     assert broken.began() == [math.inf]
     plant.x[1, 0] = 0.7

@@ -1,0 +1,155 @@
+"""Notes that flights leave on their machine, so that `testbed stop` finds them.
+
+The note of a host has its endpoint and its key folder, so the reader needs no keys of their own.
+The note of a flight on the twin has its process id. No slow modules such as numpy are imported.
+"""
+
+import json
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from testbed.core.error import TestbedError
+from testbed.files import write_atomic
+
+
+class StoppableFlight(NamedTuple):
+    """A flight that can be stopped."""
+
+    endpoint: str  # of its host; empty: a flight on the twin
+    lab: str = "lab"
+    keys: str = ""  # key folder; empty: no keys
+    vehicles: Sequence[str] = ()  # empty: ask the host
+    name: str = ""
+    pid: int = 0  # 0: not known
+    started: str = ""  # start time of the process in /proc: process ids are reused
+    folder: str = ""  # run folder; empty: not known
+
+
+class NoteError(TestbedError):
+    """The folder of the notes cannot be trusted."""
+
+
+def _bases(uid: int) -> list[Path]:
+    """Folders that may hold a user's notes; ssh, sudo and cron do not set XDG_RUNTIME_DIR."""
+    said = os.environ.get("XDG_RUNTIME_DIR")
+    if said and uid == os.getuid():
+        return [Path(said)]
+    login = Path(f"/run/user/{uid}")
+    return [*([login] if login.is_dir() else []), Path(tempfile.gettempdir())]
+
+
+def _folders() -> list[tuple[Path, int]]:
+    """Folders of notes and their expected owners; under sudo also those of the calling user."""
+    users = [os.getuid()]
+    if users == [0] and os.environ.get("SUDO_UID", "").isdecimal():
+        users.append(int(os.environ["SUDO_UID"]))
+    return [(base / f"airbearing-testbed-{uid}", uid) for uid in users for base in _bases(uid)]
+
+
+def _check(folder: Path, uid: int) -> None:
+    """Raise a NoteError if other users could have written these notes."""
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode):
+        raise NoteError(f"{folder} is not a folder; remove it")
+    if found.st_uid != uid:
+        raise NoteError(
+            f"{folder} belongs to user {found.st_uid}, expected {uid}: another user made it;"
+            " have it removed"
+        )
+    if found.st_mode & 0o022:
+        raise NoteError(
+            f"{folder} can be written by others (mode {found.st_mode & 0o777:o}, expected 700):"
+            f" chmod 700 {folder}"
+        )
+
+
+def complain(text: str) -> None:
+    """Print a line on stderr."""
+    sys.stderr.write(f"{text}\n")
+
+
+@contextmanager
+def noted(
+    endpoint: str, lab: str, keys: str = "", vehicles: Sequence[str] = (), name: str = "",
+    pid: int = 0, say: Callable[[str], None] = complain, folder: Path | None = None,
+) -> Iterator[None]:  # fmt: skip
+    """Keep a note of a flight while the context is open.
+
+    Args:
+        endpoint: where its host listens; empty: it is flown on the twin.
+        lab, keys: of that host.
+        vehicles: the flight's vehicles.
+        name: of the experiment.
+        pid: process that ends the flight; 0: this one.
+        say: called with a warning if the note cannot be written; the flight goes on.
+        folder: run folder, by which an operator's page finds the flight.
+    """
+    pid = pid or os.getpid()
+    keys = str(Path(keys).absolute()) if keys else ""
+    where = "" if folder is None else str(folder.absolute())
+    flight = StoppableFlight(endpoint, lab, keys, list(vehicles), name, pid, _started(pid), where)
+    try:
+        note = _leave(json.dumps(flight._asdict()).encode())
+    except (OSError, NoteError) as error:
+        note = None
+        place = f" --connect {endpoint}" if endpoint else ": not on the twin, use Ctrl-C"
+        say(f"warning: no note for `testbed stop`: {error}; it needs{place}")
+    try:
+        yield
+    finally:
+        if note is not None:
+            with suppress(OSError):
+                note.unlink()
+
+
+def _leave(text: bytes) -> Path:
+    """Write the note in the first folder that can be used."""
+    trouble: Exception = NoteError("no folder for it")
+    for folder, uid in _folders()[: len(_bases(os.getuid()))]:
+        try:
+            folder.mkdir(mode=0o700, exist_ok=True)
+            _check(folder, uid)
+            note = folder / f"{os.getpid()}.json"
+            write_atomic(note, text)
+        except (OSError, NoteError) as error:
+            trouble = error
+        else:
+            return note
+    raise trouble
+
+
+def _started(pid: int) -> str:
+    """Start time of a process as in /proc; empty: it has ended."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return ""
+    return "" if fields[0] == "Z" else fields[19]
+
+
+def runs(flight: StoppableFlight) -> bool:
+    """Whether the process of a note still runs."""
+    return not flight.pid or _started(flight.pid) == flight.started != ""
+
+
+def known_flights() -> Iterator[tuple[Path, StoppableFlight]]:
+    """Every note on this machine."""
+    for folder, uid in _folders():
+        try:
+            _check(folder, uid)
+        except FileNotFoundError:
+            continue
+        except (OSError, NoteError) as error:
+            complain(f"notes of flights are not read: {error}")
+            continue
+        for note in sorted(folder.glob("*.json")):
+            with suppress(OSError, ValueError, TypeError, RecursionError):
+                flight = StoppableFlight(**json.loads(note.read_text()))
+                if [type(value) for value in flight] == [str, str, str, list, str, int, str, str]:
+                    yield note, flight
