@@ -89,8 +89,10 @@ def motion(
     """Fit a vehicle and write its file, and the slope of the table."""
     try:
         logs = read_logs(asked)
+        lab = load_mapping(asked[1]).vehicles if asked[1] else []
         found = calibrate_motion(
-            logs, load_vehicle(vehicle), force=force,
+            logs, load_vehicle(vehicle), others={name: load_vehicle(name) for name in lab},
+            force=force,
             told=lambda text: None if as_json else screen.print(f"[dim]{text}"),
         )  # fmt: skip
         if out is not None:

@@ -1,6 +1,6 @@
 """`testbed calibrate motion`: from logs of free flight to a vehicle file."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,17 +13,16 @@ from testbed.identification.estimate import Estimate, fit
 from testbed.identification.jets import Finding, examine
 from testbed.identification.model import Model, Parameter
 from testbed.identification.motion_log import MotionLog
+from testbed.identification.other_vehicle import between_logs, by_levers, by_thrust
 from testbed.identification.prediction import Valves
 from testbed.identification.selection import choose
-from testbed.identification.suspicion import Suspicion, look_at, suspicions
+from testbed.identification.suspicion import Suspicion, start_of, suspicions
 from testbed.identification.windows import Windows, tiled
 
 Array = NDArray[np.float64]
 LENGTH = 2.5  # [s] of a window of the fit
 TOLD = 0.6  # standard deviation over that of the prior: above, the log does not tell the number
 SURE = 1.96  # standard deviations of a 95 % interval
-TOO_STRONG = 0.08  # of common thrust over the file's, beyond its tolerance
-TOO_WEAK = 0.3
 
 
 class Calibration(NamedTuple):
@@ -56,6 +55,7 @@ def calibrate_motion(
     logs: Sequence[MotionLog],
     vehicle: Vehicle,
     *,
+    others: Mapping[str, Vehicle] | None = None,
     force: bool = False,
     told: Callable[[str], None] = lambda text: None,
 ) -> Calibration:
@@ -64,6 +64,7 @@ def calibrate_motion(
     Args:
         logs: of one vehicle, all with valves or all with wrenches.
         vehicle: prior values, with their tolerances.
+        others: the lab's vehicles by name, with which this one may be exchanged.
         force: fit in spite of suspicions.
         told: is called with the name of each step.
 
@@ -71,7 +72,7 @@ def calibrate_motion(
         RefusedError: a suspicion forbids a fit.
     """
     try:
-        return _calibrated(logs, vehicle, force, told)
+        return _calibrated(logs, vehicle, others or {}, force, told)
     except (np.linalg.LinAlgError, FloatingPointError) as error:
         raise LogRefusedError(
             where=", ".join(log.where for log in logs),
@@ -81,10 +82,11 @@ def calibrate_motion(
 
 
 def _calibrated(
-    logs: Sequence[MotionLog], vehicle: Vehicle, force: bool, told: Callable[[str], None]
-) -> Calibration:
+    logs: Sequence[MotionLog], vehicle: Vehicle, others: Mapping[str, Vehicle], force: bool,
+    told: Callable[[str], None],
+) -> Calibration:  # fmt: skip
     """See `calibrate_motion`."""
-    where = ", ".join(log.where for log in logs)
+    where, named = ", ".join(log.where for log in logs), vehicle
     told("check the logs")
     model, doubts = checked(logs, vehicle)
     refusing = [one for one in doubts if one.refuses]
@@ -112,13 +114,18 @@ def _calibrated(
     if not model.valves:
         groups = [g for g in groups if g not in _untold_by_wrenches(logs)]
     wide = fit(model, windows, groups, _merged(model, rough))
+    if model.valves:
+        told("compare with other vehicles")
+        doubts += by_thrust(model, wide, windows)
+        doubts += by_levers(windows, named, others)
     told("cross-validate")
     chosen, gains = choose(model, wide, windows)
     start = model.prior.copy()
     free = model.of_groups(chosen)
     start[free] = wide.p[free]
     estimate = fit(model, windows, chosen, start)
-    doubts += other_vehicle(model, estimate, windows)
+    if model.valves:
+        doubts += between_logs(model, estimate, windows)
     refusing = [one for one in doubts if one.refuses]
     if refusing and not force:
         raise RefusedError(refusing, where)
@@ -137,37 +144,6 @@ def checked(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[Model, list[Su
             found=f"valve {jets + 1}", hint="another vehicle?",
         )  # fmt: skip
     return Model(vehicle, valves=valves), list(suspicions(logs, vehicle))
-
-
-def start_of(model: Model, logs: Sequence[MotionLog], vehicle: Vehicle) -> Array:
-    """A start near the solution: delay and scale from the regression of the check."""
-    look = look_at(logs, vehicle)
-    p = model.prior.copy()
-    p[model.index("delay")] = look.delay - vehicle.command_delay_s
-    if model.valves:
-        p[0] = float(np.clip(look.scale, 0.3, 2.0))
-    return p
-
-
-def other_vehicle(model: Model, estimate: Estimate, windows: Sequence[Windows]) -> list[Suspicion]:
-    """Whether the fit says that this is another vehicle than the file's."""
-    if not model.valves:
-        return []
-    start = estimate.p.copy()
-    droop = model.index("droop")
-    start[droop] = model.prior[droop]
-    bare = fit(model, windows, ["thrust", "delay", "inertia"], start)
-    limit = 1.0 + TOO_STRONG + model.vehicle.tolerance.thrust
-    scale, sigma = float(np.median(model.thrust(bare.p))), float(bare.sigma[0])
-    if scale - sigma > limit:
-        text = f"thrust over mass is {scale:.2f} times the file's: lighter, or another supply"
-        return [Suspicion("other-vehicle", text)]
-    if scale + 2.0 * sigma < TOO_WEAK:
-        text = (
-            f"thrust over mass is {scale:.2f} times the file's: a heavier vehicle, or little supply"
-        )
-        return [Suspicion("other-vehicle", text, refuses=False)]
-    return []
 
 
 def _untold_by_wrenches(logs: Sequence[MotionLog]) -> list[str]:
