@@ -28,6 +28,7 @@ CERTAIN = 3.0  # of many comparisons
 GEOMETRY = ("thrust", "delay", "slope", "droop", "hold", "inertia", "com", "jets")
 MARGIN = 8.0  # of chi^2, by which another file must explain a log better
 ENOUGH = 5  # windows, to compare files
+FEWEST = 3  # windows, to compare a log with the others
 
 
 def by_thrust(model: Model, estimate: Estimate, windows: Sequence[Windows]) -> Iterator[Suspicion]:
@@ -56,12 +57,13 @@ def between_logs(
     model: Model, estimate: Estimate, windows: Sequence[Windows]
 ) -> Iterator[Suspicion]:
     """Logs whose thrust over mass is not that of the others."""
-    if len(windows) < 2:
+    long = [one for one in windows if len(one.rows) >= FEWEST]
+    if len(long) < 2:
         return
-    found = [fit(model, [one], ["thrust", "delay"], estimate.p) for one in windows]
+    found = [fit(model, [one], ["thrust", "delay"], estimate.p) for one in long]
     scale = np.array([one.p[0] for one in found]) / estimate.p[0]
     sigma = np.array([one.sigma[0] for one in found]) / estimate.p[0]
-    for k, one in enumerate(windows):
+    for k, one in enumerate(long):
         rest = float(np.median(np.delete(scale, k)))
         low, high = scale[k] - CERTAIN * sigma[k], scale[k] + CERTAIN * sigma[k]
         if low > APART * rest or high < rest / APART:
