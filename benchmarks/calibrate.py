@@ -123,7 +123,8 @@ def spot(data, quick):
     lab, mapping = load_vehicle("spot_red"), load_mapping("spot")
     paths = sorted((data / "spot").glob("red_2021-03*.csv.gz"))
     logs = {path: read_motion_log(path, mapping) for path in paths}
-    whole = calibrate_motion(list(logs.values()), lab)
+    others = {name: load_vehicle(name) for name in mapping.vehicles}
+    whole = calibrate_motion(list(logs.values()), lab, others=others)
     low, high = interval(whole, whole.model.index("droop"))
     print(f"SPOT RED, March: droop {low:.2f} to {high:.2f};"
           f" in sample {rms(logs.values(), whole.vehicle)[0]:.1f} mm")  # fmt: skip
@@ -143,15 +144,47 @@ def spot(data, quick):
     )
     print(f"SPOT RED, each session unseen in turn, 3 s ahead: {own:.1f} mm, lab {theirs:.1f} mm,"
           f" ratio {own / theirs:.2f}")  # fmt: skip
-    for path in sorted((data / "spot").glob("black*.csv.gz")):
+    known = {**others, "fitted": whole.vehicle}
+    rates = {"exchanged": [0, 0], "healthy": [0, 0]}
+    for path in sorted((data / "spot").glob("*.csv.gz")):
+        red = path.name.startswith("red")
         log = read_motion_log(path, mapping)
-        for prior, name in ((lab, "the lab's RED"), (whole.vehicle, "the fitted RED")):
+        for name in ("spot_red", "fitted", "spot_black"):
+            kind = "healthy" if red == (name != "spot_black") else "exchanged"
             try:
-                calibrate_motion([log], prior)
-                said = "fitted"
+                calibrate_motion([log], known[name], others=others)
+                said = ""
             except RefusedError as error:
-                said = ", ".join(one.name for one in error.suspicions)
-            print(f"SPOT {path.stem} given {name}: {said}")
+                said = "; ".join(one.text for one in error.suspicions)
+            except TestbedError:
+                continue  # too short to fit
+            rates[kind][0] += bool(said)
+            rates[kind][1] += 1
+            print(f"SPOT {path.name[:-7]} given {name}: {said or 'fitted'}")
+    for kind, (named, count) in rates.items():
+        print(f"SPOT: {named} of {count} {kind} pairs of log and file named other-vehicle")
+
+
+def exchanged(count):
+    """Synthetic vehicles: a log of each against its own file and against another one's."""
+    floater = load_vehicle("generic_8jet")
+    wrong, healthy, pairs = 0, 0, 0
+    for k in range(count):
+        rng = np.random.default_rng(100 + k)
+        truth = drawn(floater, rng)
+        log = flown_log(truth, None, excitation(truth, 40.0, 0.1, rng), 40.0, rng)
+        for name in ("generic_8jet", "generic_8jet_15kg", "uky", "spot_red", "spot_black"):
+            own = load_vehicle(name)
+            try:
+                calibrate_motion([log], own)
+                said = False
+            except RefusedError:
+                said = True
+            if name == "generic_8jet":
+                healthy += said
+            else:
+                wrong, pairs = wrong + said, pairs + 1
+    print(f"synthetic: {wrong} of {pairs} exchanged files named, {healthy} of {count} healthy ones")
 
 
 def ita(data):
@@ -275,11 +308,14 @@ def main():
     parser.add_argument("--quick", action="store_true", help="4 vehicles, 45 mutations")
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     parser.add_argument("--data", type=Path, default=beside, help="folder of the labs' logs")
-    parser.add_argument("--only", choices=["synthetic", "uky", "spot", "ita", "mutations"])
+    parser.add_argument(
+        "--only", choices=["synthetic", "exchanged", "uky", "spot", "ita", "mutations"]
+    )
     asked = parser.parse_args()
     parts = {
         "synthetic": lambda: synthetic(4 if asked.quick else 20, 120.0),
         "uky": lambda: uky(asked.data),
+        "exchanged": lambda: exchanged(2 if asked.quick else 10),
         "spot": lambda: spot(asked.data, asked.quick),
         "ita": lambda: ita(asked.data),
         "mutations": lambda: mutations(asked.data, 45 if asked.quick else 200),
@@ -287,7 +323,7 @@ def main():
     for name, part in parts.items():
         if asked.only not in (None, name):
             continue
-        if name != "synthetic" and not asked.data.is_dir():
+        if name not in ("synthetic", "exchanged") and not asked.data.is_dir():
             print(f"{name}: skipped, no logs at {asked.data}")
             continue
         part()

@@ -23,18 +23,20 @@ class Schedule(NamedTuple):
 
 
 @compiled
-def schedule_of_pulses(up, down, owner, delay, timing, effect, thrust, droop):
+def schedule_of_pulses(up, down, owner, far, delay, timing, effect, thrust, droop, spread):
     """The wrench of `n` pulses commanded on [up, down) [s].
 
     Args:
         up: opening commands, shape (n,) [s].
         down: closing commands.
         owner: index of each pulse's jet, shape (n,).
+        far: how far each opens, 0 to 1, shape (n,).
         delay: of all commands [s].
         timing: open delay, close delay, open ramp, close ramp, shape (4,) [s].
         effect: wrench of each fully open jet, shape (3, jets).
         thrust: its magnitude, shape (jets,) [N].
         droop: k of vehicle.Air.
+        spread: `far` is a share of time; the number of open jets is its sum.
     """
     valve = Timing(timing[0], timing[1], timing[2], timing[3])
     count, jets = up.shape[0], thrust.shape[0]
@@ -48,6 +50,7 @@ def schedule_of_pulses(up, down, owner, delay, timing, effect, thrust, droop):
     level, rate = np.zeros((n, jets)), np.zeros((n, jets))
     for k in range(count):
         a, b, c, d, peak = shape[k]
+        peak *= far[k]
         if peak == 0.0:
             continue
         j = owner[k]
@@ -67,13 +70,13 @@ def schedule_of_pulses(up, down, owner, delay, timing, effect, thrust, droop):
     value, slope = np.zeros((n, 4)), np.zeros((n, 4))
     for i in range(n):
         width = start[i + 1] - start[i]
-        open_jets = 0
+        open_jets = 0.0
         for j in range(jets):
             middle = level[i, j] + 0.5 * width * rate[i, j]
             if middle > 1.0:  # pulses that overlap: a valve is at most fully open
                 level[i, j], rate[i, j], middle = 1.0, 0.0, 1.0
             if middle > 0.0:
-                open_jets += 1
+                open_jets += middle if spread else 1.0
         share = 1.0 / (1.0 + droop * (open_jets - 1)) if open_jets > 1 else 1.0
         for j in range(jets):
             for axis in range(3):

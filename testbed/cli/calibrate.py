@@ -16,20 +16,21 @@ from testbed.core.error import TestbedError
 from testbed.core.table import Table
 from testbed.identification.calibration_file import report_of, save
 from testbed.identification.cameras import latency_of, seen_in_flight
-from testbed.identification.columns import LogRefusedError, read_columns, read_sources
+from testbed.identification.columns import LogRefusedError, digest, read_columns, read_sources
 from testbed.identification.excite import design, write_commands
-from testbed.identification.floor import as_table, flat_fit, learn_floor
+from testbed.identification.floor import flat_fit, learn_floor
 from testbed.identification.link import link_of
 from testbed.identification.mapping import load_mapping
 from testbed.identification.motion import RefusedError, calibrate_motion
 from testbed.identification.motion_log import MotionLog, read_motion_log
 from testbed.identification.own_run import read_run_log
+from testbed.identification.slope_map import measured_map, with_map, write_slope_page
 from testbed.identification.suspicion import suspicions
 from testbed.identification.table_file import load_table, write_table
 from testbed.identification.thrust_stand import thrust_of
 from testbed.identification.validation import validate
 from testbed.identification.validation_page import write_page
-from testbed.identification.vehicle_file import load_vehicle
+from testbed.identification.vehicle_file import load_vehicle, write_vehicle
 
 screen = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -89,8 +90,10 @@ def motion(
     """Fit a vehicle and write its file, and the slope of the table."""
     try:
         logs = read_logs(asked)
+        lab = load_mapping(asked[1]).vehicles if asked[1] else []
         found = calibrate_motion(
-            logs, load_vehicle(vehicle), force=force,
+            logs, load_vehicle(vehicle), others={name: load_vehicle(name) for name in lab},
+            force=force,
             progress=lambda text: None if as_json else screen.print(f"[dim]{text}"),
         )  # fmt: skip
         if out is not None:
@@ -176,9 +179,9 @@ def _knows(vehicle: str, digest: str) -> bool:
 
 def floor(
     asked: Asked, vehicle: str, table: str | None, size: tuple[float, float] | None, nodes: int,
-    out: Path | None, *, as_json: bool,
+    out: Path | None, vehicle_out: Path | None, drawn: Path | None, *, as_json: bool,
 ) -> int:  # fmt: skip
-    """Learn the slope map and write it as a table file."""
+    """Learn the slope map; write it as a table file, its vehicle and a page."""
     try:
         logs = read_logs(asked)
         own, base = load_vehicle(vehicle), load_table(table)
@@ -186,9 +189,15 @@ def floor(
         span = size or named or base.size
         found = learn_floor(logs, own, (float(span[0]), float(span[1])), nodes)
         model, p = flat_fit(logs, own)
+        surface = with_map(base, found.slope, found.size)
+        origin = [f"{Path(log.where).name}, sha256 {log.digest}" for log in logs]
         if out is not None:
-            origin = [f"{Path(log.where).name}, sha256 {log.digest}" for log in logs]
-            write_table(out, as_table(found, base), origin, today())
+            write_table(out, surface, origin, today())
+        if vehicle_out is not None:
+            notes = {"mass": "fitted with the slope map", "valve.open_delay_s": "likewise"}
+            write_vehicle(vehicle_out, found.model.fitted(found.p), notes, origin, today())
+        if drawn is not None:
+            write_slope_page(drawn, "Slope learned from flights", surface, found.sigma)
     except TestbedError as error:
         return refused(error, as_json=as_json)
     known = found.sigma.min(axis=2) < 0.5 * float(found.sigma.max())
@@ -206,6 +215,33 @@ def floor(
     screen.print(
         f"slope map of {nodes} x {nodes} nodes; {100 * result['known_share']:.0f} % of them are"
         f" told by the logs, at most {1e3 * result['largest_m_s2']:.1f} mm/s^2 there"
+    )
+    return OK
+
+
+def slope(
+    path: Path, columns: tuple[str, str, str, str], unit: str, out: Path | None,
+    drawn: Path | None, *, as_json: bool,
+) -> int:  # fmt: skip
+    """Read a measured slope map; write it as a table file and a page."""
+    try:
+        surface = measured_map(read_columns(path, columns), columns, unit)
+        if out is not None:
+            write_table(out, surface, [f"{path.name}, sha256 {digest(path)}"], today())
+        if drawn is not None:
+            write_slope_page(drawn, f"Slope of {path.name}", surface)
+    except TestbedError as error:
+        return refused(error, as_json=as_json)
+    grid = surface.tilt.map
+    largest = max(max(abs(a), abs(b)) for row in grid for a, b in row)
+    result = {"size_m": list(surface.size), "nodes": [len(grid[0]), len(grid)],
+              "largest_m_s2": largest, "out": None if out is None else str(out)}  # fmt: skip
+    if as_json:
+        print_json(result)
+        return OK
+    screen.print(
+        f"{len(grid[0])} x {len(grid)} nodes on {surface.size[0]:g} m x {surface.size[1]:g} m,"
+        f" at most {1e3 * largest:.1f} mm/s^2"
     )
     return OK
 

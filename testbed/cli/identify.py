@@ -65,20 +65,46 @@ def motion(
 @click.option("--size", nargs=2, type=float, help="Size of the table [m].")
 @click.option("--nodes", type=click.IntRange(3, 21), default=9, show_default=True)
 @click.option("--out", type=OUT, help="Write the table with its slope map to this file.")
+@click.option("--vehicle-out", type=OUT, help="Write the vehicle that was fitted with it.")
+@click.option("--page", type=OUT, help="Write an HTML page with the map.")
 @click.pass_context
 def floor(
     context: click.Context, logs: tuple[Path, ...], mapping: str | None, body: str | None,
     vehicle: str, since: float | None, until: float | None, as_json: bool, table: str | None,
-    size: tuple[float, float] | None, nodes: int, out: Path | None,
+    size: tuple[float, float] | None, nodes: int, out: Path | None, vehicle_out: Path | None,
+    page: Path | None,
 ) -> None:  # fmt: skip
     """Learn the slope map of a table from LOGS of flights."""
     from testbed.cli import calibrate as work
 
     context.exit(
         work.floor(
-            (logs, mapping, body, since, until), vehicle, table, size, nodes, out, as_json=as_json
+            (logs, mapping, body, since, until), vehicle, table, size, nodes, out, vehicle_out,
+            page, as_json=as_json,
         )
-    )
+    )  # fmt: skip
+
+
+@calibrate.command()
+@click.argument("log", type=LOG)
+@click.option("--x", default="x_m", show_default=True, help="Column of x [m].")
+@click.option("--y", default="y_m", show_default=True, help="Column of y [m].")
+@click.option("--ax", default="ax_m_s2", show_default=True, help="Column of the slope along x.")
+@click.option("--ay", default="ay_m_s2", show_default=True, help="Column of the slope along y.")
+@click.option("--unit", type=click.Choice(["m/s^2", "mm/s^2", "rad"]), default="m/s^2",
+              show_default=True, help="Of the slopes.")  # fmt: skip
+@click.option("--out", type=OUT, help="Write the table with this map to this file.")
+@click.option("--page", type=OUT, help="Write an HTML page with the map.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+@click.pass_context
+def slope(
+    context: click.Context, log: Path, x: str, y: str, ax: str, ay: str, unit: str,
+    out: Path | None, page: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Read a slope map that was measured, a CSV with a row per node."""
+    from testbed.cli import calibrate as work
+
+    context.exit(work.slope(log, (x, y, ax, ay), unit, out, page, as_json=as_json))
 
 
 @calibrate.command()

@@ -85,28 +85,55 @@ class Points(Struct, frozen=True, forbid_unknown_fields=True, tag="points"):
     """Smooth curve from the goal of the experiment through points, from rest to rest.
 
     The curve is a cubic spline over the length of the straight lines between the points. The way
-    along it is a quintic in time, whose largest speed is `speed`.
+    along it is a quintic in time, whose largest speed is `speed`; with `ramp_s` the speed is even
+    between two smooth ramps.
     """
 
     points: Annotated[list[Point], Meta(min_length=1, max_length=1000)]  # from the goal on [m]
     speed: Positive  # [m/s]
     start_s: NonNegative = 0.0  # the goal rests until then
+    ramp_s: Positive | None = None  # from rest to `speed` and back
 
     def at(self, t: float) -> Moved:
         """Movement since the start of the run, at time `t` [s]."""
         curve, length = _spline(tuple(map(tuple, self.points)))
-        span = max(1.875 * length / self.speed, 1e-9)
-        s = min(1.0, max(0.0, (t - self.start_s) / span))
-        rate = length / span
-        way = length * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
-        v = rate * 30.0 * (s * (1.0 - s)) ** 2
-        a = rate / span * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
-        jerk = rate / span**2 * 60.0 * (1.0 - 6.0 * s + 6.0 * s * s) * (0.0 < s < 1.0)
+        way, v, a, jerk = self._along(t - self.start_s, length)
         p, d1, d2, d3 = (curve(way, order) for order in range(4))
         return Moved(
             _pair(p), _pair(d1 * v), _pair(d2 * v * v + d1 * a),
             _pair(d3 * v**3 + 3.0 * d2 * v * a + d1 * jerk),
         )  # fmt: skip
+
+    def _along(self, t: float, length: float) -> tuple[float, float, float, float]:
+        """Way along the curve `t` seconds after its start, and its derivatives."""
+        if self.ramp_s is not None:
+            ramp = min(self.ramp_s, length / self.speed)
+            end = length / self.speed + ramp
+            if t > end - ramp:  # the last ramp is the first one backwards
+                way, v, a, jerk = _ramp(end - t, ramp, self.speed)
+                return length - way, v, -a, jerk
+            return _ramp(t, ramp, self.speed)
+        span = max(1.875 * length / self.speed, 1e-9)
+        s = min(1.0, max(0.0, t / span))
+        rate = length / span
+        way = length * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        v = rate * 30.0 * (s * (1.0 - s)) ** 2
+        a = rate / span * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+        jerk = rate / span**2 * 60.0 * (1.0 - 6.0 * s + 6.0 * s * s) * (0.0 < s < 1.0)
+        return way, v, a, jerk
+
+
+def _ramp(t: float, ramp: float, speed: float) -> tuple[float, float, float, float]:
+    """Way, speed, acceleration and jerk `t` seconds after rest."""
+    u = max(0.0, t / ramp)
+    if u >= 1.0:
+        return speed * (t - 0.5 * ramp), speed, 0.0, 0.0
+    return (
+        speed * ramp * u**4 * (2.5 - 3.0 * u + u * u),
+        speed * u**3 * (10.0 - 15.0 * u + 6.0 * u * u),
+        speed / ramp * 30.0 * (u * (1.0 - u)) ** 2,
+        speed / ramp**2 * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u),
+    )
 
 
 def _pair(vector: np.ndarray) -> Point:

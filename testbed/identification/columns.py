@@ -165,7 +165,14 @@ def _read_mat(path: Path) -> dict[str, Array]:
                 table = array if array.shape[0] >= array.shape[1] else array.T
                 found.update({f"{name}[{k + 1}]": table[:, k] for k in range(table.shape[1])})
 
-    for name, value in loadmat(str(path)).items():
+    try:
+        content = loadmat(str(path))
+    except Exception as error:  # what scipy raises on a damaged file is not documented
+        raise LogRefusedError(
+            where=str(path), expected="a MATLAB file of version 4 to 7", found=str(error),
+            hint="save version 7.3 again with -v7",
+        ) from None  # fmt: skip
+    for name, value in content.items():
         if not name.startswith("__"):
             take(name, value)
     return _same_length(found)

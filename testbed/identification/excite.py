@@ -116,7 +116,7 @@ def write_commands(path: Path, found: Design, jets: int, period: float) -> None:
     """
     count = round(float(found.inputs.down.max(initial=0.0)) / period) + 1
     on = np.zeros((count, jets))
-    for up, down, jet in zip(*found.inputs, strict=True):
+    for up, down, jet in zip(*found.inputs[:3], strict=True):
         for k in range(int(up / period + 1e-6), count):
             part = min(down, period * (k + 1)) - max(up, period * k)
             if part <= 0.0:

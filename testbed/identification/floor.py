@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 from testbed.identification.estimate import SCALES, Piece, huber, linearise, noise_of, normal
 from testbed.identification.model import VehicleModel
@@ -167,12 +166,3 @@ def _with_map(
         found.append(piece._replace(slope=np.hstack([piece.slope, clean])))
         more.append((error, by_x, np.hstack([by_p, by_map])))
     return found, more
-
-
-def as_table(floor: Floor, table: Table) -> Table:
-    """The table with the learned map."""
-    from msgspec import structs
-
-    rows = [[(float(a[0]), float(a[1])) for a in row] for row in floor.slope]
-    tilt = structs.replace(table.tilt, uniform=(0.0, 0.0), map=rows)
-    return structs.replace(table, size=floor.size, tilt=tilt)

@@ -26,6 +26,13 @@ class Time(Struct, frozen=True, forbid_unknown_fields=True):
     unit: Literal["s", "ms", "us", "ns"] = "s"
 
 
+class Queue(Struct, frozen=True, forbid_unknown_fields=True):
+    """A queue of camera frames, whose oldest is read; when full it is emptied."""
+
+    frame_s: Positive  # between two frames; the rows of the log are further apart
+    frames: Annotated[int, Meta(ge=1, le=100)]  # thrown away at once
+
+
 class PoseColumns(Struct, frozen=True, forbid_unknown_fields=True):
     """The columns of the measured pose: counter-clockwise heading, any two axes of the table."""
 
@@ -37,6 +44,7 @@ class PoseColumns(Struct, frozen=True, forbid_unknown_fields=True):
     new: str | None = None  # column that is 1 where the pose is a measurement, not a repetition
     middle: Point = (0.0, 0.0)  # the table's middle in the log's frame [m]
     latency_s: NonNegative = 0.0  # age of a pose at its time stamp
+    queue: Queue | None = None  # poses are read from a queue of frames
 
 
 class ValveColumns(Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,6 +53,7 @@ class ValveColumns(Struct, frozen=True, forbid_unknown_fields=True):
     columns: Annotated[list[str], Meta(min_length=1)]
     period_s: Positive  # a command is taken once per period and lasts for it
     kind: Literal["state", "duty", "us"] = "state"  # 0/1, share of the period, or open time [us]
+    opens: Literal["first", "unknown"] = "first"  # when in its period: at its start, or not known
 
 
 class WrenchColumns(Struct, frozen=True, forbid_unknown_fields=True):
@@ -66,6 +75,7 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
     use: dict[str, list[float]] = {}  # column -> values of usable rows; other rows are left out
     name: str = ""
     table: Point | None = None  # size of the table [m]
+    vehicles: list[str] = []  # names of the vehicle files that a log may be of
 
 
 def load_mapping(name: str) -> Mapping:

@@ -1,6 +1,6 @@
 """`testbed calibrate motion`: from logs of free flight to a vehicle file."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,9 +13,10 @@ from testbed.identification.estimate import Estimate, fit
 from testbed.identification.jets import JetFinding, examine
 from testbed.identification.model import Parameter, VehicleModel
 from testbed.identification.motion_log import MotionLog
+from testbed.identification.other_vehicle import between_logs, by_levers, by_thrust
 from testbed.identification.prediction import Valves
 from testbed.identification.selection import choose
-from testbed.identification.suspicion import Suspicion, look_at, suspicions
+from testbed.identification.suspicion import Suspicion, start_of, suspicions
 from testbed.identification.windows import Windows, tiled
 
 Array = NDArray[np.float64]
@@ -24,8 +25,6 @@ IDENTIFIABLE = (
     0.6  # standard deviation over that of the prior: above, the log does not tell the number
 )
 SURE = 1.96  # standard deviations of a 95 % interval
-TOO_STRONG = 0.08  # of common thrust over the file's, beyond its tolerance
-TOO_WEAK = 0.3
 
 
 class Calibration(NamedTuple):
@@ -58,6 +57,7 @@ def calibrate_motion(
     logs: Sequence[MotionLog],
     vehicle: Vehicle,
     *,
+    others: Mapping[str, Vehicle] | None = None,
     force: bool = False,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Calibration:
@@ -66,6 +66,7 @@ def calibrate_motion(
     Args:
         logs: of one vehicle, all with valves or all with wrenches.
         vehicle: prior values, with their tolerances.
+        others: the lab's vehicles by name, with which this one may be exchanged.
         force: fit in spite of suspicions.
         progress: is called with the name of each step.
 
@@ -73,7 +74,7 @@ def calibrate_motion(
         RefusedError: a suspicion forbids a fit.
     """
     try:
-        return _calibrated(logs, vehicle, force, progress)
+        return _calibrated(logs, vehicle, others or {}, force, progress)
     except (np.linalg.LinAlgError, FloatingPointError) as error:
         raise LogRefusedError(
             where=", ".join(log.where for log in logs),
@@ -83,10 +84,11 @@ def calibrate_motion(
 
 
 def _calibrated(
-    logs: Sequence[MotionLog], vehicle: Vehicle, force: bool, progress: Callable[[str], None]
-) -> Calibration:
+    logs: Sequence[MotionLog], vehicle: Vehicle, others: Mapping[str, Vehicle], force: bool,
+    progress: Callable[[str], None],
+) -> Calibration:  # fmt: skip
     """See `calibrate_motion`."""
-    where = ", ".join(log.where for log in logs)
+    where, named = ", ".join(log.where for log in logs), vehicle
     progress("check the logs")
     model, doubts = checked(logs, vehicle)
     refusing = [one for one in doubts if one.refuses]
@@ -114,13 +116,18 @@ def _calibrated(
     if not model.valves:
         groups = [g for g in groups if g not in _unidentifiable_from_wrenches(logs)]
     wide = fit(model, windows, groups, _merged(model, rough))
+    if model.valves:
+        progress("compare with other vehicles")
+        doubts += by_thrust(model, wide, windows)
+        doubts += by_levers(windows, named, others)
     progress("cross-validate")
     chosen, gains = choose(model, wide, windows)
     start = model.prior.copy()
     free = model.of_groups(chosen)
     start[free] = wide.p[free]
     estimate = fit(model, windows, chosen, start)
-    doubts += other_vehicle(model, estimate, windows)
+    if model.valves:
+        doubts += between_logs(model, estimate, windows)
     refusing = [one for one in doubts if one.refuses]
     if refusing and not force:
         raise RefusedError(refusing, where)
@@ -139,39 +146,6 @@ def checked(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[VehicleModel, 
             found=f"valve {jets + 1}", hint="another vehicle?",
         )  # fmt: skip
     return VehicleModel(vehicle, valves=valves), list(suspicions(logs, vehicle))
-
-
-def start_of(model: VehicleModel, logs: Sequence[MotionLog], vehicle: Vehicle) -> Array:
-    """A start near the solution: delay and scale from the regression of the check."""
-    look = look_at(logs, vehicle)
-    p = model.prior.copy()
-    p[model.index("delay")] = look.delay - vehicle.command_delay_s
-    if model.valves:
-        p[0] = float(np.clip(look.scale, 0.3, 2.0))
-    return p
-
-
-def other_vehicle(
-    model: VehicleModel, estimate: Estimate, windows: Sequence[Windows]
-) -> list[Suspicion]:
-    """Whether the fit says that this is another vehicle than the file's."""
-    if not model.valves:
-        return []
-    start = estimate.p.copy()
-    droop = model.index("droop")
-    start[droop] = model.prior[droop]
-    bare = fit(model, windows, ["thrust", "delay", "inertia"], start)
-    limit = 1.0 + TOO_STRONG + model.vehicle.tolerance.thrust
-    scale, sigma = float(np.median(model.thrust(bare.p))), float(bare.sigma[0])
-    if scale - sigma > limit:
-        text = f"thrust over mass is {scale:.2f} times the file's: lighter, or another supply"
-        return [Suspicion("other-vehicle", text)]
-    if scale + 2.0 * sigma < TOO_WEAK:
-        text = (
-            f"thrust over mass is {scale:.2f} times the file's: a heavier vehicle, or little supply"
-        )
-        return [Suspicion("other-vehicle", text, refuses=False)]
-    return []
 
 
 def _unidentifiable_from_wrenches(logs: Sequence[MotionLog]) -> list[str]:

@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.identification.columns import LogRefusedError, NumericColumns, digest, read_columns
+from testbed.identification.frame_queue import frame_times
 from testbed.identification.mapping import METRES, RADIANS, SECONDS, Mapping
-from testbed.identification.prediction import Inputs, Wrenches, pulses
+from testbed.identification.prediction import Inputs, Wrenches, pulses, shares
 
 Array = NDArray[np.float64]
-PAUSE = 3.5  # a gap in the rows is longer than this many usual intervals
+PAUSE = 4.5  # a gap in the rows is longer than this many usual intervals
 FEWEST_POSES = 10
 
 
@@ -59,8 +60,10 @@ def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:
             hint=f"the mapping keeps rows with {mapping.use}" if mapping.use else "",
         )  # fmt: skip
     rows = np.flatnonzero(measured)
-    at = t[rows] - mapping.pose.latency_s
-    return MotionLog(str(path), digest(path), at, pose[rows], kept[rows], inputs, notes)
+    made, queue = t - mapping.pose.latency_s, mapping.pose.queue
+    if queue and np.isfinite(pose).all():
+        made = frame_times(made, pose[:, :2], queue.frame_s, queue.frames)
+    return MotionLog(str(path), digest(path), made[rows], pose[rows], kept[rows], inputs, notes)
 
 
 def check_clock(t: Array, where: str, mapping: Mapping) -> None:
@@ -147,7 +150,8 @@ def _inputs(columns: NumericColumns, mapping: Mapping, t: Array, pose: Array) ->
     taken = np.append(True, np.diff(turn) > 0)
     if np.median(np.diff(t)) > 0.75 * valves.period_s:
         taken[:] = True
-    return pulses(t[taken], np.minimum(share[taken], 1.0), valves.period_s)
+    made = shares if valves.opens == "unknown" else pulses
+    return made(t[taken], np.minimum(share[taken], 1.0), valves.period_s)
 
 
 def _phase(t: Array, period: float) -> float:

@@ -23,6 +23,7 @@ class Valves(NamedTuple):
     up: Array  # (n,) opening commands [s]
     down: Array  # (n,) closing commands [s]
     jet: NDArray[np.int64]  # (n,) index of the jet in the vehicle file, from 0
+    share: Array | None = None  # (n,) of the time open, where the times within are not known
 
 
 class Wrenches(NamedTuple):
@@ -45,8 +46,7 @@ def pulses(t: Any, share: Any, period: float) -> Valves:
         period: [s].
     """
     t, share = np.asarray(t, dtype=float), np.asarray(share, dtype=float)
-    until = np.append(t[1:], t[-1] + period) if len(t) else t
-    held = np.where(until - t < 1.5 * period, until - t, period)  # the row's own period
+    held = _held(t, period)
     rows, jets = np.nonzero(share > 0.0)
     order = np.lexsort((rows, jets))
     rows, jets = rows[order], jets[order]
@@ -62,14 +62,36 @@ def pulses(t: Any, share: Any, period: float) -> Valves:
     return Valves(up[first], down[last], jets[first].astype(np.int64))
 
 
+def shares(t: Any, share: Any, period: float) -> Valves:
+    """As `pulses`, where the times of a valve within its period are not known.
+
+    Each valve is taken as open for its share throughout the period.
+    """
+    t, share = np.asarray(t, dtype=float), np.asarray(share, dtype=float)
+    rows, jets = np.nonzero(share > 0.0)
+    until = t + _held(t, period)
+    return Valves(t[rows], until[rows], jets.astype(np.int64), share[rows, jets])
+
+
+def _held(t: Array, period: float) -> Array:
+    """How long each row's command lasts: until the next, or a period before a gap [s]."""
+    until = np.append(t[1:], t[-1] + period) if len(t) else t
+    return np.where(until - t < 1.5 * period, until - t, period)
+
+
 def schedule_of(inputs: Inputs, plant: PlantParameters, delay: float) -> Schedule:
-    """Body wrench of a vehicle from its inputs."""
-    if isinstance(inputs, Valves):
-        return schedule_of_pulses(
-            inputs.up, inputs.down, inputs.jet, delay, plant.timing[0], plant.effect[0],
-            plant.thrust[0], plant.droop[0],
-        )  # fmt: skip
+    """The body wrench that a vehicle makes of its inputs."""
     timing = plant.timing[0]
+    if isinstance(inputs, Valves):
+        far = np.ones(len(inputs.up))
+        if inputs.share is not None:  # a valve that closes later is open for a larger share
+            longer = (timing[1] - timing[0]) / (inputs.down - inputs.up)
+            far = np.clip(inputs.share + longer, 0.0, 1.0)
+            timing = timing[[0, 0, 2, 2]]
+        return schedule_of_pulses(
+            inputs.up, inputs.down, inputs.jet, far, delay, timing, plant.effect[0],
+            plant.thrust[0], plant.droop[0], inputs.share is not None,
+        )  # fmt: skip
     return schedule_of_wrenches(inputs.t, inputs.wrench, delay + timing[0], timing[2])
 
 

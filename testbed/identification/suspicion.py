@@ -70,6 +70,16 @@ def look_at(logs: Sequence[MotionLog], vehicle: Vehicle) -> MappingFit:
     return best[1]
 
 
+def start_of(model: VehicleModel, logs: Sequence[MotionLog], vehicle: Vehicle) -> Array:
+    """A start near the solution: delay and scale from the regression of the check."""
+    look = look_at(logs, vehicle)
+    p = model.prior.copy()
+    p[model.index("delay")] = look.delay - vehicle.command_delay_s
+    if model.valves:
+        p[0] = float(np.clip(look.scale, 0.3, 2.0))
+    return p
+
+
 class _Parts:
     """One log on a regular grid, cut in windows."""
 

@@ -80,8 +80,11 @@ def _open_time(log: MotionLog, begin: Array, end: Array, jets: int) -> Array:
         for j in range(jets):
             mine = log.inputs.jet == j
             up, down = log.inputs.up[mine], log.inputs.down[mine]
+            far = 1.0 if log.inputs.share is None else log.inputs.share[mine]
             for k in range(len(begin)):
-                on[k, j] = np.sum((np.minimum(down, end[k]) - np.maximum(up, begin[k])).clip(0.0))
+                on[k, j] = np.sum(
+                    far * (np.minimum(down, end[k]) - np.maximum(up, begin[k])).clip(0.0)
+                )
     return on
 
 

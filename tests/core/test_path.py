@@ -10,6 +10,7 @@ PATHS = [
     Circle(radius=0.8, period_s=90.0, start_deg=30.0),
     Square(side=0.7, period_s=120.0, start_deg=20.0),
     Points(points=[(0.3, 0.1), (0.5, 0.6), (0.1, 0.9)], speed=0.03),
+    Points(points=[(0.3, 0.1), (0.5, 0.6), (0.1, 0.9)], speed=0.03, ramp_s=20.0),
 ]
 
 
@@ -62,3 +63,20 @@ def test_a_curve_passes_its_points_and_rests_at_the_last():
 
 def test_points_on_top_of_each_other_are_no_curve():
     assert Points(points=[(0.0, 0.0)], speed=0.1).at(3.0).p == pytest.approx((0.0, 0.0), abs=1e-8)
+
+
+def test_with_a_ramp_the_speed_is_even_between():
+    curve = Points(points=[(2.0, 0.0)], speed=0.1, start_s=5.0, ramp_s=4.0)
+    assert curve.at(7.0).v == pytest.approx((0.05, 0.0))
+    for t in (9.0, 15.0, 25.0):
+        assert curve.at(t).v == pytest.approx((0.1, 0.0))
+        assert curve.at(t).a == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert curve.at(15.0).p == pytest.approx((0.8, 0.0))
+    assert curve.at(29.0).p == pytest.approx((2.0, 0.0))
+    assert curve.at(40.0).p == pytest.approx((2.0, 0.0))
+    assert curve.at(40.0).v == (0.0, 0.0)
+
+
+def test_a_ramp_longer_than_the_way_is_cut():
+    curve = Points(points=[(0.2, 0.0)], speed=0.1, ramp_s=60.0)
+    assert curve.at(4.0).p == pytest.approx((0.2, 0.0))

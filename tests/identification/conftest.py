@@ -31,7 +31,7 @@ def table():
 def rows_of(log, jets=8):
     """The log as rows of a CSV: 20 Hz poses, duty cycles of 0.1 s periods."""
     share = np.zeros((round(log.t[-1] / 0.1) + 2, jets))
-    for up, down, jet in zip(*log.inputs, strict=True):
+    for up, down, jet in zip(*log.inputs[:3], strict=True):
         first = round(up / 0.1)
         for k in range(first, len(share)):
             part = min(down, 0.1 * (k + 1)) - max(up, 0.1 * k)

@@ -8,7 +8,7 @@ import testbed
 from sim_twin.plant import Plant
 from testbed.core.types import Pose, ValveCommand
 from testbed.core.vehicle import Tolerance
-from testbed.identification.prediction import Valves, Wrenches, predict, pulses
+from testbed.identification.prediction import Valves, Wrenches, predict, pulses, shares
 
 PERIOD = 0.1
 
@@ -72,3 +72,24 @@ def test_bad_input_is_refused(exact, x0, times):
 def test_it_is_behind_the_public_door():
     assert testbed.predict is predict
     assert testbed.Valves is Valves
+
+
+def test_pulses_at_unknown_times_give_the_same_mean_push(exact):
+    t, share = PERIOD * np.arange(20), np.full((20, 8), [0.4, 0, 0, 0, 0, 0, 0, 0])
+    both = [
+        predict(exact, None, made(t, share, PERIOD), np.zeros(6), [0.0, 2.5])[-1]
+        for made in (pulses, shares)
+    ]
+    np.testing.assert_allclose(both[1][3:], both[0][3:], rtol=1e-2)
+    np.testing.assert_allclose(both[1][:3], both[0][:3], rtol=4e-2)
+
+
+def test_a_valve_that_closes_early_opens_for_a_smaller_share(exact):
+    early = structs.replace(exact.valve, close_delay_s=exact.valve.open_delay_s - 0.01)
+    t, share = PERIOD * np.arange(20), np.full((20, 8), [0.4, 0, 0, 0, 0, 0, 0, 0])
+    ends = [
+        predict(structs.replace(exact, valve=valve), None, shares(t, share, PERIOD), np.zeros(6),
+                [0.0, 2.5])[-1]
+        for valve in (exact.valve, early)
+    ]  # fmt: skip
+    assert ends[1][5] / ends[0][5] == pytest.approx(0.75, rel=1e-2)

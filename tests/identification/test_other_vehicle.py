@@ -1,0 +1,54 @@
+"""A log of another vehicle is named, and a healthy one is not."""
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from testbed.identification.motion import RefusedError, calibrate_motion
+from testbed.identification.synthetic import excitation, flown_log
+from testbed.identification.vehicle_file import load_vehicle
+
+
+def flown(vehicle, seed=5, seconds=40.0):
+    rng = np.random.default_rng(seed)
+    inputs = excitation(vehicle, seconds, 0.1, rng)
+    return flown_log(vehicle, None, inputs, seconds, rng)
+
+
+def refused(logs, vehicle, **others):
+    with pytest.raises(RefusedError) as caught:
+        calibrate_motion(logs, vehicle, **others)
+    return [(one.name, one.text) for one in caught.value.suspicions]
+
+
+@pytest.fixture(scope="module")
+def red():
+    """As it flies: with a droop that its file does not state."""
+    red = load_vehicle("spot_red")
+    return structs.replace(red, air=structs.replace(red.air, droop=0.3))
+
+
+@pytest.mark.parametrize(("factor", "word"), [(1.6, "lighter"), (1.4, "lighter"), (0.6, "heavier")])
+def test_another_ratio_of_thrust_to_mass_is_named(floater, factor, word):
+    other = structs.replace(floater, mass=factor * floater.mass, inertia=factor * floater.inertia)
+    (name, text), *_ = refused([flown(floater)], other)
+    assert name == "other-vehicle"
+    assert word in text
+
+
+def test_the_levers_of_another_vehicle_of_the_lab_are_named(red):
+    black = load_vehicle("spot_black")
+    same = structs.replace(black, mass=red.mass)  # thrust over mass tells nothing
+    log = flown(red)
+    found = refused([log], same, others={"spot_red": red, "spot_black": same})
+    assert [name for name, _ in found] == ["other-vehicle"]
+    assert "levers of spot_red" in found[0][1]
+    healthy = calibrate_motion([log], red, others={"spot_red": red, "spot_black": same})
+    assert healthy.suspicions == []
+
+
+def test_a_log_of_a_rebuilt_vehicle_among_others_is_named(red):
+    rebuilt = structs.replace(red, mass=0.6 * red.mass, inertia=0.6 * red.inertia)
+    odd = flown(rebuilt, 7, 20.0)._replace(where="rebuilt")
+    found = refused([flown(red, 5, 30.0), flown(red, 6, 30.0), odd], red)
+    assert any(text.startswith("rebuilt: thrust over mass") for _, text in found)
