@@ -2,19 +2,24 @@
 
 import json
 import shutil
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec.structs import replace
 
 import testbed
+from controllers.law_file import digest
 from testbed.cli.main import main
 from testbed.cli.replay import fork_run
-from testbed.config import ConfigError, loads
+from testbed.config import ConfigError, Fork, loads
 from testbed.logs.log_reader import LogReader
 from testbed.rig.resumed import make_resumed
+from testbed.rig.wired.host import WireRig
 from testbed.run import fork as forking
+from testbed.run.folder import write_config
 from testbed.run.fork import ForkError, forked
 
 LAW = """
@@ -205,3 +210,23 @@ def test_the_command_forks(run, tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "c").exists()
     done = CliRunner().invoke(main, ["replay", word, "--out", "d"])
     assert (done.exit_code, "--out belongs to --from" in done.output) == (2, True)
+
+
+def test_only_vehicles_on_the_twin_change_in_flight(run):
+    with pytest.raises(ConfigError, match="only the twin's vehicles change"):
+        WireRig(replace(run.experiment, forks=[Fork(1.0)]), bench=True)
+
+
+def test_two_laws_of_one_name_are_both_kept(tmp_path):
+    laws = []
+    for k in range(2):
+        (tmp_path / str(k)).mkdir()
+        file = tmp_path / str(k) / "law.py"
+        file.write_text(f"K = {k}\n")
+        laws.append({"type": "python", "law": f"{file}:Law", "sha256": digest(file)})
+    tree = {"controller": laws[0], "forks": [{"at_s": 1.0, "controller": laws[1]}]}
+    write_config(tmp_path, tree, "0")
+    kept = tomllib.loads((tmp_path / "config.toml").read_text())
+    names = [kept["controller"]["law"], kept["forks"][0]["controller"]["law"]]
+    assert names == ["law.py:Law", "law_2.py:Law"]
+    assert (tmp_path / "law_2.py").read_text() == "K = 1\n"
