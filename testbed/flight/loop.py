@@ -75,6 +75,12 @@ class VehicleNode:
         """The guidance, if the law runs on board."""
         return self._agent.guidance
 
+    def _setpoint(self, t: float, stay: bool) -> Setpoint | None:
+        """The place to stay at, or what the host sends; a law on board obeys no other setpoint."""
+        if stay:
+            return self._agent.staying(t)
+        return None if self.guidance is not None else self._link.setpoint()
+
     def tick(
         self, t: float, armed: bool, fleet: FaultReport | None = None, *,
         end: bool = False, stay: bool = False,
@@ -95,7 +101,7 @@ class VehicleNode:
             t,
             armed,
             tuple(self._poses.samples()),
-            self._agent.staying(t) if stay else link.setpoint(),
+            self._setpoint(t, stay),
             link.neighbours(),
             self._thrusters.health(),
             link.messages(),

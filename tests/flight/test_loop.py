@@ -239,8 +239,13 @@ def test_the_second_stop_lands_all_at_once(diary):
 
 
 class Agent:
+    guidance = None
+
     def __init__(self, outputs):
         self.outputs, self.inputs = outputs, None
+
+    def staying(self, t):
+        return f"stay at {t}"
 
     def step(self, inputs):
         self.inputs = inputs
@@ -312,6 +317,14 @@ def test_a_vehicle_listens_steps_acts_and_tells(make_state):
     assert tick.outputs is agent.outputs
     assert ports.applied == [COMMAND]
     assert ports.published == [own]
+
+
+def test_a_law_on_board_obeys_no_setpoint_of_the_network():
+    ports, agent = Ports({}, "of another sender"), Agent(OUTPUTS)
+    agent.guidance = Guidance()
+    node = VehicleNode("a", agent, ports, ports, ports)
+    assert node.tick(0.3, True).inputs.setpoint is None
+    assert node.tick(0.4, True, stay=True).inputs.setpoint == "stay at 0.4"
 
 
 def test_a_vehicle_that_does_not_know_where_it_is_says_nothing():
