@@ -65,7 +65,8 @@ def drift(x, spent, stages, parameters, ground, windows, start, end):
             if parameters.grip[v, 0] > 0.0:
                 slide(x[v], h, parameters.grip[v])
             else:
-                step(x[v], h, stages, parameters.drag[v], parameters.spin_drag[v], ground)
+                drag, spin_drag = parameters.drag[v], parameters.spin_drag[v]
+                step(x[v], h, stages, drag, spin_drag, parameters.hose[v], ground)
 
 
 @compiled
@@ -84,6 +85,7 @@ def cut_windows(pulses, parameters, origin, span):
             parameters.effect[v],
             parameters.thrust[v],
             parameters.droop[v],
+            parameters.late[v],
             origin,
             span,
         )
@@ -190,7 +192,7 @@ class Plant:
         self.names = list(vehicles)
         solid = {name: o for name, o in obstacles.items() if o.solid > 0.0}
         self._others = [*self.names, "right edge", "left edge", "upper edge", "lower edge", *solid]
-        self.parameters = sample_plant(vehicles, seed)
+        self.parameters = sample_plant(vehicles, seed, table.spread)
         self._ground = lay(table)
         self._solids = Solids(
             np.array([o.position for o in solid.values()], dtype=float).reshape(-1, 2),

@@ -67,7 +67,7 @@ class TableServer:
         starts = {name: Pose(*setup.start) for name, setup in setups.items()}
         seed = experiment.seed
         self.plant = Plant(self.models, starts, table, experiment.obstacles, seed)
-        self._cameras = Cameras(self.names, table.mocap, seed)
+        self._cameras = Cameras(self.names, table.mocap, seed, table.spread)
         self._jitter = stream(seed, "frames")
         self._valves = {
             n: ReportedValves(m, self.plant.boards[n].pulses, stream(seed, n, "pulses"))
