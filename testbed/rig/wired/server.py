@@ -84,7 +84,7 @@ class TableServer:
         self._permits: Subscriber | None = None  # their stamps give the run's time 0
         self._sabotage: Sabotage | None = None
         self._down: set[str] = set()  # boards without power
-        self._landed: set[str] = set()  # vehicles whose air is off until the end
+        self._landed: set[str] = set()  # vehicles whose air is off
 
     def __enter__(self) -> "TableServer":
         with ExitStack() as stack:
@@ -187,6 +187,9 @@ class TableServer:
                 if not tap.bearing and name not in self._landed:
                     self._landed.add(name)
                     self.plant.land(k)
+                elif tap.bearing and name in self._landed - self._down:
+                    self._landed.discard(name)
+                    self.plant.lift(k)
         elif all(tap.bearing for tap in self._taps.values()):
             self._released_ns = monotonic_ns()
 
