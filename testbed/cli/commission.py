@@ -1,7 +1,7 @@
 """`testbed commission`: from an assembled vehicle to its first float, step by step."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from datetime import date
 from pathlib import Path
@@ -33,7 +33,8 @@ def run_commission(
         try:
             experiment = load(find(name), overrides)
             names = _chosen(experiment, only, rig, yes=yes)
-            station, experiment = _station(experiment, names, rig, stack, ask=not yes)
+            agree = None if yes or not sys.stdin.isatty() else _may
+            station, experiment = _station(experiment, names, rig, stack, agree)
             folder = new_folder(out, f"commission_{experiment.name}")
         except (ConfigError, FolderError) as error:
             return refuse(error)
@@ -72,10 +73,14 @@ def _chosen(experiment: Experiment, only: Sequence[str], rig: str, *, yes: bool)
 
 
 def _station(
-    experiment: Experiment, names: Sequence[str], rig: str, stack: ExitStack, *, ask: bool
+    experiment: Experiment,
+    names: Sequence[str],
+    rig: str,
+    stack: ExitStack,
+    agree: Callable[[str], bool] | None,
 ) -> tuple[Station, Experiment]:
     if rig == "twin":
-        return TwinStation(experiment), experiment
+        return TwinStation(experiment, agree=agree), experiment
     if rig == "bench":
         from testbed.rig.wired.twin_child import twin_child
 
@@ -83,7 +88,7 @@ def _station(
     source = cameras(experiment, stack)
     stack.callback(source.close)
     person = _ask if rig == "table" else None
-    station = WiredStation(experiment, names, source, stack, person)
+    station = WiredStation(experiment, names, source, stack, person, agree)
     if rig == "bench":  # its plant starts when every vehicle floats
         for on in (True, False):
             for one in names:
@@ -94,6 +99,10 @@ def _station(
 
 def _ask(question: str) -> bool:
     return click.confirm(question, default=False, err=True)
+
+
+def _may(what: str) -> bool:
+    return _ask(f"{what}. May it?")
 
 
 def _nothing(_: Verdict) -> None:

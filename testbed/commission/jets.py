@@ -116,8 +116,8 @@ def judge(name: str, vehicle: Vehicle, pulses: Sequence[Pulse], lab: Spread) -> 
         else:
             verdicts += _of_each(name, wrench, own, error, fits, right, wrong)
         return verdicts
-    found = _strengths(name, vehicle, strength_of(vehicle, pulses), live, pulses, lab)
-    return [*verdicts, *(v for v in found if v.code or not verdicts)]
+    measured = _strengths(name, vehicle, strength_of(vehicle, pulses), live, pulses, lab)
+    return [*verdicts, *(v for v in measured if v.code or not verdicts)]
 
 
 def strength_of(vehicle: Vehicle, pulses: Sequence[Pulse]) -> Strength:

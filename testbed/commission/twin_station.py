@@ -1,6 +1,6 @@
 """The twin as a station. The person who carries vehicles and hears valves is simulated, too."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -24,11 +24,16 @@ class TwinStation:
     Args:
         experiment: as it really is.
         believed: as the lab's files say; None: the same.
+        agree: asks whether something may move; None: nothing is asked.
     """
 
     carries = listens = True
 
-    def __init__(self, experiment: Experiment, believed: Experiment | None = None) -> None:
+    def __init__(
+        self, experiment: Experiment, believed: Experiment | None = None,
+        agree: Callable[[str], bool] | None = None,
+    ) -> None:  # fmt: skip
+        self._agree = agree
         setups = experiment.vehicles
         self.believed = believed or experiment
         self.twin = Twin(
@@ -52,7 +57,7 @@ class TwinStation:
 
     def agree(self, what: str) -> bool:
         """See `Station`."""
-        return True
+        return self._agree is None or self._agree(what)
 
     def wait(self, seconds: float) -> None:
         """See `Station`."""

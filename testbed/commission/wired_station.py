@@ -26,15 +26,17 @@ class WiredStation:
         names: vehicles whose boards are connected to this computer.
         source: the cameras.
         stack: closes boards and cameras.
-        ask: asks the person a question; None: there is none, as on the bench.
+        ask: asks the person at the table a question; None: there is none, as on the bench.
+        agree: asks whether something may move; None: nothing is asked.
     """
 
     def __init__(
         self, experiment: Experiment, names: Sequence[str], source: MocapSource, stack: ExitStack,
-        ask: Callable[[str], bool] | None,
+        ask: Callable[[str], bool] | None, agree: Callable[[str], bool] | None,
     ) -> None:  # fmt: skip
         lab = experiment.table.lab
-        self._experiment, self._source, self._ask = experiment, source, ask
+        self._experiment, self._source = experiment, source
+        self._ask, self._agree = ask, agree
         self._axes, self._began_ns = Axes(lab.mocap), monotonic_ns()
         self._names = {lab.mocap.bodies.get(name, name): name for name in experiment.vehicles}
         self._boards: dict[str, WiredThrusters] = {}
@@ -59,7 +61,7 @@ class WiredStation:
 
     def agree(self, what: str) -> bool:
         """See `Station`."""
-        return self._ask is None or self._ask(f"{what}. May it?")
+        return self._agree is None or self._agree(what)
 
     def wait(self, seconds: float) -> None:
         """See `Station`. Boards whose pulse is over are disarmed."""
