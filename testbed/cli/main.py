@@ -14,7 +14,7 @@ import click
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
 from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
-from testbed.cli.lab import agent, poses, stop, twin
+from testbed.cli.lab import agent, commission, poses, stop, twin
 from testbed.cli.many import benchmark, campaign, tune
 
 EPILOG = """\b
@@ -208,31 +208,6 @@ def drill(
 
 
 @main.command()
-@click.argument("experiment")
-@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
-@click.option(
-    "--rig", type=click.Choice(["twin", "bench", "table"]), default="twin", show_default=True,
-    help="Where the vehicles are; table: on the computer with the valve board.",
-)  # fmt: skip
-@click.option("--vehicle", "only", multiple=True, help="Only this vehicle.  [default: all]")
-@click.option("--yes", is_flag=True, help="Answer every question with yes; not on the table.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder of the report.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
-@click.pass_context
-def commission(
-    context: click.Context, experiment: str, overrides: tuple[str, ...], rig: str,
-    only: tuple[str, ...], yes: bool, out: Path | None, as_json: bool,
-) -> None:  # fmt: skip
-    """Find wiring errors of the vehicles of an EXPERIMENT before they fly.
-
-    Each step says what will move, asks, and gives a verdict; see docs/commission.md.
-    """
-    from testbed.cli.commission import run_commission
-
-    context.exit(run_commission(experiment, overrides, rig, only, out, yes=yes, as_json=as_json))
-
-
-@main.command()
 @click.argument("kind", type=click.Choice(["experiment", "vehicle", "table"]), default="experiment")
 def schema(kind: str) -> None:
     """Print the JSON Schema of a file type, for editors."""
@@ -384,7 +359,8 @@ def reproduce(
 
 
 for verb in (
-    agent, benchmark, calibrate, campaign, excite, lab_keys, poses, stop, tune, twin, validate
+    agent, benchmark, calibrate, campaign, commission, excite, lab_keys, poses, stop, tune, twin,
+    validate,
 ):  # fmt: skip
     main.add_command(verb)
 

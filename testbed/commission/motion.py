@@ -197,3 +197,9 @@ def _drag(
     found, variance, _ = _solve(np.column_stack([design, slowed]), along)
     speed = max(abs(float(found[3])), 0.3 * size)
     return float(found[4]) / speed, noise * float(np.sqrt(variance[4])) / speed
+
+
+def gained(rows: Array, at: float) -> float:
+    """Speed that a body gained at a time [m/s]."""
+    after = rows[rows[:, 0] > at + 0.4]
+    return abs(speed_of(after) - speed_of(rows[rows[:, 0] < at]))

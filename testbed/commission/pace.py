@@ -29,3 +29,8 @@ def pulse_length(vehicle: Vehicle, jet: int, change: float, stronger: float = 1.
 def float_time(accel: float, longest: float) -> float:
     """Time in which a vehicle at rest gets at most a quarter as fast as it may [s]."""
     return min(longest, 0.25 * FASTEST / max(accel, 1e-6))
+
+
+def drags_of(vehicle: Vehicle) -> tuple[float, float]:
+    """Deceleration over speed, of motion and of turning [1/s]."""
+    return vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia

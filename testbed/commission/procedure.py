@@ -7,7 +7,6 @@ measurement: the bearing air of every vehicle is turned off, and friction stops 
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,23 +16,24 @@ from testbed.commission import cameras
 from testbed.commission.cameras import Mark
 from testbed.commission.floating import afloat
 from testbed.commission.jets import Pulse, flow_times, judge
+from testbed.commission.marks import marks_of
 from testbed.commission.motion import (
     Array,
     Drift,
     Noise,
     drift_of,
+    gained,
     kick_of,
     mean_of,
     noise_of,
     speed_of,
 )
-from testbed.commission.pace import PROBE, PUSH, STOP, float_time, pulse_length
+from testbed.commission.pace import PROBE, PUSH, STOP, drags_of, float_time, pulse_length
 from testbed.commission.station import Station
 from testbed.commission.verdict import Verdict
 from testbed.config import Experiment
 from testbed.core.error import TestbedError
 from testbed.core.table import Table
-from testbed.core.vehicle import Vehicle
 
 LOOK = 0.05  # between two looks at the poses [s]
 WINDOW = 0.2  # over which a speed is measured [s]
@@ -42,9 +42,6 @@ STANDS_S = 2.0  # for which a standing body is watched
 FLOATS_S = 2.5
 BEFORE_S, AFTER_S = 1.6, 2.2  # around a pulse
 SETTLE_S = 0.4  # for air and friction to stop it
-AROUND = (-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # offsets of a place [m]
-LEVEL = 0.004  # slope that is level enough [m/s^2]
-CARRIED = (0.4, 0.25)  # distances to a mark that are tried [m]
 EXACT, REPEATS = 0.08, 4  # error of a push, as a share, above which it is repeated
 LONG = BEFORE_S + AFTER_S
 ASTRAY = 0.1  # a vehicle this far from its place is carried back [m]
@@ -310,7 +307,7 @@ class Procedure:
         if len(own) < 12:
             return None
         others = {
-            other: _gained(other_rows, at)
+            other: gained(other_rows, at)
             for other, other_rows in rows.items() if other != name
         }  # fmt: skip
         kick = kick_of(own, at, flow, self._noise[name], drags_of(vehicle))
@@ -397,58 +394,3 @@ def commission(
     ground = lay(experiment.table)
     procedure = Procedure(experiment, station, tell, lambda x, y: np.array(tilt_at(ground, x, y)))
     return Commissioned(procedure.run(names or list(experiment.vehicles)), procedure.pulses)
-
-
-def drags_of(vehicle: Vehicle) -> tuple[float, float]:
-    """Deceleration over speed, of motion and of turning [1/s]."""
-    return vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia
-
-
-def _gained(rows: Array, at: float) -> float:
-    """Speed that a body gained at a time [m/s]."""
-    after = rows[rows[:, 0] > at + 0.4]
-    return abs(speed_of(after) - speed_of(rows[rows[:, 0] < at]))
-
-
-def marks_of(
-    experiment: Experiment, name: str, slope: Callable[[float, float], Array]
-) -> list[Mark]:
-    """A place, and others beside it that are free; empty: there is no room.
-
-    The place is the vehicle's start, or the most level one around it if the table is steep there.
-    """
-    setup, size = experiment.vehicles[name], experiment.table.size
-    radius = setup.model.radius
-    room = [0.5 * side - radius - experiment.flight.gate.fence_margin for side in size]
-
-    def free(px: float, py: float) -> bool:
-        if abs(px) > room[0] or abs(py) > room[1]:
-            return False
-        apart = [
-            math.dist((px, py), one.start[:2]) - radius - one.model.radius
-            for other, one in experiment.vehicles.items() if other != name
-        ]  # fmt: skip
-        apart += [
-            math.dist((px, py), o.position) - radius - o.solid
-            for o in experiment.obstacles.values()
-        ]
-        return min(apart, default=1.0) > 0.05
-
-    def around(x: float, y: float) -> list[Mark]:
-        for way in CARRIED:
-            along = next((s * way for s in (1.0, -1.0) if free(x + s * way, y)), None)
-            across = next((s * way for s in (1.0, -1.0) if free(x, y + s * way)), None)
-            if along is not None and across is not None:
-                return [
-                    (x, y, 0.0), (x + along, y, 0.0), (x, y + across, 0.0), (x, y, 0.5 * math.pi),
-                ]  # fmt: skip
-        return []
-
-    x, y, _ = setup.start
-    offsets = sorted(product(AROUND, AROUND), key=lambda d: math.hypot(*d))
-    places = [at for dx, dy in offsets if free(*(at := (x + dx, y + dy))) and around(*at)]
-    steep = [float(np.hypot(*slope(*at))) for at in places]
-    level = next((k for k, s in enumerate(steep) if s < LEVEL), None)
-    if not places:
-        return []
-    return around(*places[int(np.argmin(steep)) if level is None else level])
