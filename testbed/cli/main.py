@@ -16,6 +16,7 @@ from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, commission, poses, stop, twin
 from testbed.cli.many import benchmark, campaign, tune
+from testbed.cli.watch import console, dash, ros2
 
 EPILOG = """\b
 Exit codes:
@@ -298,36 +299,6 @@ def compare(
 
 
 @main.command()
-@click.argument("run", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--web", is_flag=True, help="Serve to a browser instead of a window.")
-@click.option("--bind", default="127.0.0.1", show_default=True, help="Network address.")
-@click.option("--port", type=click.IntRange(1, 65534), help="Data port; the page uses PORT+1.")
-@click.pass_context
-def dash(context: click.Context, run: Path, web: bool, bind: str, port: int | None) -> None:
-    """Open the dashboard for a RUN folder, live or recorded."""
-    from testbed.cli.dash import show_run
-
-    context.exit(show_run(run, "web" if web else "window", bind, port))
-
-
-@main.command()
-@click.argument(
-    "run", type=click.Path(exists=True, file_okay=False, path_type=Path), required=False
-)
-@click.option("--bind", default="127.0.0.1", show_default=True, help="Network address.")
-@click.option("--port", type=click.IntRange(1, 65535), help="Port of the page.  [default: 8765]")
-@click.pass_context
-def console(context: click.Context, run: Path | None, bind: str, port: int | None) -> None:
-    """Serve the operator's page of a RUN folder.
-
-    Without RUN: of the flight on this machine.
-    """
-    from testbed.cli.console import show_page
-
-    context.exit(show_page(run, bind, port))
-
-
-@main.command()
 @click.argument("key")
 @click.option("--quick", is_flag=True, help="Fewer seeds and coarser steps.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -359,8 +330,8 @@ def reproduce(
 
 
 for verb in (
-    agent, benchmark, calibrate, campaign, commission, excite, lab_keys, poses, stop, tune, twin,
-    validate,
+    agent, benchmark, calibrate, campaign, commission, console, dash, excite, lab_keys, poses, ros2,
+    stop, tune, twin, validate,
 ):  # fmt: skip
     main.add_command(verb)
 

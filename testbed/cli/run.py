@@ -56,7 +56,7 @@ def run_experiment(
     console: int | None = None,
 ) -> int:
     """Fly an experiment; return the exit code."""
-    interrupt, board, page, folder = Interrupt(), None, None, None
+    interrupt, board, page, ros2, folder = Interrupt(), None, None, None, None
     operator = Operator(arm=arm, reset=reset, at_once=interrupt.at_once)
     if (view is not None or console is not None) and speed is None:
         speed = 1.0  # real time, for the viewer
@@ -85,6 +85,10 @@ def run_experiment(
                 from testbed.cli.console import page_beside
 
                 page = page_beside(folder, bind or "127.0.0.1", console)
+            if experiment.table.lab.network.ros2:
+                from testbed.cli.ros2 import publisher_beside
+
+                ros2 = publisher_beside(folder, experiment.table.lab.network)
             make = maker(rig, experiment, folder, operator)
             # without a terminal, a flight in real time prints status lines
             operator.live = LiveTable(experiment, errors, None if rig == "twin" else LINE_S)
@@ -99,7 +103,7 @@ def run_experiment(
                 print_result(metrics, experiment, folder)
             report(folder, experiment)
     except (ConfigError, ViewerError, UnusableLawError, LawError) as error:
-        for one in (board, page):
+        for one in (board, page, ros2):
             if one is not None:
                 one.terminate()
                 one.wait()
@@ -108,6 +112,10 @@ def run_experiment(
         return refuse(error)
     except FolderError as error:
         return refuse(error)
+    if ros2 is not None:
+        from testbed.cli.ros2 import end
+
+        end(ros2)
     pages = [one for one in (board if view == "web" else None, page) if one is not None]
     if pages:
         from testbed.cli.dash import leave

@@ -26,6 +26,9 @@ def bad_network(experiment: Experiment) -> Iterator[Mistake]:
     if (why := untrusted(network.endpoint, keys)) is not None:
         at = ("table", "lab", "network", "endpoint")
         yield Mistake(at, why.expected, show(network.endpoint))
+    if (why := untrusted(network.ros2_endpoint, None)) is not None:
+        at = ("table", "lab", "network", "ros2_endpoint")
+        yield Mistake(at, why.expected, show(network.ros2_endpoint))
 
 
 def _mocap(experiment: Experiment) -> Iterator[Mistake]:

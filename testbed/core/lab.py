@@ -41,6 +41,9 @@ class Network(Struct, frozen=True, forbid_unknown_fields=True):
     lab: Word = "lab"  # first part of every network key
     endpoint: str = "tcp/127.0.0.1:7450"  # in Zenoh's notation; tls/ with keys
     keys: str = ""  # the host's key folder from `testbed lab-keys`; empty: loopback only
+    ros2: bool = False  # publish each flight to ROS 2, read-only, see net/ros2.py
+    ros2_endpoint: str = "tcp/127.0.0.1:7447"  # of its router, `rmw_zenohd`
+    ros2_domain: Annotated[int, Meta(ge=0, le=232)] = 0  # ROS_DOMAIN_ID
 
 
 class SerialLines(Struct, frozen=True, forbid_unknown_fields=True):

@@ -38,10 +38,15 @@ class Extra(NamedTuple):
 
 
 class Extras:
-    """Makes standard messages from rows; `epoch_ns` is UTC at time 0 of the run."""
+    """Makes standard messages from rows.
 
-    def __init__(self, epoch_ns: int) -> None:
-        self._epoch = epoch_ns
+    Args:
+        epoch_ns: UTC at time 0 of the run.
+        every_ns: time of the run between two poses; 0: one per tick.
+    """
+
+    def __init__(self, epoch_ns: int, every_ns: int = EVERY_NS) -> None:
+        self._epoch, self._every = epoch_ns, every_ns
         self._due: dict[str, int] = {}  # next message by topic [ns]
         self._state: dict[str, tuple[int, ...]] = {}  # condition in the newest diagnosis
 
@@ -54,7 +59,7 @@ class Extras:
         yield from self._diagnosis(name, stamp, values)
         if stamp < self._due.get(topic, 0) or not values[KNOWN]:
             return
-        self._due[topic] = stamp + EVERY_NS - EVERY_NS // 100  # times of ticks are rounded
+        self._due[topic] = stamp + self._every - self._every // 100  # times of ticks are rounded
         header = self._header(stamp, TABLE)
         x, y, theta = values[POSE : POSE + 3]
         turn = {"z": math.sin(0.5 * theta), "w": math.cos(0.5 * theta)}

@@ -4,16 +4,22 @@ Used for rows that are made from structs. Compiled code writes its rows itself.
 """
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
+from itertools import chain
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
+
+from msgspec import Struct
+from msgspec.structs import fields
 
 from testbed.core.records.cdr import CODES
 from testbed.core.records.definition import DTYPES, MESSAGES, SCALARS, Field
 from testbed.core.records.layout import HEADER
 
+S = TypeVar("S", bound=Struct)
 _COUNT = struct.Struct("<II")  # of a sequence: valid elements, length
+_PARTS: dict[type[Struct], tuple[type[Struct] | None, ...]] = {}
 
 
 def form(kind: str) -> str:
@@ -47,6 +53,30 @@ def leaves(kind: str, prefix: str = "") -> Iterator[str]:
 def getter(kind: str) -> Callable[[Any], tuple[Any, ...]]:
     """All numbers of a struct with the fields of a message, in order."""
     return attrgetter(*leaves(kind))
+
+
+def elements(kind: str, rows: Iterable[Any]) -> tuple[int, bytes]:
+    """Number and bytes of the elements of a sequence."""
+    found = list(rows)
+    return len(found), several(kind, len(found)).pack(*chain.from_iterable(found))
+
+
+def packed(name: str, fixed: Sequence[Any], *sequences: tuple[int, bytes]) -> bytes:
+    """One message without spare elements, see `Packer.pack`."""
+    parts = [HEADER, several(name, 1).pack(*fixed)]
+    for number, data in sequences:
+        parts += (_COUNT.pack(number, number), data)
+    return b"".join(parts)
+
+
+def made(kind: type[S], numbers: Iterator[Any]) -> S:
+    """A struct from the next numbers, the inverse of `getter`."""
+    if kind not in _PARTS:
+        _PARTS[kind] = tuple(
+            one.type if issubclass(one.type, Struct) else None for one in fields(kind)
+        )
+    parts = (next(numbers) if one is None else made(one, numbers) for one in _PARTS[kind])
+    return kind(*parts)
 
 
 class Unpacked(NamedTuple):

@@ -5,8 +5,6 @@ from itertools import chain
 from typing import Any, TypeVar
 
 import msgspec
-from msgspec import Struct
-from msgspec.structs import fields
 
 from testbed.core.codes import FaultReport, Hazard, InhibitReason, Intervention, Refusal, Response
 from testbed.core.records import cdr
@@ -32,11 +30,10 @@ from testbed.core.types import (
     Vitals,
     Wrench,
 )
-from testbed.logs.packing import Unpacked, unpack
+from testbed.logs.packing import Unpacked, made, unpack
 from testbed.logs.tick_row import MOST_FAULTS, Names
 
 LOST = "its text is in a damaged part of the log"
-S = TypeVar("S", bound=Struct)
 C = TypeVar("C")
 _REASONS = {one.value: one for one in InhibitReason}
 _RESPONSES = {one.value: one for one in Response}
@@ -79,8 +76,8 @@ class RowReader:
         """The tick in a row."""
         row, who = unpack("Tick", data), topic.rpartition("/")[0]
         take = iter(row.fixed)
-        t, demand, until, kind = next(take), _made(Demand, take), next(take), next(take)
-        health = _made(Health, take)
+        t, demand, until, kind = next(take), made(Demand, take), next(take), next(take)
+        health = made(Health, take)
         operator, offset, late, free, foreign, ok, same, law_error, fleet = _some(take, 9)
         armed, end = _some(take, 2)
         vitals = Vitals(
@@ -93,8 +90,8 @@ class RowReader:
             self._setpoint(kind, demand, until, row), self._states(row), health,
             self._messages(row), vitals,
         )  # fmt: skip
-        out_t, state, reference = next(take), _made(State, take), _made(Reference, take)
-        demand, wanted, got = _made(Demand, take), _made(Wrench, take), _made(Wrench, take)
+        out_t, state, reference = next(take), made(State, take), made(Reference, take)
+        demand, wanted, got = made(Demand, take), made(Wrench, take), made(Wrench, take)
         filtered = self._filtered(*_some(take, 4))
         issued, until, message_t, *values = _some(take, 6)
         _, held, seq, fault, inhibit, length, response, known, active, air_off, sends = _some(
@@ -120,8 +117,8 @@ class RowReader:
         """The tick of a law on the host in a row."""
         row, who = unpack("HostTick", data), topic.rpartition("/")[0]
         take = iter(row.fixed)
-        t, own, known = next(take), _made(State, take), next(take)
-        out_t, demand, until, kind = next(take), _made(Demand, take), next(take), next(take)
+        t, own, known = next(take), made(State, take), next(take)
+        out_t, demand, until, kind = next(take), made(Demand, take), next(take), next(take)
         filtered = self._filtered(*_some(take, 4))
         message_t, fault, sends = _some(take, 3)
         return HostTick(
@@ -137,7 +134,7 @@ class RowReader:
         found = {}
         for one in row.sequences["neighbours"]:
             take = iter(one)
-            state = _made(State, take)
+            state = made(State, take)
             found[self.vehicle(next(take))] = state
         return found
 
@@ -161,7 +158,7 @@ class RowReader:
         if kind == SetpointKind.NONE:
             return None
         ahead = row.sequences["references"]
-        return Trajectory(tuple(_made(Reference, iter(one)) for one in ahead), until)
+        return Trajectory(tuple(made(Reference, iter(one)) for one in ahead), until)
 
 
 def fault_of(event: cdr.Message) -> FaultReport | None:
@@ -186,16 +183,3 @@ def _some(take: Iterator[Any], number: int) -> list[Any]:
 
 def _own(t: float, row: Unpacked) -> LawMessage:
     return LawMessage(t, tuple(chain.from_iterable(row.sequences["message"])))
-
-
-_PARTS: dict[type[Struct], tuple[type[Struct] | None, ...]] = {}
-
-
-def _made(kind: type[S], take: Iterator[Any]) -> S:
-    """A struct from the next numbers."""
-    if kind not in _PARTS:
-        _PARTS[kind] = tuple(
-            one.type if issubclass(one.type, Struct) else None for one in fields(kind)
-        )
-    parts = (next(take) if one is None else _made(one, take) for one in _PARTS[kind])
-    return kind(*parts)

@@ -5,8 +5,7 @@ before the first row that has its code; a name is a number in `Names`, written w
 """
 
 import struct
-from collections.abc import Callable, Iterable
-from itertools import chain
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
@@ -16,7 +15,7 @@ from testbed.core.codes import FaultReport, Hazard, InhibitReason, Intervention
 from testbed.core.records import cdr
 from testbed.core.records.kinds import Active, EventKind, FaultCode, SetpointKind
 from testbed.core.types import Demand, HostTick, LawMessage, Reference, Setpoint, State, Tick
-from testbed.logs.packing import Packer, getter, several
+from testbed.logs.packing import Packer, elements, getter, several
 
 NAN = float("nan")
 S = TypeVar("S")
@@ -135,10 +134,10 @@ class RowWriter:
             o.state is not None, now, o.air_off, own is not None,
         )  # fmt: skip
         sequences = (
-            _elements("PoseSample", map(_sample, i.samples)),
+            elements("PoseSample", map(_sample, i.samples)),
             self._neighbours(i.neighbours),
             references,
-            _elements("Pulse", zip(c.on_us, c.offset_us, strict=True)),
+            elements("Pulse", zip(c.on_us, c.offset_us, strict=True)),
             heard, heard_values,
             _message(own),
         )  # fmt: skip
@@ -200,7 +199,7 @@ class RowWriter:
             for name, one in messages.items()
         )
         values = ((value,) for one in messages.values() for value in one.values)
-        return _elements("Heard", heads), _elements("float64", values)
+        return elements("Heard", heads), elements("float64", values)
 
     def _aim(self, setpoint: Setpoint | None) -> tuple[tuple[Any, ...], tuple[int, bytes]]:
         if setpoint is None:
@@ -221,17 +220,11 @@ def _state_bytes(state: State) -> bytes:
 
 
 def _reference_bytes(references: tuple[Reference, ...]) -> bytes:
-    return _elements("Reference", map(_reference, references))[1]
-
-
-def _elements(kind: str, rows: Iterable[Any]) -> tuple[int, bytes]:
-    """Number and bytes of the elements of a sequence."""
-    found = list(rows)
-    return len(found), several(kind, len(found)).pack(*chain.from_iterable(found))
+    return elements("Reference", map(_reference, references))[1]
 
 
 def _message(message: LawMessage | None) -> tuple[int, bytes]:
-    return _EMPTY if message is None else _elements("float64", ((v,) for v in message.values))
+    return _EMPTY if message is None else elements("float64", ((v,) for v in message.values))
 
 
 def _json(fault: FaultReport) -> str:
@@ -254,7 +247,7 @@ def event_of(t: float, kind: EventKind, what: str | FaultReport) -> bytes:
 def _motions(writer: RowWriter, t: float, truth: Any, who: str, out: list[Made]) -> Any:
     writer.names.vehicles += [n for n in truth.vehicles if n not in writer.names.vehicles]
     rows = [(m.x, m.y, m.theta, m.vx, m.vy, m.omega) for m in truth.vehicles.values()]
-    return "Truth", (t,), [_elements("Motion", rows)]
+    return "Truth", (t,), [elements("Motion", rows)]
 
 
 def _pace(writer: RowWriter, t: float, pace: Any, who: str, out: list[Made]) -> Any:

@@ -6,29 +6,40 @@ another session: a command of yesterday's run must not move a vehicle today.
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import msgspec
-from msgspec import Struct
 
-from testbed.core.types import LawMessage, Setpoint, State, Trajectory
+from testbed.core.records.layout import HEADER
+from testbed.logs.packing import several
+from testbed.net.payload import body_of
 
 M = TypeVar("M")
 
-SCHEMA = 1  # version of the envelope and its contents; others are refused
+SCHEMA = 2  # version of the envelope and its contents; others are refused
 LONGEST_S = 60.0  # longest lifetime of a message
 EARLY_S = 0.05  # a message may arrive this long before its stamp: clocks differ
 
 
-class Sealed(Struct, frozen=True, array_like=True, gc=False):
-    """A message on the wire, in MessagePack. Times are of the run, by the host's clock."""
+_ENVELOPE = several("Envelope", 1)
+START = len(HEADER) + _ENVELOPE.size  # of the body [bytes]
 
-    schema: int
-    session: int  # number of the run
-    seq: int  # rises by one per message of a sender and key
+
+class Head(NamedTuple):
+    """The envelope of a message: the record `Envelope`, as CDR. Its body follows."""
+
+    session: int
+    seq: int
     issued_at: float  # [s]
     valid_until: float  # [s]
-    body: msgspec.Raw
+    schema: int
+
+
+def head_of(data: bytes) -> Head | None:
+    """The envelope of a message; None: it has none."""
+    if len(data) < START or data[: len(HEADER)] != HEADER:
+        return None
+    return Head(*_ENVELOPE.unpack_from(data, len(HEADER)))
 
 
 class Verdict(StrEnum):
@@ -49,23 +60,19 @@ class Outbox:
 
     def __init__(self, session: int) -> None:
         self._session, self.sent = session, 0
-        self._pack = msgspec.msgpack.Encoder().encode
 
     def seal(self, message: object, issued_at: float, valid_until: float) -> bytes:
         """Encode a message with the next sequence number."""
         self.sent += 1
-        body = msgspec.Raw(self._pack(message))
-        return self._pack(Sealed(SCHEMA, self._session, self.sent, issued_at, valid_until, body))
-
-
-_head = msgspec.msgpack.Decoder(Sealed)
+        head = _ENVELOPE.pack(self._session, self.sent, issued_at, valid_until, SCHEMA)
+        return HEADER + head + body_of(message)
 
 
 class Inbox(Generic[M]):
     """The newest message of one key, and how many were refused and why.
 
     Args:
-        open_body: decodes the body.
+        open_body: decodes the body, see payload.py.
         session: messages of other sessions are refused.
         late_s: longest delay from issue to arrival.
     """
@@ -91,8 +98,9 @@ class Inbox(Generic[M]):
         return verdict
 
     def _judge(self, data: bytes, arrived_at: float) -> Verdict:
+        if (head := head_of(data)) is None:
+            return Verdict.GARBLED
         try:
-            head = _head.decode(data)
             if head.schema != SCHEMA:
                 return Verdict.SCHEMA
             if head.session != self._session:
@@ -107,8 +115,8 @@ class Inbox(Generic[M]):
                 return Verdict.GARBLED
             if not head.valid_until - head.issued_at <= LONGEST_S:
                 return Verdict.GARBLED
-            message = self._open(head.body)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            message = self._open(data[START:])
+        except (msgspec.MsgspecError, ValueError, RecursionError):
             return Verdict.GARBLED
         if self._seq:
             self.missed += head.seq - self._seq - 1
@@ -116,52 +124,3 @@ class Inbox(Generic[M]):
         self._seq, self.newest, self.valid_until = head.seq, message, head.valid_until
         self.issued_at = head.issued_at
         return Verdict.TAKEN
-
-
-_state = msgspec.msgpack.Decoder(State).decode
-_setpoint = msgspec.msgpack.Decoder(Setpoint).decode
-_law_message = msgspec.msgpack.Decoder(LawMessage).decode
-
-
-def open_state(data: Any) -> State:
-    """Decode a vehicle's state; all numbers must be finite and below 1e9."""
-    state: State = _state(data)
-    pose, twist, bias = state.pose, state.twist, state.bias
-    _insist(
-        state.t, pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega,
-        bias.ax, bias.ay, bias.alpha, state.pose_age,
-    )  # fmt: skip
-    return state
-
-
-def open_setpoint(data: Any) -> Setpoint:
-    """Decode a setpoint, with the same limit; a trajectory must not be empty."""
-    setpoint: Setpoint = _setpoint(data)
-    if isinstance(setpoint, Trajectory):
-        if not setpoint.references:
-            raise msgspec.ValidationError("an empty trajectory")
-        for r in setpoint.references:
-            pose, twist, accel = r.pose, r.twist, r.accel
-            _insist(
-                r.t, pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega,
-                accel.ax, accel.ay, accel.alpha, setpoint.valid_until,
-            )  # fmt: skip
-    else:
-        _insist(
-            setpoint.t, setpoint.fx_w, setpoint.fy_w, setpoint.theta, setpoint.omega,
-            setpoint.alpha, setpoint.valid_until,
-        )  # fmt: skip
-    return setpoint
-
-
-def open_message(data: Any) -> LawMessage:
-    """Decode a law's message, with the same limit."""
-    message: LawMessage = _law_message(data)
-    _insist(message.t, *message.values)
-    return message
-
-
-def _insist(*values: float) -> None:
-    for value in values:
-        if not abs(value) < 1e9:  # also nan
-            raise msgspec.ValidationError(f"a number of {value}")

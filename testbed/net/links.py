@@ -8,9 +8,10 @@ from msgspec import Struct
 
 from testbed.core.lab import Lab
 from testbed.core.types import LawMessage, Setpoint, State
-from testbed.net.envelope import Inbox, Outbox, open_message, open_setpoint, open_state
+from testbed.net.envelope import Inbox, Outbox
 from testbed.net.impairment import NetworkImpairment, calm
 from testbed.net.keys import Keys
+from testbed.net.payload import open_message, open_setpoint, open_state
 from testbed.net.session import Publisher, Subscriber
 from testbed.realtime.wall_clock import WallClock
 

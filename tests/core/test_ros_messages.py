@@ -12,6 +12,7 @@ from testbed.core.records import messages as _messages  # noqa: F401
 from testbed.core.records.definition import DTYPES, MESSAGES, parse
 from testbed.core.records.kinds import EventKind
 from testbed.core.records.layout import Layout
+from testbed.core.records.type_hash import type_hash
 from testbed.logs.row_reader import fault_of
 from testbed.logs.tick_row import event_of
 
@@ -136,6 +137,19 @@ def test_rosbags_reads_every_message(name: str) -> None:
     message = sample(name, np.random.default_rng(2))
     found = store.deserialize_cdr(cdr.encode(name, message), ros.ros_name(name))
     assert plain(found) == message
+
+
+@pytest.mark.parametrize("name", sorted(MESSAGES))
+def test_rosbags_computes_the_same_type_hash(name: str) -> None:
+    assert type_hash(name) == rosbags_store().hash_rihs01(ros.ros_name(name))
+
+
+def test_another_field_has_another_hash(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = type_hash("Twist")
+    changed = parse("Twist", "float64 vx\nfloat64 vy\nfloat32 omega")
+    monkeypatch.setitem(MESSAGES, "Twist", changed)
+    assert type_hash.__wrapped__("Twist") != before
+    assert type_hash.__wrapped__("State") != type_hash("State")  # it has a twist
 
 
 def test_standard_messages_are_those_of_ros() -> None:

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from testbed.core.lab import Weather
 from testbed.core.types import Accel, Demand, LawMessage, Pose, Reference, Trajectory, Twist
-from testbed.net.envelope import SCHEMA, Inbox, Outbox, Sealed, Verdict, open_setpoint
+from testbed.net.envelope import SCHEMA, START, Inbox, Outbox, Verdict, head_of
 from testbed.net.impairment import NetworkImpairment
 from testbed.net.links import Blackboard
+from testbed.net.payload import open_setpoint
 
 
 def demand(t):
@@ -60,16 +61,18 @@ def test_by_order():
 def test_another_session_or_version_is_refused():
     box = inbox()
     assert box.take(Outbox(8).seal(demand(1.0), 1.0, 1.2), 1.0) is Verdict.FOREIGN
-    body = msgspec.Raw(msgspec.msgpack.encode(demand(1.0)))
-    other = msgspec.msgpack.encode(Sealed(SCHEMA + 1, 7, 1, 1.0, 1.2, body))
-    assert box.take(other, 1.0) is Verdict.SCHEMA
+    other = bytearray(Outbox(7).seal(demand(1.0), 1.0, 1.2))
+    assert head_of(bytes(other)) == (7, 1, 1.0, 1.2, SCHEMA)
+    other[4 + 32] += 1
+    assert box.take(bytes(other), 1.0) is Verdict.SCHEMA
     assert box.newest is None
 
 
 def test_a_refused_message_does_not_use_up_its_number():
     box = inbox()
-    body = msgspec.Raw(msgspec.msgpack.encode({"type": "nonsense"}))
-    nonsense = msgspec.msgpack.encode(Sealed(SCHEMA, 7, 5, 1.0, 1.2, body))
+    out = Outbox(7)
+    out.sent = 4
+    nonsense = out.seal(demand(1.0), 1.0, 1.2)[:START] + b"nonsense"
     assert box.take(nonsense, 1.0) is Verdict.GARBLED
     assert box.take(Outbox(7).seal(demand(1.0), 1.0, 1.2), 1.0) is Verdict.TAKEN
 

@@ -207,6 +207,15 @@ HOST_TICK = message("HostTick", "A complete tick of a law on the host.", """
     float64[] message
 """)  # fmt: skip
 
+ENVELOPE = message("Envelope", "Before every message on the testbed's own network keys.", """
+    uint64 session  # number of the run
+    uint64 seq  # rises by one per message of a sender and key
+    float64 issued_at  # by the host's clock, from the run's time 0 [s]
+    float64 valid_until  # not used afterwards [s]
+    uint32 schema  # version of the messages; others are refused
+    uint32 reserved
+""")  # fmt: skip
+
 SETPOINT = message("Setpoint", "What a vehicle shall do: on the network.", """
     Aim aim
     uint32 references_valid  # in order of time

@@ -34,7 +34,7 @@ from testbed.mocap.natnet import Described, MocapFrame, RigidBody
 from testbed.mocap.natnet_server import Address, NatNetServer
 from testbed.mocap.topic import encode_poses
 from testbed.net.credentials import neighbour
-from testbed.net.envelope import Sealed
+from testbed.net.envelope import head_of
 from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, Publisher, Subscriber, dial
 from testbed.realtime.wall_clock import monotonic_ns
@@ -299,13 +299,10 @@ class TableServer:
         if self._permits is None or self._released_ns is None or not self.experiment.inject:
             return
         for at, data in self._permits.heard():
-            try:
-                stamp = msgspec.msgpack.decode(data, type=Sealed).issued_at
-            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            head = head_of(data)
+            if head is None or not abs(head.issued_at) < LARGEST_S:
                 continue  # not from the host
-            if not abs(stamp) < LARGEST_S:
-                continue
-            later = 1e-9 * (at - self._released_ns) - stamp
+            later = 1e-9 * (at - self._released_ns) - head.issued_at
             shifted = [
                 one if one.at_s is None else replace(one, at_s=max(0.0, one.at_s + later))
                 for one in self.experiment.inject
