@@ -3,7 +3,8 @@ r"""One integration step of a planar rigid body under a time-varying body wrench
 State: position and velocity of the body's origin and heading, x = (x, y, theta, vx, vy, omega) in
 W. Newton and Euler hold for the centre of mass, at c in the body, r = R(theta) c from the origin:
 
-    m a_c = R(theta) f(t) + m g(p + r) - drag v_c      I theta'' = tau_c(t) - spin_drag theta'
+    m a_c = R(theta) f(t) + hose + m g(p + r) - (drag + friction) v_c
+    I theta'' = tau_c(t) + hose's torque - spin_drag theta'
     a     = a_c - theta'' x r + theta'^2 r             v_c = v + theta' x r
 
 and c, m and I change as gas leaves. The step is the 3-stage Gauss collocation method (order 6). Its
@@ -18,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_twin.ground import tilt_at
+from sim_twin.ground import friction_at, tilt_at
 from testbed.core.compiled import compiled, inlined
 
 Array = NDArray[np.float64]
@@ -62,7 +63,7 @@ def new_stages():
 
 
 @inlined
-def step(x, h, stages, drag, spin_drag, ground):
+def step(x, h, stages, drag, spin_drag, hose, ground):
     """Advance `x`, shape (6,), by `h` in place.
 
     Args:
@@ -71,6 +72,7 @@ def step(x, h, stages, drag, spin_drag, ground):
         stages: `body` is read; the rest is written to.
         drag: [N s/m].
         spin_drag: [N m s/rad].
+        hose: force in W [N] and torque [N m] of a hose, shape (3,).
         ground: the table.
     """
     theta, omega = x[2], x[5]
@@ -84,7 +86,7 @@ def step(x, h, stages, drag, spin_drag, ground):
             for j in range(3):
                 w += h * A[i, j] * spin[j]
             cx, cy = body[i, CX], body[i, CY]
-            torque = body[i, TAU] - (cx * body[i, FY] - cy * body[i, FX])
+            torque = body[i, TAU] - (cx * body[i, FY] - cy * body[i, FX]) + hose[2]
             new = (torque - spin_drag * w) / body[i, INERTIA]
             change = max(change, abs(new - spin[i]))
             spin[i] = new
@@ -100,9 +102,10 @@ def step(x, h, stages, drag, spin_drag, ground):
         rx = cos * body[i, CX] - sin * body[i, CY]
         ry = sin * body[i, CX] + cos * body[i, CY]
         still[i, 0], still[i, 1], still[i, 2], still[i, 3] = rx, ry, w, drag / mass
-        still[i, 4] = (cos * fx - sin * fy) / mass + spin[i] * ry + w * w * rx
-        still[i, 5] = (sin * fx + cos * fy) / mass - spin[i] * rx + w * w * ry
-    weak = drag != 0.0 or ground.map.shape[0] > 0
+        still[i, 4] = (cos * fx - sin * fy + hose[0]) / mass + spin[i] * ry + w * w * rx
+        still[i, 5] = (sin * fx + cos * fy + hose[1]) / mass - spin[i] * rx + w * w * ry
+    patches = ground.patches.shape[0] > 0
+    weak = drag != 0.0 or ground.map.shape[0] > 0 or patches
     for _ in range(PASSES):
         change = 0.0
         for i in range(3):
@@ -114,6 +117,8 @@ def step(x, h, stages, drag, spin_drag, ground):
                 ux += h * A[i, j] * accel[j, 0]
                 uy += h * A[i, j] * accel[j, 1]
             gx, gy = tilt_at(ground, qx + rx, qy + ry)
+            if patches:
+                slow += friction_at(ground, qx, qy, ux, uy)
             new_x = still[i, 4] + gx - slow * (ux - w * ry)
             new_y = still[i, 5] + gy - slow * (uy + w * rx)
             change = max(change, abs(new_x - accel[i, 0]), abs(new_y - accel[i, 1]))

@@ -1,15 +1,17 @@
 """Motion capture model: turns true states into delayed, noisy poses."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_twin.plant_parameters import AS_IN_THE_FILES
 from sim_twin.randomness import Words, normal, stream, uniform, words
 from testbed.core.compiled import borrowed, compiled
-from testbed.core.se2 import wrap_compiled
-from testbed.core.table import Mocap
+from testbed.core.se2 import wrap, wrap_compiled
+from testbed.core.table import Mocap, Spread
 from testbed.core.types import PoseSample
 
 Array = NDArray[np.float64]
@@ -94,7 +96,9 @@ def photograph(film, optics, times, states, shown, now):
 class Cameras:
     """The poses that the camera system reports for the bodies `names`."""
 
-    def __init__(self, names: Sequence[str], mocap: Mocap, seed: int) -> None:
+    def __init__(
+        self, names: Sequence[str], mocap: Mocap, seed: int, lab: Spread = AS_IN_THE_FILES
+    ) -> None:
         pairs = [stream(seed, name, "camera").spawn(2) for name in names]
         self.optics = Optics(
             mocap.noise,
@@ -105,6 +109,13 @@ class Cameras:
             mocap.dropout_s,
         )
         n = len(names)
+        sigma = lab.body, lab.body, float(np.radians(lab.body_deg))
+        # of each body from its vehicle: x, y [m], heading
+        self._offsets = [
+            (stream(seed, name, "body").standard_normal(3) * sigma).tolist() for name in names
+        ]
+        self._clock = lab.clock_s * float(stream(seed, "clock").standard_normal())
+        self._exact = not any((*sigma, lab.clock_s))
         self.film = Film(
             np.array([words(noise) for noise, _ in pairs]),
             np.array([words(luck) for _, luck in pairs]),
@@ -143,4 +154,15 @@ class Cameras:
         _, arrived, taken = count[k].tolist()
         count[k, TAKEN] = arrived
         rows = self.film.poses[k, taken:arrived].tolist()
-        return [PoseSample(t, x, y, theta) for _, t, x, y, theta in rows]
+        if self._exact:
+            return [PoseSample(t, x, y, theta) for _, t, x, y, theta in rows]
+        dx, dy, turn = self._offsets[k]
+        found = []
+        for _, t, x, y, theta in rows:
+            c, s = math.cos(theta), math.sin(theta)
+            found.append(
+                PoseSample(
+                    t + self._clock, x + c * dx - s * dy, y + s * dx + c * dy, wrap(theta + turn)
+                )
+            )
+        return found

@@ -8,7 +8,7 @@ from testbed.core.pulse import Timing, corners
 
 
 @compiled
-def pieces(pulses, timing, effect, thrust, droop, origin, span):
+def pieces(pulses, timing, effect, thrust, droop, late, origin, span):
     """Cut [0, span] where any jet's flow has a corner.
 
     Args:
@@ -17,6 +17,7 @@ def pieces(pulses, timing, effect, thrust, droop, origin, span):
         effect: wrench of each fully open jet, shape (3, jets).
         thrust: its magnitude, shape (jets,) [N].
         droop: k of vehicle.Air.
+        late: further delay of each jet's valve, shape (jets,) [s].
         origin: time of the run at which the window starts [ns].
         span: length of the window [s].
 
@@ -37,7 +38,9 @@ def pieces(pulses, timing, effect, thrust, droop, origin, span):
             if pulses.down[j, k] <= pulses.up[j, k]:
                 continue
             a, b, c, d, peak = corners(
-                (pulses.up[j, k] - origin) * 1e-9, (pulses.down[j, k] - origin) * 1e-9, valve
+                (pulses.up[j, k] - origin) * 1e-9 + late[j],
+                (pulses.down[j, k] - origin) * 1e-9 + late[j],
+                valve,
             )
             if peak == 0.0 or d <= 0.0 or a >= span:
                 continue

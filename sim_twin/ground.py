@@ -1,4 +1,4 @@
-"""The table's surface: tilt and edges."""
+"""The table's surface: tilt, friction and edges."""
 
 from typing import NamedTuple
 
@@ -10,6 +10,8 @@ from testbed.core.table import Table
 
 Array = NDArray[np.float64]
 
+CREEP = 0.001  # below this speed friction fades, so that the integration stays smooth [m/s]
+
 
 class Ground(NamedTuple):
     """Parameters of the table for compiled code."""
@@ -18,6 +20,7 @@ class Ground(NamedTuple):
     uniform: Array  # (2,) tilt acceleration [m/s^2]
     map: Array  # (rows, columns, 2) added to `uniform`, on a regular grid; empty: none [m/s^2]
     restitution: float
+    patches: Array  # (n, 4) x, y, radius [m], deceleration by dry friction [m/s^2]
 
 
 def lay(table: Table) -> Ground:
@@ -28,6 +31,7 @@ def lay(table: Table) -> Ground:
         np.array(table.tilt.uniform, dtype=float),
         grid if grid.ndim == 3 else np.zeros((0, 0, 2)),
         table.restitution,
+        np.array([(*p.position, p.radius, p.slows) for p in table.friction]).reshape(-1, 4),
     )
 
 
@@ -53,3 +57,14 @@ def tilt_at(ground, x, y):
         else:
             ay += value
     return ax, ay
+
+
+@inlined
+def friction_at(ground, x, y, vx, vy):
+    """Deceleration over speed [1/s] of a vehicle that floats over a point."""
+    rate = 0.0
+    for k in range(ground.patches.shape[0]):
+        dx, dy, radius = x - ground.patches[k, 0], y - ground.patches[k, 1], ground.patches[k, 2]
+        if dx * dx + dy * dy < radius * radius:
+            rate += ground.patches[k, 3] / np.sqrt(vx * vx + vy * vy + CREEP * CREEP)
+    return rate

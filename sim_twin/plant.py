@@ -65,7 +65,8 @@ def drift(x, spent, stages, parameters, ground, windows, start, end):
             if parameters.grip[v, 0] > 0.0:
                 slide(x[v], h, parameters.grip[v])
             else:
-                step(x[v], h, stages, parameters.drag[v], parameters.spin_drag[v], ground)
+                drag, spin_drag = parameters.drag[v], parameters.spin_drag[v]
+                step(x[v], h, stages, drag, spin_drag, parameters.hose[v], ground)
 
 
 @compiled
@@ -84,6 +85,7 @@ def cut_windows(pulses, parameters, origin, span):
             parameters.effect[v],
             parameters.thrust[v],
             parameters.droop[v],
+            parameters.late[v],
             origin,
             span,
         )
@@ -190,7 +192,7 @@ class Plant:
         self.names = list(vehicles)
         solid = {name: o for name, o in obstacles.items() if o.solid > 0.0}
         self._others = [*self.names, "right edge", "left edge", "upper edge", "lower edge", *solid]
-        self.parameters = sample_plant(vehicles, seed)
+        self.parameters = sample_plant(vehicles, seed, table.spread)
         self._ground = lay(table)
         self._solids = Solids(
             np.array([o.position for o in solid.values()], dtype=float).reshape(-1, 2),
@@ -212,6 +214,7 @@ class Plant:
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
+        self._aloft: dict[int, tuple[Array, Array, float]] = {}  # of landed vehicles: jets, flow
         self.landed: dict[int, float] = {}  # vehicles without air: time of the shut-off [s]
         self._advance = settled(advance)
 
@@ -234,12 +237,23 @@ class Plant:
 
     def land(self, k: int) -> None:
         """Shut off the air of vehicle `k` at the tank: jets and bearing air."""
+        if k in self.landed:
+            return
+        p = self.parameters
+        self._aloft[k] = p.effect[k].copy(), p.thrust[k].copy(), float(p.bearing_flow[k])
         self.parameters.effect[k] = self.parameters.thrust[k] = 0.0
         self.parameters.bearing_flow[k] = 0.0
-        self.landed.setdefault(k, self.t)
+        self.landed[k] = self.t
         parameters, slows = self.parameters, FRICTION * GRAVITY
         turns = slows * PADS * parameters.radius[k] * parameters.mass[k] / parameters.inertia[k]
         parameters.grip[k] = slows, turns
+
+    def lift(self, k: int) -> None:
+        """Open the air of vehicle `k` again."""
+        p = self.parameters
+        p.effect[k], p.thrust[k], p.bearing_flow[k] = self._aloft.pop(k)
+        p.grip[k] = 0.0
+        del self.landed[k]
 
     def played(self) -> Pulses:
         """Actual valve pulses: the boards' commands, modified by stuck or leaking valves."""

@@ -8,9 +8,12 @@ from msgspec import structs
 from numpy.typing import NDArray
 
 from sim_twin.randomness import stream
+from testbed.core.table import Spread
 from testbed.core.vehicle import Tolerance, Vehicle
 
 Array = NDArray[np.float64]
+
+AS_IN_THE_FILES = Spread()
 
 
 class PlantParameters(NamedTuple):
@@ -37,16 +40,28 @@ class PlantParameters(NamedTuple):
     set_pressure: Array  # (v,) [Pa]
     dropout: Array  # (v,) [Pa]
     timing: Array  # (v, 4) open delay, close delay, open ramp, close ramp [s]
+    late: Array  # (v, j) further delay of each valve [s]
+    hose: Array  # (v, 3) force in W [N] and torque [N m] of a hose
 
 
-def sample_plant(vehicles: Mapping[str, Vehicle], seed: int) -> PlantParameters:
+def sample_plant(
+    vehicles: Mapping[str, Vehicle], seed: int, lab: Spread = AS_IN_THE_FILES
+) -> PlantParameters:
     """Sample the true parameters of all vehicles."""
     jets = max(len(v.jets) for v in vehicles.values())
     drawn = [
         _sample_one(vehicle, stream(seed, name, "metal"), jets)
         for name, vehicle in vehicles.items()
     ]
-    return PlantParameters(*(np.array(column) for column in zip(*drawn, strict=True)))
+    plant = PlantParameters(*(np.array(column) for column in zip(*drawn, strict=True)))
+    for k, name in enumerate(vehicles):
+        rng = stream(seed, name, "lab")
+        stronger = max(0.0, 1.0 + lab.thrust * rng.standard_normal())
+        plant.effect[k] *= stronger
+        plant.thrust[k] *= stronger
+        plant.hose[k] = rng.standard_normal(3) * (lab.hose, lab.hose, lab.hose_torque)
+        plant.late[k] = lab.delay_s * rng.standard_normal(jets)
+    return plant
 
 
 def nominal_plant(vehicle: Vehicle) -> PlantParameters:
@@ -92,4 +107,6 @@ def _sample_one(vehicle: Vehicle, rng: np.random.Generator, jets: int) -> PlantP
         timing=np.array(
             [valve.open_delay_s, valve.close_delay_s, valve.open_ramp_s, valve.close_ramp_s]
         ),
+        late=np.zeros(jets),
+        hose=np.zeros(3),
     )

@@ -63,7 +63,7 @@ def shoot(x0, used0, begin, marks, schedule, parameters, ground, in_table):
                     rate[0], rate[1] = c * rate[0] + s * rate[1], c * rate[1] - s * rate[0]
                 used, _ = breathe(stages, now, rate, end - t, parameters, 0, used)
                 drag, spin_drag = parameters.drag[0], parameters.spin_drag[0]
-                step(x, end - t, stages, drag, spin_drag, ground)
+                step(x, end - t, stages, drag, spin_drag, parameters.hose[0], ground)
                 t = end
             seen[w, m] = x
     keep(own)

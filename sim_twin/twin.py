@@ -94,7 +94,7 @@ class Twin:
         self.injector = (
             FaultInjector(injections, self.plant, obstacles, half, seed) if injections else None
         )
-        self.cameras = Cameras(self.names, table.mocap, seed)
+        self.cameras = Cameras(self.names, table.mocap, seed, table.spread)
         self.radio = Radio(table.link, seed)
         self.now = 0.0  # time of the run [s]
         self._rate = table.mocap.rate_hz

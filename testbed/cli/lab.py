@@ -109,3 +109,28 @@ def stop(context: click.Context, connect: str | None, lab: str, keys: Path | Non
     from testbed.net.stop import stop_everything
 
     context.exit(stop_everything(connect, lab, keys))
+
+
+@click.command()
+@click.argument("experiment")
+@click.argument("overrides", nargs=-1, metavar="[KEY=VALUE]...")
+@click.option(
+    "--rig", type=click.Choice(["twin", "bench", "table"]), default="twin", show_default=True,
+    help="Where the vehicles are; table: on the computer with the valve board.",
+)  # fmt: skip
+@click.option("--vehicle", "only", multiple=True, help="Only this vehicle.  [default: all]")
+@click.option("--yes", is_flag=True, help="Answer every question with yes; not on the table.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder of the report.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON and nothing else.")
+@click.pass_context
+def commission(
+    context: click.Context, experiment: str, overrides: tuple[str, ...], rig: str,
+    only: tuple[str, ...], yes: bool, out: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Find wiring errors of the vehicles of an EXPERIMENT before they fly.
+
+    Each step says what will move, asks, and gives a verdict; see docs/commission.md.
+    """
+    from testbed.cli.commission import run_commission
+
+    context.exit(run_commission(experiment, overrides, rig, only, out, yes=yes, as_json=as_json))

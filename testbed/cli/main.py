@@ -16,7 +16,7 @@ from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
 from testbed.cli.film import film
 from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
-from testbed.cli.lab import agent, poses, stop, twin
+from testbed.cli.lab import agent, commission, poses, stop, twin
 from testbed.cli.many import benchmark, campaign, tune
 from testbed.cli.watch import console, dash, ros2
 
@@ -313,8 +313,8 @@ def reproduce(
 
 
 for verb in (
-    agent, benchmark, calibrate, campaign, console, dash, excite, film, lab_keys, poses, replay,
-    ros2, stop, tune, twin, validate,
+    agent, benchmark, calibrate, campaign, commission, console, dash, excite, film, lab_keys, poses,
+    replay, ros2, stop, tune, twin, validate,
 ):  # fmt: skip
     main.add_command(verb)
 

@@ -21,6 +21,26 @@ class Tilt(Struct, frozen=True, forbid_unknown_fields=True):
     map: list[list[Point]] = []  # [m/s^2]
 
 
+class Patch(Struct, frozen=True, forbid_unknown_fields=True):
+    """A disc of the table where the bearings' gap closes and dry friction slows a vehicle."""
+
+    position: Point  # its centre [m]
+    radius: Positive  # [m]
+    slows: Positive  # while the vehicle's middle is inside [m/s^2]
+
+
+class Spread(Struct, frozen=True, forbid_unknown_fields=True):
+    """Standard deviations of what the vehicle files do not know about this lab."""
+
+    thrust: NonNegative = 0.0  # of all jets of a vehicle together, relative
+    delay_s: NonNegative = 0.0  # of each valve
+    hose: NonNegative = 0.0  # force of a hose or cable, each axis in W [N]
+    hose_torque: NonNegative = 0.0  # [N m]
+    body: NonNegative = 0.0  # the cameras' body from the vehicle's middle, each axis [m]
+    body_deg: NonNegative = 0.0  # and its heading
+    clock_s: NonNegative = 0.0  # the cameras' clock from the vehicles'
+
+
 class Mocap(Struct, frozen=True, forbid_unknown_fields=True):
     """Rate, latency, noise and drop-outs of the cameras."""
 
@@ -62,4 +82,6 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True):
     tilt: Tilt
     mocap: Mocap
     link: Link
+    friction: list[Patch] = []
+    spread: Spread = Spread()
     lab: Lab = field(default_factory=Lab)

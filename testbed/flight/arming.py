@@ -33,6 +33,7 @@ class ArmingParams(Struct, frozen=True, forbid_unknown_fields=True):
     clock_offset_s: Positive = 0.01
     disk_free: Positive = 5e8  # [bytes]
     operator_age_s: Positive = 0.5
+    commissioned: bool = False  # on the table: only with a record of `testbed commission`
 
 
 class Readiness(Struct, frozen=True):

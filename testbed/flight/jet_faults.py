@@ -47,6 +47,7 @@ THRUST = 0.05  # smallest assumed thrust error of a jet, relative, one sigma
 BALANCE = 0.01  # smallest assumed error of the centre of mass, one sigma [m]
 SLOPE = 2e-3  # assumed slope of an unknown table [m/s^2]
 BUMPS = 5e-4  # assumed variation of the slope over the table [m/s^2]
+ALIKE = 50.0  # looks for which a moving vehicle meets the same bump of a rougher table [assumed]
 SPREAD = 1.5e-3  # of a velocity residual at the start, one sigma [m/s]
 SPIN_SPREAD = 5e-3  # [rad/s]
 BELIEVED = 30.0  # weight of the spread at the start [looks]
@@ -71,6 +72,7 @@ class Known(NamedTuple):
     sure: Array  # 1 / tolerance^2 of z, (m,)
     slope: float  # [m/s^2], one sigma
     bumps: float  # [m/s^2], one sigma
+    rough: float  # variance of a look's push by bumps beyond BUMPS; they do not turn it [m^2/s^2]
     shown: Array  # see response.py, (looks, 2)
     most: Array  # largest residual, push and turn [m/s, rad/s]
     period: float  # of a look [s]
@@ -192,7 +194,7 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
 
 
 @compiled
-def listen(e, x, heard, counted, keep):
+def listen(e, x, heard, counted, keep, rough):
     """Update slope, noise and the correlations of e with its possible causes, in place."""
     spread, last, m = heard.spread, heard.last, heard.told.shape[0]
     n = m - 4
@@ -202,7 +204,8 @@ def listen(e, x, heard, counted, keep):
     spread[0] += trust * (min(push, OUTLIER * spread[0]) - spread[0])
     spread[1] += trust * (min(turn * turn / WHITE, OUTLIER * spread[1]) - spread[1])
     last[:] = e
-    weight = (1.0 / spread[0], 1.0 / spread[0], 1.0 / spread[1])
+    push = 1.0 / (spread[0] + rough)
+    weight = (push, push, 1.0 / spread[1])
     told, blocks = heard.told, heard.blocks
     told *= keep
     blocks *= keep
@@ -301,7 +304,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         blocks[-2] += blocks[-1]
         blocks[1:] = blocks[:-1].copy()
         blocks[0] = 0.0
-    listen(e, x, heard, m.counted, known.keep)
+    listen(e, x, heard, m.counted, known.keep, known.rough)
     least, y = factor(known, heard, m.counted)
     since = np.zeros(blocks.shape[1:])
     for k in range(blocks.shape[0]):
@@ -363,10 +366,11 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
     tolerance[n:] = max(BALANCE, vehicle.tolerance.com)
     push = float(np.hypot(effect[0], effect[1]).max())
     turn = float(np.abs(effect[2]).max())
+    slope, bumps = slopes(table.tilt)
     return Known(
         effect, vehicle.mass / vehicle.inertia, vehicle.air.droop,
         vehicle.drag / vehicle.mass, vehicle.spin_drag / vehicle.inertia, tolerance**-2.0,
-        *slopes(table.tilt),
+        slope, bumps, ALIKE * (period * (bumps - BUMPS)) ** 2,
         np.ascontiguousarray(response(estimator, vehicle, table.mocap, period)),
         HARDEST * period * np.array([push, turn]), period,
         ticks, max(1, round(BLOCK / period)), 1.0 - min(0.5, period / MEMORY_S),

@@ -14,7 +14,7 @@ from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-LEVEL = Ground(np.array([1e3, 1e3]), np.zeros(2), np.zeros((0, 0, 2)), 0.0)
+LEVEL = Ground(np.array([1e3, 1e3]), np.zeros(2), np.zeros((0, 0, 2)), 0.0, np.zeros((0, 4)))
 
 
 class Valves(NamedTuple):

@@ -30,8 +30,9 @@ def load_vehicle(name: str) -> Vehicle:
 
 
 def write_vehicle(
-    path: Path, vehicle: Vehicle, notes: Mapping[str, str], origin: list[str], day: date
-) -> None:
+    path: Path, vehicle: Vehicle, notes: Mapping[str, str], origin: list[str], day: date,
+    verb: str = "calibrate motion",
+) -> None:  # fmt: skip
     """Write a vehicle file.
 
     Args:
@@ -40,11 +41,12 @@ def write_vehicle(
         notes: comment of a number by its key, such as "mass" or "jets.3".
         origin: lines at the top: logs, hashes, the file that it started from.
         day: today.
+        verb: of the command that measured it.
 
     Raises:
         TestbedError: the path cannot be written.
     """
-    lines = [f"# Calibrated on {day.isoformat()} with `testbed calibrate motion`.", "# From:"]
+    lines = [f"# Calibrated on {day.isoformat()} with `testbed {verb}`.", "# From:"]
     lines += [f"#   {line}" for line in origin]
     lines += ["# SI units; times end in _s. Intervals are 95 %.", ""]
     parts = {name: getattr(vehicle, name) for name in vehicle.__struct_fields__}

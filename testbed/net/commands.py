@@ -50,6 +50,7 @@ class Ready(Struct, frozen=True, tag=True):
 
     readiness: Readiness
     config: str  # see `config_id`
+    board: str = ""  # name of the board that drives the valves
 
 
 Answer = Accepted | Ready | Refused

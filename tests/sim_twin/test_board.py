@@ -27,7 +27,7 @@ def delivered(board, vehicle, start, end):
     effect, thrust = np.zeros((3, JETS)), np.zeros(JETS)
     thrust[JET] = 1.0
     cuts, value, slope = pieces(
-        board.pulses, np.array(timing(vehicle.valve)), effect, thrust, 0.0,
+        board.pulses, np.array(timing(vehicle.valve)), effect, thrust, 0.0, np.zeros(JETS),
         nanoseconds(start), end - start,
     )  # fmt: skip
     h = np.diff(cuts)

@@ -7,6 +7,7 @@ from sim_twin.body import C, new_stages, step
 from sim_twin.ground import lay
 
 SPAN = 1.6  # [s]
+HOSE = np.array([0.3, -0.2, 0.05])
 WARPED = {"uniform": (0.2, -0.1), "map": [[(-0.9, 0.5), (0.6, -0.7)], [(0.3, 0.8), (-0.4, 0.2)]]}
 
 
@@ -23,7 +24,7 @@ def end_after(make_table):
             points = (k + C[:, None]) * h
             body = np.tile([12.5, 0.2, 0.03, -0.05], (3, 1))
             stages.body[:] = np.hstack([value + points * slope, body])
-            step(x, h, stages, 2.0, 0.05, ground)
+            step(x, h, stages, 2.0, 0.05, HOSE, ground)
         return x
 
     return fly

@@ -36,10 +36,12 @@ class Cut(NamedTuple):
         return (0.5 * (self.value + self.end_value) * self.length[:, None]).sum(axis=0)
 
 
-def cut(pulses, timing, *, droop=0.0, origin=0, span=0.2):
+def cut(pulses, timing, *, droop=0.0, late=(0.0, 0.0, 0.0), origin=0, span=0.2):
     """Each of three jets has an axis of the wrench for itself; all have one newton."""
     effect, thrust = np.eye(JETS), np.ones(JETS)
-    return Cut(*pieces(pulses, np.array(timing), effect, thrust, droop, origin, span))
+    return Cut(
+        *pieces(pulses, np.array(timing), effect, thrust, droop, np.array(late), origin, span)
+    )
 
 
 def filled(commands, strength=1.0):

@@ -322,7 +322,9 @@ class WireRig:
             }  # fmt: skip
             lost = dict.fromkeys(before - there, "no longer on the network")
             lost |= roll.farewells()
-        preflight = Preflight(self.experiment, session, keys, self.disk_free)
+        preflight = Preflight(
+            self.experiment, session, keys, self.disk_free, hardware=not self._bench
+        )
         names = list(self.experiment.vehicles)
         if self.supervisor.fault is not None:
             self._request("reset", preflight, monotonic_ns() + round(1e9 * GREEN_S), stopped)

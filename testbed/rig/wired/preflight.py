@@ -16,6 +16,7 @@ from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, ask
 from testbed.realtime.wall_clock import monotonic_ns
 from testbed.rig.chain import expected_of, make_guidance
+from testbed.rig.commissioning import not_commissioned
 
 
 def order(session: zenoh.Session, keys: Keys, name: str, what: Order) -> Answer:
@@ -82,6 +83,7 @@ class Preflight:
         session: the network.
         keys: of the lab.
         disk_free: free space on the disk of the log [bytes].
+        hardware: vehicles may need a record of their commissioning.
     """
 
     def __init__(
@@ -90,8 +92,11 @@ class Preflight:
         session: zenoh.Session,
         keys: Keys,
         disk_free: Callable[[], float],
+        *,
+        hardware: bool = False,
     ) -> None:
         self._experiment, self._session, self._keys = experiment, session, keys
+        self._records = hardware and experiment.arming.commissioned
         self._disk_free, self._config = disk_free, config_id(experiment)
         self._sound: set[str] = set()  # vehicles whose law passed the trial call
 
@@ -129,4 +134,7 @@ class Preflight:
             ready = replace(one.readiness, vitals=vitals, round_trip=trip, neighbours=others)
             expected = expected_of(self._experiment, name)
             found += arming_checks(ready, expected, self._experiment.arming)
+            if self._records:
+                why = not_commissioned(self._experiment, name, one.board)
+                found.append(Check(f"{name} commissioned", why, at_reset=False))
         return found

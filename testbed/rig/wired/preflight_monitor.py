@@ -78,4 +78,8 @@ class PreflightMonitor:
         alone = self._clock.now - self._strange_at > ALONE_S
         vitals = Vitals(session_ok=alone, clock_offset=self._reader.unsure())
         health, shut = self._thrusters.health(), self._thrusters.shut
-        return Ready(Readiness(at, state, rate, health, vitals, 0.0, shut, {}), self._config)
+        return Ready(
+            Readiness(at, state, rate, health, vitals, 0.0, shut, {}),
+            self._config,
+            self._thrusters.board,
+        )

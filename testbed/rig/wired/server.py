@@ -67,7 +67,7 @@ class TableServer:
         starts = {name: Pose(*setup.start) for name, setup in setups.items()}
         seed = experiment.seed
         self.plant = Plant(self.models, starts, table, experiment.obstacles, seed)
-        self._cameras = Cameras(self.names, table.mocap, seed)
+        self._cameras = Cameras(self.names, table.mocap, seed, table.spread)
         self._jitter = stream(seed, "frames")
         self._valves = {
             n: ReportedValves(m, self.plant.boards[n].pulses, stream(seed, n, "pulses"))
@@ -191,6 +191,9 @@ class TableServer:
                 if not tap.bearing and name not in self._landed:
                     self._landed.add(name)
                     self.plant.land(k)
+                elif tap.bearing and name in self._landed - self._down:
+                    self._landed.discard(name)
+                    self.plant.lift(k)
         elif all(tap.bearing for tap in self._taps.values()):
             self._released_ns = monotonic_ns()
 
