@@ -30,6 +30,7 @@ from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience
 from testbed.realtime.pacer import PacedClock
 from testbed.realtime.scheduling import no_garbage_collection
+from testbed.rig.ahead import compiling_ahead
 from testbed.rig.interface import Rig
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import TwinRig, make_twin, warm_up
@@ -175,7 +176,7 @@ def fly_and_judge(
     )  # fmt: skip
     try:
         with recorder, screen.showing():
-            with interrupt.at_once(), patience():
+            with interrupt.at_once(), patience(), compiling_ahead(experiment):
                 warm_up(experiment, lambda: interrupt.asked)
             if not interrupt.asked:
                 heartbeat().phase = RunPhase.FLYING

@@ -1,0 +1,93 @@
+"""Compiles parts of a flight's code in processes of their own, on the first flight on a machine.
+
+The compiler works on one core. While this process compiles the chain, one more compiles the plant
+and another the law; they meet in the cache on disk (core/compiled.py), where each finds what the
+others have finished. What is not there in time is compiled twice, and no result depends on it.
+
+    python -m testbed.rig.ahead PART    the experiment is read from standard input
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+from msgspec.structs import replace
+from numba.core import config
+
+from controllers.own_law import OwnLawParams
+from testbed.config import Experiment
+from testbed.core.types import Accel, Pose, State, Twist
+from testbed.rig.chain import make_guidance
+from testbed.rig.twin import make_twin
+
+DONE = "chain.step-*.nbi"  # in the cache: a flight has been compiled
+
+
+@contextmanager
+def compiling_ahead(experiment: Experiment) -> Iterator[None]:
+    """Let other processes compile meanwhile, if the cache is empty and cores are idle."""
+    parts = [part for part in PARTS if part != "law" or _is_ours(experiment)]
+    helpers = [_start(part, experiment) for part in parts] if _is_worth_it() else []
+    try:
+        yield
+    finally:
+        for one in helpers:
+            one.kill()
+            one.wait()
+
+
+def _is_worth_it() -> bool:
+    folder, cores = vars(config)["CACHE_DIR"], os.cpu_count() or 1
+    if not folder or os.getloadavg()[0] > cores - 1:
+        return False
+    return next(Path(folder).rglob(DONE), None) is None
+
+
+def _is_ours(experiment: Experiment) -> bool:
+    """Whether its law is a shipped one: a user's law must run in the flight's process only."""
+    controller = experiment.controller
+    shipped = type(controller).__module__.startswith("controllers.")
+    return shipped and not isinstance(controller, OwnLawParams)
+
+
+def _start(part: str, experiment: Experiment) -> "subprocess.Popen[bytes]":
+    process = subprocess.Popen(
+        [sys.executable, "-m", "testbed.rig.ahead", part],
+        stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    assert process.stdin is not None
+    try:
+        process.stdin.write(msgspec.json.encode(experiment))
+        process.stdin.close()
+    except BrokenPipeError:
+        pass  # it has failed; this process compiles its part
+    return process
+
+
+def plant(experiment: Experiment) -> None:
+    """Compile the twin's plant, cameras and links."""
+    twin = make_twin(replace(experiment, board="model", inject=[], forks=[])).twin
+    twin.wait_until(experiment.flight.jet_period_s)
+
+
+def law(experiment: Experiment) -> None:
+    """Compile the law of the first vehicle."""
+    names = list(experiment.vehicles)
+    still, no_bias = Twist(0.0, 0.0, 0.0), Accel(0.0, 0.0, 0.0)
+    states = {
+        name: State(0.0, Pose(*experiment.vehicles[name].start), still, no_bias, 0.0, 0)
+        for name in names
+    }
+    own = states.pop(names[0])
+    make_guidance(experiment, names[0]).step(0.0, own, states)
+
+
+PARTS: dict[str, Callable[[Experiment], None]] = {"plant": plant, "law": law}
+
+
+if __name__ == "__main__":
+    PARTS[sys.argv[1]](msgspec.json.decode(sys.stdin.buffer.read(), type=Experiment))
