@@ -33,7 +33,7 @@ from testbed.rig.twin import make_twin, warm_up
 from testbed.rig.wired.host import WireRig
 from testbed.rig.wired.table_report import TableReport
 from testbed.run import drill_on_wires
-from testbed.run.drill import NEEDED, ROOM, SOON, somewhere
+from testbed.run.drill import NEEDED, ROOM, SOON, with_random_starts
 
 EXPERIMENTS = (
     "zhang2023_table", "zhang2023_table_wrench", "xue2021_table_static", "xue2022_table",
@@ -99,7 +99,7 @@ def planned(
     end: str, name: str, rng: np.random.Generator
 ) -> tuple[Experiment, Callable[[float], int]]:
     """An experiment that ends in this way, and the number of stops at a time."""
-    experiment = replace(somewhere(name, rng), seed=int(rng.integers(2**31)))
+    experiment = replace(with_random_starts(name, rng), seed=int(rng.integers(2**31)))
     at = float(rng.uniform(*WHEN))
     first = second = inf
     if end not in ENDS:

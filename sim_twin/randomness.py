@@ -2,7 +2,7 @@
 
 Streams are derived from names, so adding a vehicle or a camera does not change the others' numbers.
 A stream is a row of an array, so compiled code draws from it, and a copy of the array is a copy of
-the chance. The numbers are those of `numpy.random.Generator` with PCG64, bit for bit.
+the stream. The numbers are those of `numpy.random.Generator` with PCG64, bit for bit.
 """
 
 import numpy as np

@@ -35,7 +35,7 @@ UNLIKE = "unlike.txt"  # in a run's folder: columns that differed in the second 
 MOST_WARMED = 20  # combinations compiled in advance; workers compile the others
 
 
-class Fliers(Struct, frozen=True):
+class RunFunctions(Struct, frozen=True):
     """Functions that fly runs, given by the caller; they run in a worker."""
 
     fly: Callable[[str, Sequence[Task]], list[FlownRun]]
@@ -141,7 +141,7 @@ def fly_campaign(
     campaign: Campaign,
     text: bytes,
     folder: Path,
-    fliers: Fliers,
+    fliers: RunFunctions,
     watch: CampaignObserver,
     finish: Callable[[CampaignEnd], object] = lambda ended: None,
 ) -> CampaignEnd:
@@ -191,7 +191,7 @@ def fly_campaign(
     return ended
 
 
-def _fleet(client: Any, campaign: Campaign, fliers: Fliers) -> WorkerPool[Task, FlownRun]:
+def _fleet(client: Any, campaign: Campaign, fliers: RunFunctions) -> WorkerPool[Task, FlownRun]:
     fly = partial(fliers.fly, campaign.base)
     limit_s = campaign.file.limit_s
     return WorkerPool(client, fly, partial(gone, limit_s), lambda run: run.wall_s, limit_s)
@@ -232,7 +232,7 @@ def keep_failures(
     campaign: Campaign,
     runs: dict[int, FlownRun],
     folder: Path,
-    fliers: Fliers,
+    fliers: RunFunctions,
     watch: CampaignObserver,
 ) -> None:
     """Fly failures again, with a log."""

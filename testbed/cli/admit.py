@@ -27,14 +27,14 @@ from testbed.metrics.admission import (
 )
 from testbed.metrics.run_metrics import obstacle_distances
 from testbed.rig.chain import fence_of
-from testbed.rig.observers import Witness
+from testbed.rig.observers import FirstFaultObserver
 from testbed.rig.twin import make_twin
 
 
 def fly_once(experiment: Experiment, seed: int) -> AdmissionFlight:
     """One flight in the twin, without injected faults."""
     rig = make_twin(replace(experiment, seed=seed, inject=[]))
-    witness = Witness()
+    witness = FirstFaultObserver()
     ending = rig.fly(witness)
     track, models = rig.track(), {n: s.model for n, s in experiment.vehicles.items()}
     radii = [model.radius for model in models.values()]

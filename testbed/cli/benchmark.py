@@ -21,7 +21,7 @@ from testbed.campaign.benchmark import (
     scores,
 )
 from testbed.campaign.engine import workers
-from testbed.campaign.flight import Fliers, fly_campaign
+from testbed.campaign.flight import RunFunctions, fly_campaign
 from testbed.campaign.folders import score_folders
 from testbed.campaign.page import COLUMNS, cells_of, page
 from testbed.campaign.sweep import experiment_path
@@ -113,7 +113,7 @@ def fly_benchmark(
     campaigns = {name: scenario_campaign(path, file, name) for name in file.scenarios}
     table: list[Score] = []
     with workers(jobs, scheduler) as client:
-        fliers = Fliers(fly_batch, fly_with_log, warm, read, jobs, scheduler, client)
+        fliers = RunFunctions(fly_batch, fly_with_log, warm, read, jobs, scheduler, client)
         for name, campaign in campaigns.items():
             finish = partial(write_results, campaign, folder=folder / name)
             with Bar(name) as watch:

@@ -14,7 +14,7 @@ from testbed.campaign.engine import EngineError
 from testbed.campaign.extra import MissingExtraError
 from testbed.campaign.flight import (
     CampaignEnd,
-    Fliers,
+    RunFunctions,
     flown_before,
     fly_campaign,
     open_journal,
@@ -51,7 +51,7 @@ def run_campaign(
         with redirect_stdout(sys.stderr):  # keeps a law's prints out of the result
             campaign = load_campaign(path)
         folder = out or Path("runs") / f"campaign_{campaign.file.name}"
-        fliers = Fliers(fly_batch, fly_with_log, warm, read, jobs, scheduler)
+        fliers = RunFunctions(fly_batch, fly_with_log, warm, read, jobs, scheduler)
         with interrupt.caught(), interrupt.at_once(), watch, redirect_stdout(sys.stderr):
             ended = fly_campaign(
                 campaign, path.read_bytes(), folder, fliers, watch,

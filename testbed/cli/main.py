@@ -11,13 +11,13 @@ from pathlib import Path
 
 import click
 
-from testbed.cli.again import replay
+from testbed.cli.campaign_verbs import benchmark, campaign, tune
 from testbed.cli.exit_code import BAD_INPUT, FAILED, INTERRUPTED
 from testbed.cli.film import film
 from testbed.cli.identify import calibrate, excite, validate
 from testbed.cli.keys import lab_keys
 from testbed.cli.lab import agent, commission, poses, stop, twin
-from testbed.cli.many import benchmark, campaign, tune
+from testbed.cli.replay_verb import replay
 from testbed.cli.watch import console, dash, ros2
 
 EPILOG = """\b
@@ -147,7 +147,7 @@ def check(
     defaults: bool,
 ) -> None:  # fmt: skip
     """Validate an EXPERIMENT file without flying it."""
-    from testbed.cli.look import check_experiment
+    from testbed.cli.inspection import check_experiment
 
     context.exit(check_experiment(experiment, overrides, faults=faults, defaults=defaults))
 
@@ -156,7 +156,7 @@ def check(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def list_all(as_json: bool) -> None:
     """List experiments, laws and vehicles, one line each."""
-    from testbed.cli.look import list_everything
+    from testbed.cli.inspection import list_everything
 
     list_everything(as_json)
 
@@ -218,7 +218,7 @@ def drill(
 @click.argument("kind", type=click.Choice(["experiment", "vehicle", "table"]), default="experiment")
 def schema(kind: str) -> None:
     """Print the JSON Schema of a file type, for editors."""
-    from testbed.cli.look import print_schema
+    from testbed.cli.inspection import print_schema
 
     print_schema(kind)
 
@@ -344,7 +344,7 @@ def entry() -> None:
     # Errors in files, connections and laws are handled above, so this is a bug, of any class: it
     # gets its traceback and exit code 70.
     except Exception:
-        from testbed.cli.refusal import confess
+        from testbed.cli.refusal import print_internal_error
 
-        code = confess()
+        code = print_internal_error()
     sys.exit(code)

@@ -29,7 +29,7 @@ def warn(lines: Iterable[str]) -> None:
         errors.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
 
 
-def confess() -> int:
+def print_internal_error() -> int:
     """Print the traceback of an internal error; returns the exit code."""
     errors.print(traceback.format_exc().rstrip(), markup=False, soft_wrap=True)
     text = (

@@ -19,8 +19,8 @@ from testbed.logs.log_reader import LogError
 from testbed.net.flight_note import noted
 from testbed.realtime.heartbeat import RunPhase, heartbeat, process_to_end
 from testbed.report.page import ReportError
-from testbed.rig.boards import check_boards
 from testbed.rig.chain import watched
+from testbed.rig.firmware_boards import check_boards
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
 from testbed.run.fly import fly_and_judge

@@ -189,7 +189,7 @@ class ThrustersConformance:
             must(one.bench.bearing(), "bearing air after disarm", "on: it still floats", "off")
 
     def test_land_shuts_everything(self) -> None:
-        """The bearings, too; again and again."""
+        """`land` shuts valves and bearing air, also when it is called again."""
         with self._flown() as one:
             at_once("bearing", lambda: one.board.bearing(on=True))
             must(one.bench.bearing(), "bearing(on=True)", "air for the bearings", "none")

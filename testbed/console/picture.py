@@ -11,7 +11,7 @@ from testbed.console.valve_pulses import Pulse, ValveHistory
 from testbed.core.codes import Response
 from testbed.core.types import HostTick, Tick
 from testbed.logs.feed import News, SeenPace, SeenPhase, SeenValves, pose_of, stopping_point
-from testbed.logs.history import Happening, camera_events, events, phase_change
+from testbed.logs.history import FlightEvent, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
 from testbed.report.fault_story import (
     OVER,
@@ -59,7 +59,7 @@ class LivePicture:
 
     def take(self, news: Iterable[News]) -> None:
         """Update the picture with new messages of the log."""
-        rows: list[tuple[str, Happening]] = []
+        rows: list[tuple[str, FlightEvent]] = []
         for _, who, t, message in news:
             self.t = max(self.t, t)
             match message:
@@ -81,7 +81,7 @@ class LivePicture:
         self._trouble.see(self._ticks)
         self.said += self._story.tell(rows)
 
-    def _tick(self, name: str, tick: Tick) -> list[tuple[str, Happening]]:
+    def _tick(self, name: str, tick: Tick) -> list[tuple[str, FlightEvent]]:
         previous = [self._ticks[name]] if name in self._ticks else []
         fresh = events([*previous, tick])[len(events(previous)) :]
         self._ticks[name] = tick
@@ -103,7 +103,7 @@ class LivePicture:
         fresh = own is not None and (old is None or own.t > old.t)
         _push(self._fresh[name], host.inputs.t, fresh)
 
-    def _pace(self, name: str, t: float, pace: SeenPace) -> list[tuple[str, Happening]]:
+    def _pace(self, name: str, t: float, pace: SeenPace) -> list[tuple[str, FlightEvent]]:
         seen = self._paces[name]
         before = seen[-1][1].cameras if seen else ""
         _push(seen, t, pace)

@@ -19,7 +19,7 @@ from types import FrameType
 from testbed.console.follower import Follower
 from testbed.console.hub import Hub
 from testbed.console.server import Answers, ConsoleError, Server, is_loopback
-from testbed.console.stopper import Stopper
+from testbed.console.stopper import StopSender
 from testbed.core.error import TestbedError
 
 PORT = 8765  # preferred
@@ -44,7 +44,7 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
             signal.signal(number, leave)
     sys.setswitchinterval(0.0005)  # a press does not wait for a picture
-    hub, stopper = Hub(), Stopper(run)
+    hub, stopper = Hub(), StopSender(run)
     hub.say(server=secrets.token_hex(8))  # another one at the same port is another run
     follower = Follower(run, hub)
     token = "" if is_loopback(bind) else secrets.token_urlsafe(16)

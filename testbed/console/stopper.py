@@ -27,20 +27,20 @@ OPEN_S = 1.0  # time for a host's handshake
 PRIORITY = 90  # of a press, above hosts and vehicles
 
 
-class Ways(NamedTuple):
-    """Ways by which the flight can be stopped now."""
+class StopRoute(NamedTuple):
+    """StopRoute by which the flight can be stopped now."""
 
     words: str
     ready: bool
 
 
-NONE = Ways("not connected: this run does not fly on this machine", ready=False)
-TWIN = Ways("STOP ends the twin's process", ready=True)
-HOST = Ways("STOP goes to the vehicles and to the host", ready=True)
-DIRECT = Ways("the host does not answer; STOP goes to the vehicles directly", ready=True)
+NONE = StopRoute("not connected: this run does not fly on this machine", ready=False)
+TWIN = StopRoute("STOP ends the twin's process", ready=True)
+HOST = StopRoute("STOP goes to the vehicles and to the host", ready=True)
+DIRECT = StopRoute("the host does not answer; STOP goes to the vehicles directly", ready=True)
 
 
-class Stopper:
+class StopSender:
     """Keeps the connections to one run's flight.
 
     Args:

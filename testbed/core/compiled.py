@@ -39,7 +39,10 @@ PACKAGES = (
 def _source_digest() -> str:
     digest = hashlib.blake2b(numba.__version__.encode(), digest_size=8)
     for package in PACKAGES:
-        for path in sorted((_ROOT / package).rglob("*.py")):
+        paths = sorted((_ROOT / package).rglob("*.py"))
+        if not paths:
+            raise FileNotFoundError(f"{_ROOT / package}: expected source files")
+        for path in paths:
             digest.update(path.read_bytes())
     return digest.hexdigest()
 

@@ -15,7 +15,7 @@ WATCHDOG_S = 0.15  # without commands: then a board shuts its valves [s]
 
 
 def landing_delay(landing: Landing, watchdog: float = WATCHDOG_S) -> float:
-    """Longest time from the watchdog to the end of bearing air with which `room` is enough [s].
+    """Longest delay from the watchdog to air off at which the vehicle stops within `room` [s].
 
     0: the room is used up already, so the air goes off at once. Infinite: it stays on.
     """

@@ -25,7 +25,7 @@ from testbed.dashboard.static_scene import (
     GREY as LINK,
 )
 from testbed.logs.feed import SeenPace, SeenPhase, pose_of, stopping_point
-from testbed.logs.history import Happening, camera_events, events, phase_change
+from testbed.logs.history import FlightEvent, camera_events, events, phase_change
 from testbed.logs.recorder import Truth
 from testbed.report.fault_story import OVER, SUPERVISOR, FaultyVehicles, Story
 from testbed.report.law import law_of, range_of
@@ -99,11 +99,11 @@ class TableScene:
 
     def _take(
         self, frame: Frame
-    ) -> tuple[dict[str, list[Tick]], list[Truth], list[tuple[str, Happening]]]:
+    ) -> tuple[dict[str, list[Tick]], list[Truth], list[tuple[str, FlightEvent]]]:
         """Ticks by vehicle, truths and events of a frame; stores the newest of each."""
         ticks: dict[str, list[Tick]] = {}
         truths: list[Truth] = []
-        said: list[tuple[str, Happening]] = []
+        said: list[tuple[str, FlightEvent]] = []
         for _, who, t, message in frame.news:
             match message:
                 case Tick() if who in self._trails:

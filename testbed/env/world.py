@@ -1,4 +1,4 @@
-"""One episode on the twin: vehicles that obey actions, and what is made of it."""
+"""One episode on the twin: actions in; observations, rewards and ends out."""
 
 import math
 from collections.abc import Mapping

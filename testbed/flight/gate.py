@@ -1,4 +1,4 @@
-"""The gate, the last check before the valves: closed unless every condition holds.
+"""The gate: valves stay shut unless every condition of a healthy flight holds.
 
 It gives the reason when it is closed. Not armed, no pose yet, no setpoint yet: it waits. Any other
 reason is a fault and stays until an explicit reset, because a vehicle that has flown blind must not

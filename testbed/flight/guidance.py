@@ -63,7 +63,7 @@ class GuidanceParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Kept(IntEnum):
-    """How much of a guidance's memory another one goes on with; each includes those before."""
+    """How much memory a guidance takes over from another; each includes those before."""
 
     NOTHING = 0  # as at take-off
     MODEL = 1  # the reference model, and what was sent ahead

@@ -1,6 +1,6 @@
 """All that a vehicle remembers from one tick to the next, in one array.
 
-A copy of the array is the whole vehicle: put back, the vehicle flies on from there.
+A copy of the array saves the vehicle. Written back, it restores the vehicle.
 """
 
 import math

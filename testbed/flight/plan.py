@@ -1,4 +1,4 @@
-"""The plan for one jet period: a wrench becomes valve times, as the last stage before the gate."""
+"""The plan for one jet period: a wrench becomes valve times, as the last stage of the chain."""
 
 from typing import NamedTuple
 

@@ -20,7 +20,7 @@ from testbed.logs.log_reader import UNREADABLE, LogError, LogReader
 Array = NDArray[np.float64]
 
 
-class Happening(NamedTuple):
+class FlightEvent(NamedTuple):
     """A change that a vehicle or the supervisor reported."""
 
     t: float  # [s]
@@ -35,10 +35,10 @@ class Happening(NamedTuple):
         return f"{self.kind}: {self.words}" if self.words else self.kind
 
 
-def phase_change(change: SeenPhase) -> Happening:
+def phase_change(change: SeenPhase) -> FlightEvent:
     """A phase change of the supervisor."""
     words = change.because if change.fault is None else change.fault.words
-    return Happening(change.t, change.phase, words, change.fault)
+    return FlightEvent(change.t, change.phase, words, change.fault)
 
 
 class VehicleHistory(Struct, frozen=True):
@@ -58,7 +58,7 @@ class VehicleHistory(Struct, frozen=True):
     tank: Array  # (n,) [Pa]
     pose_age: Array  # (n,) [s]
     filtered: Array  # (n, 2) change of force by the safety filter, in W [N]
-    events: list[Happening]  # from gate, fault table, filter and cameras
+    events: list[FlightEvent]  # from gate, fault table, filter and cameras
     edges: Array  # (e, 2) t [s] and mask of its valves; empty: its board reported none
     wires: Array  # (n, 5) t, lateness, setpoint delay [s], share lost, pose to valve [s]; or empty
     true: Array  # (m, 6) x, y, theta, vx, vy, omega; empty if unknown
@@ -71,7 +71,7 @@ class History(Struct, frozen=True):
     true_t: Array  # (m,) [s]
     heard: dict[str, tuple[Array, Array]]  # per vehicle: t, age of its newest state at the host
     loop: Array  # (k, 3) t, late, busy [s]; empty if the clock was virtual
-    phases: list[Happening] = []  # of the supervisor
+    phases: list[FlightEvent] = []  # of the supervisor
 
     @property
     def end(self) -> float:
@@ -236,22 +236,22 @@ def lost_share(pace: SeenPace) -> float:
     return pace.setpoints_lost / max(1, pace.setpoints_heard + pace.setpoints_lost)
 
 
-def camera_events(paces: Iterable[tuple[float, SeenPace]], said: str = "") -> list[Happening]:
+def camera_events(paces: Iterable[tuple[float, SeenPace]], said: str = "") -> list[FlightEvent]:
     """Changes of the camera fault and their times [s]; `said` is the previous one."""
     found = []
     for t, pace in paces:
         if pace.cameras != said:
-            found.append(Happening(t, "cameras", pace.cameras or "well again"))
+            found.append(FlightEvent(t, "cameras", pace.cameras or "well again"))
         said = pace.cameras
     return found
 
 
-def events(ticks: Iterable[Tick]) -> list[Happening]:
+def events(ticks: Iterable[Tick]) -> list[FlightEvent]:
     """Changes reported by gate, fault table and filter, and their times [s].
 
     A response is listed with the active rows of the fault table, and again when a row is added.
     """
-    said: list[Happening] = []
+    said: list[FlightEvent] = []
     shut, fault, response, kept = None, None, Response.NONE, ""
     held: frozenset[str] = frozenset()
     for tick in ticks:
@@ -259,17 +259,17 @@ def events(ticks: Iterable[Tick]) -> list[Happening]:
         hazard = out.filtered.words if out.filtered else ""
         if (why := out.inhibit_reason) != shut:
             words = "" if why is None or why.code in LATCHED else why.words
-            said.append(Happening(t, "flies" if why is None else "valves shut", words))
+            said.append(FlightEvent(t, "flies" if why is None else "valves shut", words))
         fresh = tuple(row for row in out.faults if row not in held)
         if out.response and (fresh or out.response != response):
             rows = fresh or out.faults
-            said.append(Happening(t, out.response.words, ", ".join(rows), rows=rows))
+            said.append(FlightEvent(t, out.response.words, ", ".join(rows), rows=rows))
         elif response == Response.HOLD and not out.response:
-            said.append(Happening(t, "goes on"))
+            said.append(FlightEvent(t, "goes on"))
         if out.fault is not None and out.fault != fault:
-            said.append(Happening(t, "fault", out.fault.words, out.fault))
+            said.append(FlightEvent(t, "fault", out.fault.words, out.fault))
         if hazard and hazard != kept:
-            said.append(Happening(t, "filter", hazard))
+            said.append(FlightEvent(t, "filter", hazard))
         shut, fault, response, kept = why, out.fault, out.response, hazard
         held = frozenset(out.faults)
     return said

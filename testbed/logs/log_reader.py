@@ -25,9 +25,9 @@ from testbed.logs.mcap_record import (
     LARGEST,
     RATIO,
     SKIPPED,
-    BombError,
     BrokenError,
     Channel,
+    ChunkTooLargeError,
     CutOffError,
     FileSummary,
     Message,
@@ -219,7 +219,7 @@ class LogReader:
     def _chunk(self, body: bytes, size: int) -> list[Record]:
         try:
             records = read_chunk(body, self._allowance(size))
-        except BombError as error:
+        except ChunkTooLargeError as error:
             raise self._refused(error) from None
         self._unpacked += unpacked_size(body)
         return records
@@ -228,7 +228,7 @@ class LogReader:
         """How much the rest of the file may unpack to [bytes]."""
         return LARGEST + RATIO * size - self._unpacked
 
-    def _refused(self, error: BombError) -> LogError:
+    def _refused(self, error: ChunkTooLargeError) -> LogError:
         return LogError(
             f"{self.path}\n  expected  chunks of at most {LARGEST >> 20} MB, and a log of at most "
             f"{RATIO} times the size of its file\n  found     {error} bytes"
@@ -252,7 +252,7 @@ class LogReader:
     def _search_on(self, file: BinaryIO, size: int) -> list[Record] | None:
         try:
             found = self._search.next_chunk(file, self._sound, size, self._allowance(size))
-        except BombError as error:
+        except ChunkTooLargeError as error:
             raise self._refused(error) from None
         except GiveUpError:
             raise LogError(

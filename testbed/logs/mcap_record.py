@@ -41,7 +41,7 @@ class CutOffError(Exception):
     """The file ends within the record."""
 
 
-class BombError(Exception):
+class ChunkTooLargeError(Exception):
     """The chunk is intact, but unpacks to more than the limit."""
 
 
@@ -169,7 +169,7 @@ def read_chunk(body: bytes, allowance: int) -> list[Record]:
 
     Raises:
         BrokenError: it is damaged.
-        BombError: it unpacks to more than `allowance` bytes.
+        ChunkTooLargeError: it unpacks to more than `allowance` bytes.
     """
     size = unpacked_size(body)
     checksum = _CHUNK.unpack_from(body)[3]
@@ -208,7 +208,7 @@ def _unpacked(compression: str, packed: bytes, size: int, limit: int) -> bytes:
     if said not in (size, -1):
         raise BrokenError("a chunk is of another size than it says")
     if size > limit:
-        raise BombError(f"a chunk of {len(packed)} bytes would unpack to {size}")
+        raise ChunkTooLargeError(f"a chunk of {len(packed)} bytes would unpack to {size}")
     if compression == "":
         return packed
     try:

@@ -70,7 +70,7 @@ class File:
         self.flush()
 
 
-def gulps(descriptor: int) -> Iterator[bytes]:
+def read_chunks(descriptor: int) -> Iterator[bytes]:
     """Data from the pipe, which a thread reads in the background."""
     waiting: Queue[bytes] = Queue(WAITING)
 
@@ -206,7 +206,7 @@ def main() -> int:
 
     disk = Disk(lambda: free_at(path), warn_below, end_below)
     try:
-        write_log(path, frames(gulps(sys.stdin.fileno())), disk, say, epoch_ns)
+        write_log(path, frames(read_chunks(sys.stdin.fileno())), disk, say, epoch_ns)
     except OSError as error:
         say(f"{error.filename or path}: {error.strerror}")
     except DiskFullError as error:

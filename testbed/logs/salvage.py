@@ -50,7 +50,7 @@ class Search:
 
         Raises:
             GiveUpError: it would take too long.
-            BombError: it unpacks to more than `allowance` bytes.
+            ChunkTooLargeError: it unpacks to more than `allowance` bytes.
         """
         at = start
         while at < size:

@@ -1,4 +1,4 @@
-"""Which stage of the chain gave another output, from the outputs of one tick then and now.
+"""The first stage of the chain whose output differs, from a tick as logged and as replayed.
 
 Stages are looked at in the order of `flight/chain.py`: the first one whose output differs is where
 the difference began, because all before it gave the same.

@@ -11,7 +11,7 @@ LARGEST = 65507  # [bytes] of a UDP datagram
 
 
 def stamped(host: str, port: int, *, shared: bool = False) -> socket.socket:
-    """A socket that does not wait, and of whose datagrams the kernel notes when they came in.
+    """A non-blocking UDP socket; the kernel stamps each datagram with its time of arrival.
 
     Raises:
         OSError: the address is not one of this machine's, or the port is taken.
@@ -30,7 +30,7 @@ def stamped(host: str, port: int, *, shared: bool = False) -> socket.socket:
 
 
 def receive(one: socket.socket) -> tuple[bytes, int, str] | None:
-    """A datagram, when it came in by the monotonic clock [ns], and from where; None: no more."""
+    """The next datagram, its arrival on the monotonic clock [ns], and its sender; None: none."""
     try:
         data, ancillary, _, (host, _) = one.recvmsg(LARGEST, 64)
     except (BlockingIOError, ConnectionRefusedError):

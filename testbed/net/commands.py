@@ -88,7 +88,7 @@ class Pace(Struct, frozen=True, gc=False):
     setpoints_lost: int = 0  # so far, from gaps in their sequence numbers
     refused: int = 0  # messages that were late, expired, foreign etc., so far
     round_trip_s: float | None = None  # of the newest query to the host
-    cameras: str = ""  # fault of this vehicle's rigid body, see `mocap.poses.Trouble`
+    cameras: str = ""  # fault of this vehicle's rigid body, see `mocap.poses.PoseTrouble`
     frames_lost: int = 0  # camera frames, so far
 
 
@@ -105,9 +105,9 @@ class TickReport(Struct, frozen=True, gc=False):
 class Counts(Struct, frozen=True):
     """Counts of messages and frames on one vehicle, at the end of a flight."""
 
-    commands: dict[str, int]  # setpoints, by `envelope.Verdict`
+    commands: dict[str, int]  # setpoints, by `envelope.Acceptance`
     refusals: dict[str, int]  # plans, by the board's reason; not_sent: by the command guard
-    mocap: dict[str, int]  # faults of its rigid body, by `mocap.poses.Trouble`
+    mocap: dict[str, int]  # faults of its rigid body, by `mocap.poses.PoseTrouble`
     lost_frames: int
     reconnects: int  # of the serial line
     mocap_latency_ms: float | None  # median, exposure to arrival

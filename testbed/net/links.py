@@ -120,7 +120,7 @@ class ZenohVehicleLink:
         self._message.say(message)
 
 
-class Blackboard:
+class LocalMessages:
     """Messages between laws on the same computer: readable from the next tick on."""
 
     def __init__(self) -> None:
@@ -150,7 +150,7 @@ class ZenohHostLink:
         party: Party,
         vehicle: str,
         states: Mapping[str, NewestMessage[State]],
-        board: Blackboard,
+        board: LocalMessages,
     ) -> None:
         self._name, self._states, self._board = vehicle, states, board
         self.said = MessageSender(party, party.keys.of(vehicle, "setpoint"))

@@ -144,7 +144,7 @@ class LawWatch:
             return time.perf_counter()
         return time.perf_counter() - 1e-9 * int(os.pread(self._waits, 64, 0).split()[1])
 
-    def hurry(self) -> None:
+    def shorten_limit(self) -> None:
         """The operator stopped the run: shorten the limit of the active call."""
         if self._inside:
             self._now_s = min(self._now_s, HURRY_S)
@@ -240,10 +240,10 @@ def patience() -> Iterator[None]:
         yield
 
 
-def hurry() -> None:
+def shorten_limit() -> None:
     """Shorten the limit of the active call after the operator's stop."""
     if (watch := current()) is not None:
-        watch.hurry()
+        watch.shorten_limit()
 
 
 def complaint() -> FaultReport | None:

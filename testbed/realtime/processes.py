@@ -80,7 +80,7 @@ class ProcessGroup:
         self._running[name].kill()
 
     def pid(self, name: str) -> int:
-        """Process id."""
+        """The process id of a child."""
         return self._running[name].pid
 
     def check(self) -> None:

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 from testbed.config.experiment import Experiment
 from testbed.core.codes import Detector, FaultCause, Response
 from testbed.core.types import Tick
-from testbed.logs.history import Happening
+from testbed.logs.history import FlightEvent
 
 Level = Literal["INFO", "WARN", "ERROR", "CRITICAL"]
 OVER = ("DISARMED", "STOPPED", "FAULT")  # phases of the supervisor after the flight
@@ -98,7 +98,7 @@ class Story:
         self._scenario = scenario
         self._known: set[tuple[str, str, str]] = set()  # faults already reported, by `_key`
 
-    def tell(self, rows: Iterable[tuple[str, Happening]]) -> list[EventLine]:
+    def tell(self, rows: Iterable[tuple[str, FlightEvent]]) -> list[EventLine]:
         """Lines of rows (who, what); each call must be later than the previous one."""
         ordered = sorted(rows, key=lambda row: row[1].t)
         for who, one in ordered:
@@ -111,7 +111,7 @@ class Story:
         said = [EventLine(t, tuple(who), level, words) for (t, level, words), who in lines.items()]
         return sorted(said, key=lambda one: (one.t, RANK.index(one.level)))
 
-    def _line(self, who: str, one: Happening) -> tuple[Level, str] | None:
+    def _line(self, who: str, one: FlightEvent) -> tuple[Level, str] | None:
         """Level and text of a line; None if it repeats known information."""
         kind, fault = one.kind, one.fault
         if who == SUPERVISOR:

@@ -73,7 +73,7 @@ def complete_runs(runs: Any) -> None:
         while isinstance(run, dict) and "like" in run:
             model = run.pop("like")
             if not isinstance(model, str) or model not in runs or model in chain:
-                raise ValueError(f"{chain[-1]} is like {model}")
+                raise ValueError(f"{chain[-1]}: `like = {model!r}` is circular or names no run")
             chain.append(model)
             run = merged(runs[model], run)
         runs[name] = run

@@ -3,11 +3,11 @@
 from testbed.reproduction.centre import Centre, run_centre
 from testbed.reproduction.cluster import Swarming, run_swarming
 from testbed.reproduction.figure import Figure
+from testbed.reproduction.fleet_simulation import Together, run_together
 from testbed.reproduction.layout import Layouts, run_layouts
 from testbed.reproduction.refusal import RefusedLaw, run_refusal
 from testbed.reproduction.table import TableRun, run_table
 from testbed.reproduction.targets import Measures, Targets, run_targets
-from testbed.reproduction.together import Together, run_together
 
 Run = Targets | Together | Swarming | Layouts | Centre | TableRun | RefusedLaw
 

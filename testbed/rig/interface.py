@@ -10,7 +10,7 @@ from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Supervisor
 from testbed.metrics.afterwards import After
 from testbed.metrics.run_metrics import Consumption, Touch, Track
-from testbed.rig.boards import Valves
+from testbed.rig.firmware_boards import Valves
 
 
 class Rig(Protocol):

@@ -20,7 +20,7 @@ class NullObserver:
         """See `Observer`."""
 
 
-class Witness(NullObserver):
+class FirstFaultObserver(NullObserver):
     """Keeps the time of the first fault."""
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Witness(NullObserver):
             self.fault_t = tick.inputs.t
 
 
-class MetricsObserver(Witness):
+class MetricsObserver(FirstFaultObserver):
     """Keeps the data that the metrics need."""
 
     def __init__(self, names: Iterable[str]) -> None:

@@ -1,4 +1,4 @@
-"""The twin goes on where a run on bench or table was: up to then its vehicles live the log.
+"""A twin that continues a run of bench or table: up to the fork its inputs come from the log.
 
 At each tick before the fork chain and law get the inputs of the log, which restores their memory.
 Their plans go to the twin's boards and their messages to its radio, and the twin's vehicles are put

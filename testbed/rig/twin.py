@@ -36,8 +36,8 @@ from testbed.flight.supervisor import Supervisor
 from testbed.metrics.afterwards import MINUTE, STEP, After, judge_after
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Consumption, Touch, Track
-from testbed.rig.boards import Valves, WiredBoard, make_drivers
 from testbed.rig.chain import brakes_first
+from testbed.rig.firmware_boards import Valves, WiredBoard, make_drivers
 from testbed.rig.forked import SOON, make_host, make_vehicle, stages
 from testbed.rig.interface import holds, not_armed
 from testbed.rig.observers import NullObserver

@@ -14,8 +14,8 @@ from testbed.config import Experiment, dump, load
 from testbed.core.error import TestbedError
 from testbed.logs.log_reader import config_of, log_of
 from testbed.logs.replay import Replay
-from testbed.rig.boards import check_boards
 from testbed.rig.chain import watched
+from testbed.rig.firmware_boards import check_boards
 from testbed.rig.interface import Rig
 from testbed.rig.twin import make_twin
 from testbed.run.flown import Run, read_run

@@ -188,7 +188,7 @@ def shipped(name: str) -> Experiment:
     return load(find(name))
 
 
-def somewhere(name: str, rng: np.random.Generator) -> Experiment:
+def with_random_starts(name: str, rng: np.random.Generator) -> Experiment:
     """The experiment with random starts, clear of obstacles and other vehicles."""
     experiment = shipped(name)
     taken = [(rock.position, rock.radius + ROOM) for rock in experiment.obstacles.values()]
@@ -216,7 +216,7 @@ def case(number: int, seed: int, names: Sequence[str] = EXPERIMENTS) -> Drilled:
 
 def drawn(kind: Any, name: str, rng: np.random.Generator) -> Drilled:
     """Fly a random case of this kind in this experiment."""
-    begun = somewhere(name, rng)
+    begun = with_random_starts(name, rng)
     jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
     what = draw(kind, list(begun.vehicles), jets, rng)
     duration = (what.at_s or 0.0) + NEEDED.get(kind, SOON)

@@ -34,7 +34,7 @@ from testbed.net.commands import Ended
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.table_report import TableReport
-from testbed.run.drill import shipped, somewhere
+from testbed.run.drill import shipped, with_random_starts
 
 EXPERIMENT = "zhang2023_table"
 COUNT = 72
@@ -97,7 +97,7 @@ def case(number: int, seed: int) -> Drilled:
     rng = np.random.default_rng([seed, number])
     catalogue = kinds()
     kind = catalogue[number % len(catalogue)]
-    begun = somewhere(EXPERIMENT, rng)
+    begun = with_random_starts(EXPERIMENT, rng)
     jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
     what = replace(
         draw(kind, list(begun.vehicles), jets, rng), at_s=round(float(rng.uniform(*WHEN)), 3)

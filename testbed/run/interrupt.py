@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 from testbed.realtime.heartbeat import heartbeat
-from testbed.realtime.law_watch import hurry
+from testbed.realtime.law_watch import shorten_limit
 
 
 class Interrupt:
@@ -26,7 +26,7 @@ class Interrupt:
         # system and shell may both signal a closed terminal, so SIGHUP does not count twice
         self.asked = self.asked + 1 if number == signal.SIGINT else max(1, self.asked)
         heartbeat().signalled()
-        hurry()
+        shorten_limit()
         if number == signal.SIGHUP:
             self._leave_terminal()
         if self._raises:

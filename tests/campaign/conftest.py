@@ -8,12 +8,12 @@ import pytest
 import tomli_w
 from pretence import hold, no_warm_up, pretend, pretend_with_log
 
-from testbed.campaign.flight import Fliers
+from testbed.campaign.flight import RunFunctions
 
 
 @pytest.fixture
-def fliers() -> Callable[[int], Fliers]:
-    return lambda jobs=1: Fliers(pretend, pretend_with_log, no_warm_up, hold, jobs)
+def fliers() -> Callable[[int], RunFunctions]:
+    return lambda jobs=1: RunFunctions(pretend, pretend_with_log, no_warm_up, hold, jobs)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from firmware_interface.messages import Config
 from testbed.cli.main import main
 from testbed.config import ConfigError, find, load
 from testbed.logs.packing import unpack
-from testbed.rig import boards
+from testbed.rig import firmware_boards as boards
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 from testbed.run.fly import fly_and_judge

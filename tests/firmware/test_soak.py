@@ -30,7 +30,7 @@ ON_THE_CHIP = float(os.environ.get("ABT_SOAK", "2"))  # minutes
 STEP_US = 20_000
 
 
-class Witness:
+class FirstFaultObserver:
     """Knows edges and what the board said; complains when they do not go together."""
 
     def __init__(self, limits):
@@ -93,7 +93,7 @@ def frames(dice, session, number):
 
 
 def soak(board, limits, minutes):
-    dice, witness, decoder = np.random.default_rng(11), Witness(limits), Decoder()
+    dice, witness, decoder = np.random.default_rng(11), FirstFaultObserver(limits), Decoder()
     session = number = seq = 0
     while board.now_us < minutes * 60_000_000:
         before = [Edge(-1, witness.mask)] if witness.mask else []

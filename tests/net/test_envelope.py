@@ -12,7 +12,7 @@ from testbed.core.lab import Impairment
 from testbed.core.types import Accel, Demand, LawMessage, Pose, Reference, Trajectory, Twist
 from testbed.net.envelope import SCHEMA, START, Acceptance, Inbox, Outbox, head_of
 from testbed.net.impairment import NetworkImpairment
-from testbed.net.links import Blackboard
+from testbed.net.links import LocalMessages
 from testbed.net.payload import open_setpoint
 
 
@@ -112,7 +112,7 @@ def test_no_impairment_does_nothing():
 
 
 def test_laws_on_one_computer_hear_each_other_a_tick_later():
-    board = Blackboard()
+    board = LocalMessages()
     board.tick = 1
     board.write("a", LawMessage(0.1, (1.0,)))
     assert board.read("b") == {}

@@ -12,7 +12,7 @@ from testbed.mocap.topic import PoseTopic, encode_poses
 from testbed.net.envelope import Acceptance
 from testbed.net.keys import Keys
 from testbed.net.links import (
-    Blackboard,
+    LocalMessages,
     Party,
     ZenohHostLink,
     ZenohVehicleLink,
@@ -56,7 +56,7 @@ def party(sessions):
 def test_states_and_setpoints_get_across(party):
     names = ["a", "b"]
     host = party(0, "host")
-    states, board = host_states(host, names), Blackboard()
+    states, board = host_states(host, names), LocalMessages()
     to_a = ZenohHostLink(host, "a", states, board)
     a, b = (ZenohVehicleLink(party(k + 1, n), names) for k, n in enumerate(names))
 
@@ -82,7 +82,7 @@ def test_states_and_setpoints_get_across(party):
 def test_setpoints_of_another_run_are_refused(party):
     names = ["a"]
     other = party(0, "host", run=6)
-    link = ZenohHostLink(other, "a", host_states(other, names), Blackboard())
+    link = ZenohHostLink(other, "a", host_states(other, names), LocalMessages())
     a = ZenohVehicleLink(party(1, "a"), ())
 
     def refused():

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from testbed.config import find, load
 from testbed.core.codes import FaultReport
-from testbed.logs.history import Happening
+from testbed.logs.history import FlightEvent
 from testbed.metrics.run_metrics import Metrics, Touch, VehicleMetrics
 from testbed.report.events import happened, lines
 from testbed.report.verdict import missed, reasons, verdict
@@ -33,9 +33,9 @@ def history(**events):
 
 
 def test_what_is_said_often_is_one_line():
-    late = [Happening(3.2 + 0.5 * k, "warn", "neighbour_late") for k in range(20)]
-    more = [Happening(t, "warn", "neighbour_late") for t in (20.0, 60.1)]
-    link = [Happening(5.0, "warn", "link_late")]
+    late = [FlightEvent(3.2 + 0.5 * k, "warn", "neighbour_late") for k in range(20)]
+    more = [FlightEvent(t, "warn", "neighbour_late") for t in (20.0, 60.1)]
+    link = [FlightEvent(5.0, "warn", "link_late")]
     told = lines(SCENARIO, history(sat1=late, sat2=more, sat3=link), [])
     assert [(one.t, one.who, one.words) for one in told] == [
         (3.2, ("sat1", "sat2"), "22 x warn: neighbour_late, first 3.2 s, last 60.1 s"),
@@ -44,7 +44,7 @@ def test_what_is_said_often_is_one_line():
 
 
 def test_faults_are_never_gathered():
-    lands = [Happening(float(k), "land", "leak", rows=("leak",)) for k in range(9)]
+    lands = [FlightEvent(float(k), "land", "leak", rows=("leak",)) for k in range(9)]
     told = lines(SCENARIO, history(sat1=lands), [])
     assert len(told) == 9
 
@@ -52,7 +52,7 @@ def test_faults_are_never_gathered():
 def test_a_contact_is_an_event():
     touches = [Touch(10.2, "sat1", "o1", 0.123), Touch(12.0, "sat1", "sat2", 0.01),
                Touch(13.0, "sat2", "left edge", 0.2)]  # fmt: skip
-    said = history(sat1=[Happening(11.0, "fault", STUCK.words, STUCK)], sat2=[])
+    said = history(sat1=[FlightEvent(11.0, "fault", STUCK.words, STUCK)], sat2=[])
     page = happened(lines(SCENARIO, said, touches))
     places = [page.index(words) for words in (
         "hit obstacle o1, 12 cm/s", "fault: ", "hit sat2, 1 cm/s",

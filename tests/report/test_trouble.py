@@ -4,7 +4,7 @@ from testbed.config import find, load
 from testbed.core.codes import FaultReport, InhibitReason, Refusal, Response
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Wrench
 from testbed.logs.feed import SeenPhase
-from testbed.logs.history import Happening, phase_change
+from testbed.logs.history import FlightEvent, phase_change
 from testbed.report.fault_story import SUPERVISOR, EventLine, FaultyVehicles, Story
 
 SCENARIO = load(find("zhang2023_table"))
@@ -61,11 +61,11 @@ def test_no_fault_no_banner():
 
 
 def response(t, kind, *rows):
-    return Happening(t, kind, ", ".join(rows), rows=rows)
+    return FlightEvent(t, kind, ", ".join(rows), rows=rows)
 
 
 def fault(t, report):
-    return Happening(t, "fault", report.words, report)
+    return FlightEvent(t, "fault", report.words, report)
 
 
 def test_one_sentence_once():
@@ -73,10 +73,10 @@ def test_one_sentence_once():
     rows = [
         ("sat1", response(2.1, "brake", "fleet")), ("sat1", fault(2.1, OTHERS)),
         ("sat2", response(2.1, "brake", "fleet")), ("sat2", fault(2.1, OTHERS)),
-        ("sat3", Happening(2.0, "valves shut")),
+        ("sat3", FlightEvent(2.0, "valves shut")),
         ("sat3", response(2.0, "land", "valve_stuck_open")), ("sat3", fault(2.0, STUCK)),
         ("sat3", response(2.2, "land", "pose_stale", "fleet")),
-        ("sat1", Happening(2.8, "valves shut")), (SUPERVISOR, end),
+        ("sat1", FlightEvent(2.8, "valves shut")), (SUPERVISOR, end),
     ]  # fmt: skip
     lines = Story(SCENARIO).tell(rows)
     assert lines == [

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from testbed.reproduction.fleet_simulation import Tracks, obstacles
 from testbed.reproduction.kernel.fleet import FleetFlight
 from testbed.reproduction.paper import read_papers
 from testbed.reproduction.scene import Obstacles, WaveParams, place
 from testbed.reproduction.targets import measure_one
-from testbed.reproduction.together import Tracks, obstacles
 
 ROUND = WaveParams(cosine=(2.0, 0.0, 0.0), sine=(0.0, 2.0, 0.0), w=0.01)  # back after 628 s
 

@@ -110,7 +110,7 @@ def test_a_run_like_another_has_its_keys_and_its_own():
     ],
 )
 def test_a_run_like_nothing(runs):
-    with pytest.raises(ValueError, match="is like"):
+    with pytest.raises(ValueError, match="circular"):
         complete_runs(runs)
 
 

@@ -8,7 +8,7 @@ HERE = Path(__file__).parent
 
 
 def main() -> None:
-    """Write all files."""
+    """Write the ROS 2 package and the page of reference."""
     for name, text in package().items():
         path = HERE / "testbed_msgs" / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -6,6 +6,7 @@ from testbed.core.records import messages  # noqa: F401  (fills MESSAGES)
 from testbed.core.records.definition import MESSAGES, OURS, SCALARS, Definition
 
 LINE = "=" * 80
+MADE = "# made from core/records/messages.py by `python -m testbed.core.records`\n"
 
 PACKAGE_XML = f"""<?xml version="1.0"?>
 <package format="3">
@@ -71,7 +72,7 @@ def _inside(name: str) -> Iterator[str]:
 def package() -> dict[str, str]:
     """Files of the ROS 2 package of our messages, by path."""
     ours = [one for one in MESSAGES.values() if "/" not in one.name]
-    files = {f"msg/{one.name}.msg": msg_text(one) for one in ours}
+    files = {f"msg/{one.name}.msg": MADE + msg_text(one) for one in ours}
     listed = "\n".join(f'  "{path}"' for path in sorted(files))
     cmake = f"""cmake_minimum_required(VERSION 3.8)
 project({OURS})

@@ -146,7 +146,7 @@ def empty_sight(place, n, words):
 
 
 @compiled
-def look_round(place, t, sight):
+def write_environment(place, t, sight):
     """Write the environment, common to all laws."""
     goal, obstacles = sight.world.goal, sight.world.obstacles
     write_goal(place, t, goal)
@@ -207,7 +207,7 @@ def flow(law, place, mass, t, p, v, z, said, sight, a, z_rate, wanted):
     mass, p, v, z, said = borrowed((mass, p, v, z, said))
     known, still = sight.known, sight.still
     drifts(place, t, p, v, sight.drift, known)
-    look_round(place, t, sight)
+    write_environment(place, t, sight)
     n, d = p.shape
     if said.shape[1] > 0:
         for i in range(n):
@@ -246,7 +246,7 @@ def jump(law, place, mass, t, p, v, z, sight, after):
     """Write the laws' states after discontinuous changes."""
     law, place, sight = borrowed(law), borrowed(place), borrowed(sight)
     mass, p, v, z = borrowed((mass, p, v, z))
-    look_round(place, t, sight)
+    write_environment(place, t, sight)
     for i in range(p.shape[0]):
         look_at_others(i, t, p, v, z, sight.unheard)
         own = Body(p[i], v[i], mass[i], sight.still, sight.still, np.inf, i)

@@ -34,8 +34,8 @@ from testbed.net.session import LARGEST, NetworkError, Subscriber, answer_to
 from testbed.realtime.heartbeat import in_file
 from testbed.realtime.processes import ChildError, ProcessGroup
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
-from testbed.rig.boards import LOCKSTEP
 from testbed.rig.fault_latch import FaultLatch
+from testbed.rig.firmware_boards import LOCKSTEP
 from testbed.rig.interface import not_armed
 from testbed.rig.wired.agent_process import AgentOptions
 from testbed.rig.wired.local import loopback

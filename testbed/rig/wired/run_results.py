@@ -14,7 +14,7 @@ from testbed.metrics.run_metrics import Commands, Consumption, Touch, Track
 from testbed.net.commands import Ended, Pace, TickReport
 from testbed.net.envelope import Acceptance
 from testbed.realtime.wall_clock import WallClock
-from testbed.rig.boards import Valves
+from testbed.rig.firmware_boards import Valves
 from testbed.rig.wired.table_report import TableReport
 
 

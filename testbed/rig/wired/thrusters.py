@@ -102,7 +102,7 @@ class PluggedThrusters:
         if self._health is None:
             self._ask(self._driver.close, None)
             raise ThrustersError(
-                self.trouble.text if self.trouble else f"{self.board} has no health to tell"
+                self.trouble.text if self.trouble else f"{self.board} does not report its health"
             )
         return self
 

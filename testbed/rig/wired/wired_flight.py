@@ -29,7 +29,7 @@ from testbed.flight.agent import lead_time
 from testbed.flight.loop import Ending, HostNode, Observer, fly
 from testbed.net.commands import Ended, Lease, Stop, TickReport, config_id
 from testbed.net.envelope import Acceptance, Inbox, Outbox
-from testbed.net.links import Blackboard, Party, ZenohHostLink, host_states
+from testbed.net.links import LocalMessages, Party, ZenohHostLink, host_states
 from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
 from testbed.realtime.scheduling import realtime_priority
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
@@ -161,7 +161,7 @@ class HostFlight:
         self._flown = {n: Inbox(open_tick, party.run, LOST_S) for n in self._names}
         self._ended = {n: Inbox(open_event, party.run, LOST_S) for n in self._names}
         self._lease, self._seal = Publisher(party.session, keys.lease), Outbox(party.run)
-        self._board = Blackboard()
+        self._board = LocalMessages()
         self._nodes = {
             n: RemoteNode(n, len(experiment.vehicles[n].model.jets), self._meet)
             for n in self._names
