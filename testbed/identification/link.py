@@ -28,7 +28,8 @@ def link_of(columns: NumericColumns, sent: str, received: str) -> dict[str, floa
     if delay.min() < 0.0:
         raise LogRefusedError(
             where=columns.where, expected="arrival after sending",
-            found=f"{delay.min():.4g} s", hint="the stamps are of two clocks; subtract their offset first",
+            found=f"{delay.min():.4g} s",
+            hint="the stamps are of two clocks; subtract their offset first",
         )  # fmt: skip
     least = float(np.quantile(delay, 0.01))
     lost = ~came
