@@ -127,7 +127,7 @@ def commission(
     context: click.Context, experiment: str, overrides: tuple[str, ...], rig: str,
     only: tuple[str, ...], yes: bool, out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Find wiring errors of the vehicles of an EXPERIMENT before they fly.
+    """Find wiring errors before the vehicles of an EXPERIMENT fly.
 
     Each step says what will move, asks, and gives a verdict; see docs/commission.md.
     """

@@ -7,7 +7,6 @@ import pytest
 
 from controllers.catalogue import make_law
 from firmware_interface.inproc import InprocBoard
-from testbed.campaign import code
 from testbed.campaign.row import columns_of
 from testbed.campaign.score import beside_metrics
 from testbed.campaign.sweep import shares
@@ -16,6 +15,7 @@ from testbed.faults import law_faults
 from testbed.metrics.formation import formation_metrics
 from testbed.metrics.run_metrics import vehicle_metrics
 from testbed.rig.twin import make_twin
+from testbed.run import code
 from testbed.run.fly import fly_and_judge
 from testbed.run.judge import measure
 

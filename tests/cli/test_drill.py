@@ -259,9 +259,9 @@ def test_an_injected_fault_is_named_and_answered(inject, named, response, within
     assert found.detected_s <= within
     assert found.response.words == response
     assert (found.contacts, found.late) == (0, 0)
-    # who is dead keeps its bearing air, and drifts
-    dead = "kill_process" in inject
-    assert (found.at_rest_s is None, found.air) == (dead, "on" if dead else "off")
+    # a dead vehicle is landed by its board
+    assert found.at_rest_s is not None
+    assert found.air == "off"
 
 
 def test_an_obstacle_that_runs_into_a_vehicle_at_rest_is_no_fault_of_the_response():

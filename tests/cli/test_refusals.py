@@ -171,7 +171,8 @@ def test_one_vehicle_is_one(testbed):
     assert "  3 vehicles, 2 obstacles, law" in testbed("check", "zhang2023_table").stdout
 
 
-def test_events_have_neither_rate_nor_gaps(testbed, flown):
+def test_events_have_neither_rate_nor_gaps(testbed, flown, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
     row = next(line for line in testbed("log", "flown").stdout.splitlines() if "Event" in line)
     assert row.split()[3] == "-"
     assert row.split()[5:7] == ["0", "-"]

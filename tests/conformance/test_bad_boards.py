@@ -153,7 +153,7 @@ BAD = {  # board: (the check, what it says)
     DisarmGrinds: ("disarm_shuts_the_valves_and_keeps_the_bearings", "it still floats"),
     LandsInTheAir: ("land_shuts_everything", "bearing air after land"),
     LeavesThemOpen: ("close_shuts_everything", "close"),
-    TellsTwice: ("edges_tell_what_the_valves_did", "they were told"),
+    TellsTwice: ("edges_tell_what_the_valves_did", "asked again"),
     TellsInMilliseconds: ("edges_tell_what_the_valves_did", "from the plan's start"),
     NoPressure: ("health_is_of_now", "finite numbers"),
     OldHealth: ("health_is_of_now", "the clock's time"),

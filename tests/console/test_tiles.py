@@ -57,7 +57,7 @@ def numbers(picture, name="sat2"):
 
 
 def test_limits_are_those_of_the_fault_table(experiment):
-    assert bounds(experiment, "pose_age") == Bounds(0.048, 0.5, is_floor=False)
+    assert bounds(experiment, "pose_age") == Bounds(0.048, 3.0, is_floor=False)
     assert bounds(experiment, "supply_share") == Bounds(0.9, 0.7, is_floor=True)
     assert bounds(experiment, "battery") == Bounds(-math.inf, 10.5, is_floor=True)
     own = replace(experiment, faults={})
@@ -71,7 +71,7 @@ def test_limits_are_those_of_the_fault_table(experiment):
     [
         ({}, "pose", "ok"),
         ({"age": 0.1}, "pose", "warn"),
-        ({"age": 0.6}, "pose", "bad"),
+        ({"age": 3.1}, "pose", "bad"),
         ({"health": Health(1.0, 4.2e5, 3e7)}, "supply", "warn"),
         ({"health": Health(1.0, 3.0e5, 3e7)}, "supply", "bad"),
         ({"health": Health(1.0, 5e5, 3e7, battery=10.0)}, "battery", "bad"),

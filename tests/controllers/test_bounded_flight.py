@@ -79,7 +79,9 @@ def energies(fleet, flight):
         edge[:3] = z[k][:, 4:]
         edge[3, :3] = edge[:3, 3]
         leader_p, leader_v = fleet.leader(t[k])[:2] if fleet.leader else no_neighbours
-        whole = proof.Fleet(fleet.mass, p[k], v[k], z[k][:, :2], z[k][:, 2:4], leader_p, leader_v)
+        whole = proof.ProxyFleet(
+            fleet.mass, p[k], v[k], z[k][:, :2], z[k][:, 2:4], leader_p, leader_v
+        )
         found.append(proof.energy(fleet.law.gains.coupling, whole, edge))
     return np.array(found)
 

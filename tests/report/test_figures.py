@@ -9,7 +9,7 @@ from controllers.bifurcating_design import distance_to
 from testbed.config import find, load
 from testbed.logs.history import History, VehicleHistory
 from testbed.metrics.run_metrics import Touch
-from testbed.report.fault_story import Said
+from testbed.report.fault_story import EventLine
 from testbed.report.figures import figures
 from testbed.report.item import Box, Line, Moment, Point
 
@@ -96,8 +96,8 @@ def test_no_pressure_without_a_gauge():
 def test_events_are_lines_on_every_figure_over_time_and_crosses_on_the_table():
     base = load(find("hold"))
     history = History({"sat1": still(1.0, 0.5)}, np.zeros(0), {}, np.zeros((0, 3)))
-    told = [Said(2.0, ("sat1",), "WARN", "warn: link_late"),
-            Said(6.0, ("sat1",), "CRITICAL", "fault: valve_leaks: jet 3 pushes")]  # fmt: skip
+    told = [EventLine(2.0, ("sat1",), "WARN", "warn: link_late"),
+            EventLine(6.0, ("sat1",), "CRITICAL", "fault: valve_leaks: jet 3 pushes")]  # fmt: skip
     drawn = figures(base, history, [], told)
     over_time = [chart for chart in drawn if chart.x_label == "time [s]"]
     assert len(over_time) >= 5

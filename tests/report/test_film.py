@@ -8,7 +8,7 @@ from PIL import Image
 
 from testbed.config import find, load
 from testbed.logs.history import History, VehicleHistory
-from testbed.report.fault_story import Said
+from testbed.report.fault_story import EventLine
 from testbed.report.film import EDGE, FOOT, HEAD, Film
 from testbed.run import film as film_of_a_run
 from testbed.run.film import FilmError, make_film
@@ -36,7 +36,7 @@ def history() -> History:
 
 @pytest.fixture(scope="module")
 def film():
-    told = [Said(5.0, ("sat1",), "CRITICAL", "hit the table's left edge")]
+    told = [EventLine(5.0, ("sat1",), "CRITICAL", "hit the table's left edge")]
     return Film(SCENARIO, history(), told, WIDTH)
 
 

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from testbed.config import find, load
 from testbed.logs.history import History, VehicleHistory
-from testbed.report.fault_story import Said
+from testbed.report.fault_story import EventLine
 from testbed.report.scrubber import SAMPLES, bar, flight_data
 
 SCENARIO = load(find("hold"))
@@ -73,9 +73,9 @@ def test_a_long_flight_stays_small():
 
 def test_the_page_opens_at_the_first_fault_and_events_are_buttons():
     t = np.arange(0.0, 10.0, 0.1)
-    events = [Said(0.0, ("supervisor",), "INFO", "RUNNING: run"),
-              Said(4.0, ("sat1",), "CRITICAL", "hit obstacle </script> o1, 11 cm/s"),
-              Said(5.0, ("sat1",), "ERROR", "land")]  # fmt: skip
+    events = [EventLine(0.0, ("supervisor",), "INFO", "RUNNING: run"),
+              EventLine(4.0, ("sat1",), "CRITICAL", "hit obstacle </script> o1, 11 cm/s"),
+              EventLine(5.0, ("sat1",), "ERROR", "land")]  # fmt: skip
     found = data_of(moving(t), events)
     assert found["first"] == 4.0
     html = bar(found)

@@ -34,13 +34,13 @@ def test_a_wave_and_its_integral():
     assert wave_integral(wave, 9.0)[0] == pytest.approx(np.trapezoid(values, t), abs=1e-6)
 
 
-@pytest.mark.parametrize("told_push", [False, True])
-def test_laws_are_told_the_push_only_if_the_place_says_so(told_push):
-    where = place(ORBIT, push=SWING, told_push=told_push)
+@pytest.mark.parametrize("law_knows_push", [False, True])
+def test_laws_are_told_the_push_only_if_the_place_says_so(law_knows_push):
+    where = place(ORBIT, push=SWING, law_knows_push=law_knows_push)
     true, told = np.empty((3, 3)), np.empty((3, 3))
     drifts(where, 5.0, START, 0.0 * START, true, told)
     push = wave_at(SWING.wave(), 5.0)
-    untold = np.zeros(3) if told_push else push
+    untold = np.zeros(3) if law_knows_push else push
     assert true - told == pytest.approx(np.tile(untold, (3, 1)), abs=1e-15)
     assert np.abs(push).min() > 0.0
 

@@ -39,7 +39,9 @@ def test_positions_are_a_square_with_a_mark_at_each_end():
     figure = Figure("positions", "x [m]", "y [m]", column, dots=True)
     chart = chart_of("key", "six", figure)
     assert np.ptp(chart.x_range) == pytest.approx(np.ptp(chart.y_range))
-    assert sum(e.get("class", "").startswith("mark") for e in drawn(figure).iter()) == 2
+    looks = [e.get("class", "") for e in drawn(figure).iter()]
+    assert sum(look.startswith("mark rest") for look in looks) == 2  # the starts
+    assert {"mark full s0 f0", "mark full s1 f1"} <= set(looks)  # the ends, and along the curves
 
 
 def test_a_figure_without_numbers_is_drawn():
