@@ -16,9 +16,18 @@ import psutil
 import pytest
 
 from patience import wait_for
+from testbed.config import find, load
 from testbed.realtime import law_watch
+from testbed.rig.twin import warm_up
 
-pytestmark = pytest.mark.usefixtures("here")
+pytestmark = pytest.mark.usefixtures("compiled", "here")
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    """The machine code of these runs: a test must not wait while another process compiles."""
+    warm_up(load(find("hold")))
+
 
 LAW = """
 import os, signal, subprocess, sys, threading, time

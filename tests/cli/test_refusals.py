@@ -119,12 +119,11 @@ def test_a_full_disk_behind_the_output(words):
 
 
 def test_a_fault_of_this_software_is_no_verdict_on_a_flight(monkeypatch, capsys):
-    from testbed.cli import inspection as look
 
     def broken(as_json):
         raise RuntimeError("nobody thought of this")
 
-    monkeypatch.setattr(look, "list_everything", broken)
+    monkeypatch.setattr(inspection, "list_everything", broken)
     monkeypatch.setattr(sys, "argv", ["testbed", "list"])
     with pytest.raises(SystemExit) as ended:
         entry()

@@ -8,13 +8,24 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table as Grid
 
-from testbed.cli import benchmark, campaign, compare, drill, log, look, poses, result, screen, tune
+from testbed.cli import (
+    benchmark,
+    campaign,
+    compare,
+    drill,
+    inspection,
+    log,
+    poses,
+    result,
+    screen,
+    tune,
+)
 from testbed.cli.result import print_result
 from testbed.config import load
 from testbed.config.shipped import SHIPPED
 from testbed.report.page import read_metrics
 
-TABLES = (benchmark, campaign, compare, drill, log, look, result, tune)
+TABLES = (benchmark, campaign, compare, drill, log, inspection, result, tune)
 
 
 @pytest.fixture
