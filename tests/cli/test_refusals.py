@@ -119,6 +119,7 @@ def test_a_full_disk_behind_the_output(words):
 
 
 def test_a_fault_of_this_software_is_no_verdict_on_a_flight(monkeypatch, capsys):
+    from testbed.cli import inspection
 
     def broken(as_json):
         raise RuntimeError("nobody thought of this")
