@@ -18,7 +18,7 @@ from testbed.config import ConfigError, load
 from testbed.dashboard.blueprint import blueprint
 from testbed.dashboard.scene import Scene
 from testbed.logs.feed import Feed, LogFeed
-from testbed.logs.log_reader import LogError, LogReader, config_of, log_of
+from testbed.logs.log_reader import LogError, await_log, config_of, log_of
 
 PERIOD_S = 0.04  # between two updates: 25 Hz
 NOTHING, SEVERED = 1, 2  # exit codes: no log to show; viewer disconnected
@@ -32,7 +32,7 @@ def tell(run: Path, url: str) -> None:
     plan = blueprint(scenario, live=True)
     recording.connect_grpc(url, default_blueprint=plan)
     recording.send_blueprint(plan)
-    book = wait_for(log_of(run))
+    book = await_log(log_of(run))
     follow(LogFeed(book), Scene(scenario, recording), recording)
     for line in book.said():
         sys.stderr.write(f"dashboard: warning: {line}\n")
@@ -51,15 +51,6 @@ def follow(feed: Feed, scene: Scene, recording: rr.RecordingStream, batch: int =
         pause.wait(PERIOD_S)
     scene.finish()
     recording.flush()
-
-
-def wait_for(path: Path) -> LogReader:
-    """The log, as soon as the run has created it."""
-    pause = Event()
-    while True:
-        if path.exists() and path.stat().st_size > 8:
-            return LogReader(path)
-        pause.wait(PERIOD_S)
 
 
 def main() -> int:

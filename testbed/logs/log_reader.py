@@ -13,6 +13,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from threading import Event
 from typing import BinaryIO, NamedTuple
 
 from mcap.opcode import Opcode
@@ -45,6 +46,7 @@ from testbed.logs.salvage import GiveUpError, Search
 
 OURS = "airbearing-testbed"  # library name of logs with gapless message numbers
 _TIME = struct.Struct("<d")
+LOOK_S = 0.04  # between two looks for a log that is not there yet
 SAID = 10  # places of damage that are listed one by one
 KINDS = {  # kind of a topic whose schema is lost, by the last part of its name
     "tick": "Tick", "ending": "Tick", "host": "HostTick", "valves": "Valves", "pace": "Pace",
@@ -367,3 +369,11 @@ def log_of(run: Path) -> Path:
             "  found     neither"
         )
     return run / "log.mcap"
+
+
+def await_log(path: Path) -> LogReader:
+    """A run's log, as soon as its writer has created it."""
+    pause = Event()
+    while not (path.exists() and path.stat().st_size > len(MCAP0_MAGIC)):
+        pause.wait(LOOK_S)
+    return LogReader(path)

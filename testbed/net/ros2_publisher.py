@@ -24,7 +24,7 @@ from testbed.core.records.kinds import Active
 from testbed.core.records.layout import HEADER
 from testbed.core.records.ros import schema_text
 from testbed.logs.extras import Extras
-from testbed.logs.log_reader import LogError, LogReader, log_of
+from testbed.logs.log_reader import LogError, LogReader, await_log, log_of
 from testbed.net.ros2 import Ros2Node
 from testbed.net.session import NetworkError, NoHostError, dial
 
@@ -150,10 +150,7 @@ def publish(
 
 def beside(run: Path, endpoint: str, domain: int) -> None:
     """Publish a flight from its beginning, as soon as the log and a router are there."""
-    path, pause = log_of(run), Event()
-    while not (path.exists() and path.stat().st_size > len(b"\x89MCAP0\r\n")):
-        pause.wait(PERIOD_S)
-    waiting = False
+    log, waiting = await_log(log_of(run)), False
     while True:
         try:
             session = dial(endpoint, WAIT_S)
@@ -163,7 +160,7 @@ def beside(run: Path, endpoint: str, domain: int) -> None:
                 sys.stderr.write(f"ros2: waiting for a router at {endpoint}: {ROUTER}\n")
                 waiting = True
     with session:
-        publish(LogReader(path), Ros2Node(session, domain), monotonic, pause.wait)
+        publish(log, Ros2Node(session, domain), monotonic, Event().wait)
 
 
 ROUTER = "start `ros2 run rmw_zenoh_cpp rmw_zenohd`"

@@ -1,6 +1,5 @@
 """A run to look at, Chromium, and the page's process."""
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -10,19 +9,15 @@ from types import ModuleType
 
 import pytest
 
+from chromium import chromium
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="session")
 def browser() -> ModuleType:
     """The module that drives Chromium."""
-    path = ROOT / "docs" / "pictures" / "browser.py"
-    spec = importlib.util.spec_from_file_location("console_browser", path)
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    if loaded.find() is None:
-        pytest.skip("Chromium is not installed")
-    return loaded
+    return chromium()
 
 
 @pytest.fixture

@@ -1,22 +1,17 @@
 """A report in a real browser, on a wide screen and on a narrow one, light and dark."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
+
+from chromium import chromium
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
 def browser():
-    path = ROOT / "docs" / "pictures" / "browser.py"
-    spec = importlib.util.spec_from_file_location("report_browser", path)
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    if loaded.find() is None:
-        pytest.skip("Chromium is not installed")
-    return loaded
+    return chromium()
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """A report in a browser: a planted failure at one look, the scrubber, values at the cursor."""
 
-import importlib.util
 import io
 import os
 import subprocess
@@ -10,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from chromium import chromium
+
 Image = pytest.importorskip("PIL.Image")
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -18,13 +19,7 @@ MOST_BYTES = 3_000_000
 
 @pytest.fixture(scope="module")
 def browser():
-    path = ROOT / "docs" / "pictures" / "browser.py"
-    spec = importlib.util.spec_from_file_location("scrubber_browser", path)
-    loaded = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(loaded)
-    if loaded.find() is None:
-        pytest.skip("Chromium is not installed")
-    return loaded
+    return chromium()
 
 
 @pytest.fixture(scope="module")
