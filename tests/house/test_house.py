@@ -165,17 +165,32 @@ def test_a_law_names_its_source_and_equations(law):
 # Files
 
 
-def text_files() -> dict[str, str]:
-    """All files that are in the repository or could be added to it, and are text."""
+def listed_files(*options: str) -> list[str]:
+    """Names of files as ``git ls-files`` with these options lists them."""
     git = shutil.which("git")
     if git is None:
         pytest.skip("git is not installed, so there is no list of files")
-    command = [git, "ls-files", "-coz", "--exclude-standard"]
+    command = [git, "ls-files", "-z", "--exclude-standard", *options]
     listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if listing.returncode:
         pytest.skip(f"not a git checkout: {listing.stderr.strip()}")
+    return [name for name in listing.stdout.split("\0") if name]
+
+
+def test_no_ignored_file_is_committed():
+    # A committed `.venv` link once stopped the installation in every fresh clone.
+    assert listed_files("--cached", "--ignored") == []
+
+
+def test_a_committed_link_stays_inside_the_repository():
+    links = [ROOT / name for name in listed_files("--cached") if (ROOT / name).is_symlink()]
+    assert [str(link) for link in links if not link.resolve().is_relative_to(ROOT)] == []
+
+
+def text_files() -> dict[str, str]:
+    """All files that are in the repository or could be added to it, and are text."""
     texts = {}
-    for name in filter(None, listing.stdout.split("\0")):
+    for name in listed_files("--cached", "--others"):
         path = ROOT / name
         if path.is_file() and b"\0" not in (content := path.read_bytes()):
             texts[name] = content.decode(errors="replace")
