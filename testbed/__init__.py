@@ -5,7 +5,7 @@
     run = testbed.fly(testbed.load("hold", seed=3))
     run.passed, run["sat1"].pose
 
-`load` an experiment, `fly` it, `open_run` a folder, `replay` or `fork` a run, `sweep` a
+`load` an experiment, `fly` it, `fly_many`, `open_run` a folder, `replay` or `fork` a run, `sweep` a
 parameter, `predict` a motion, or drive the `Twin` tick by tick. Names are imported on first use.
 """
 
@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from testbed.campaign.many import fly_many
     from testbed.campaign.parameter_sweep import sweep
     from testbed.core.error import TestbedError
     from testbed.core.law import Law
@@ -34,6 +35,7 @@ _HOMES = {
     "Valves": "testbed.identification.prediction",
     "Wrenches": "testbed.identification.prediction",
     "fly": "testbed.run.api",
+    "fly_many": "testbed.campaign.many",
     "fork": "testbed.run.api",
     "load": "testbed.run.experiment",
     "open_run": "testbed.run.api",
@@ -52,6 +54,7 @@ __all__ = [
     "Valves",
     "Wrenches",
     "fly",
+    "fly_many",
     "fork",
     "load",
     "open_run",

@@ -1,6 +1,6 @@
 """Environments for learning on the twin: Gymnasium for one vehicle, PettingZoo for several.
 
-    from testbed.env import TableEnv, FleetEnv      # extra `learn`
+    from testbed.env import TableEnv, FleetEnv, table_envs      # extra `learn`
 
     env = TableEnv(testbed.load("configs/scenarios/step.toml"), action="force")
     seen, info = env.reset(seed=1)
@@ -17,9 +17,14 @@ from testbed.core.extra import pip_install
 if TYPE_CHECKING:
     from testbed.env.fleet import FleetEnv
     from testbed.env.table import TableEnv
+    from testbed.env.vector import table_envs
 
-_HOMES = {"FleetEnv": "testbed.env.fleet", "TableEnv": "testbed.env.table"}
-__all__ = ["FleetEnv", "TableEnv"]
+_HOMES = {
+    "FleetEnv": "testbed.env.fleet",
+    "TableEnv": "testbed.env.table",
+    "table_envs": "testbed.env.vector",
+}
+__all__ = ["FleetEnv", "TableEnv", "table_envs"]
 
 
 def __getattr__(name: str) -> Any:

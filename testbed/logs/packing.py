@@ -91,26 +91,33 @@ class Packer:
 
     def __init__(self, name: str) -> None:
         definition = MESSAGES[name]
-        self.name, self._kinds = name, [one.kind for one in definition.sequences]
-        self._head = struct.Struct("<4s" + form(name))
-        self._sizes = [DTYPES[kind].itemsize for kind in self._kinds]
-        self._most = [1] * len(self._kinds)
+        self.name = name
+        self._sizes = [DTYPES[one.kind].itemsize for one in definition.sequences]
+        self._most = [1] * len(self._sizes)
+        self._pack = self._packs()
 
-    def pack(self, fixed: Sequence[Any], sequences: Sequence[tuple[int, bytes]]) -> bytes:
+    def _packs(self) -> Callable[..., bytes]:
+        """Packs a whole message; bytes that are shorter than their capacity are filled with 0."""
+        pairs = zip(self._most, self._sizes, strict=True)
+        sequences = "".join(f"II{most * size}s" for most, size in pairs)
+        return struct.Struct("<4s" + form(self.name) + sequences).pack
+
+    def pack(self, fixed: Iterable[Any], sequences: Iterable[tuple[int, bytes]]) -> bytes:
         """Encode one message as CDR.
 
         Args:
             fixed: numbers of the fixed part.
             sequences: for each, the number of its elements and their bytes.
         """
-        parts, most = [self._head.pack(HEADER, *fixed)], self._most
+        most, grown = self._most, False
+        parts: list[Any] = []
         for k, (number, data) in enumerate(sequences):
             if number > most[k]:
-                most[k] = number
-            parts += (_COUNT.pack(number, most[k]), data)
-            if number < most[k]:
-                parts.append(bytes((most[k] - number) * self._sizes[k]))
-        return b"".join(parts)
+                most[k], grown = number, True
+            parts += (number, most[k], data)
+        if grown:
+            self._pack = self._packs()
+        return self._pack(HEADER, *fixed, *parts)
 
 
 def unpack(name: str, data: bytes) -> Unpacked:

@@ -134,6 +134,7 @@ class Recorder:
             *(sys.executable, "-m", "testbed.logs.mcap_writer"),
             *(str(path), str(warn_below), str(end_below), str(epoch_ns)),
         ]
+        self._met = False  # the writer has created the file
         self._span = span_ns
         self._marked = -span_ns  # time of the last mark [ns]
         self._said = b""  # output of the writer that has not been passed on
@@ -182,16 +183,20 @@ class Recorder:
 
     def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
         """Append the bytes of one message of a kind of `core/records`."""
-        if not self._topics:
-            self._meet()
+        if not self._met:
+            self.meet()
         number = self._topics.get(topic)
         if number is None:
             number = self._topics[topic] = len(self._topics)
             self._send(Topic(topic, kind))
         self._send(Entry(number, round(t * 1e9), data))
 
-    def _meet(self) -> None:
-        """Wait until the writer has created the file; from then on a kill loses little."""
+    def meet(self) -> None:
+        """Wait until the writer has created the file; from then on a kill loses little.
+
+        Raises:
+            RecorderError: it cannot.
+        """
         assert self._writer.stdin is not None
         assert self._writer.stderr is not None
         if not select.select([self._writer.stderr], [], [], 4.0 * PATIENCE_S)[0]:
@@ -199,7 +204,7 @@ class Recorder:
         self._said = self._writer.stderr.readline()
         if self._said != READY:
             raise RecorderError(self._last_words())
-        self._said = b""
+        self._met, self._said = True, b""
         os.set_blocking(self._writer.stderr.fileno(), False)
         os.set_blocking(self._writer.stdin.fileno(), False)
 

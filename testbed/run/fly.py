@@ -181,6 +181,7 @@ def fly_and_judge(
             if not interrupt.asked:
                 heartbeat().phase = RunPhase.FLYING
                 log = FlightLog(rig, references, recorder, screen, pace)
+                recorder.meet()  # before the flight, which would wait for the writer's start
                 screen.flies()
                 with no_garbage_collection():
                     began = time.perf_counter()

@@ -22,7 +22,7 @@ else:
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 
-from testbed.env import FleetEnv, TableEnv
+from testbed.env import FleetEnv, TableEnv, table_envs
 from testbed.env.action import largest
 
 ROOT = Path(__file__).parents[2]
@@ -189,3 +189,26 @@ def test_the_import_needs_no_library():
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert "[learn]" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("processes", [False, True])
+def test_an_environment_flies_alone_as_in_a_vector(processes):
+    action = np.array([[0.5, -0.2], [-1.0, 0.3], [0.0, 0.0]], np.float32)
+    envs = table_envs(step(), 3, processes=processes, anywhere=True)
+    try:
+        first, _ = envs.reset(seed=7)
+        together = [np.array(first)]
+        for _ in range(5):
+            seen, *_ = envs.step(action)
+            together.append(np.array(seen))
+    finally:
+        envs.close()
+    assert np.array(together).shape == (6, 3, 8)
+    for k, own in enumerate(action):
+        alone, _, _ = flown(TableEnv(step(), anywhere=True), own, 5, seed=7 + k)
+        np.testing.assert_array_equal(alone, np.array(together)[:, k])
+
+
+def test_a_vector_has_an_environment():
+    with pytest.raises(testbed.TestbedError, match="one environment"):
+        table_envs(step(), 0)

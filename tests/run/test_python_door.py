@@ -159,18 +159,6 @@ def test_a_sweep_refuses_a_wrong_key_before_it_flies(hold):
         testbed.sweep(hold, {"controller.bandwith": [0.1]})
 
 
-def test_a_sweep_says_which_run_killed_its_process(hold, tmp_path):
-    law = tmp_path / "dies.py"
-    law.write_text(
-        "import os\nclass Dies:\n    step_s = 0.05\n"
-        "    def force(self, own, neighbours, world, t):\n"
-        "        os._exit(0) if t > 1.0 else None\n        return 0.0 * own.p\n"
-    )
-    dies = hold.with_(controller={"type": "python", "law": f"{law}:Dies"})
-    with pytest.raises(testbed.TestbedError, match="process died during the flight"):
-        testbed.sweep(dies, seeds=range(2), jobs=2)
-
-
 def test_nothing_is_printed_and_progress_goes_to_stderr(hold, capfd):
     testbed.fly(hold.with_(duration_s=1))
     assert capfd.readouterr() == ("", "")

@@ -1,0 +1,67 @@
+"""`testbed.fly_many`: many experiments at once."""
+
+import math
+import sys
+
+import pytest
+
+import testbed
+from testbed.campaign.beside import LostRunError, Worker
+from testbed.campaign.worker import Order
+
+SPOILT = {
+    "killed": "os.kill(os.getpid(), 9)",
+    "raises": "1 / 0",
+    "nan": "return own.p * math.nan",
+}
+
+
+@pytest.fixture(scope="module")
+def hold():
+    return testbed.load("hold").with_(duration_s=2)
+
+
+def spoilt(hold, folder, name):
+    law = folder / f"{name}.py"
+    law.write_text(
+        "import math, os\nclass Own:\n    step_s = 0.05\n"
+        "    def force(self, own, neighbours, world, t):\n"
+        f"        if t > 1.0: {SPOILT[name]}\n        return 0.0 * own.p\n"
+    )
+    return hold.with_(controller={"type": "python", "law": f"{law}:Own"})
+
+
+def test_a_bad_law_spoils_its_own_run_only(hold, tmp_path):
+    bad = [spoilt(hold, tmp_path, name) for name in SPOILT]
+    good = [hold.with_(seed=seed) for seed in range(len(bad))]
+    mixed = [one for pair in zip(bad, good, strict=True) for one in pair]
+    table = testbed.fly_many(mixed, jobs=2)
+    outcomes, reasons = table["outcome"][::2].tolist(), table["reason"][::2].tolist()
+    assert outcomes == ["lost", "fault", "fault"]
+    assert "SIGKILL" in reasons[0]
+    assert "ZeroDivisionError" in reasons[1]
+    assert "not a number" in reasons[2]
+    assert not set(table["outcome"][1::2].tolist()) & {"lost", "error"}
+    alone = [testbed.fly(one).metrics.vehicles["sat1"].impulse_ns for one in good]
+    assert table["impulse_ns"][1::2].tolist() == alone
+
+
+def test_different_experiments_share_a_table(hold):
+    three = testbed.load("zhang2023_table").with_(duration_s=1)
+    table = testbed.fly_many([hold, three, hold.with_(seed=5)], jobs=2)
+    assert table["experiment"].tolist() == ["hold", "zhang2023_table", "hold"]
+    assert table["seed"].tolist() == [hold.seed, three.seed, 5]
+    assert math.isnan(table["min_vehicle_distance_m"][0])
+    assert table["min_vehicle_distance_m"][1] > 0.0
+    assert testbed.fly_many([]).rows == 0
+
+
+@pytest.mark.parametrize(
+    ("does", "said"),
+    [("import time; time.sleep(1000)", "no result after 0.2 s"), ("exit(3)", "with code 3")],
+)
+def test_a_worker_that_hangs_or_ends_loses_its_run(does, said):
+    worker = Worker([sys.executable, "-c", does])
+    with pytest.raises(LostRunError, match=said):
+        worker.fly(Order(0, "name"), 0.2 if "after" in said else 60.0)
+    worker.stop()
