@@ -4,7 +4,7 @@ msgspec decides whether it matches, but its message does not name the entry of a
 and the types are walked again to find the first mismatch.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -129,8 +129,20 @@ def _struct_violation(
             if violation := _violation((*key, name), table[name], field.type):
                 return violation
         elif field.required:
-            return Violation((*key, name), describe(field.type), MISSING)
+            others = [one for one in _missing(table, kind) if one != name]
+            found = MISSING + (f"; missing as well: {', '.join(others)}" if others else "")
+            return Violation((*key, name), describe(field.type), found)
     return _refusal(key, table, kind.cls)
+
+
+def _missing(table: dict[str, Any], kind: inspect.StructType) -> Iterator[str]:
+    """Names of all required keys that a table and the tables in it do not have."""
+    for field in kind.fields:
+        name, value = field.encode_name, table.get(field.encode_name)
+        if value is None and field.required:
+            yield name
+        elif isinstance(value, dict) and isinstance(field.type, inspect.StructType):
+            yield from (f"{name}.{one}" for one in _missing(value, field.type))
 
 
 def _refusal(key: Key, table: dict[str, Any], cls: type) -> Violation | None:

@@ -171,7 +171,8 @@ WRONG = {  # override: (key if it is not that of the override, expected, found)
     "obstacles=no": ("", "a table", '"no"'),
     # missing
     "vehicles.sat4.start=[0,0,0]": (
-        "vehicles.sat4.model", "a table or the path of a TOML file", "nothing: the key is missing",
+        "vehicles.sat4.model", "a table or the path of a TOML file",
+        "nothing: the key is missing; missing as well: goal",
     ),
     "obstacles.o3.position=[2,2]": (
         "obstacles.o3.radius", "a number > 0", "nothing: the key is missing",
@@ -576,7 +577,8 @@ def test_an_experiment_that_is_none(name: str, found: str) -> None:
 def test_an_empty_file() -> None:
     Path("empty.toml").touch()
     message = refused("empty.toml")
-    assert message == ("empty.toml", "name", "a string", "nothing: the key is missing")
+    found = "nothing: the key is missing; missing as well: duration_s, table, vehicles, controller"
+    assert message == ("empty.toml", "name", "a string", found)
 
 
 def test_a_pipe_is_not_a_file() -> None:
