@@ -24,8 +24,8 @@ A second bound keeps a stop straight against the velocity within the gap, v c1 /
 does not trade one hazard for another, and does not turn when the normal does.
 
 An obstacle moves at constant speed and does not avoid vehicles: its closing speed is the relative
-one. A tangent of a disc is on its safe side, and the normal is taken at the positions of vehicle
-and hazard half a period later.
+one, and `escape` makes sure that a way out of its path remains. A tangent of a disc is on its safe
+side, and the normal is taken at the positions of vehicle and hazard half a period later.
 
 See A. D. Ames et al., "Control barrier functions: theory and applications", European Control
 Conference, 2019, and L. Wang, A. D. Ames, M. Egerstedt, "Safety barrier certificates for
@@ -45,13 +45,13 @@ from testbed.core.compiled import compiled, settled
 from testbed.core.table import Obstacle
 from testbed.core.types import State
 from testbed.core.vehicle import NonNegative, Positive
+from testbed.flight.escape import escape
+from testbed.flight.half_planes import TIGHT, yielding
 
 Array = NDArray[np.float64]
 
 RETREAT = 0.02  # largest speed out of a forbidden place [m/s]
 RETREAT_RATE = 0.5  # speed of a retreat per depth [1/s]
-TIGHT = 1e-9  # rounding tolerance of a half-plane [N]
-HALVINGS = 40
 FASTER = 0.1  # margin of speed in the selection of near neighbours [m/s]
 KEPT = 1.0  # a silent neighbour is extrapolated for this long, then taken as at rest [s]
 EDGES = tuple(Hazard)[Hazard.RIGHT_EDGE - 1 :]  # in the order of `filtered`
@@ -93,83 +93,6 @@ def speed_left(gap, closing, speed, decel, hard, slow):
         return max(-RETREAT, RETREAT_RATE * room)
     left = decel * (np.sqrt(0.25 * slow * slow + 2.0 * room / decel) - 0.5 * slow)
     return min(left, 2.0 * hard * room / speed) if speed * left > 2.0 * hard * room else left
-
-
-@compiled
-def feasible(x, y, planes, count, radius, slack):
-    """Whether a force is within the disc and all half-planes, each `slack` wider."""
-    if x * x + y * y > radius * radius * (1.0 + 1e-9):
-        return False
-    for i in range(count):
-        if planes[i, 0] * x + planes[i, 1] * y > planes[i, 2] + slack + TIGHT:
-            return False
-    return True
-
-
-@compiled
-def nearest(fx, fy, planes, count, radius, slack):
-    """The feasible force nearest to (fx, fy): found or not, x, y.
-
-    Args:
-        fx: demand [N].
-        fy: [N].
-        planes: rows (gx, gy, h): gx x + gy y <= h, (gx, gy) of length 1; shape (n, >= 3).
-        count: rows in use.
-        radius: of the disc [N].
-        slack: by which every half-plane is widened [N].
-    """
-    if feasible(fx, fy, planes, count, radius, slack):
-        return True, fx, fy
-    best, bx, by = np.inf, 0.0, 0.0
-    size = np.sqrt(fx * fx + fy * fy)
-    if size > radius:  # the rim of the disc alone
-        x, y = fx * radius / size, fy * radius / size
-        if feasible(x, y, planes, count, radius, slack):
-            best, bx, by = (size - radius) * (size - radius), x, y
-    for i in range(count):
-        gx, gy, h = planes[i, 0], planes[i, 1], planes[i, 2] + slack
-        off = gx * fx + gy * fy - h
-        x, y = fx - off * gx, fy - off * gy
-        if off > 0.0 and off * off < best and feasible(x, y, planes, count, radius, slack):
-            best, bx, by = off * off, x, y
-        if abs(h) <= radius:  # where the line meets the rim
-            along = np.sqrt(radius * radius - h * h)
-            for side in (-1.0, 1.0):
-                x, y = h * gx - side * along * gy, h * gy + side * along * gx
-                far = (x - fx) * (x - fx) + (y - fy) * (y - fy)
-                if far < best and feasible(x, y, planes, count, radius, slack):
-                    best, bx, by = far, x, y
-        for j in range(i):
-            det = gx * planes[j, 1] - gy * planes[j, 0]
-            if abs(det) < 1e-9:
-                continue
-            k = planes[j, 2] + slack
-            x, y = (h * planes[j, 1] - k * gy) / det, (gx * k - planes[j, 0] * h) / det
-            far = (x - fx) * (x - fx) + (y - fy) * (y - fy)
-            if far < best and feasible(x, y, planes, count, radius, slack):
-                best, bx, by = far, x, y
-    return best < np.inf, bx, by
-
-
-@compiled
-def yielding(fx, fy, planes, count, radius):
-    """`nearest`, with the half-planes widened by the least amount that makes it feasible."""
-    found, x, y = nearest(fx, fy, planes, count, radius, 0.0)
-    if found:
-        return x, y
-    low, high = 0.0, 1.0
-    while not nearest(fx, fy, planes, count, radius, high)[0]:
-        low, high = high, 2.0 * high
-        if high > 1e9:
-            return 0.0, 0.0
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if nearest(fx, fy, planes, count, radius, middle)[0]:
-            high = middle
-        else:
-            low = middle
-    _, x, y = nearest(fx, fy, planes, count, radius, high)
-    return x, y
 
 
 @compiled
@@ -303,6 +226,10 @@ def guarded(t, fx, fy, px, py, vx, vy, bx, by, obstacles, others, limits, thrust
     """`filtered` with the hazards from `around`, numbered in obstacles and others, then edges."""
     discs, rows = around(t, px, py, np.hypot(vx, vy), obstacles, others, limits)
     x, y, hazard, spare = filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale)
+    ex, ey, runner = escape(x, y, px, py, vx, vy, bx, by, discs, limits, thrust_scale)
+    if runner >= 0:
+        x, y, hazard, spare = filtered(ex, ey, px, py, vx, vy, bx, by, discs, limits, thrust_scale)
+        hazard = runner if hazard < 0 else hazard
     if hazard >= discs.shape[0]:
         hazard += obstacles.shape[0] + others.shape[0] - discs.shape[0]
     elif hazard >= 0:

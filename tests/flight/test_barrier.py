@@ -16,11 +16,10 @@ from testbed.flight.barrier import (
     Limits,
     discs_of,
     filtered,
-    nearest,
     reaches,
     speed_left,
-    yielding,
 )
+from testbed.flight.half_planes import nearest, yielding
 
 PARAMS = BarrierParams()
 MASS, FORCE, PERIOD = 12.5, 1.14, 0.1  # the shipped vehicle: [kg], [N], [s]
