@@ -150,7 +150,8 @@ class Allocator:
 
     def allocate(self, wanted, thrust_scale=1.0, droop=0.0):
         wrench = (float(wanted.fx), float(wanted.fy), float(wanted.tau))
-        return allocation.allocate(self.p._replace(droop=droop), wrench, float(thrust_scale))
+        share = np.full(len(self.p.gas), float(thrust_scale))
+        return allocation.allocate(self.p._replace(droop=droop), wrench, share)
 
 
 class Modulator:
@@ -161,7 +162,8 @@ class Modulator:
         self.carried = modulation.Carried(*np.zeros((3, len(vehicle.jets))))
 
     def pulses(self, duty):
-        return modulation.pulses(self.p, self.carried, np.ascontiguousarray(duty, dtype=float))
+        duty = np.ascontiguousarray(duty, dtype=float)
+        return modulation.pulses(self.p, self.carried, duty, np.ones_like(duty))
 
 
 class Flow:

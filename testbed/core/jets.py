@@ -21,11 +21,32 @@ Any other layout works: the functions below use the positions and directions in 
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from testbed.core.vehicle import Jet
 
 Array = NDArray[np.float64]
+
+
+class JetHealth(Struct, frozen=True):
+    """One jet as a flight has shown it."""
+
+    share: float  # of its thrust in the vehicle file, estimated while it was commanded
+    sigma: float  # of that; 0.3: hardly ever commanded
+    gives: float = 1.0  # share with which the vehicle flew: 0 is taken out
+    leaks: float = 0.0  # share without a command with which it flew; 1: stuck open
+    named_s: float | None = None  # time at which the last two changed; null: never [s]
+
+    @property
+    def words(self) -> str:
+        """How the vehicle flew with it, for a person; empty: as with a healthy jet."""
+        if self.named_s is None:
+            return ""
+        what = "taken out" if self.gives == self.leaks == 0.0 else f"flown at {self.gives:.0%}"
+        if self.leaks:
+            what = f"pushes at {self.leaks:.0%} without a command, compensated"
+        return f"{what} since {self.named_s:.1f} s"
 
 
 def effect_matrix(jets: Sequence[Jet], about: tuple[float, float] = (0.0, 0.0)) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 
 from testbed.core.codes import FaultReport, InhibitReason, Refusal
 from testbed.core.error import TestbedError
+from testbed.core.jets import JetHealth
 from testbed.core.law import Ahead, Array, Body, Concern, Law, Neighbours, World, concerns_of
 from testbed.core.types import Health, Inputs, Outputs, Tick, ValveCommand, Vitals, Wrench
 from testbed.flight.guidance import Guidance
@@ -66,6 +67,11 @@ class CrashableNode:
     def guidance(self) -> Guidance | None:
         """See `VehicleNode`."""
         return self._node.guidance
+
+    @property
+    def jets(self) -> tuple[JetHealth, ...]:
+        """See `VehicleNode`."""
+        return self._node.jets
 
     def tick(
         self, t: float, armed: bool, fleet: FaultReport | None = None, *,

@@ -22,6 +22,7 @@ from testbed.core.codes import (
 )
 from testbed.core.compiled import settled
 from testbed.core.error import MismatchError
+from testbed.core.jets import JetHealth
 from testbed.core.types import (
     Accel,
     Demand,
@@ -41,6 +42,7 @@ from testbed.core.types import (
 from testbed.core.vehicle import Vehicle
 from testbed.flight import chain
 from testbed.flight.barrier import Barrier
+from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance, Kept
@@ -147,6 +149,18 @@ class Agent:
         if self._place is None:
             return None
         return Trajectory((replace(self._place, t=t),), t + STAYS_S)
+
+    @property
+    def jets(self) -> tuple[JetHealth, ...]:
+        """Each jet as the flight has shown it."""
+        memory = self.memory
+        gives, leaks, named = memory.fired.gives, memory.fired.leaks, memory.named
+        # a jet that is stuck open is judged by what it pushes anyway
+        shares = np.clip(np.maximum(gives, leaks) * (1.0 + memory.heard.off), 0.0, MOST)
+        rows = zip(shares, memory.heard.sigma, gives, leaks, named, strict=True)
+        return tuple(
+            JetHealth(*map(float, row[:4]), float(row[4]) if row[4] else None) for row in rows
+        )
 
     def _tell(self, inputs: Inputs, setpoint: Setpoint | None) -> None:
         """Write the inputs into the tick's record, in the order of record.TOLD."""

@@ -172,9 +172,9 @@ def duties(effect, gas, ceiling, wrench, torque_first):
 
 
 @compiled
-def one_sided(effect, gas, thrust_scale, wrench, torque_first, opposing):
-    """`duties` at this share of the thrust; no pair of `opposing` (n, 2) has both jets open."""
-    weakened = effect * thrust_scale
+def one_sided(effect, gas, share, wrench, torque_first, opposing):
+    """`duties` at this share of each thrust; no pair of `opposing` (n, 2) has both jets open."""
+    weakened = effect * share
     ceiling = np.ones(effect.shape[1])
     while True:
         duty = duties(weakened, gas, ceiling, wrench, torque_first)
@@ -215,26 +215,26 @@ def jets_of(params: AllocatorParams, vehicle: Vehicle) -> Jets:
 
 
 @compiled
-def allocate(p, wrench, thrust_scale):
+def allocate(p, wrench, share):
     """Duty of each jet in [0, 1], shape (jets,).
 
     Args:
         p: Jets.
         wrench: wanted mean (fx, fy, tau) over the period, torque about the centre of mass.
-        thrust_scale: supply pressure over set pressure.
+        share: of its thrust that a command adds to each jet, shape (jets,); 0: it is not used.
     """
-    duty = one_sided(p.effect, p.gas, thrust_scale, wrench, p.torque_first, p.opposing)
+    duty = one_sided(p.effect, p.gas, share, wrench, p.torque_first, p.opposing)
     return against_droop(duty, p.droop)
 
 
 @compiled
 def weakest(effect, gas, opposing, directions, plenty):
     """Smallest force [N] over equally spaced directions of a demand of `plenty` without torque."""
-    least = np.inf
+    least, all_of_it = np.inf, np.ones(gas.shape[0])
     for k in range(directions):
         angle = 2.0 * np.pi * k / directions
         wrench = plenty * np.cos(angle), plenty * np.sin(angle), 0.0
-        duty = one_sided(effect, gas, 1.0, wrench, True, opposing)
+        duty = one_sided(effect, gas, all_of_it, wrench, True, opposing)
         fx = fy = 0.0
         for j in range(duty.shape[0]):
             fx += effect[0, j] * duty[j]

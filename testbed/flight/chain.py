@@ -11,7 +11,16 @@ import math
 
 from testbed.core.codes import InhibitReason
 from testbed.core.compiled import borrowed, compiled, pasted
-from testbed.flight import detectors, estimator, fault_monitor, gate, safety, tracker
+from testbed.flight import (
+    detectors,
+    estimator,
+    fault_monitor,
+    gate,
+    jet_faults,
+    reconfiguration,
+    safety,
+    tracker,
+)
 from testbed.flight.allocation import allocate
 from testbed.flight.detectors import compare
 from testbed.flight.flow import flow_shares
@@ -58,10 +67,13 @@ def act(p, memory, rows, samples, references, neighbours):
     through, spare, done.hazard = demanded, math.inf, -1
     if p.filters and state.known == 1:
         through, spare = safety.filtered(
-            p.limits, p.obstacles, p.gains.period, row, neighbours, demanded, thrust_scale
-        )
+            p.limits, p.obstacles, p.gains.period, row, neighbours, demanded,
+            thrust_scale * m.strength,
+        )  # fmt: skip
     watch(p, memory, row, samples, neighbours, demanded, spare)
-    wrench, shut = safety.respond(p.brakes, p.gains, m.safety, row, demanded, through, thrust_scale)
+    wrench, shut = safety.respond(
+        p.brakes, p.gains, m.safety, row, demanded, through, thrust_scale * m.strength
+    )
     done.commanded.fx, done.commanded.fy, done.commanded.tau = wrench
 
     refuse(p, m, row, shut)
@@ -79,7 +91,34 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
     detectors.measure(p.sensors, m.detectors, m.jet_faults, row, samples, neighbours, finite, spare)
     # a fault after the end gets its response, but is not latched
     latches = armed and told.ended == 0
-    fault_monitor.look(p.rows, memory.counters, told.t, latches, row.numbers, done)
+    asks = fault_monitor.look(p.rows, memory.counters, told.t, latches, row.numbers, done)
+    if asks >= 0:
+        reconfigure(p, memory, row, asks)
+
+
+@pasted
+def reconfigure(p, memory, row, k):
+    """Take the jet that row `k` of the fault table names out, or compensate for it, if possible."""
+    m, fired, detector = memory.fixed[0], memory.fired, p.rows.detector[k]
+    gives, leaks = fired.gives.copy(), fired.leaks.copy()
+    probed = m.probed - 1
+    if probed >= 0 and row.told.t - memory.named[probed] < reconfiguration.PROBE_S:
+        fired.gives[probed] = 1.0  # it was not that one
+    j = reconfiguration.changed(fired.gives, fired.leaks, m.jet_faults, detector)
+    force, torque = reconfiguration.room(p.jets.effect, fired.gives, fired.leaks)
+    if reconfiguration.suffices(p.whole, force, torque):
+        m.strength = min(1.0, force / p.whole.force)
+        if probed >= 0 and fired.gives[probed] == 1.0:
+            memory.named[probed] = 0.0
+        m.probed = j + 1 if detector == reconfiguration.DOUBTFUL else 0
+        memory.named[j] = row.told.t
+        memory.carried.rest[j] = memory.carried.filter[j] = 0.0
+        reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
+        jet_faults.restart(p.jets_known, m.jet_faults, memory.heard)
+        fault_monitor.clear(memory.counters, k)
+        return
+    fired.gives[:], fired.leaks[:] = gives, leaks
+    fault_monitor.refuse(p.rows, memory.counters, k, row.numbers[detector], row.done)
 
 
 @pasted
@@ -108,7 +147,15 @@ def plan(p, memory, row, wrench, thrust_scale):
     if done.inhibit != 0:
         wrench = (0.0, 0.0, 0.0)
     share = thrust_scale if thrust_scale > WEAKEST else WEAKEST
-    on, offset = pulses(p.planner.modulator, memory.carried, allocate(p.jets, wrench, share))
+    fired, effect = memory.fired, p.jets.effect
+    adds = fired.gives - fired.leaks
+    fx, fy, tau = wrench
+    for j in range(adds.shape[0] if done.inhibit == 0 else 0):  # what leaks pushes anyway
+        fx -= share * fired.leaks[j] * effect[0, j]
+        fy -= share * fired.leaks[j] * effect[1, j]
+        tau -= share * fired.leaks[j] * effect[2, j]
+    duty = allocate(p.jets, (fx, fy, tau), share * adds)
+    on, offset = pulses(p.planner.modulator, memory.carried, duty, adds)
     fx, fy, tau = in_microseconds(p.planner, on, offset, p.jets.effect, memory.times)
     fx, fy, tau = fx * thrust_scale, fy * thrust_scale, tau * thrust_scale
     if done.inhibit != 0:
@@ -119,6 +166,7 @@ def plan(p, memory, row, wrench, thrust_scale):
     starts, ends = told.t + p.command_delay, told.t + period + p.command_delay
     estimator.note(memory.fired, starts, ends, memory.times)
     flow_shares(memory.times, memory.begun, p.model.valve, period, memory.flowed)
+    memory.flowed[:] = fired.gives * memory.flowed + fired.leaks * (1.0 - memory.flowed)
 
 
 @compiled

@@ -66,12 +66,14 @@ class EstimatorParams(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Fired(NamedTuple):
-    """The last plans, newest last, as the wrench model needs them."""
+    """The last plans, newest last, and the jets, as the wrench model needs them."""
 
     start: Array  # (m,) when each plan starts on the board [s]
     end: Array  # (m,) when it is replaced or over [s]
     on: Array  # (m, n) [s]
     offset: Array  # (m, n) [s]
+    gives: Array  # see reconfiguration.Able, (n,)
+    leaks: Array  # (n,)
 
 
 @compiled
@@ -129,9 +131,10 @@ def mean_wrench(fired, model, start, end):
                 up = fired.start[m] + fired.offset[m, j]
                 down = min(up + fired.on[m, j], fired.end[m])
                 flow[j] += open_time(up, down, model.valve, start, end)
-    for j in range(jets):
-        open_jets += flow[j]
     span = end - start
+    for j in range(jets):
+        flow[j] = fired.gives[j] * flow[j] + fired.leaks[j] * (span - flow[j])
+        open_jets += flow[j]
     share = 1.0 / (1.0 + model.droop * max(0.0, open_jets / span - 1.0))
     fx = fy = tau = 0.0
     for j in range(jets):

@@ -5,11 +5,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.codes import Response
 from testbed.core.compiled import compiled
 from testbed.flight.faults import FaultTable
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
+
+WARN = Response.WARN.value
 
 
 class Rows(NamedTuple):
@@ -22,6 +25,7 @@ class Rows(NamedTuple):
     timeout: Array  # and after this time [s]
     response: Integers  # codes.Response
     latched: Integers  # 1: it stays until a reset
+    reconfigures: Integers  # 1: `response` only if the jets left do not suffice
 
 
 def rows_of(table: FaultTable) -> Rows:
@@ -36,6 +40,7 @@ def rows_of(table: FaultTable) -> Rows:
         np.array([row.timeout_s for row in rows]),
         np.array([row.code for row in rows], dtype=np.int64),
         np.array([row.latched for row in rows], dtype=np.int64),
+        np.array([row.reconfigures for row in rows], dtype=np.int64),
     )
 
 
@@ -53,6 +58,8 @@ class Counters(NamedTuple):
 def look(p, counters, t, latches, numbers, done):
     """Judge a tick: write the most severe response and the deciding fault to `done`.
 
+    Returns the row that asks for a reconfiguration, -1: none.
+
     Args:
         p: Rows.
         counters: Counters.
@@ -61,21 +68,42 @@ def look(p, counters, t, latches, numbers, done):
         numbers: of the detectors.
         done: record.DONE.
     """
-    done.response, done.fault, done.holding = 0, -1, 0
+    done.response, done.fault, done.holding, asks = 0, -1, 0, -1
     for k in range(p.detector.shape[0]):
         number = numbers[p.detector[k]]
         if p.low[k] <= number <= p.high[k]:
             counters.ticks[k] = counters.holds[k] = 0.0
         else:
             count(p, counters, k, t)
-            if counters.holds[k] == 1.0 and latches and p.latched[k] == 1:
-                latch(counters, k, number)
+            if counters.holds[k] == 1.0 and latches:
+                if p.reconfigures[k] == 1 and counters.latched[k] == 0.0:
+                    asks = k
+                elif p.latched[k] == 1:
+                    latch(counters, k, number)
         done.holding += int(counters.holds[k])
         latched = counters.latched[k]
-        if counters.holds[k] == 1.0 or latched > 0.0:
+        if latched > 0.0 or (counters.holds[k] == 1.0 and p.reconfigures[k] == 0):
             done.response = max(done.response, p.response[k])
+        elif counters.holds[k] == 1.0:
+            done.response = max(done.response, WARN)
         if latched > 0.0 and decides(p, counters, k, done.fault):
             done.fault = k
+    return asks
+
+
+@compiled
+def clear(counters, k):
+    """Row `k` no longer holds: the vehicle has been reconfigured."""
+    counters.ticks[k] = counters.holds[k] = 0.0
+
+
+@compiled
+def refuse(p, counters, k, number, done):
+    """Latch row `k`: the jets left do not suffice."""
+    latch(counters, k, number)
+    done.response = max(done.response, p.response[k])
+    if decides(p, counters, k, done.fault):
+        done.fault = k
 
 
 @compiled

@@ -31,6 +31,9 @@ from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
+from testbed.flight.effectiveness import learn, resolve
+from testbed.flight.effectiveness import MEMORY_S as SLOWLY
+from testbed.flight.effectiveness import SPREAD as UNHEARD
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.record import record
 from testbed.flight.response import response
@@ -42,6 +45,7 @@ MEMORY_S = 10.0  # time constant of forgetting [s]
 SETTLING = 20.0  # time constant of the mean of unexplained acceleration, the slope [s]
 BLOCK = 0.3  # a suspicion begins at the start of a block of this length [s]
 BLOCKS = 25
+SHOWN = 10  # looks from one effectiveness to the next
 BEGUN = (1, 2, 3, 4, 5, 7, 10, 14, 24)  # tested beginnings [blocks ago]; the look is in block 0
 THRUST = 0.05  # smallest assumed thrust error of a jet, relative, one sigma
 BALANCE = 0.01  # smallest assumed error of the centre of mass, one sigma [m]
@@ -59,6 +63,7 @@ ENOUGH = 0.3  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
 SURE = 12.5  # least gain of a push without a command: 5 sigma
 CLEAR = 3.0  # difference in gain that separates two suspicions (a factor e^3 in likelihood)
+DOUBT = 0.2  # and this share of the smaller gain: thrust and slope are not known better
 
 
 class Known(NamedTuple):
@@ -109,6 +114,9 @@ class Heard(NamedTuple):
     spread: Array  # variance of the residual, push and turn, (2,)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
     last: Array  # previous residual, (3,)
+    slow: Array  # see effectiveness.py, (m, m + 1)
+    off: Array  # deviation of each jet from its thrust, as a share of it, (n,)
+    sigma: Array  # of that, (n,)
 
 
 @pasted
@@ -146,6 +154,16 @@ def pause(p, m, heard):
     forget(m.leak)
     forget(m.weak)
     heard.recent[:] = 0.0
+
+
+@compiled
+def restart(p, m, heard):
+    """Begin anew: what was heard so far is explained, and the jets are other ones from now on."""
+    pause(p, m, heard)
+    m.counted, m.noted = 0, 0
+    heard.told[:], heard.blocks[:] = 0.0, 0.0
+    heard.duty[:], heard.bias[:], heard.last[:] = 0.0, 0.0, 0.0
+    heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, UNHEARD
 
 
 @compiled
@@ -305,6 +323,12 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         blocks[1:] = blocks[:-1].copy()
         blocks[0] = 0.0
     listen(e, x, heard, m.counted, known.keep, known.rough)
+    push = 1.0 / (heard.spread[0] + known.rough)
+    weights = (push, push, 1.0 / heard.spread[1])
+    learn(heard.slow, e, x, weights, 1.0 - min(0.5, known.period / SLOWLY))
+    if look % SHOWN == 0:
+        slope = 1.0 / (known.slope * known.slope + known.bumps * known.bumps)
+        resolve(heard.slow, known.sure, slope, heard.off, heard.sigma)
     least, y = factor(known, heard, m.counted)
     since = np.zeros(blocks.shape[1:])
     for k in range(blocks.shape[0]):
@@ -323,22 +347,28 @@ def weigh(known, m, heard, now, duty, thrust_scale):
 
 
 @compiled
+def apart(m):
+    """Difference in gain that separates a leak from a weak jet."""
+    return CLEAR + DOUBT * min(m.leak.gain, m.weak.gain)
+
+
+@compiled
 def leaks(m):
     """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
-    sure = m.leak.gain > m.weak.gain + CLEAR and m.leak.gain > SURE
+    sure = m.leak.gain > m.weak.gain + apart(m) and m.leak.gain > SURE
     return sure and m.leak.share > TRACE
 
 
 @compiled
 def is_weak(m):
     """Whether the suspected jet is too weak, and nothing else explains the motion."""
-    return m.weak.gain >= m.leak.gain + CLEAR and m.weak.share > ENOUGH
+    return m.weak.gain >= m.leak.gain + apart(m) and m.weak.share > ENOUGH
 
 
 @compiled
 def leaks_or_is_weak(m):
     """Whether one jet may leak; if it does not, the suspected weak jet is weak."""
-    return m.leak.gain > m.weak.gain - CLEAR and m.leak.share > TRACE
+    return m.leak.gain > m.weak.gain - apart(m) and m.leak.share > TRACE
 
 
 @compiled

@@ -12,6 +12,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.core.codes import FaultId, FaultReport, Response
+from testbed.core.jets import JetHealth
 from testbed.core.ports import Clock, HostLink, PoseSource, Thrusters, VehicleLink
 from testbed.core.types import (
     ALL_WELL,
@@ -50,6 +51,11 @@ class Chain(Protocol):
         """See `Agent`."""
         ...
 
+    @property
+    def jets(self) -> tuple[JetHealth, ...]:
+        """See `Agent`."""
+        ...
+
     def staying(self, t: float) -> Trajectory | None:
         """See `Agent`."""
         ...
@@ -74,6 +80,11 @@ class VehicleNode:
     def guidance(self) -> Guidance | None:
         """The guidance, if the law runs on board."""
         return self._agent.guidance
+
+    @property
+    def jets(self) -> tuple[JetHealth, ...]:
+        """Each jet as the flight has shown it."""
+        return self._agent.jets
 
     def _setpoint(self, t: float, stay: bool) -> Setpoint | None:
         """The place to stay at, or what the host sends; a law on board obeys no other setpoint."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.flight import detectors, estimator, gate, jet_faults, safety, tracker
+from testbed.flight import detectors, effectiveness, estimator, gate, jet_faults, safety, tracker
 from testbed.flight.estimator import Fired
 from testbed.flight.fault_monitor import Counters
 from testbed.flight.jet_faults import BLOCKS, SPIN_SPREAD, SPREAD, Heard
@@ -27,6 +27,8 @@ FIXED = record(
     gate=gate.MEMORY,
     seq=int,  # number of the last plan
     thrust_scale=float,  # of that plan
+    probed=int,  # the jet last compensated on a doubt, from 1; 0: none
+    strength=float,  # weakest force of the jets left, as a share of all jets'
 )
 
 
@@ -41,6 +43,7 @@ class Memory(NamedTuple):
     begun: Array  # on-time so far of a pulse that may continue, (jets,) [s]
     flowed: Array  # share of the last period for which each jet flowed, (jets,)
     times: Array  # of the last plan: on, then offset, (2 jets,), whole [us]
+    named: Array  # when each jet was taken out or compensated, (jets,) [s]; 0: never
 
 
 def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, Array]:
@@ -56,13 +59,14 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     one_a_row: tuple[int, ...] = (rows,)
     one_a_jet: tuple[int, ...] = (jets,)
     shapes: dict[type, list[tuple[int, ...]]] = {
-        Fired: [(plans,), (plans,), (plans, jets), (plans, jets)],
+        Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
         Heard: [
             (jets,), (looks, m + jets, 3), (m, m + 1), (BLOCKS, m + 2, 2 * jets), (2,), (2,), (3,),
+            (m, m + 1), one_a_jet, one_a_jet,
         ],
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
-        Memory: [one_a_jet, one_a_jet, (2 * jets,)],
+        Memory: [one_a_jet, one_a_jet, (2 * jets,), one_a_jet],
     }  # fmt: skip
     everything = np.zeros(size + sum(math.prod(s) for each in shapes.values() for s in each))
     views: dict[type, list[Array]] = {}
@@ -74,8 +78,9 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
     fired, heard = Fired(*views[Fired]), Heard(*views[Heard])
     fired.start[:] = fired.end[:] = -np.inf
+    heard.sigma[:] = effectiveness.SPREAD
     heard.spread[:] = SPREAD**2, SPIN_SPREAD**2
-    fixed["thrust_scale"] = 1.0
+    fixed["thrust_scale"] = fixed["strength"] = fired.gives[:] = 1.0
     memory = Memory(
         fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), *views[Memory]
     )

@@ -94,17 +94,19 @@ class Carried(NamedTuple):
 
 
 @compiled
-def pulses(p, carried, duty):
+def pulses(p, carried, duty, share):
     """On-time and offset of each jet, both (jets,) [s]; 0 <= offset, offset + on <= period.
 
     Args:
         p: Modulator.
         carried: Carried.
         duty: shape (jets,).
+        share: of its thrust that a command adds to each jet, shape (jets,).
     """
     if p.kind == SIGMA_DELTA:
+        thrust = p.thrust * share
         return fire_with_carry(
-            duty, carried.rest, p.thrust, p.opposing, p.period, p.min_on, p.min_off
+            duty, carried.rest, thrust, p.opposing, p.period, p.min_on, p.min_off
         )
     on, offset = np.empty_like(duty), np.empty_like(duty)
     for j in range(duty.shape[0]):
@@ -153,6 +155,8 @@ def fire_with_carry(duty, carry, thrust, opposing, period, min_on, min_off):
     wish = duty * period + np.minimum(np.maximum(carry, -period), period)
     for k in range(opposing.shape[0]):  # opposing jets carry only the difference
         i, j = opposing[k]
+        if thrust[i] <= 0.0 or thrust[j] <= 0.0:
+            continue
         impulse = thrust[i] * wish[i] - thrust[j] * wish[j]
         wish[i] = max(0.0, impulse) / thrust[i]
         wish[j] = max(0.0, -impulse) / thrust[j]

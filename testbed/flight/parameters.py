@@ -15,6 +15,7 @@ from testbed.flight import (
     gate,
     jet_faults,
     plan,
+    reconfiguration,
     safety,
     tracker,
 )
@@ -57,6 +58,7 @@ class Parameters(NamedTuple):
     jets_known: jet_faults.Known
     rows: fault_monitor.Rows
     brakes: safety.Brakes
+    whole: reconfiguration.Whole
     gate: gate.Limits
     jets: allocation.Jets
     planner: plan.Planner
@@ -73,6 +75,8 @@ def make_parameters(
 ) -> Parameters:  # fmt: skip
     """The constants of a vehicle on a table; `safe` is its safety filter, None: switched off."""
     period, end = flight.jet_period_s, flight.ending
+    jets = allocation.jets_of(flight.allocator, vehicle)
+    known = jet_faults.known_of(vehicle, period, flight.estimator, table)
     return Parameters(
         model=estimator.model_of(vehicle),
         filter=estimator.filter_of(flight.estimator, table.mocap),
@@ -87,12 +91,13 @@ def make_parameters(
         sensors=detectors.Sensors(
             vehicle.air.set_pressure, vehicle.air.tank_pressure, table.mocap.noise > 0.0
         ),
-        jets_known=jet_faults.known_of(vehicle, period, flight.estimator, table),
+        jets_known=known,
         rows=fault_monitor.rows_of(faults),
         brakes=safety.Brakes(
             stopping_force(vehicle) / vehicle.mass, end.brake_s, end.margin, end.settle_s
         ),
+        whole=reconfiguration.whole_of(jets.effect, vehicle.mass * known.slope),
         gate=gate.limits_of(flight.gate, fence),
-        jets=allocation.jets_of(flight.allocator, vehicle),
+        jets=jets,
         planner=plan.planner_of(flight.modulator, vehicle, period),
     )

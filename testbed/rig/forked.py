@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from controllers.own_law import OwnLawParams
 from testbed.config import Experiment
+from testbed.core.jets import JetHealth
 from testbed.core.ports import HostLink
 from testbed.core.types import HostTick, Inputs, Outputs, Trajectory
 from testbed.flight.agent import Agent, lead_time
@@ -54,6 +55,11 @@ class ForkedAgent:
             after.take_over(self._now, keeps)
             self._now = after
         return self._now.step(inputs)
+
+    @property
+    def jets(self) -> tuple[JetHealth, ...]:
+        """See `Agent`."""
+        return self._now.jets
 
     def staying(self, t: float) -> Trajectory | None:
         """See `Agent`."""

@@ -1,0 +1,192 @@
+"""Does a vehicle with a bad jet name it and fly on with the others? On the twin.
+
+    python benchmarks/jets_left.py [--seeds 20] [--faults shut weak open] [--vehicles ...] [--jobs 2]
+
+Each jet of six vehicles sticks shut, sticks open, or loses 30 % of its thrust, while the vehicle
+flies 1.4 m, turns by a radian and holds, with default gains. The fault table is the shipped one, but
+`reconfigure` for a jet that is stuck open, too. Counted are flights in which the right jet is named
+first; the time from the fault, or from the first command of that jet after it; flights that end
+with a fault; and flights that hold: within 0.1 m and 0.1 rad in the last 10 s. A jet that is
+commanded for less than 0.5 s in all is not used, and counted apart.
+"""
+
+import argparse
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+from reach import NEAR, reach
+
+from testbed.config import Experiment
+from testbed.core.fault_injection import Injection
+from testbed.core.se2 import wrap
+from testbed.faults.drill import ASKED
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import make_twin
+
+VEHICLES = ("generic_8jet", "atmos", "freeflyer", "uky", "spot_red", "lab")
+WEAK = 0.7  # of its thrust
+LASTS_S, HOLDS_S = 45.0, 10.0
+WHEN = (2.0, 12.0)  # [s]: on the way and after it
+FIRST_HOURS = {"mass": 20.0, "inertia": 0.4, "radius": 0.25}
+SLOW = {"open_delay_s": 0.025, "close_delay_s": 0.015, "min_on_s": 0.02}
+ARM, LEVER = 0.18, 0.11  # [m] of its jets
+
+
+class Case(NamedTuple):
+    """A flight with a fault."""
+
+    vehicle: str
+    fault: str  # "shut", "open", "weak" or "none"
+    jet: int  # from 0
+    seed: int
+
+
+class Found(NamedTuple):
+    """What came of it."""
+
+    case: Case
+    named: tuple[int, ...]  # jets, in order
+    after_s: float  # from the fault, to the name
+    used_s: float  # from the first command of the jet after the fault, to the name
+    asked_s: float  # for which the jet was commanded after the fault
+    holds: bool
+    words: str  # of the fault that ended the flight
+
+
+class Watch(NullObserver):
+    """Notes when jets are commanded and named, and weakens a jet."""
+
+    def __init__(self, rig, case: Case, at_s: float) -> None:
+        self.rig, self.case, self.at_s = rig, case, at_s
+        self.asked_s, self.first, self.named, self.named_at = 0.0, 0.0, [], 0.0
+
+    def vehicle(self, name, tick) -> None:
+        """See `Observer`."""
+        t, on = tick.outputs.t, tick.outputs.command.on_us[self.case.jet]
+        parameters = self.rig.twin.plant.parameters
+        if self.case.fault == "weak" and t >= self.at_s:
+            parameters.thrust[0, self.case.jet] *= WEAK
+            self.at_s, self.began = np.inf, t
+        if t >= (self.at_s if np.isfinite(self.at_s) else self.began) and on and not self.named:
+            self.first = self.first or t
+            self.asked_s += 1e-6 * on
+        for j, jet in enumerate(self.rig.vehicles[0].jets):
+            if jet.named_s is not None and j not in self.named:
+                self.named.append(j)
+                self.named_at = self.named_at or t
+
+
+def experiment_of(case: Case) -> tuple[Experiment, float]:
+    """The flight, and the time of the fault [s]."""
+    experiment = lab() if case.vehicle == "lab" else reach(case.vehicle)
+    rng = np.random.default_rng([case.seed, case.jet])
+    at_s = round(float(rng.uniform(*WHEN)), 3)
+    faults = dict(experiment.faults)
+    row = faults["valve_stuck_open"]
+    faults["valve_stuck_open"] = replace(row, response="reconfigure", otherwise="land")
+    kinds = {"shut": "stick_closed", "open": "stick_open"}
+    inject = []
+    if case.fault in kinds:
+        inject = [Injection(kinds[case.fault], "sat1", at_s=at_s, jet=case.jet + 1)]
+    return replace(
+        experiment, duration_s=LASTS_S, seed=case.seed, faults=faults, inject=inject
+    ), at_s
+
+
+def lab() -> Experiment:
+    """A lab's own vehicle: 20 kg, eight jets of 0.25 N elsewhere than shipped, slow valves."""
+    experiment = reach("generic_8jet")
+    setup = experiment.vehicles["sat1"]
+    model = setup.model
+    jets = []
+    for jet in model.jets:
+        x, y = (float(np.sign(p)) * (ARM if abs(p) > 0.1 else LEVER) for p in jet.position)
+        jets.append(replace(jet, position=(x, y), thrust=0.25))
+    model = replace(model, jets=jets, valve=replace(model.valve, **SLOW), **FIRST_HOURS)
+    return replace(experiment, vehicles={"sat1": replace(setup, model=model)})
+
+
+def fly(case: Case) -> Found:
+    """Fly a case and judge it."""
+    experiment, at_s = experiment_of(case)
+    rig = make_twin(experiment)
+    watch = Watch(rig, case, at_s)
+    ending = rig.fly(watch)
+    track, goal = rig.track(), experiment.vehicles["sat1"].goal
+    own = track.states[track.t > LASTS_S - HOLDS_S, 0]
+    holds = ending.fault is None and bool(
+        np.hypot(own[:, 0] - goal[0], own[:, 1] - goal[1]).max() < NEAR
+        and max(abs(wrap(theta - goal[2])) for theta in own[:, 2]) < NEAR
+    )
+    words = "" if ending.fault is None else ending.fault.words
+    at, first = watch.named_at or ending.t, watch.first
+    used = at - max(at_s, first) if first else np.inf
+    named = tuple(watch.named)
+    return Found(case, named, at - at_s, used, watch.asked_s, holds, words)
+
+
+def right(one: Found) -> bool:
+    """Whether the right jet was named first."""
+    if one.named:
+        return one.named[0] == one.case.jet
+    return f"jet {one.case.jet + 1} " in one.words and " or " not in one.words
+
+
+def report(found: list[Found]) -> bool:
+    """Print the wrong ones and a line for each vehicle and fault; whether all limits are met."""
+    groups: dict[tuple[str, str], list[Found]] = {}
+    for one in found:
+        groups.setdefault((one.case.vehicle, one.case.fault), []).append(one)
+        used = one.case.fault == "open" or one.asked_s > ASKED
+        if one.case.fault != "none" and used and not (right(one) and one.holds):
+            print(one)
+    good = True
+    for (vehicle, fault), ones in groups.items():
+        used = [one for one in ones if fault == "open" or one.asked_s > ASKED]
+        named = [one for one in used if right(one)]
+        others = sum(len(one.named) > 1 for one in used)
+        times = [one.after_s if fault == "open" else one.used_s for one in named] or [np.nan]
+        holds = sum(one.holds for one in used)
+        ended = sum(bool(one.words) for one in used)
+        print(
+            f"{vehicle:12} {fault:5} {len(ones)} flights, {len(used)} used the jet:"
+            f" {len(named)} named right, {others} with another jet, too;"
+            f" median {np.median(times):.2f} s, last {max(times):.1f} s;"
+            f" {holds} held, {ended} ended by a fault"
+        )
+        few = len(used) or 1
+        good &= fault == "none" or (len(named) >= 0.98 * few and np.median(times) <= 2.0)
+        good &= fault != "shut" or holds >= 0.95 * few
+    return bool(good)
+
+
+def main() -> int:
+    """Fly and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--vehicles", nargs="*", default=VEHICLES)
+    parser.add_argument("--faults", nargs="*", default=["shut", "weak", "open"])
+    parser.add_argument("--jobs", type=int, default=1)
+    options = parser.parse_args()
+    cases = [
+        Case(vehicle, fault, jet, seed)
+        for vehicle in options.vehicles
+        for fault in options.faults
+        for jet in range(8)
+        for seed in range(options.first, options.first + options.seeds)
+    ]
+    if options.jobs == 1:
+        found = [fly(case) for case in cases]
+    else:
+        with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+            found = list(pool.map(fly, cases, chunksize=4))
+    return 0 if report(found) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

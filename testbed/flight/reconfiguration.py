@@ -1,0 +1,127 @@
+"""Flying on with what is left: the jets as they are, after one of them was found at fault.
+
+Each jet gives the share `gives` of its thrust while commanded and `leaks` while not: 1 and 0 for a
+healthy jet, 0 and 0 stuck shut, 0.7 and 0 weak, 1 and 1 stuck open. With B of the vehicle file the
+wrench is B leaks + B diag(gives - leaks) u for duties u in [0, 1]; estimator, detector, allocator
+and modulator use this. All wrenches that the jets can give form a zonotope. Its faces are
+orthogonal to two of its edges, so a few cross products give its room around zero exactly.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.codes import Detector
+from testbed.core.compiled import compiled
+
+LEAST = 0.2  # of the whole vehicle's weakest force and torque, both: less does not fly on
+UPHILL = 2.0  # and this many times the force that the table's slope takes
+SHUT = 0.35  # a jet that gives less is not used: its share is hardly known
+WIDE_OPEN = 0.8  # a jet that leaks more is stuck open
+FLAT = 1e-9  # squared length of a cross product that counts as zero
+
+PROBE_S = 10.0  # so long a jet that may only look weak is taken back if another one is named [s]
+OPEN, LEAKS = Detector.JET_OPEN.value, Detector.JET_LEAKS.value
+DOUBTFUL = Detector.JET_LEAKS_OR_WEAK.value
+
+
+class Whole(NamedTuple):
+    """Constants of a vehicle with all its jets for compiled code."""
+
+    force: float  # without torque, in the weakest direction [N]
+    torque: float  # without force, in the weaker sense [N m]
+    slope: float  # force that the table's slope takes [N]
+
+
+@compiled
+def room(effect, gives, leaks):
+    """Largest pure force in the weakest direction [N], and pure torque in the weaker sense [N m].
+
+    Both are 0 if the jets cannot hold the vehicle.
+
+    Args:
+        effect: B, shape (3, jets).
+        gives: share of its thrust that each jet gives while commanded, shape (jets,).
+        leaks: and while not commanded, shape (jets,).
+    """
+    n = effect.shape[1]
+    push, turn = np.max(np.abs(effect[:2])), np.max(np.abs(effect[2]))
+    edge, whole = np.empty((n, 3)), np.zeros(3)
+    for j in range(n):
+        for i in range(3):
+            scaled = effect[i, j] / (turn if i == 2 else push)
+            edge[j, i] = scaled * (gives[j] - leaks[j])
+            whole[i] += scaled * leaks[j]
+    force = torque = np.inf
+    for a in range(n):
+        for b in range(a):
+            nx = edge[a, 1] * edge[b, 2] - edge[a, 2] * edge[b, 1]
+            ny = edge[a, 2] * edge[b, 0] - edge[a, 0] * edge[b, 2]
+            nt = edge[a, 0] * edge[b, 1] - edge[a, 1] * edge[b, 0]
+            if nx * nx + ny * ny + nt * nt < FLAT:
+                continue
+            reach = nx * whole[0] + ny * whole[1] + nt * whole[2]
+            back = -reach
+            for j in range(n):
+                along = nx * edge[j, 0] + ny * edge[j, 1] + nt * edge[j, 2]
+                reach, back = reach + max(0.0, along), back + max(0.0, -along)
+            least = max(0.0, min(reach, back))
+            sideways = np.hypot(nx, ny)
+            # a face that neither pure force nor pure torque can meet bounds nothing, unless it is 0
+            force = min(force, least / max(sideways, FLAT) if least > 0.0 else 0.0)
+            torque = min(torque, least / max(abs(nt), FLAT) if least > 0.0 else 0.0)
+    if force == np.inf:
+        return 0.0, 0.0
+    return force * push, torque * turn
+
+
+def whole_of(effect: NDArray[np.float64], slope: float) -> Whole:
+    """The room of a vehicle with all its jets; `slope` is the force that the table takes [N]."""
+    jets = effect.shape[1]
+    force, torque = room(effect, np.ones(jets), np.zeros(jets))
+    return Whole(float(force), float(torque), slope)
+
+
+@compiled
+def changed(gives, leaks, suspected, detector):
+    """Write to `gives` and `leaks` what a detector has found; returns the jet.
+
+    If one jet may leak or the other may be weak, the weak one is believed: a leak shows clearly as
+    soon as the other jet is no longer commanded.
+
+    Args:
+        gives: see `room`; changed in place.
+        leaks: the same.
+        suspected: jet_faults.MEMORY.
+        detector: codes.Detector, one of the jets'.
+    """
+    if detector != OPEN and detector != LEAKS:
+        j, left = suspected.weak.jet, 1.0 - min(1.0, suspected.weak.share)
+        gives[j], leaks[j] = gives[j] * left, leaks[j] * left
+        if gives[j] < SHUT:
+            gives[j] = leaks[j] = 0.0
+        return j
+    j = suspected.leak.jet
+    leaks[j] = min(1.0, leaks[j] + suspected.leak.share)
+    if leaks[j] > WIDE_OPEN:
+        leaks[j] = 1.0
+    gives[j] = max(gives[j], leaks[j])
+    return j
+
+
+@compiled
+def suffices(whole, force, torque):
+    """Whether a vehicle with this force and torque flies on."""
+    return force >= max(LEAST * whole.force, UPHILL * whole.slope) and (
+        torque >= LEAST * whole.torque
+    )
+
+
+@compiled
+def relearn(model, m, effect, j):
+    """Let the estimator learn its bias anew: a part of it was jet `j`; `m` is estimator.MEMORY."""
+    push = np.hypot(effect[0, j], effect[1, j]) / model.mass
+    turn = effect[2, j] / model.inertia
+    m.cov[2, 2] += push * push
+    m.cov_spin[2, 2] += turn * turn
