@@ -57,12 +57,20 @@ FAULTS = {
     "half open": Fault("half_open", (0.3, 0.7), LEAKS, "jet {jet} ", ("valve_leaks_or_weak",)),
     "weak 60-80 %": Fault("weak_jet", (0.6, 0.8), ("jet_weak",), "", ("valve_stuck_closed",), 60.0),
     "weak 20-60 %": Fault(
-        "weak_jet", (0.2, 0.6), ("valve_stuck_closed",), "jet {jet} ",
-        ("valve_leaks_or_weak", "jet_weak"), 60.0,
+        "weak_jet",
+        (0.2, 0.6),
+        ("valve_stuck_closed",),
+        "jet {jet} ",
+        ("valve_leaks_or_weak", "jet_weak"),
+        60.0,
     ),
     "dead": Fault(
-        "stick_closed", (0.0, 0.0), ("valve_stuck_closed",), "jet {jet} ",
-        ("valve_leaks_or_weak",), 60.0,
+        "stick_closed",
+        (0.0, 0.0),
+        ("valve_stuck_closed",),
+        "jet {jet} ",
+        ("valve_leaks_or_weak",),
+        60.0,
     ),
     "hose 0.05-0.3 N": Fault("hose", (0.05, 0.3), ("pulled", "pulled_hard")),
     "pad drag 1-3 N s/m": Fault("pad_drag", (1.0, 3.0), ("pads_drag",)),
@@ -165,13 +173,17 @@ def main():
     for one in found:
         if not one.named or one.contact:
             print(f"{one.fault} {one.number}: {one.response}: {one.words}")
-    print("| fault | flights | noticed | named | unclear | contacts | median [s] | worst [s] | fell |")
+    print(
+        "| fault | flights | noticed | named | unclear | contacts | median [s] | worst [s] | fell |"
+    )
     print("|---|---|---|---|---|---|---|---|---|")
     for name in names:
         own = [one for one in found if one.fault == name]
         after = [one.after_s for one in own if one.named]
         times = f"{np.median(after):.2f} | {max(after):.2f}" if after else "- | -"
-        fell = ", ".join(f"{what or 'none'} {n}" for what, n in Counter(o.response for o in own).items())
+        fell = ", ".join(
+            f"{what or 'none'} {n}" for what, n in Counter(o.response for o in own).items()
+        )
         print(
             f"| {name} | {len(own)} | {sum(o.noticed for o in own)} | {sum(o.named for o in own)} "
             f"| {sum(o.unclear for o in own)} | {sum(o.contact for o in own)} | {times} | {fell} |"

@@ -258,4 +258,3 @@ class FaultInjector:
             case "faster_than":
                 return math.hypot(vx, vy) > limit
         return False
-
