@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.board import Board
+from sim_twin.lab_faults import OF_BODIES, OF_FRAMES, BodyFaults, Late, moved, turned
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
 from testbed.core.fault_injection import Injection
@@ -20,8 +21,10 @@ from testbed.core.types import ALL_WELL, PoseSample, Vitals
 
 Array = NDArray[np.float64]
 
+REACH = 0.2  # of markers from the body's middle: noise of positions over that of headings [m]
 DEAD_BATTERY = 7.0  # [V] battery voltage that a board reports during a brown-out
 NEVER = math.inf
+HAIR = 1e-9  # [s]
 
 
 class ActiveInjection:
@@ -57,6 +60,9 @@ class FaultInjector:
         ]
         self._active = [ActiveInjection(one) for one in injections]
         self._frozen: dict[str, PoseSample] = {}
+        self._late = {name: Late() for name in plant.names}
+        self._last_frame: dict[str, float] = {}  # of slow cameras [s]
+        self._bodies = BodyFaults(plant)
         self._rng = stream(
             seed, "sabotage"
         )  # a label of the random stream: another one changes flights
@@ -90,6 +96,13 @@ class FaultInjector:
                     self._plant.stick(k, what.jet - 1, what.kind == "stick_open", one.since, over)
                 case "leak_valve":
                     self._plant.leak_valve(k, what.jet - 1, what.size, one.since, over)
+                case "weak_jet":
+                    self._plant.weaken(k, what.jet - 1, what.size, one.since, over)
+                case "half_open":
+                    self._plant.stick(k, what.jet - 1, False, one.since, over)
+                    self._plant.leak_valve(k, what.jet - 1, what.size, one.since, over)
+                case kind if kind in OF_BODIES:
+                    self._bodies.apply(k, what, holds=one.holds(self._plant.t + HAIR))
                 case "kill_process" if isinstance(board := self._plant.boards[what.vehicle], Board):
                     board.fall_silent(one.since, over)
                 case "brown_out" if self._boards:
@@ -129,36 +142,60 @@ class FaultInjector:
         """A vehicle's poses after camera faults."""
         seen = samples
         for one in self._active:
-            what = one.what
-            if what.vehicle != name:
-                continue
-            match what.kind:
-                case "drop_mocap":
-                    seen = [s for s in seen if not one.holds(s.captured_at)]
-                case "freeze_mocap":
-                    seen = [self._freeze(name, s, holds=one.holds(s.captured_at)) for s in seen]
-                case "jump_mocap":
-                    seen = [
-                        _moved(s, what.size, 0.0) if one.holds(s.captured_at) else s for s in seen
-                    ]
-                case "noisy_mocap":
-                    seen = [
-                        _moved(s, *(what.size * self._rng.standard_normal(2)).tolist())
-                        if one.holds(s.captured_at) else s
-                        for s in seen
-                    ]  # fmt: skip
-                case "clock_step":
-                    if one.holds(self._now):
-                        seen = [
-                            PoseSample(s.captured_at - what.size, s.x, s.y, s.theta) for s in seen
-                        ]
+            if one.what.vehicle == name or one.what.kind in OF_FRAMES:
+                seen = [s for each in seen if (s := self._spoil(name, one, each)) is not None]
         return seen
 
-    def _freeze(self, name: str, sample: PoseSample, *, holds: bool) -> PoseSample:
+    def _spoil(self, name: str, one: ActiveInjection, s: PoseSample) -> PoseSample | None:
+        """A pose after one fault; None: it is lost."""
+        what, at = one.what, s.captured_at
+        size, holds = what.size, one.holds(at)
+        match what.kind:
+            case "freeze_mocap":
+                return self._freeze(name, s, size, holds=holds)
+            case "delay_mocap":
+                return self._late[name].pose(s, size if holds else 0.0)
+            case "clock_step" if one.holds(self._now):
+                return PoseSample(at - size, s.x, s.y, s.theta)
+            case _ if not holds:
+                return s
+            case "drop_mocap":
+                return None
+            case "jump_mocap":
+                return moved(s, size, 0.0)
+            case "noisy_mocap":
+                return moved(s, *(size * self._rng.standard_normal(2)).tolist())
+            case "turn_body":
+                return turned(s, math.radians(size))
+            case "turn_frame":
+                turn = math.radians(size)
+                c, d = math.cos(turn), math.sin(turn)
+                dx, dy = (c - 1.0) * s.x - d * s.y, d * s.x + (c - 1.0) * s.y
+                return moved(turned(s, turn), dx, dy)
+            case "shift_frame" | "creep_frame":
+                far = size * (at - one.since if what.kind == "creep_frame" else 1.0)
+                way = math.radians(what.towards_deg)
+                return moved(s, far * math.cos(way), far * math.sin(way))
+            case "slow_mocap":
+                if at - self._last_frame.get(name, -NEVER) < 1.0 / size - HAIR:
+                    return None
+                self._last_frame[name] = at
+        return s
+
+    def _freeze(self, name: str, s: PoseSample, dither: float, *, holds: bool) -> PoseSample:
         if not holds or name not in self._frozen:
-            self._frozen[name] = sample
+            self._frozen[name] = s
         last = self._frozen[name]
-        return PoseSample(sample.captured_at, last.x, last.y, last.theta)
+        still = PoseSample(s.captured_at, last.x, last.y, last.theta)
+        if not (holds and dither):
+            return still
+        dx, dy, turn = (dither * self._rng.standard_normal(3)).tolist()
+        return moved(turned(still, turn / REACH), dx, dy)
+
+    def gauge(self, name: str) -> float:
+        """Supply pressure by a regulator that is out of order, over the usual one."""
+        what = self.found(name, "regulator")
+        return what.size if what else 1.0
 
     def air(self, receiver: str) -> tuple[float, float]:
         """Injected delay [s] and loss probability of messages to a vehicle."""
@@ -221,7 +258,3 @@ class FaultInjector:
             case "faster_than":
                 return math.hypot(vx, vy) > limit
         return False
-
-
-def _moved(sample: PoseSample, dx: float, dy: float) -> PoseSample:
-    return PoseSample(sample.captured_at, sample.x + dx, sample.y + dy, sample.theta)

@@ -211,6 +211,7 @@ class Plant:
             self.boards[name] = FirmwareBoard(*own, drivers[name]) if drivers else Board(*own)
         self._stuck: dict[tuple[int, int], tuple[bool, int, int]] = {}
         self._leaky: dict[tuple[int, int], tuple[float, int, int]] = {}
+        self._weak: dict[tuple[int, int], tuple[float, int, int]] = {}
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
@@ -230,6 +231,11 @@ class Plant:
         """Let valve `jet` of vehicle `k` pass a share of its flow when shut."""
         span = nanoseconds(since), min(FAR_AHEAD, nanoseconds(until))
         self._leaky[k, jet] = (share, *span)
+
+    def weaken(self, k: int, jet: int, share: float, since: float, until: float) -> None:
+        """Let valve `jet` of vehicle `k` pass only a share of its flow when open."""
+        span = nanoseconds(since), min(FAR_AHEAD, nanoseconds(until))
+        self._weak[k, jet] = (share, *span)
 
     def leak(self, k: int, gas: float) -> None:
         """Remove `gas` [kg] from the tank of vehicle `k`."""
@@ -257,7 +263,7 @@ class Plant:
 
     def played(self) -> Pulses:
         """Actual valve pulses: the boards' commands, modified by stuck or leaking valves."""
-        if not self._stuck and not self._leaky:
+        if not (self._stuck or self._leaky or self._weak):
             return self._pulses
         ours = self._pulses
         played = Pulses(ours.up.copy(), ours.down.copy(), ours.strength.copy())
@@ -269,6 +275,9 @@ class Plant:
             down[across] = since
             if is_open:  # overwrites the oldest pulse
                 up[0], down[0], played.strength[k, jet, 0] = since, until, 1.0
+        for (k, jet), (share, since, until) in self._weak.items():
+            up, strength = played.up[k, jet], played.strength[k, jet]
+            strength[(up >= since) & (up < until)] *= share
         for (k, jet), (share, since, until) in self._leaky.items():
             up, down, strength = played.up[k, jet], played.down[k, jet], played.strength[k, jet]
             strength[(up >= since) & (up < until)] *= 1.0 - share  # the total is at most fully open

@@ -5,6 +5,9 @@ from collections.abc import Iterator
 from testbed.config.error import Violation, show
 from testbed.config.experiment import Experiment
 
+SHARES = ("leak_valve", "weak_jet", "half_open")
+POSITIVE = ("slow_mocap", "delay_mocap", "pad_drag", "regulator", "thrust", "mass")
+
 
 def bad_injections(experiment: Experiment) -> Iterator[Violation]:
     """Errors in `[[inject]]`."""
@@ -24,9 +27,11 @@ def bad_injections(experiment: Experiment) -> Iterator[Violation]:
         jets = len(experiment.vehicles[what.vehicle].model.jets)
         if not 1 <= what.jet <= jets:
             yield Violation((*key, "jet"), f"a jet from 1 to {jets}", show(what.jet))
-        if what.kind == "leak_valve" and not 0.0 < what.size <= 1.0:
+        if what.kind in SHARES and not 0.0 < what.size <= 1.0:
             expected = "a share of the jet's flow, more than 0 and at most 1: 30 % is 0.3"
             yield Violation((*key, "value"), expected, f"{what.size:g}")
+        if what.kind in POSITIVE and not what.size > 0.0:
+            yield Violation((*key, "value"), "more than 0", f"{what.size:g}")
         if what.event == "near_obstacle" and not experiment.obstacles:
             yield Violation((*key, "event"), "an event that can happen", "no obstacle is there")
         if what.event == "near_vehicle" and len(experiment.vehicles) < 2:

@@ -109,6 +109,20 @@ class Detector(Code):
     DISK_FREE = 23, "disk_free"  # [bytes]
     FOREIGN = 24, "foreign"  # messages of another session since the last tick
     FLEET = 25, "fleet"  # 1: another vehicle has a fault that stops all vehicles
+    # causes of unexplained motion, standard deviations; 0: another cause may explain it as well
+    JET_PARTLY_WEAK = 26, "jet_partly_weak"
+    PULL = 27, "pull"  # a constant force: a hose, a cable, a tilt
+    PULL_SHARE = 28, "pull_share"  # that force over what the jets can give in any direction
+    PAD_DRAG = 29, "pad_drag"
+    THRUST_OR_MASS = 30, "thrust_or_mass"  # all jets give more or less than the file says
+    HEADING_OFF = 31, "heading_off"
+    POSES_LATE = 32, "poses_late"  # older than their stamps
+    # a body that is seen elsewhere without having been pushed
+    LATE_STEP = 33, "late_step"  # [s] by how much older its poses may be since then
+    FRAME_STEP = 34, "frame_step"  # [m] that it cannot be explained by a delay
+    HEADING_STEP = 35, "heading_step"  # [rad] at the same place
+    FRAME_OFF = 36, "frame_off"  # [m] of a reference body from its place
+    POSE_RATE = 37, "pose_rate"  # poses of the last second over what the cameras should give
 
 
 class FaultId(StrEnum):

@@ -16,16 +16,29 @@ from testbed.core.vehicle import NonNegative, Positive
 
 Kind = Literal[
     "drop_mocap",  # poses stop
-    "freeze_mocap",  # the same pose again and again, with fresh stamps
+    "freeze_mocap",  # the same pose again and again, with fresh stamps and noise of `value` [m]
     "jump_mocap",  # all poses shifted by `value` [m]
     "noisy_mocap",  # all poses with noise of `value` [m]
     "swap_bodies",  # poses are swapped with those of `other`
+    "turn_body",  # the heading of its poses is off by `value` [deg]
+    "delay_mocap",  # its poses are `value` [s] older than their stamps
+    "slow_mocap",  # only `value` poses a second
+    "shift_frame",  # the cameras' frame moves: all bodies are shifted by `value` [m]
+    "turn_frame",  # all bodies are turned about the table's centre by `value` [deg]
+    "creep_frame",  # all bodies creep by `value` [m/s]
     "delay_link",  # messages to the vehicle take `value` [s] longer
     "lose_link",  # messages to the vehicle are lost with the probability `value`
     "kill_process",  # the vehicle's process is killed
     "stick_open",  # valve number `jet` stays open
     "stick_closed",  # valve number `jet` stays shut
     "leak_valve",  # valve number `jet` leaks the share `value` of its flow when shut
+    "weak_jet",  # valve number `jet` gives only the share `value` of its thrust
+    "half_open",  # valve number `jet` gives the share `value` of its thrust, whatever is commanded
+    "hose",  # a hose or cable pulls with `value` [N]
+    "pad_drag",  # the pads drag with `value` [N s/m]
+    "regulator",  # the supply pressure is `value` times the set pressure, as the gauge shows
+    "thrust",  # all jets give `value` times the thrust of the file, and the gauge shows nothing
+    "mass",  # the vehicle has `value` times the mass of the file
     "leak",  # `value` [kg/s] of gas
     "brown_out",  # the board loses its power
     "clock_step",  # the vehicle's clock and the cameras' differ by `value` [s]
@@ -58,6 +71,19 @@ VALUES: dict[str, float] = {  # defaults
     "lose_link": 1.0,
     "leak": 0.1,
     "leak_valve": 0.3,
+    "turn_body": 5.0,
+    "delay_mocap": 0.3,
+    "slow_mocap": 4.0,
+    "shift_frame": 0.03,
+    "turn_frame": 1.0,
+    "creep_frame": 0.02,
+    "weak_jet": 0.5,
+    "half_open": 0.5,
+    "hose": 0.2,
+    "pad_drag": 2.0,
+    "regulator": 1.5,
+    "thrust": 0.6,
+    "mass": 1.5,
     "clock_step": 0.05,
     "overrun": 0.08,
     "sag": 0.5,
@@ -77,6 +103,7 @@ class Injection(Struct, frozen=True, forbid_unknown_fields=True):
     value: float | None = None  # see `Kind`
     jet: int = 1  # counted from 1, as in the vehicle file's picture
     other: str = ""  # the other vehicle of a swap
+    towards_deg: float = 0.0  # direction in W of a hose, or of a frame that moves
 
     def __post_init__(self) -> None:
         if (self.at_s is None) == (self.event is None):

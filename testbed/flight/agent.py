@@ -46,7 +46,7 @@ from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance, Kept
-from testbed.flight.jet_faults import leaks
+from testbed.flight.hypotheses import CAUSES, cause_of, ranked
 from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
@@ -170,7 +170,7 @@ class Agent:
             health.supply_pressure, health.tank_pressure, health.battery, health.silent_s,
             vitals.session_ok, vitals.operator_age, vitals.clock_offset, vitals.late_s,
             vitals.disk_free, vitals.same_config, vitals.foreign,
-            bool(self._law_error or vitals.law_error), vitals.fleet is not None,
+            bool(self._law_error or vitals.law_error), vitals.fleet is not None, vitals.frame_off,
             *numbers_of(setpoint),
         )  # fmt: skip
 
@@ -265,16 +265,15 @@ class Agent:
         m, vitals = self.memory.fixed[0].jet_faults, inputs.vitals
         touched = self._nearby.contact(inputs.t)
         touched = touched and f"{touched} or "
+        if detector in CAUSES:
+            return touched + ranked(m, cause_of(m, detector), self.params.gains.mass)
+        step = self.memory.fixed[0].estimator.step
         match detector:
             case Detector.JET_OPEN:
                 return str(m.leak.jet + 1)
-            case Detector.JET_LEAKS:
-                return f"{touched}valve leaks? jet {m.leak.jet + 1} gives {m.leak.share:.0%}"
-            case Detector.JET_MISSING:
-                return str(m.weak.jet + 1)
-            case Detector.JET_LEAKS_OR_WEAK:
-                or_weak = "" if leaks(m) else f" or jet {m.weak.jet + 1} gives too little"
-                return f"{touched}jet {m.leak.jet + 1} leaks{or_weak}"
+            case Detector.LATE_STEP | Detector.FRAME_STEP | Detector.HEADING_STEP:
+                far, turn = math.hypot(step[0], step[1]), math.degrees(step[2])
+                return f"{1e3 * far:.0f} mm and {turn:.1f} deg away from one pose to the next"
             case Detector.LAW_ERROR:
                 return self._law_error or vitals.law_error
             case Detector.POSE_OF_ANOTHER:

@@ -88,7 +88,10 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
     if row.state.known == 1 and armed:
         compare(p.jets_known, m.jet_faults, memory.heard, row, memory.flowed, m.thrust_scale)
     finite = gate.is_number(demanded)
-    detectors.measure(p.sensors, m.detectors, m.jet_faults, row, samples, neighbours, finite, spare)
+    detectors.measure(
+        p.sensors, m.detectors, m.estimator, p.jets_known, m.jet_faults, row, samples, neighbours,
+        finite, spare,
+    )  # fmt: skip
     # a fault after the end gets its response, but is not latched
     latches = armed and told.ended == 0
     asks = fault_monitor.look(p.rows, memory.counters, told.t, latches, row.numbers, done)

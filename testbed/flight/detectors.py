@@ -5,6 +5,7 @@ from typing import NamedTuple
 from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
 from testbed.flight import jet_faults
+from testbed.flight.hypotheses import DRAG, LATE, MASS, PULL, THRUST, TURNED, certain
 from testbed.flight.jet_faults import look, pause
 from testbed.flight.record import NO_SETPOINT, record
 
@@ -12,6 +13,12 @@ SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to
 TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
 TRUSTED = 8  # most refused poses for evidence about valves
 SAME_CLOCK = 0.005  # largest clock offset for evidence about valves [s]
+NEARLY = 5  # so many nearly equal poses in a row more than equal ones are a frozen pose
+MOVING = 0.01  # from this speed a delay shows as a step back [m/s]
+SHORTEST, LONGEST = 0.05, 2.0  # such a delay [s]
+ALONG = 0.2  # deviation of the step from the motion, relative
+TURNED_BY = 0.005  # heading may differ by this [rad]
+RATE_S = 1.0  # for which poses are counted [s]
 FAR = 0.05  # a pose this far from the own prediction is not the own one [m]
 
 
@@ -21,6 +28,8 @@ class Sensors(NamedTuple):
     set_pressure: float  # of the supply [Pa]
     full: float  # pressure of the full tank [Pa]
     noisy: bool  # these cameras never repeat a pose exactly; others may, for a vehicle at rest
+    frame: float  # time between two camera frames [s]
+    holding: float  # acceleration by the jets in any direction [m/s^2]
 
 
 MEMORY = record(
@@ -32,6 +41,9 @@ MEMORY = record(
     repeats=int,  # poses equal to it in a row before it
     known=int,  # 1: `before` is known
     before=(5,),  # last estimate: t, x, y, vx, vy
+    timed=int,  # 1: `at` is known
+    at=float,  # last tick [s]
+    rate=float,  # mean number of poses over what the cameras should give
 )
 
 
@@ -50,12 +62,14 @@ def compare(p, m, heard, row, duty, thrust_scale):
 
 
 @compiled
-def measure(p, m, suspected, row, samples, neighbours, finite, spare):
+def measure(p, m, seen, known, suspected, row, samples, neighbours, finite, spare):
     """Write the detectors' numbers of this tick to `row.numbers`.
 
     Args:
         p: Sensors.
         m: MEMORY, changed in place.
+        seen: estimator.MEMORY.
+        known: jet_faults.Known.
         suspected: jet_faults.MEMORY.
         row: record.ROW.
         samples: rows (captured at, x, y, theta).
@@ -84,9 +98,10 @@ def measure(p, m, suspected, row, samples, neighbours, finite, spare):
     leaks, is_weak = jet_faults.leaks(suspected), jet_faults.is_weak(suspected)
     either = jet_faults.leaks_or_is_weak(suspected)
     done.leak = jet_faults.sigmas(suspected.leak) if either else 0.0
+    repeats = max(float(count_repeats(m, samples)), float(seen.still - NEARLY))
     numbers = (
         abs(age),
-        float(count_repeats(m, samples)) if p.noisy else 0.0,
+        repeats if p.noisy else 0.0,
         jumped,
         1.0 if done.other >= 0 else 0.0,
         rejected,
@@ -114,6 +129,64 @@ def measure(p, m, suspected, row, samples, neighbours, finite, spare):
     )
     for k in range(len(numbers)):
         row.numbers[k] = numbers[k]
+    explained = explain(p, m, seen, known, suspected, row, samples)
+    for k in range(len(explained)):
+        row.numbers[len(numbers) + k] = explained[k]
+
+
+@compiled
+def explain(p, m, seen, known, suspected, row, samples):
+    """Numbers of what explains the motion, and of the cameras: from JET_PARTLY_WEAK on."""
+    gains, sizes, least = suspected.gains, suspected.sizes, known.least
+    pull = certain(gains, sizes, least, PULL)
+    scaled = THRUST if gains[THRUST] >= gains[MASS] else MASS
+    late_s, frame_step, heading_step = what_stepped(seen.step, seen.going)
+    return (
+        jet_faults.sigmas(suspected.weak) if jet_faults.is_partly_weak(suspected) else 0.0,
+        pull,
+        sizes[PULL] / p.holding if pull > 0.0 else 0.0,
+        certain(gains, sizes, least, DRAG),
+        certain(gains, sizes, least, scaled),
+        certain(gains, sizes, least, TURNED),
+        certain(gains, sizes, least, LATE),
+        late_s,
+        frame_step,
+        heading_step,
+        row.told.frame_off,
+        pose_rate(p, m, row.told.t, samples.shape[0]),
+    )
+
+
+@compiled
+def what_stepped(step, going):
+    """Delay [s], distance [m] and angle [rad] of a body that is seen elsewhere without a push.
+
+    A delay takes the body back along its motion, in position and heading alike. One that explains
+    the step is named before a frame or markers that moved.
+    """
+    far, turn = length(step[0], step[1]), step[2]
+    if far == 0.0 and turn == 0.0:
+        return 0.0, 0.0, 0.0
+    speed = length(going[0], going[1])
+    if far > 0.0 and speed > MOVING:
+        ahead = -(step[0] * going[0] + step[1] * going[1]) / (speed * speed)
+        beside = length(step[0] + ahead * going[0], step[1] + ahead * going[1])
+        back = abs(turn + ahead * going[2]) < TURNED_BY + ALONG * abs(ahead * going[2])
+        if SHORTEST < ahead < LONGEST and beside < ALONG * far and back:
+            return ahead, 0.0, 0.0
+    return 0.0, far, abs(turn) if far == 0.0 else 0.0
+
+
+@compiled
+def pose_rate(p, m, t, count):
+    """Poses of the last second, roughly, over what the cameras should give."""
+    if m.timed == 0:
+        m.rate = 1.0
+    elif t > m.at:
+        h = t - m.at
+        m.rate += min(1.0, h / RATE_S) * (count * p.frame / h - m.rate)
+    m.timed, m.at = 1, t
+    return m.rate
 
 
 @compiled

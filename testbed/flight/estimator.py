@@ -24,6 +24,7 @@ from testbed.core.pulse import Timing, open_time, timing
 from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
+from testbed.flight.pose_check import STILLS, is_still, note_step, off_line
 from testbed.flight.record import record
 
 Array = NDArray[np.float64]
@@ -40,8 +41,6 @@ ROUGH = 11.0  # limit of the mean, in variances of the table file: 3.5 times its
 # cameras stay below 4, and one ghost among good poses gives 10
 AT_ONCE = 25.0  # largest contribution of a single pose to the mean
 RECENT = 0.15  # share of the newest pose in the mean
-BEND = 0.5  # allowed acceleration: five times that of the jets [m/s^2]
-BEND_SPIN = 2.0  # [rad/s^2]
 SLOW = 0.003  # below this a vehicle counts as not moving [m/s]
 SLOW_SPIN = 0.02  # below this it counts as not turning [rad/s]
 FORGIVEN = 2  # refusals cancelled by an accepted pose: noise is sometimes accepted by chance
@@ -49,6 +48,7 @@ JUMP = 0.05  # a larger error is a jump [m]
 TURN = 0.1  # [rad]
 SHOVE = 0.2  # velocity spread after a push [m/s]
 SHOVE_SPIN = 0.5  # [rad/s]
+USUAL = 0.005  # share of the newest pose in the mean noise of these cameras
 SUB_STEP = 0.01  # [s] the wrench is averaged over this; at 0.1 m/s^2 that is 5 um
 
 
@@ -241,6 +241,12 @@ MEMORY = record(
     refused=float,  # recently refused samples, see FORGIVEN
     agreed=float,  # refused samples in a row that are on a line
     rough=float,  # mean of `off_line`
+    usual=float,  # the same over more poses
+    still=int,  # poses in a row that repeat the one before, but for a small share of the noise
+    apart=(4,),  # first refused pose: time, and how far it was from the prediction
+    since=float,  # capture time of the last accepted pose before it [s]
+    step=(3,),  # how far this tick's accepted pose is elsewhere without a push [m, m, rad]
+    going=(3,),  # velocity then [m/s, m/s, rad/s]
     x=(9,),  # x, y, theta, vx, vy, omega, bias of the three
     cov=(3, 3),  # of position, velocity, bias in x, and in y
     cov_spin=(3, 3),  # the same of the heading
@@ -254,34 +260,6 @@ def doubt(cov, error, shove):
     cov[0, 0] += error * error
     cov[1, 1] += shove * shove
     cov[2, 2] += (0.1 * shove) * (0.1 * shove)
-
-
-@compiled
-def off_line(last, sample, noise):
-    """Squared distance of a pose from the line through the two before, in noise variances; mean 1.
-
-    Args:
-        last: the two, rows (t, x, y, theta), newest last; shifted in place.
-        sample: this one, shape (4,).
-        noise: variances of a pose, of position and heading.
-    """
-    span = last[1, 0] - last[0, 0]
-    step = sample[0] - last[1, 0]
-    known = span > 0.0
-    ahead = step / span if known else 0.0
-    dx = sample[1] - last[1, 1] - ahead * (last[1, 1] - last[0, 1])
-    dy = sample[2] - last[1, 2] - ahead * (last[1, 2] - last[0, 2])
-    before = wrap_compiled(last[1, 3] - last[0, 3])
-    turn = wrap_compiled(sample[3] - last[1, 3] - ahead * before)
-    for i in range(4):
-        last[0, i], last[1, i] = last[1, i], sample[i]
-    if not known:
-        return 1.0
-    width = 1.0 + (1.0 + ahead) * (1.0 + ahead) + ahead * ahead  # of three poses' noise
-    bend = 0.5 * step * (span + step)
-    bend *= bend
-    moved = 0.5 * (dx * dx + dy * dy) / (width * noise[0] + BEND * BEND * bend)
-    return max(moved, turn * turn / (width * noise[1] + BEND_SPIN * BEND_SPIN * bend))
 
 
 @compiled
@@ -300,6 +278,7 @@ def update(p, model, m, fired, samples, now):
         samples: rows (captured at [s], x [m], y [m], theta [rad]).
         now: [s].
     """
+    m.step[:] = 0.0
     for n in range(samples.shape[0]):
         sample = samples[n]
         whole = np.isfinite(sample[0] + sample[1] + sample[2] + sample[3])
@@ -317,7 +296,8 @@ def start(p, m, sample):
     m.started = 1
     m.t = m.newest = sample[0]
     m.refused = m.agreed = 0.0
-    m.rough = 1.0
+    m.rough = m.usual = 1.0
+    m.still, m.step[:] = 0, 0.0
     m.x[:], m.cov[:], m.cov_spin[:] = 0.0, 0.0, 0.0
     m.x[0], m.x[1], m.x[2] = sample[1], sample[2], sample[3]
     for i in range(4):
@@ -334,9 +314,8 @@ def absorb(p, model, m, fired, sample):
     predict_covariance(cov, step, p.walk[0], p.walk[1])
     predict_covariance(cov_spin, step, p.walk[2], p.walk[3])
     m.t = sample[0]
-    same = np.hypot(x[3], x[4]) > SLOW or abs(x[5]) > SLOW_SPIN
-    for i in range(1, 4):
-        same = same and sample[i] == last[1, i]
+    moves = np.hypot(x[3], x[4]) > SLOW or abs(x[5]) > SLOW_SPIN
+    same = is_still(m, sample, p.noise) and moves
     dx = sample[1] - x[0]
     dy = sample[2] - x[1]
     turn = wrap_compiled(sample[3] - x[2])
@@ -344,16 +323,25 @@ def absorb(p, model, m, fired, sample):
     twisted = turn * turn / (cov_spin[0, 0] + p.noise[1])
     off = off_line(last, sample, p.noise)
     m.rough += RECENT * (min(off, AT_ONCE) - m.rough)
+    if m.still < STILLS:
+        m.usual += USUAL * (min(off, ROUGH) - m.usual)
     limit = p.gate * p.gate
     if same or m.rough > ROUGH or not (far <= limit and twisted <= limit):
         m.refused += 1.0
+        if m.since != m.newest:
+            m.since = m.newest
+            m.apart[0], m.apart[1], m.apart[2], m.apart[3] = m.t, dx, dy, turn
         near = np.hypot(dx, dy) <= JUMP and abs(turn) <= TURN
         m.agreed = m.agreed + 1.0 if near and off <= LINE * LINE and not same else 0.0
         if same or m.rough > ROUGH or m.refused < PATIENCE or m.agreed < ON_LINE:
             return
         m.refused = 0.0
-        doubt(cov, np.hypot(dx, dy), SHOVE)
-        doubt(cov_spin, turn, SHOVE_SPIN)
+        if note_step(m, dx, dy, turn, cov[0, 0] + p.noise[0], cov_spin[0, 0] + p.noise[1]):
+            x[0], x[1], x[2] = sample[1], sample[2], sample[3]  # and its velocity is known
+            dx = dy = turn = 0.0
+        else:
+            doubt(cov, np.hypot(dx, dy), SHOVE)
+            doubt(cov_spin, turn, SHOVE_SPIN)
     gain = correct(cov, p.noise[0])
     gain_spin = correct(cov_spin, p.noise[1])
     for i in range(3):

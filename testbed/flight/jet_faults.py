@@ -31,10 +31,23 @@ from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
-from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.effectiveness import MEMORY_S as SLOWLY
 from testbed.flight.effectiveness import SPREAD as UNHEARD
+from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
+from testbed.flight.hypotheses import (
+    CLEAR,
+    KINDS,
+    LEAK,
+    SURE,
+    WEAK,
+    beyond,
+    causes,
+    least_of,
+    pads_of,
+    score,
+    suspect,
+)
 from testbed.flight.record import record
 from testbed.flight.response import response
 
@@ -61,9 +74,8 @@ HARDEST = 3.0  # jets: a stronger push in a look is external
 MOST = 1.2  # largest leak of a jet, in multiples of its thrust
 ENOUGH = 0.3  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
-SURE = 12.5  # least gain of a push without a command: 5 sigma
-CLEAR = 3.0  # difference in gain that separates two suspicions (a factor e^3 in likelihood)
-DOUBT = 0.2  # and this share of the smaller gain: thrust and slope are not known better
+PART = 0.15  # smallest missing share of thrust that is worth a warning
+DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
 
 
 class Known(NamedTuple):
@@ -84,6 +96,8 @@ class Known(NamedTuple):
     ticks: int  # in a look
     block: int  # looks in a block
     keep: float  # factor of forgetting, per look
+    least: Array  # smallest size of each kind of cause that is a fault, see hypotheses.py
+    pads: Array  # see hypotheses.pads_of, (2,)
 
 
 SUSPICION = record(  # the best of its kind
@@ -101,6 +115,9 @@ MEMORY = record(
     wait=int,  # looks until the estimator has settled
     leak=SUSPICION,
     weak=SUSPICION,
+    gains=(KINDS,),  # of the best cause of each kind, see hypotheses.py
+    sizes=(KINDS,),
+    way=(2,),  # of a pull in W
 )
 
 
@@ -108,9 +125,9 @@ class Heard(NamedTuple):
     """Memory of the detector, changed in place."""
 
     duty: Array  # sum over the ticks since the last look, (n,)
-    recent: Array  # z and leaks of the last looks, not yet delayed, (looks, m + n, 3)
+    recent: Array  # z and causes of the last looks, not yet delayed, (looks, m + n + COLUMNS, 3)
     told: Array  # z'z, and z'e as the last column, (m, m + 1)
-    blocks: Array  # of leaks and jets: x'z, x'x, x'e, (BLOCKS, m + 2, 2 n)
+    blocks: Array  # of jets, leaks, causes: x'z, x'x, x'e, (BLOCKS, m + 2, 2 n + COLUMNS)
     spread: Array  # variance of the residual, push and turn, (2,)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
     last: Array  # previous residual, (3,)
@@ -151,8 +168,7 @@ def look(p, m, heard, state, duty, thrust_scale):
 def pause(p, m, heard):
     """Ignore looks with untrusted poses, until the estimator has settled."""
     m.seen, m.wait = 0, p.shown.shape[0]
-    forget(m.leak)
-    forget(m.weak)
+    forget(m)
     heard.recent[:] = 0.0
 
 
@@ -168,7 +184,7 @@ def restart(p, m, heard):
 
 @compiled
 def residual(before, now, duty, thrust_scale, known, heard, look):
-    """Unexplained motion since the last look, (3,), and its possible causes, (m + n, 3)."""
+    """Unexplained motion since the last look, (3,), and its causes, (m + n + COLUMNS, 3)."""
     n, period, shown = duty.shape[0], known.period, known.shown
     looks, m = shown.shape[0], duty.shape[0] + 4
     theta = before[0] + 0.5 * period * before[3]
@@ -185,6 +201,7 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
     e[1] = now[2] - before[2] - period * heard.bias[1] + slowed * (before[2] + now[2])
     e[2] = now[3] - before[3] + unspun * (before[3] + now[3])
     push_x = push_y = 0.0
+    push = np.zeros(3)
     for j in range(n):
         ax, ay = known.effect[0, j], known.effect[1, j]
         whole = (level * (c * ax - s * ay), level * (s * ax + c * ay), level * known.effect[2, j])
@@ -192,19 +209,22 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
         for axis in range(3):
             fresh[j, axis] = duty[j] * whole[axis]
             fresh[m + j, axis] = idle * whole[axis]
+            push[axis] += duty[j] * whole[axis]
             e[axis] -= duty[j] * whole[axis]
         push_x += duty[j] * ax
         push_y += duty[j] * ay
     fresh[n, 2] = -level * push_y * known.gyration  # the centre of mass is further along x, y
     fresh[n + 1, 2] = level * push_x * known.gyration
     fresh[n + 2, 0] = fresh[n + 3, 1] = period
+    causes(fresh, m + n, push, before, now, period, known.pads, heard.recent, look)
     for axis in range(3):
         most = known.most[0] if axis < 2 else known.most[1]
         e[axis] = min(max(e[axis], -most), most)
-    late = np.zeros((m + n, 3))
+    rows = fresh.shape[0]
+    late = np.zeros((rows, 3))
     for q in range(looks):
         then = heard.recent[(look - q) % looks]
-        for i in range(m + n):
+        for i in range(rows):
             late[i, 0] += shown[q, 0] * then[i, 0]
             late[i, 1] += shown[q, 0] * then[i, 1]
             late[i, 2] += shown[q, 1] * then[i, 2]
@@ -227,14 +247,14 @@ def listen(e, x, heard, counted, keep, rough):
     told, blocks = heard.told, heard.blocks
     told *= keep
     blocks *= keep
-    for i in range(m + n):
+    for i in range(x.shape[0]):
         a, b, c = x[i, 0] * weight[0], x[i, 1] * weight[1], x[i, 2] * weight[2]
         explains = a * e[0] + b * e[1] + c * e[2]
         if i < m:
             told[i, m] += explains
             for k in range(m):
                 told[i, k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
-        if i < n or i >= m:  # possible suspicions: jets and leaks
+        if i < n or i >= m:  # possible suspicions: jets, leaks, other causes
             h = i if i < n else i - 4
             for k in range(m):
                 blocks[0, k, h] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
@@ -264,36 +284,11 @@ def factor(known, heard, counted):
 
 
 @compiled
-def suspect(since, least, y):
-    """S_j and N_j of the module's first lines for every suspicion, both of shape (count,).
-
-    They are computed side by side: a processor does several at a time, and one after the other they
-    took most of a tick.
-
-    Args:
-        since: columns x'z, x'x, x'e, one for each suspicion, shape (m + 2, count).
-        least: see `factor`.
-        y: see `factor`.
-    """
-    m, count = y.shape[0], since.shape[1]
-    root, own, fits = np.empty((m, count)), since[m].copy(), since[m + 1].copy()
-    for i in range(m):
-        for h in range(count):
-            root[i, h] = since[i, h]
-        for q in range(i):
-            for h in range(count):
-                root[i, h] -= least[i, q] * root[q, h]
-        for h in range(count):
-            root[i, h] *= least[i, i]
-            own[h] -= root[i, h] * root[i, h]
-            fits[h] -= root[i, h] * y[i]
-    return fits, own
-
-
-@compiled
-def forget(suspicion):
-    """Reset the detector: no jet is suspected."""
-    suspicion.jet, suspicion.share, suspicion.gain = 0, 0.0, 0.0
+def forget(m):
+    """Reset the detector: nothing is suspected."""
+    m.leak.jet, m.leak.share, m.leak.gain = 0, 0.0, 0.0
+    m.weak.jet, m.weak.share, m.weak.gain = 0, 0.0, 0.0
+    m.gains[:] = m.sizes[:] = m.way[:] = 0.0
 
 
 @compiled
@@ -311,8 +306,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     look = m.look
     e, x = residual(m.before, now, duty, thrust_scale, known, heard, look)
     n, blocks = duty.shape[0], heard.blocks
-    forget(m.leak)
-    forget(m.weak)
+    forget(m)
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
         return
     settling = max(1.0 / m.counted, known.period / SETTLING)
@@ -344,31 +338,49 @@ def weigh(known, m, heard, now, duty, thrust_scale):
             gain = share * fits[h] - 0.5 * share * share * own[h]
             if gain > one.gain:
                 one.jet, one.share, one.gain = h % n, abs(share), gain
+        score(fits, own, 2 * n, known.period, m.gains, m.sizes, m.way)
+    m.gains[LEAK], m.sizes[LEAK] = m.leak.gain, m.leak.share
+    m.gains[WEAK], m.sizes[WEAK] = m.weak.gain, m.weak.share
 
 
 @compiled
-def apart(m):
-    """Difference in gain that separates a leak from a weak jet."""
-    return CLEAR + DOUBT * min(m.leak.gain, m.weak.gain)
+def apart(gain, other):
+    """Difference in gain that separates two causes."""
+    return CLEAR + DOUBT * min(gain, other)
 
 
 @compiled
 def leaks(m):
     """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
-    sure = m.leak.gain > m.weak.gain + apart(m) and m.leak.gain > SURE
+    other = beyond(m.gains, LEAK)
+    sure = m.leak.gain > other + apart(m.leak.gain, other) and m.leak.gain > SURE
     return sure and m.leak.share > TRACE
 
 
 @compiled
 def is_weak(m):
     """Whether the suspected jet is too weak, and nothing else explains the motion."""
-    return m.weak.gain >= m.leak.gain + apart(m) and m.weak.share > ENOUGH
+    return m.weak.share > ENOUGH and weakness_is_clear(m)
+
+
+@compiled
+def is_partly_weak(m):
+    """Whether a jet lacks less than what is a fault, and nothing else explains the motion."""
+    return PART < m.weak.share <= ENOUGH and weakness_is_clear(m)
+
+
+@compiled
+def weakness_is_clear(m):
+    """Whether a weak jet explains the motion better than any other cause."""
+    other = beyond(m.gains, WEAK)
+    return m.weak.gain >= other + apart(m.weak.gain, other)
 
 
 @compiled
 def leaks_or_is_weak(m):
-    """Whether one jet may leak; if it does not, the suspected weak jet is weak."""
-    return m.leak.gain > m.weak.gain - apart(m) and m.leak.share > TRACE
+    """Whether one jet may leak; if it does not, the next best cause is the right one."""
+    other = beyond(m.gains, LEAK)
+    return m.leak.gain > other - apart(m.leak.gain, other) and m.leak.share > TRACE
 
 
 @compiled
@@ -404,4 +416,5 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
         np.ascontiguousarray(response(estimator, vehicle, table.mocap, period)),
         HARDEST * period * np.array([push, turn]), period,
         ticks, max(1, round(BLOCK / period)), 1.0 - min(0.5, period / MEMORY_S),
+        least_of(vehicle, table, bumps), pads_of(vehicle),
     )  # fmt: skip

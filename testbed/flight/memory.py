@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from testbed.flight import detectors, effectiveness, estimator, gate, jet_faults, safety, tracker
 from testbed.flight.estimator import Fired
 from testbed.flight.fault_monitor import Counters
+from testbed.flight.hypotheses import COLUMNS
 from testbed.flight.jet_faults import BLOCKS, SPIN_SPREAD, SPREAD, Heard
 from testbed.flight.modulation import Carried
 from testbed.flight.record import record
@@ -61,7 +62,8 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
         Heard: [
-            (jets,), (looks, m + jets, 3), (m, m + 1), (BLOCKS, m + 2, 2 * jets), (2,), (2,), (3,),
+            (jets,), (looks, m + jets + COLUMNS, 3), (m, m + 1),
+            (BLOCKS, m + 2, 2 * jets + COLUMNS), (2,), (2,), (3,),
             (m, m + 1), one_a_jet, one_a_jet,
         ],
         Counters: 5 * [one_a_row],

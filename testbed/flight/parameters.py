@@ -89,7 +89,11 @@ def make_parameters(
         obstacles=barrier.discs_of([]) if safe is None else safe.obstacles,
         # cameras without noise may repeat a pose exactly, for a vehicle at rest
         sensors=detectors.Sensors(
-            vehicle.air.set_pressure, vehicle.air.tank_pressure, table.mocap.noise > 0.0
+            vehicle.air.set_pressure,
+            vehicle.air.tank_pressure,
+            table.mocap.noise > 0.0,
+            1.0 / table.mocap.rate_hz,
+            max(1e-6, stopping_force(vehicle) / vehicle.mass),
         ),
         jets_known=known,
         rows=fault_monitor.rows_of(faults),

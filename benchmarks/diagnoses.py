@@ -1,0 +1,195 @@
+"""Are the faults of a lab noticed, and are they named right? On the twin.
+
+    python benchmarks/diagnoses.py [--each 40] [--only leak_valve,hose] [--seed 0] [--jobs 1]
+
+Flies every fault of `FAULTS` in flights of one vehicle that moves a metre and turns a radian, and
+of zhang2023's three vehicles. Size, jet, direction and time are drawn. A fault of "believed wrong"
+is there from the start, all others begin after 3 to 9 s.
+
+noticed   a row of the fault table holds that fault-free flights do not show
+named     the first such row that stops or, if none stops, the first one is the right one; of a jet,
+          the words must say its number
+unclear   the words name the right fault beside another one; counts as named
+contacts  flights with a contact before the first response
+fell      the response: warn, hold, brake, land
+"""
+
+import argparse
+import sys
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from testbed.config import find, load
+from testbed.core.codes import Response
+from testbed.core.fault_injection import Injection
+from testbed.rig.twin import make_twin
+from testbed.run.drill import Notes
+
+METRE = ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0]"]
+EXPERIMENTS = (("hold", METRE), ("zhang2023_table", []))
+WHEN = (3.0, 9.0)  # [s]
+ROUTINE = ("pose_stale", "neighbour_late", "link_late", "link_out", "neighbour_missing")
+
+
+class Fault(NamedTuple):
+    """A fault of a lab."""
+
+    kind: str  # of the injection
+    sizes: tuple[float, float]
+    right: tuple[str, ...]  # rows that name it
+    words: str = ""  # that the report must have; {jet}: the number of the jet
+    either: tuple[str, ...] = ()  # rows that name it beside another fault
+    lasts_s: float = 30.0
+    from_start: bool = False
+
+
+LEAKS = ("valve_leaks", "valve_stuck_open")
+FRAME = ("frame_shifted",)
+FAULTS = {
+    "leak 10-30 %": Fault("leak_valve", (0.1, 0.3), LEAKS, "jet {jet} ", ("valve_leaks_or_weak",)),
+    "leak 30-60 %": Fault("leak_valve", (0.3, 0.6), LEAKS, "jet {jet} ", ("valve_leaks_or_weak",)),
+    "stuck open": Fault("leak_valve", (0.8, 1.0), LEAKS, "jet {jet} "),
+    "half open": Fault("half_open", (0.3, 0.7), LEAKS, "jet {jet} ", ("valve_leaks_or_weak",)),
+    "weak 60-80 %": Fault("weak_jet", (0.6, 0.8), ("jet_weak",), "", ("valve_stuck_closed",), 60.0),
+    "weak 20-60 %": Fault(
+        "weak_jet",
+        (0.2, 0.6),
+        ("valve_stuck_closed",),
+        "jet {jet} ",
+        ("valve_leaks_or_weak", "jet_weak"),
+        60.0,
+    ),
+    "dead": Fault(
+        "stick_closed",
+        (0.0, 0.0),
+        ("valve_stuck_closed",),
+        "jet {jet} ",
+        ("valve_leaks_or_weak",),
+        60.0,
+    ),
+    "hose 0.05-0.3 N": Fault("hose", (0.05, 0.3), ("pulled", "pulled_hard")),
+    "pad drag 1-3 N s/m": Fault("pad_drag", (1.0, 3.0), ("pads_drag",)),
+    "regulator x1.3-2": Fault("regulator", (1.3, 2.0), ("supply_high",)),
+    "regulator x0.3-0.65": Fault("regulator", (0.3, 0.65), ("supply_low",)),
+    "thrust x0.5-0.7, no gauge": Fault("thrust", (0.5, 0.7), ("thrust_or_mass",)),
+    "thrust x1.4-2, no gauge": Fault("thrust", (1.4, 2.0), ("thrust_or_mass",)),
+    "mass x1.5-2": Fault("mass", (1.5, 2.0), ("thrust_or_mass",), from_start=True),
+    "mass x0.5-0.7": Fault("mass", (0.5, 0.7), ("thrust_or_mass",), from_start=True),
+    "thrust x0.5 from start": Fault("thrust", (0.5, 0.6), ("thrust_or_mass",), from_start=True),
+    "frame shift 10-49 mm": Fault("shift_frame", (0.01, 0.049), FRAME),
+    "frame turn 0.5-2 deg": Fault("turn_frame", (0.5, 2.0), FRAME),
+    "frame creep 10-30 mm/s": Fault("creep_frame", (0.01, 0.03), FRAME),
+    "heading jump 2-5 deg": Fault("turn_body", (2.0, 5.0), ("heading_shifted",)),
+    "heading off 6-19 deg": Fault("turn_body", (6.0, 19.0), ("heading_off",), from_start=True),
+    "poses 0.15-0.4 s late": Fault("delay_mocap", (0.15, 0.4), ("poses_late",)),
+    "late from the start": Fault("delay_mocap", (0.15, 0.4), ("poses_late",), from_start=True),
+    "frozen, dither to 20 um": Fault("freeze_mocap", (1e-9, 2e-5), ("pose_frozen", "pose_quiet")),
+    "4 Hz instead of 100": Fault("slow_mocap", (3.0, 10.0), ("pose_rate_low",)),
+}
+
+
+class Found(NamedTuple):
+    """Result of a flight."""
+
+    fault: str
+    number: int
+    noticed: bool
+    named: bool
+    unclear: bool
+    contact: bool  # before the response
+    after_s: float  # from the fault to the row that names it
+    response: str
+    words: str
+
+
+def prepared(name, number, seed):
+    """The experiment of a flight, with its fault."""
+    fault = FAULTS[name]
+    rng = np.random.default_rng([seed, list(FAULTS).index(name), number])
+    low, high = fault.sizes
+    size = float(np.exp(rng.uniform(np.log(low), np.log(high)))) if high else None
+    at_s = 0.0 if fault.from_start else round(float(rng.uniform(*WHEN)), 4)
+    what = Injection(
+        fault.kind, "sat1", at_s=at_s, value=size, jet=int(rng.integers(1, 9)),
+        towards_deg=round(float(rng.uniform(-180.0, 180.0)), 1),
+    )  # fmt: skip
+    shipped, overrides = EXPERIMENTS[number % len(EXPERIMENTS)]
+    lasts = fault.lasts_s + at_s
+    experiment = load(find(shipped), [*overrides, f"seed={1000 + number}", f"duration_s={lasts}"])
+    return replace(experiment, inject=[what])
+
+
+def fly(name, number, seed):
+    """Fly a case and judge it."""
+    fault, experiment = FAULTS[name], prepared(name, number, seed)
+    what = experiment.inject[0]
+    rig, notes = make_twin(experiment), Notes()
+    ending = rig.fly(notes)
+    began = what.at_s or 0.0
+    rows = [
+        (t, row) for t, who, row in notes.rows
+        if t >= began and row not in ROUTINE and (who == "sat1" or row in FRAME)
+    ]  # fmt: skip
+    report = ending.fault
+    words = "" if report is None else report.words
+    stopped = "" if report is None else report.origin.id
+    first = rows[0][1] if rows else ""
+    decided = stopped or first
+    needed = fault.words.format(jet=what.jet)
+    told = not stopped or needed in words
+    right, either = decided in fault.right and told, decided in fault.either and told
+    since = next((t for t, row in rows if row == decided), ending.t)
+    answers = [t for t, _, one in notes.responses if t >= began and one != Response.WARN]
+    until = min(answers, default=ending.t)
+    contact = any(began <= touch.t <= until for touch in rig.touches)
+    response = max((one for t, _, one in notes.responses if t >= began), default=Response.NONE)
+    return Found(
+        name, number, bool(rows or stopped), right or either, either, contact, since - began,
+        response.words, f"{what.size:.3g} jet {what.jet}: {decided}: {words}",
+    )  # fmt: skip
+
+
+def main():
+    """Fly, print."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--each", type=int, default=40)
+    parser.add_argument("--only", default="", help="kinds of injections, or parts of names")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    options = parser.parse_args()
+    wanted = options.only.split(",")
+    names = [n for n, f in FAULTS.items() if any(w in n or w == f.kind for w in wanted)]
+    cases = [(name, k, options.seed) for name in names for k in range(options.each)]
+    if options.jobs == 1:
+        found = [fly(*case) for case in cases]
+    else:
+        with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+            found = list(pool.map(fly, *zip(*cases, strict=True), chunksize=4))
+    for one in found:
+        if not one.named or one.contact:
+            print(f"{one.fault} {one.number}: {one.response}: {one.words}")
+    print(
+        "| fault | flights | noticed | named | unclear | contacts | median [s] | worst [s] | fell |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for name in names:
+        own = [one for one in found if one.fault == name]
+        after = [one.after_s for one in own if one.named]
+        times = f"{np.median(after):.2f} | {max(after):.2f}" if after else "- | -"
+        fell = ", ".join(
+            f"{what or 'none'} {n}" for what, n in Counter(o.response for o in own).items()
+        )
+        print(
+            f"| {name} | {len(own)} | {sum(o.noticed for o in own)} | {sum(o.named for o in own)} "
+            f"| {sum(o.unclear for o in own)} | {sum(o.contact for o in own)} | {times} | {fell} |"
+        )
+    return int(not all(one.named for one in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
