@@ -11,7 +11,7 @@ import math
 
 from testbed.core.codes import InhibitReason
 from testbed.core.compiled import borrowed, compiled, pasted
-from testbed.flight import detectors, estimator, fault_monitor, gate, safety, tracker
+from testbed.flight import detectors, estimator, fault_monitor, gate, online, safety, tracker
 from testbed.flight.allocation import allocate
 from testbed.flight.detectors import compare
 from testbed.flight.flow import flow_shares
@@ -42,8 +42,10 @@ def see(p, memory, rows, samples):
     """Write the estimate for the time at which the next pulses take effect."""
     p, memory = borrowed(p), borrowed(memory)
     m, row, told = memory.fixed[0].estimator, rows[0], rows[0].told
-    estimator.update(p.filter, p.model, m, memory.fired, samples, told.t)
-    estimator.predict(p.model, m, memory.fired, told.effect_at, told.t, row.state)
+    fixed = memory.fixed[0]
+    model = online.model_now(p.online, p.model, fixed.gas_used, fixed.thrust_scale)
+    estimator.update(p.filter, model, m, memory.fired, samples, told.t)
+    estimator.predict(model, m, memory.fired, told.effect_at, told.t, row.state)
 
 
 @pasted
@@ -52,7 +54,8 @@ def act(p, memory, rows, samples, references, neighbours):
     p, memory, row = borrowed(p), borrowed(memory), rows[0]
     m, told, state, done = memory.fixed[0], row.told, row.state, row.done
     thrust_scale = told.supply_pressure / p.sensors.set_pressure
-    demanded = tracker.aim(p.gains, m.tracker, state, told.setpoint, references, done.active)
+    gains = online.gains_now(p.online, p.gains, m.gas_used)
+    demanded = tracker.aim(gains, m.tracker, state, told.setpoint, references, done.active)
     done.stopping = m.tracker.stopping
 
     through, spare, done.hazard = demanded, math.inf, -1
@@ -61,7 +64,7 @@ def act(p, memory, rows, samples, references, neighbours):
             p.limits, p.obstacles, p.gains.period, row, neighbours, demanded, thrust_scale
         )
     watch(p, memory, row, samples, neighbours, demanded, spare)
-    wrench, shut = safety.respond(p.brakes, p.gains, m.safety, row, demanded, through, thrust_scale)
+    wrench, shut = safety.respond(p.brakes, gains, m.safety, row, demanded, through, thrust_scale)
     done.commanded.fx, done.commanded.fy, done.commanded.tau = wrench
 
     refuse(p, m, row, shut)
@@ -119,6 +122,9 @@ def plan(p, memory, row, wrench, thrust_scale):
     starts, ends = told.t + p.command_delay, told.t + period + p.command_delay
     estimator.note(memory.fired, starts, ends, memory.times)
     flow_shares(memory.times, memory.begun, p.model.valve, period, memory.flowed)
+    m.gas_used = online.gas_used(
+        p.online, m.gas_used, told.tank_pressure, memory.flowed, thrust_scale, period
+    )
 
 
 @compiled

@@ -27,6 +27,7 @@ FIXED = record(
     gate=gate.MEMORY,
     seq=int,  # number of the last plan
     thrust_scale=float,  # of that plan
+    gas_used=float,  # see online.py [kg]
 )
 
 
