@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 
+from sim_twin.ground import lay, tilt_at
 from testbed.core.error import TestbedError
 from testbed.identification.cameras import latency_of
 from testbed.identification.columns import read_columns, read_sources
@@ -32,7 +33,7 @@ from testbed.identification.motion import (
 )
 from testbed.identification.motion_log import read_motion_log
 from testbed.identification.suspicion import suspicions
-from testbed.identification.synthetic import drawn, excitation, flown_log, rough
+from testbed.identification.synthetic import drawn, excitation, flown_log, rough, steered
 from testbed.identification.table_file import load_table
 from testbed.identification.thrust_stand import thrust_of
 from testbed.identification.validation import errors_ahead
@@ -46,32 +47,37 @@ WEIGHT = np.array([1e3, 1e3, 3e2])
 def synthetic(count, seconds):
     """Random vehicles on a rough table: errors, coverage, dead jets, unexcited jets."""
     floater, table = load_vehicle("generic_8jet"), load_table("marble_6m")
-    worst, inside, total, dead, silent = {}, 0, 0, 0, 0
+    worst, inside, dead, silent = {}, {}, 0, 0
     for k in range(count):
         rng = np.random.default_rng(k)
         truth, ground = drawn(floater, rng), rough(table, rng, 3e-3, 1e-4)
-        inputs = excitation(truth, seconds, 0.1, rng, slope=ground.tilt.uniform)
+        inputs = steered(truth, ground, floater, seconds, 0.1, rng)
         log = flown_log(truth, ground, inputs, seconds, rng)
+        reach = float(np.abs(log.pose[:, :2]).max())
+        bumpy = lay(ground)  # the true slope of a log is the mean along its path
+        slope = np.mean([tilt_at(bumpy, *pose[:2]) for pose in log.pose], axis=0)
         found = calibrate_motion([log], floater)
         true = {
             "inertia": truth.inertia / floater.inertia, "com_x": truth.com[0],
             "com_y": truth.com[1], "delay": truth.valve.open_delay_s, "droop": truth.air.droop,
-            "slope_x": ground.tilt.uniform[0], "slope_y": ground.tilt.uniform[1],
+            "slope_x": slope[0], "slope_y": slope[1],
         }  # fmt: skip
-        errors = {}
+        errors = {"reach": reach}
         for name, value in true.items():
             i = found.model.index(name)
             low, high = interval(found, i)
-            inside, total = inside + (low <= value <= high), total + 1
+            inside.setdefault(name, []).append(low <= value <= high)
             errors[name] = abs(found.estimate.p[i] - value)
         for row, jet in zip(thrusts(found), truth.jets, strict=True):
-            inside, total = inside + (row["low_n"] <= jet.thrust <= row["high_n"]), total + 1
+            inside.setdefault("thrust", []).append(row["low_n"] <= jet.thrust <= row["high_n"])
             errors["thrust"] = max(errors.get("thrust", 0.0), abs(row["thrust_n"] / jet.thrust - 1))
         for name, error in errors.items():
             worst.setdefault(name, []).append(error)
         jets, bad = list(truth.jets), int(rng.integers(8))
         jets[bad] = structs.replace(jets[bad], thrust=1e-6)
-        one = flown_log(structs.replace(truth, jets=jets), ground, inputs, seconds, rng)
+        lame = structs.replace(truth, jets=jets)
+        inputs = steered(lame, ground, floater, seconds, 0.1, rng)
+        one = flown_log(lame, ground, inputs, seconds, rng)
         model = VehicleModel(floater, valves=True)
         states = {
             f.jet: f.state
@@ -79,17 +85,21 @@ def synthetic(count, seconds):
         }
         dead += [j for j, s in states.items() if s == "dead"] == [bad]
         used = np.arange(8) != bad
-        part = excitation(truth, 40.0, 0.1, rng, used, slope=ground.tilt.uniform)
+        part = steered(truth, ground, floater, 40.0, 0.1, rng, used)
         quiet = calibrate_motion([flown_log(truth, ground, part, 40.0, rng)], floater)
         row = thrusts(quiet)[bad]
         silent += (not row["identifiable"]) and identifiable(quiet, 0)
-        print(f"  vehicle {k}: {errors}", flush=True)
+        print(f"  vehicle {k}: ", {n: float(f"{e:.3g}") for n, e in errors.items()}, flush=True)
     units = {"thrust": 1.0, "inertia": 1.0, "com_x": 1e3, "com_y": 1e3, "delay": 1e3,
              "slope_x": 1e3, "slope_y": 1e3, "droop": 1.0}  # fmt: skip
+    print(f"synthetic: farthest from the middle {max(worst.pop('reach')):.2f} m")
     for name, errors in worst.items():
         scaled = units[name] * np.array(errors)
-        print(f"synthetic {name}: median {np.median(scaled):.3g}, worst {scaled.max():.3g}")
-    print(f"synthetic: true values inside the 95 % intervals {inside / total:.1%} of {total}")
+        print(f"synthetic {name}: median {np.median(scaled):.3g}, worst {scaled.max():.3g};"
+              f" inside {sum(inside[name])} of {len(inside[name])} intervals")  # fmt: skip
+    all_of_them = np.concatenate(list(inside.values()))
+    print(f"synthetic: true values inside the 95 % intervals {all_of_them.mean():.1%}"
+          f" of {len(all_of_them)}")  # fmt: skip
     print(
         f"synthetic: dead jet found {dead} of {count}; unexcited jet reported {silent} of {count}"
     )

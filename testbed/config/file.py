@@ -19,6 +19,7 @@ from testbed.config.fork import bad_forks
 from testbed.config.hardware import bad_hardware
 from testbed.config.key import Key
 from testbed.config.layout import bad_layout
+from testbed.config.moving import bad_paths
 from testbed.config.network import bad_network
 from testbed.config.number import bad_numbers
 from testbed.config.own_law import bad_own_law, with_content
@@ -100,7 +101,7 @@ def _checked(source: Source, overrides: Sequence[str]) -> Experiment:
         raise source.error(violation)
     experiment = fit(experiment, source.tree)
     words = words_for(experiment)
-    for violation in violations_in(texts, words):
+    for violation in chain(bad_paths(experiment), violations_in(texts, words)):
         raise source.error(violation)
     faults = resolved(experiment.faults, texts, words)
     return with_content(replace(experiment, faults=faults))

@@ -41,7 +41,7 @@ def describe(kind: inspect.Type) -> str:
         case inspect.TupleType(item_types=items):
             return f"a list of {len(items)}, each {describe(items[0])}"
         case inspect.ListType(item_type=item) | inspect.VarTupleType(item_type=item):
-            return f"a list, each entry {describe(item)}"
+            return f"a list{_lengths(kind)}, each entry {describe(item)}"
         case inspect.StructType(cls=cls):
             return "a table" + " or the path of a TOML file" * (cls in INCLUDED)
         case inspect.DictType():
@@ -62,6 +62,13 @@ def _bounds(kind: inspect.FloatType | inspect.IntType) -> str:
     return f" {' and '.join(bounds)}".rstrip()
 
 
+def _lengths(kind: inspect.ListType | inspect.VarTupleType) -> str:
+    least, most = kind.min_length, kind.max_length
+    if least is None and most is None:
+        return ""
+    return f" of {least or 0}{' or more' if most is None else f' to {most}'}"
+
+
 def _tagged(kind: inspect.UnionType) -> dict[str, inspect.StructType]:
     """The structs among which a table's `type` selects."""
     structs = (t for t in kind.types if isinstance(t, inspect.StructType))
@@ -78,6 +85,8 @@ def _violation(key: Key, value: Any, kind: inspect.Type) -> Violation | None:
         case inspect.DictType(value_type=entry), dict():
             entries = [((*key, name), item, entry) for name, item in value.items()]
         case ((inspect.ListType(item_type=entry) | inspect.VarTupleType(item_type=entry)), list()):
+            if not (kind.min_length or 0) <= len(value) <= (kind.max_length or len(value)):
+                return Violation(key, describe(kind), f"{len(value)} entries")
             entries = [((*key, i), item, entry) for i, item in enumerate(value)]
         case inspect.TupleType(item_types=types), list() if len(types) == len(value):
             pairs = enumerate(zip(value, types, strict=True))

@@ -1,9 +1,13 @@
-"""Paths of moving goals: a line, a circle, a square, or a curve through points."""
+"""Paths of moving goals: a line, a circle, a square, or a curve through points.
+
+A circle and a curve may also give the heading: `heading = "along"` points the vehicle's x axis the
+way that the goal moves.
+"""
 
 import math
 from functools import lru_cache
 from itertools import pairwise
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -18,6 +22,9 @@ class Moved(NamedTuple):
     v: Point  # [m/s]
     a: Point  # [m/s^2]
     jerk: Point  # [m/s^3]
+
+
+Heading = Literal["goal", "along"]  # that of the goal in the experiment, or along the path
 
 
 class Line(Struct, frozen=True, forbid_unknown_fields=True, tag="line"):
@@ -37,6 +44,7 @@ class Circle(Struct, frozen=True, forbid_unknown_fields=True, tag="circle"):
     radius: Positive  # [m]
     period_s: Positive
     start_deg: float = 0.0  # direction from the centre to the start
+    heading: Heading = "goal"
 
     def at(self, t: float) -> Moved:
         """Movement since the start of the run, at time `t` [s]."""
@@ -49,6 +57,11 @@ class Circle(Struct, frozen=True, forbid_unknown_fields=True, tag="circle"):
             (-w * w * c, -w * w * s),
             (w**3 * s, -(w**3) * c),
         )
+
+    def tangent(self, t: float) -> tuple[float, float, float]:
+        """Direction of the way at time `t` [rad], turn rate and its derivative."""
+        rate = 2.0 * math.pi / self.period_s
+        return math.radians(self.start_deg) + 0.5 * math.pi + rate * t, rate, 0.0
 
 
 class Square(Struct, frozen=True, forbid_unknown_fields=True, tag="square"):
@@ -93,6 +106,7 @@ class Points(Struct, frozen=True, forbid_unknown_fields=True, tag="points"):
     speed: Positive  # [m/s]
     start_s: NonNegative = 0.0  # the goal rests until then
     ramp_s: Positive | None = None  # from rest to `speed` and back
+    heading: Heading = "goal"
 
     def at(self, t: float) -> Moved:
         """Movement since the start of the run, at time `t` [s]."""
@@ -103,6 +117,16 @@ class Points(Struct, frozen=True, forbid_unknown_fields=True, tag="points"):
             _pair(p), _pair(d1 * v), _pair(d2 * v * v + d1 * a),
             _pair(d3 * v**3 + 3.0 * d2 * v * a + d1 * jerk),
         )  # fmt: skip
+
+    def tangent(self, t: float) -> tuple[float, float, float]:
+        """Direction of the way at time `t`, also at rest [rad], turn rate and its derivative."""
+        curve, length = _spline(tuple(map(tuple, self.points)))
+        way, v, a, _ = self._along(t - self.start_s, length)
+        (x1, y1), (x2, y2), (x3, y3) = (_pair(curve(way, order)) for order in (1, 2, 3))
+        square = max(x1 * x1 + y1 * y1, 1e-12)
+        bend = (x1 * y2 - y1 * x2) / square
+        change = (x1 * y3 - y1 * x3 - 2.0 * bend * (x1 * x2 + y1 * y2)) / square
+        return math.atan2(y1, x1), bend * v, bend * a + change * v * v
 
     def _along(self, t: float, length: float) -> tuple[float, float, float, float]:
         """Way along the curve `t` seconds after its start, and its derivatives."""
@@ -155,3 +179,14 @@ def _spline(points: tuple[Point, ...]) -> tuple[Any, float]:
 
 
 Path = Line | Circle | Square | Points
+
+
+def along(path: Path | None) -> Circle | Points | None:
+    """The path, if it gives the heading."""
+    return path if isinstance(path, Circle | Points) and path.heading == "along" else None
+
+
+def heading_at(path: Path | None, fixed: float, t: float) -> float:
+    """Heading of a moving goal at time `t`; `fixed` is the goal's of the experiment [rad]."""
+    led = along(path)
+    return fixed if led is None else led.tangent(t)[0]

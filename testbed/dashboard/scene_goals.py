@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from testbed.config.experiment import Experiment
+from testbed.core.path import heading_at
 from testbed.core.types import Tick
 from testbed.dashboard.columns import ColumnBuffer
 from testbed.dashboard.static_scene import plain
@@ -33,7 +34,7 @@ class AimScene:
         for name, setup in self._scenario.vehicles.items():
             if setup.path is not None and not self._goal_error.forms:
                 x, y = goal_at(setup, now)[0].tolist()
-                place = (x, y, setup.goal[2])
+                place = (x, y, heading_at(setup.path, setup.goal[2], t))
                 self._columns.add("transform", f"world/goal/{plain(name)}", t, place)
 
     def matters(self, a: str, b: str) -> bool:

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from testbed.config import Experiment, VehicleSetup
 from testbed.core.error import TestbedError
 from testbed.core.law import Goal
+from testbed.core.path import heading_at
 from testbed.core.se2 import wrap
 from testbed.core.types import State, Tick
 from testbed.env.action import Kind, demand_of, largest, pulses_of
 from testbed.env.observation import Layout, seen
-from testbed.flight.guidance import Turn
+from testbed.flight.guidance import Turn, TurnAlong, turn_to
 from testbed.rig.chain import fence_of
 from testbed.run.stepper import Twin
 
@@ -55,7 +56,7 @@ class World:
             flown = replace(flown, vehicles=_placed(flown, rng))
         self.setups, self._twin, self.ticks = flown.vehicles, Twin(flown), 0
         self._spin = dict.fromkeys(self.setups, 0.0)
-        self._turns: dict[str, Turn] = {}
+        self._turns: dict[str, Turn | TurnAlong] = {}
         self._last: dict[str, Tick] = {}
         for _ in range(SETTLING):
             self._fly({})
@@ -90,12 +91,11 @@ class World:
 
     def _turned(self, name: str, state: State | None, t: float) -> tuple[float, float, float]:
         """Heading, turn rate and its acceleration of a smooth turn to the goal's heading."""
-        end = self.setups[name].goal[2]
         if name not in self._turns:
             if state is None:
-                return end, 0.0, 0.0
-            accel = self.experiment.guidance.heading_accel
-            self._turns[name] = Turn(state.pose.theta, end, t, accel)
+                return self._heading(name), 0.0, 0.0
+            setup, accel = self.setups[name], self.experiment.guidance.heading_accel
+            self._turns[name] = turn_to(setup.goal[2], setup.path, state.pose.theta, t, accel)
         return self._turns[name].at(t)
 
     def state(self, name: str) -> State | None:
@@ -110,11 +110,15 @@ class World:
         p, v, a, jerk = (np.array(one) for one in setup.path.at(self._twin.t))
         return Goal(place + p, v, a, jerk)
 
+    def _heading(self, name: str) -> float:
+        setup = self.setups[name]
+        return heading_at(setup.path, setup.goal[2], self._twin.t)
+
     def seen(self, name: str) -> Any:
         """A vehicle's observation."""
         state, setup = self.state(name), self.setups[name]
         assert state is not None, "reset waits for the first pose"
-        found = seen(self._layout, setup.model, state, self._goal(name), setup.goal[2])
+        found = seen(self._layout, setup.model, state, self._goal(name), self._heading(name))
         if self._layout != "pose":
             return found
         return np.concatenate([found, *(self._disc(state, one) for one in self._discs(name))])
@@ -143,7 +147,7 @@ class World:
         """True distance to the goal [m], and heading error [rad]."""
         x, y, theta, *_ = self._twin.true_state(name)
         goal = self._goal(name).p
-        return math.hypot(goal[0] - x, goal[1] - y), abs(wrap(self.setups[name].goal[2] - theta))
+        return math.hypot(goal[0] - x, goal[1] - y), abs(wrap(self._heading(name) - theta))
 
     def reward(self, name: str) -> float:
         """Of the last period."""

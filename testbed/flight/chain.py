@@ -17,6 +17,7 @@ from testbed.flight import (
     fault_monitor,
     gate,
     jet_faults,
+    online,
     reconfiguration,
     safety,
     tracker,
@@ -51,8 +52,10 @@ def see(p, memory, rows, samples):
     """Write the estimate for the time at which the next pulses take effect."""
     p, memory = borrowed(p), borrowed(memory)
     m, row, told = memory.fixed[0].estimator, rows[0], rows[0].told
-    estimator.update(p.filter, p.model, m, memory.fired, samples, told.t)
-    estimator.predict(p.model, m, memory.fired, told.effect_at, told.t, row.state)
+    fixed = memory.fixed[0]
+    model = online.model_now(p.online, p.model, fixed.gas_used, fixed.thrust_scale)
+    estimator.update(p.filter, model, m, memory.fired, samples, told.t)
+    estimator.predict(model, m, memory.fired, told.effect_at, told.t, row.state)
 
 
 @pasted
@@ -61,7 +64,8 @@ def act(p, memory, rows, samples, references, neighbours):
     p, memory, row = borrowed(p), borrowed(memory), rows[0]
     m, told, state, done = memory.fixed[0], row.told, row.state, row.done
     thrust_scale = told.supply_pressure / p.sensors.set_pressure
-    demanded = tracker.aim(p.gains, m.tracker, state, told.setpoint, references, done.active)
+    gains = online.gains_now(p.online, p.gains, m.gas_used)
+    demanded = tracker.aim(gains, m.tracker, state, told.setpoint, references, done.active)
     done.stopping = m.tracker.stopping
 
     through, spare, done.hazard = demanded, math.inf, -1
@@ -72,7 +76,7 @@ def act(p, memory, rows, samples, references, neighbours):
         )  # fmt: skip
     watch(p, memory, row, samples, neighbours, demanded, spare)
     wrench, shut = safety.respond(
-        p.brakes, p.gains, m.safety, row, demanded, through, thrust_scale * m.strength
+        p.brakes, gains, m.safety, row, demanded, through, thrust_scale * m.strength
     )
     done.commanded.fx, done.commanded.fy, done.commanded.tau = wrench
 
@@ -170,6 +174,9 @@ def plan(p, memory, row, wrench, thrust_scale):
     estimator.note(memory.fired, starts, ends, memory.times)
     flow_shares(memory.times, memory.begun, p.model.valve, period, memory.flowed)
     memory.flowed[:] = fired.gives * memory.flowed + fired.leaks * (1.0 - memory.flowed)
+    m.gas_used = online.gas_used(
+        p.online, m.gas_used, told.tank_pressure, memory.flowed, thrust_scale, period
+    )
 
 
 @compiled

@@ -24,7 +24,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World, concerns_of
-from testbed.core.path import Path
+from testbed.core.path import Circle, Path, Points, along
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import (
@@ -94,6 +94,27 @@ class Turn:
         )
 
 
+class TurnAlong:
+    """Smooth turn from a heading to the direction of a path, and along it."""
+
+    def __init__(self, start: float, path: Circle | Points, t: float, accel: float) -> None:
+        self._path = path
+        self._turn = Turn(start - path.tangent(t)[0], 0.0, t, accel)
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """Heading [rad], turn rate [rad/s], angular acceleration [rad/s^2]."""
+        (theta, omega, alpha), off = self._path.tangent(t), self._turn.at(t)
+        return theta + off[0], omega + off[1], alpha + off[2]
+
+
+def turn_to(
+    goal: float, path: Path | None, start: float, t: float, accel: float
+) -> Turn | TurnAlong:
+    """The turn from heading `start` at time `t` to that of a goal, or of its path."""
+    led = along(path)
+    return Turn(start, goal, t, accel) if led is None else TurnAlong(start, led, t, accel)
+
+
 class _Heard(NamedTuple):
     """Newest states and messages of the other vehicles."""
 
@@ -144,7 +165,7 @@ class Guidance:
         self._law_state: Array | None = None
         self._inherited: Array | None = None  # state of the same law with other gains
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
-        self._turn: Turn | None = None
+        self._turn: Turn | TurnAlong | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
         self._ahead: deque[Reference] = deque()  # references not due yet
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
@@ -179,7 +200,9 @@ class Guidance:
         """
         heard = _Heard(neighbours, messages or {})
         if self._turn is None:
-            self._turn = Turn(own.pose.theta, self._goal.theta, t, self._params.heading_accel)
+            self._turn = turn_to(
+                self._goal.theta, self._path, own.pose.theta, t, self._params.heading_accel
+            )
             self._t = t
             self._p, self._v = np.array([own.pose.x, own.pose.y]), np.zeros(2)
         if self._params.mode == "wrench":
@@ -190,7 +213,7 @@ class Guidance:
         self._ahead.popleft()
         return Trajectory(references, references[-1].t + self._params.setpoint_life_s)
 
-    def _demand(self, t: float, own: State, heard: _Heard, turn: Turn) -> Demand:
+    def _demand(self, t: float, own: State, heard: _Heard, turn: Turn | TurnAlong) -> Demand:
         """Wrench mode: integrate the law ahead from the estimate and demand its mean force."""
         disturbance = np.array([own.bias.ax, own.bias.ay])
         force = self._fly(t, *self._predict(own, disturbance, t), disturbance, heard).mean_force
@@ -198,7 +221,7 @@ class Guidance:
         fx, fy = force.tolist()
         return Demand(t, fx, fy, *turn.at(t), t + self._params.setpoint_life_s)
 
-    def _reference(self, heard: _Heard, turn: Turn) -> Reference:
+    def _reference(self, heard: _Heard, turn: Turn | TurnAlong) -> Reference:
         """Reference mode: the reference model's state now; then advance it by one period."""
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
         ahead = self._fly(t, self._p, self._v, ZERO, heard)

@@ -30,6 +30,7 @@ FIXED = record(
     thrust_scale=float,  # of that plan
     probed=int,  # the jet last compensated on a doubt, from 1; 0: none
     strength=float,  # weakest force of the jets left, as a share of all jets'
+    gas_used=float,  # see online.py [kg]
 )
 
 

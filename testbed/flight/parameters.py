@@ -14,6 +14,7 @@ from testbed.flight import (
     fault_monitor,
     gate,
     jet_faults,
+    online,
     plan,
     reconfiguration,
     safety,
@@ -26,6 +27,7 @@ from testbed.flight.estimator import EstimatorParams
 from testbed.flight.faults import FaultTable
 from testbed.flight.gate import Fence, GateParams
 from testbed.flight.modulation import ModulatorParams, SigmaDeltaParams
+from testbed.flight.online import OnlineParams
 from testbed.flight.tracker import TrackerParams
 
 SPARE_FORCE = 0.95  # of the weakest direction: margin for droop and weak jets
@@ -39,6 +41,7 @@ class FlightParams(Struct, frozen=True, forbid_unknown_fields=True):
     estimator: EstimatorParams = field(default_factory=EstimatorParams)
     tracker: TrackerParams = field(default_factory=TrackerParams)
     allocator: AllocatorParams = field(default_factory=AllocatorParams)
+    online: OnlineParams = field(default_factory=OnlineParams)
     gate: GateParams = field(default_factory=GateParams)
     barrier: BarrierParams = field(default_factory=BarrierParams)
     ending: EndingParams = field(default_factory=EndingParams)
@@ -49,6 +52,7 @@ class Parameters(NamedTuple):
 
     model: estimator.Model
     filter: estimator.Filter
+    online: online.Online
     command_delay: float  # from issuing a plan to its start on the board [s]
     gains: tracker.Gains
     filters: bool  # the safety filter is on
@@ -80,6 +84,7 @@ def make_parameters(
     return Parameters(
         model=estimator.model_of(vehicle),
         filter=estimator.filter_of(flight.estimator, table.mocap),
+        online=online.online_of(flight.online, vehicle),
         command_delay=vehicle.command_delay_s,
         gains=tracker.gains_of(flight.tracker, vehicle, period),
         filters=safe is not None,

@@ -1,53 +1,19 @@
 """Reads a log's columns: CSV, also compressed, a MATLAB file, an MCAP file or a run of ours."""
 
 import csv
-import gzip
 import hashlib
-import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.error import TestbedError
-from testbed.core.spelling import did_you_mean
+from testbed.identification.csv_log import read_csv
+from testbed.identification.refused import LogRefusedError as LogRefusedError
+from testbed.identification.refused import NumericColumns as NumericColumns
 
 Array = NDArray[np.float64]
 LARGEST = 2_000_000_000  # size of a file [bytes]
-GROUPED = re.compile(r"[-+]?\d{1,3}([,' ]\d{3})+(\.\d+)?|[-+]?\d+,\d+")
-
-
-class LogRefusedError(TestbedError):
-    """The log cannot be used; the message names the suspected reason."""
-
-
-class NumericColumns(dict[str, Array]):
-    """Numeric columns of equal length; a missing one is refused with its name."""
-
-    def __init__(self, where: str, columns: dict[str, Array]) -> None:
-        super().__init__(columns)
-        self.where = where
-
-    def __missing__(self, name: str) -> Array:
-        raise LogRefusedError(
-            where=self.where,
-            expected=f"a column {name!r}, which the mapping names",
-            found=f"no such column{did_you_mean(name, list(self))}",
-            hint=f"the columns are: {', '.join(self)}",
-        )
-
-    def whole(self, name: str) -> Array:
-        """A column; a missing value is refused."""
-        values = self[name]
-        if (bad := int(np.sum(~np.isfinite(values)))) > 0:
-            row = int(np.argmin(np.isfinite(values))) + 1
-            raise LogRefusedError(
-                where=self.where,
-                expected=f"a number in every row of {name!r}",
-                found=f"{bad} rows without one, the first is data row {row}",
-            )
-        return values
 
 
 def digest(path: Path) -> str:
@@ -55,12 +21,17 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def read_columns(path: Path, wanted: Iterable[str] | None = None) -> NumericColumns:
+def read_columns(
+    path: Path, wanted: Iterable[str] | None = None,
+    chosen: Mapping[str, Sequence[float | str]] | None = None, topic: str | None = None,
+) -> NumericColumns:  # fmt: skip
     """The columns of a log.
 
     Args:
-        path: CSV (.csv, .csv.gz), MATLAB (.mat) or MCAP (.mcap, one table per topic).
+        path: MATLAB (.mat), MCAP (.mcap, one table per topic), or else CSV, also compressed.
         wanted: the columns needed; None: all.
+        chosen: only rows with one of these values in a column are read.
+        topic: of an MCAP file; None: the only one with the columns.
 
     Raises:
         LogRefusedError: the file cannot be read or holds something else than numbers.
@@ -71,10 +42,12 @@ def read_columns(path: Path, wanted: Iterable[str] | None = None) -> NumericColu
         if path.stat().st_size > LARGEST:
             raise LogRefusedError(where=str(path), expected="at most 2 GB", found="a larger file")
         if path.suffix == ".mat":
-            return NumericColumns(str(path), _read_mat(path))
+            return NumericColumns(str(path), _chosen(_read_mat(path), chosen or {}))
         if path.suffix == ".mcap":
-            return NumericColumns(str(path), _read_mcap(path))
-        return NumericColumns(str(path), _read_csv(path, None if wanted is None else set(wanted)))
+            found = _read_mcap(path, set(wanted or ()), topic)
+            return NumericColumns(str(path), _chosen(found, chosen or {}))
+        needed = None if wanted is None else set(wanted)
+        return NumericColumns(str(path), read_csv(path, needed, chosen or {}))
     except (OSError, EOFError, UnicodeDecodeError, csv.Error, ValueError) as error:
         raise LogRefusedError(
             where=str(path), expected="a CSV, .mat or .mcap file", found=str(error)
@@ -103,49 +76,6 @@ def read_sources(path: Path, source: str, time: str, value: str) -> dict[str, Ar
                 found=str(error),
             ) from None
     return {name: np.array(samples) for name, samples in found.items()}
-
-
-def _read_csv(path: Path, wanted: set[str] | None) -> dict[str, Array]:
-    opened = gzip.open if path.suffix == ".gz" else open
-    with opened(path, "rt", encoding="utf-8-sig", newline="") as file:
-        head = file.readline()
-        mark = ";" if head.count(";") > head.count(",") else ","
-        names = [name.strip() for name in next(csv.reader([head], delimiter=mark), [])]
-        rows = [row for row in csv.reader(file, delimiter=mark) if row]
-    if twice := sorted({n for n in names if names.count(n) > 1}):
-        found = f"two columns {twice[0]!r}"
-        raise LogRefusedError(where=str(path), expected="one column of each name", found=found)
-    for number, row in enumerate(rows, 1):
-        if len(row) != len(names):
-            raise LogRefusedError(
-                where=f"{path}, data row {number}",
-                expected=f"{len(names)} values as in the head",
-                found=f"{len(row)}",
-                hint="a file cut off, or numbers with a comma inside (1,234 or 0,5)",
-            )
-    return {
-        name: _numbers(path, name, [row[k] for row in rows], must=wanted is None or name in wanted)
-        for k, name in enumerate(names)
-        if name
-    }
-
-
-def _numbers(path: Path, name: str, cells: list[str], *, must: bool) -> Array:
-    values = np.empty(len(cells))
-    for k, cell in enumerate(cells):
-        try:
-            values[k] = float(cell) if cell.strip() else np.nan
-        except ValueError:
-            if not must:
-                return np.full(len(cells), np.nan)
-            hint = "numbers with thousands separators or a decimal comma"
-            raise LogRefusedError(
-                where=f"{path}, column {name!r}, data row {k + 1}",
-                expected="a number",
-                found=repr(cell),
-                hint=f"{hint}: write 1234.5" if GROUPED.fullmatch(cell.strip()) else "",
-            ) from None
-    return values
 
 
 def _read_mat(path: Path) -> dict[str, Array]:
@@ -178,8 +108,8 @@ def _read_mat(path: Path) -> dict[str, Array]:
     return _same_length(found)
 
 
-def _read_mcap(path: Path) -> dict[str, Array]:
-    """Numbers of JSON messages of the topic with the most messages, by dotted name."""
+def _read_mcap(path: Path, wanted: set[str], topic: str | None) -> dict[str, Array]:
+    """Numbers of the JSON messages of one topic, by dotted name."""
     import msgspec
 
     from testbed.logs.log_reader import LogReader
@@ -195,11 +125,29 @@ def _read_mcap(path: Path) -> dict[str, Array]:
                 hint="a run of this project is given by its folder, without a mapping",
             ) from None  # fmt: skip
         topics.setdefault(row.topic, []).append(cells)
+    if topic is not None and topic not in topics:
+        found = f"the topics are: {', '.join(topics)}"
+        raise LogRefusedError(where=str(path), expected=f"the topic {topic!r}", found=found)
+    able = [name for name, rows in topics.items() if wanted <= rows[-1].keys()]
+    if topic is None and len(able) > 1:
+        raise LogRefusedError(
+            where=str(path), expected="one topic with the columns of the mapping",
+            found=", ".join(able), hint='name one in the mapping: topic = "..."',
+        )  # fmt: skip
     if not topics:
         return {}
-    rows = max(topics.values(), key=len)
+    rows = topics[topic or able[0]] if topic or able else max(topics.values(), key=len)
     names = dict.fromkeys(name for row in rows for name in row)
     return {n: np.array([row.get(n, np.nan) for row in rows]) for n in names}
+
+
+def _chosen(
+    columns: dict[str, Array], chosen: Mapping[str, Sequence[float | str]]
+) -> dict[str, Array]:
+    for name, values in chosen.items():
+        kept = np.isin(NumericColumns("", columns)[name], [float(v) for v in values])
+        columns = {other: column[kept] for other, column in columns.items()}
+    return columns
 
 
 def _flatten(name: str, value: object, cells: dict[str, float]) -> None:

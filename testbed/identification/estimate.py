@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 HUBER = 1.5
 SCALES = np.array([1e-3, 1e-3, 3e-3])  # first weights: m, m, rad
 ITERATIONS = 12
+PLACE = 0.5  # [m] side of the squares within which a rough table pushes alike
+FEWEST_PLACES = 4
 
 
 class Piece(NamedTuple):
@@ -124,6 +126,8 @@ def fit(
     pieces, _ = linearise(model, p, free, logs, states, scales)
     weights = huber(pieces)
     covariance = _covariance(pieces, weights, prior)
+    slope = np.isin(free, model.of_groups(["slope"]))
+    covariance = _over_places(covariance, pieces, weights, logs, prior, slope)
     sigma = model.sigma.copy()
     sigma[free] = np.sqrt(np.diag(covariance))
     return Estimate(p, free, sigma, covariance, pieces, weights, scales)
@@ -145,3 +149,29 @@ def _covariance(pieces: Sequence[Piece], weights: Array, prior: Array) -> Array:
     clustered = inverse @ (spread + prior) @ inverse
     grow = np.sqrt(np.maximum(1.0, np.diag(inverse) / np.diag(clustered)))
     return clustered * np.outer(grow, grow)
+
+
+def _over_places(
+    covariance: Array, pieces: Sequence[Piece], weights: Array, logs: Sequence[Windows],
+    prior: Array, which: NDArray[np.bool_],
+) -> Array:  # fmt: skip
+    """The covariance, wider where the errors of one place go together.
+
+    The slope of a rough table differs from place to place, so a place is one observation of it,
+    however long the vehicle was there. `which` are the parameters that it concerns.
+    """
+    corners = [logs[q.log].seen[q.window, 0, :2] // PLACE for q in pieces]
+    _, place = np.unique(np.array(corners), axis=0, return_inverse=True)
+    places = int(place.max()) + 1
+    if places < FEWEST_PLACES:
+        return covariance
+    level = float(np.average([np.mean(q.error**2) for q in pieces], weights=weights))
+    matrix, _ = normal(pieces, weights / level)
+    pulls = np.zeros((places, len(which)))
+    for k, weight, piece in zip(place.ravel(), weights, pieces, strict=True):
+        pulls[k] += weight / level * piece.slope.T @ piece.error
+    moved = pulls @ np.linalg.inv(matrix + prior)
+    variance = np.sum(moved**2, axis=0) * places / (places - 1)
+    now = np.diag(covariance)
+    grow = np.where(which, np.sqrt(np.maximum(1.0, variance / now)), 1.0)
+    return covariance * np.outer(grow, grow)

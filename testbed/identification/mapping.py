@@ -38,7 +38,8 @@ class PoseColumns(Struct, frozen=True, forbid_unknown_fields=True):
 
     x: str
     y: str
-    theta: str
+    theta: str | None = None
+    quaternion: tuple[str, str, str, str] | None = None  # x, y, z, w; instead of `theta`
     unit: Literal["m", "cm", "mm"] = "m"
     angle_unit: Literal["rad", "deg"] = "rad"
     new: str | None = None  # column that is 1 where the pose is a measurement, not a repetition
@@ -73,6 +74,8 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
     valves: ValveColumns | None = None
     wrench: WrenchColumns | None = None
     use: dict[str, list[float]] = {}  # column -> values of usable rows; other rows are left out
+    rows: dict[str, list[float | str]] = {}  # column -> values of this vehicle's rows
+    topic: str | None = None  # of an MCAP file with several
     name: str = ""
     table: Point | None = None  # size of the table [m]
     vehicles: list[str] = []  # names of the vehicle files that a log may be of
@@ -90,6 +93,9 @@ def load_mapping(name: str) -> Mapping:
     if (mapping.valves is None) == (mapping.wrench is None):
         found = "both" if mapping.valves else "neither"
         raise ConfigError(str(path), "", "either [valves] or [wrench]", found)
+    if (mapping.pose.theta is None) == (mapping.pose.quaternion is None):
+        found = "both" if mapping.pose.theta else "neither"
+        raise ConfigError(str(path), "pose.theta", "either theta or quaternion", found)
     return mapping
 
 

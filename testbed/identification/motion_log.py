@@ -34,13 +34,14 @@ def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:
     Raises:
         LogRefusedError: a column is missing, or a value is not what the mapping says.
     """
-    names = [mapping.time.column, mapping.pose.x, mapping.pose.y, mapping.pose.theta]
+    own = mapping.pose
+    names = [mapping.time.column, own.x, own.y, *(own.quaternion or [own.theta or ""])]
     names += [mapping.pose.new] if mapping.pose.new else []
     if mapping.valves:
         names += mapping.valves.columns
     if mapping.wrench:
         names += [n for n in (mapping.wrench.fx, mapping.wrench.fy, mapping.wrench.tau) if n]
-    columns = read_columns(path, [*names, *mapping.use])
+    columns = read_columns(path, [*names, *mapping.use], mapping.rows, mapping.topic)
     for name in [*names, *mapping.use]:
         columns[name]  # refuses a missing one
     t = columns.whole(mapping.time.column) * SECONDS[mapping.time.unit]
@@ -75,7 +76,7 @@ def check_clock(t: Array, where: str, mapping: Mapping) -> None:
         k = int(np.argmax(step <= 0.0))
         raise LogRefusedError(
             where=f"{where}, data row {k + 2}", expected="a time after the row before",
-            found=f"{t[k]:.6g} s, then {t[k + 1]:.6g} s", hint="a clock jump, or two logs in one",
+            found=f"{t[k]:.6g} s, then {t[k + 1]:.6g} s", hint="a clock jump, two logs in one, or two vehicles: [rows] of the mapping chooses one",
         )  # fmt: skip
     usual = float(np.median(step))
     period = mapping.valves.period_s if mapping.valves else None
@@ -105,10 +106,12 @@ def gaps(t: Array) -> list[str]:
 
 def _poses(columns: NumericColumns, mapping: Mapping) -> tuple[Array, NDArray[np.bool_]]:
     own = mapping.pose
-    x, y, theta = (columns[name] for name in (own.x, own.y, own.theta))
-    pose = np.stack(
-        [x * METRES[own.unit], y * METRES[own.unit], theta * RADIANS[own.angle_unit]], 1
-    )
+    x, y = columns[own.x], columns[own.y]
+    if own.quaternion:
+        theta = _heading(columns, own.quaternion)
+    else:
+        theta = columns[own.theta or ""] * RADIANS[own.angle_unit]
+    pose = np.stack([x * METRES[own.unit], y * METRES[own.unit], theta], 1)
     measured: NDArray[np.bool_] = np.asarray(np.isfinite(pose).all(axis=1))
     if own.new:
         measured &= columns[own.new] == 1.0
@@ -122,6 +125,18 @@ def _poses(columns: NumericColumns, mapping: Mapping) -> tuple[Array, NDArray[np
     rows = np.flatnonzero(measured)
     pose[rows, 2] = np.unwrap(pose[rows, 2])
     return pose, measured
+
+
+def _heading(columns: NumericColumns, names: tuple[str, ...]) -> Array:
+    """Heading about z of unit quaternions [rad]."""
+    x, y, z, w = (columns[name] for name in names)
+    off = np.nanmax(np.abs(x * x + y * y + z * z + w * w - 1.0), initial=0.0)
+    if off > 0.05:
+        raise LogRefusedError(
+            where=f"{columns.where}, columns {', '.join(names)}", expected="unit quaternions",
+            found=f"a length off by {off:.2g}", hint="the order is x, y, z, w",
+        )  # fmt: skip
+    return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
 
 def _inputs(columns: NumericColumns, mapping: Mapping, t: Array, pose: Array) -> Inputs:

@@ -25,7 +25,9 @@ GRID = 0.02  # [s]
 DELAYS = np.arange(0.0, 0.85, 0.05)  # [s] tried
 TILE = 3.0  # [s]
 CLEARLY = 0.12  # of explained variance, by which another reading must be better
+HARDLY = 0.01  # the same between other readings
 UNEXPLAINED = 0.04  # on a table with steep slopes little of the motion is commanded
+FARTHER = 5.0  # than the pose before the last: it is another vehicle's
 UNITS = {"mm": 1000.0, "cm": 100.0, "inches": 39.37, "km": 0.001}
 
 
@@ -110,6 +112,8 @@ class _Parts:
         force[:shift] = spin[:shift] = 0.0
         h = self.heading * (0.0 if self.in_table else 1.0)
         turned = [force * np.exp(1j * f * h) for f in (1.0, -1.0, 57.29578, 1 / 57.29578)]
+        half = 2.0 * np.arcsin(np.clip(h, -1.0, 1.0))
+        turned += [force * np.exp(1j * half) * (np.abs(h).max() <= 1.0)]
         if self.in_table:
             turned += [force * np.exp(1j * self.heading)]
         else:
@@ -129,7 +133,7 @@ class _Parts:
         return found
 
 
-READINGS = ("", "heading-sign", "unit-angle", "unit-angle", "frame")
+READINGS = ("", "heading-sign", "unit-angle", "unit-angle", "quaternion", "frame")
 
 
 def _judge(found: list[list[Array]], delay: float) -> MappingFit:
@@ -156,7 +160,7 @@ def _judge(found: list[list[Array]], delay: float) -> MappingFit:
             power = max(float(np.sum(np.abs(path) ** 2)), 1e-18)
             c = complex(np.vdot(path, z) / power)
             share = 1.0 - float(np.sum(np.abs(z - c * path) ** 2)) / total
-            if share > explained + CLEARLY * (explained < 0.999):
+            if share > explained + (HARDLY if best else CLEARLY * (explained < 0.999)):
                 best, explained = _named(reading, mirrored, c), share
     q = np.real(stack[:, -1])
     theta = np.real(stack[:, 1])
@@ -177,6 +181,7 @@ def _named(reading: str, mirrored: bool, c: complex) -> str:
 WORDS = {
     "heading-sign": "the heading counts clockwise; expected counter-clockwise",
     "unit-angle": "the heading is in degrees where the mapping says rad, or the reverse",
+    "quaternion": "the heading is a component of a quaternion; see `quaternion` of the mapping",
     "frame": "the forces are in the other frame: table and body are exchanged",
     "mirrored-y": "y points the other way: the axes are not right-handed",
     "mirrored-x": "x points the other way: the axes are not right-handed",
@@ -230,6 +235,11 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
 def _plausible(log: MotionLog) -> Iterator[Suspicion]:
     kept = log.pose[log.whole]
     if not len(kept):
+        return
+    one, two = (np.median(np.hypot(*(kept[k:, :2] - kept[:-k, :2]).T)) for k in (1, 2))
+    if len(kept) > 2 and one > 0.05 and one > FARTHER * two:
+        text = f"{log.where}: every second pose is {one:.2g} m away: two vehicles in one file?"
+        yield Suspicion("two-vehicles", text + " [rows] of the mapping chooses one")
         return
     reach = np.ptp(kept[:, :2], axis=0)
     if reach.max() > 100.0:

@@ -50,7 +50,7 @@ def drawn(vehicle: Vehicle, rng: np.random.Generator, spread: DrawnSpread = USUA
 def excitation(
     vehicle: Vehicle, seconds: float, period: float, rng: np.random.Generator,
     used: NDArray[np.bool_] | None = None, room: float = 1.0,
-    slope: tuple[float, float] = (0.0, 0.0),
+    slope: tuple[float, float] = (0.0, 0.0), start: Array | None = None,
 ) -> Valves:  # fmt: skip
     """Random pulses of one to three jets, steered so that the vehicle stays within `room` [m].
 
@@ -62,6 +62,7 @@ def excitation(
         used: jets that may be opened; None: all.
         room: distance from the start at which it is pushed back [m].
         slope: of the table, as a pilot would feel it [m/s^2].
+        start: state, see `predict`; None: at rest in the origin.
     """
     jets = len(vehicle.jets)
     allowed = np.ones(jets, dtype=bool) if used is None else used
@@ -72,7 +73,7 @@ def excitation(
          (j.position[0] * j.push[1] - j.position[1] * j.push[0]) * j.thrust]
         for j in vehicle.jets
     ])  # fmt: skip
-    x = np.zeros(6)
+    x = np.zeros(6) if start is None else start.copy()
     step = 0
     while step < count:
         held = int(rng.integers(3, 12))
@@ -107,6 +108,24 @@ def excitation(
         x[:3] += (rest - end) * period * x[3:]
         step = rest
     return pulses(period * np.arange(count), share, period)
+
+
+def steered(
+    truth: Vehicle, table: Table, file: Vehicle, seconds: float, period: float,
+    rng: np.random.Generator, used: NDArray[np.bool_] | None = None, part: float = 5.0, room: float = 2.5,
+) -> Valves:  # fmt: skip
+    """An excitation in parts of `part` seconds, each planned from where the vehicle really is.
+
+    So the vehicle stays on the table, though the file that it is planned with is not true.
+    """
+    found: list[Valves] = []
+    x, slope = np.zeros(6), table.tilt.uniform
+    for begin in np.arange(0.0, seconds - 1e-9, part):
+        now = excitation(file, min(part, seconds - begin), period, rng, used, room, slope, x)
+        found.append(Valves(now.up + begin, now.down + begin, now.jet))
+        inputs = Valves(*map(np.concatenate, zip(*(one[:3] for one in found), strict=True)))
+        x = predict(truth, table, inputs, np.zeros(6), [0.0, begin + part])[-1]
+    return inputs
 
 
 def flown_log(

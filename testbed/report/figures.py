@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.config.experiment import Experiment
+from testbed.core.path import heading_at
 from testbed.logs.history import History
 from testbed.metrics.run_metrics import HOLD_S, Touch, Track
 from testbed.report.fault_story import EventLine
@@ -127,7 +128,9 @@ def _heading(scenario: Experiment, history: History) -> Iterator[Chart]:
     items: list[Item] = []
     for k, name, _ in enumerated(history):
         t, state = history.where(name)
-        off = np.angle(np.exp(1j * (state[:, 2] - scenario.vehicles[name].goal[2])))
+        setup = scenario.vehicles[name]
+        goal = [heading_at(setup.path, setup.goal[2], one) for one in t.tolist()]
+        off = np.angle(np.exp(1j * (state[:, 2] - np.array(goal))))
         items.append(Line(t, np.degrees(off), k, name))
     yield Chart("heading", "Heading error to the goal", "time [s]", "angle [deg]", items,
                 _time(history), height=170)  # fmt: skip

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from testbed.core.path import Circle, Line, Points, Square
+from testbed.core.path import Circle, Line, Points, Square, along, heading_at
 
 PATHS = [
     Line((0.02, -0.01)),
@@ -80,3 +80,40 @@ def test_with_a_ramp_the_speed_is_even_between():
 def test_a_ramp_longer_than_the_way_is_cut():
     curve = Points(points=[(0.2, 0.0)], speed=0.1, ramp_s=60.0)
     assert curve.at(4.0).p == pytest.approx((0.2, 0.0))
+
+
+LED = [
+    Circle(radius=0.8, period_s=90.0, start_deg=30.0, heading="along"),
+    Points(points=[(0.3, 0.1), (0.5, 0.6), (0.1, 0.9)], speed=0.03, heading="along"),
+    Points(points=[(0.3, 0.1), (0.5, 0.6)], speed=0.03, ramp_s=9.0, start_s=4.0, heading="along"),
+]
+
+
+@pytest.mark.parametrize("path", LED)
+@pytest.mark.parametrize("t", [6.0, 14.0, 17.0])
+def test_a_heading_along_a_path_is_the_direction_of_its_velocity(path, t):
+    vx, vy = path.at(t).v
+    theta = heading_at(path, 9.0, t)
+    assert (np.cos(theta), np.sin(theta)) == pytest.approx(np.array([vx, vy]) / np.hypot(vx, vy))
+
+
+@pytest.mark.parametrize("path", LED)
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("t", [6.0, 17.0])
+def test_turn_rate_and_its_derivative_are_rates(path, order, t):
+    h = 1e-3
+    before, after = (path.tangent(t + side)[order - 1] for side in (-h, h))
+    assert path.tangent(t)[order] == pytest.approx((after - before) / (2.0 * h), abs=1e-6)
+
+
+def test_at_rest_the_heading_is_that_of_the_way_ahead():
+    curve = Points(points=[(0.0, 0.5), (0.5, 0.5)], speed=0.05, start_s=10.0, heading="along")
+    first, last = curve.tangent(3.0), curve.tangent(1000.0)
+    assert first == (pytest.approx(curve.tangent(10.1)[0], abs=1e-3), 0.0, 0.0)
+    assert last[1:] == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("path", [None, *PATHS])
+def test_without_the_word_the_heading_is_the_goals(path):
+    assert along(path) is None
+    assert heading_at(path, 0.7, 17.0) == 0.7

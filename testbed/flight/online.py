@@ -1,0 +1,88 @@
+"""Mass and thrust of a vehicle in flight: less gas is less mass, less supply pressure less thrust.
+
+The gas left follows from the tank's pressure where the board tells it. Without that gauge, as on the
+shipped board, the tank counts as full at the start, and the flow of jets and bearings is added up.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from testbed.core.compiled import compiled
+from testbed.core.vehicle import Vehicle
+from testbed.flight.estimator import Model
+from testbed.flight.plan import WEAKEST
+from testbed.flight.tracker import Gains
+
+
+class OnlineParams(Struct, frozen=True, forbid_unknown_fields=True):
+    """What estimator and tracker follow in flight; off, they keep the values of the file."""
+
+    mass: bool = False  # by the gas used; inertia and centre of mass stay
+    thrust: bool = False  # of the fired pulses, by the supply pressure; the allocator always does
+
+
+class Online(NamedTuple):
+    """Constants for compiled code."""
+
+    mass: bool
+    thrust: bool
+    gas: float  # in the full tank [kg]
+    full: float  # pressure of the full tank [Pa]
+    bearings: float  # flow [kg/s]
+    jets: NDArray[np.float64]  # flow of each open jet at the set pressure, (jets,) [kg/s]
+    droop: float  # see vehicle.Air
+
+
+def online_of(params: OnlineParams, vehicle: Vehicle) -> Online:
+    """The constants of a vehicle file."""
+    air = vehicle.air
+    jets = np.array([jet.thrust for jet in vehicle.jets]) / air.exhaust_speed
+    return Online(
+        params.mass, params.thrust, air.gas, air.tank_pressure, air.bearing_flow, jets, air.droop
+    )
+
+
+@compiled
+def gas_used(p, used, tank_pressure, flowed, thrust_scale, period):
+    """Gas used since the tank was full [kg], after a period.
+
+    Args:
+        p: Online.
+        used: before the period [kg].
+        tank_pressure: 0: no gauge [Pa].
+        flowed: share of the period for which each jet flowed, (jets,).
+        thrust_scale: supply pressure over set pressure.
+        period: [s].
+    """
+    if tank_pressure > 0.0:
+        return p.gas * (1.0 - min(1.0, tank_pressure / p.full))
+    flow, open_jets = 0.0, 0.0
+    for j in range(flowed.shape[0]):
+        flow += flowed[j] * p.jets[j]
+        open_jets += flowed[j]
+    flow *= thrust_scale / (1.0 + p.droop * max(0.0, open_jets - 1.0))
+    return min(p.gas, used + period * (flow + p.bearings))
+
+
+@compiled
+def model_now(p, model, used, thrust_scale):
+    """The estimator's model: a thrust that is a share of the file's acts like more mass."""
+    mass = model.mass - used if p.mass else model.mass
+    share = max(WEAKEST, thrust_scale) if p.thrust else 1.0
+    return Model(
+        model.effect, mass / share, model.inertia / share, model.droop, model.drag,
+        model.spin_drag, model.valve,
+    )  # fmt: skip
+
+
+@compiled
+def gains_now(p, gains, used):
+    """The tracker's gains, with the mass that is left."""
+    mass = gains.mass - used if p.mass else gains.mass
+    return Gains(
+        gains.bandwidth, gains.damping, gains.heading_bandwidth, gains.heading_damping,
+        gains.brake_decel, mass, gains.inertia, gains.period,
+    )  # fmt: skip
