@@ -109,10 +109,7 @@ class Door:
                 return
             with suppress(msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
                 letter = self._decode(data)
-                yield (
-                    letter.wish,
-                    lambda told, to=sender, n=letter.number: self._answer(told, to, n),
-                )
+                yield letter.wish, partial(self._answer, sender, letter.number)
 
     def _answer(self, sender: bytes | None, number: int, told: Told) -> None:
         if sender:

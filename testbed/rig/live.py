@@ -176,7 +176,7 @@ class LiveFlight:
         self._work.put(partial(self._keep, self.experiment))
         words = ", ".join(f"{name} {now[name]:g} to {value:g}" for name, value in values.items())
         self._supervisor.note(self._t, f"gains from {at_s:.1f} s on: {words}")
-        return True, words
+        return True, f"from {at_s:.1f} s on: {words}"
 
     def _keep(self, experiment: Experiment) -> None:
         try:
