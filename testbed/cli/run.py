@@ -1,11 +1,19 @@
 """`testbed run`: fly an experiment, log it and judge it."""
 
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext, redirect_stdout
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import (
+    AbstractContextManager,
+    ExitStack,
+    contextmanager,
+    nullcontext,
+    redirect_stdout,
+)
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+
+from msgspec.structs import replace
 
 from controllers.law_file import UnusableLawError
 from controllers.plain_law import LawError
@@ -16,12 +24,14 @@ from testbed.cli.result import code_of, print_result
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
-from testbed.net.flight_note import noted
+from testbed.net.door import Door
+from testbed.net.flight_note import door_beside, noted, own_note
 from testbed.realtime.heartbeat import RunPhase, heartbeat, process_to_end
 from testbed.report.page import ReportError
 from testbed.rig.chain import watched
 from testbed.rig.firmware_boards import check_boards
 from testbed.rig.interface import Rig
+from testbed.rig.live import LiveFlight
 from testbed.rig.twin import make_twin
 from testbed.run.fly import fly_and_judge
 from testbed.run.folder import (
@@ -30,6 +40,7 @@ from testbed.run.folder import (
     take_back,
     utc_ns,
     write_config,
+    write_forks,
     write_metrics,
 )
 from testbed.run.interrupt import Interrupt
@@ -71,7 +82,7 @@ def run_experiment(
             found = f"--bind {bind}" if bind else f"--port {port}"
             expected = "--web or --view, which it belongs to"
             raise ConfigError("command line", "", expected, found)
-        with interrupt.caught(), watched(experiment):
+        with interrupt.caught(), watched(experiment), ExitStack() as stack:
             folder = new_folder(out, experiment.name)
             write_config(folder, dump(experiment), version("airbearing-testbed"))
             own = heartbeat()
@@ -88,13 +99,15 @@ def run_experiment(
                 from testbed.cli.ros2 import publisher_beside
 
                 ros2 = publisher_beside(folder, experiment.table.lab.network)
-            make = maker(rig, experiment, folder, operator)
+            live = None if console is None else stack.enter_context(opened(experiment, folder))
+            make = maker(rig, experiment, folder, operator, live)
             # without a terminal, a flight in real time prints status lines
             operator.live = LiveTable(experiment, errors, None if rig == "twin" else LINE_S)
             with redirect_stdout(sys.stderr), noted_on_twin(rig, experiment, folder):
                 metrics = fly_and_judge(
                     experiment, folder, interrupt, make, speed, operator.live, utc_ns()
                 )
+            experiment = live.experiment if live is not None else experiment
             write_metrics(folder, metrics)
             if as_json:
                 sys.stdout.write((folder / "metrics.json").read_text())
@@ -156,18 +169,32 @@ def report(folder: Path, experiment: Experiment) -> None:
         )  # fmt: skip
 
 
+@contextmanager
+def opened(experiment: Experiment, folder: Path) -> Iterator[LiveFlight | None]:
+    """The door of a flight with a page, through which it can be changed."""
+    try:
+        door = Door(door_beside(own_note()))
+    except OSError as error:
+        warn([f"no live gains and no flying by hand: {error}"])
+        yield None
+        return
+    with door:
+        yield LiveFlight(experiment, door, partial(write_forks, folder))
+
+
 def maker(
-    rig: str, experiment: Experiment, folder: Path, operator: Operator
-) -> Callable[[Experiment], Rig]:
+    rig: str, experiment: Experiment, folder: Path, operator: Operator,
+    live: LiveFlight | None = None,
+) -> Callable[[Experiment], Rig]:  # fmt: skip
     """The function that builds this rig."""
     if rig == "twin":
-        return make_twin
+        return lambda experiment: replace(make_twin(experiment), live=live)
     from testbed.console.checklist import write_checks
     from testbed.rig.wired.host import WireRig
 
     latch, latched = operator.latched(rig, experiment, str(folder))
     return lambda experiment: WireRig(
-        experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched,
+        experiment, bench=rig == "bench", log=folder, latch=latch, latched=latched, live=live,
         agree=operator.agree if rig == "table" else lambda names: True,
         say=lambda text: errors.print(text, markup=False, soft_wrap=True),
         checked=partial(write_checks, folder),

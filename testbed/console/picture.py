@@ -23,6 +23,7 @@ from testbed.report.fault_story import (
 )
 
 SILENT_S = 1.0  # a vehicle without a tick for this long is silent
+SILENT_STICK = "by hand, no fresh stick: rests"
 LOSS_S = 5.0  # over which the share of lost messages is taken
 TRAIL_S = 0.2  # between two points of a trail
 
@@ -191,6 +192,9 @@ class LivePicture:
             return f"waits: {out.inhibit_reason.words}", "warn"
         if out.response >= Response.HOLD:
             return out.response.words, "warn"
+        host = self._hosts.get(name)
+        if host is not None and (stick := host.inputs.stick) is not None:
+            return ("flown by hand", "ok") if stick.alive else (SILENT_STICK, "warn")
         if out.filtered is not None:
             return f"flies, filter: {out.filtered.words}", "warn"
         return "flies", "ok"

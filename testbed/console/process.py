@@ -16,6 +16,7 @@ from pathlib import Path
 from threading import Event, Thread
 from types import FrameType
 
+from testbed.console.controls import Controls
 from testbed.console.follower import Follower
 from testbed.console.hub import Hub
 from testbed.console.server import Answers, ConsoleError, Server, is_loopback
@@ -48,9 +49,12 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
     hub.say(server=secrets.token_hex(8))  # another one at the same port is another run
     follower = Follower(run, hub)
     token = "" if is_loopback(bind) else secrets.token_urlsafe(16)
-    server = open_server(bind, port, token, Answers(hub, lambda: follower.scene, stopper.press))
+    controls = Controls(lambda: stopper.note)
+    answers = Answers(hub, lambda: follower.scene, stopper.press, controls.wish)
+    server = open_server(bind, port, token, answers)
     Thread(target=server.serve_forever, name="server", daemon=True).start()
     Thread(target=follower.follow, args=(left,), name="follower", daemon=True).start()
+    Thread(target=controls.keep, args=(left, hub), name="controls", daemon=True).start()
     Thread(target=stopper.keep, args=(left,), name="stopper", daemon=True).start()
     sys.stderr.write(f"console: {address(bind, server.server_port, token)}\n")
     sys.stderr.flush()

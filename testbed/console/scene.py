@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from testbed.config import Experiment
+from testbed.console.controls import sliders
 from testbed.report.goal_error import GoalError, goal_at
 from testbed.report.law import law_of, range_of
 
@@ -23,6 +24,7 @@ def scene(scenario: Experiment) -> dict[str, Any]:
         "name": scenario.name,
         "description": scenario.description,
         "law": law_of(scenario),
+        "sliders": sliders(scenario),
         "duration": scenario.duration_s,
         "size": [width, height],
         "fence": [width / 2 - reach, height / 2 - reach],

@@ -4,6 +4,7 @@
     GET  /picture?after=N   the newest picture, as soon as there is one after version N
     GET  /scene             what does not move
     POST /stop              stop the flight; the body names the press
+    POST /wish              change the flight, see `controls.py`
 
 A reader asks again after each answer, so a slow one skips pictures. Off loopback every request
 needs the token. The header `X-Console` keeps pages of other sites from pressing the button.
@@ -33,6 +34,8 @@ PAGES = {
     "/console.css": ("console.css", "text/css; charset=utf-8"),
     "/console.js": ("console.js", "text/javascript; charset=utf-8"),
     "/draw.js": ("draw.js", "text/javascript; charset=utf-8"),
+    "/controls.js": ("controls.js", "text/javascript; charset=utf-8"),
+    "/controls.css": ("controls.css", "text/css; charset=utf-8"),
 }
 HEADERS = {
     "Cache-Control": "no-store",
@@ -48,11 +51,12 @@ class ConsoleError(TestbedError):
 
 
 class Answers(NamedTuple):
-    """Functions that the server calls: picture, scene, stop."""
+    """Functions that the server calls: picture, scene, stop, wishes."""
 
     hub: Hub
     scene: Callable[[], bytes]
     press: Callable[[str], dict[str, Any]]
+    wish: Callable[[bytes], dict[str, Any]]
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -90,11 +94,15 @@ class Handler(BaseHTTPRequestHandler):
         body = self.rfile.read(int(length))
         if not self._admitted() or "X-Console" not in self.headers:
             self._refuse()
-        elif self.path != "/stop":
-            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n")
+        elif self.path == "/stop":
+            self._tell(self.server.answers.press(body.decode(errors="replace")[:64]))
+        elif self.path == "/wish":
+            self._tell(self.server.answers.wish(body))
         else:
-            answer = self.server.answers.press(body.decode(errors="replace")[:64])
-            self._send(HTTPStatus.OK, "application/json", json.dumps(answer).encode())
+            self._send(HTTPStatus.NOT_FOUND, "text/plain", b"not found\n")
+
+    def _tell(self, answer: dict[str, Any]) -> None:
+        self._send(HTTPStatus.OK, "application/json", json.dumps(answer).encode())
 
     def _picture(self, after: str) -> None:
         if not self.server.readers.acquire(blocking=False):

@@ -54,6 +54,11 @@ class StopSender:
         self.ways = NONE
         self._answered: dict[str, Future[dict[str, Any]]] = {}  # by press
 
+    @property
+    def note(self) -> Path | None:
+        """The flight's note; None: there is none."""
+        return None if self._note is None else self._note[0]
+
     # Connections
 
     def keep(self, left: Event) -> None:

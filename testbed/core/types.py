@@ -194,6 +194,16 @@ class EndingTick(Tick, frozen=True, gc=False):
     """A tick after the end of the flight; metrics of the flight ignore it."""
 
 
+class Stick(Struct, frozen=True, gc=False):
+    """How an operator flies a vehicle by hand; all values are shares of the largest, -1 to 1."""
+
+    pushes: bool  # True: x and y are a force in W; False: a velocity in W
+    x: float
+    y: float
+    turn: float  # turn rate, counter-clockwise
+    alive: bool  # False: no fresh message; the vehicle comes to rest and holds
+
+
 class HostInputs(Struct, frozen=True, gc=False, omit_defaults=True):
     """All inputs of a satellite's law on the host at a tick: the newest data, of any age."""
 
@@ -201,6 +211,7 @@ class HostInputs(Struct, frozen=True, gc=False, omit_defaults=True):
     own: State | None
     neighbours: dict[str, State]
     messages: dict[str, LawMessage] = {}  # newest message of each other vehicle's law
+    stick: Stick | None = None  # None: the law flies
 
 
 class HostOutputs(Struct, frozen=True, gc=False, omit_defaults=True):

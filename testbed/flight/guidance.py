@@ -45,6 +45,7 @@ from testbed.flight.barrier import Barrier
 
 Array = NDArray[np.float64]
 
+TURN_ACCEL = 0.1  # of a turn by hand, and to end it [rad/s^2]
 ZERO = np.zeros(2)  # shared: laws must not write to their arguments
 
 
@@ -76,15 +77,25 @@ OF_LAW = ("_law", "_law_state")
 
 
 class Turn:
-    """Smooth turn (quintic in time) from one heading to another, the shorter way round."""
+    """Smooth turn (quintic in time) from one heading to another, the shorter way round.
 
-    def __init__(self, start: float, end: float, t: float, accel: float) -> None:
+    It may begin with a turn rate: that is first brought to zero.
+    """
+
+    def __init__(self, start: float, end: float, t: float, accel: float, rate: float = 0.0) -> None:
+        self._first, self._rate, self._begun = start, rate, t
+        self._braking = abs(rate) / TURN_ACCEL  # [s]
+        start, t = start + 0.5 * rate * self._braking, t + self._braking
         self._start, self._angle, self._t = start, wrap(end - start), t
         # the quintic's peak acceleration is 10/sqrt(3) angle / span^2
         self._span = max(1e-3, math.sqrt(10.0 / math.sqrt(3.0) * abs(self._angle) / accel))
 
     def at(self, t: float) -> tuple[float, float, float]:
         """Heading [rad], turn rate [rad/s], angular acceleration [rad/s^2]."""
+        if t < self._t and self._braking > 0.0:
+            late, alpha = max(0.0, t - self._begun), -self._rate / self._braking
+            rate = self._rate + alpha * late
+            return self._first + 0.5 * (self._rate + rate) * late, rate, alpha
         s = min(1.0, max(0.0, (t - self._t) / self._span))
         a, w = self._angle, 1.0 / self._span
         return (
@@ -177,6 +188,17 @@ class Guidance:
             setattr(self, part, getattr(before, part))
         if kept == Kept.STATE:
             self._inherited = getattr(before, OF_LAW[1])
+
+    def begin(self, t: float, own: State) -> None:
+        """Begin anew at `t`, from the motion that the vehicle has."""
+        late, pose, twist = t - own.t, own.pose, own.twist
+        theta, accel = pose.theta + late * twist.omega, self._params.heading_accel
+        self._turn = Turn(theta, self._goal.theta, t, accel, twist.omega)
+        self._t, self._v = t, np.array([twist.vx, twist.vy])
+        self._p = np.array([pose.x, pose.y]) + late * self._v
+        self._law_state = self._inherited = self.message = self.filtered = None
+        self._ahead.clear()
+        self._sent.clear()
 
     @property
     def concerns(self) -> list[Concern]:

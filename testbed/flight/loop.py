@@ -23,12 +23,15 @@ from testbed.core.types import (
     Inputs,
     Outputs,
     Setpoint,
+    State,
+    Stick,
     Tick,
     Trajectory,
     Vitals,
 )
 from testbed.flight.faults import LONGEST_WORDS
 from testbed.flight.guidance import Guidance
+from testbed.flight.pilot import Pilot
 
 SILENT = 1.2  # the host stops all if a vehicle is silent for this long [s]
 LONGEST_STOP = 15.0  # after a fault the flight ends at the latest after this time [s]
@@ -158,19 +161,27 @@ class HostNode:
     """
 
     def __init__(
-        self, name: str, guidance: Guidance, link: HostLink, period: float, lead: float
-    ) -> None:
+        self, name: str, guidance: Guidance, link: HostLink, period: float, lead: float,
+        pilot: Pilot | None = None,
+    ) -> None:  # fmt: skip
         self.name, self.guidance, self._link = name, guidance, link
+        self.pilot = pilot  # flies by hand instead of the law
+        self.stick: Stick | None = None  # of the operator, from this tick on; None: the law flies
         self._ahead = period + lead
         self._fault: FaultReport | None = None  # of the law
 
     def tick(self, t: float, armed: bool = True) -> HostTick:
         """Receive, step, send. The law starts when the vehicle is armed."""
         link, guidance = self._link, self.guidance
-        inputs = HostInputs(t, link.own(), link.neighbours(), link.messages())
+        inputs = HostInputs(t, link.own(), link.neighbours(), link.messages(), self.stick)
         if inputs.own is None or not armed or self._fault is not None:
             return HostTick(inputs, HostOutputs(t, None, fault=self._fault))
         try:
+            if inputs.stick is not None and self.pilot is not None:
+                return self._by_hand(self.pilot, inputs, inputs.own, inputs.stick)
+            if self.pilot is not None and self.pilot.flies:
+                self.pilot.flies = False
+                guidance.begin(t + self._ahead, inputs.own)
             setpoint = guidance.step(
                 t + self._ahead, inputs.own, inputs.neighbours, inputs.messages
             )
@@ -184,6 +195,11 @@ class HostNode:
         if guidance.message is not None:
             link.broadcast(guidance.message)
         return HostTick(inputs, HostOutputs(t, setpoint, guidance.message, None, guidance.filtered))
+
+    def _by_hand(self, pilot: Pilot, inputs: HostInputs, own: State, stick: Stick) -> HostTick:
+        setpoint = pilot.step(inputs.t + self._ahead, own, stick, inputs.neighbours)
+        self._link.publish(setpoint)
+        return HostTick(inputs, HostOutputs(inputs.t, setpoint, filtered=pilot.filtered))
 
     def _fail(self, inputs: HostInputs, what: FaultId, text: str) -> HostTick:
         self._fault = FaultReport(what, f"law on the host: {text}", self.name)

@@ -132,6 +132,10 @@ class Supervisor:
         if self._phase == "ARMED" and not t - self._since <= ARMED_FOR:
             self._move(t, "DISARMED", f"armed for {ARMED_FOR:g} s without a run")
 
+    def note(self, t: float, words: str) -> None:
+        """Record what an operator has done at time `t` [s], without a change of phase."""
+        self.events.append(Event(t, self._phase, words))
+
     def _move(self, t: float, phase: Phase, because: str, fault: FaultReport | None = None) -> None:
         self._phase, self._since = phase, t
         self.events.append(Event(t, phase, because, fault))

@@ -24,6 +24,7 @@ from testbed.core.types import (
     Reference,
     Setpoint,
     State,
+    Stick,
     Tick,
     Trajectory,
     ValveCommand,
@@ -122,13 +123,21 @@ class RowReader:
         filtered = self._filtered(*_some(take, 4))
         message_t, fault, sends = _some(take, 3)
         return HostTick(
-            HostInputs(t, own if known else None, self._states(row), self._messages(row)),
+            HostInputs(
+                t, own if known else None, self._states(row), self._messages(row), self._stick(who)
+            ),
             HostOutputs(
                 out_t, self._setpoint(kind, demand, until, row),
                 _own(message_t, row) if sends else None,
                 self.report(who, EventKind.LAW_FAULT) if fault else None, filtered,
             ),
         )  # fmt: skip
+
+    def _stick(self, who: str) -> Stick | None:
+        """Where the stick was moved to last."""
+        found = self._events.get((who, EventKind.STICK))
+        parts = "" if found is None else found["parts"]
+        return msgspec.json.decode(parts, type=Stick) if parts else None
 
     def _states(self, row: Unpacked) -> dict[str, State]:
         found = {}

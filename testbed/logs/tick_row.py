@@ -14,7 +14,16 @@ from msgspec import Struct
 from testbed.core.codes import FaultReport, Hazard, InhibitReason, Intervention
 from testbed.core.records import cdr
 from testbed.core.records.kinds import Active, EventKind, FaultCode, SetpointKind
-from testbed.core.types import Demand, HostTick, LawMessage, Reference, Setpoint, State, Tick
+from testbed.core.types import (
+    Demand,
+    HostTick,
+    LawMessage,
+    Reference,
+    Setpoint,
+    State,
+    Stick,
+    Tick,
+)
 from testbed.logs.packing import Packer, elements, getter, several
 
 NAN = float("nan")
@@ -146,6 +155,7 @@ class RowWriter:
     def _host(self, topic: str, t: float, tick: HostTick, who: str, out: list[Made]) -> Made:
         i, o = tick.inputs, tick.outputs
         fault = self.event(EventKind.LAW_FAULT, o.fault, who, t, out)
+        self._stick(i.stick, who, t, out)
         aim, references = self._aim(o.setpoint)
         own = o.message
         fixed = (
@@ -157,6 +167,15 @@ class RowWriter:
             self._neighbours(i.neighbours), references, *self._heard(i.messages), _message(own),
         )  # fmt: skip
         return Made(topic, "HostTick", self._packer(topic, "HostTick").pack(fixed, sequences))
+
+    def _stick(self, stick: Stick | None, who: str, t: float, out: list[Made]) -> None:
+        """An event when the stick has moved; without one it is where it was."""
+        if self._texts.get((who, EventKind.STICK)) != stick:
+            self._texts[who, EventKind.STICK] = stick
+            found = {"t": t, "kind": EventKind.STICK, "text": "law flies", "parts": ""}
+            if stick is not None:
+                found |= {"text": "flown by hand", "parts": msgspec.json.encode(stick).decode()}
+            out.append(Made(f"{who}/event", "Event", cdr.encode("Event", found)))
 
     def _filter(self, filtered: Intervention | None) -> tuple[float, float, int, int]:
         if filtered is None:

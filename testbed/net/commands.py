@@ -30,7 +30,15 @@ class Stop(Struct, frozen=True, tag=True):
     at_once: bool = False  # shut valves and air without braking
 
 
-Order = Look | Start | Stop
+class Retune(Struct, frozen=True, tag=True):
+    """Fly on with other gains. Answered by `Accepted` or `Refused`."""
+
+    session: int  # of the flight
+    at_s: float  # from the tick at this time of the run on
+    values: dict[str, float]  # parameters of the law; empty: the change for `at_s` is withdrawn
+
+
+Order = Look | Start | Stop | Retune
 
 
 class Accepted(Struct, frozen=True, tag=True):

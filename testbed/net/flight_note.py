@@ -108,6 +108,29 @@ def noted(
                 note.unlink()
 
 
+def door_beside(note: Path) -> Path:
+    """The socket of a flight, see `door.py`; it is there if the flight can be changed."""
+    return note.with_suffix(".sock")
+
+
+def own_note() -> Path:
+    """Where this process would leave its note.
+
+    Raises:
+        OSError: there is no place for it.
+    """
+    trouble: Exception = NoteError("no folder for it")
+    for folder, uid in _folders()[: len(_bases(os.getuid()))]:
+        try:
+            folder.mkdir(mode=0o700, exist_ok=True)
+            _check(folder, uid)
+        except (OSError, NoteError) as error:
+            trouble = error
+        else:
+            return folder / f"{os.getpid()}.json"
+    raise OSError(str(trouble))
+
+
 def _leave(text: bytes) -> Path:
     """Write the note in the first folder that can be used."""
     trouble: Exception = NoteError("no folder for it")

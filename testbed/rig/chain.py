@@ -19,6 +19,7 @@ from testbed.flight.gate import Fence
 from testbed.flight.guidance import Guidance
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import make_parameters, stopping_force
+from testbed.flight.pilot import Pilot
 from testbed.metrics.formation import FormationContext
 from testbed.realtime.law_watch import timed, watching
 
@@ -52,6 +53,15 @@ def make_guidance(
         path=setup.path,
         barrier=make_barrier(experiment, name, experiment.guidance.force_share),
     )
+
+
+def make_pilot(experiment: Experiment, name: str) -> Pilot:
+    """What flies a vehicle by hand, with the force and the filter of its law."""
+    guidance, flight = experiment.guidance, experiment.flight
+    barrier = make_barrier(experiment, name, guidance.force_share)
+    speed = min(flight.gate.max_speed, flight.barrier.max_speed if barrier else math.inf)
+    model = experiment.vehicles[name].model
+    return Pilot(guidance, model, flight.jet_period_s, speed, barrier)
 
 
 def brakes_first(experiment: Experiment, name: str) -> bool:

@@ -1,10 +1,11 @@
 """A vehicle's chain and its law in a flight with forks: each stage goes on from the one before.
 
-Without forks these are the agent and the guidance of `chain.py` themselves.
+A change of gains in flight is a fork, too: `change` adds it to a flight that is on its way.
 """
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import TypeVar
 
@@ -16,7 +17,7 @@ from testbed.core.types import HostTick, Inputs, Outputs, Trajectory
 from testbed.flight.agent import Agent, lead_time
 from testbed.flight.guidance import Guidance, Kept
 from testbed.flight.loop import HostNode
-from testbed.rig.chain import make_agent, make_guidance
+from testbed.rig.chain import make_agent, make_guidance, make_pilot
 
 SOON = 1e-9  # ticks are products of periods [s]
 Spoilt = Callable[[], str] | None
@@ -40,8 +41,25 @@ def kept(before: Experiment, after: Experiment) -> Kept:
 class ForkedAgent:
     """An agent, and those that take its place: (time [s], agent, what it keeps)."""
 
-    def __init__(self, first: Agent, later: list[tuple[float, Agent, Kept]]) -> None:
-        self._now, self._later = first, deque(later)
+    def __init__(
+        self, first: Agent, later: list[tuple[float, Agent, Kept]],
+        make: Callable[[Experiment], Agent],
+    ) -> None:  # fmt: skip
+        self._now, self._later, self._make = first, deque(later), make
+
+    def change(self, at_s: float, before: Experiment, after: Experiment) -> None:
+        """Fly with `after` from the tick at `at_s` on.
+
+        Raises:
+            ValueError: its law cannot be made, or remembers more or less than before.
+        """
+        agent = self._make(after)
+        agent.take_over(self._now, Kept.NOTHING)  # refused now, not in flight
+        self._later.append((at_s, agent, kept(before, after)))
+
+    def withdraw(self, at_s: float) -> None:
+        """Take the newest change back, if it is for `at_s`."""
+        withdraw(self._later, at_s)
 
     @property
     def guidance(self) -> Guidance | None:
@@ -70,6 +88,19 @@ class ForkedHost(HostNode):
     """A law on the host, and those that take its place: (time [s], guidance, what it keeps)."""
 
     later: deque[tuple[float, Guidance, Kept]]
+    make: Callable[[Experiment], Guidance]
+
+    def change(self, at_s: float, before: Experiment, after: Experiment) -> None:
+        """Fly with `after` from the tick at `at_s` on.
+
+        Raises:
+            ValueError: its law cannot be made.
+        """
+        self.later.append((at_s, self.make(after), kept(before, after)))
+
+    def withdraw(self, at_s: float) -> None:
+        """Take the newest change back, if it is for `at_s`."""
+        withdraw(self.later, at_s)
 
     def tick(self, t: float, armed: bool = True) -> HostTick:
         """See `HostNode`."""
@@ -78,6 +109,12 @@ class ForkedHost(HostNode):
             after.take_over(self.guidance, keeps)
             self.guidance = after
         return super().tick(t, armed)
+
+
+def withdraw(later: deque[tuple[float, M, Kept]], at_s: float) -> None:
+    """Take the newest change back, if it is for `at_s`."""
+    if later and later[-1][0] == at_s:
+        later.pop()
 
 
 def make_vehicle(experiment: Experiment, name: str, spoilt: Spoilt = None) -> Agent | ForkedAgent:
@@ -89,20 +126,23 @@ def make_vehicle(experiment: Experiment, name: str, spoilt: Spoilt = None) -> Ag
     agents = [make_agent(one, name, spoilt) for one in stages(experiment)]
     for after in agents[1:]:
         after.take_over(agents[0], Kept.NOTHING)  # refused now, not in flight
-    if len(agents) == 1:
+    if experiment.deploy.law == "host" and len(agents) == 1:
         return agents[0]
-    return ForkedAgent(agents[0], _later(experiment, agents[1:]))
+    make = partial(make_agent, name=name, spoilt=spoilt)
+    return ForkedAgent(agents[0], _later(experiment, agents[1:]), make)
 
 
-def make_host(experiment: Experiment, name: str, link: HostLink, spoilt: Spoilt = None) -> HostNode:
-    """One vehicle's law on the host."""
+def make_host(
+    experiment: Experiment, name: str, link: HostLink, spoilt: Spoilt = None
+) -> ForkedHost:
+    """One vehicle's law on the host, and its pilot."""
     lead = lead_time(experiment.vehicles[name].model)
     first, *later = (make_guidance(one, name, spoilt) for one in stages(experiment))
-    host = (ForkedHost if later else HostNode)(
-        name, first, link, experiment.flight.jet_period_s, lead
+    host = ForkedHost(
+        name, first, link, experiment.flight.jet_period_s, lead, make_pilot(experiment, name)
     )
-    if isinstance(host, ForkedHost):
-        host.later = deque(_later(experiment, later))
+    host.later = deque(_later(experiment, later))
+    host.make = partial(make_guidance, name=name, spoilt=spoilt)
     return host
 
 

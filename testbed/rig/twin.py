@@ -4,6 +4,7 @@ import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
@@ -24,7 +25,6 @@ from testbed.faults.law_faults import CrashableNode
 from testbed.flight.loop import (
     Chain,
     Ending,
-    HostNode,
     Observer,
     VehicleNode,
     come_to_rest,
@@ -38,8 +38,9 @@ from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.chain import brakes_first
 from testbed.rig.firmware_boards import Valves, WiredBoard, make_drivers
-from testbed.rig.forked import SOON, make_host, make_vehicle, stages
+from testbed.rig.forked import SOON, ForkedAgent, ForkedHost, make_host, make_vehicle, stages
 from testbed.rig.interface import holds, not_armed
+from testbed.rig.live import LiveFlight
 from testbed.rig.observers import NullObserver
 from testbed.rig.readiness import twin_checks
 
@@ -64,11 +65,13 @@ class TwinRig(Struct, frozen=True):
     experiment: Experiment
     twin: Twin
     vehicles: list[VehicleNode | CrashableNode]
-    hosts: list[HostNode]
+    hosts: list[ForkedHost]
     boards: dict[str, WiredBoard]  # with firmware; empty with the twin's model
     pace: Clock | None = None  # slows the twin down for a viewer
     supervisor: Supervisor = field(default_factory=Supervisor)
     red: list[str] = field(default_factory=list)  # see `Rig`
+    laws: list[ForkedHost | ForkedAgent] = field(default_factory=list)
+    live: LiveFlight | None = None  # hears the operator's wishes
 
     def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
         """See `Rig`."""
@@ -84,11 +87,15 @@ class TwinRig(Struct, frozen=True):
     def fly_unasked(self, observer: Observer, stopped: Callable[[], int]) -> Ending:
         """Fly without the arming checks."""
         experiment = self.experiment
-        clock = Reseeding(experiment.forks, self.twin, self.pace or self.twin)
-        ending = fly(
-            clock, self.vehicles, self.hosts, experiment.flight.jet_period_s, experiment.ticks,
-            observer, stopped=lambda: 2 if self._trouble() else stopped(),
-        )  # fmt: skip
+        clock: Clock = Reseeding(experiment.forks, self.twin, self.pace or self.twin)
+        with ExitStack() as stack:
+            if self.live is not None:
+                flying = self.live.flying(clock, self.laws, self.hosts, self.supervisor)
+                clock = stack.enter_context(flying)
+            ending = fly(
+                clock, self.vehicles, self.hosts, experiment.flight.jet_period_s, experiment.ticks,
+                observer, stopped=lambda: 2 if self._trouble() else stopped(),
+            )  # fmt: skip
         return Ending(ending.t, ending.fault or self._trouble())
 
     def come_to_rest(
@@ -251,8 +258,12 @@ def make_twin(
     injector = twin.injector
     spoilt = {n: None if injector is None else partial(injector.spoilt, n) for n in setups}
     vehicles: list[VehicleNode | CrashableNode] = []
+    laws: list[ForkedHost | ForkedAgent] = []
     for name, setup in setups.items():
-        node = make_node(twin, name, make_vehicle(experiment, name, spoilt[name]))
+        agent = make_vehicle(experiment, name, spoilt[name])
+        if experiment.deploy.law == "vehicle" and isinstance(agent, ForkedAgent):
+            laws.append(agent)
+        node = make_node(twin, name, agent)
         if injector is None:
             vehicles.append(node)
         else:
@@ -263,7 +274,8 @@ def make_twin(
         for name in setups
         if experiment.deploy.law == "host"
     ]
-    return TwinRig(experiment, twin, vehicles, hosts, drivers or {})
+    laws += hosts
+    return TwinRig(experiment, twin, vehicles, hosts, drivers or {}, laws=laws)
 
 
 def warm_up(experiment: Experiment, stopped: Callable[[], int] = lambda: 0) -> None:

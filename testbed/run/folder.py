@@ -12,6 +12,7 @@ metrics.json  the metrics; "completed": false if the run did not reach its end
 import os
 import shutil
 import time
+import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ import tomli_w
 
 from controllers.law_file import digest, file_of, source_of
 from firmware_interface.compiler import firmware_id
+from testbed.config import Experiment, dump
 from testbed.core.error import TestbedError
 from testbed.files import write_atomic
 from testbed.metrics.run_metrics import Metrics
@@ -89,6 +91,25 @@ def write_config(folder: Path, tree: dict[str, Any], version: str) -> None:
     tree = {**tree, "forks": forks}
     head = f"# Resolved by airbearing-testbed {version}; everything is in place.\n{flown_by()}\n"
     _replace(folder / "config.toml", head + tomli_w.dumps(tree))
+
+
+def write_forks(folder: Path, experiment: Experiment) -> None:
+    """Add the forks of a flight that was changed on its way to its config.toml.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path = folder / "config.toml"
+    text = path.read_text(encoding="utf-8")
+    head = "".join(line for line in text.splitlines(keepends=True) if line.startswith("#"))
+    tree = tomllib.loads(text)
+    known, made = tree.get("forks", []), dump(experiment)["forks"]
+    for fork in made[len(known) :]:  # a user's law is the copy in this folder
+        files = {
+            key: tree["controller"][key] for key in ("law", "file") if key in fork["controller"]
+        }
+        known.append({**fork, "controller": {**fork["controller"], **files}})
+    write_atomic(path, (head + tomli_w.dumps({**tree, "forks": known})).encode())
 
 
 def flown_by() -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from testbed.config import Experiment
+from testbed.core.types import HostTick
 from testbed.logs.log_reader import LogReader
 from testbed.logs.replay import AtHost, LoggedHost, LoggedLink, Replay, before_damage, replay
 from testbed.rig.forked import make_host, make_vehicle
@@ -36,4 +37,11 @@ def replay_experiment(
 
 
 def _law_of(experiment: Experiment, name: str, link: LoggedLink) -> AtHost:
-    return make_host(experiment, name, link).tick
+    host = make_host(experiment, name, link)
+
+    def tick(t: float) -> HostTick:
+        assert link.inputs is not None
+        host.stick = link.inputs.stick
+        return host.tick(t)
+
+    return tick

@@ -6,6 +6,7 @@ const ANSWER_MS = 2500; // without an answer for this long the page is not conne
 const AGAIN_MS = 600; // a second press counts as one from then on
 const $ = id => document.getElementById(id);
 
+const controls = new Controls();
 let server = '', version = -1, scene = null, top_view = null, raster = null, events = [];
 let picture = null; // the newest answer
 let answered = 0; // when it came [ms of this page's clock]
@@ -55,6 +56,7 @@ async function begin() {
   $('law').textContent = `law ${scene.law}: ${scene.description}`;
   $('of').textContent = `of ${clock(scene.duration)}`;
   document.title = `${scene.name} - testbed console`;
+  controls.begin(scene);
   tiles(scene.vehicles.map(one => ({ name: one.name, state: 'not heard yet', level: 'off', numbers: [] })));
 }
 
@@ -64,6 +66,7 @@ function take(news) {
   const fresh = news.v !== version || news.anew;
   picture = news;
   version = news.v;
+  controls.show(news.controls);
   if (fresh && scene) {
     if (news.now.vehicles) {
       top_view.trail(news.trail, news.anew);

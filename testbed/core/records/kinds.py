@@ -36,3 +36,4 @@ class EventKind(IntEnum):
     LAW_FAULT = 4
     CAMERAS = 5
     PHASE = 6
+    STICK = 7

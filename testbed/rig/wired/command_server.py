@@ -1,4 +1,4 @@
-"""Orders to a vehicle: look, start, stop."""
+"""Orders to a vehicle: look, start, stop, fly on with other gains."""
 
 import threading
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from queue import SimpleQueue
 import msgspec
 import zenoh
 
-from testbed.net.commands import Accepted, Answer, Look, Order, Refused, Start, Stop
+from testbed.net.commands import Accepted, Answer, Look, Order, Refused, Retune, Start, Stop
 from testbed.net.keys import Keys
 from testbed.net.session import answer_to, on_word
 from testbed.realtime.wall_clock import monotonic_ns
@@ -47,6 +47,10 @@ class CommandServer:
         self.asked = Asked()
         self.operator_stops = 0  # without those that the host ordered
         self._obeyed = threading.Event()
+        # of the law on board: why it does not change, empty if it does
+        self.retune: Callable[[Retune], str] = lambda order: (
+            "its law is not on board, or not flying"
+        )
         self._kept = [
             answer_to(session, keys.of(name, "order"), self._order),
             answer_to(session, keys.stop, self.operator_stop),
@@ -76,6 +80,9 @@ class CommandServer:
                     self.asked.insist()
                 self._stop(reason)
                 answer = Accepted(self._board)
+            case Retune():
+                why = self.retune(order)
+                answer = Refused(why) if why else Accepted(self._board)
             case Start():
                 begin = self._to_own(order.epoch_ns)
                 ahead = 0 if begin is None else begin - monotonic_ns()

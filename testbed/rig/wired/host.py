@@ -37,6 +37,7 @@ from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.fault_latch import FaultLatch
 from testbed.rig.firmware_boards import LOCKSTEP
 from testbed.rig.interface import not_armed
+from testbed.rig.live import LiveFlight
 from testbed.rig.wired.agent_process import AgentOptions
 from testbed.rig.wired.local import loopback
 from testbed.rig.wired.preflight import Preflight, order
@@ -79,6 +80,7 @@ class WireRig:
         say: called with messages for the operator; by default they are dropped.
         checked: called with every result of the arming checks; by default they are dropped.
         relay: maps the host's endpoint to the endpoint of the bench's vehicles.
+        live: hears the operator's wishes; None: the flight cannot be changed.
     """
 
     def __init__(
@@ -94,6 +96,7 @@ class WireRig:
         say: Callable[[str], None] = lambda text: None,
         checked: Callable[[Sequence[Check]], None] = lambda checks: None,
         relay: Callable[[str], str] = str,
+        live: LiveFlight | None = None,
     ) -> None:
         self.experiment = experiment
         self.results = results = RunResults(experiment)
@@ -130,6 +133,7 @@ class WireRig:
         self._relay = relay
         self.name = "bench" if bench else "table"
         self.children: dict[str, int] = {}  # process ids of the bench, by name
+        self.live = live
         self.on_start: Callable[[WireRig], None] | None = None  # called when the flight begins
 
     @property
@@ -219,7 +223,8 @@ class WireRig:
             flight.truth = truth
             if self.on_start is not None:
                 self.on_start(self)
-            ending = flight.fly(observer, stopped)
+            flight.live = self.live
+            ending = flight.fly(observer, stopped, self.supervisor)
             self.results.law_concerns = flight.concerns
             if children is not None:
                 ending = Ending(ending.t, self._blamed(children, ending.fault))

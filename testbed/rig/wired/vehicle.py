@@ -38,11 +38,13 @@ from testbed.net.session import Publisher, Subscriber
 from testbed.realtime.law_watch import patience
 from testbed.realtime.scheduling import no_garbage_collection, realtime_priority
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
-from testbed.rig.chain import brakes_first, make_agent, watched
+from testbed.rig.chain import brakes_first, watched
+from testbed.rig.forked import ForkedAgent, make_vehicle
 from testbed.rig.twin import warm_up
 from testbed.rig.wired.command_guard import CommandGuard
 from testbed.rig.wired.command_server import CommandServer
 from testbed.rig.wired.counts import count
+from testbed.rig.wired.gains import OnboardGains
 from testbed.rig.wired.host_contact import (
     LOOK_NS,
     ask_experiment,
@@ -124,7 +126,7 @@ class VehicleProcess:
         self.process_faults = ProcessFaults(experiment.inject, lambda: self.clock.now)
         spoilt = partial(self.process_faults.spoilt, name) if experiment.inject else None
         self.stack.enter_context(watched(experiment))
-        self.agent = make_agent(experiment, name, spoilt)
+        self.agent = make_vehicle(experiment, name, spoilt)
         with patience():
             warm_up(experiment)
         if self.child and self.port is not None:
@@ -209,6 +211,9 @@ class VehicleProcess:
         self.guard = CommandGuard(thrusters, lambda: clock.now, experiment.flight.jet_period_s)
         node = VehicleNode(name, self.agent, self.poses, self.guard, self.link, self.flight.vitals)
         self.node = LeasedNode(node, self.flight, clock)
+        if isinstance(self.agent, ForkedAgent):
+            gains = OnboardGains(experiment, self.agent, start.session, lambda: clock.now)
+            self.commands.retune = gains.obey
 
     def fly(self) -> Ending:
         """Fly until the last tick, a fault or a stop."""

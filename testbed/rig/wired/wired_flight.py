@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from typing import Protocol
 
@@ -11,6 +12,7 @@ from msgspec.structs import replace
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport, InhibitReason, Refusal
 from testbed.core.law import Concern
+from testbed.core.ports import Clock
 from testbed.core.types import (
     Accel,
     Health,
@@ -25,16 +27,18 @@ from testbed.core.types import (
     ValveCommand,
     Wrench,
 )
-from testbed.flight.agent import lead_time
-from testbed.flight.loop import Ending, HostNode, Observer, fly
+from testbed.flight.loop import Ending, Observer, fly
+from testbed.flight.supervisor import Supervisor
 from testbed.net.commands import Ended, Lease, Stop, TickReport, config_id
 from testbed.net.envelope import Acceptance, Inbox, Outbox
 from testbed.net.links import LocalMessages, Party, ZenohHostLink, host_states
 from testbed.net.session import NetworkError, Publisher, Subscriber, on_word
 from testbed.realtime.scheduling import realtime_priority
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
-from testbed.rig.chain import make_guidance
+from testbed.rig.forked import make_host
 from testbed.rig.interface import holds
+from testbed.rig.live import LiveFlight
+from testbed.rig.wired.gains import RemoteLaw
 from testbed.rig.wired.preflight import order
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
@@ -153,6 +157,7 @@ class HostFlight:
         self._names = list(experiment.vehicles)
         self._at_once = False
         self.truth: Subscriber | None = None
+        self.live: LiveFlight | None = None  # hears the operator's wishes
         self.bad_truth = 0  # invalid messages of the truth
         self._ticks = {n: Subscriber(party.session, keys.of(n, "tick")) for n in self._names}
         self._events = {n: Subscriber(party.session, keys.of(n, "event")) for n in self._names}
@@ -193,23 +198,29 @@ class HostFlight:
         lease = Lease(self._armed, fleet, config, disk_free, self._at_once)
         self._lease.say(self._seal.seal(lease, now, now + LEASE_S))
 
-    def fly(self, observer: Observer, stopped: Callable[[], int]) -> Ending:
+    def fly(self, observer: Observer, stopped: Callable[[], int], supervisor: Supervisor) -> Ending:
         """Fly to the end, to a fault, or until `stopped()`."""
         clock, experiment = self._party.clock, self._experiment
         period = experiment.flight.jet_period_s
         hosts = [
-            HostNode(
-                name, make_guidance(experiment, name, partial(self._process_faults.spoilt, name)),
-                self._links[name], period, lead_time(experiment.vehicles[name].model),
+            make_host(
+                experiment, name, self._links[name], partial(self._process_faults.spoilt, name)
             )
             for name in self._names
             if experiment.deploy.law == "host"
-        ]  # fmt: skip
+        ]
         self._observer = observer
         nodes = list(self._nodes.values())
-        with realtime_priority(PRIORITY):
+        ticking: Clock = clock
+        with ExitStack() as stack:
+            if self.live is not None:
+                far = [RemoteLaw(self._party, name) for name in self._names]
+                ticking = stack.enter_context(
+                    self.live.flying(clock, hosts or far, hosts, supervisor, far=not hosts)
+                )
+            stack.enter_context(realtime_priority(PRIORITY))
             ending = fly(
-                clock, nodes, hosts, period, experiment.ticks, self,
+                ticking, nodes, hosts, period, experiment.ticks, self,
                 stopped=lambda: max(stopped(), self._asked.times),
             )  # fmt: skip
 
