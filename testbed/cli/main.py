@@ -291,6 +291,11 @@ def compare(
     type=click.Path(path_type=Path),
     help="Folder for the figures, as SVG.",
 )
+@click.option(
+    "--pages",
+    type=click.Path(path_type=Path),
+    help="Folder for web pages: an index, and a page per claim.",
+)
 @click.pass_context
 def reproduce(
     context: click.Context,
@@ -299,6 +304,7 @@ def reproduce(
     as_json: bool,
     as_markdown: bool,
     plots: Path | None,
+    pages: Path | None,
 ) -> None:
     """Repeat a paper's simulations and check its claims.
 
@@ -307,9 +313,10 @@ def reproduce(
     """
     from testbed.cli.reproduce import reproduce_papers
 
-    context.exit(
-        reproduce_papers(key, quick=quick, as_json=as_json, as_markdown=as_markdown, plots=plots)
+    code = reproduce_papers(
+        key, quick=quick, as_json=as_json, as_markdown=as_markdown, plots=plots, pages=pages
     )
+    context.exit(code)
 
 
 for verb in (

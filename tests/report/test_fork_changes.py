@@ -11,9 +11,7 @@ def test_other_gains_have_their_old_and_new_value():
     base = load(find("zhang2023_table"))
     old = base.controller.k
     fork = forked(base, 4.0, ["controller.k=0.002"])
-    assert fork_changes(fork) == [
-        f"From 4 s on: other gains, controller.k {old:g} {ARROW} 0.002."
-    ]
+    assert fork_changes(fork) == [f"From 4 s on: other gains, controller.k {old:g} {ARROW} 0.002."]
     again = forked(fork, 6.0, ["controller.k=0.003", "flight.tracker.bandwidth=1.25", "seed=9"])
     width = base.flight.tracker.bandwidth
     assert fork_changes(again)[1] == (
