@@ -270,15 +270,18 @@ def report(context: click.Context, run: Path, png: bool) -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Also write an HTML page with figures."
 )
+@click.option(
+    "--paper", is_flag=True, help="Also what the paper prints about the first run's experiment."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.pass_context
 def compare(
-    context: click.Context, runs: tuple[Path, ...], out: Path | None, as_json: bool
+    context: click.Context, runs: tuple[Path, ...], out: Path | None, paper: bool, as_json: bool
 ) -> None:
     """Compare RUNS side by side: laws, seeds, or twin and table."""
     from testbed.cli.compare import compare_runs
 
-    context.exit(compare_runs(runs, out, as_json))
+    context.exit(compare_runs(runs, out, as_json, paper))
 
 
 @main.command()

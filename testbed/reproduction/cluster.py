@@ -211,7 +211,7 @@ def figures(run: Swarming, f: Flight) -> list[Figure]:
                          Reading(("arrived_s", "formed_s"), ""))),
         Figure("extent", "time [s]", "distance [m], log scale", apart, log=True,
                readings=(Reading(("outer_m at *", "inner_m at *", "inner_ever_m")),)),
-        Figure("distribution uniformity", "time [s]", "L", {"L": (t, even)},
+        Figure("distribution uniformity", "time [s]", "L, log scale", {"L": (t, even)}, log=True,
                readings=(Reading(("uniformity at *",)),)),
         Figure("velocity increment, the most of all", "time [s]", "[m/s]", spent,
                readings=(Reading(("spent_ms",)), Reading(("window_ms",), ""))),
