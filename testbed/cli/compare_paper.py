@@ -75,10 +75,11 @@ def paper_rows(
     ]  # fmt: skip
     for one in printed.points:
         if one.figure == NEAREST:
-            for x, y in zip(one.x, one.y, strict=True):
+            for k, (x, y) in enumerate(zip(one.x, one.y, strict=True), 1):
                 near = [_nearest(path, x, y) for path in paths]
                 words = [f"{1e3 * off:.1f} mm from the path" for off in near]
-                rows.append(PaperRow(one.source, one.what, f"({x:g}, {y:g}) m", words))
+                where = f"{one.source}, {one.what} {k}"
+                rows.append(PaperRow(where, one.what, f"({x:g}, {y:g}) m", words))
     return rows
 
 
