@@ -13,17 +13,23 @@ class PlotLimit(NamedTuple):
     """A horizontal line of a plot."""
 
     plot: str
-    name: str  # of its series, unique in the plot
+    key: str  # unique in the plot
+    name: str  # of its series
     value: float  # in the plot's unit
     ends: bool  # beyond it the flight ends
+
+    @property
+    def path(self) -> str:
+        """Entity of the line."""
+        return f"plot/{self.plot}/limit_{self.key}"
 
 
 def plot_limits(scenario: Experiment) -> list[PlotLimit]:
     """All limits that do not change during a flight."""
     goal_error = GoalError(scenario)
-    found = [PlotLimit("error", "settled", 1e3 * goal_error.settled_m, ends=False)]
+    found = [PlotLimit("error", "settled", "settled", 1e3 * goal_error.settled_m, ends=False)]
     if scenario.obstacles:
-        found.append(PlotLimit("clearance", "danger radius", 0.0, ends=True))
+        found.append(PlotLimit("clearance", "danger_radius", "danger radius", 0.0, ends=True))
     found += _of_table(scenario, "pose_age", "pose_age", 1e3)
     found += _of_table(scenario, "link", "setpoint_age", 1e3)
     pressures = {setup.model.air.set_pressure for setup in scenario.vehicles.values()}
@@ -37,4 +43,4 @@ def _of_table(scenario: Experiment, plot: str, detector: str, scale: float) -> I
         limit = row.above if row.above is not None else row.below
         if row.detector == detector and limit is not None:
             ends = row.response not in MILD
-            yield PlotLimit(plot, f"{row.response} ({name})", scale * limit, ends)
+            yield PlotLimit(plot, name, f"{row.response} ({name})", scale * limit, ends)

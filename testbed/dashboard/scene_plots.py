@@ -14,7 +14,7 @@ from testbed.config.experiment import Experiment
 from testbed.core.types import HostTick, State, Tick
 from testbed.dashboard.limits import plot_limits
 from testbed.dashboard.scene_wires import VALVE_STATES
-from testbed.dashboard.static_scene import FLAME, LAYER, PLUME, plain
+from testbed.dashboard.static_scene import FLAME, LAYER, PLUME
 from testbed.logs.feed import Loop, News
 
 Array = NDArray[np.float64]
@@ -97,8 +97,7 @@ class PlotScene:
             self._clearances(name, seen)
         if name == self._names[0]:
             for limit in self._limits:
-                path = f"plot/{limit.plot}/limit {plain(limit.name)}"
-                self._column(path, t, [limit.value] * len(t))
+                self._column(limit.path, t, [limit.value] * len(t))
         self._jets(name, flown, period)
         self._valves(name, flown, setup.model.command_delay_s)
 

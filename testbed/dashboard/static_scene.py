@@ -173,7 +173,7 @@ def _plots(rec: rr.RecordingStream, scenario: Experiment) -> None:
         style = rr.SeriesLines(
             colors=[RED if limit.ends else AMBER], names=plain(limit.name), widths=1.5
         )
-        rec.log(f"plot/{limit.plot}/limit {plain(limit.name)}", style, static=True)
+        rec.log(limit.path, style, static=True)
     shades = [("dark: delivered, or to the vehicle", (90, 96, 104), True)]
     lines = [("warns", AMBER, True), ("ends the flight", RED, True)]
     image = picture([*legend, *shades, *lines])

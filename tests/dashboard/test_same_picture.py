@@ -216,7 +216,7 @@ def test_limits_are_those_of_the_fault_table(flown, replayed):
     rows_of_table = load(flown["stuck"] / "config.toml").faults
     for name in ("pose_stale", "pose_lost"):
         limit = rows_of_table[name]
-        line = drawn(replayed["stuck"], f"/plot/pose_age/limit {limit.response} ({name})")
+        line = drawn(replayed["stuck"], f"/plot/pose_age/limit_{name}")
         (value,) = {row.value("Scalars:scalars")[0] for row in line.values()}
         assert value == pytest.approx(1e3 * limit.above)
 

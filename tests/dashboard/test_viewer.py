@@ -263,7 +263,7 @@ def test_a_recording_has_everything(run, tmp_path):
         "/event",
         "/world/fence",
         "/world/link",
-        "/plot/clearance/limit danger radius",
+        "/plot/clearance/limit_danger_radius",
     } <= found
     assert json.dumps(sorted(found))  # plain words
 
