@@ -3,7 +3,8 @@
     python docs/pictures/console.py [NAME ...]
 
 Needs Chromium. Each case is a flight with the page open, on the twin unless it says `bench`; the
-picture is taken when the page says what the case is about.
+picture is taken when the page says what the case is about. `sheet_NAME.png` shows a case on a
+screen, a tablet and a phone, light and dark; `replay_NAME.png` the report at the same instant.
 """
 
 import io
@@ -11,6 +12,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
@@ -22,6 +24,7 @@ from PIL import Image
 HERE = Path(__file__).parent
 PATIENCE_S = 400.0
 SCREEN, TABLET, PHONE = (1366, 768), (820, 1180), (390, 844)
+LOW, GAP = 420, 10  # height of a picture in a sheet, and room between two [px]
 
 
 class Shot(NamedTuple):
@@ -38,6 +41,7 @@ class Case(NamedTuple):
     words: list[str]  # of `testbed run`
     until: str  # JavaScript, true when the picture is due
     shots: list[Shot]
+    replay: bool = False  # also the report, at the time of the pictures
 
 
 def clock(seconds: int) -> str:
@@ -63,6 +67,7 @@ CASES = {
         clock(30),
         [Shot("console_three"), Shot("console_three_dark", SCREEN, True),
          Shot("console_three_phone", PHONE, True)],
+        replay=True,
     ),
     "five": Case(
         ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
@@ -72,6 +77,7 @@ CASES = {
          "duration_s=40"],
         "document.getElementById('head').textContent.startsWith('FAULT')",
         [Shot("console_fault"), Shot("console_fault_tablet", TABLET, True)],
+        replay=True,
     ),
     "cameras": Case(
         ["zhang2023_table", "--speed", "0.2", fault("drop_mocap", "sat2", 8.0)],
@@ -95,6 +101,42 @@ def keep(png: bytes, name: str) -> None:
     sys.stdout.write(f"{name}.png: {(HERE / f'{name}.png').stat().st_size / 1e3:.0f} kB\n")
 
 
+def sheet(pictures: Sequence[bytes], name: str) -> None:
+    """Save the pictures of one case in two rows, light and dark, all equally high."""
+    rows = [pictures[: len(pictures) // 2], pictures[len(pictures) // 2 :]]
+    small = [[scaled(one) for one in row] for row in rows]
+    width = sum(one.width + GAP for one in small[0]) + GAP
+    whole = Image.new("RGB", (width, 2 * (LOW + GAP) + GAP), (128, 134, 142))
+    for k, row in enumerate(small):
+        at = GAP
+        for one in row:
+            whole.paste(one, (at, GAP + k * (LOW + GAP)))
+            at += one.width + GAP
+    out = io.BytesIO()
+    whole.save(out, format="PNG")
+    keep(out.getvalue(), name)
+
+
+def scaled(png: bytes) -> Image.Image:
+    """A picture of height LOW."""
+    one = Image.open(io.BytesIO(png)).convert("RGB")
+    return one.resize((round(one.width * LOW / one.height), LOW), Image.Resampling.LANCZOS)
+
+
+def replay(run: Path, t: float, name: str) -> None:
+    """Save the report's picture of the table and its bar at a time of the run."""
+    with Browser(*SCREEN) as page:
+        page.open((run / "report.html").resolve().as_uri())
+        page.value(
+            "new Promise(done => setTimeout(done, 1000)).then(() => {"
+            " const bar = document.querySelector('#scrub input');"
+            f" bar.value = {t}; bar.dispatchEvent(new Event('input'));"
+            " document.getElementById('trajectory').scrollIntoView();"
+            " return new Promise(done => setTimeout(done, 600)); })"
+        )
+        keep(page.picture(), name)
+
+
 def page_of(run: "subprocess.Popen[str]") -> str:
     """Address of the page that the run serves."""
     assert run.stderr is not None
@@ -105,8 +147,9 @@ def page_of(run: "subprocess.Popen[str]") -> str:
     raise RuntimeError("the run serves no page")
 
 
-def take(case: Case, folder: Path) -> None:
+def take(name: str, case: Case, folder: Path) -> None:
     """Fly one case and take its pictures."""
+    t = None
     run = subprocess.Popen(
         [sys.executable, "-m", "testbed", "run", *case.words, "--console", "0", "--out",
          str(folder)],
@@ -120,15 +163,26 @@ def take(case: Case, folder: Path) -> None:
                 if monotonic() > end:
                     raise TimeoutError(f"{case.words[0]}: {page.value('document.body.innerText')}")
                 Event().wait(0.1)
+            if case.replay:  # all pictures at one instant
+                page.value("take = () => {}")
+                t = page.value("picture.now.t")
             for shot in case.shots:
                 look(page, shot)
                 keep(page.picture(), shot.name)
+            every = []
+            for dark in (False, True):
+                for size in (SCREEN, TABLET, PHONE):
+                    look(page, Shot("", size, dark))
+                    every.append(page.picture())
+            sheet(every, f"sheet_{name}")
     finally:
         run.send_signal(signal.SIGTERM)
         try:
             run.wait(60)
         except subprocess.TimeoutExpired:
             run.kill()
+    if t is not None:
+        replay(folder, t, f"replay_{name}")
 
 
 def look(page: Browser, shot: Shot) -> None:
@@ -146,7 +200,7 @@ def main() -> None:
     """Take all pictures, or those of the named cases."""
     for name in sys.argv[1:] or CASES:
         with tempfile.TemporaryDirectory() as folder:
-            take(CASES[name], Path(folder) / "run")
+            take(name, CASES[name], Path(folder) / "run")
 
 
 if __name__ == "__main__":

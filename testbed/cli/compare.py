@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,16 @@ import msgspec
 import numpy as np
 from rich.console import Console
 from rich.table import Table as Grid
+from rich.text import Text
 
+from testbed.cli.compare_paper import (
+    PaperRow,
+    Printed,
+    paper_rows,
+    paper_table,
+    printed_about,
+    with_paper,
+)
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import refuse, warn
 from testbed.cli.screen import show
@@ -59,8 +69,10 @@ class ComparedRun(msgspec.Struct, frozen=True):
     metrics: Metrics
 
 
-def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> int:
-    """Print the table and write the page."""
+def compare_runs(
+    folders: Sequence[Path], out: Path | None, as_json: bool, paper: bool = False
+) -> int:
+    """Print the table and write the page; with `paper` also what the paper prints."""
     try:
         names = [folder.resolve().name for folder in folders]
         same = len(set(names)) < len(names)
@@ -68,9 +80,10 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
             read_run(folder, str(folder) if same else name)
             for folder, name in zip(folders, names, strict=True)
         ]
+        printed = printed_about(runs[0].experiment.name) if paper else None
         if out is not None:
             with out.open("x", encoding="utf-8") as file:
-                file.write(render(runs))
+                file.write(render(runs, printed))
     except (ReportError, LogError, ConfigError, OSError) as error:
         return refuse(error)
     if as_json:
@@ -79,6 +92,8 @@ def compare_runs(folders: Sequence[Path], out: Path | None, as_json: bool) -> in
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(found)).decode() + "\n")
     else:
         print_table(runs)
+        if printed is not None:
+            print_paper(runs, printed)
         if out is not None:
             Console(highlight=False).print(str(out), markup=False, soft_wrap=True)
     return OK
@@ -131,6 +146,35 @@ def print_table(runs: Sequence[ComparedRun]) -> None:
     show(out, grid)
 
 
+def rows_of_paper(runs: Sequence[ComparedRun], printed: Printed) -> list[PaperRow]:
+    """The paper's numbers beside the runs'."""
+    values = [partial(_value, run) for run in runs]
+    return paper_rows(printed, values, [run.history for run in runs])
+
+
+def _value(run: ComparedRun, measure: str) -> float | None:
+    """The worst vehicle's measure, by its name in a paper's file."""
+    if measure == "contacts":
+        return None if run.metrics.contacts == UNCOUNTED else float(run.metrics.contacts)
+    if measure == "vehicles_m":
+        return run.metrics.min_vehicle_distance_m
+    return worst(run, measure)
+
+
+def print_paper(runs: Sequence[ComparedRun], printed: Printed) -> None:
+    """Print the paper's numbers beside the runs'."""
+    out = Console(highlight=False)
+    grid = Grid(title=f"{printed.key}, and the runs; in brackets: less the paper's",
+                title_justify="left")  # fmt: skip
+    for heading in ("where", "what", "paper"):
+        grid.add_column(heading, overflow="fold")
+    for k, run in enumerate(runs, 1):
+        grid.add_column(run.label if len(run.label) <= FIRST_COLUMN else str(k), justify="right")
+    for row in rows_of_paper(runs, printed):
+        grid.add_row(*(Text(cell) for cell in (row.source, row.what, row.paper, *row.values)))
+    show(out, grid)
+
+
 def verdict(metrics: Metrics) -> str:
     """The verdict as one short phrase."""
     if metrics.contacts == UNCOUNTED:
@@ -146,8 +190,13 @@ def verdict(metrics: Metrics) -> str:
     return "passed" if all(metrics.criteria.values()) else "failed"
 
 
-def render(runs: Sequence[ComparedRun]) -> str:
+def render(runs: Sequence[ComparedRun], printed: Printed | None = None) -> str:
     """The page: a table, then the figures with all runs overlaid, one colour per run."""
+    drawn, beside = charts(runs), ""
+    if printed is not None:
+        drawn = with_paper(drawn, printed)
+        rows_ = rows_of_paper(runs, printed)
+        beside = paper_table(printed, [run.label for run in runs], rows_)
     heads = "".join(
         f'<th><span class="dot" style="background:var(--h{k % HUES})"></span>'
         f"{escape(run.label)}</th>"
@@ -163,12 +212,12 @@ def render(runs: Sequence[ComparedRun]) -> str:
     rows.append(
         "<tr><td>verdict</td>" + "".join(f"<td>{verdict(r.metrics)}</td>" for r in runs) + "</tr>"
     )
-    figures = "".join(figure(chart) for chart in charts(runs))
+    figures = "".join(map(figure, drawn))
     data = together_data(runs)
     return page(
         "Comparison",
         f"<header><div><h1>Comparison of {len(runs)} runs</h1></div></header>"
-        f'<div class="wide"><table><tr><th></th>{heads}</tr>{"".join(rows)}</table></div>'
+        f'<div class="wide"><table><tr><th></th>{heads}</tr>{"".join(rows)}</table></div>{beside}'
         f'<h2>Figures</h2><div class="figures">{figures}</div>{bar(data)}',
         script=SCRIPT,
     )

@@ -18,10 +18,19 @@ import click
 @click.option(
     "--width", type=click.IntRange(200, 4000), default=720, show_default=True, help="In pixels."
 )
+@click.option(
+    "--video", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="A camera's video, shown beside the film at the same times.",
+)  # fmt: skip
+@click.option(
+    "--offset", type=float, default=0.0, show_default=True,
+    help="Time of the run at which the video begins, in seconds; negative: before the run.",
+)  # fmt: skip
 @click.pass_context
 def film(
-    context: click.Context, run: Path, out: Path | None, speed: float | None, width: int
-) -> None:
+    context: click.Context, run: Path, out: Path | None, speed: float | None, width: int,
+    video: Path | None, offset: float,
+) -> None:  # fmt: skip
     """Make a film of a RUN: vehicles, plumes, trails, events."""
     from testbed.cli.exit_code import OK
     from testbed.cli.refusal import errors, refuse, warn
@@ -30,7 +39,7 @@ def film(
 
     try:
         with errors.status("drawing the film"):
-            path = make_film(run, out, speed, width, warn)
+            path = make_film(run, out, speed, width, warn, video, offset)
     except (TestbedError, OSError) as error:
         context.exit(refuse(error))
     click.echo(str(path))

@@ -270,15 +270,18 @@ def report(context: click.Context, run: Path, png: bool) -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Also write an HTML page with figures."
 )
+@click.option(
+    "--paper", is_flag=True, help="Also what the paper prints about the first run's experiment."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.pass_context
 def compare(
-    context: click.Context, runs: tuple[Path, ...], out: Path | None, as_json: bool
+    context: click.Context, runs: tuple[Path, ...], out: Path | None, paper: bool, as_json: bool
 ) -> None:
     """Compare RUNS side by side: laws, seeds, or twin and table."""
     from testbed.cli.compare import compare_runs
 
-    context.exit(compare_runs(runs, out, as_json))
+    context.exit(compare_runs(runs, out, as_json, paper))
 
 
 @main.command()
@@ -291,6 +294,11 @@ def compare(
     type=click.Path(path_type=Path),
     help="Folder for the figures, as SVG.",
 )
+@click.option(
+    "--pages",
+    type=click.Path(path_type=Path),
+    help="Folder for web pages: an index, and a page per claim.",
+)
 @click.pass_context
 def reproduce(
     context: click.Context,
@@ -299,6 +307,7 @@ def reproduce(
     as_json: bool,
     as_markdown: bool,
     plots: Path | None,
+    pages: Path | None,
 ) -> None:
     """Repeat a paper's simulations and check its claims.
 
@@ -307,9 +316,10 @@ def reproduce(
     """
     from testbed.cli.reproduce import reproduce_papers
 
-    context.exit(
-        reproduce_papers(key, quick=quick, as_json=as_json, as_markdown=as_markdown, plots=plots)
+    code = reproduce_papers(
+        key, quick=quick, as_json=as_json, as_markdown=as_markdown, plots=plots, pages=pages
     )
+    context.exit(code)
 
 
 for verb in (

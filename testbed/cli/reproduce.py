@@ -30,6 +30,8 @@ from testbed.reproduction.claim import (
     claimed,
     counts,
 )
+from testbed.reproduction.claim_page import Audited, write_pages
+from testbed.reproduction.figure import Figure
 from testbed.reproduction.page import page
 from testbed.reproduction.paper import EVERY, chosen, read_papers
 from testbed.reproduction.plot import chart_of
@@ -38,13 +40,15 @@ STYLES = {HOLDS: "green", CORRECTED: "cyan", FAILS: "red", UNTESTABLE: "yellow"}
 
 
 def reproduce_papers(
-    key: str, *, quick: bool, as_json: bool, as_markdown: bool, plots: Path | None
-) -> int:
+    key: str, *, quick: bool, as_json: bool, as_markdown: bool, plots: Path | None,
+    pages: Path | None = None,
+) -> int:  # fmt: skip
     """Run the simulations and print the verdicts; return the exit code."""
     try:
         papers = read_papers(chosen(key))
-        if plots is not None:
-            ready_for_plots(plots)
+        for folder, option in ((plots, "--plots"), (pages, "--pages")):
+            if folder is not None:
+                ready(folder, option)
         found, interrupted, wall = make_all(papers, quick=quick)
         audited = {
             name: rows_of(name, paper, found[name], quick=quick) for name, paper in papers.items()
@@ -64,6 +68,12 @@ def reproduce_papers(
     say_how_it_went(rows, surprises, missing, wall)
     if plots is not None:
         draw_all(plots, found)
+    if pages is not None:
+        index = write_pages(pages, {
+            name: Audited(papers[name], rows[name], found[name], found.figures_of(name))
+            for name in papers
+        })  # fmt: skip
+        errors.print(f"pages: {index}", markup=False, soft_wrap=True)
     if interrupted:
         return INTERRUPTED
     return FAILED if surprises else OK
@@ -80,6 +90,10 @@ class Results(dict[str, dict[str, Any]]):
         """Add the result of a finished run."""
         self[done.paper][done.run] = done.values
         self.made.append(done)
+
+    def figures_of(self, paper: str) -> dict[str, list[Figure]]:
+        """Figures of a paper by run."""
+        return {done.run: done.figures for done in self.made if done.paper == paper}
 
 
 def make_all(papers: Mapping[str, Paper], *, quick: bool) -> tuple[Results, bool, float]:
@@ -162,7 +176,7 @@ def say_how_it_went(
         )  # fmt: skip
 
 
-def ready_for_plots(folder: Path) -> None:
+def ready(folder: Path, option: str) -> None:
     """Make the folder before the runs.
 
     Raises:
@@ -171,7 +185,7 @@ def ready_for_plots(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ConfigError("--plots", "", "a folder", f"{folder}: {error.strerror}") from None
+        raise ConfigError(option, "", "a folder", f"{folder}: {error.strerror}") from None
 
 
 def draw_all(folder: Path, found: Results) -> None:

@@ -13,10 +13,12 @@ import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
+from ssl import SSLContext
 from threading import Event, Thread
 from types import FrameType
 
 from testbed.console.controls import Controls
+from testbed.console.encryption import lab_certificate
 from testbed.console.follower import Follower
 from testbed.console.hub import Hub
 from testbed.console.server import Answers, ConsoleError, Server, is_loopback
@@ -49,14 +51,16 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
     hub.say(server=secrets.token_hex(8))  # another one at the same port is another run
     follower = Follower(run, hub)
     token = "" if is_loopback(bind) else secrets.token_urlsafe(16)
+    encryption = lab_certificate(run) if token else None
     controls = Controls(lambda: stopper.note)
     answers = Answers(hub, lambda: follower.scene, stopper.press, controls.wish)
-    server = open_server(bind, port, token, answers)
+    server = open_server(bind, port, token, answers, encryption)
     Thread(target=server.serve_forever, name="server", daemon=True).start()
     Thread(target=follower.follow, args=(left,), name="follower", daemon=True).start()
     Thread(target=controls.keep, args=(left, hub), name="controls", daemon=True).start()
     Thread(target=stopper.keep, args=(left,), name="stopper", daemon=True).start()
-    sys.stderr.write(f"console: {address(bind, server.server_port, token)}\n")
+    scheme = "https" if server.encrypted else "http"
+    sys.stderr.write(f"console: {address(bind, server.server_port, token, scheme)}\n")
     sys.stderr.flush()
     alone = 0.0
     while not left.wait(LOOK_S):
@@ -69,18 +73,20 @@ def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
     server.server_close()
 
 
-def open_server(bind: str, port: int | None, token: str, answers: Answers) -> Server:
+def open_server(
+    bind: str, port: int | None, token: str, answers: Answers, encryption: SSLContext | None = None
+) -> Server:
     """The server at the port, by default PORT or any free one."""
     if port is None:
         with suppress(ConsoleError):
-            return Server(bind, PORT, token, answers)
-    return Server(bind, port or 0, token, answers)
+            return Server(bind, PORT, token, answers, encryption)
+    return Server(bind, port or 0, token, answers, encryption)
 
 
-def address(bind: str, port: int, token: str) -> str:
+def address(bind: str, port: int, token: str, scheme: str = "http") -> str:
     """Address of the page, for a browser."""
     host = os.uname().nodename if bind in ("0.0.0.0", "::") else bind
-    return f"http://{f'[{host}]' if ':' in host else host}:{port}/{token and f'?token={token}'}"
+    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/{token and f'?token={token}'}"
 
 
 def is_there(pid: int) -> bool:

@@ -18,6 +18,7 @@ from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from ssl import SSLContext
 from threading import BoundedSemaphore
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
@@ -130,7 +131,8 @@ class Handler(BaseHTTPRequestHandler):
     def _sign_in(self, token: str) -> None:
         self.send_response(HTTPStatus.SEE_OTHER)
         self.send_header("Location", "/")
-        self.send_header("Set-Cookie", f"{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/")
+        rules = "HttpOnly; SameSite=Strict; Path=/" + "; Secure" * self.server.encrypted
+        self.send_header("Set-Cookie", f"{COOKIE}={token}; {rules}")
         self.send_header("Content-Length", "0")
         self.end_headers()
 
@@ -160,6 +162,7 @@ class Server(ThreadingHTTPServer):
         port: 0: any free one.
         token: that a browser must show; empty: none, on loopback only.
         answers: where its answers come from.
+        encryption: for HTTPS; None: plain HTTP.
 
     Raises:
         ConsoleError: the address cannot be used.
@@ -168,7 +171,10 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 64
 
-    def __init__(self, bind: str, port: int, token: str, answers: Answers) -> None:
+    def __init__(
+        self, bind: str, port: int, token: str, answers: Answers,
+        encryption: SSLContext | None = None,
+    ) -> None:  # fmt: skip
         if not token and not is_loopback(bind):
             raise ConsoleError(f"{bind} is not this machine alone: expected a token")
         self.answers, self.token = answers, token
@@ -179,6 +185,11 @@ class Server(ThreadingHTTPServer):
             super().__init__((bind, port), Handler)
         except OSError as error:
             raise ConsoleError(f"cannot serve at {bind}:{port}: {error.strerror}") from None
+        self.encrypted = encryption is not None
+        if encryption is not None:  # a handshake waits in the thread of its connection
+            self.socket = encryption.wrap_socket(
+                self.socket, server_side=True, do_handshake_on_connect=False
+            )
 
     def admits(self, token: str) -> bool:
         """Whether this is the token."""

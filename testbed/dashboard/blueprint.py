@@ -10,6 +10,7 @@ from rerun.blueprint.archetypes import (
 from rerun.blueprint.encodings import TimelineColumn
 
 from testbed.config.experiment import Experiment
+from testbed.dashboard import legend
 from testbed.dashboard.banner import HEIGHT, WIDTH
 from testbed.dashboard.static_scene import plain
 from testbed.report.goal_error import GoalError
@@ -37,12 +38,7 @@ def blueprint(scenario: Experiment, *, live: bool) -> rrb.Blueprint:
         if scenario.obstacles
         else _plot("speed", "Speed [mm/s] over time [s]"),
         _plot("force", "Force demanded and delivered, mean over 1 s [N] over time [s]"),
-        rrb.TimeSeriesView(
-            origin="/plot/valve",
-            name="Valves: a row per jet, height is its duty cycle, over time [s]",
-            time_ranges=_window(WINDOW_S),
-            plot_legend=rrb.PlotLegend(visible=False),
-        ),
+        _valve_rows(scenario, WINDOW_S),
         row_shares=[3, 3, 3, 4],
         name="Flight",
     )
@@ -57,10 +53,11 @@ def blueprint(scenario: Experiment, *, live: bool) -> rrb.Blueprint:
         _plot("pose_age", "Age of the newest pose [ms] over time [s]"),
         _plot("link", "Link delay: age of the newest state at the host [ms] over time [s]"),
         _plot("loss", "Link loss: ticks without a new message [%] over time [s]"),
-        _plot("loop", "Loop lateness [ms] over time [s]"),
+        _plot("loop", "Loop lateness [ms] over time [s]", legend=True),
         name="Timing",
     )
     valves = rrb.Vertical(
+        _valve_rows(scenario, VALVES_S),
         *[
             rrb.StateTimelineView(
                 origin=f"/valve/{name}", name=f"Valves of {plain(name)} over time [s]",
@@ -88,8 +85,18 @@ def blueprint(scenario: Experiment, *, live: bool) -> rrb.Blueprint:
         ),
         row_shares=[0.75, 9, 2.4],
     )
+    right = rrb.Vertical(
+        rrb.Spatial2DView(
+            origin="/legend", name="Legend", titlebar=False, background=[16, 20, 26],
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=[0, legend.WIDTH], y_range=[0, legend.HEIGHT]
+            ),
+        ),
+        rrb.Tabs(flight, air, timing, valves),
+        row_shares=[0.5, 11],
+    )  # fmt: skip
     return rrb.Blueprint(
-        rrb.Horizontal(left, rrb.Tabs(flight, air, timing, valves), column_shares=[11, 9]),
+        rrb.Horizontal(left, right, column_shares=[11, 9]),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(
@@ -111,8 +118,18 @@ def _window(seconds: float) -> list[rrb.VisibleTimeRange]:
     ]
 
 
-def _plot(what: str, name: str) -> rrb.TimeSeriesView:
+def _valve_rows(scenario: Experiment, seconds: float) -> rrb.TimeSeriesView:
+    first = ", ".join(f"{10 * k + 1}: {plain(n)} jet 1" for k, n in enumerate(scenario.vehicles, 1))
+    top = 10.0 * (len(scenario.vehicles) + 1)
+    return rrb.TimeSeriesView(
+        origin="/plot/valve", name=f"Valves, a dot per pulse, {seconds:g} s; row {first}",
+        time_ranges=_window(seconds), plot_legend=rrb.PlotLegend(visible=False),
+        axis_y=rrb.ScalarAxis(range=(10.0, top), zoom_lock=True),
+    )  # fmt: skip
+
+
+def _plot(what: str, name: str, *, legend: bool = False) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
         origin=f"/plot/{what}", name=name, time_ranges=_window(WINDOW_S),
-        plot_legend=rrb.PlotLegend(visible=True, corner="LeftTop"),
+        plot_legend=rrb.PlotLegend(visible=legend, corner="LeftTop"),
     )  # fmt: skip

@@ -8,12 +8,16 @@ from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from testbed.config.experiment import Experiment
 from testbed.core.types import HostTick, State, Tick
+from testbed.dashboard.limits import plot_limits
 from testbed.dashboard.scene_wires import VALVE_STATES
 from testbed.dashboard.static_scene import FLAME, LAYER, PLUME
 from testbed.logs.feed import Loop, News
+
+Array = NDArray[np.float64]
 
 MEAN_S = 1.0  # averaging time of forces: single pulses last milliseconds
 
@@ -28,6 +32,7 @@ class PlotScene:
         self._lit: set[str] = set()  # vehicles whose plume geometry is drawn
         self._renewed: dict[str, tuple[float, float]] = {}
         self._means: dict[str, tuple[float, float]] = {}
+        self._limits = plot_limits(scenario)
 
     def draw(self, news: Sequence[News]) -> None:
         """Add new ticks to the plots."""
@@ -90,6 +95,9 @@ class PlotScene:
                 [1e3 * math.hypot(s.twist.vx, s.twist.vy) for _, s in seen],
             )
             self._clearances(name, seen)
+        if name == self._names[0]:
+            for limit in self._limits:
+                self._column(limit.path, t, [limit.value] * len(t))
         self._jets(name, flown, period)
         self._valves(name, flown, setup.model.command_delay_s)
 
@@ -120,7 +128,6 @@ class PlotScene:
             for t, s in seen
         ]
         self._column(f"plot/clearance/{name}", [t for t, _ in seen], gaps)
-        self._column("plot/clearance/limit", [t for t, _ in seen], [0.0] * len(seen))
 
     def _jets(self, name: str, flown: list[Tick], period: float) -> None:
         """Draw plumes, with a length proportional to the jet's duty cycle."""
@@ -139,10 +146,7 @@ class PlotScene:
         points[:, :, 1, :2] = at - np.where(lit, 0.022 * side, 0.0)
         points[:, :, 2, :2] = at - length[..., None] * push
         times = [tick.inputs.t for tick in flown]
-        first = self._names.index(name) * (m + 1)
-        for jet in range(m):  # rows from the top: the first vehicle's first jet
-            row = -float(first + jet) + 0.85 * np.minimum(share[:, jet], 1.0)
-            self._column(f"plot/valve/{name}_{jet + 1}", times, row.tolist())
+        self._raster(name, np.array(times), share)
         if name not in self._lit:
             self._lit.add(name)
             self._rec.log(
@@ -158,6 +162,20 @@ class PlotScene:
             [rr.TimeColumn("t", duration=times)],
             rr.Mesh3D.columns(vertex_positions=points.reshape(-1, 3)).partition([3 * m] * n),
         )
+
+    def _raster(self, name: str, times: Array, share: Array) -> None:
+        """Draw a dot per pulse in row 10 k + jet of the k-th vehicle, larger for longer pulses."""
+        row = 10.0 * (1 + self._names.index(name))
+        for jet in range(share.shape[1]):
+            is_open = share[:, jet] > 0.0
+            at, part = times[is_open], np.minimum(share[is_open, jet], 1.0)
+            if len(at):
+                self._rec.send_columns(
+                    f"plot/valve/{name}_{jet + 1}",
+                    [rr.TimeColumn("t", duration=at)],
+                    [*rr.Scalars.columns(scalars=np.full(len(at), row + jet + 1)),
+                     *rr.SeriesPoints.columns(marker_sizes=1.5 + 3.0 * np.sqrt(part))],
+                )  # fmt: skip
 
     def _valves(self, name: str, flown: list[Tick], delay: float) -> None:
         """Draw the opening and closing of each valve."""

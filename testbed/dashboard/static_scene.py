@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from testbed.config.experiment import Experiment
 from testbed.core.table import Obstacle
+from testbed.dashboard.legend import picture
+from testbed.dashboard.limits import plot_limits
 from testbed.report.goal_error import GoalError
 from testbed.report.law import range_of
 
@@ -25,6 +27,7 @@ HUES = (
 )
 FAULTY = (225, 38, 48)  # a vehicle with a fault of its own
 GREY, RED, WHITE, FLAME = (120, 130, 145), (255, 107, 107), (240, 244, 248), (255, 214, 102)
+AMBER = (224, 160, 60)
 AROUND = np.linspace(0.0, 2.0 * math.pi, 73)
 PLUME = 0.26  # [m] drawn length for a jet that is open for the entire period
 TRAIL = 600  # points
@@ -143,25 +146,38 @@ def setting(rec: rr.RecordingStream, scenario: Experiment) -> None:
     moving_goals(rec, scenario)
     log("world/link", rr.LineStrips3D.from_fields(
         radii=[0.005], show_labels=range_of(scenario) is not None), static=True)  # fmt: skip
+    _plots(rec, scenario)
+
+
+def _plots(rec: rr.RecordingStream, scenario: Experiment) -> None:
+    """The looks of all series, and the legend."""
+    legend: list[tuple[str, tuple[int, int, int], bool]] = []
     for k, name in enumerate(scenario.vehicles):
+        pale = tuple(c // 2 for c in hue(k))
+        legend.append((plain(name), hue(k), False))
         for jet in range(len(scenario.vehicles[name].model.jets)):
-            style = rr.SeriesLines(colors=[hue(k)], names=plain(f"{name} jet {jet + 1}"), widths=1)
-            log(f"plot/valve/{name}_{jet + 1}", style, static=True)
+            words = plain(f"{name} jet {jet + 1}")
+            dots = rr.SeriesPoints(colors=[hue(k)], names=words, markers="square", marker_sizes=3)
+            rec.log(f"plot/valve/{name}_{jet + 1}", dots, static=True)
         for what in PLOTS:
-            log(
-                f"plot/{what}/{name}",
-                rr.SeriesLines(colors=[hue(k)], names=plain(name), widths=2),
-                static=True,
-            )
-        log(
-            f"plot/force/{name}_delivered",
-            rr.SeriesLines(
-                colors=[tuple(c // 2 for c in hue(k))], names=plain(f"{name} delivered"), widths=1
-            ),
-            static=True,
+            style = rr.SeriesLines(colors=[hue(k)], names=plain(name), widths=2)
+            rec.log(f"plot/{what}/{name}", style, static=True)
+        for path, words in (
+            (f"plot/force/{name}_delivered", f"{name} delivered"),
+            (f"plot/link/to {name}", f"to {name}"),
+            (f"plot/loss/to {name}", f"to {name}"),
+        ):
+            style = rr.SeriesLines(colors=[pale], names=plain(words), widths=1)
+            rec.log(path, style, static=True)
+    for limit in plot_limits(scenario):
+        style = rr.SeriesLines(
+            colors=[RED if limit.ends else AMBER], names=plain(limit.name), widths=1.5
         )
-    for path, label in (("plot/clearance/limit", "danger radius"),):
-        log(path, rr.SeriesLines(colors=[RED], names=label, widths=2), static=True)
+        rec.log(limit.path, style, static=True)
+    shades = [("dark: delivered, or to the vehicle", (90, 96, 104), True)]
+    lines = [("warns", AMBER, True), ("ends the flight", RED, True)]
+    image = picture([*legend, *shades, *lines])
+    rec.log("legend", rr.EncodedImage(contents=image, media_type="image/png"), static=True)
 
 
 def vehicle(rec: rr.RecordingStream, scenario: Experiment, k: int, name: str) -> None:

@@ -353,7 +353,7 @@ def _range(chart: Chart) -> tuple[float, float]:
                 seen = y[np.isfinite(y)]
                 if len(seen):
                     values += [float(seen.min()), float(seen.max())]
-            case Limit(y):
+            case Limit(y) | Mark(y=y, style="paper"):
                 values.append(y)
             case Raster(row):
                 values += [row, row + 1]

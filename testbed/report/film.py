@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -49,18 +49,23 @@ class Film:
         self.size = width, (HEAD + high + FOOT + 1) // 2 * 2  # even, as video codecs want
         self._still = self._background()
 
-    def frames(self, speed: float, rate: float) -> Iterator["Image.Image"]:
-        """All frames; `speed` is a multiple of real time, `rate` in frames per second."""
+    def times(self, speed: float, rate: float) -> list[float]:
+        """Times of all frames [s]; `speed` is a multiple of real time, `rate` in frames per s."""
         count = max(2, round(self.end / speed * rate) + 1)
-        for k in range(count):
-            yield self.frame(self.end * k / (count - 1))
+        return [self.end * k / (count - 1) for k in range(count)]
 
-    def palette(self, colours: int) -> "Image.Image":
-        """The colours of all frames, for a GIF."""
-        width, height = self.size
-        sample = Image.new("RGB", (width, 2 * height))
-        sample.paste(self.frame(0.0), (0, 0))
-        sample.paste(self.frame(self.end), (0, height))
+    def frames(self, times: Iterable[float]) -> Iterator["Image.Image"]:
+        """The frames at these times."""
+        return map(self.frame, times)
+
+    def palette(self, colours: int, beside: Sequence["Image.Image"] = ()) -> "Image.Image":
+        """The colours of all frames and of pictures `beside` them, for a GIF."""
+        height = self.size[1]
+        shown = [self.frame(0.0), self.frame(self.end), *beside]
+        widest = max(one.width for one in shown)
+        sample = Image.new("RGB", (widest, len(shown) * height), COLOURS["paper"])
+        for k, one in enumerate(shown):
+            sample.paste(one, (0, k * height))
         pen, looks = ImageDraw.Draw(sample), [*COLOURS.values(), PLUME, GRANITE]
         for k, colour in enumerate(looks):  # of events and plumes that these two may not have
             pen.rectangle((20 * k, 0, 20 * k + 19, HEAD), fill=colour)
@@ -79,6 +84,18 @@ class Film:
                 self._car(pen, car, t)
         self._words(pen, t)
         return picture.reduce(FINE)
+
+    def beside(self, frame: "Image.Image", camera: "Image.Image | None", wide: int) -> Any:
+        """A frame with the camera's picture at its right; None: the camera has none then."""
+        whole = Image.new("RGB", (frame.width + wide, frame.height), COLOURS["stone"])
+        whole.paste(frame, (0, 0))
+        if camera is not None:
+            whole.paste(camera, (frame.width, 0))
+        else:
+            at = frame.width + wide // 2, frame.height // 2
+            pen = ImageDraw.Draw(whole)
+            pen.text(at, "no picture of the camera", COLOURS["soft"], font=_font(16), anchor="mm")
+        return whole
 
     def _at(self, x: float, y: float) -> tuple[float, float]:
         half_x, half_y = (0.5 * side for side in self._scenario.table.size)

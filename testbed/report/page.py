@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from testbed.config.experiment import CHANGEABLE, Experiment, Fork
+from testbed.config.experiment import Experiment
 from testbed.core.error import TestbedError
 from testbed.logs.history import History
 from testbed.metrics.formation import FormationMetrics, has_formation
@@ -16,6 +16,7 @@ from testbed.report.chart import THEME, alone, draw
 from testbed.report.events import happened, lines
 from testbed.report.fault_story import EventLine
 from testbed.report.figures import analogue, figures
+from testbed.report.fork_changes import fork_changes
 from testbed.report.item import Chart
 from testbed.report.law import law_of
 from testbed.report.original import Original, with_original
@@ -215,7 +216,7 @@ def _flown(scenario: Experiment) -> str:
         f"\N{MULTIPLICATION SIGN} {size[1]:g} m."
         + (f" Obstacles: {'; '.join(obstacles)}." if obstacles else " No obstacles.")
         + f" Planned: {scenario.duration_s:g} s."
-        + "".join(f" From {one.at_s:g} s on: {escape(_changes(one))}." for one in scenario.forks)
+        + "".join(f" {escape(one)}" for one in fork_changes(scenario))
     )
     has_goals = not has_formation(scenario.controller)
     rows = "".join(
@@ -232,12 +233,6 @@ def _flown(scenario: Experiment) -> str:
         f"{'<th>goal</th>' * has_goals}<th>mass [kg]</th><th>radius [m]</th><th>jets</th></tr>"
         f"{rows}</table></div>"
     )
-
-
-def _changes(fork: Fork) -> str:
-    """What a fork changes."""
-    changed = [f"another {key}" for key in CHANGEABLE if getattr(fork, key) is not None]
-    return ", ".join(changed) or "a fork without changes of law, chain or seed"
 
 
 def _warnings(metrics: Metrics) -> str:

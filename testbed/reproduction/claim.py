@@ -76,6 +76,21 @@ class Claim(Struct, frozen=True, forbid_unknown_fields=True):
             raise ValueError("expected a `limit`, because `paper` is text, found none")
 
 
+class Points(Struct, frozen=True, forbid_unknown_fields=True):
+    """Numbers that the paper prints, or a digitised curve, for a figure of a run's report."""
+
+    source: str  # table, or figure and how it was digitised
+    what: str
+    experiment: str  # of configs/experiments
+    figure: str  # key of a figure of its report, such as "trajectory" or "error"
+    x: tuple[float, ...]  # in the figure's units
+    y: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not len(self.x) == len(self.y) > 0:
+            raise ValueError("expected as many x as y, at least one")
+
+
 class Paper(Struct, frozen=True, forbid_unknown_fields=True):
     """A file of configs/papers."""
 
@@ -86,6 +101,7 @@ class Paper(Struct, frozen=True, forbid_unknown_fields=True):
     assumptions: dict[str, Assumption]
     runs: dict[str, Run]
     claims: tuple[Claim, ...]
+    points: tuple[Points, ...] = ()
 
     def __post_init__(self) -> None:
         for problem in self._problems():

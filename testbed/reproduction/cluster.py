@@ -34,7 +34,7 @@ from sim_twin.orbit.swarm import Flight, fly
 from testbed.core.vehicle import Positive
 from testbed.metrics.characterisation import characterise
 from testbed.metrics.formation import settled_after
-from testbed.reproduction.figure import Figure
+from testbed.reproduction.figure import Figure, Reading
 from testbed.reproduction.kernel.cluster import (
     ATTRACT,
     INERTIAL,
@@ -188,13 +188,41 @@ def run_swarming(run: Swarming, *, quick: bool) -> tuple[Measures, list[Figure]]
 
 
 def figures(run: Swarming, f: Flight) -> list[Figure]:
-    """Figures of trajectories, uniformity and velocity increments."""
+    """Figures of trajectories, distances, uniformity and velocity increments."""
     t: Array = run.sample_s * np.arange(len(f.p), dtype=float)
     ways = {f"{i + 1}": (f.p[:, i, 0] / 1e3, f.p[:, i, 2] / 1e3) for i in range(f.p.shape[1])}
-    even = np.array([characterise(p).uniformity or 0.0 for p in f.p])
+    five = [characterise(p) for p in f.p]
+    apart = {
+        "largest distance from the middle": (t, np.array([one.outer for one in five])),
+        "smallest distance of two": (t, np.array([one.inner or np.nan for one in five])),
+    }
+    even = np.array([one.uniformity or 0.0 for one in five])
+    last = max(phase.at for phase in run.phases)
+    off = distance_to(run.phases[-1], f.p[t >= last]).mean(axis=1)
     spent = {axis: (t, f.spent[:, :, k].max(axis=1)) for k, axis in enumerate(("x", "y", "z"))}
+    seen = ("plane_m at *", "radius_m at *", "inside at *", "outside at *", "depth at *",
+            "switched_rank", "overshoot_m")  # fmt: skip
     return [
-        Figure("relative motion", "x [km]", "z [km]", ways, dots=True),
-        Figure("distribution uniformity", "time [s]", "L", {"L": (t, even)}),
-        Figure("velocity increment, the most of all", "time [s]", "[m/s]", spent),
-    ]
+        Figure("relative motion", "x [km]", "z [km]", ways, dots=True,
+               shapes=tuple(shapes_of(run.phases[-1])), readings=(Reading(seen, ""),)),
+        Figure("distance from the formation", "time [s]", "mean distance [m], log scale",
+               {"mean of all satellites": (t[t >= last], off)}, log=True,
+               readings=(Reading(("error_mean_m at *",)),
+                         Reading(("arrived_s", "formed_s"), ""))),
+        Figure("extent", "time [s]", "distance [m], log scale", apart, log=True,
+               readings=(Reading(("outer_m at *", "inner_m at *", "inner_ever_m")),)),
+        Figure("distribution uniformity", "time [s]", "L, log scale", {"L": (t, even)}, log=True,
+               readings=(Reading(("uniformity at *",)),)),
+        Figure("velocity increment, the most of all", "time [s]", "[m/s]", spent,
+               readings=(Reading(("spent_ms",)), Reading(("window_ms",), ""))),
+    ]  # fmt: skip
+
+
+def shapes_of(phase: Phase) -> list[tuple[Array, Array]]:
+    """The curves of a planar phase, x and z [km]; none of a line, which is free along x."""
+    a, b, r = float(phase.a or 0.0), float(phase.b or 0.0), float(phase.r or 0.0)
+    if phase.c is not None or a * b * r <= 0.0:
+        return []
+    around, mu = np.linspace(0.0, 2.0 * np.pi, 181), max(float(phase.mu or 0.0), 0.0)
+    sizes = dict.fromkeys((a * b * r - mu, a * b * r + mu))  # Eq. (22): rho = +-mu, or 0
+    return [(q / b * np.cos(around), q / a * np.sin(around)) for q in sizes if q > 0.0]

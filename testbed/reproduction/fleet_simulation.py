@@ -41,7 +41,8 @@ from testbed.core.law import CompiledLaw
 from testbed.core.vehicle import NonNegative, Positive
 from testbed.metrics.formation import settled_after
 from testbed.reproduction.compiled_law import gains_of
-from testbed.reproduction.figure import Figure, thinned
+from testbed.reproduction.figure import Figure
+from testbed.reproduction.fleet_figures import Tracks, figures
 from testbed.reproduction.kernel.fleet import (
     FleetFlight,
     Place,
@@ -88,15 +89,6 @@ class Together(Struct, frozen=True, forbid_unknown_fields=True, tag="together"):
     def names(self) -> list[str]:
         """Names of the satellites: their numbers in the paper."""
         return [str(k + 1) for k in range(len(self.mass))]
-
-
-class Tracks(Struct, frozen=True):
-    """A flight with the leader as the last satellite."""
-
-    t: Array
-    p: Array  # (m, n + 1, 3)
-    v: Array
-    edge: Array  # (m, n + 1, n + 1)
 
 
 def formation_of(controller: Controller, law: CompiledLaw) -> tuple[Formation, int]:
@@ -346,39 +338,5 @@ def run_together(run: Together, *, quick: bool) -> tuple[Measures, list[Figure]]
         found |= rises(energies(run, gains.coupling, track, f))
     if isinstance(run.controller, ConnectivityStaticParams):
         found |= rises(static_energy(run, law, track, f))
-    return found, figures(run, track, f)
-
-
-def figures(run: Together, track: Tracks, f: FleetFlight) -> list[Figure]:
-    """Figures of distances, velocities and forces."""
-    names = [*run.names, "leader"] if run.leader else run.names
-    t = thinned(track.t)
-    gaps = {
-        f"{names[i]}-{names[j]}": (
-            t, thinned(np.linalg.norm(track.p[:, i] - track.p[:, j], axis=1)),
-        )
-        for i, j in combinations(range(len(names)), 2)
-    }  # fmt: skip
-    speeds = {
-        f"{name} {axis}": (t, thinned(f.v[:, k, d]))
-        for k, name in enumerate(run.names)
-        for d, axis in enumerate("xyz")
-    }
-    clipped = np.clip(f.wanted, -run.max_axis_n, run.max_axis_n)
-    forces = {
-        f"{name} {axis}": (t, thinned(clipped[:, k, d]))
-        for k, name in enumerate(run.names)
-        for d, axis in enumerate("xyz")
-    }
-    found = [
-        Figure("distances between the spacecraft", "time [s]", "distance [m]", gaps),
-        Figure("velocities", "time [s]", "velocity [m/s]", speeds),
-        Figure("control forces", "time [s]", "force [N]", forces),
-    ]
-    if isinstance(run.controller, Bounded):
-        slack = {
-            name: (t, thinned(np.linalg.norm(f.p[:, k] - f.z[:, k, :3], axis=1)))
-            for k, name in enumerate(run.names)
-        }
-        found.append(Figure("distances to the proxies", "time [s]", "distance [m]", slack))
-    return found
+    led, bounded = run.leader is not None, isinstance(run.controller, Bounded)
+    return found, figures(run.names, where, track, f, led=led, bounded=bounded)

@@ -5,16 +5,19 @@ Measures are those of the worst vehicle, one value per seed: those of `VehicleMe
 distance of two vehicles).
 """
 
+import numpy as np
 from msgspec import Struct
 
-from testbed.config import find, load
+from testbed.config import Experiment, find, load
 from testbed.metrics.run_metrics import (
+    Track,
     VehicleMetrics,
     obstacle_distances,
     smallest_separation,
     vehicle_metrics,
 )
-from testbed.reproduction.figure import Figure
+from testbed.report.goal_error import goal_at
+from testbed.reproduction.figure import Figure, Reading
 from testbed.reproduction.targets import Measures
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin
@@ -56,11 +59,31 @@ def fly_seed(run: TableRun, seed: int) -> tuple[dict[str, float | None], list[Fi
     found["contacts"] = float(len(rig.twin.plant.touches))
     found["fault"] = float(ending.fault is not None)
     found["vehicles_m"] = smallest_separation(track)
-    ways = {
-        name: (track.states[::10, k, 0], track.states[::10, k, 1])
-        for k, name in enumerate(experiment.vehicles)
-    }
-    return found, [Figure("obstacle avoidance trajectory", "x [m]", "y [m]", ways, dots=True)]
+    return found, figures_of(experiment, track)
+
+
+def figures_of(experiment: Experiment, track: Track) -> list[Figure]:
+    """The paths with the obstacles, and distances to obstacles and goals over time."""
+    t, ways, gaps, errors = track.t[::10], {}, {}, {}
+    for k, (name, setup) in enumerate(experiment.vehicles.items()):
+        p = track.states[::10, k, :2]
+        ways[name] = (p[:, 0], p[:, 1])
+        errors[name] = (t, np.hypot(*(p - goal_at(setup, t)).T))
+        centres = [np.array(o.position) + np.outer(t, o.velocity)
+                   for o in experiment.obstacles.values()]  # fmt: skip
+        if centres:
+            gaps[name] = (t, np.min([np.hypot(*(p - c).T) for c in centres], axis=0))
+    circles = tuple((*o.position, o.radius) for o in experiment.obstacles.values())
+    found = [
+        Figure("obstacle avoidance trajectory", "x [m]", "y [m]", ways, dots=True, circles=circles,
+               readings=(Reading(("vehicles_m", "contacts"), ""),)),
+        Figure("distance to the goal", "time [s]", "distance [m], log scale", errors, log=True,
+               readings=(Reading(("hold_rms_m", "final_error_m")), Reading(("settle_s",), "x"))),
+    ]  # fmt: skip
+    if gaps:
+        found.insert(1, Figure("distance to the nearest obstacle", "time [s]", "distance [m]", gaps,
+                               readings=(Reading(("min_obstacle_distance_m",)),)))  # fmt: skip
+    return found
 
 
 def run_table(run: TableRun, *, quick: bool) -> tuple[Measures, list[Figure]]:

@@ -10,7 +10,7 @@ from sim_twin.orbit.relative import drift, frame_at
 from testbed.core.vehicle import Positive
 from testbed.metrics.formation import settled_after
 from testbed.reproduction.compiled_law import gains_of
-from testbed.reproduction.figure import Figure, thinned
+from testbed.reproduction.figure import Figure, Reading, thinned
 from testbed.reproduction.kernel.fleet import FleetFlight, fly, wave_at
 from testbed.reproduction.scene import STILL, Obstacles, OrbitParams, Vector, WaveParams, place
 from testbed.reproduction.sliding import Trajectory, vanishing
@@ -113,7 +113,7 @@ def run_targets(run: Targets, *, quick: bool) -> tuple[Measures, list[Figure]]:
     """Fly all satellites; measures are called "sat1 settle_s" and so on."""
     step = run.quick_step_s if quick else run.step_s
     measures: Measures = {}
-    curves: dict[str, dict[str, tuple[Array, Array]]] = {"d": {}, "e": {}, "u": {}, "xy": {}}
+    curves: dict[str, dict[str, tuple[Array, Array]]] = {k: {} for k in ("d", "e", "g", "u", "xy")}
     ends = []
     for name, satellite in run.satellites.items():
         flight = fly_one(run, satellite, step)
@@ -125,6 +125,7 @@ def run_targets(run: Targets, *, quick: bool) -> tuple[Measures, list[Figure]]:
             gap = np.linalg.norm(p - np.array(obstacle), axis=1)
             curves["d"][f"{name}, obstacle {k}"] = (t, gap)
         curves["xy"][name] = (p[:, 0], p[:, 1])
+        curves["g"][name] = (t, np.linalg.norm(p - np.array(satellite.goal), axis=1))
         for k, axis in enumerate("xyz"):
             curves["e"][f"{name} {axis}"] = (t, p[:, k] - satellite.goal[k])
             curves["u"][f"{name} {axis}"] = (t, thinned(flight.wanted[:, 0, k]) / run.mass)
@@ -135,8 +136,20 @@ def run_targets(run: Targets, *, quick: bool) -> tuple[Measures, list[Figure]]:
     radius = run.orbit.a_km * (1.0 - run.orbit.e)
     measures["perigee_km"] = [radius]
     return measures, [
-        Figure("trajectory", "x [m]", "y [m]", curves["xy"], dots=True),
-        Figure("distance to the obstacles", "time [s]", "distance [m]", curves["d"]),
+        Figure("trajectory", "x [m]", "y [m]", curves["xy"], dots=True, circles=_circles(run)),
+        Figure("distance to the obstacles", "time [s]", "distance [m]", curves["d"],
+               readings=(Reading(("* obstacle*_m",)),)),
         Figure("relative position error", "time [s]", "error [m]", curves["e"]),
-        Figure("controller output", "time [s]", "u [m/s^2]", curves["u"]),
-    ]
+        Figure("distance to the goal", "time [s]", "distance [m], log scale", curves["g"], log=True,
+               readings=(Reading(("* steady_error_m", "* final_error_m")),
+                         Reading(("* settle_s",), "x"), Reading(("* error_decades",), ""))),
+        Figure("controller output", "time [s]", "u [m/s^2]", curves["u"],
+               readings=(Reading(("* peak_control",)), Reading(("* control_s",), "x"),
+                         Reading(("* near_to_far", "* vibration"), ""))),
+    ]  # fmt: skip
+
+
+def _circles(run: Targets) -> tuple[tuple[float, float, float], ...]:
+    """The obstacles of all satellites, seen along z."""
+    every = [at for one in run.satellites.values() for at in one.obstacles]
+    return tuple((x, y, run.radius) for x, y, _ in dict.fromkeys(every))

@@ -13,16 +13,19 @@ from testbed.logs.history import gather
 from testbed.logs.log_reader import LogReader, config_of, log_of
 from testbed.report.events import lines
 from testbed.report.film import Film, FilmError
+from testbed.run.camera_video import CameraVideo
 from testbed.run.post_mortem import judged
 
 RATE = 15.0  # frames per second
 LENGTH_S = 30.0  # of a film whose speed is not given, if the run is longer
 COLOURS = 64  # of a GIF
+SAMPLES = 6  # pictures of a camera that choose the colours of a GIF
 
 
 def make_film(
     run: Path, out: Path | None, speed: float | None, width: int,
     warn: Callable[[list[str]], None] = lambda lines: None,
+    video: Path | None = None, offset: float = 0.0,
 ) -> Path:  # fmt: skip
     """Write the film; returns its path.
 
@@ -32,6 +35,8 @@ def make_film(
         speed: multiple of real time; None: at most LENGTH_S long.
         width: of the picture [px].
         warn: called with a line for each damaged place of the log.
+        video: a camera's video, shown at the right.
+        offset: time of the run at which the video begins [s].
     """
     ffmpeg = shutil.which("ffmpeg")
     path = out or run / ("film.mp4" if ffmpeg else "film.gif")
@@ -49,11 +54,23 @@ def make_film(
     metrics = judged(log.parent, log, experiment, history)
     told = lines(experiment, history, metrics.touches)
     film = Film(experiment, history, told, width - width % 2)
-    frames = film.frames(speed or max(1.0, film.end / LENGTH_S), RATE)
+    times = film.times(speed or max(1.0, film.end / LENGTH_S), RATE)
+    frames, size = film.frames(times), film.size
+    samples: list[Any] = []
+    if video is not None:
+        camera = CameraVideo(video, film.size[1])
+        wide, places = camera.size[0], [t - offset for t in times]
+        samples = [one for one in camera.at(places[:: max(1, len(places) // SAMPLES)]) if one]
+        if not samples:
+            raise FilmError(where=str(video), expected=f"pictures of the run's 0 to {film.end:g} s",
+                            found=f"none with --offset {offset:g}")  # fmt: skip
+        frames = (film.beside(one, seen, wide)
+                  for one, seen in zip(frames, camera.at(places), strict=True))  # fmt: skip
+        size = size[0] + wide, size[1]
     if path.suffix == ".gif":
-        _gif(frames, film.palette(COLOURS), path)
+        _gif(frames, film.palette(COLOURS if video is None else 256, samples), path)
     else:
-        _mp4(str(ffmpeg), frames, film.size, path)
+        _mp4(str(ffmpeg), frames, size, path)
     return path
 
 

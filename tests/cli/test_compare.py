@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 from testbed.cli.compare import read_run, residuals, together_data
+from testbed.cli.compare_paper import Printed, with_paper
 from testbed.config import SHIPPED
+from testbed.report.chart import TIME
+from testbed.report.item import Chart, Line, Mark
+from testbed.reproduction.claim import Points
 
 
 @pytest.fixture(autouse=True)
@@ -123,3 +127,38 @@ def test_runs_of_other_vehicles_have_no_residuals(testbed):
     run = read_run(Path("one"), "one")
     other = msgspec.structs.replace(run, history=msgspec.structs.replace(run.history, vehicles={}))
     assert [chart.items for chart in residuals([run, other], (0.0, 1.0))] == [[], []]
+
+
+def test_the_papers_numbers_stand_beside_the_runs(testbed):
+    testbed("run", "zhang2023_table", "duration_s=3", "--out", "flown")
+    result = testbed("compare", "flown", "--paper", "--out", "page.html")
+    assert result.exit_code == 0, result.stderr
+    for words in ("Fig. 15, reference mode", "Table 7", "zhang2023, and the runs"):
+        assert words in result.stdout
+    page = Path("page.html").read_text()
+    table = next(svg for svg in page.split("<svg")[1:] if 'aria-label="Trajectories"' in svg)
+    assert len(re.findall(r'class="mark paper', table.partition("</svg>")[0])) == 6
+    assert "initial positions, (1.4, -1.4)" in table
+    nearest = json.loads(testbed("compare", "flown", "--json").stdout)["flown"]
+    found = nearest["min_obstacle_distance_m"]
+    assert f"{found:.4g} ({found - 0.8:+.3g})" in page
+    missed = re.search(r"\(1.818, 1.915\) m</td><td>([\d.]+) mm from the path", page)
+    assert missed is not None
+    assert float(missed[1]) > 2000.0  # three seconds lead nowhere near the goal
+
+
+def test_an_experiment_without_a_papers_numbers_is_refused(testbed):
+    testbed("run", "hold", "duration_s=1", "--out", "flown")
+    result = testbed("compare", "flown", "--paper")
+    assert result.exit_code == 2
+    assert "hold, about which no file of configs/papers has a number" in result.stderr
+
+
+def test_residuals_to_a_digitised_curve_are_at_its_times():
+    curve = Points("Fig. 16", "error", "zhang2023_table", "error", (1.0, 2.0), (5.0, 3.0))
+    t = np.linspace(0.0, 3.0, 31)
+    chart = Chart("error", "Error", TIME, "mm", [Line(t, 10.0 - t, 0, "run")], (0.0, 3.0))
+    drawn, off = with_paper([chart], Printed("zhang2023", (), (curve,)))
+    assert len([item for item in drawn.items if isinstance(item, Mark)]) == 2
+    assert off.items[0].x.tolist() == [1.0, 2.0]
+    assert off.items[0].y == pytest.approx([4.0, 5.0])

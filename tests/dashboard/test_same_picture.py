@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 rr = pytest.importorskip("rerun", reason="the dashboard extra is not installed")
@@ -21,6 +22,7 @@ from testbed.dashboard.recording import write_recording  # noqa: E402
 from testbed.dashboard.scene import Scene  # noqa: E402
 from testbed.dashboard.static_scene import FAULTY, HUES  # noqa: E402
 from testbed.logs.feed import LogFeed, News  # noqa: E402
+from testbed.logs.history import gather  # noqa: E402
 from testbed.logs.log_reader import LogReader  # noqa: E402
 from testbed.logs.recorder import Truth  # noqa: E402
 
@@ -199,3 +201,29 @@ def test_a_fault_is_a_critical_event_and_the_culprit_comes_first(replayed):
     (follow,) = [one for one in said if "others" in one[2]]
     assert follow[1:] == ("ERROR", "sat1, sat2   stopping with the others")
     assert [one[2] for one in said if one[1] == "CRITICAL"].count("FAULT: sat3") == 1
+
+
+def test_a_dot_per_pulse_in_the_row_of_its_jet(flown, replayed):
+    vehicle = gather(LogReader(flown["stuck"] / "log.mcap")).vehicles["sat3"]
+    for jet in (1, 4):
+        opened = vehicle.t[vehicle.on[:, jet - 1] > 0.0]
+        dots = drawn(replayed["stuck"], f"/plot/valve/sat3_{jet}")
+        assert [1e-9 * t for t in dots] == pytest.approx(opened.tolist(), abs=1e-6)
+        assert {row.value("Scalars:scalars")[0] for row in dots.values()} == {30.0 + jet}
+
+
+def test_limits_are_those_of_the_fault_table(flown, replayed):
+    rows_of_table = load(flown["stuck"] / "config.toml").faults
+    for name in ("pose_stale", "pose_lost"):
+        limit = rows_of_table[name]
+        line = drawn(replayed["stuck"], f"/plot/pose_age/limit_{name}")
+        (value,) = {row.value("Scalars:scalars")[0] for row in line.values()}
+        assert value == pytest.approx(1e3 * limit.above)
+
+
+def test_the_legend_has_each_vehicles_colour_and_covers_no_plot(replayed):
+    (row,) = [row for row in replayed["stuck"] if row.entity == "/legend"]
+    (blob,) = row.value("EncodedImage:blob")
+    found = np.asarray(Image.open(BytesIO(bytes(blob))).convert("RGB")).reshape(-1, 3).tolist()
+    for colour in HUES[:3]:
+        assert found.count(list(colour)) > 100

@@ -258,7 +258,13 @@ def test_a_recording_has_everything(run, tmp_path):
             f"/plot/link/{name}", f"/valve/{name}/jet_8",
         }  # fmt: skip
         assert wanted <= found, wanted - found
-    assert {"/banner", "/event", "/world/fence", "/world/link", "/plot/clearance/limit"} <= found
+    assert {
+        "/banner",
+        "/event",
+        "/world/fence",
+        "/world/link",
+        "/plot/clearance/limit_danger_radius",
+    } <= found
     assert json.dumps(sorted(found))  # plain words
 
 

@@ -74,7 +74,7 @@ def test_an_event_is_told_when_it_happens(film):
 
 def test_a_gif_has_all_frames(film, tmp_path):
     path = tmp_path / "film.gif"
-    film_of_a_run._gif(film.frames(5.0, 10.0), film.palette(64), path)
+    film_of_a_run._gif(film.frames(film.times(5.0, 10.0)), film.palette(64), path)
     with Image.open(path) as made:
         assert made.n_frames == 21  # 2 s at 10 frames per second
         assert made.size == film.size
@@ -99,9 +99,9 @@ def test_an_mp4_is_what_ffmpeg_makes_of_the_frames(film, tmp_path):
     tool.write_text('#!/bin/sh\nfor last; do :; done\ncat > "$last"\n')
     tool.chmod(0o755)
     path = tmp_path / "film.mp4"
-    film_of_a_run._mp4(str(tool), film.frames(5.0, 2.0), film.size, path)
+    film_of_a_run._mp4(str(tool), film.frames(film.times(5.0, 2.0)), film.size, path)
     width, height = film.size
     assert path.stat().st_size == 5 * 3 * width * height
     tool.write_text("#!/bin/sh\necho no room >&2\nexit 1\n")
     with pytest.raises(FilmError, match="no room"):
-        film_of_a_run._mp4(str(tool), film.frames(5.0, 2.0), film.size, path)
+        film_of_a_run._mp4(str(tool), film.frames(film.times(5.0, 2.0)), film.size, path)

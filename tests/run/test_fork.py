@@ -98,7 +98,7 @@ def test_its_config_flies_it_again_and_its_report_draws_both(run, tmp_path):
     again = testbed.fly(testbed.load(fork.folder / "config.toml"))
     assert np.array_equal(again["sat1"].true_pose, fork["sat1"].true_pose)
     page = (fork.folder / "report.html").read_text()
-    assert "From 4 s on: another seed." in page
+    assert "From 4 s on: seed 3 \N{RIGHTWARDS ARROW} 9." in page
     assert "Dotted: a, from which this run was forked." in page
     second = fork.fork(6.0, {"controller.bandwidth": 0.4}, log=tmp_path / "c")
     assert [one.at_s for one in second.experiment.forks] == [4.0, 6.0]
