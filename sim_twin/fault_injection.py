@@ -2,7 +2,8 @@
 
 The parts of the twin query `FaultInjector` for active faults. Camera faults begin with the first
 frame exposed after their time, those of board and valves at exactly their time, those of a process
-with its next tick.
+with its next tick. Those that change the vehicle itself (`OF_VEHICLE`) begin with the next window
+of the plant.
 """
 
 import math
@@ -14,7 +15,8 @@ from numpy.typing import NDArray
 from sim_twin.board import Board
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
-from testbed.core.fault_injection import Injection
+from testbed.core.fault_injection import OF_FRAME, Injection
+from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import ALL_WELL, PoseSample, Vitals
 
@@ -22,6 +24,8 @@ Array = NDArray[np.float64]
 
 DEAD_BATTERY = 7.0  # [V] battery voltage that a board reports during a brown-out
 NEVER = math.inf
+HEIGHT = 0.2  # [m] of the markers, which cameras with their y axis up show as y
+OF_VEHICLE = ("weak_jet", "weak_jets", "swap_jets", "reverse_jet", "hose", "drag_pad", "regulator")
 
 
 class ActiveInjection:
@@ -57,6 +61,14 @@ class FaultInjector:
         ]
         self._active = [ActiveInjection(one) for one in injections]
         self._frozen: dict[str, PoseSample] = {}
+        self._shown: dict[str, list[PoseSample]] = {}  # of `delay_mocap`, the oldest first
+        self._kept_at: dict[str, float] = {}  # of `slow_mocap` [s]
+        as_drawn = plant.parameters
+        self._drawn = {
+            what.vehicle: [column[plant.names.index(what.vehicle)].copy() for column in as_drawn]
+            for what in injections
+            if what.kind in OF_VEHICLE
+        }
         self._rng = stream(
             seed, "sabotage"
         )  # a label of the random stream: another one changes flights
@@ -79,6 +91,13 @@ class FaultInjector:
 
     def before(self, until: float) -> None:
         """Apply to the plant the faults that begin before `until`, to which it advances next."""
+        for name in self._drawn:
+            self._change(name)
+        self._plant.crossed = [
+            (self._plant.names.index(one.what.vehicle), self._plant.names.index(one.what.other))
+            for one in self._active
+            if one.what.kind == "swap_boards" and one.holds(self._plant.t)
+        ]
         for one in self._active:
             what = one.what
             if not one.since < until:
@@ -101,6 +120,37 @@ class FaultInjector:
                 case "leak":
                     span = min(until, over) - max(one.since, self._plant.t)
                     self._plant.leak(k, what.size * max(0.0, span))
+                case "empty_tank":
+                    self._plant.leak(k, math.inf)
+
+    def _change(self, name: str) -> None:
+        """Set a vehicle's parameters to the drawn ones, changed by the faults in force."""
+        k, plant = self._plant.names.index(name), self._plant.parameters
+        if not self._plant.floats(k):  # its jets have no air
+            return
+        for column, drawn in zip(plant, self._drawn[name], strict=True):
+            column[k] = drawn
+        effect, thrust = plant.effect[k], plant.thrust[k]
+        for one in self._active:
+            what, jet = one.what, one.what.jet - 1
+            if what.vehicle != name or not one.holds(self._plant.t):
+                continue
+            match what.kind:
+                case "weak_jet":
+                    effect[:, jet] *= what.size
+                    thrust[jet] *= what.size
+                case "weak_jets" | "regulator":
+                    effect *= what.size
+                    thrust *= what.size
+                case "swap_jets":
+                    pair, other = [jet, round(what.size) - 1], [round(what.size) - 1, jet]
+                    effect[:, pair], thrust[pair] = effect[:, other], thrust[other]
+                case "reverse_jet":
+                    effect[:, jet] *= -1.0
+                case "hose":
+                    plant.hose[k, 0] += what.size
+                case "drag_pad":
+                    plant.drag[k] += what.size
 
     def found(self, vehicle: str, *kinds: str) -> Injection | None:
         """The first active injection of these kinds on this vehicle."""
@@ -130,13 +180,25 @@ class FaultInjector:
         seen = samples
         for one in self._active:
             what = one.what
-            if what.vehicle != name:
+            if what.vehicle != name and what.kind not in OF_FRAME:
                 continue
             match what.kind:
                 case "drop_mocap":
                     seen = [s for s in seen if not one.holds(s.captured_at)]
                 case "freeze_mocap":
-                    seen = [self._freeze(name, s, holds=one.holds(s.captured_at)) for s in seen]
+                    seen = [self._freeze(name, s, one) for s in seen]
+                case "slow_mocap":
+                    seen = [
+                        s for s in seen if not one.holds(s.captured_at) or self._keep(name, s, one)
+                    ]
+                case "delay_mocap":
+                    seen = [self._older(name, s, one) for s in seen]
+                case kind if kind in ("turn_mocap", *OF_FRAME):
+                    seen = [
+                        _displaced(s, what, s.captured_at - one.since)
+                        if one.holds(s.captured_at) else s
+                        for s in seen
+                    ]  # fmt: skip
                 case "jump_mocap":
                     seen = [
                         _moved(s, what.size, 0.0) if one.holds(s.captured_at) else s for s in seen
@@ -154,11 +216,33 @@ class FaultInjector:
                         ]
         return seen
 
-    def _freeze(self, name: str, sample: PoseSample, *, holds: bool) -> PoseSample:
-        if not holds or name not in self._frozen:
+    def _freeze(self, name: str, sample: PoseSample, one: ActiveInjection) -> PoseSample:
+        if not one.holds(sample.captured_at) or name not in self._frozen:
             self._frozen[name] = sample
+            return sample
         last = self._frozen[name]
-        return PoseSample(sample.captured_at, last.x, last.y, last.theta)
+        still = PoseSample(sample.captured_at, last.x, last.y, last.theta)
+        if one.what.size == 0.0:
+            return still
+        return _moved(still, *(one.what.size * self._rng.standard_normal(2)).tolist())
+
+    def _older(self, name: str, sample: PoseSample, one: ActiveInjection) -> PoseSample:
+        """The pose of some time ago with the stamp of now."""
+        shown = self._shown.setdefault(name, [])
+        shown.append(sample)
+        while len(shown) > 1 and shown[1].captured_at <= sample.captured_at - one.what.size:
+            del shown[0]
+        if not one.holds(sample.captured_at):
+            return sample
+        old = shown[0]
+        return PoseSample(sample.captured_at, old.x, old.y, old.theta)
+
+    def _keep(self, name: str, sample: PoseSample, one: ActiveInjection) -> bool:
+        """Whether cameras at the injected rate show this frame."""
+        if sample.captured_at - self._kept_at.get(name, -NEVER) < 1.0 / one.what.size:
+            return False
+        self._kept_at[name] = sample.captured_at
+        return True
 
     def air(self, receiver: str) -> tuple[float, float]:
         """Injected delay [s] and loss probability of messages to a vehicle."""
@@ -176,10 +260,19 @@ class FaultInjector:
 
     def power(self, name: str) -> tuple[float, float]:
         """Battery voltage [V] and time since the board's last message [s]."""
+        if flat := self.found(name, "flat_battery"):
+            return flat.size, 0.0
         for one in self._active:
             if one.what.kind == "brown_out" and one.what.vehicle == name and one.holds(self._now):
                 return DEAD_BATTERY, self._now - one.since
         return 12.0, 0.0
+
+    def supply(self, name: str, pressure: float) -> float:
+        """The supply pressure that the board reads, of a true one without faults [Pa]."""
+        if self.found(name, "empty_tank"):
+            return 0.0
+        changed = self.found(name, "regulator", "sag")
+        return pressure * changed.size if changed else pressure
 
     def vitals(self, name: str) -> Vitals:
         """Health of the vehicle's process."""
@@ -225,3 +318,20 @@ class FaultInjector:
 
 def _moved(sample: PoseSample, dx: float, dy: float) -> PoseSample:
     return PoseSample(sample.captured_at, sample.x + dx, sample.y + dy, sample.theta)
+
+
+def _displaced(sample: PoseSample, what: Injection, since: float) -> PoseSample:
+    """A pose as cameras with another frame show it, `since` [s] after the fault began."""
+    t, x, y, theta = sample.captured_at, sample.x, sample.y, sample.theta
+    turn = math.radians(what.size)
+    match what.kind:
+        case "turn_mocap":
+            return PoseSample(t, x, y, wrap(theta + turn))
+        case "turn_frame":
+            cos, sin = math.cos(turn), math.sin(turn)
+            return PoseSample(t, cos * x - sin * y, sin * x + cos * y, wrap(theta + turn))
+        case "scale_frame":
+            return PoseSample(t, what.size * x, what.size * y, theta)
+        case "tip_frame":
+            return PoseSample(t, x, HEIGHT, 0.0)
+    return _moved(sample, what.size * (since if what.kind == "creep_frame" else 1.0), 0.0)

@@ -16,18 +16,37 @@ from testbed.core.vehicle import NonNegative, Positive
 
 Kind = Literal[
     "drop_mocap",  # poses stop
-    "freeze_mocap",  # the same pose again and again, with fresh stamps
+    "freeze_mocap",  # the same pose again and again, with fresh stamps and noise of `value` [m]
     "jump_mocap",  # all poses shifted by `value` [m]
     "noisy_mocap",  # all poses with noise of `value` [m]
     "swap_bodies",  # poses are swapped with those of `other`
+    "turn_mocap",  # the body's heading is shown `value` [deg] off
+    "delay_mocap",  # poses `value` [s] old, with fresh stamps
+    "slow_mocap",  # only `value` [Hz] of the frames arrive
+    "shift_frame",  # the cameras' frame is shifted by `value` [m], for all vehicles
+    "creep_frame",  # and goes on with `value` [m/s]
+    "turn_frame",  # the cameras' frame is turned by `value` [deg]
+    "scale_frame",  # the cameras say `value` times the position: millimetres for metres is 1000
+    "tip_frame",  # the cameras' y axis points up
     "delay_link",  # messages to the vehicle take `value` [s] longer
     "lose_link",  # messages to the vehicle are lost with the probability `value`
     "kill_process",  # the vehicle's process is killed
     "stick_open",  # valve number `jet` stays open
     "stick_closed",  # valve number `jet` stays shut
     "leak_valve",  # valve number `jet` leaks the share `value` of its flow when shut
+    "weak_jet",  # jet number `jet` gives the share `value` of its thrust
+    "weak_jets",  # all jets give the share `value`: mass or thrust believed wrong
+    "swap_jets",  # the wires of valves number `jet` and `value` are swapped
+    "reverse_jet",  # jet number `jet` pushes the other way: its sign in the file is wrong
+    "swap_boards",  # the boards of the vehicle and of `other` are swapped
+    "hose",  # a hose pulls with `value` [N]
+    "drag_pad",  # a pad brakes with `value` [N s/m]
+    "regulator",  # supply pressure and thrust are `value` times the set ones
+    "empty_tank",
     "leak",  # `value` [kg/s] of gas
     "brown_out",  # the board loses its power
+    "sag",  # the board reads a supply pressure of the share `value`
+    "flat_battery",  # the board reads `value` [V]
     "clock_step",  # the vehicle's clock and the cameras' differ by `value` [s]
     "nan_law",  # the law's force is not a number
     "raise_law",  # the law raises an exception
@@ -38,15 +57,18 @@ Kind = Literal[
     # only on the bench
     "stop_process",  # the vehicle's process hangs
     "cut_serial",  # the line to its board is cut
-    "sag",  # its board reads a supply pressure of the share `value`
-    "flat_battery",  # its board reads `value` [V]
     "foreign_session",  # another session sends setpoints to the vehicle
+    "flood",  # the host's network sends `value` senseless setpoints a second to the vehicle
+    "no_files",  # the vehicle's process can open no further file
     "kill_host",
     "stop_host",  # the host's process hangs
 ]
 ON_WIRES: tuple[Kind, ...] = (
-    "stop_process", "cut_serial", "sag", "flat_battery", "foreign_session", "kill_host",
-    "stop_host",
+    "stop_process", "cut_serial", "foreign_session", "flood", "no_files", "kill_host", "stop_host",
+)  # fmt: skip
+WITH_OTHER: tuple[Kind, ...] = ("swap_bodies", "swap_boards")
+OF_FRAME: tuple[Kind, ...] = (  # all vehicles see them
+    "shift_frame", "creep_frame", "turn_frame", "scale_frame", "tip_frame",
 )  # fmt: skip
 
 EVENTS = Literal["near_obstacle", "near_vehicle", "near_edge", "faster_than"]
@@ -62,6 +84,19 @@ VALUES: dict[str, float] = {  # defaults
     "overrun": 0.08,
     "sag": 0.5,
     "flat_battery": 9.0,
+    "turn_mocap": 180.0,
+    "delay_mocap": 0.3,
+    "slow_mocap": 4.0,
+    "shift_frame": 0.05,
+    "creep_frame": 0.01,
+    "turn_frame": 90.0,
+    "scale_frame": 1000.0,
+    "weak_jet": 0.5,
+    "weak_jets": 0.67,
+    "hose": 0.1,
+    "drag_pad": 2.0,
+    "regulator": 1.5,
+    "flood": 1e4,
 }
 
 
@@ -83,7 +118,7 @@ class Injection(Struct, frozen=True, forbid_unknown_fields=True):
             raise MismatchError("one of `at_s` and `event`", "both or neither")
         if (self.event is None) != (self.threshold is None):
             raise MismatchError("`threshold` with `event` and only then", "otherwise")
-        if (self.kind == "swap_bodies") != bool(self.other):
+        if (self.kind in WITH_OTHER) != bool(self.other):
             raise MismatchError("`other` with a swap and only then", "otherwise")
 
     @property

@@ -21,6 +21,7 @@ from testbed.core.law import Concern
 from testbed.core.ports import Clock, HostLink
 from testbed.core.types import Pose
 from testbed.faults.law_faults import CrashableNode
+from testbed.flight.arming import Check
 from testbed.flight.loop import (
     Chain,
     Ending,
@@ -68,7 +69,7 @@ class TwinRig(Struct, frozen=True):
     boards: dict[str, WiredBoard]  # with firmware; empty with the twin's model
     pace: Clock | None = None  # slows the twin down for a viewer
     supervisor: Supervisor = field(default_factory=Supervisor)
-    red: list[str] = field(default_factory=list)  # see `Rig`
+    red: list[Check] = field(default_factory=list)  # see `Rig`
 
     def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
         """See `Rig`."""
