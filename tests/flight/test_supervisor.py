@@ -166,8 +166,8 @@ EXPECTED = Expected("a", 100.0, 5e5, Fence(2.8, 2.8), (0.1, 0.0, 0.2), {"b": 0.4
 @pytest.fixture
 def ready(make_state):
     return Readiness(
-        10.0, make_state((0.1, 0.0, 0.2), t=10.0), 100.0, Health(10.0, 5e5, 2e7), Vitals(), 0.01, True,
-        {"b": make_state((0.68, 0.0, 0.0), t=10.0)},
+        10.0, make_state((0.1, 0.0, 0.2), t=10.0), 100.0, Health(10.0, 5e5, 2e7), Vitals(),
+        0.01, True, {"b": make_state((0.68, 0.0, 0.0), t=10.0)},
     )  # fmt: skip
 
 
