@@ -114,10 +114,10 @@ print(json.dumps(["end", ending.t, ending.fault and ending.fault.words]), flush=
 class Host:
     """The host's process, and what it has said."""
 
-    def __init__(self, words, report, env=None, program=HOST):
+    def __init__(self, words, report, env=None, program=HOST, user=()):
         self.said, self.lock = [], threading.Lock()
         self.process = subprocess.Popen(
-            [sys.executable, "-c", program, words[0], str(report), *words[1:]],
+            [*user, sys.executable, "-c", program, words[0], str(report), *words[1:]],
             stdout=subprocess.PIPE, text=True, start_new_session=True, env=env,
         )  # fmt: skip
         self.thread = threading.Thread(target=self._read, daemon=True)

@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterable
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import tomli_w
@@ -25,7 +24,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.config import Experiment, dump
-from testbed.faults.drill import NAMES, draw
+from testbed.faults.catalogue import CATALOGUE
+from testbed.faults.drill import cases_of, draw
 from testbed.metrics.afterwards import After
 from testbed.rig.chain import fence_of
 from testbed.rig.observers import NullObserver
@@ -33,7 +33,7 @@ from testbed.rig.twin import make_twin, warm_up
 from testbed.rig.wired.host import WireRig
 from testbed.rig.wired.table_report import TableReport
 from testbed.run import drill_on_wires
-from testbed.run.drill import NEEDED, ROOM, SOON, with_random_starts
+from testbed.run.drill import ROOM, with_random_starts
 
 EXPERIMENTS = (
     "zhang2023_table", "zhang2023_table_wrench", "xue2021_table_static", "xue2022_table",
@@ -45,6 +45,7 @@ HOLD_S = 20.0  # [s]
 STEEP = 0.005  # [m/s^2] slope of the rough table: what the vehicle files allow
 BUMPS = 0.002  # [m/s^2] standard deviation of its map
 ENDS = ("planned", "stop", "stop twice", "hold, stop", "hold, time")
+FAULTS = [name for name in cases_of("twin", 2) if not CATALOGUE[name].at_start]
 ON_BENCH = (
     *ENDS[:4], "kill_process", "stop_process", "cut_serial", "kill_host", "drop_mocap",
     "stick_open",
@@ -104,8 +105,8 @@ def planned(
     first = second = inf
     if end not in ENDS:
         jets = min(len(setup.model.jets) for setup in experiment.vehicles.values())
-        what: Any = draw(end, list(experiment.vehicles), jets, rng)
-        lasts = (what.at_s or 0.0) + NEEDED.get(end, SOON)
+        what = draw(end, list(experiment.vehicles), jets, rng)
+        lasts = (what.at_s or 0.0) + CATALOGUE[end].flown_s
         experiment = replace(experiment, duration_s=round(lasts, 1), inject=[what])
     elif end.startswith("stop"):
         first = at
@@ -121,7 +122,7 @@ def planned(
 
 def on_twin(number: int, seed: int) -> Flown:
     """Flight `number`: ends and experiments take turns, the rest is drawn."""
-    rng, ends = np.random.default_rng([seed, number]), (*ENDS, *NAMES)
+    rng, ends = np.random.default_rng([seed, number]), (*ENDS, *FAULTS)
     end, name = ends[number % len(ends)], EXPERIMENTS[number // len(ends) % len(EXPERIMENTS)]
     experiment, stops = planned(end, name, rng)
     table, place = str(rng.choice(["marble", "rough"])), str(rng.choice(["anywhere", "edge"]))
@@ -132,7 +133,9 @@ def on_twin(number: int, seed: int) -> Flown:
     after = rig.come_to_rest(ending, NullObserver(), lambda: stops(rig.now))
     where = (name, table, place)
     if after is None:
-        return Flown(end, where, After(None, None, "on", {}), "; ".join(rig.red))
+        return Flown(
+            end, where, After(None, None, "on", {}), "; ".join(one.words for one in rig.red)
+        )
     fault = ending.fault or after.fault
     return Flown(end, where, after, fault.words if fault else "")
 

@@ -2,10 +2,10 @@
 
     python benchmarks/misbehaving_laws.py [LAW ...] [--rig twin] [--rig bench] [--signals N]
 
-For each: exit code, time of the whole command, the words of the fault or the refusal, whether
-metrics.json and report.html are there, and how many processes are left. Every one must be named and
-must not end with exit code 0. Then, on the twin: from SIGINT, SIGTERM and SIGHUP to the end of the
-command, N times each.
+For each: exit code, time of the whole command, flight time from the misbehaviour to the end of the
+flight, the words of the fault or the refusal, whether metrics.json and report.html are there, and
+how many processes are left. Every one must be named and must not end with exit code 0. Then, on the
+twin: from SIGINT, SIGTERM and SIGHUP to the end of the command, N times each.
 """
 
 import argparse
@@ -24,7 +24,7 @@ import psutil
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 
 HEAD = """
-import os, signal, subprocess, sys, threading, time
+import ctypes, os, shutil, signal, subprocess, sys, threading, time
 import numpy as np
 """
 BODY = """
@@ -33,26 +33,81 @@ class Mine:
     step_s = 0.05
 
     def force(self, own, neighbours, world, t):
-        if t > 2.0:
+        if t > 2.0:  # BEGINS
             {does}
         return 0.04 * own.mass * (world.goal.p - own.p) - 0.4 * own.mass * own.v
 """
+CATCHES = """
+            while True:
+                try:
+                    while True: pass
+                except BaseException: pass"""
+KILLS = """
+            own_children = f"/proc/{os.getpid()}/task/{os.getpid()}/children"
+            for child in open(own_children).read().split():
+                os.kill(int(child), signal.SIGKILL)
+            [][0]"""
+IGNORES = """
+            for number in (signal.SIGALRM, signal.SIGTERM, signal.SIGINT):
+                signal.signal(number, signal.SIG_IGN)
+            while True: pass"""
+DELETES = """
+            shutil.rmtree("{out}", ignore_errors=True)
+            [][0]"""
 IN_FLIGHT = {
+    # does not return
     "hangs": "while True: pass",
+    "hangs in C": "(lambda k: pow(7, k, k - 1))(3 ** 3_000_000)",  # no signal handler runs
+    "hangs, catches all": CATCHES,
+    "sleeps": "time.sleep(1000)",
+    "waits for a lock": "(lambda lock: (lock.acquire(), lock.acquire()))(threading.Lock())",
+    "recursion": "(lambda f: f(f))(lambda f: f(f))",
+    "slow": "time.sleep(0.15)",  # twice in a jet period of 0.1 s
+    "slow 1 of 50": "time.sleep(3.0 if int(20 * t) % 50 == 0 else 0.0)",
+    # ends its process
     "sys.exit": "sys.exit(0)",
     "os._exit": "os._exit(0)",
-    "forks": "os.fork()",
-    "memory": "self.kept = [*getattr(self, 'kept', []), np.ones(4_000_000)]",
-    "nan": "return np.full(2, np.nan)",
-    "slow": "time.sleep(0.15)",  # twice in a jet period of 0.1 s
-    "raises": "return own.p / [][0]",
-    "shape": "return np.zeros(3)",
-    "sleeps": "time.sleep(1000)",
     "killed": "os.kill(os.getpid(), signal.SIGKILL)",
+    "crashes": "ctypes.string_at(8)",
+    "stops itself": "os.kill(os.getpid(), signal.SIGSTOP)",
+    # leaves something behind
+    "forks": "os.fork()",
+    "two forks": "[os.fork(), os.fork()]",
+    "child": "subprocess.Popen(['sleep', '1000'])",
     "threads": "threading.Thread(target=time.sleep, args=(1000,)).start()",
+    "memory": "self.kept = [*getattr(self, 'kept', []), np.ones(4_000_000)]",
+    "kills a child": KILLS,
+    # returns what is no force
+    "nan": "return np.full(2, np.nan)",
+    "nan after 5 s": "return np.full(2, np.nan if t > 5.0 else 0.0)",
+    "inf": "return np.array([np.inf, 0.0])",
+    "shape": "return np.zeros(3)",
+    "complex": "return np.zeros(2) + 1j",
+    "text": "return 'full ahead'",
+    "nothing": "return None",
+    "generator": "return (x for x in (0.0, 0.0))",
+    "object dtype": "return np.array([object(), object()])",
+    "huge": "return np.zeros(10_000_000)",
+    # raises
+    "raises": "return own.p / [][0]",
+    "odd text": r"raise ValueError('\x00\x1b[2J\udcff' + 'x' * 1_000_000)",
+    "no text": "raise type('Odd', (Exception,), {'__str__': lambda self: 1 / 0})()",
+    "interrupts": "raise KeyboardInterrupt",
+    # changes its process
+    "closes 0 to 2": "[os.close(k) for k in range(3)]; [][0]",
+    "closes all": "os.closerange(3, 1024); [][0]",
+    "changes folder": "os.chdir('/'); [][0]",
+    "alters stdout": "sys.stdout = sys.stderr = None; [][0]",
+    "signal handlers": IGNORES,
+    "deletes its log": DELETES,
 }
-AT_IMPORT = {"exits at import": "os._exit(0)", "hangs at import": "while True: pass"}
+AT_IMPORT = {
+    "exits at import": "os._exit(0)",
+    "hangs at import": "while True: pass",
+    "raises at import": "1 / 0",
+}
 LAWS = [*IN_FLIGHT, *AT_IMPORT]
+BEGINS = {"nan after 5 s": 5.0, "slow 1 of 50": 2.5}  # [s] of the flight; others: 2
 PATIENCE_S = 300
 NAMED = "law.py"
 
@@ -80,7 +135,8 @@ def pause():
 
 def try_law(name, rig, folder):
     """Run one law; return a line of the report."""
-    text = HEAD + BODY.format(does=IN_FLIGHT.get(name, "pass"))
+    does = IN_FLIGHT.get(name, "pass").replace("{out}", str(folder / "out"))
+    text = HEAD + BODY.format(does=does)
     (folder / NAMED).write_text(text + AT_IMPORT.get(name, "") + "\n")
     override = f'controller={{type="python",law="{folder / NAMED}:Mine"}}'
     began = monotonic_ns()
@@ -105,7 +161,8 @@ def try_law(name, rig, folder):
     files = "".join(
         k for k, f in (("m", "metrics.json"), ("r", "report.html")) if (out / f).exists()
     )
-    return process.returncode, took, fault, files, len(left), out.exists()
+    after = metrics.get("duration_s", 0.0) - BEGINS.get(name, 2.0)
+    return process.returncode, took, after, fault, files, len(left), out.exists()
 
 
 def to_the_end(number, folder):
@@ -133,13 +190,15 @@ def main():
     for rig in args.rig or ["twin", "bench"]:
         for name in args.laws or LAWS:
             with tempfile.TemporaryDirectory(prefix="abt-laws-") as folder:
-                code, took, fault, files, left, there = try_law(name, rig, Path(folder))
+                code, took, after, fault, files, left, there = try_law(name, rig, Path(folder))
             whole = not there if name in AT_IMPORT else files == "mr"
+            whole = whole or name == "deletes its log"
             good = (NAMED in fault) and whole and not left and code != 0
             bad += not good
             print(
-                f"{rig:5s} {name:15s} code {code:3d} {took:6.1f} s  files {files:2s}"
-                f"  {left} left  {'ok ' if good else 'BAD'} {fault}", flush=True,
+                f"{rig:5s} {name:18s} code {code:3d} {took:6.1f} s, {after:4.1f} s after"
+                f"  files {files:2s}  {left} left  {'ok ' if good else 'BAD'} {fault[:300]!r}",
+                flush=True,
             )  # fmt: skip
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if args.signals else ():
         took = []

@@ -3,9 +3,12 @@
     python benchmarks/stop.py [CONDITION ...] [--count N] [--seed S] [--hogs N]
 
     plain       the operator's terminal is that of the host
-    other-env   ssh, sudo, cron: no environment, so no note is found; with --connect
-    no-note     the host could not write its note: its folder is a file; with --connect
-    squatted    others can write to the folder of notes, so it is refused; with --connect
+    ssh         the operator's shell has no XDG_RUNTIME_DIR
+    cron        the operator's command has an empty environment
+    sudo        the host belongs to another user, who types `sudo testbed stop`
+    other-user  the operator is another user than the host's; with --connect
+    full        the file system of the notes is full; with --connect
+    squatted    another user has made the folder of the notes; with --connect
     host-hangs  the host's process is stopped (SIGSTOP)
     host-dead   the host's process was killed just before
 
@@ -13,10 +16,15 @@ Each flight is stopped at a random instant by the first command. The second one,
 valves and air at once. Printed are the time from the start of the second command to the last
 valve's closing by the stamps of the boards, and whether the first command named every vehicle and
 ended with 0.
+
+It needs root, for other users and for folders of its own: everything happens in a mount and a
+network namespace with a /tmp of their own, so that no other flight on this machine is stopped. The
+programs must not lie below /tmp.
 """
 
 import argparse
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -28,45 +36,96 @@ import numpy as np
 from bench_kills import BUSY, FLEET, HOST, Host, await_gone, last_open_us
 from load import loaded
 
+from testbed.net.flight_note import known_flights
 from testbed.realtime.wall_clock import monotonic_ns, sleep_until_ns
 from testbed.rig.wired.table_report import TableReport
 
-CONDITIONS = ("plain", "other-env", "no-note", "squatted", "host-hangs", "host-dead")
+CONDITIONS = (
+    "plain", "ssh", "cron", "sudo", "other-user", "full", "squatted", "host-hangs", "host-dead",
+)  # fmt: skip
+CONNECTS = ("other-user", "full", "squatted")  # no note can be read there
 GAP_NS = 600_000_000
 PROGRAM = HOST.replace(", relay=way", "")  # the vehicles know the port of the host
+NOBODY = 65534
+AS_NOBODY = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
+INSIDE = "ABT_STOP_INSIDE"
+NOTES = Path("/run/user")
 
 
-def surroundings(condition, folder):
-    """The environment of the host and of the operator."""
-    own = os.environ | {"XDG_RUNTIME_DIR": str(folder)}
-    if condition == "no-note":
-        (folder / "file").touch()
-        return own | {"XDG_RUNTIME_DIR": str(folder / "file")}, own
+def enclose():
+    """Begin again in namespaces with their own network and `NOTES`."""
+    words = ["unshare", "--mount", "--net", sys.executable, *sys.argv]
+    os.execvpe(words[0], words, os.environ | {INSIDE: "1"})
+
+
+def furnish():
+    """Make a network, and the folders of both users, which logging in makes elsewhere.
+
+    Raises:
+        RuntimeError: a flight of another program can be seen, and would be stopped.
+    """
+    subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
+    for folder in (NOTES, Path("/tmp")):
+        subprocess.run(["mount", "-t", "tmpfs", "none", folder], check=True)
+    NOTES.chmod(0o755)
+    Path("/tmp").chmod(0o1777)
+    for uid in (0, NOBODY):
+        folder = NOTES / str(uid)
+        folder.mkdir(mode=0o700)
+        os.chown(folder, uid, uid)
+    os.environ.pop("XDG_RUNTIME_DIR", None)
+    if found := list(known_flights()):
+        raise RuntimeError(f"flights of other programs: {found}")
+
+
+def surroundings(condition, home):
+    """How the host and the operator are started: words before the command, and environment."""
+    path = {"PATH": os.environ["PATH"], "PYTHONPATH": os.environ.get("PYTHONPATH", "")}
+    without = {key: value for key, value in os.environ.items() if key != "XDG_RUNTIME_DIR"}
+    own = without | {"XDG_RUNTIME_DIR": str(NOTES / "0")}
+    notes = NOTES / "0" / "airbearing-testbed-0"
+    subprocess.run(["umount", "-q", notes], check=False, stderr=subprocess.DEVNULL)
+    shutil.rmtree(notes, ignore_errors=True)
+    if condition == "ssh":
+        return [], own, [], without
+    if condition == "cron":
+        return [], own, [], path
+    if condition == "sudo":
+        theirs = {"HOME": str(home), "XDG_RUNTIME_DIR": str(NOTES / str(NOBODY))}
+        return AS_NOBODY, path | theirs, [], path | {"SUDO_UID": str(NOBODY)}
+    if condition == "other-user":
+        return [], own, AS_NOBODY, path
+    if condition == "full":
+        notes.mkdir(mode=0o700)
+        subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=4k,mode=700", "none", notes], check=True
+        )
+        (notes / "filler").write_bytes(bytes(4096))
     if condition == "squatted":
-        (folder / f"airbearing-testbed-{os.getuid()}").mkdir()
-        (folder / f"airbearing-testbed-{os.getuid()}").chmod(0o777)
-    if condition == "other-env":
-        return own, {"PYTHONPATH": os.environ.get("PYTHONPATH", ""), "HOME": "/nonexistent"}
-    return own, own
+        notes.mkdir(mode=0o777)
+        os.chown(notes, NOBODY, NOBODY)
+    return [], own, [], own
 
 
-def stop(env, connect):
+def stop(words, env, connect):
     """Type the command; returns when it began [us], its exit code and its words."""
     began = monotonic_ns() // 1000
     done = subprocess.run(
-        [sys.executable, "-m", "testbed", "stop", *connect], env=env, capture_output=True,
+        [*words, sys.executable, "-m", "testbed", "stop", *connect], env=env, capture_output=True,
         text=True, check=False,
     )  # fmt: skip
     return began, done.returncode, done.stdout + done.stderr
 
 
-def one(condition, rng, folder):
+def one(condition, rng, folder, home):
     """Fly once: late closing [ms], exit code of the first stop, valves or processes left."""
-    host_env, env = surroundings(condition, folder)
-    host, connect = Host([FLEET, *BUSY], folder / "report.json", host_env, PROGRAM), []
+    user, host_env, other, env = surroundings(condition, home)
+    folder.chmod(0o777)
+    host = Host([FLEET, *BUSY], folder / "report.json", host_env, PROGRAM, user)
+    connect = []
     try:
         pids, epoch = host.await_start()
-        if condition in ("other-env", "no-note", "squatted"):
+        if condition in CONNECTS:
             connect = ["--connect", *host.find("endpoint")[0]]
         sleep_until_ns(round(epoch + rng.uniform(1.0, 3.0) * 1e9))
         if condition.startswith("host"):
@@ -74,9 +133,9 @@ def one(condition, rng, folder):
             os.kill(host.process.pid, number)
             if number == signal.SIGKILL:
                 host.process.wait()
-        first, code, said = stop(env, connect)
+        first, code, said = stop(other, env, connect)
         sleep_until_ns(max(monotonic_ns(), 1000 * first + GAP_NS))
-        second, _, _ = stop(env, connect)
+        second, _, _ = stop(other, env, connect)
         sleep_until_ns(monotonic_ns() + 1_000_000_000)
     finally:
         host.close()
@@ -96,19 +155,25 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--hogs", type=int, default=0, help="processes that load the machine")
     args = parser.parse_args()
+    if INSIDE not in os.environ:
+        enclose()
+    furnish()
     rng, failures = np.random.default_rng(args.seed), 0
-    with loaded(args.hogs):
+    with tempfile.TemporaryDirectory(prefix="abt-home-") as home, loaded(args.hogs):
+        os.chown(home, NOBODY, NOBODY)
         for condition in args.conditions:
             rows = []
             for _ in range(args.count):
                 with tempfile.TemporaryDirectory(prefix="abt-stop-") as folder:
-                    rows.append(one(condition, rng, Path(folder)))
+                    rows.append(one(condition, rng, Path(folder), home))
             late = [row[0] for row in rows]
             bad = [row for row in rows if row[1] != 0 or row[2] or row[3]]
             failures += len(bad)
+            load = os.getloadavg()[0]
             print(
-                f"{condition:11s} {len(rows)} flights, {args.hogs} hogs: second stop to last valve"
-                f" p50 {np.median(late):.0f} ms, worst {max(late):.0f} ms; failed {len(bad)}",
+                f"{condition:11s} {len(rows)} flights at load {load:.0f}: from the second stop to"
+                f" the last valve p50 {np.median(late):.0f} ms, worst {max(late):.0f} ms;"
+                f" failed {len(bad)}",
                 flush=True,
             )
             for _, code, missing, open_, said in bad:

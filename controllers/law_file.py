@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 from testbed.core import plugin
 from testbed.core.error import MismatchError
 
+LONGEST = 500  # message of a law's error [characters]; it goes into the log and over the network
 _IMPORTED: WeakKeyDictionary[ModuleType, str] = WeakKeyDictionary()  # digests, when first asked for
 
 
@@ -171,8 +172,20 @@ def _is_compiled(module: ModuleType) -> bool:
 
 
 def blame(error: BaseException, path: Path | None) -> str:
-    """Line and cause of an error in a law's file, as one line of text."""
-    whole = re.sub(r"\x1b\[[\d;]*m", "", str(error))  # numba writes in bold
+    """Line and cause of an error in a law's file, as one line of text that any file can hold."""
+    text = _blame(error, path)
+    return "".join(sign if sign.isprintable() else "?" for sign in text[:LONGEST])
+
+
+def _text_of(error: BaseException) -> str:
+    try:
+        return str(error)
+    except Exception as another:  # a law's own exception may define its text
+        return f"its text cannot be read: {type(another).__name__}"
+
+
+def _blame(error: BaseException, path: Path | None) -> str:
+    whole = re.sub(r"\x1b\[[\d;]*m", "", _text_of(error))  # numba writes in bold
     reason = next((line for line in whole.splitlines() if _says_something(line)), "")
     text = f"{type(error).__name__}: {reason.strip()}"
     if isinstance(error, SystemExit):

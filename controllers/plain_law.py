@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -103,8 +104,10 @@ class Watched:
     def _watch(self, verb: str, *arguments: Any) -> Any:
         try:
             return getattr(self._law, verb)(*arguments)
-        except KeyboardInterrupt:
-            raise
+        except KeyboardInterrupt as error:
+            if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+                raise  # the operator's: in flight a handler counts Ctrl-C
+            raise LawError(blame(error, self._path)) from error
         except BaseException as error:  # it is the user's code, and may call sys.exit
             raise LawError(blame(error, self._path)) from error
 

@@ -2,7 +2,8 @@
 
 The parts of the twin query `FaultInjector` for active faults. Camera faults begin with the first
 frame exposed after their time, those of board and valves at exactly their time, those of a process
-with its next tick.
+with its next tick. Those that change the vehicle itself (`OF_VEHICLE`) begin with the next window
+of the plant.
 """
 
 import math
@@ -12,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_twin.board import Board
-from sim_twin.lab_faults import OF_BODIES, OF_FRAMES, BodyFaults, Late, moved, turned
-from sim_twin.plant import Plant
+from sim_twin.lab_faults import Late, moved, turned
+from sim_twin.plant import PADS, Plant
 from sim_twin.randomness import stream
-from testbed.core.fault_injection import Injection
+from testbed.core.fault_injection import OF_FRAME, Injection
 from testbed.core.table import Obstacle
 from testbed.core.types import ALL_WELL, PoseSample, Vitals
 
@@ -25,6 +26,9 @@ REACH = 0.2  # of markers from the body's middle: noise of positions over that o
 DEAD_BATTERY = 7.0  # [V] battery voltage that a board reports during a brown-out
 NEVER = math.inf
 HAIR = 1e-9  # [s]
+HEIGHT = 0.2  # [m] of the markers, which cameras with their y axis up show as y
+# these change the vehicle itself, from the next window on
+OF_VEHICLE = ("swap_jets", "reverse_jet", "hose", "pad_drag", "regulator", "thrust", "mass")
 
 
 class ActiveInjection:
@@ -62,7 +66,12 @@ class FaultInjector:
         self._frozen: dict[str, PoseSample] = {}
         self._late = {name: Late() for name in plant.names}
         self._last_frame: dict[str, float] = {}  # of slow cameras [s]
-        self._bodies = BodyFaults(plant)
+        as_drawn = plant.parameters
+        self._drawn = {
+            what.vehicle: [column[plant.names.index(what.vehicle)].copy() for column in as_drawn]
+            for what in injections
+            if what.kind in OF_VEHICLE
+        }
         self._rng = stream(
             seed, "sabotage"
         )  # a label of the random stream: another one changes flights
@@ -85,6 +94,13 @@ class FaultInjector:
 
     def before(self, until: float) -> None:
         """Apply to the plant the faults that begin before `until`, to which it advances next."""
+        for name in self._drawn:
+            self._change(name)
+        self._plant.crossed = [
+            (self._plant.names.index(one.what.vehicle), self._plant.names.index(one.what.other))
+            for one in self._active
+            if one.what.kind == "swap_boards" and one.holds(self._plant.t)
+        ]
         for one in self._active:
             what = one.what
             if not one.since < until:
@@ -101,8 +117,6 @@ class FaultInjector:
                 case "half_open":
                     self._plant.stick(k, what.jet - 1, False, one.since, over)
                     self._plant.leak_valve(k, what.jet - 1, what.size, one.since, over)
-                case kind if kind in OF_BODIES:
-                    self._bodies.apply(k, what, holds=one.holds(self._plant.t + HAIR))
                 case "kill_process" if isinstance(board := self._plant.boards[what.vehicle], Board):
                     board.fall_silent(one.since, over)
                 case "brown_out" if self._boards:
@@ -114,6 +128,39 @@ class FaultInjector:
                 case "leak":
                     span = min(until, over) - max(one.since, self._plant.t)
                     self._plant.leak(k, what.size * max(0.0, span))
+                case "empty_tank":
+                    self._plant.leak(k, math.inf)
+
+    def _change(self, name: str) -> None:
+        """Set a vehicle's parameters to the drawn ones, changed by the faults in force."""
+        k, plant = self._plant.names.index(name), self._plant.parameters
+        if not self._plant.floats(k):  # its jets have no air
+            return
+        for column, drawn in zip(plant, self._drawn[name], strict=True):
+            column[k] = drawn
+        effect, thrust = plant.effect[k], plant.thrust[k]
+        for one in self._active:
+            what, jet = one.what, one.what.jet - 1
+            if what.vehicle != name or not one.holds(self._plant.t + HAIR):
+                continue
+            match what.kind:
+                case "thrust" | "regulator":
+                    effect *= what.size
+                    thrust *= what.size
+                case "mass":
+                    plant.mass[k] *= what.size
+                case "swap_jets":
+                    pair, other = [jet, round(what.size) - 1], [round(what.size) - 1, jet]
+                    effect[:, pair], thrust[pair] = effect[:, other], thrust[other]
+                case "reverse_jet":
+                    effect[:, jet] *= -1.0
+                case "hose":
+                    way = math.radians(what.towards_deg)
+                    plant.hose[k, 0] += what.size * math.cos(way)
+                    plant.hose[k, 1] += what.size * math.sin(way)
+                case "pad_drag":
+                    plant.drag[k] += what.size
+                    plant.spin_drag[k] += what.size * (PADS * plant.radius[k]) ** 2
 
     def found(self, vehicle: str, *kinds: str) -> Injection | None:
         """The first active injection of these kinds on this vehicle."""
@@ -142,7 +189,7 @@ class FaultInjector:
         """A vehicle's poses after camera faults."""
         seen = samples
         for one in self._active:
-            if one.what.vehicle == name or one.what.kind in OF_FRAMES:
+            if one.what.vehicle == name or one.what.kind in OF_FRAME:
                 seen = [s for each in seen if (s := self._spoil(name, one, each)) is not None]
         return seen
 
@@ -176,6 +223,10 @@ class FaultInjector:
                 far = size * (at - one.since if what.kind == "creep_frame" else 1.0)
                 way = math.radians(what.towards_deg)
                 return moved(s, far * math.cos(way), far * math.sin(way))
+            case "scale_frame":
+                return PoseSample(at, size * s.x, size * s.y, s.theta)
+            case "tip_frame":
+                return PoseSample(at, s.x, HEIGHT, 0.0)
             case "slow_mocap":
                 if at - self._last_frame.get(name, -NEVER) < 1.0 / size - HAIR:
                     return None
@@ -191,11 +242,6 @@ class FaultInjector:
             return still
         dx, dy, turn = (dither * self._rng.standard_normal(3)).tolist()
         return moved(turned(still, turn / REACH), dx, dy)
-
-    def gauge(self, name: str) -> float:
-        """Supply pressure by a regulator that is out of order, over the usual one."""
-        what = self.found(name, "regulator")
-        return what.size if what else 1.0
 
     def air(self, receiver: str) -> tuple[float, float]:
         """Injected delay [s] and loss probability of messages to a vehicle."""
@@ -213,10 +259,19 @@ class FaultInjector:
 
     def power(self, name: str) -> tuple[float, float]:
         """Battery voltage [V] and time since the board's last message [s]."""
+        if flat := self.found(name, "flat_battery"):
+            return flat.size, 0.0
         for one in self._active:
             if one.what.kind == "brown_out" and one.what.vehicle == name and one.holds(self._now):
                 return DEAD_BATTERY, self._now - one.since
         return 12.0, 0.0
+
+    def supply(self, name: str, pressure: float) -> float:
+        """The supply pressure that the board reads, of a true one without faults [Pa]."""
+        if self.found(name, "empty_tank"):
+            return 0.0
+        changed = self.found(name, "regulator", "sag")
+        return pressure * changed.size if changed else pressure
 
     def vitals(self, name: str) -> Vitals:
         """Health of the vehicle's process."""

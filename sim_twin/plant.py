@@ -212,6 +212,7 @@ class Plant:
         self._stuck: dict[tuple[int, int], tuple[bool, int, int]] = {}
         self._leaky: dict[tuple[int, int], tuple[float, int, int]] = {}
         self._weak: dict[tuple[int, int], tuple[float, int, int]] = {}
+        self.crossed: list[tuple[int, int]] = []  # pairs of vehicles with each other's boards
         self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
@@ -262,11 +263,14 @@ class Plant:
         del self.landed[k]
 
     def played(self) -> Pulses:
-        """Actual valve pulses: the boards' commands, modified by stuck or leaking valves."""
-        if not (self._stuck or self._leaky or self._weak):
+        """Actual valve pulses: the boards' commands, as wires and broken valves modify them."""
+        if not (self._stuck or self._leaky or self._weak or self.crossed):
             return self._pulses
         ours = self._pulses
         played = Pulses(ours.up.copy(), ours.down.copy(), ours.strength.copy())
+        for a, b in self.crossed:
+            for mine, theirs in zip(played, ours, strict=True):
+                mine[[a, b]] = theirs[[b, a]]
         for (k, jet), (is_open, since, until) in self._stuck.items():
             up, down = played.up[k, jet], played.down[k, jet]
             inside = (up >= since) & (up < until)

@@ -193,7 +193,7 @@ class Twin:
         supply, tank = self.pressures[self.rows[name]]
         if self.injector is None:
             return Health(self.now, supply, tank)
-        supply *= self.injector.gauge(name)
+        supply = self.injector.supply(name, supply)
         return Health(self.now, supply, tank, *self.injector.power(name))
 
 

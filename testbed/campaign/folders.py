@@ -126,7 +126,7 @@ class Pile:
             metrics = msgspec.json.decode((folder / "metrics.json").read_bytes(), type=Metrics)
             reason, own = compare(wanted, found, metrics.rig, played)
             if not reason and metrics.red:
-                reason = f"never armed: {metrics.red[0]}"
+                reason = f"never armed: {metrics.red[0].words}"
             if not reason and found.seed not in left:
                 scored = first <= found.seed < first + self._file.samples
                 reason = f"seed {found.seed} is " + (

@@ -17,12 +17,13 @@ from testbed.config import ConfigError, find, load
 from testbed.faults.drill import (
     Drill,
     Drilled,
+    cases_of,
     summarise,
 )
 from testbed.run.drill import EXPERIMENTS, drill_twin
 
 HEADINGS = (  # numeric columns, narrow so that the table fits into 80 columns
-    "n", "not\nfound", "dor-\nmant", "does\n[s]", "worst\n[s]", "shut\n[s]", "moved\n[m]",
+    "n", "not\nfound", "may\npass", "does\n[s]", "worst\n[s]", "shut\n[s]", "moved\n[m]",
     "con-\ntacts", "a-\ndrift", "open\nlate",
 )  # fmt: skip
 
@@ -34,16 +35,12 @@ def run_drill(
     """Fly the drill and print the table; return the exit code."""
     names = EXPERIMENTS if experiment is None else (experiment,)
     try:
-        if experiment is not None:
-            load(find(experiment))  # an error now, not in a worker
-            if rig == "bench":
-                expected = "no experiment: the bench has its own"
-                raise ConfigError("testbed drill --rig bench", "", expected, experiment)
+        first = load(find(names[0]))  # an error now, not in a worker
         if rig == "bench":
-            from testbed.run.drill_on_wires import COUNT, drill_wires
+            from testbed.run.drill_on_wires import drill_wires
 
-            count = injections or COUNT
-            cases = progress(drill_wires(count, seed, say), count)
+            count = injections or len(cases_of(rig, len(first.vehicles)))
+            cases = progress(drill_wires(count, seed, say, names[0]), count)
         else:
             count = injections or 540
             cases = progress(drill_twin(count, seed, jobs, names), count)
@@ -88,13 +85,15 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
         bad = row.undetected or row.contacts or row.valves_open_after_deadline
         grid.add_row(
             row.kind, row.response or "-", str(row.cases), str(row.undetected),
-            str(row.dormant), _number(row.detected_median_s), _number(row.detected_worst_s),
-            _number(row.shut_worst_s), _number(row.travelled_worst_m), str(row.contacts),
-            str(row.adrift), str(row.valves_open_after_deadline), style="red" if bad else None,
+            str(row.dormant + row.unnoticed), _number(row.detected_median_s),
+            _number(row.detected_worst_s), _number(row.shut_worst_s),
+            _number(row.travelled_worst_m), str(row.contacts), str(row.adrift),
+            str(row.valves_open_after_deadline), style="red" if bad else None,
         )  # fmt: skip
     show(out, grid)
     out.print(
-        f"undetected: {drill.undetected}, dormant: {drill.dormant}, "
+        f"undetected: {drill.undetected}, without effect: {drill.dormant}, "
+        f"unnoticed but allowed: {sum(row.unnoticed for row in drill.rows)}, "
         f"valves open after the deadline: {drill.valves_open_after_deadline}, "
         f"contacts: {drill.contacts}, {drill.contacts_after} of them in the minute after the end "
         f"(plus {drill.contacts_adrift} by a vehicle adrift), "
@@ -103,7 +102,7 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
         f"{sum(row.air_on for row in drill.rows)} with bearing air on"
     )
     for one in cases:
-        if (one.detected_s is None and not one.dormant) or one.late or one.contacts or one.early:
+        if one.missed or one.late or one.contacts or one.early:
             text = msgspec.json.encode(replace(one, again="")).decode()
             out.print(f"  {text}", markup=False, soft_wrap=True)
             if one.again:

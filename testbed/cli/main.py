@@ -191,7 +191,7 @@ def admit(
 @click.option(
     "--injections",
     type=click.IntRange(min=1),
-    help="Number of faults.  [default: 540, or 72 on the bench]",
+    help="Number of faults.  [default: 540, or one of each kind on the bench]",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="Seed of the random cases.")
 @click.option(

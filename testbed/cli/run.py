@@ -133,8 +133,8 @@ def run_experiment(
         from testbed.cli.dash import leave
 
         leave(pages)
-    for reason in metrics.red:
-        errors.print(f"red: {reason}", style="red", markup=False, soft_wrap=True)
+    for check in metrics.red:
+        errors.print(f"red: {check.words}", style="red", markup=False, soft_wrap=True)
     return code_of(metrics)
 
 

@@ -4,9 +4,12 @@ from collections.abc import Iterator
 
 from testbed.config.error import Violation, show
 from testbed.config.experiment import Experiment
+from testbed.core.fault_injection import WITH_OTHER
 
 SHARES = ("leak_valve", "weak_jet", "half_open")
-POSITIVE = ("slow_mocap", "delay_mocap", "pad_drag", "regulator", "thrust", "mass")
+POSITIVE = (
+    "slow_mocap", "delay_mocap", "scale_frame", "pad_drag", "regulator", "thrust", "mass", "flood",
+)  # fmt: skip
 
 
 def bad_injections(experiment: Experiment) -> Iterator[Violation]:
@@ -17,7 +20,7 @@ def bad_injections(experiment: Experiment) -> Iterator[Violation]:
         if what.vehicle not in experiment.vehicles:
             yield Violation((*key, "vehicle"), f"one of: {names}", show(what.vehicle))
             continue
-        if what.kind == "swap_bodies" and (
+        if what.kind in WITH_OTHER and (
             what.other == what.vehicle or what.other not in experiment.vehicles
         ):
             yield Violation((*key, "other"), f"another one of: {names}", show(what.other))
@@ -27,6 +30,11 @@ def bad_injections(experiment: Experiment) -> Iterator[Violation]:
         jets = len(experiment.vehicles[what.vehicle].model.jets)
         if not 1 <= what.jet <= jets:
             yield Violation((*key, "jet"), f"a jet from 1 to {jets}", show(what.jet))
+        if what.kind == "swap_jets" and (
+            what.size == what.jet or what.size not in range(1, jets + 1)
+        ):
+            expected = f"the number of the other jet, from 1 to {jets}"
+            yield Violation((*key, "value"), expected, f"{what.size:g}")
         if what.kind in SHARES and not 0.0 < what.size <= 1.0:
             expected = "a share of the jet's flow, more than 0 and at most 1: 30 % is 0.3"
             yield Violation((*key, "value"), expected, f"{what.size:g}")

@@ -14,12 +14,14 @@ FILE = "arming.json"
 TO_DO = {
     "agent": "start `testbed agent` on its computer; check its Wi-Fi",
     "pose": "uncover the markers; `testbed poses` shows what the cameras see",
-    "pose rate": "compare mocap.rate_hz with the cameras; look for losses",
+    "pose_rate": "compare mocap.rate_hz with the cameras; look for losses",
     "estimate": "look for reflections, for two bodies alike, for vibration",
     "fence": "carry it in from the edge",
     "start": "carry it to its start; if it is there, the cameras' axes are wrong",
-    "at rest": "let it stand; look for noise of the cameras",
-    "clear of": "move one of the two away",
+    "heading": "turn it to its start; if it is right, the body in the camera system is turned",
+    "at_rest": "let it stand; look for noise of the cameras",
+    "spin": "let it stand; look for noise of the cameras",
+    "clear_of": "move one of the two away",
     "board": "check port, power and image of the valve board",
     "supply": "open the air; check the regulator",
     "battery": "charge or change the battery",
@@ -42,17 +44,15 @@ class Item(Struct, frozen=True):
     to_do: str = ""
 
 
-def what_to_do(check: str) -> str:
-    """What to do about a red check, by its name: vehicle and kind."""
-    kind = check.partition(" ")[2]
-    return TO_DO.get("clear of" if kind.startswith("clear of") else kind, "")
+def items_of(checks: Sequence[Check]) -> list[Item]:
+    """The lines of the checklist."""
+    return [Item(one.name, one.reason, TO_DO.get(one.id, "")) for one in checks]
 
 
 def write_checks(folder: Path, checks: Sequence[Check]) -> None:
     """Write the newest checks of all vehicles into the run folder."""
-    rows = [Item(one.name, one.reason, what_to_do(one.name)) for one in checks]
     with suppress(OSError):  # such as a full disk, which is a check of its own
-        write_atomic(folder / FILE, msgspec.json.encode(rows))
+        write_atomic(folder / FILE, msgspec.json.encode(items_of(checks)))
 
 
 def read_checks(folder: Path) -> list[Item]:
@@ -61,12 +61,3 @@ def read_checks(folder: Path) -> list[Item]:
         return msgspec.json.decode((folder / FILE).read_bytes(), type=list[Item])
     except (OSError, msgspec.MsgspecError):
         return []
-
-
-def of_reasons(reasons: Sequence[str]) -> list[Item]:
-    """Red lines from a run's reasons, "sat1 pose: why"."""
-    found = []
-    for one in reasons:
-        name, _, why = one.partition(": ")
-        found.append(Item(name, why or name, what_to_do(name)))
-    return found

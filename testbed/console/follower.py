@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from testbed.config import ConfigError, Experiment, load
-from testbed.console.checklist import of_reasons, read_checks
+from testbed.console.checklist import items_of, read_checks
 from testbed.console.hub import Hub
 from testbed.console.picture import LivePicture
 from testbed.console.scene import scene
@@ -90,7 +90,7 @@ class Follower:
         metrics = self._metrics()
         checks = read_checks(self._run) if before else []
         if metrics is not None and metrics.red:
-            checks = checks or of_reasons(metrics.red)
+            checks = checks or items_of(metrics.red)
         self._hub.say(
             checks=[] if metrics is not None and not metrics.red else checks,
             verdict=None if metrics is None else verdict(metrics),

@@ -26,6 +26,8 @@ Kind = Literal[
     "shift_frame",  # the cameras' frame moves: all bodies are shifted by `value` [m]
     "turn_frame",  # all bodies are turned about the table's centre by `value` [deg]
     "creep_frame",  # all bodies creep by `value` [m/s]
+    "scale_frame",  # the cameras say `value` times the position: millimetres for metres is 1000
+    "tip_frame",  # the cameras' y axis points up
     "delay_link",  # messages to the vehicle take `value` [s] longer
     "lose_link",  # messages to the vehicle are lost with the probability `value`
     "kill_process",  # the vehicle's process is killed
@@ -39,8 +41,14 @@ Kind = Literal[
     "regulator",  # the supply pressure is `value` times the set pressure, as the gauge shows
     "thrust",  # all jets give `value` times the thrust of the file, and the gauge shows nothing
     "mass",  # the vehicle has `value` times the mass of the file
+    "swap_jets",  # the wires of valves number `jet` and `value` are swapped
+    "reverse_jet",  # jet number `jet` pushes the other way: its sign in the file is wrong
+    "swap_boards",  # the boards of the vehicle and of `other` are swapped
+    "empty_tank",
     "leak",  # `value` [kg/s] of gas
     "brown_out",  # the board loses its power
+    "sag",  # the board reads a supply pressure of the share `value`
+    "flat_battery",  # the board reads `value` [V]
     "clock_step",  # the vehicle's clock and the cameras' differ by `value` [s]
     "nan_law",  # the law's force is not a number
     "raise_law",  # the law raises an exception
@@ -51,15 +59,18 @@ Kind = Literal[
     # only on the bench
     "stop_process",  # the vehicle's process hangs
     "cut_serial",  # the line to its board is cut
-    "sag",  # its board reads a supply pressure of the share `value`
-    "flat_battery",  # its board reads `value` [V]
     "foreign_session",  # another session sends setpoints to the vehicle
+    "flood",  # the host's network sends `value` senseless setpoints a second to the vehicle
+    "no_files",  # the vehicle's process can open no further file
     "kill_host",
     "stop_host",  # the host's process hangs
 ]
 ON_WIRES: tuple[Kind, ...] = (
-    "stop_process", "cut_serial", "sag", "flat_battery", "foreign_session", "kill_host",
-    "stop_host",
+    "stop_process", "cut_serial", "foreign_session", "flood", "no_files", "kill_host", "stop_host",
+)  # fmt: skip
+WITH_OTHER: tuple[Kind, ...] = ("swap_bodies", "swap_boards")
+OF_FRAME: tuple[Kind, ...] = (  # all vehicles see them
+    "shift_frame", "creep_frame", "turn_frame", "scale_frame", "tip_frame",
 )  # fmt: skip
 
 EVENTS = Literal["near_obstacle", "near_vehicle", "near_edge", "faster_than"]
@@ -72,22 +83,24 @@ VALUES: dict[str, float] = {  # defaults
     "leak": 0.1,
     "leak_valve": 0.3,
     "turn_body": 5.0,
-    "delay_mocap": 0.3,
-    "slow_mocap": 4.0,
-    "shift_frame": 0.03,
-    "turn_frame": 1.0,
-    "creep_frame": 0.02,
-    "weak_jet": 0.5,
     "half_open": 0.5,
-    "hose": 0.2,
-    "pad_drag": 2.0,
-    "regulator": 1.5,
-    "thrust": 0.6,
+    "thrust": 0.67,
     "mass": 1.5,
     "clock_step": 0.05,
     "overrun": 0.08,
     "sag": 0.5,
     "flat_battery": 9.0,
+    "delay_mocap": 0.3,
+    "slow_mocap": 4.0,
+    "shift_frame": 0.05,
+    "creep_frame": 0.01,
+    "turn_frame": 90.0,
+    "scale_frame": 1000.0,
+    "weak_jet": 0.5,
+    "hose": 0.1,
+    "pad_drag": 2.0,
+    "regulator": 1.5,
+    "flood": 1e4,
 }
 
 
@@ -110,7 +123,7 @@ class Injection(Struct, frozen=True, forbid_unknown_fields=True):
             raise MismatchError("one of `at_s` and `event`", "both or neither")
         if (self.event is None) != (self.threshold is None):
             raise MismatchError("`threshold` with `event` and only then", "otherwise")
-        if (self.kind == "swap_bodies") != bool(self.other):
+        if (self.kind in WITH_OTHER) != bool(self.other):
             raise MismatchError("`other` with a swap and only then", "otherwise")
 
     @property

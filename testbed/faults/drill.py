@@ -5,64 +5,31 @@ This module draws the cases and judges them; the rig flies them.
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
-from testbed.core.codes import FaultId, FaultReport, Response
-from testbed.core.fault_injection import VALUES, Injection
+from testbed.core.codes import FaultReport, Response
+from testbed.core.fault_injection import WITH_OTHER, Injection
+from testbed.faults.catalogue import CATALOGUE
+from testbed.flight.arming import Check
 
-LINK = ("link_late", "link_out", "link_lost")
-NEIGHBOUR = ("neighbour_late", "neighbour_missing", "neighbour_silent")
-# kind of injection -> ids of the faults that identify it
-NAMES: dict[str, tuple[str, ...]] = {
-    "drop_mocap": ("pose_stale", "pose_missing", "pose_lost"),
-    "freeze_mocap": ("pose_frozen",),
-    "jump_mocap": ("pose_jumped",),
-    "noisy_mocap": ("estimator_inconsistent", "pose_jumped", "pose_stale"),
-    "swap_bodies": ("pose_swapped",),
-    "delay_link": LINK + NEIGHBOUR,
-    "lose_link": LINK + NEIGHBOUR,
-    "kill_process": (*NEIGHBOUR, FaultId.VEHICLE_SILENT),
-    "stick_open": ("valve_stuck_open", "valve_leaks", "valve_leaks_or_weak"),
-    "stick_closed": ("valve_stuck_closed", "valve_leaks_or_weak"),
-    "leak_valve": ("valve_leaks", "valve_leaks_or_weak", "valve_stuck_open"),
-    "leak": ("leak", "supply_weak", "supply_low"),
-    "brown_out": ("battery_low", "board_silent"),
-    "clock_step": ("clock_off",),
-    "nan_law": ("not_a_number", FaultId.HOST_LAW_NOT_A_NUMBER),
-    "raise_law": ("law_raised", FaultId.HOST_LAW_RAISED),
-    "operator_gone": ("operator_gone",),
-    "disk_full": ("disk_full",),
-    "config_differs": ("config_differs",),
-    "overrun": ("overrun",),
-}
 # time from detection until every valve must be shut: a plan in flight, or a stop; see docs
 # [s]; braking: the longest stop on board, and the ticks before and after it
 SHUT_WITHIN = {Response.BRAKE: 7.0, Response.COAST: 0.15, Response.LAND: 0.15}
 DEAD_WITHIN = 0.25  # the last plan of a dead process, and its time to live [s]
 ASKED = 1.5  # commanded open time before a jet without thrust can be noticed [s]
 WHEN = (2.0, 12.0)  # range of the injection time [s]
-ADRIFT = ("kill_process", "brown_out", "leak")  # the vehicle can no longer avoid a contact
-OTHERS = ("kill_process",)  # faults that only other vehicles can detect
-NEED_TWO = ("swap_bodies", *OTHERS)  # faults that need a second vehicle
-SPREAD = {  # range of sizes, as factors of the usual size
-    "jump_mocap": (0.5, 3.0),
-    "noisy_mocap": (0.5, 3.0),
-    "delay_link": (1.0, 3.0),
-    "lose_link": (1.0, 1.0),
-    "leak": (0.5, 2.0),
-    "leak_valve": (0.5, 2.0),
-    "clock_step": (0.5, 10.0),
-    "overrun": (0.8, 3.0),
-}
+# kinds after which the vehicle can no longer avoid a contact, and that only others can detect
+ADRIFT = ("kill_process", "brown_out", "leak", "empty_tank")
+OTHERS = ("kill_process", "stop_process")
 
 
 class Drilled(Struct, frozen=True):
     """One injection and its result."""
 
-    kind: str
+    kind: str  # of the catalogue
     experiment: str
     vehicle: str
     seed: int
@@ -82,6 +49,13 @@ class Drilled(Struct, frozen=True):
     at_rest_s: float | None = None  # from the end until all vehicles rested; null: never
     air: str = "off"  # bearing air a minute after the end; "on": at least one vehicle
     again: str = ""  # the command that flies it again
+    refused: bool = False  # by the arming checks: nothing has moved
+
+    @property
+    def missed(self) -> bool:
+        """Whether it should have been noticed and was not."""
+        may_pass = self.dormant or CATALOGUE[self.kind].unnoticed
+        return self.detected_s is None and not may_pass
 
 
 class DrillRow(Struct, frozen=True):
@@ -89,7 +63,7 @@ class DrillRow(Struct, frozen=True):
 
     kind: str
     cases: int
-    undetected: int  # without dormant cases
+    undetected: int  # without dormant cases, and those that the flight may go on with
     dormant: int
     detected_median_s: float | None
     detected_worst_s: float | None
@@ -102,6 +76,7 @@ class DrillRow(Struct, frozen=True):
     contacts_after: int = 0
     moving: int = 0  # cases in which a vehicle was not at rest a minute after the end
     air_on: int = 0  # cases in which a vehicle had bearing air then
+    unnoticed: int = 0  # cases that nothing answered, and that the flight may go on with
 
 
 class Drill(Struct, frozen=True):
@@ -119,19 +94,45 @@ class Drill(Struct, frozen=True):
     contacts_after: int = 0  # part of `contacts` in the minute after the end
 
 
-def draw(kind: Any, vehicles: Sequence[str], jets: int, rng: np.random.Generator) -> Injection:
-    """A random case of a kind, in the first seconds of a run."""
-    who = rng.permutation(len(vehicles))
-    low, high = SPREAD.get(kind, (1.0, 1.0))
-    usual = VALUES.get(kind)
-    return Injection(
-        kind,
+def cases_of(rig: str, vehicles: int) -> list[str]:
+    """The cases that can be injected on a rig with so many vehicles."""
+    return [
+        name for name, case in CATALOGUE.items()
+        if rig in case.rigs and (vehicles > 1 or case.kind not in (*WITH_OTHER, *OTHERS))
+    ]  # fmt: skip
+
+
+def draw(name: str, vehicles: Sequence[str], jets: int, rng: np.random.Generator) -> Injection:
+    """A random injection of a case, in the first seconds of a run."""
+    case, who = CATALOGUE[name], rng.permutation(len(vehicles))
+    at = round(float(rng.uniform(*WHEN)), 4)
+    size = None if case.range is None else float(rng.uniform(*case.range))
+    jet = int(rng.integers(1, jets + 1))
+    if case.kind == "swap_jets":
+        size = float((jet - 1 + rng.integers(1, jets)) % jets + 1)
+    drawn = Injection(
+        case.kind,
         vehicles[int(who[0])],
-        at_s=round(float(rng.uniform(*WHEN)), 4),
-        value=None if usual is None else round(usual * float(rng.uniform(low, high)), 4),
-        jet=int(rng.integers(1, jets + 1)),
-        other=vehicles[int(who[1])] if kind == "swap_bodies" else "",
+        at_s=0.0 if case.at_start else at,
+        value=None if size is None else round(size, 4) or size,
+        jet=jet,
+        other=vehicles[int(who[1])] if case.kind in WITH_OTHER else "",
     )
+    if case.lasts is None:
+        return drawn
+    return replace(drawn, for_s=round(float(rng.uniform(*case.lasts)), 3))
+
+
+def refused(
+    name: str, experiment: str, what: Injection, seed: int, red: Sequence[Check]
+) -> Drilled:
+    """The result of a flight that did not start, because of these red checks."""
+    named = next((one.id for one in red if one.id in CATALOGUE[name].names), "")
+    return Drilled(
+        name, experiment, what.vehicle, seed, 0.0, named, 0.0 if named else None, Response.NONE,
+        None, 0, 0, 0.0, None, () if named else tuple(one.words for one in red), 0,
+        dormant=False, at_rest_s=0.0, refused=True,
+    )  # fmt: skip
 
 
 def names_of(fault: FaultReport) -> set[str]:
@@ -176,15 +177,17 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
         found = [one.detected_s for one in own if one.detected_s is not None]
         shut = [one.shut_s for one in own if one.shut_s is not None]
         responses = {one.response for one in own if one.response}
+        words = ["not armed"] * any(one.refused for one in own)
+        words += [one.words for one in sorted(responses)]
         rows.append(
             DrillRow(
                 kind,
                 len(own),
-                sum(one.detected_s is None and not one.dormant for one in own),
+                sum(one.missed for one in own),
                 sum(one.dormant for one in own),
                 float(np.median(found)) if found else None,
                 max(found, default=None),
-                ", ".join(one.words for one in sorted(responses)),
+                ", ".join(words),
                 max(shut, default=None),
                 max(one.travelled_m for one in own),
                 sum(one.contacts for one in own),
@@ -193,6 +196,7 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
                 sum(one.contacts_after for one in own),
                 sum(one.at_rest_s is None for one in own),
                 sum(one.air == "on" for one in own),
+                sum(not one.missed and not one.dormant and one.detected_s is None for one in own),
             )
         )
     return Drill(

@@ -42,7 +42,7 @@ class Answer(NamedTuple):
 
     done: bool
     phase: Phase  # afterwards
-    reasons: tuple[str, ...]  # why it was refused, one per failed check
+    red: tuple[Check, ...]  # why it was refused
 
 
 class Event(Struct, frozen=True, omit_defaults=True):
@@ -88,21 +88,21 @@ class Supervisor:
                 return Answer(True, self._phase, ())
             where = " or ".join(heard_in)
             why = f"{what} is accepted in {where}, not in {self._phase}"
-            return Answer(False, self._phase, (why,))
+            return Answer(False, self._phase, (Check("phase", "", why),))
         if checked:
             if not checks:
-                return Answer(False, self._phase, ("no check was made",))
+                return Answer(False, self._phase, (Check("checks", "", "none was made"),))
             asked = [one for one in checks if what != "reset" or one.at_reset]
-            if red := tuple(f"{one.name}: {one.reason}" for one in asked if one.reason):
+            if red := tuple(one for one in asked if one.reason):
                 return Answer(False, self._phase, red)
         if what == "reset":
             self._fault = None
         self._move(t, to, what)
         return Answer(True, self._phase, ())
 
-    def take_off(self, t: float, checks: Sequence[Check]) -> tuple[str, ...]:
-        """Arm and run in one step, without asking the operator; returns reasons of a refusal."""
-        return self.request(t, "arm", checks).reasons or self.request(t, "run", checks).reasons
+    def take_off(self, t: float, checks: Sequence[Check]) -> tuple[Check, ...]:
+        """Arm and run in one step, without asking the operator; returns the checks that refuse."""
+        return self.request(t, "arm", checks).red or self.request(t, "run", checks).red
 
     def fail(self, t: float, fault: FaultReport) -> None:
         """A fault that ends the run: latched; the first one is kept."""

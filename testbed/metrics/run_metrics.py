@@ -15,6 +15,7 @@ from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Outputs
 from testbed.core.vehicle import NonNegative, Positive
+from testbed.flight.arming import Check
 from testbed.metrics.afterwards import After
 
 Array = NDArray[np.float64]
@@ -106,7 +107,7 @@ class Metrics(Struct, frozen=True):
     formation: Any = None  # `testbed.metrics.formation.FormationMetrics` of two or more vehicles
     warnings: list[Concern] = []  # for example assumptions of a law's proof that do not hold
     phase: str = ""  # of the supervisor at the end: DISARMED, STOPPED or FAULT
-    red: list[str] = []  # failed arming checks that kept the run from starting
+    red: list[Check] = []  # failed arming checks that kept the run from starting
     fault_report: FaultReport | None = None  # of `fault`
     touches: list[Touch] = []  # contacts with known time and place
     after: After | None = None  # state of the vehicles after the flight; null: not known

@@ -84,7 +84,7 @@ def reasons(scenario: Experiment, metrics: Metrics) -> list[str]:
     found = touched(scenario, metrics.touches[:SHOWN_TOUCHES])
     if (more := len(metrics.touches) - SHOWN_TOUCHES) > 0:
         found.append(f"{more} more {'contacts' if more > 1 else 'contact'}")
-    found += metrics.red
+    found += [one.words for one in metrics.red]
     if metrics.fault and not metrics.red:
         report = metrics.fault_report
         if report is None or report.vehicle not in scenario.vehicles:

@@ -103,7 +103,8 @@ def fence_of(experiment: Experiment, name: str) -> tuple[float, float]:
 
 def expected_of(experiment: Experiment, name: str) -> Expected:
     """Values that a vehicle's arming checks compare with."""
-    setups = experiment.vehicles
+    setups, kept = experiment.vehicles, experiment.flight.barrier
+    half = 0.5 * kept.vehicle_margin if len(setups) > 1 else kept.edge_margin
     return Expected(
         name,
         experiment.table.mocap.rate_hz,
@@ -111,6 +112,7 @@ def expected_of(experiment: Experiment, name: str) -> Expected:
         Fence(*fence_of(experiment, name)),
         setups[name].start,
         reaches({other: one.model.radius for other, one in setups.items()}, name),
+        min(kept.edge_margin, half),
     )
 
 

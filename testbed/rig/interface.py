@@ -6,6 +6,7 @@ from typing import Any, Protocol
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
+from testbed.flight.arming import Check
 from testbed.flight.loop import Ending, Observer
 from testbed.flight.supervisor import Supervisor
 from testbed.metrics.afterwards import After
@@ -42,7 +43,7 @@ class Rig(Protocol):
         ...
 
     @property
-    def red(self) -> list[str]:
+    def red(self) -> list[Check]:
         """Arming checks that kept the run from starting."""
         ...
 
@@ -99,6 +100,6 @@ def holds(experiment: Experiment, ending: Ending) -> bool:
     return planned and experiment.flight.ending.after == "hold"
 
 
-def not_armed(reasons: Sequence[str]) -> FaultReport:
+def not_armed(red: Sequence[Check]) -> FaultReport:
     """The report of a run that was not started."""
-    return FaultReport(FaultId.NOT_STARTED, "not started: " + "; ".join(reasons))
+    return FaultReport(FaultId.NOT_STARTED, "not started: " + "; ".join(one.words for one in red))

@@ -22,6 +22,7 @@ from testbed.core.law import Concern
 from testbed.core.ports import Clock, HostLink
 from testbed.core.types import Pose
 from testbed.faults.law_faults import CrashableNode
+from testbed.flight.arming import Check
 from testbed.flight.loop import (
     Chain,
     Ending,
@@ -69,7 +70,7 @@ class TwinRig(Struct, frozen=True):
     boards: dict[str, WiredBoard]  # with firmware; empty with the twin's model
     pace: Clock | None = None  # slows the twin down for a viewer
     supervisor: Supervisor = field(default_factory=Supervisor)
-    red: list[str] = field(default_factory=list)  # see `Rig`
+    red: list[Check] = field(default_factory=list)  # see `Rig`
     laws: list[ForkedHost | ForkedAgent] = field(default_factory=list)
     live: LiveFlight | None = None  # hears the operator's wishes
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache, partial
 from multiprocessing import get_context
-from typing import Any
 
 import numpy as np
 from msgspec.structs import asdict, replace
@@ -15,20 +14,21 @@ from msgspec.structs import asdict, replace
 from sim_twin.board import last_closing
 from testbed.config import Experiment, find, load
 from testbed.core.codes import FaultReport, Response
-from testbed.core.fault_injection import Injection
+from testbed.core.fault_injection import OF_FRAME, Injection
 from testbed.core.types import HostTick, Tick
+from testbed.faults.catalogue import CATALOGUE
 from testbed.faults.drill import (
     ADRIFT,
     ASKED,
     DEAD_WITHIN,
-    NAMES,
-    NEED_TWO,
     OTHERS,
     Drilled,
     answered,
+    cases_of,
     deadline,
     draw,
     names_of,
+    refused,
 )
 from testbed.flight.loop import host_fault
 from testbed.metrics.afterwards import HARD
@@ -37,9 +37,6 @@ from testbed.rig.twin import TwinRig, make_twin
 
 EXPERIMENTS = ("zhang2023_table", "zhang2023_table_wrench")
 ROOM = 0.15  # clearance around a start [m]
-# [s] of flight after the fault: a jet must be commanded, a small leak needs a mean; others: SOON
-NEEDED = {"stick_closed": 40.0, "leak_valve": 20.0}
-SOON = 8.0
 
 
 class Notes:
@@ -72,10 +69,12 @@ class Notes:
         """See `Observer`."""
 
 
-def fly_case(experiment: Experiment, what: Injection) -> Drilled:
-    """Fly one injection on the twin and judge it."""
-    rig, notes = make_twin(experiment), Notes()
+def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled:
+    """Fly one injection on the twin and judge it; `name` in the catalogue, if not its kind."""
+    rig, notes, row = make_twin(experiment), Notes(), name or what.kind
     ending = rig.fly(notes)
+    if rig.red:
+        return refused(row, experiment.name, what, experiment.seed, rig.red)
     twin, plant = rig.twin, rig.twin.plant
     last = max(last_closing(board.pulses) for board in plant.boards.values())
     rest = rig.come_to_rest(ending, notes)
@@ -84,7 +83,7 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
     began = twin.injector.began()[0]
     after = [(t, name, one) for t, name, one in notes.responses if t >= began]
     own = [(t, one) for t, name, one in after if concerned(what, name)]
-    named, found = answered(_named(what, notes, began), own, began)
+    named, found = answered(_named(row, what, notes, began), own, began)
     response = max((one for _, one in own), default=Response.NONE)
     over = ending.fault is not None
     limits = {name: _limit(name, what, after, began) for name in plant.names}
@@ -103,7 +102,7 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
         on[what.jet - 1] for t, name, on in notes.asked if name == what.vehicle and t >= began
     )
     return Drilled(
-        what.kind,
+        row,
         experiment.name,
         what.vehicle,
         experiment.seed,
@@ -118,7 +117,9 @@ def fly_case(experiment: Experiment, what: Injection) -> Drilled:
         ending.fault,
         early,
         adrift,
-        what.kind == "stick_closed" and found is None and asked < 1e6 * ASKED,
+        what.kind in ("stick_closed", "swap_jets", "reverse_jet")
+        and found is None
+        and asked < 1e6 * ASKED,
         sum(touch.t > ending.t and touch not in helpless for touch in touches),
         rest.at_rest_s,
         rest.air,
@@ -129,6 +130,8 @@ def concerned(what: Injection, name: str) -> bool:
     """Whether a vehicle's response counts; if the injected vehicle is dead, the others' count."""
     if what.kind in OTHERS:
         return name != what.vehicle
+    if what.kind in OF_FRAME:
+        return True
     return name in (what.vehicle, what.other)
 
 
@@ -149,12 +152,12 @@ def _limit(
     return min((t for t, one in own if one == severest), default=0.0) + deadline(severest)
 
 
-def _named(what: Injection, notes: Notes, began: float) -> list[tuple[float, str]]:
+def _named(row: str, what: Injection, notes: Notes, began: float) -> list[tuple[float, str]]:
     """Times and names of correct detections by the vehicles concerned."""
-    names = NAMES[what.kind]
+    names = CATALOGUE[row].names
     right = [
-        (t, row) for t, who, row in notes.rows
-        if t >= began and row in names and concerned(what, who)
+        (t, found) for t, who, found in notes.rows
+        if t >= began and found in names and concerned(what, who)
     ]  # fmt: skip
     for t, _, fault in notes.faults:
         right += [(t, name) for name in names if name in names_of(fault) and t >= began]
@@ -208,20 +211,20 @@ def with_random_starts(name: str, rng: np.random.Generator) -> Experiment:
 def case(number: int, seed: int, names: Sequence[str] = EXPERIMENTS) -> Drilled:
     """Fly case `number` of a drill: kinds and experiments alternate, the rest is random."""
     fleet = max(len(shipped(name).vehicles) for name in names)
-    kinds = [kind for kind in NAMES if fleet > 1 or kind not in NEED_TWO]
+    kinds = cases_of("twin", fleet)
     rng = np.random.default_rng([seed, number])
     name = names[(number // len(kinds)) % len(names)]
     return drawn(kinds[number % len(kinds)], name, rng)
 
 
-def drawn(kind: Any, name: str, rng: np.random.Generator) -> Drilled:
-    """Fly a random case of this kind in this experiment."""
+def drawn(kind: str, name: str, rng: np.random.Generator) -> Drilled:
+    """Fly a random case of this row of the catalogue in this experiment."""
     begun = with_random_starts(name, rng)
     jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
     what = draw(kind, list(begun.vehicles), jets, rng)
-    duration = (what.at_s or 0.0) + NEEDED.get(kind, SOON)
+    duration = (what.at_s or 0.0) + CATALOGUE[kind].flown_s
     experiment = replace(begun, seed=int(rng.integers(2**31)), duration_s=duration, inject=[what])
-    return replace(fly_case(experiment, what), again=command(experiment, name, what))
+    return replace(fly_case(experiment, what, kind), again=command(experiment, name, what))
 
 
 def command(experiment: Experiment, name: str, what: Injection) -> str:

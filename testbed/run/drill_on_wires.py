@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -15,19 +14,23 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from testbed.config import dump
-from testbed.core.codes import FaultId, FaultReport, Response
+from testbed.core.codes import FaultReport, Response
 from testbed.core.error import TestbedError
-from testbed.core.fault_injection import Injection
+from testbed.core.fault_injection import OF_FRAME, Injection
+from testbed.faults.catalogue import CATALOGUE, SOON
 from testbed.faults.drill import (
     ADRIFT,
     DEAD_WITHIN,
-    NAMES,
+    OTHERS,
     Drilled,
     answered,
+    cases_of,
     deadline,
     draw,
     names_of,
+    refused,
 )
+from testbed.flight.arming import Check
 from testbed.flight.loop import Ending
 from testbed.metrics.afterwards import HARD
 from testbed.net.commands import Ended
@@ -37,32 +40,18 @@ from testbed.rig.wired.table_report import TableReport
 from testbed.run.drill import shipped, with_random_starts
 
 EXPERIMENT = "zhang2023_table"
-COUNT = 72
 WHEN = (1.5, 4.0)  # [s]
 LASTS = 6.0  # [s] of flight after an injection
-LONGER = {"leak": 12.0, "stick_open": 10.0, "leak_valve": 20.0}
-TWIN_ONLY = ("stick_closed",)  # needs a flight of a minute to show
-# names that only occur on wires; the others are the twin's
-ON_THE_WAY: dict[str, tuple[str, ...]] = {
-    "drop_mocap": NAMES["drop_mocap"],
-    "brown_out": ("board_silent", "battery_low", FaultId.LINE_LOST),
-    "delay_link": (*NAMES["delay_link"], "operator_gone"),
-    "lose_link": (*NAMES["lose_link"], "operator_gone"),
-    "overrun": ("overrun", FaultId.BOARD_LEFT_ARMED),
-    "clock_step": ("clock_off", "pose_stale", "pose_missing", "pose_lost"),
-    "stop_process": NAMES["kill_process"],
-    "cut_serial": ("board_silent", FaultId.BOARD_LEFT_ARMED),
-    "sag": ("supply_low", "supply_weak"),
-    "flat_battery": ("battery_low",),
-    "foreign_session": ("foreign",),
-    "kill_host": ("operator_gone", "link_late", "link_out", "link_lost"),
-    "stop_host": ("operator_gone", "link_late", "link_out", "link_lost"),
-}
-# kinds after which the vehicle's own process or board cannot act or report
+LONGER = {"leak": 12.0, "stick_open": 10.0, "leak_valve": 20.0, "heading_jumps": 12.0}
+LONGEST = 20.0  # a flight of a minute costs more than it shows
+# kinds after which the vehicle's own process or board cannot act or report, while they last
 MUTE = ("kill_process", "stop_process", "cut_serial", "brown_out")
-SILENT = ("kill_process", "stop_process")  # kinds for which the other vehicles' response counts
+FOR_GOOD = 60.0  # [s]
 GRACE_S = 180.0
 LONGEST_END = 8.0  # [s] for the vehicles to come to rest after the planned end
+NOTHING = TableReport(
+    None, [], [], [], {}, {}, {}, {}, {}, [], {}
+)  # of a flight that did not start
 
 
 class Flown(Struct, frozen=True):
@@ -72,47 +61,50 @@ class Flown(Struct, frozen=True):
     report: TableReport
     ended: dict[str, Ended]
     fault: FaultReport | None  # as reported by the host
+    red: list[Check] = []  # why it did not start
 
 
-def kinds() -> list[Any]:
-    """The kinds of faults that are injected on the bench."""
-    return [kind for kind in {**NAMES, **ON_THE_WAY} if kind not in TWIN_ONLY]
-
-
-def drill_wires(count: int, seed: int, say: Callable[[str], None]) -> Iterator[Drilled]:
+def drill_wires(
+    count: int, seed: int, say: Callable[[str], None], name: str = EXPERIMENT
+) -> Iterator[Drilled]:
     """Fly all cases in sequence, because a bench needs the whole machine."""
-    warm_up(shipped(EXPERIMENT))  # compiles once, before four processes would
+    warm_up(shipped(name))  # compiles once, before four processes would
     for number in range(count):
         try:
-            judged = case(number, seed)
+            judged = case(number, seed, name)
         except DrillError as error:  # try again: a flight that did not begin tests nothing
             say(f"case {number}: {error}")
-            judged = case(number, seed)
+            judged = case(number, seed, name)
         say(f"{number}: {msgspec.json.encode(judged).decode()}")
         yield judged
 
 
-def case(number: int, seed: int) -> Drilled:
-    """Fly case `number`: kinds alternate, the rest is random."""
+def case(number: int, seed: int, name: str = EXPERIMENT) -> Drilled:
+    """Fly case `number`: the rows of the catalogue take turns, the rest is random."""
     rng = np.random.default_rng([seed, number])
-    catalogue = kinds()
-    kind = catalogue[number % len(catalogue)]
-    begun = with_random_starts(EXPERIMENT, rng)
+    rows = cases_of("bench", len(shipped(name).vehicles))
+    row = rows[number % len(rows)]
+    begun = with_random_starts(name, rng)
     jets = min(len(setup.model.jets) for setup in begun.vehicles.values())
-    what = replace(
-        draw(kind, list(begun.vehicles), jets, rng), at_s=round(float(rng.uniform(*WHEN)), 3)
-    )
-    assert what.at_s is not None
+    what, at = draw(row, list(begun.vehicles), jets, rng), round(float(rng.uniform(*WHEN)), 3)
+    what = replace(what, at_s=at if what.at_s else 0.0)
+    needed = CATALOGUE[row].flown_s
+    lasts = LONGER.get(row, min(needed, LONGEST) if needed > SOON else LASTS)
     experiment = replace(
         begun, seed=int(rng.integers(2**31)), inject=[what],
-        duration_s=round(what.at_s + LONGER.get(kind, LASTS), 1),
+        duration_s=round((what.at_s or 0.0) + lasts, 1),
     )  # fmt: skip
-    with TemporaryDirectory(prefix="airbearing-drill-") as name:
-        folder = Path(name)
+    with TemporaryDirectory(prefix="airbearing-drill-") as there:
+        folder = Path(there)
         file = folder / "experiment.toml"
         file.write_text(tomli_w.dumps(dump(experiment)), encoding="utf-8")
         flown = fly(file, folder, list(experiment.vehicles), experiment.duration_s)
-    return judge(what, experiment.name, experiment.seed, list(experiment.vehicles), flown)
+    if flown.red and not CATALOGUE[row].at_start:
+        raise DrillError("; ".join(one.words for one in flown.red))
+    if flown.red:
+        return refused(row, experiment.name, what, experiment.seed, flown.red)
+    names = list(experiment.vehicles)
+    return judge(what, experiment.name, experiment.seed, names, flown, row)
 
 
 class DrillError(TestbedError):
@@ -140,8 +132,12 @@ def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
         host.wait(20.0)
     host.kill()
     _, said = host.communicate()
+    ending = folder / "ending.json"
+    if ending.exists():
+        left = msgspec.json.decode(ending.read_bytes(), type=tuple[Ending, str, list[Check]])
+        if left[2]:
+            return Flown(0, NOTHING, {}, None, left[2])
     if not report.exists() or not start.exists():
-        ending = folder / "ending.json"
         output = ending.read_text() if ending.exists() else said.decode()[-2000:]
         raise DrillError(f"the flight did not begin: {output}")
     ended = {
@@ -149,32 +145,33 @@ def fly(file: Path, folder: Path, names: list[str], duration_s: float) -> Flown:
         for name in names
         if (folder / f"{name}.json").exists()
     }
-    fault = None
-    if (folder / "ending.json").exists():
-        data = (folder / "ending.json").read_bytes()
-        fault = msgspec.json.decode(data, type=tuple[Ending, str])[0].fault
+    fault = left[0].fault if ending.exists() else None
     return Flown(
         msgspec.json.decode(start.read_bytes())[0],
         msgspec.json.decode(report.read_bytes(), type=TableReport), ended, fault,
     )  # fmt: skip
 
 
-def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: Flown) -> Drilled:
-    """Judge the outcome of an injection."""
-    began, report = what.at_s or 0.0, flown.report
-    wanted = ON_THE_WAY.get(what.kind) or NAMES[what.kind]
+def judge(
+    what: Injection, experiment: str, seed: int, names: list[str], flown: Flown, row: str = ""
+) -> Drilled:
+    """Judge the outcome of an injection; `row` of the catalogue, if not its kind."""
+    began, report, listed = what.at_s or 0.0, flown.report, CATALOGUE[row or what.kind]
+    wanted = (*listed.names, *listed.on_wires)
     right = [
-        (t, row) for one in flown.ended.values() for row, t in one.rows.items()
-        if row in wanted and t >= began
+        (t, found) for one in flown.ended.values() for found, t in one.rows.items()
+        if found in wanted and t >= began
     ]  # fmt: skip
     faults = [flown.fault, *(one.fault for one in flown.ended.values())]
     for fault in faults:
         if fault is not None:
             right += [(_said_at(flown, fault), w) for w in wanted if w in names_of(fault)]
     shut, late = 0.0, 0
+    is_mute = what.kind in MUTE and what.for_s > FOR_GOOD
+    is_silent = what.kind in OTHERS and what.for_s > FOR_GOOD
     own = [
         (t, one) for name, words in flown.ended.items() for one, t in words.responses.items()
-        if t >= began and (name == what.vehicle) != (what.kind in SILENT)
+        if t >= began and (what.kind in OF_FRAME or (name == what.vehicle) != is_silent)
     ]  # fmt: skip
     named, found = answered(right, own, began)
     end = max((one.t for one in flown.ended.values()), default=began)
@@ -185,7 +182,7 @@ def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: 
             severest = max(responses, default=Response.NONE)
             since = one.responses.get(severest, began)
         limit = since + deadline(severest)
-        if what.kind in MUTE and name == what.vehicle:
+        if is_mute and name == what.vehicle:
             limit = began + DEAD_WITHIN
         closed, open_after = _closing(report.edges[name], flown.epoch_ns, limit)
         shut, late = max(shut, closed), late + open_after
@@ -203,7 +200,7 @@ def judge(what: Injection, experiment: str, seed: int, names: list[str], flown: 
     over = any(fault is not None for fault in faults)
     early = sorted({o.fault.words for o in flown.ended.values() if o.fault and o.t < began})
     return Drilled(
-        what.kind, experiment, what.vehicle, seed, began, named,
+        row or what.kind, experiment, what.vehicle, seed, began, named,
         found,
         max((one for _, one in own), default=Response.NONE),
         shut - began if over else None, late, len(touches) - adrift, _travelled(flown, began),

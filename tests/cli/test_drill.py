@@ -12,8 +12,11 @@ from msgspec.structs import replace
 from testbed.cli.admit import fly_once, forced, print_admission
 from testbed.cli.drill import print_drill
 from testbed.config import ConfigError, find, load
+from testbed.config.fault_schedule import bad_injections
 from testbed.core.codes import FaultId, FaultReport, Response
-from testbed.faults.drill import NAMES, NEED_TWO, WHEN, Drilled, draw, summarise
+from testbed.faults.catalogue import CATALOGUE
+from testbed.faults.drill import WHEN, Drilled, cases_of, draw, refused, summarise
+from testbed.flight.arming import Check
 from testbed.metrics.admission import (
     AdmissionFlight,
     AdmissionParams,
@@ -122,12 +125,14 @@ def test_room_is_measured_from_rim_to_rim():
 
 def test_the_table_of_a_drill_fits_into_80_columns(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    cases = [replace(CASE, kind=kind, response=Response.BRAKE, detected_s=12.34) for kind in NAMES]
+    cases = [
+        replace(CASE, kind=kind, response=Response.BRAKE, detected_s=12.34) for kind in CATALOGUE
+    ]
     print_drill(summarise("bench", cases), [])
     table = capsys.readouterr().out.partition("undetected:")[0]
     assert max(map(len, table.splitlines())) <= 80
     assert "…" not in table
-    for kind in NAMES:
+    for kind in CATALOGUE:
         assert re.search(rf"^{kind} +brake +1 +0 ", table, re.MULTILINE)
 
 
@@ -181,25 +186,71 @@ def test_a_drill_of_one_experiment_flies_it_and_its_command_repeats_the_case():
     assert words[:3] == ["testbed", "run", "hold"]
     again = load(find("hold"), [*words[3:-2], f"seed={words[-1]}"])
     assert fly_case(again, again.inject[0]) == replace(one, again="")
-    kinds = {case_kind for case_kind in NAMES if case_kind not in NEED_TWO}
-    assert len(kinds) == len(NAMES) - 2  # one vehicle cannot be taken for another
+    # one vehicle cannot be taken for another, or miss another
+    alone = set(cases_of("twin", 2)) - set(cases_of("twin", 1))
+    assert alone == {"swap_bodies", "swap_boards", "kill_process"}
 
 
 def test_a_drill_of_an_experiment_that_is_not_there(testbed):
     assert testbed("drill", "nowhere").exit_code == 2
-    result = testbed("drill", "hold", "--rig", "bench")
-    assert result.exit_code == 2
-    assert "no experiment: the bench has its own" in result.stderr
+    assert testbed("drill", "nowhere", "--rig", "bench").exit_code == 2
 
 
-@pytest.mark.parametrize("kind", NAMES)
-def test_whatever_is_drawn_can_be_injected(kind):
-    rng = np.random.default_rng(0)
+def test_a_drill_of_an_experiment_flies_it_on_the_bench_too(testbed, monkeypatch):
+    asked = []
+
+    def fly(*given):
+        asked.append((given[0], given[1], given[3]))
+        yield replace(CASE, kind="cut_serial")
+
+    monkeypatch.setattr("testbed.run.drill_on_wires.drill_wires", fly)
+    result = testbed("drill", "hold", "--rig", "bench", "--seed", "3")
+    assert asked == [(len(cases_of("bench", 1)), 3, "hold")]
+    assert result.exit_code == 0
+    assert "cut_serial" in result.stdout
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_whatever_is_drawn_can_be_injected(name):
+    case, rng, experiment = CATALOGUE[name], np.random.default_rng(0), load(find("zhang2023_table"))
     for _ in range(20):
-        what = draw(kind, ["a", "b", "c"], 8, rng)
-        assert what.kind == kind
-        assert WHEN[0] <= what.at_s <= WHEN[1]
+        what = draw(name, list(experiment.vehicles), 8, rng)
+        assert what.kind == case.kind
+        assert what.at_s == 0.0 if case.at_start else WHEN[0] <= what.at_s <= WHEN[1]
         assert what.other != what.vehicle
+        assert case.range is None or case.range[0] <= what.size <= case.range[1]
+        assert list(bad_injections(replace(experiment, inject=[what]))) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "check"),
+    [
+        ("origin_moved", "start"), ("body_turned", "heading"), ("frame_turned", "start"),
+        ("y_axis_up", "start"), ("millimetres", "fence"), ("no_air", "supply"),
+        ("high_supply", "supply"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_before_the_flight_does_not_arm(name, check):
+    found = drawn(name, "zhang2023_table", np.random.default_rng(1))
+    assert (found.named, found.refused, found.response) == (check, True, Response.NONE)
+    assert (found.missed, found.early, found.travelled_m) == (False, (), 0.0)
+    row = summarise("twin", [found]).rows[0]
+    assert (row.response, row.undetected) == ("not armed", 0)
+
+
+def test_a_check_that_does_not_name_the_fault_is_no_detection():
+    rng, low = np.random.default_rng(1), [Check("battery", "sat1", "9.0 V")]
+    found = refused("no_air", "x", draw("no_air", ["sat1"], 8, rng), 0, low)
+    assert found.missed
+    assert found.early == ("sat1 battery: 9.0 V",)
+
+
+def test_only_a_case_that_may_pass_is_not_missed_without_a_response():
+    silent = replace(CASE, detected_s=None, named="")
+    assert silent.missed
+    assert not replace(silent, kind="frame_bumped").missed
+    drill = summarise("twin", [silent, replace(silent, kind="frame_bumped")])
+    assert [(row.undetected, row.unnoticed) for row in drill.rows] == [(1, 0), (0, 1)]
 
 
 # Injected faults in an experiment file
@@ -213,6 +264,10 @@ def test_whatever_is_drawn_can_be_injected(kind):
         ('{kind="stick_open",vehicle="sat1",at_s=1.0,jet=9}', "a jet from 1 to 8"),
         ('{kind="leak_valve",vehicle="sat1",at_s=1.0,value=30}', "at most 1: 30 % is 0.3"),
         ('{kind="leak_valve",vehicle="sat1",at_s=1.0,value=0}', "more than 0"),
+        ('{kind="swap_jets",vehicle="sat1",at_s=1.0,jet=2,value=2}', "the number of the other jet"),
+        ('{kind="swap_jets",vehicle="sat1",at_s=1.0}', "the number of the other jet"),
+        ('{kind="swap_boards",vehicle="sat1",at_s=1.0}', "`other` with a swap"),
+        ('{kind="slow_mocap",vehicle="sat1",at_s=1.0,value=0}', "more than 0"),
         ('{kind="leak",vehicle="sat1"}', "one of `at_s` and `event`"),
         ('{kind="leak",vehicle="sat1",event="near_edge"}', "threshold"),
         ('{kind="swap_bodies",vehicle="sat1",at_s=1.0}', "`other` with a swap"),
@@ -246,6 +301,8 @@ def flown(name, inject, duration):
         ('{kind="raise_law",vehicle="sat1",at_s=2.03}', "host_law", "brake", 0.2),
         ('{kind="kill_process",vehicle="sat1",at_s=2.03}', "vehicle_silent", "", 1.6),
         ('{kind="leak",vehicle="sat1",at_s=2.03,value=0.2}', "leak", "brake", 0.3),
+        ('{kind="regulator",vehicle="sat1",at_s=2.03}', "supply_high", "brake", 0.4),
+        ('{kind="sag",vehicle="sat1",at_s=2.03}', "supply_low", "brake", 0.3),
         (
             '{kind="overrun",vehicle="sat1",event="faster_than",threshold=0.001}',
             "overrun", "brake", 0.4,

@@ -91,6 +91,15 @@ SOON = "deploy.law_limit_s=0.4"
         ("time.sleep(1000)", "my_law.py:20, in force: did not return within 0.4 s"),
         ("sys.exit(0)", "my_law.py:20, in force: called sys.exit(0)"),
         ("os.fork()", "my_law.py: started a process by os.fork(); a law must not"),
+        ("raise KeyboardInterrupt", "my_law.py:20, in force: KeyboardInterrupt: "),
+        (
+            r"raise ValueError('\x00\x1b[2J\udcff' + 200 * 'x')",
+            f"my_law.py:20, in force: ValueError: ??[2J?{200 * 'x'}",
+        ),
+        (
+            "raise type('Odd', (Exception,), {'__str__': lambda self: 1 / 0})()",
+            "my_law.py:20, in force: Odd: its text cannot be read: ZeroDivisionError",
+        ),
     ],
 )
 def test_what_can_be_interrupted_is_blamed_line_by_line(testbed, does, fault):

@@ -13,9 +13,9 @@ from testbed.flight.arming import ArmingParams, Check, Expected, Readiness, armi
 from testbed.flight.gate import Fence
 from testbed.flight.supervisor import ARMED_FOR, MOVES, Supervisor
 
-GREEN = [Check("a pose", "", True), Check("a supply", "", False)]
-RED = [Check("a pose", "no pose yet", True), Check("a supply", "", False)]
-LOW = [Check("a pose", "", True), Check("a supply", "at 50 %", False)]
+GREEN = [Check("pose", "a"), Check("supply", "a", at_reset=False)]
+RED = [Check("pose", "a", "no pose yet"), Check("supply", "a", at_reset=False)]
+LOW = [Check("pose", "a"), Check("supply", "a", "at 50 %", at_reset=False)]
 PHASES = ("DISARMED", "ARMED", "RUNNING", "STOPPED", "FAULT")
 REACHED = {  # phase and request, with green checks -> phase, and whether it was done
     ("DISARMED", "arm"): ("ARMED", True),
@@ -54,7 +54,7 @@ def test_every_request_in_every_phase(phase, what):
     to, done = REACHED.get((phase, what), (phase, harmless))
     assert (answer.phase, answer.done) == (to, done)
     assert supervisor.phase == to
-    assert bool(answer.reasons) == (not done)
+    assert bool(answer.red) == (not done)
 
 
 @pytest.mark.parametrize("phase", PHASES)
@@ -68,13 +68,14 @@ def test_a_red_check_is_named(phase, what, checks):
     supervisor = brought_to(phase)
     answer = supervisor.request(1.0, what, checks)
     assert not answer.done
-    assert answer.reasons == tuple(f"{c.name}: {c.reason}" for c in checks if c.reason)
+    assert answer.red == tuple(one for one in checks if one.reason)
     assert supervisor.phase == phase
 
 
 @pytest.mark.parametrize(("phase", "what"), [("DISARMED", "arm"), ("FAULT", "reset")])
 def test_no_checks_are_no_green_checks(phase, what):
-    assert brought_to(phase).request(1.0, what, []).reasons == ("no check was made",)
+    (red,) = brought_to(phase).request(1.0, what, []).red
+    assert red.words == "checks: none was made"
 
 
 @pytest.mark.parametrize("phase", ["STOPPED", "FAULT"])
@@ -159,14 +160,14 @@ def test_nothing_fires_that_was_not_armed_and_run_with_green_checks(sequence):
 
 
 PARAMS = ArmingParams()
-EXPECTED = Expected("a", 100.0, 5e5, Fence(2.8, 2.8), (0.1, 0.0, 0.2), {"b": 0.4})
+EXPECTED = Expected("a", 100.0, 5e5, Fence(2.8, 2.8), (0.1, 0.0, 0.2), {"b": 0.4}, 0.03)
 
 
 @pytest.fixture
 def ready(make_state):
     return Readiness(
-        10.0, make_state(t=10.0), 100.0, Health(10.0, 5e5, 2e7), Vitals(), 0.01, True,
-        {"b": make_state((0.68, 0.0, 0.0), t=10.0)},
+        10.0, make_state((0.1, 0.0, 0.2), t=10.0), 100.0, Health(10.0, 5e5, 2e7), Vitals(),
+        0.01, True, {"b": make_state((0.68, 0.0, 0.0), t=10.0)},
     )  # fmt: skip
 
 
@@ -176,7 +177,7 @@ def red(ready):
 
 def test_all_green_when_all_is_well(ready):
     assert red(ready) == {}
-    assert len(arming_checks(ready, EXPECTED, PARAMS)) == 18
+    assert len(arming_checks(ready, EXPECTED, PARAMS)) == 20
 
 
 ROWS = [
@@ -184,17 +185,45 @@ ROWS = [
     ("a pose", {"pose_age": -0.11}),
     ("a pose", {"pose_age": math.nan}),
     ("a estimate", {"rejected": 3}),
-    ("a start", {"pose": Pose(0.1, 0.16, 0.2)}),
-    ("a start", {"pose": Pose(0.1, 0.0, 0.2 - math.radians(20.1))}),
+    ("a start", {"pose": Pose(0.1, 0.031, 0.2)}),
+    ("a heading", {"pose": Pose(0.1, 0.0, 0.2 - math.radians(20.1))}),
     ("a at rest", {"twist": Twist(0.011, 0.0, 0.0)}),
-    ("a at rest", {"twist": Twist(0.0, 0.0, -0.051)}),
-    ("a clear of b", {"pose": Pose(0.24, 0.0, 0.2)}),
+    ("a spin", {"twist": Twist(0.0, 0.0, -0.051)}),
+    ("a spin", {"twist": Twist(0.0, 0.0, math.nan)}),
 ]
 
 
 @pytest.mark.parametrize(("name", "change"), ROWS)
 def test_a_bad_state_is_red(name, change, ready):
     assert list(red(replace(ready, state=replace(ready.state, **change)))) == [name]
+
+
+def test_two_vehicles_close_to_each_other_are_red(ready, make_state):
+    near = replace(ready, neighbours={"b": make_state((0.54, 0.0, 0.0), t=10.0)})
+    (found,) = [one for one in arming_checks(near, EXPECTED, PARAMS) if one.reason]
+    assert (found.name, found.id, found.other) == ("a clear of b", "clear_of", "b")
+    assert (found.value, found.least) == (pytest.approx(0.04), 0.05)
+
+
+def test_the_place_of_the_start_is_as_exact_as_the_room_that_the_filter_keeps(ready):
+    def off(y, expected, params=PARAMS):
+        state = replace(ready.state, pose=Pose(0.1, y, 0.2))
+        checks = arming_checks(replace(ready, state=state), expected, params)
+        return [one.id for one in checks if one.reason]
+
+    assert off(0.029, EXPECTED) == []
+    assert off(0.031, EXPECTED) == ["start"]
+    assert off(0.031, replace(EXPECTED, room=0.05)) == []
+    assert off(0.009, replace(EXPECTED, room=0.0)) == []
+    assert off(0.1, EXPECTED, ArmingParams(start_distance=0.15)) == []
+
+
+def test_a_red_check_has_its_value_and_its_limits(ready):
+    low = replace(ready, health=Health(10.0, 4e5, 2e7, battery=math.nan))
+    supply, battery = (one for one in arming_checks(low, EXPECTED, PARAMS) if one.reason)
+    assert (supply.id, supply.vehicle, supply.value) == ("supply", "a", pytest.approx(0.8))
+    assert (supply.least, supply.most) == (0.95, 1.1)
+    assert (battery.id, battery.value) == ("battery", None)
 
 
 @pytest.mark.parametrize("place", [Pose(2.81, 0.0, 0.2), Pose(0.0, -2.81, 0.2)])
@@ -220,6 +249,9 @@ def test_the_heading_is_compared_round_the_circle(ready):
     ("name", "change"),
     [
         ("a pose", {"state": None}), ("a pose rate", {"pose_rate": 79.0}),
+        ("a pose rate", {"pose_rate": 121.0}), ("a supply", {"health": Health(0.0, 5.6e5, 2e7)}),
+        ("a battery", {"health": Health(0.0, 5e5, 2e7, battery=16.1)}),
+        ("a battery", {"health": Health(0.0, 5e5, 2e7, battery=math.nan)}),
         ("a board", {"health": None}), ("a supply", {"health": Health(0.0, 4.7e5, 2e7)}),
         ("a battery", {"health": Health(0.0, 5e5, 2e7, battery=10.9)}),
         ("a board", {"health": Health(0.0, 5e5, 2e7, silent_s=0.2)}),

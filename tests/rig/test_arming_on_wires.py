@@ -57,7 +57,8 @@ def test_a_red_check_is_named_and_nothing_is_armed():
     assert "red: sat1 battery: 12.0 V" in done.output
     assert "not started: hold on the bench\n" in done.output
     assert "final error" not in done.output  # there is nothing to show
-    assert metrics("out")["red"] == ["sat1 battery: 12.0 V"]
+    battery = {"vehicle": "sat1", "id": "battery", "value": 12.0, "least": 13.0, "most": 16.0}
+    assert metrics("out")["red"] == [battery | {"reason": "12.0 V", "at_reset": False}]
     assert metrics("out")["phase"] == "DISARMED"
     assert FaultLatch("bench", "lab", "").fault is None  # no valve could open
 
@@ -76,9 +77,9 @@ def test_a_law_that_dies_and_a_clock_that_is_not_known_are_red():
     law = 'controller={type="python", law="dies.py:Law"}'
     done = run("--rig", "bench", law, "criteria={}", "arming.clock_offset_s=1e-7", "--out", "out")
     assert done.exit_code == NOT_STARTED, done.output
-    reasons = dict(reason.split(": ", 1) for reason in metrics("out")["red"])
-    assert reasons["sat1 law"].endswith("in force: ZeroDivisionError: as it was written")
-    assert reasons["sat1 clock"].endswith("s from the host's")
+    reasons = {one["id"]: one["reason"] for one in metrics("out")["red"]}
+    assert reasons["law"].endswith("in force: ZeroDivisionError: as it was written")
+    assert reasons["clock"].endswith("s from the host's")
     assert phases("out") == []
 
 
@@ -101,7 +102,7 @@ def test_setpoints_of_another_host_before_the_start_are_red():
         ending = rig.fly(NullObserver())
     finally:
         over.set()
-    assert rig.red == ["sat1 session: messages of another session"]
+    assert [one.words for one in rig.red] == ["sat1 session: messages of another session"]
     assert ending.t == 0.0
 
 

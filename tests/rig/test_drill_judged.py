@@ -5,9 +5,10 @@ import pytest
 from sim_twin.plant import Touch
 from testbed.core.codes import FaultReport, Response
 from testbed.core.fault_injection import Injection
+from testbed.faults.drill import cases_of
 from testbed.net.commands import Counts, Ended
 from testbed.rig.wired.table_report import TableReport
-from testbed.run.drill_on_wires import Flown, judge, kinds
+from testbed.run.drill_on_wires import Flown, judge
 
 COUNTS = Counts({}, {}, {}, 0, 0, None, None)
 EPOCH = 5_000_000_000  # [ns]
@@ -32,8 +33,8 @@ def flown(edges, last_words, touches=(), fault=None):
     return Flown(EPOCH, report, {"sat1": last_words} if last_words else {}, fault)
 
 
-def judged(kind, what):
-    return judge(Injection(kind, "sat1", at_s=2.0), "hold", 0, ["sat1"], what)
+def judged(kind, what, row="", **more):
+    return judge(Injection(kind, "sat1", at_s=2.0, **more), "hold", 0, ["sat1"], what, row)
 
 
 LOST = FaultReport("pose_lost", "none", "sat1")
@@ -80,8 +81,17 @@ def test_a_vehicle_that_cannot_push_may_drift_into_something():
 
 
 def test_all_that_can_break_on_wires_is_rehearsed():
-    assert len(kinds()) >= 24
-    assert {"cut_serial", "stop_process", "kill_host", "foreign_session"} <= set(kinds())
+    there = set(cases_of("bench", 3))
+    assert set(cases_of("twin", 3)) < there
+    assert {"cut_serial", "stop_process", "kill_host", "foreign_session", "flood"} <= there
+
+
+def test_a_process_that_goes_on_after_a_pause_is_judged_as_any_other():
+    brakes = ended(3.0, None, {"overrun": 2.3}, {Response.BRAKE: 2.3})
+    shut_late = [(us(1.9), 1), (us(3.1), 0)]
+    found = judged("stop_process", flown(shut_late, brakes), "pause_process", for_s=0.2)
+    assert (found.kind, found.named, found.late) == ("pause_process", "overrun", 0)
+    assert found.detected_s == pytest.approx(0.3)
 
 
 def test_the_response_is_that_of_the_vehicle_concerned():

@@ -258,3 +258,130 @@ def test_two_that_meet_begin_a_fault(make_plant, make_vehicle):
     plant.x[1, 0] = 0.7
     broken.look(2.0)
     assert broken.began() == [2.0]
+
+
+def seen(broken, name, t, x=1.0, y=0.5, theta=0.1):
+    """The pose that the cameras show at this time of a body that does not move."""
+    broken.look(t)
+    (one,) = broken.poses(name, [PoseSample(t, x, y, theta)]) or [None]
+    return None if one is None else (one.captured_at, one.x, one.y, one.theta)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "shown"),
+    [
+        ("turn_body", 180.0, (1.0, 0.5, 0.1 - math.pi)),
+        ("shift_frame", 0.05, (1.05, 0.5, 0.1)),
+        ("creep_frame", 0.01, (1.02, 0.5, 0.1)),  # two seconds after it began
+        ("turn_frame", 90.0, (-0.5, 1.0, 0.1 + 0.5 * math.pi)),
+        ("scale_frame", 1000.0, (1000.0, 500.0, 0.1)),
+        ("tip_frame", None, (1.0, 0.2, 0.0)),
+    ],
+)
+def test_cameras_with_another_frame_show_another_pose(plant, kind, value, shown):
+    broken = injector(plant, fault(kind, 1.0, value=value))
+    assert seen(broken, "0", 0.9) == (0.9, 1.0, 0.5, 0.1)
+    t, *pose = seen(broken, "0", 3.0)
+    assert t == 3.0
+    assert pose == pytest.approx(shown)
+
+
+def test_a_frame_that_is_wrong_is_wrong_for_every_body(make_plant, make_vehicle):
+    two = make_plant([make_vehicle(), make_vehicle()], [[0.0] * 6, [1.0] + [0.0] * 5])
+    assert seen(injector(two, fault("shift_frame", 1.0)), "1", 2.0)[1] == 1.05
+    assert seen(injector(two, fault("turn_body", 1.0)), "1", 2.0)[3] == 0.1
+
+
+def test_old_poses_have_fresh_stamps(plant):
+    broken = injector(plant, fault("delay_mocap", 1.0, value=0.25))
+    shown = [seen(broken, "0", 0.125 * k, x=float(k)) for k in range(21)]
+    assert [one[0] for one in shown] == [0.125 * k for k in range(21)]
+    assert [one[1] for one in shown] == [*range(8), *range(6, 19)]
+
+
+def test_slow_cameras_show_a_part_of_the_frames(plant):
+    broken = injector(plant, fault("slow_mocap", 1.0, value=4.0))
+    there = [seen(broken, "0", 0.01 * k) is not None for k in range(300)]
+    assert all(there[:100])
+    assert sum(there[100:]) == 8  # in two seconds
+
+
+def test_a_frozen_pose_may_have_noise(plant):
+    broken = injector(plant, fault("freeze_mocap", 1.0, value=1e-6))
+    seen(broken, "0", 0.9)
+    _, x, y, theta = seen(broken, "0", 2.0, x=2.0)
+    assert (x, y, theta) == (pytest.approx(1.0, abs=1e-5), pytest.approx(0.5, abs=1e-5), 0.1)
+    assert x != 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "forces"),
+    [
+        ("weak_jet", {"value": 0.5, "jet": 1}, {0: 0.5, 1: 1.0}),
+        ("thrust", {"value": 0.6}, {0: 0.6, 1: 0.6}),
+        ("regulator", {"value": 1.5}, {0: 1.5, 1: 1.5}),
+        ("reverse_jet", {"jet": 1}, {0: -1.0, 1: 1.0}),
+    ],
+)
+def test_a_jet_gives_what_the_fault_leaves_it_and_then_all(plant, kind, more, forces):
+    drawn, broken = plant.parameters.effect.copy(), injector(plant, fault(kind, for_s=1.0, **more))
+    for t, shares in ((0.9, {}), (1.5, forces), (2.5, {})):
+        advance(plant, broken, t)
+        broken.before(t + 0.1)
+        for jet in range(2):
+            wanted = shares.get(jet, 1.0) * drawn[0, :, jet]
+            assert plant.parameters.effect[0, :, jet] == pytest.approx(wanted)
+
+
+def test_a_fault_that_ends_on_a_vehicle_without_air_gives_it_none(plant):
+    broken = injector(plant, fault("thrust", for_s=0.5))
+    advance(plant, broken, 1.2)
+    plant.land(0)
+    advance(plant, broken, 2.0)
+    assert not plant.parameters.effect.any()
+    plant.lift(0)
+    broken.before(2.1)
+    assert plant.parameters.thrust[0, 0] == pytest.approx(0.6)
+
+
+def test_swapped_wires_open_the_other_valve(plant):
+    drawn, broken = plant.parameters.effect[0].copy(), injector(plant, fault("swap_jets", value=3))
+    advance(plant, broken, 1.5)
+    assert plant.parameters.effect[0, :, 0] == pytest.approx(drawn[:, 2])
+    assert plant.parameters.effect[0, :, 2] == pytest.approx(drawn[:, 0])
+
+
+def test_swapped_boards_push_the_other_vehicle(make_plant, make_vehicle, make_plan):
+    two = make_plant([make_vehicle(), make_vehicle()], [[0.0] * 6, [1.0] + [0.0] * 5])
+    broken = injector(two, fault("swap_boards", 0.0, other="1"))
+    two.boards["0"].apply(make_plan(0.0, {0: (0.0, 0.1)}))
+    advance(two, broken, 0.3)
+    assert two.impulse[0] == 0.0
+    assert two.impulse[1] > 0.0
+
+
+def test_a_hose_pulls_and_a_pad_brakes(plant):
+    broken = injector(plant, fault("hose", 0.95, value=0.1), fault("pad_drag", 0.95))
+    advance(plant, broken, 1.0)
+    assert not plant.x.any()
+    advance(plant, broken, 2.0)
+    mass = plant.parameters.mass[0]
+    free = 0.1 / mass  # [m/s] after a second without the pad
+    assert plant.x[0, 3] == pytest.approx(0.1 / 2.0 * (1.0 - math.exp(-2.0 / mass)), rel=1e-3)
+    assert plant.x[0, 3] < free
+
+
+def test_what_the_board_reads(plant):
+    broken = injector(plant, fault("sag", value=0.5), fault("flat_battery", 2.0, value=9.0))
+    readings = []
+    for t in (0.5, 1.5, 2.5):
+        broken.look(t)
+        readings.append((broken.supply("0", 5e5), broken.power("0")[0]))
+    assert readings == [(5e5, 12.0), (2.5e5, 12.0), (2.5e5, 9.0)]
+
+
+def test_an_empty_tank_reads_nothing(plant):
+    broken = injector(plant, fault("empty_tank"))
+    advance(plant, broken, 1.5)
+    assert broken.supply("0", 5e5) == 0.0
+    assert plant.used[0] == plant.parameters.gas[0]

@@ -3,7 +3,7 @@
     python -m testbed.rig.wired.fault_flight EXPERIMENT.toml FOLDER
 
 It writes to FOLDER: start.json (the run's time 0 on the monotonic clock [ns]), the twin's
-report.json, each vehicle's report, and ending.json if the host is not killed.
+report.json, each vehicle's report, and ending.json with the red checks if the host is not killed.
 """
 
 import signal
@@ -36,7 +36,8 @@ def main() -> int:
     rig.on_start = started
     with no_garbage_collection():
         ending = rig.fly(NullObserver())
-    write_atomic(folder / "ending.json", msgspec.json.encode((ending, rig.supervisor.phase)))
+    left = ending, rig.supervisor.phase, rig.red
+    write_atomic(folder / "ending.json", msgspec.json.encode(left))
     return 0
 
 

@@ -61,9 +61,9 @@ class HostError(TestbedError):
 class NotArmedError(TestbedError):
     """The flight must not begin: arming checks failed, or the operator declined."""
 
-    def __init__(self, reasons: Sequence[str]) -> None:
-        super().__init__(not_armed(reasons).text)
-        self.reasons = reasons
+    def __init__(self, red: Sequence[Check]) -> None:
+        super().__init__(not_armed(red).text)
+        self.red = red
 
 
 class WireRig:
@@ -128,7 +128,7 @@ class WireRig:
         self._log, self._agree, self._latch = log, agree, latch
         self._say, self._checked = say, checked
         self.supervisor = Supervisor(latched)
-        self.red: list[str] = []
+        self.red: list[Check] = []
         self._ran = False  # valves may have opened
         self._relay = relay
         self.name = "bench" if bench else "table"
@@ -159,8 +159,8 @@ class WireRig:
             with ExitStack() as stack:
                 ending = self._fly(stack, observer, stopped)
         except NotArmedError as error:
-            self.red.extend(error.reasons)
-            return Ending(0.0, not_armed(error.reasons))
+            self.red.extend(error.red)
+            return Ending(0.0, not_armed(error.red))
         except (NetworkError, ChildError, HostError) as error:
             ending = Ending(self.now, FaultReport(FaultId.RIG_FAILED, str(error)))
             self._close(ending)
@@ -302,7 +302,7 @@ class WireRig:
                     self._say(f"{name} has ended: {why}; start `testbed agent {name}` again")
             if missing != reported:
                 self._checked([
-                    Check(f"{name} agent", "not on the network" if name in missing else "", True)
+                    Check("agent", name, "not on the network" if name in missing else "")
                     for name in self.experiment.vehicles
                 ])  # fmt: skip
                 if not self._bench:
@@ -340,7 +340,7 @@ class WireRig:
             return None
         if not self._agree(names):
             self.supervisor.request(0.0, "disarm")
-            raise NotArmedError(["operator declined arming"])
+            raise NotArmedError([Check("operator", "", "declined arming")])
         run, epoch = secrets.randbits(32), monotonic_ns() + AHEAD_NS
         clock = self.results.clock = WallClock(epoch)
         party = Party(session, self.experiment.table.lab, run, clock, self.experiment.seed, "host")
@@ -383,7 +383,8 @@ class WireRig:
         Raises:
             NotArmedError: it has not agreed by the time `end`; lists every failed check.
         """
-        answer = Answer(False, self.supervisor.phase, ("no time for the arming checks",))
+        late = Check("checks", "", "no time for them")
+        answer = Answer(False, self.supervisor.phase, (late,))
         while monotonic_ns() < end and not stopped():
             checks = preflight.checks()
             self._checked(checks)
@@ -392,4 +393,4 @@ class WireRig:
                 return
             sleep_until_ns(monotonic_ns() + 5 * LOOK_NS)
         if not stopped():
-            raise NotArmedError(answer.reasons)
+            raise NotArmedError(answer.red)

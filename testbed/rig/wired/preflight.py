@@ -109,13 +109,13 @@ class Preflight:
             try:
                 answer = order(self._session, self._keys, name, Look())
             except NetworkError as error:
-                found.append(Check(f"{name} link", str(error), at_reset=True))
+                found.append(Check("link", name, str(error)))
                 continue
             match answer:
                 case Ready():
                     heard[name] = answer, 1e-9 * (monotonic_ns() - asked)
                 case Refused(reason):
-                    found.append(Check(f"{name} board", reason, at_reset=True))
+                    found.append(Check("board", name, reason))
         states = {n: one.readiness.state for n, (one, _) in heard.items()}
         known = {n: s for n, s in states.items() if s is not None}
         for name, (one, trip) in heard.items():
@@ -136,5 +136,5 @@ class Preflight:
             found += arming_checks(ready, expected, self._experiment.arming)
             if self._records:
                 why = not_commissioned(self._experiment, name, one.board)
-                found.append(Check(f"{name} commissioned", why, at_reset=False))
+                found.append(Check("commissioned", name, why, at_reset=False))
         return found

@@ -5,7 +5,9 @@ The twin's server injects faults of cameras, air, boards and cables (`server.py`
 
 import math
 import os
+import resource
 import signal
+import subprocess
 from collections.abc import Callable, Sequence
 
 from testbed.core.fault_injection import Injection, Kind
@@ -14,8 +16,10 @@ from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 OF_PROCESSES: tuple[Kind, ...] = (
     "delay_link", "lose_link", "kill_process", "clock_step", "nan_law", "raise_law",
     "operator_gone", "disk_full", "config_differs", "overrun", "stop_process", "foreign_session",
+    "flood", "no_files",
     "kill_host", "stop_host",
 )  # fmt: skip
+LONG_S = 60.0  # a process that stops for longer is not continued
 
 
 class ProcessFaults:
@@ -50,8 +54,11 @@ class ProcessFaults:
         """Inject faults at the start of a tick of a vehicle's process."""
         if self.found("kill_process", name):
             os.kill(os.getpid(), signal.SIGKILL)
-        if self.found("stop_process", name):
-            os.kill(os.getpid(), signal.SIGSTOP)
+        if stopped := self.found("stop_process", name):
+            _stop(stopped.for_s)
+        if self.found("no_files", name):
+            _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (0, most))
         if late := self.found("overrun", name):
             sleep_until_ns(monotonic_ns() + round(1e9 * late.size))
         step = self.found("clock_step", name)
@@ -64,5 +71,13 @@ class ProcessFaults:
         """Inject faults at the start of a tick of the host's process."""
         if self.found("kill_host"):
             os.kill(os.getpid(), signal.SIGKILL)
-        if self.found("stop_host"):
-            os.kill(os.getpid(), signal.SIGSTOP)
+        if stopped := self.found("stop_host"):
+            _stop(stopped.for_s)
+
+
+def _stop(for_s: float) -> None:
+    """Stop this process; another one continues it, if that is soon."""
+    if for_s < LONG_S:
+        wakes = f"sleep {for_s:g}; kill -CONT {os.getpid()}"
+        subprocess.Popen(["/bin/sh", "-c", wakes], start_new_session=True)
+    os.kill(os.getpid(), signal.SIGSTOP)

@@ -27,6 +27,7 @@ from sim_twin.plant import Plant
 from sim_twin.randomness import stream
 from sim_twin.reported import ReportedValves
 from testbed.config import Experiment
+from testbed.core.fault_injection import Injection
 from testbed.core.types import Pose, PoseSample
 from testbed.metrics.afterwards import MINUTE, STEP
 from testbed.mocap.exposure import Axes, Sighting
@@ -82,7 +83,10 @@ class TableServer:
         self._edges: dict[str, list[tuple[int, int]]] = {name: [] for name in self.names}
         self._pose_topic: Publisher | None = None
         self._leases: Subscriber | None = None  # their stamps give the run's time 0
-        self._injector: FaultInjector | None = None
+        # faults from the start are there before the arming checks
+        self._injector = self._inject([one for one in self._injections() if one.at_s == 0.0])
+        self._planned = False
+        self._cut: dict[str, LineTap] = {}  # lines that an injected fault has cut
         self._down: set[str] = set()  # boards without power
         self._landed: set[str] = set()  # vehicles whose air is off until the end
         limits = [limits_of(model) for model in self.models.values()]
@@ -202,11 +206,9 @@ class TableServer:
             air = self.models[name].air
             pressure = air.supply_pressure(air.gas - float(self.plant.used[k]))
             supply_mv = SUPPLY_MV
-            if self._injector is not None:
-                if sag := self._injector.found(name, "sag"):
-                    pressure *= sag.size
-                if flat := self._injector.found(name, "flat_battery"):
-                    supply_mv = round(1e3 * flat.size)
+            pressure = self._injector.supply(name, pressure)
+            if flat := self._injector.found(name, "flat_battery"):
+                supply_mv = round(1e3 * flat.size)
             self._taps[name].sense(supply_mv, round(pressure))
 
     # The cameras
@@ -216,18 +218,16 @@ class TableServer:
         self._follow()
         t = None if self._released_ns is None else 1e-9 * (exposed - self._released_ns)
         if t is not None and t > self.plant.t:
-            if self._injector is not None:
-                self._injector.before(t)
+            self._injector.before(t)
             self.plant.advance(t)
-            if self._injector is not None:
-                self._injector.look(t)
+            self._injector.look(t)
             self._t.append(t)
             self._states.append(self.plant.x.tolist())
             openings = [valves.openings for valves in self._valves.values()]
             impulse, used = self.plant.impulse.tolist(), self.plant.used.tolist()
             self._spent.append(list(zip(impulse, used, openings, strict=True)))
         bodies, rows = [], None
-        if self._injector is not None and t is not None:
+        if t is not None:
             rows = self._injector.sources(self.names, np.array([t]))
         shown = None if rows is None else np.array(rows, np.int64)
         self._cameras.expose(np.array([1e-9 * exposed]), self.plant.x[None], np.inf, shown)
@@ -257,11 +257,9 @@ class TableServer:
         self._pose_topic.say(encode_poses(number, exposed, monotonic_ns(), seen))
 
     def _look(self, name: str, k: int) -> Sighting:
-        samples = self._cameras.arrived(k)
-        if self._injector is not None:
-            now = self.plant.t  # injections use the plant's time here
-            fresh = [PoseSample(now, one.x, one.y, one.theta) for one in samples]
-            samples = self._injector.poses(name, fresh)
+        now = self.plant.t  # injections use the plant's time here: 0 until the vehicles float
+        fresh = [PoseSample(now, one.x, one.y, one.theta) for one in self._cameras.arrived(k)]
+        samples = self._injector.poses(name, fresh)
         if not samples:
             return UNTRACKED
         return self._axes.to_cameras(Pose(samples[-1].x, samples[-1].y, samples[-1].theta))
@@ -287,13 +285,16 @@ class TableServer:
 
     def _rehearse(self) -> None:
         """Inject the faults that are due; their times are converted to the plant's time."""
-        if self._injector is None:
+        if not self._planned:
             self._plan_injections()
-            return
         injector = self._injector
         for name, tap in self._taps.items():
-            if injector.found(name, "cut_serial"):
+            cut = injector.found(name, "cut_serial")
+            if cut:
                 tap.cut = True
+                self._cut[name] = tap
+            elif self._cut.pop(name, None):
+                tap.cut = False
             dead = injector.found(name, "brown_out") is not None
             if dead != (name in self._down):
                 self._power(name, tap, off=dead)
@@ -308,15 +309,20 @@ class TableServer:
                 continue  # not from the host
             later = 1e-9 * (at - self._released_ns) - head.issued_at
             shifted = [
-                one if one.at_s is None else replace(one, at_s=max(0.0, one.at_s + later))
-                for one in self.experiment.inject
-                if one.kind not in OF_PROCESSES
+                replace(one, at_s=max(0.0, one.at_s + later)) if one.at_s else one
+                for one in self._injections()
             ]
-            size, seed = self.experiment.table.size, self.experiment.seed
-            half = (size[0] / 2, size[1] / 2)
-            obstacles = self.experiment.obstacles
-            self._injector = FaultInjector(shifted, self.plant, obstacles, half, seed, boards=False)
+            self._injector, self._planned = self._inject(shifted), True
             return
+
+    def _injections(self) -> list[Injection]:
+        """The faults that are injected here, not in the vehicles' processes or the host's."""
+        return [one for one in self.experiment.inject if one.kind not in OF_PROCESSES]
+
+    def _inject(self, injections: list[Injection]) -> FaultInjector:
+        size, obstacles = self.experiment.table.size, self.experiment.obstacles
+        half, seed = (size[0] / 2, size[1] / 2), self.experiment.seed
+        return FaultInjector(injections, self.plant, obstacles, half, seed, boards=False)
 
     def _power(self, name: str, tap: LineTap, *, off: bool) -> None:
         """Switch a board's power off or on."""
@@ -368,8 +374,7 @@ class TableServer:
         end = plant.t + MINUTE
         while plant.t < end and not (t and plant.stands):
             until = min(plant.t + 1.0, end)
-            if self._injector is not None:
-                self._injector.before(until)
+            self._injector.before(until)
             marks = np.arange(plant.t, until, STEP)
             states += plant.advance(until, marks).tolist()
             t += marks.tolist()

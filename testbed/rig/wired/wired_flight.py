@@ -280,6 +280,8 @@ class HostFlight:
         self.lease()
         if intruder := self._process_faults.found("foreign_session"):
             self._intrude(intruder.vehicle)
+        if flood := self._process_faults.found("flood"):
+            self._flood(flood.vehicle, round(flood.size * self._experiment.flight.jet_period_s))
         self._board.tick += 1
         clock = self._party.clock
         late = clock.lateness[-1] if clock.lateness else 0.0
@@ -292,10 +294,18 @@ class HostFlight:
         now = self._party.clock.now
         there = Reference(now, Pose(0.0, 0.0, 0.0), Twist(0.0, 0.0, 0.0), Accel(0.0, 0.0, 0.0))
         setpoint = Trajectory((there,), now + 1.0)
-        key = self._party.keys.of(name, "setpoint")
+        self._intruder(name).say(self._stranger.seal(setpoint, now, now + 1.0))
+
+    def _flood(self, name: str, count: int) -> None:
+        """Send messages that mean nothing, as a program gone wild would."""
+        for _ in range(count):
+            self._intruder(name).say(b"nothing")
+
+    def _intruder(self, name: str) -> Publisher:
         if name not in self._intruders:  # kept: messages of a closed publisher are lost
+            key = self._party.keys.of(name, "setpoint")
             self._intruders[name] = Publisher(self._party.session, key)
-        self._intruders[name].say(self._stranger.seal(setpoint, now, now + 1.0))
+        return self._intruders[name]
 
     def _listen(self) -> None:
         clock, book = self._party.clock, self._book
