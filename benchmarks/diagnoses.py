@@ -46,10 +46,13 @@ class Fault(NamedTuple):
     either: tuple[str, ...] = ()  # rows that name it beside another fault
     lasts_s: float = 30.0
     from_start: bool = False
+    watched: bool = False  # with reference bodies on the table
 
 
 LEAKS = ("valve_leaks", "valve_stuck_open")
-FRAME = ("frame_shifted",)
+SCALE = ("thrust_or_mass",)
+FRAME = ("frame_shifted", "frame_moved")
+FIXED = "table.lab.mocap.reference={north=[0.0,2.9,0.0],east=[2.9,0.0,0.0]}"
 FAULTS = {
     "leak 10-30 %": Fault("leak_valve", (0.1, 0.3), LEAKS, "jet {jet} ", ("valve_leaks_or_weak",)),
     "leak 30-60 %": Fault("leak_valve", (0.3, 0.6), LEAKS, "jet {jet} ", ("valve_leaks_or_weak",)),
@@ -76,17 +79,25 @@ FAULTS = {
     "pad drag 1-3 N s/m": Fault("pad_drag", (1.0, 3.0), ("pads_drag",)),
     "regulator x1.3-2": Fault("regulator", (1.3, 2.0), ("supply_high",)),
     "regulator x0.3-0.65": Fault("regulator", (0.3, 0.65), ("supply_low",)),
-    "thrust x0.5-0.7, no gauge": Fault("thrust", (0.5, 0.7), ("thrust_or_mass",)),
-    "thrust x1.4-2, no gauge": Fault("thrust", (1.4, 2.0), ("thrust_or_mass",)),
-    "mass x1.5-2": Fault("mass", (1.5, 2.0), ("thrust_or_mass",), from_start=True),
-    "mass x0.5-0.7": Fault("mass", (0.5, 0.7), ("thrust_or_mass",), from_start=True),
-    "thrust x0.5 from start": Fault("thrust", (0.5, 0.6), ("thrust_or_mass",), from_start=True),
-    "frame shift 10-49 mm": Fault("shift_frame", (0.01, 0.049), FRAME),
-    "frame turn 0.5-2 deg": Fault("turn_frame", (0.5, 2.0), FRAME),
-    "frame creep 10-30 mm/s": Fault("creep_frame", (0.01, 0.03), FRAME),
+    "thrust x0.5-0.7 of the file": Fault(
+        "thrust", (0.5, 0.7), SCALE, "", (), 60.0, from_start=True
+    ),
+    "thrust x1.4-2 of the file": Fault("thrust", (1.4, 2.0), SCALE, "", (), 60.0, from_start=True),
+    "mass x1.5-2 of the file": Fault("mass", (1.5, 2.0), SCALE, "", (), 60.0, from_start=True),
+    "mass x0.5-0.7 of the file": Fault("mass", (0.5, 0.7), SCALE, "", (), 60.0, from_start=True),
+    "frame shift 5-49 mm": Fault("shift_frame", (0.005, 0.049), FRAME, either=("poses_step_back",)),
+    "frame turn 0.5-2 deg": Fault("turn_frame", (0.5, 2.0), FRAME, either=("heading_shifted",)),
+    "frame shift, reference": Fault(
+        "shift_frame", (0.006, 0.049), FRAME, either=("poses_step_back",), watched=True
+    ),
+    "frame creep, reference": Fault("creep_frame", (0.01, 0.03), FRAME, watched=True),
     "heading jump 2-5 deg": Fault("turn_body", (2.0, 5.0), ("heading_shifted",)),
-    "heading off 6-19 deg": Fault("turn_body", (6.0, 19.0), ("heading_off",), from_start=True),
-    "poses 0.15-0.4 s late": Fault("delay_mocap", (0.15, 0.4), ("poses_late",)),
+    "heading off 6-19 deg": Fault(
+        "turn_body", (6.0, 19.0), ("heading_off",), "", (), 60.0, from_start=True
+    ),
+    "poses 0.15-0.4 s late": Fault(
+        "delay_mocap", (0.15, 0.4), ("poses_late",), either=("poses_step_back",)
+    ),
     "late from the start": Fault("delay_mocap", (0.15, 0.4), ("poses_late",), from_start=True),
     "frozen, dither to 20 um": Fault("freeze_mocap", (1e-9, 2e-5), ("pose_frozen", "pose_quiet")),
     "4 Hz instead of 100": Fault("slow_mocap", (3.0, 10.0), ("pose_rate_low",)),
@@ -120,7 +131,8 @@ def prepared(name, number, seed):
     )  # fmt: skip
     shipped, overrides = EXPERIMENTS[number % len(EXPERIMENTS)]
     lasts = fault.lasts_s + at_s
-    experiment = load(find(shipped), [*overrides, f"seed={1000 + number}", f"duration_s={lasts}"])
+    overrides = [*overrides, f"seed={1000 + number}", f"duration_s={lasts}"]
+    experiment = load(find(shipped), [*overrides, FIXED] if fault.watched else overrides)
     return replace(experiment, inject=[what])
 
 

@@ -23,7 +23,7 @@ class Late:
             return now
         due = now.captured_at - delay
         old = [one for one in self._seen if one.captured_at <= due]
-        then = old[-1] if old else self._seen[0]
+        then = old[-1] if old else now  # before the flight it was at rest
         return PoseSample(now.captured_at, then.x, then.y, then.theta)
 
 

@@ -4,9 +4,10 @@ Time is virtual and advances only when the loop waits: lockstep, deterministic, 
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from sim_twin.board import Driver
@@ -15,6 +16,8 @@ from sim_twin.fault_injection import FaultInjector
 from sim_twin.plant import Plant
 from sim_twin.radio import Radio, Whole, listen
 from sim_twin.randomness import stream
+from sim_twin.reference_bodies import ReferenceBodies
+from testbed.core.codes import FaultReport
 from testbed.core.compiled import compiled, settled
 from testbed.core.fault_injection import Injection
 from testbed.core.table import Obstacle, Table
@@ -97,6 +100,9 @@ class Twin:
         self.cameras = Cameras(self.names, table.mocap, seed, table.spread)
         self.radio = Radio(table.link, seed)
         self.now = 0.0  # time of the run [s]
+        reference = table.lab.mocap.reference
+        self._fixed = ReferenceBodies(reference, table.mocap, seed) if reference else None
+        self.fleet: Callable[[], FaultReport | None] = lambda: None  # a fault of the lab
         self._rate = table.mocap.rate_hz
         self._phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))
         self._frame = 0
@@ -186,7 +192,13 @@ class Twin:
 
     def vitals(self, name: str) -> Vitals:
         """Health of a vehicle's process; good unless a fault is injected."""
-        return ALL_WELL if self.injector is None else self.injector.vitals(name)
+        vitals = ALL_WELL if self.injector is None else self.injector.vitals(name)
+        fault = self.fleet()
+        return vitals if fault is None else replace(vitals, fleet=fault)
+
+    def reference_bodies(self) -> dict[str, PoseSample]:
+        """The newest pose of each reference body."""
+        return {} if self._fixed is None else self._fixed.seen(self.now, self.injector)
 
     def health(self, name: str) -> Health:
         """Readings of the board's sensors."""

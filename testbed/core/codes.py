@@ -121,8 +121,7 @@ class Detector(Code):
     LATE_STEP = 33, "late_step"  # [s] by how much older its poses may be since then
     FRAME_STEP = 34, "frame_step"  # [m] that it cannot be explained by a delay
     HEADING_STEP = 35, "heading_step"  # [rad] at the same place
-    FRAME_OFF = 36, "frame_off"  # [m] of a reference body from its place
-    POSE_RATE = 37, "pose_rate"  # poses of the last second over what the cameras should give
+    POSE_RATE = 36, "pose_rate"  # poses of the last second over what the cameras should give
 
 
 class FaultId(StrEnum):
@@ -133,6 +132,7 @@ class FaultId(StrEnum):
     HOST_LAW_NOT_A_NUMBER = auto()
     LAW_STUCK = auto()  # it did not return, left threads running, or ended its process
     LAW_SLOW = auto()  # too slow for the bench and the table
+    FRAME_MOVED = auto()  # the cameras see the reference bodies elsewhere
     BOARD_FAILED = auto()  # it no longer executes plans
     BOARD_LEFT_ARMED = auto()
     LINE_LOST = auto()  # the serial line to the board

@@ -33,6 +33,8 @@ class MocapWire(Struct, frozen=True, forbid_unknown_fields=True):
     origin: Point = (0.0, 0.0)  # of the table's centre, in the floor plane of the cameras [m]
     turn_deg: float = 0.0  # of the table against the cameras, counter-clockwise
     bodies: dict[str, str] = field(default_factory=dict)  # vehicle -> body; default: same name
+    # bodies that never move, and where they are on the table: x, y [m], theta [rad]
+    reference: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
 
 class Network(Struct, frozen=True, forbid_unknown_fields=True):

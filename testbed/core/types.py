@@ -146,7 +146,6 @@ class Vitals(Struct, frozen=True, gc=False, omit_defaults=True):
     fleet: FaultReport | None = None  # a fault of another vehicle that stops all
     foreign: int = 0  # messages of another session since the last tick; none was obeyed
     end: bool = False  # the flight is over: come to rest and turn the air off
-    frame_off: float = 0.0  # farthest reference body from its place, as the cameras see it [m]
 
 
 ALL_WELL = Vitals()

@@ -46,7 +46,8 @@ from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance, Kept
-from testbed.flight.hypotheses import CAUSES, cause_of, ranked
+from testbed.flight.hypotheses import CAUSES, SHORT, WEAK, cause_of, ranked
+from testbed.flight.jet_faults import is_weak
 from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
@@ -170,7 +171,7 @@ class Agent:
             health.supply_pressure, health.tank_pressure, health.battery, health.silent_s,
             vitals.session_ok, vitals.operator_age, vitals.clock_offset, vitals.late_s,
             vitals.disk_free, vitals.same_config, vitals.foreign,
-            bool(self._law_error or vitals.law_error), vitals.fleet is not None, vitals.frame_off,
+            bool(self._law_error or vitals.law_error), vitals.fleet is not None,
             *numbers_of(setpoint),
         )  # fmt: skip
 
@@ -266,7 +267,9 @@ class Agent:
         touched = self._nearby.contact(inputs.t)
         touched = touched and f"{touched} or "
         if detector in CAUSES:
-            return touched + ranked(m, cause_of(m, detector), self.params.gains.mass)
+            kind = CAUSES[detector]
+            found = m if kind in SHORT or (kind == WEAK and is_weak(m)) else m.far
+            return touched + ranked(found, cause_of(found, kind), self.params.gains.mass)
         step = self.memory.fixed[0].estimator.step
         match detector:
             case Detector.JET_OPEN:

@@ -95,7 +95,7 @@ def measure(p, m, seen, known, suspected, row, samples, neighbours, finite, spar
     for k in range(neighbours.shape[0]):
         if told.t - neighbours[k, 5] > oldest:
             oldest, done.oldest = told.t - neighbours[k, 5], k
-    leaks, is_weak = jet_faults.leaks(suspected), jet_faults.is_weak(suspected)
+    leaks = jet_faults.leaks(suspected)
     either = jet_faults.leaks_or_is_weak(suspected)
     done.leak = jet_faults.sigmas(suspected.leak) if either else 0.0
     repeats = max(float(count_repeats(m, samples)), float(seen.still - NEARLY))
@@ -115,7 +115,7 @@ def measure(p, m, seen, known, suspected, row, samples, neighbours, finite, spar
         suspected.leak.share if leaks else 0.0,
         jet_faults.sigmas(suspected.leak) if leaks else 0.0,
         done.leak,
-        jet_faults.sigmas(suspected.weak) if is_weak else 0.0,
+        jet_faults.missing(suspected),
         spare,
         float(told.law_failed),
         0.0 if finite else 1.0,
@@ -137,22 +137,22 @@ def measure(p, m, seen, known, suspected, row, samples, neighbours, finite, spar
 @compiled
 def explain(p, m, seen, known, suspected, row, samples):
     """Numbers of what explains the motion, and of the cameras: from JET_PARTLY_WEAK on."""
-    gains, sizes, least = suspected.gains, suspected.sizes, known.least
+    far, least = suspected.far, known.least
+    gains, sizes = far.gains, far.sizes
     pull = certain(gains, sizes, least, PULL)
     scaled = THRUST if gains[THRUST] >= gains[MASS] else MASS
     late_s, frame_step, heading_step = what_stepped(seen.step, seen.going)
     return (
-        jet_faults.sigmas(suspected.weak) if jet_faults.is_partly_weak(suspected) else 0.0,
+        jet_faults.sigmas(far.weak) if jet_faults.is_partly_weak(far) else 0.0,
         pull,
         sizes[PULL] / p.holding if pull > 0.0 else 0.0,
         certain(gains, sizes, least, DRAG),
         certain(gains, sizes, least, scaled),
         certain(gains, sizes, least, TURNED),
-        certain(gains, sizes, least, LATE),
+        certain(suspected.gains, suspected.sizes, least, LATE),
         late_s,
         frame_step,
         heading_step,
-        row.told.frame_off,
         pose_rate(p, m, row.told.t, samples.shape[0]),
     )
 

@@ -244,6 +244,7 @@ MEMORY = record(
     usual=float,  # the same over more poses
     still=int,  # poses in a row that repeat the one before, but for a small share of the noise
     apart=(4,),  # first refused pose: time, and how far it was from the prediction
+    prior=(3,),  # how far the last accepted pose was from its prediction
     since=float,  # capture time of the last accepted pose before it [s]
     step=(3,),  # how far this tick's accepted pose is elsewhere without a push [m, m, rad]
     going=(3,),  # velocity then [m/s, m/s, rad/s]
@@ -297,7 +298,7 @@ def start(p, m, sample):
     m.t = m.newest = sample[0]
     m.refused = m.agreed = 0.0
     m.rough = m.usual = 1.0
-    m.still, m.step[:] = 0, 0.0
+    m.still, m.step[:], m.prior[:] = 0, 0.0, 0.0
     m.x[:], m.cov[:], m.cov_spin[:] = 0.0, 0.0, 0.0
     m.x[0], m.x[1], m.x[2] = sample[1], sample[2], sample[3]
     for i in range(4):
@@ -348,6 +349,7 @@ def absorb(p, model, m, fired, sample):
         x[3 * i] += gain[i] * dx
         x[3 * i + 1] += gain[i] * dy
         x[3 * i + 2] += gain_spin[i] * turn
+    m.prior[0], m.prior[1], m.prior[2] = dx, dy, turn
     m.newest, m.agreed = m.t, 0.0
     m.refused = max(0.0, m.refused - FORGIVEN)
 

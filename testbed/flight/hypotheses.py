@@ -80,33 +80,6 @@ def causes(fresh, first, push, before, now, period, pads, heard, look):
 
 
 @compiled
-def suspect(since, least, y):
-    """S_j and N_j of jet_faults' first lines for every suspicion, both of shape (count,).
-
-    They are computed side by side: a processor does several at a time, and one after the other they
-    took most of a tick.
-
-    Args:
-        since: columns x'z, x'x, x'e, one for each suspicion, shape (m + 2, count).
-        least: see jet_faults.factor.
-        y: see jet_faults.factor.
-    """
-    m, count = y.shape[0], since.shape[1]
-    root, own, fits = np.empty((m, count)), since[m].copy(), since[m + 1].copy()
-    for i in range(m):
-        for h in range(count):
-            root[i, h] = since[i, h]
-        for q in range(i):
-            for h in range(count):
-                root[i, h] -= least[i, q] * root[q, h]
-        for h in range(count):
-            root[i, h] *= least[i, i]
-            own[h] -= root[i, h] * root[i, h]
-            fits[h] -= root[i, h] * y[i]
-    return fits, own
-
-
-@compiled
 def gained(fits, own, low, high):
     """Size and gain of a cause; `fits` and `own` are S and N of jet_faults' first lines."""
     if own < 1e-9:
@@ -116,7 +89,7 @@ def gained(fits, own, low, high):
 
 
 @compiled
-def score(fits, own, first, period, gains, sizes, way):
+def score(fits, own, first, period, always, gains, sizes, way):
     """Keep the best of every kind in `gains` and `sizes`, and the direction of a pull in `way`."""
     px, gain_x = gained(fits[first + X], own[first + X], -MOST_PULL, MOST_PULL)
     py, gain_y = gained(fits[first + Y], own[first + Y], -MOST_PULL, MOST_PULL)
@@ -125,11 +98,12 @@ def score(fits, own, first, period, gains, sizes, way):
         way[0], way[1] = px, py
     one = first + SLOWED
     keep(DRAG, 1.0, gained(fits[one], own[one], 0.0, MOST_DRAG), gains, sizes)
-    for kind, column in ((THRUST, ALL), (MASS, PUSHED)):
-        one = first + column
-        keep(kind, 1.0, gained(fits[one], own[one], -1.0, MOST_SCALE), gains, sizes)
-    one = first + ROTATED
-    keep(TURNED, 1.0, gained(fits[one], own[one], -MOST_TURN, MOST_TURN), gains, sizes)
+    if always:  # what a file says wrongly has been wrong since before the flight
+        for kind, column in ((THRUST, ALL), (MASS, PUSHED)):
+            one = first + column
+            keep(kind, 1.0, gained(fits[one], own[one], -1.0, MOST_SCALE), gains, sizes)
+        one = first + ROTATED
+        keep(TURNED, 1.0, gained(fits[one], own[one], -MOST_TURN, MOST_TURN), gains, sizes)
     for d in range(DELAYS):
         one = first + DELAYED + d
         found = gained(fits[one], own[one], 0.0, MOST_DELAY)
@@ -193,22 +167,24 @@ CAUSES = {  # detector -> kind of its cause
 }
 
 
-def cause_of(m: Any, detector: Detector) -> int:
-    """The kind of cause that a detector names."""
-    kind = CAUSES[detector]
+SHORT = (LEAK, LATE)  # kinds that the short window names
+
+
+def cause_of(m: Any, kind: int) -> int:
+    """The kind of cause to name: of thrust and mass the better one."""
     if kind == THRUST and m.gains[MASS] > m.gains[THRUST]:
         return MASS
     return kind
 
 
 def words(m: Any, kind: int, mass: float) -> str:
-    """A cause with its size, for a person; `m` is a jet_faults.MEMORY."""
+    """A cause with its size, for a person; `m` is a record of window.VERDICT."""
     size = float(m.sizes[kind])
     match kind:
         case k if k == LEAK:
-            return f"jet {m.leak.jet + 1} leaks {m.leak.share:.0%}"
+            return f"jet {m.leak.jet + 1} leaks {m.leak.share:.0%} of its thrust"
         case k if k == WEAK:
-            return f"jet {m.weak.jet + 1} gives {1.0 - m.weak.share:.0%}"
+            return f"jet {m.weak.jet + 1} gives {1.0 - m.weak.share:.0%} of its thrust"
         case k if k == PULL:
             way = math.degrees(math.atan2(m.way[1], m.way[0]))
             return f"hose or tilt pulls with {mass * size:.2f} N towards {way:.0f} deg"

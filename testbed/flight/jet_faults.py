@@ -35,31 +35,21 @@ from testbed.flight.effectiveness import MEMORY_S as SLOWLY
 from testbed.flight.effectiveness import SPREAD as UNHEARD
 from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import (
-    CLEAR,
-    KINDS,
-    LEAK,
-    SURE,
-    WEAK,
-    beyond,
-    causes,
-    least_of,
-    pads_of,
-    score,
-    suspect,
-)
+from testbed.flight.hypotheses import CLEAR, LEAK, SURE, WEAK, beyond, causes, least_of, pads_of
 from testbed.flight.record import record
 from testbed.flight.response import response
+from testbed.flight.window import VERDICT, Window, age, clear, decide, factor, forget, listen
 
 Array = NDArray[np.float64]
 
 LOOK = 0.1  # length of a look; faster ticks are combined: their residuals are dependent [s]
 MEMORY_S = 10.0  # time constant of forgetting [s]
+STRETCH = 1.0  # looks of the long window are summed over this [s]
+LONG_MEMORY_S = 40.0  # [s]
+LONG_BELIEVED = 3.0  # weight of the spread at the start [sums]
 SETTLING = 20.0  # time constant of the mean of unexplained acceleration, the slope [s]
 BLOCK = 0.3  # a suspicion begins at the start of a block of this length [s]
-BLOCKS = 25
 SHOWN = 10  # looks from one effectiveness to the next
-BEGUN = (1, 2, 3, 4, 5, 7, 10, 14, 24)  # tested beginnings [blocks ago]; the look is in block 0
 THRUST = 0.05  # smallest assumed thrust error of a jet, relative, one sigma
 BALANCE = 0.01  # smallest assumed error of the centre of mass, one sigma [m]
 SLOPE = 2e-3  # assumed slope of an unknown table [m/s^2]
@@ -68,12 +58,10 @@ ALIKE = 50.0  # looks for which a moving vehicle meets the same bump of a roughe
 SPREAD = 1.5e-3  # of a velocity residual at the start, one sigma [m/s]
 SPIN_SPREAD = 5e-3  # [rad/s]
 BELIEVED = 30.0  # weight of the spread at the start [looks]
-WHITE = 2.6  # variance of the difference of two residuals, in variances of one
-OUTLIER = 9.0  # variances: a larger residual in a look is not noise
 HARDEST = 3.0  # jets: a stronger push in a look is external
-MOST = 1.2  # largest leak of a jet, in multiples of its thrust
 ENOUGH = 0.3  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
+LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
 PART = 0.15  # smallest missing share of thrust that is worth a warning
 DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
 
@@ -96,15 +84,10 @@ class Known(NamedTuple):
     ticks: int  # in a look
     block: int  # looks in a block
     keep: float  # factor of forgetting, per look
+    long: int  # looks that are summed for the long window
     least: Array  # smallest size of each kind of cause that is a fault, see hypotheses.py
     pads: Array  # see hypotheses.pads_of, (2,)
 
-
-SUSPICION = record(  # the best of its kind
-    jet=int,
-    share=float,  # of the jet's thrust
-    gain=float,  # in log-likelihood; 0: no suspicion
-)
 
 MEMORY = record(
     seen=int,  # 1: `before` is known
@@ -113,11 +96,10 @@ MEMORY = record(
     look=int,  # number of the last one
     counted=int,  # looks that count: with poses that were trusted
     wait=int,  # looks until the estimator has settled
-    leak=SUSPICION,
-    weak=SUSPICION,
-    gains=(KINDS,),  # of the best cause of each kind, see hypotheses.py
-    sizes=(KINDS,),
-    way=(2,),  # of a pull in W
+    summed=int,  # looks in `Heard.sums`
+    stretches=int,  # sums so far
+    far=record(**VERDICT),  # of the long window
+    **VERDICT,  # of the short one
 )
 
 
@@ -126,14 +108,13 @@ class Heard(NamedTuple):
 
     duty: Array  # sum over the ticks since the last look, (n,)
     recent: Array  # z and causes of the last looks, not yet delayed, (looks, m + n + COLUMNS, 3)
-    told: Array  # z'z, and z'e as the last column, (m, m + 1)
-    blocks: Array  # of jets, leaks, causes: x'z, x'x, x'e, (BLOCKS, m + 2, 2 n + COLUMNS)
-    spread: Array  # variance of the residual, push and turn, (2,)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
-    last: Array  # previous residual, (3,)
+    sums: Array  # of causes, and of residuals as the last row, (m + n + COLUMNS + 1, 3)
     slow: Array  # see effectiveness.py, (m, m + 1)
     off: Array  # deviation of each jet from its thrust, as a share of it, (n,)
     sigma: Array  # of that, (n,)
+    near: Window  # of looks
+    far: Window  # of their sums
 
 
 @pasted
@@ -169,16 +150,19 @@ def pause(p, m, heard):
     """Ignore looks with untrusted poses, until the estimator has settled."""
     m.seen, m.wait = 0, p.shown.shape[0]
     forget(m)
-    heard.recent[:] = 0.0
+    forget(m.far)
+    m.summed = 0
+    heard.recent[:] = heard.sums[:] = 0.0
 
 
 @compiled
 def restart(p, m, heard):
     """Begin anew: what was heard so far is explained, and the jets are other ones from now on."""
     pause(p, m, heard)
-    m.counted, m.noted = 0, 0
-    heard.told[:], heard.blocks[:] = 0.0, 0.0
-    heard.duty[:], heard.bias[:], heard.last[:] = 0.0, 0.0, 0.0
+    m.counted, m.noted, m.stretches = 0, 0, 0
+    clear(heard.near)
+    clear(heard.far)
+    heard.duty[:], heard.bias[:] = 0.0, 0.0
     heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, UNHEARD
 
 
@@ -232,66 +216,6 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
 
 
 @compiled
-def listen(e, x, heard, counted, keep, rough):
-    """Update slope, noise and the correlations of e with its possible causes, in place."""
-    spread, last, m = heard.spread, heard.last, heard.told.shape[0]
-    n = m - 4
-    trust = max(1.0 - keep, 1.0 / (counted + BELIEVED))
-    dx, dy, turn = e[0] - last[0], e[1] - last[1], e[2] - last[2]
-    push = 0.5 * (dx * dx + dy * dy) / WHITE
-    spread[0] += trust * (min(push, OUTLIER * spread[0]) - spread[0])
-    spread[1] += trust * (min(turn * turn / WHITE, OUTLIER * spread[1]) - spread[1])
-    last[:] = e
-    push = 1.0 / (spread[0] + rough)
-    weight = (push, push, 1.0 / spread[1])
-    told, blocks = heard.told, heard.blocks
-    told *= keep
-    blocks *= keep
-    for i in range(x.shape[0]):
-        a, b, c = x[i, 0] * weight[0], x[i, 1] * weight[1], x[i, 2] * weight[2]
-        explains = a * e[0] + b * e[1] + c * e[2]
-        if i < m:
-            told[i, m] += explains
-            for k in range(m):
-                told[i, k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
-        if i < n or i >= m:  # possible suspicions: jets, leaks, other causes
-            h = i if i < n else i - 4
-            for k in range(m):
-                blocks[0, k, h] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
-            blocks[0, m, h] += a * x[i, 0] + b * x[i, 1] + c * x[i, 2]
-            blocks[0, m + 1, h] += explains
-
-
-@compiled
-def factor(known, heard, counted):
-    """L of z'z + 1 / tolerances^2, with 1 / L_ii in its diagonal, (m, m), and L^-1 z'e, (m,)."""
-    told, m = heard.told, heard.told.shape[0]
-    least, y = np.zeros((m, m)), np.empty(m)
-    slope = 1.0 / (known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * counted))
-    for i in range(m):
-        for k in range(i + 1):
-            total = told[i, k]
-            if i == k:
-                total += slope if i >= m - 2 else known.sure[i]
-            for q in range(k):
-                total -= least[i, q] * least[k, q]
-            least[i, k] = 1.0 / np.sqrt(total) if i == k else total * least[k, k]
-        total = told[i, m]
-        for q in range(i):
-            total -= least[i, q] * y[q]
-        y[i] = total * least[i, i]
-    return least, y
-
-
-@compiled
-def forget(m):
-    """Reset the detector: nothing is suspected."""
-    m.leak.jet, m.leak.share, m.leak.gain = 0, 0.0, 0.0
-    m.weak.jet, m.weak.share, m.weak.gain = 0, 0.0, 0.0
-    m.gains[:] = m.sizes[:] = m.way[:] = 0.0
-
-
-@compiled
 def weigh(known, m, heard, now, duty, thrust_scale):
     """Add one look, in place, and keep the best suspicion of each kind in `m`.
 
@@ -303,44 +227,51 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         duty: share of the time since the last one for which each jet flowed, shape (n,).
         thrust_scale: of the thrust at the supply pressure.
     """
-    look = m.look
-    e, x = residual(m.before, now, duty, thrust_scale, known, heard, look)
-    n, blocks = duty.shape[0], heard.blocks
+    e, x = residual(m.before, now, duty, thrust_scale, known, heard, m.look)
+    near, bias = heard.near, heard.bias
     forget(m)
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
         return
+    heard.sums[:-1] += x
+    heard.sums[-1] += e
     settling = max(1.0 / m.counted, known.period / SETTLING)
     for axis in range(2):
-        heard.bias[axis] += settling * e[axis] / known.period
-    if look % known.block == 0:  # merge the oldest two blocks
-        blocks[-2] += blocks[-1]
-        blocks[1:] = blocks[:-1].copy()
-        blocks[0] = 0.0
-    listen(e, x, heard, m.counted, known.keep, known.rough)
-    push = 1.0 / (heard.spread[0] + known.rough)
-    weights = (push, push, 1.0 / heard.spread[1])
+        heard.sums[-1, axis] += known.period * bias[axis]
+        bias[axis] += settling * e[axis] / known.period
+    if m.look % known.block == 0:
+        age(near.blocks)
+    trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
+    listen(near, e, x, trust, known.keep, known.rough)
+    push = 1.0 / (near.spread[0] + known.rough)
+    weights = (push, push, 1.0 / near.spread[1])
     learn(heard.slow, e, x, weights, 1.0 - min(0.5, known.period / SLOWLY))
-    if look % SHOWN == 0:
+    if m.look % SHOWN == 0:
         slope = 1.0 / (known.slope * known.slope + known.bumps * known.bumps)
         resolve(heard.slow, known.sure, slope, heard.off, heard.sigma)
-    least, y = factor(known, heard, m.counted)
-    since = np.zeros(blocks.shape[1:])
-    for k in range(blocks.shape[0]):
-        since += blocks[k]
-        if k not in BEGUN:
-            continue
-        fits, own = suspect(since, least, y)
-        for h in range(2 * n):
-            if own[h] <= 1e-6 * since[-2, h] or own[h] < 1e-9:
-                continue
-            one, low, high = (m.weak, -1.0, 0.0) if h < n else (m.leak, 0.0, MOST)
-            share = min(max(fits[h] / own[h], low), high)
-            gain = share * fits[h] - 0.5 * share * share * own[h]
-            if gain > one.gain:
-                one.jet, one.share, one.gain = h % n, abs(share), gain
-        score(fits, own, 2 * n, known.period, m.gains, m.sizes, m.way)
-    m.gains[LEAK], m.sizes[LEAK] = m.leak.gain, m.leak.share
-    m.gains[WEAK], m.sizes[WEAK] = m.weak.gain, m.weak.share
+    slope = known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * m.counted)
+    least, y = factor(near.told, known.sure, 1.0 / slope)
+    decide(near, least, y, known.period, False, m)
+    m.summed += 1
+    if m.summed == known.long:
+        weigh_long(known, m, heard)
+
+
+@compiled
+def weigh_long(known, m, heard):
+    """Add the sum of the last looks to the long window, and keep what it says in `m.far`.
+
+    Pushes add up over a second, while the noise of its residual is that of a look.
+    """
+    far, keep = heard.far, 1.0 - known.long * known.period / LONG_MEMORY_S
+    forget(m.far)
+    age(far.blocks)
+    m.stretches += 1
+    trust = max(1.0 - keep, 1.0 / (m.stretches + LONG_BELIEVED))
+    listen(far, heard.sums[-1], heard.sums[:-1], trust, keep, known.long * known.rough)
+    slope = known.bumps * known.bumps + known.slope * known.slope
+    least, y = factor(far.told, known.sure, 1.0 / slope)
+    decide(far, least, y, known.period, True, m.far)
+    m.summed, heard.sums[:] = 0, 0.0
 
 
 @compiled
@@ -361,6 +292,14 @@ def leaks(m):
 def is_weak(m):
     """Whether the suspected jet is too weak, and nothing else explains the motion."""
     return m.weak.share > ENOUGH and weakness_is_clear(m)
+
+
+@compiled
+def missing(m):
+    """Sigmas of a jet that is too weak; the long window has to be surer."""
+    if is_weak(m):
+        return sigmas(m.weak)
+    return sigmas(m.far.weak) if m.far.weak.gain > LONG_SURE and is_weak(m.far) else 0.0
 
 
 @compiled
@@ -416,5 +355,6 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
         np.ascontiguousarray(response(estimator, vehicle, table.mocap, period)),
         HARDEST * period * np.array([push, turn]), period,
         ticks, max(1, round(BLOCK / period)), 1.0 - min(0.5, period / MEMORY_S),
+        max(1, round(STRETCH / period)),
         least_of(vehicle, table, bumps), pads_of(vehicle),
     )  # fmt: skip

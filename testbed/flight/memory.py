@@ -13,9 +13,10 @@ from testbed.flight import detectors, effectiveness, estimator, gate, jet_faults
 from testbed.flight.estimator import Fired
 from testbed.flight.fault_monitor import Counters
 from testbed.flight.hypotheses import COLUMNS
-from testbed.flight.jet_faults import BLOCKS, SPIN_SPREAD, SPREAD, Heard
+from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, Heard
 from testbed.flight.modulation import Carried
 from testbed.flight.record import record
+from testbed.flight.window import BLOCKS, Window
 
 Array = NDArray[np.float64]
 
@@ -60,12 +61,15 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     m, size = jets + 4, FIXED.itemsize // 8
     one_a_row: tuple[int, ...] = (rows,)
     one_a_jet: tuple[int, ...] = (jets,)
+    causes = m + jets + COLUMNS
+    window: list[tuple[int, ...]] = [
+        (m, m + 1), (BLOCKS, m + 2, 2 * jets + COLUMNS), (2,), (3,),
+    ]  # fmt: skip
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
         Heard: [
-            (jets,), (looks, m + jets + COLUMNS, 3), (m, m + 1),
-            (BLOCKS, m + 2, 2 * jets + COLUMNS), (2,), (2,), (3,),
-            (m, m + 1), one_a_jet, one_a_jet,
+            one_a_jet, (looks, causes, 3), (2,), (causes + 1, 3),
+            (m, m + 1), one_a_jet, one_a_jet, *window, *window,
         ],
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
@@ -79,10 +83,13 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             views[kind].append(everything[size : size + math.prod(shape)].reshape(shape))
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
-    fired, heard = Fired(*views[Fired]), Heard(*views[Heard])
+    first = Heard._fields.index("near")
+    windows = views[Heard][first:]
+    near, far = Window(*windows[:4]), Window(*windows[4:])
+    fired, heard = Fired(*views[Fired]), Heard(*views[Heard][:first], near, far)
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
-    heard.spread[:] = SPREAD**2, SPIN_SPREAD**2
+    near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2
     fixed["thrust_scale"] = fixed["strength"] = fired.gives[:] = 1.0
     memory = Memory(
         fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), *views[Memory]

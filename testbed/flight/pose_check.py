@@ -12,7 +12,7 @@ from testbed.core.se2 import wrap_compiled
 
 BEND = 0.5  # allowed acceleration: five times that of the jets [m/s^2]
 BEND_SPIN = 2.0  # [rad/s^2]
-STEP = 5.0  # smallest such step [sigmas]
+STEP = 6.0  # smallest such step [sigmas]
 STILL = 0.5  # poses nearer than this to the one before are as if frozen [sigmas of the noise]
 STILLS = 3  # so many in a row are not accepted while the vehicle moves
 
@@ -61,7 +61,7 @@ def is_still(m, sample, noise):
 def note_step(m, dx, dy, turn, spread, spread_spin):
     """Note in `m.step` where the body is seen without having been pushed; false: it was pushed.
 
-    A push shows as a distance that grows from zero; a step is there from the first refused pose.
+    A push shows as a distance that grows; a step is there from one pose to the next.
 
     Args:
         m: MEMORY.
@@ -75,9 +75,11 @@ def note_step(m, dx, dy, turn, spread, spread_spin):
     grows = (m.apart[0] - m.since) / ahead if ahead > 0.0 else 0.0
     ex, ey, et = m.apart[1], m.apart[2], m.apart[3]
     by = grows * np.hypot(dx - ex, dy - ey)
+    ex, ey = ex - m.prior[0], ey - m.prior[1]
     if np.hypot(ex, ey) > 2.0 * by + STEP * np.sqrt(spread):
         m.step[0], m.step[1] = ex, ey
-    if abs(et) > 2.0 * grows * abs(turn - et) + STEP * np.sqrt(spread_spin):
+    by, et = grows * abs(turn - et), et - m.prior[2]
+    if abs(et) > 2.0 * by + STEP * np.sqrt(spread_spin):
         m.step[2] = et
     m.going[:] = m.x[3:6]
     return m.step[0] != 0.0 or m.step[1] != 0.0 or m.step[2] != 0.0

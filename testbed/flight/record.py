@@ -69,7 +69,6 @@ TOLD = record(  # inputs of a tick: see Health and Vitals in core/types.py
     session_ok=int, operator_age=float, clock_offset=float, late_s=float,  # [-, s, s, s]
     disk_free=float, same_config=int, foreign=float,  # [bytes, -, messages]
     law_failed=int, fleet_failed=int,  # 1: the law raised, another vehicle has a fault
-    frame_off=float,  # [m]
     setpoint=SETPOINT,
 )  # fmt: skip
 

@@ -27,4 +27,7 @@ def twin_checks(experiment: Experiment, twin: Twin) -> list[Check]:
             twin.vitals(name), 0.0, True, others,
         )  # fmt: skip
         found += arming_checks(ready, expected_of(experiment, name), experiment.arming)
+    if experiment.table.lab.mocap.reference:
+        moved = twin.fleet()
+        found.append(Check("frame", "" if moved is None else moved.text, at_reset=True))
     return found

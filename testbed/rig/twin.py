@@ -23,6 +23,7 @@ from testbed.core.ports import Clock, HostLink
 from testbed.core.types import Pose
 from testbed.faults.law_faults import CrashableNode
 from testbed.flight.arming import Check
+from testbed.flight.frame_watch import FrameWatch
 from testbed.flight.loop import (
     Chain,
     Ending,
@@ -225,6 +226,22 @@ class TwinRig(Struct, frozen=True):
         return {}
 
 
+class WatchedFrame:
+    """The twin's reference bodies, looked at once per tick."""
+
+    def __init__(self, experiment: Experiment, twin: Twin) -> None:
+        mocap = experiment.table.mocap
+        self._watch = FrameWatch(experiment.table.lab.mocap.reference, mocap.noise)
+        self._twin, self._at = twin, -math.inf
+
+    def fault(self) -> FaultReport | None:
+        """A frame that has moved."""
+        if self._twin.now > self._at:
+            self._watch.look(self._twin.reference_bodies())
+            self._at = self._twin.now
+        return self._watch.fault
+
+
 def twin_node(twin: Twin, name: str, chain: Chain) -> VehicleNode:
     """A vehicle that lives on the twin."""
     link, vitals = TwinVehicleLink(twin, name), partial(twin.vitals, name)
@@ -256,6 +273,8 @@ def make_twin(
         drivers=drivers,
         injections=experiment.inject,
     )
+    if experiment.table.lab.mocap.reference:
+        twin.fleet = WatchedFrame(experiment, twin).fault
     injector = twin.injector
     spoilt = {n: None if injector is None else partial(injector.spoilt, n) for n in setups}
     vehicles: list[VehicleNode | CrashableNode] = []

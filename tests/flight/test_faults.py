@@ -24,13 +24,15 @@ WELL = {  # what every detector says when all is well
     "disk_free": 1e12,
     "setpoint_age": 0.0,
     "setpoint_overdue": -0.5,
+    "pose_rate": 1.0,
 }
 NEEDED = {  # what the issue of a table of faults asks for, and the detector that sees it
     "pose_age", "pose_repeats", "pose_jump", "pose_of_another", "setpoint_age", "setpoint_overdue",
     "poses_rejected", "supply_share", "battery", "jet_open", "jet_leaks", "jet_leaks_or_weak",
     "jet_missing", "tank_loss", "spare_room", "law_error", "not_a_number", "tick_late",
     "operator_age", "clock_offset", "config_differs", "disk_free", "neighbour_age", "board_silent",
-    "fleet", "foreign",
+    "fleet", "foreign", "jet_partly_weak", "pull", "pull_share", "pad_drag", "thrust_or_mass",
+    "heading_off", "poses_late", "late_step", "frame_step", "heading_step", "pose_rate",
 }  # fmt: skip
 PERIOD = 0.1  # [s]
 

@@ -1,0 +1,33 @@
+"""Bodies that stand still on the table, as the cameras see them."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sim_twin.fault_injection import FaultInjector
+from sim_twin.randomness import stream
+from testbed.core.table import Mocap
+from testbed.core.types import PoseSample
+
+
+class ReferenceBodies:
+    """One pose of each body per look."""
+
+    def __init__(
+        self, places: Mapping[str, tuple[float, float, float]], mocap: Mocap, seed: int
+    ) -> None:
+        self._places, self._latency = places, mocap.latency_s
+        self._sigma = mocap.noise, mocap.noise, float(np.radians(mocap.noise_deg))
+        self._rng = stream(seed, "reference bodies")
+
+    def seen(self, now: float, injector: FaultInjector | None) -> dict[str, PoseSample]:
+        """Their poses after faults of the cameras; a body that is not seen is missing."""
+        found = {}
+        for name, place in self._places.items():
+            x, y, theta = (place + self._sigma * self._rng.standard_normal(3)).tolist()
+            samples = [PoseSample(now - self._latency, x, y, theta)]
+            if injector is not None:
+                samples = injector.poses(name, samples)
+            if samples:
+                found[name] = samples[-1]
+        return found

@@ -1,0 +1,66 @@
+"""Reference bodies tell a frame that moved from a body that was moved."""
+
+import math
+
+import numpy as np
+import pytest
+
+from testbed.config import find, load
+from testbed.core.codes import FaultId
+from testbed.core.types import PoseSample
+from testbed.flight.frame_watch import FrameWatch
+from testbed.rig.observers import NullObserver
+from testbed.rig.twin import make_twin
+
+PLACES = {"north": (0.0, 2.9, 0.0), "east": (2.9, 0.0, 0.0)}
+NOISE = 2e-4  # [m]
+FIXED = "table.lab.mocap.reference={north=[0.0,2.9,0.0],east=[2.9,0.0,0.0]}"
+
+
+def watched(looks=20, **moved):
+    """The reason after some looks; `moved` is by how much each body is off: x, y, turn."""
+    watch, rng = FrameWatch(PLACES, NOISE), np.random.default_rng(0)
+    for _ in range(looks):
+        seen = {}
+        for name, place in PLACES.items():
+            off = np.array(moved.get(name, (0.0, 0.0, 0.0)))
+            x, y, theta = (place + off + NOISE * rng.standard_normal(3)).tolist()
+            seen[name] = PoseSample(0.0, x, y, theta)
+        watch.look(seen)
+    return watch
+
+
+def test_bodies_in_their_place_are_fine():
+    watch = watched(looks=2000)
+    assert (watch.reason, watch.fault) == ("", None)
+
+
+def test_a_frame_that_moved():
+    watch = watched(north=(0.01, 0.0, 0.0), east=(0.01, 0.0, 0.0))
+    assert "frame moved: north 10 mm, east 10 mm" in watch.reason
+    assert watch.fault.id == FaultId.FRAME_MOVED
+
+
+def test_a_frame_that_turned():
+    turn = math.radians(1.0)
+    off = 2.9 * turn
+    assert "turned by 1.0 deg" in watched(north=(-off, 0.0, turn), east=(0.0, off, turn)).reason
+
+
+def test_a_body_that_was_moved_alone():
+    assert watched(north=(0.05, 0.0, 0.0)).reason == "reference body moved: north 50 mm off"
+
+
+@pytest.mark.parametrize(("at_s", "armed"), [(0.0, False), (2.0, True)])
+def test_a_frame_that_creeps_is_red_before_and_stops_in_flight(at_s, armed):
+    inject = f'inject=[{{kind="creep_frame",vehicle="sat1",at_s={at_s},value=0.02}}]'
+    if not armed:
+        inject = inject.replace("creep_frame", "shift_frame")
+    rig = make_twin(load(find("hold"), [FIXED, inject, "duration_s=6"]))
+    ending = rig.fly(NullObserver())
+    assert bool(rig.red) != armed
+    if armed:
+        assert ending.fault.origin.id == FaultId.FRAME_MOVED
+        assert 2.2 < ending.t < 5.0
+    else:
+        assert any("frame moved" in red for red in rig.red)
