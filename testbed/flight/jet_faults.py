@@ -31,9 +31,9 @@ from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
-from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.effectiveness import MEMORY_S as SLOWLY
 from testbed.flight.effectiveness import SPREAD as UNHEARD
+from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.record import record
 from testbed.flight.response import response
@@ -46,6 +46,8 @@ SETTLING = 20.0  # time constant of the mean of unexplained acceleration, the sl
 BLOCK = 0.3  # a suspicion begins at the start of a block of this length [s]
 BLOCKS = 25
 SHOWN = 10  # looks from one effectiveness to the next
+CALM = 30  # looks; a fault is named within them
+AGAIN = 200  # looks that the mean of unexplained acceleration has had before a restart
 BEGUN = (1, 2, 3, 4, 5, 7, 10, 14, 24)  # tested beginnings [blocks ago]; the look is in block 0
 THRUST = 0.05  # smallest assumed thrust error of a jet, relative, one sigma
 BALANCE = 0.01  # smallest assumed error of the centre of mass, one sigma [m]
@@ -59,7 +61,7 @@ WHITE = 2.6  # variance of the difference of two residuals, in variances of one
 OUTLIER = 9.0  # variances: a larger residual in a look is not noise
 HARDEST = 3.0  # jets: a stronger push in a look is external
 MOST = 1.2  # largest leak of a jet, in multiples of its thrust
-ENOUGH = 0.3  # smallest missing share of thrust that is a fault
+ENOUGH = 0.15  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
 SURE = 12.5  # least gain of a push without a command: 5 sigma
 CLEAR = 3.0  # difference in gain that separates two suspicions (a factor e^3 in likelihood)
@@ -98,6 +100,7 @@ MEMORY = record(
     noted=int,  # ticks since then
     look=int,  # number of the last one
     counted=int,  # looks that count: with poses that were trusted
+    again=int,  # AGAIN after a restart
     wait=int,  # looks until the estimator has settled
     leak=SUSPICION,
     weak=SUSPICION,
@@ -114,6 +117,7 @@ class Heard(NamedTuple):
     spread: Array  # variance of the residual, push and turn, (2,)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
     last: Array  # previous residual, (3,)
+    calm: Array  # `bias` up to two spans of CALM ago, the older one first, (2, 2)
     slow: Array  # see effectiveness.py, (m, m + 1)
     off: Array  # deviation of each jet from its thrust, as a share of it, (n,)
     sigma: Array  # of that, (n,)
@@ -160,9 +164,9 @@ def pause(p, m, heard):
 def restart(p, m, heard):
     """Begin anew: what was heard so far is explained, and the jets are other ones from now on."""
     pause(p, m, heard)
-    m.counted, m.noted = 0, 0
+    m.counted, m.again, m.noted = max(0, m.counted - 2 * CALM), AGAIN, 0
     heard.told[:], heard.blocks[:] = 0.0, 0.0
-    heard.duty[:], heard.bias[:], heard.last[:] = 0.0, 0.0, 0.0
+    heard.duty[:], heard.bias[:], heard.last[:] = 0.0, heard.calm[0], 0.0
     heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, UNHEARD
 
 
@@ -315,7 +319,10 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     forget(m.weak)
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
         return
-    settling = max(1.0 / m.counted, known.period / SETTLING)
+    settling = max(1.0 / (m.counted + m.again), known.period / SETTLING)
+    if look % CALM == 0:
+        heard.calm[0] = heard.calm[1]
+        heard.calm[1] = heard.bias
     for axis in range(2):
         heard.bias[axis] += settling * e[axis] / known.period
     if look % known.block == 0:  # merge the oldest two blocks

@@ -62,7 +62,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
         Heard: [
             (jets,), (looks, m + jets, 3), (m, m + 1), (BLOCKS, m + 2, 2 * jets), (2,), (2,), (3,),
-            (m, m + 1), one_a_jet, one_a_jet,
+            (2, 2), (m, m + 1), one_a_jet, one_a_jet,
         ],
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
