@@ -8,7 +8,7 @@
          a table ten times as steep, and a centre of mass that is 20 mm off without a word
 --open   a jet stuck open, so often on each of five vehicles; the weakest has 0.2 N for 16 kg
 --leaks  a jet that lets 10-60 % of its flow through when it is shut
---shut   a jet stuck shut; one that is not asked for shows nothing and is counted apart
+--shut   a jet stuck shut, with which it flies on; one that is not asked for is counted apart
 
 Prints the cases that went wrong, then counts. The exit code is 1 if any case went wrong.
 """
@@ -144,8 +144,13 @@ def fly(case):
         about_valves = "wrong" if report and report.id.startswith("valve_") else "other"
         return Found(case, about_valves if words else "well", ending.t, words)
     asked = sum(on[fault.jet - 1] for t, who, on in notes.asked if who == "sat1" and t > fault.at_s)
-    if not words and case.kind == "shut" and asked < 1e6 * ASKED:
+    bad = {k: one.named_s for k, one in enumerate(rig.jets("sat1"), 1) if one.named_s is not None}
+    if not words and case.kind == "shut" and not bad and asked < 1e6 * ASKED:
         return Found(case, "dormant", 0.0, words)
+    if not words and case.kind == "shut":  # flown on
+        right = list(bad) == [fault.jet]
+        after = bad.get(fault.jet, ending.t) - fault.at_s
+        return Found(case, "well" if right else "wrong", after, f"{fault}: named {bad}")
     right = ending.t > fault.at_s and named_right(case.kind, fault.jet, report, notes)
     return Found(case, "well" if right else "wrong", ending.t - fault.at_s, f"{fault}: {words}")
 

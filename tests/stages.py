@@ -297,7 +297,11 @@ class FaultMonitor:
 
     def look(self, t, armed, numbers, said=""):
         done = self.row.done
-        fault_monitor.look(self.p, self.counters, float(t), armed, np.array(numbers, float), done)
+        numbers = np.array(numbers, float)
+        asks = fault_monitor.look(self.p, self.counters, float(t), armed, numbers, done)
+        if asks >= 0:  # the jets left do not suffice
+            number = float(numbers[self.p.detector[asks]])
+            fault_monitor.refuse(self.p, self.counters, asks, number, done)
         holds = tuple(n for n, k in zip(self.names, self.counters.holds, strict=True) if k)
         for name in self.latched:
             value = self.counters.value[self.names.index(name)]

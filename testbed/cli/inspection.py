@@ -72,7 +72,8 @@ def print_faults(
         holds += [f"for {row.timeout_s:g} s"] * (row.timeout_s > 0.0)
         out.print(
             f"  {name}: {row.detector} {bound} {getattr(row, bound):.4g}"
-            f"{''.join(f', {one}' for one in holds)}: {row.response}{how}",
+            f"{''.join(f', {one}' for one in holds)}: {row.response}"
+            f"{f', else {row.otherwise}' * row.reconfigures}{how}",
             markup=False, soft_wrap=True,
         )  # fmt: skip
     names = sorted({one for text in texts.values() for one in words_in(text)})

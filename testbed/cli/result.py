@@ -11,7 +11,7 @@ from testbed.cli.screen import show
 from testbed.config import Experiment
 from testbed.metrics.afterwards import left_in_words
 from testbed.metrics.formation import FormationMetrics, has_formation
-from testbed.metrics.run_metrics import FormationCriteria, Metrics
+from testbed.metrics.run_metrics import FormationCriteria, Metrics, weakest_jet
 from testbed.report.page import OF_A_GOAL, ROWS, known
 from testbed.report.verdict import NOTHING_TO_JUDGE, SHOWN_TOUCHES, UNCOUNTED, missed, touched
 
@@ -53,6 +53,9 @@ def print_result(metrics: Metrics, experiment: Experiment, folder: Path) -> None
             for n in metrics.vehicles
         ]  # fmt: skip
         grid.add_row(escape(heading), *cells, _limit(experiment, criterion, scale))
+    if metrics.jets:
+        shares = [_cell(weakest_jet(metrics, n), 1e2, 0, is_missed=False) for n in metrics.vehicles]
+        grid.add_row(escape("weakest known jet [%]"), *shares, "")
     show(out, grid)
     separation = metrics.min_vehicle_distance_m
     pieces = [f"contacts: {'not known' if metrics.contacts == UNCOUNTED else metrics.contacts}"]

@@ -158,10 +158,8 @@ class Agent:
         gives, leaks, named = memory.fired.gives, memory.fired.leaks, memory.named
         # a jet that is stuck open is judged by what it pushes anyway
         shares = np.clip(np.maximum(gives, leaks) * (1.0 + memory.heard.off), 0.0, MOST)
-        rows = zip(shares, memory.heard.sigma, gives, leaks, named, strict=True)
-        return tuple(
-            JetHealth(*map(float, row[:4]), float(row[4]) if row[4] else None) for row in rows
-        )
+        rows = np.column_stack((shares, memory.heard.sigma, gives, leaks, named)).tolist()
+        return tuple(JetHealth(*row[:4], row[4] or None) for row in rows)
 
     def _tell(self, inputs: Inputs, setpoint: Setpoint | None) -> None:
         """Write the inputs into the tick's record, in the order of record.TOLD."""

@@ -105,24 +105,31 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
 
 @pasted
 def reconfigure(p, memory, row, k):
-    """Take the jet that row `k` of the fault table names out, or compensate for it, if possible."""
+    """Take the jet that row `k` of the fault table names out, or compensate for it, if possible.
+
+    Two bad jets in a flight mean a wrong vehicle file or wrong wires, and are not flown around.
+    """
     m, fired, detector = memory.fixed[0], memory.fired, p.rows.detector[k]
+    named, t = memory.named, row.told.t
     gives, leaks = fired.gives.copy(), fired.leaks.copy()
-    probed = m.probed - 1
-    if probed >= 0 and row.told.t - memory.named[probed] < reconfiguration.PROBE_S:
-        fired.gives[probed] = 1.0  # it was not that one
-    j = reconfiguration.changed(fired.gives, fired.leaks, m.jet_faults, detector)
+    j, doubted = reconfiguration.culprit(m.jet_faults, detector), m.probed - 1
+    back = doubted >= 0 and doubted != j and t - named[doubted] < reconfiguration.PROBE_S
+    if back:  # it was not that one
+        fired.gives[doubted] = 1.0
+    others = 0
+    for i in range(named.shape[0]):
+        others += named[i] > 0.0 and i != j and not (back and i == doubted)
+    reconfiguration.change(fired.gives, fired.leaks, m.jet_faults, detector)
     force, torque = reconfiguration.room(p.jets.effect, fired.gives, fired.leaks)
-    if reconfiguration.suffices(p.whole, force, torque):
+    if others == 0 and reconfiguration.suffices(p.whole, force, torque):
         m.strength = min(1.0, force / p.whole.force)
-        if probed >= 0 and fired.gives[probed] == 1.0:
-            memory.named[probed] = 0.0
+        if back:
+            named[doubted] = 0.0
         m.probed = j + 1 if detector == reconfiguration.DOUBTFUL else 0
-        memory.named[j] = row.told.t
+        named[j] = t
         memory.carried.rest[j] = memory.carried.filter[j] = 0.0
         reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
         jet_faults.restart(p.jets_known, m.jet_faults, memory.heard)
-        fault_monitor.clear(memory.counters, k)
         return
     fired.gives[:], fired.leaks[:] = gives, leaks
     fault_monitor.refuse(p.rows, memory.counters, k, row.numbers[detector], row.done)

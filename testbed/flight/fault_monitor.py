@@ -92,12 +92,6 @@ def look(p, counters, t, latches, numbers, done):
 
 
 @compiled
-def clear(counters, k):
-    """Row `k` no longer holds: the vehicle has been reconfigured."""
-    counters.ticks[k] = counters.holds[k] = 0.0
-
-
-@compiled
 def refuse(p, counters, k, number, done):
     """Latch row `k`: the jets left do not suffice."""
     latch(counters, k, number)

@@ -50,6 +50,8 @@ LONG_BELIEVED = 3.0  # weight of the spread at the start [sums]
 SETTLING = 20.0  # time constant of the mean of unexplained acceleration, the slope [s]
 BLOCK = 0.3  # a suspicion begins at the start of a block of this length [s]
 SHOWN = 10  # looks from one effectiveness to the next
+CALM = 30  # looks; a fault is named within them
+AGAIN = 200  # looks that the mean of unexplained acceleration has had before a restart
 THRUST = 0.05  # smallest assumed thrust error of a jet, relative, one sigma
 BALANCE = 0.01  # smallest assumed error of the centre of mass, one sigma [m]
 SLOPE = 2e-3  # assumed slope of an unknown table [m/s^2]
@@ -59,7 +61,7 @@ SPREAD = 1.5e-3  # of a velocity residual at the start, one sigma [m/s]
 SPIN_SPREAD = 5e-3  # [rad/s]
 BELIEVED = 30.0  # weight of the spread at the start [looks]
 HARDEST = 3.0  # jets: a stronger push in a look is external
-ENOUGH = 0.3  # smallest missing share of thrust that is a fault
+ENOUGH = 0.2  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
 LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
 PART = 0.15  # smallest missing share of thrust that is worth a warning
@@ -95,6 +97,7 @@ MEMORY = record(
     noted=int,  # ticks since then
     look=int,  # number of the last one
     counted=int,  # looks that count: with poses that were trusted
+    again=int,  # AGAIN after a restart
     wait=int,  # looks until the estimator has settled
     summed=int,  # looks in `Heard.sums`
     stretches=int,  # sums so far
@@ -110,6 +113,7 @@ class Heard(NamedTuple):
     recent: Array  # z and causes of the last looks, not yet delayed, (looks, m + n + COLUMNS, 3)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
     sums: Array  # of causes, and of residuals as the last row, (m + n + COLUMNS + 1, 3)
+    calm: Array  # `bias` up to two spans of CALM ago, the older one first, (2, 2)
     slow: Array  # see effectiveness.py, (m, m + 1)
     off: Array  # deviation of each jet from its thrust, as a share of it, (n,)
     sigma: Array  # of that, (n,)
@@ -159,10 +163,11 @@ def pause(p, m, heard):
 def restart(p, m, heard):
     """Begin anew: what was heard so far is explained, and the jets are other ones from now on."""
     pause(p, m, heard)
-    m.counted, m.noted, m.stretches = 0, 0, 0
+    m.counted, m.again = max(0, m.counted - 2 * CALM), AGAIN
+    m.noted, m.stretches = 0, 0
     clear(heard.near)
     clear(heard.far)
-    heard.duty[:], heard.bias[:] = 0.0, 0.0
+    heard.duty[:], heard.bias[:] = 0.0, heard.calm[0]
     heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, UNHEARD
 
 
@@ -234,7 +239,10 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         return
     heard.sums[:-1] += x
     heard.sums[-1] += e
-    settling = max(1.0 / m.counted, known.period / SETTLING)
+    settling = max(1.0 / (m.counted + m.again), known.period / SETTLING)
+    if m.look % CALM == 0:
+        heard.calm[0] = heard.calm[1]
+        heard.calm[1] = bias
     for axis in range(2):
         heard.sums[-1, axis] += known.period * bias[axis]
         bias[axis] += settling * e[axis] / known.period

@@ -68,7 +68,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
         Heard: [
-            one_a_jet, (looks, causes, 3), (2,), (causes + 1, 3),
+            one_a_jet, (looks, causes, 3), (2,), (causes + 1, 3), (2, 2),
             (m, m + 1), one_a_jet, one_a_jet, *window, *window,
         ],
         Counters: 5 * [one_a_row],

@@ -84,30 +84,34 @@ def whole_of(effect: NDArray[np.float64], slope: float) -> Whole:
 
 
 @compiled
-def changed(gives, leaks, suspected, detector):
-    """Write to `gives` and `leaks` what a detector has found; returns the jet.
+def culprit(suspected, detector):
+    """The jet that a detector names.
 
     If one jet may leak or the other may be weak, the weak one is believed: a leak shows clearly as
     soon as the other jet is no longer commanded.
 
     Args:
-        gives: see `room`; changed in place.
-        leaks: the same.
         suspected: jet_faults.MEMORY.
         detector: codes.Detector, one of the jets'.
     """
-    if detector != OPEN and detector != LEAKS:
-        j, left = suspected.weak.jet, 1.0 - min(1.0, suspected.weak.share)
+    of_leaks = detector in (OPEN, LEAKS)
+    return suspected.leak.jet if of_leaks else suspected.weak.jet
+
+
+@compiled
+def change(gives, leaks, suspected, detector):
+    """Write to `gives` and `leaks`, see `room`, what a detector has found."""
+    j = culprit(suspected, detector)
+    if detector not in (OPEN, LEAKS):
+        left = 1.0 - min(1.0, suspected.weak.share)
         gives[j], leaks[j] = gives[j] * left, leaks[j] * left
         if gives[j] < SHUT:
             gives[j] = leaks[j] = 0.0
-        return j
-    j = suspected.leak.jet
+        return
     leaks[j] = min(1.0, leaks[j] + suspected.leak.share)
     if leaks[j] > WIDE_OPEN:
         leaks[j] = 1.0
     gives[j] = max(gives[j], leaks[j])
-    return j
 
 
 @compiled

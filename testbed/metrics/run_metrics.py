@@ -2,14 +2,16 @@
 
 import math
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from testbed.core.codes import FaultReport
+from testbed.core.jets import JetHealth
 from testbed.core.law import Concern
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
@@ -21,6 +23,7 @@ from testbed.metrics.afterwards import After
 Array = NDArray[np.float64]
 
 SETTLED_M = 0.05  # "settled" means an error that stays below this [m]
+KNOWN_JET = 0.1  # a jet's share of thrust is known if its sigma is at most this
 HOLD_S = 30.0  # the last part of a run, which counts as holding [s]
 
 
@@ -111,6 +114,7 @@ class Metrics(Struct, frozen=True):
     fault_report: FaultReport | None = None  # of `fault`
     touches: list[Touch] = []  # contacts with known time and place
     after: After | None = None  # state of the vehicles after the flight; null: not known
+    jets: dict[str, list[JetHealth]] = {}  # of each vehicle, in the order of its file
 
 
 class Track(Struct, frozen=True):
@@ -256,6 +260,24 @@ def vehicle_metrics(
         max_force_n=float(np.max(aimed.force)) if len(aimed.force) else None,
         filtered_ns=aimed.filtered_ns,
     )
+
+
+def with_jets(metrics: Metrics, jets: Mapping[str, Sequence[JetHealth]]) -> Metrics:
+    """The metrics with what the vehicles know about their jets, and a warning for each bad one."""
+    found = [
+        Concern("jet_reconfigured", f"{name}: jet {k} {one.words}")
+        for name, ones in jets.items()
+        for k, one in enumerate(ones, 1)
+        if one.words
+    ]
+    known = {name: list(ones) for name, ones in jets.items() if ones}
+    return replace(metrics, jets=known, warnings=[*metrics.warnings, *found])
+
+
+def weakest_jet(metrics: Metrics, name: str) -> float | None:
+    """Smallest share of thrust among a vehicle's jets that are known; None: none is."""
+    jets = metrics.jets.get(name, [])
+    return min((one.share for one in jets if one.sigma <= KNOWN_JET), default=None)
 
 
 def judge_formation(criteria: FormationCriteria, formation: object) -> dict[str, bool]:

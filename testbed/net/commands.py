@@ -7,6 +7,7 @@ import msgspec
 from msgspec import Struct
 
 from testbed.core.codes import FaultReport, Response
+from testbed.core.jets import JetHealth
 from testbed.core.types import Tick
 from testbed.flight.arming import Readiness
 
@@ -132,3 +133,4 @@ class Ended(Struct, frozen=True):
     responses: dict[Response, float] = {}  # fault responses that were active, and since when [s]
     landed_s: float | None = None  # from the end to the order "air off"; None: never [s]
     air: Literal["off", "on"] = "on"  # bearing air, as the board reported it last
+    jets: tuple[JetHealth, ...] = ()  # in the vehicle file's order

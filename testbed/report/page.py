@@ -18,6 +18,7 @@ from testbed.report.fault_story import EventLine
 from testbed.report.figures import analogue, figures
 from testbed.report.fork_changes import fork_changes
 from testbed.report.item import Chart
+from testbed.report.jets import jets_table
 from testbed.report.law import law_of
 from testbed.report.original import Original, with_original
 from testbed.report.provenance import provenance, timing
@@ -100,7 +101,7 @@ def render(
         *((*pictures, happened(told), *summary) if failed
           else (*summary, *pictures, happened(told))),
         _criteria(scenario, metrics),
-        _results(scenario, metrics),
+        _results(scenario, metrics), jets_table(metrics),
         "<h2>Figures</h2>", _figures(scenario, later),
         timing(metrics),
         provenance(metrics, config),

@@ -5,6 +5,7 @@ from typing import Any, Protocol
 
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport
+from testbed.core.jets import JetHealth
 from testbed.core.law import Concern
 from testbed.flight.arming import Check
 from testbed.flight.loop import Ending, Observer
@@ -83,6 +84,10 @@ class Rig(Protocol):
 
     def spent(self, name: str) -> Consumption:
         """Consumption of a vehicle so far."""
+        ...
+
+    def jets(self, name: str) -> tuple[JetHealth, ...]:
+        """A vehicle's jets as it knows them at the end; empty: not known."""
         ...
 
     def wires(self) -> dict[str, Any]:

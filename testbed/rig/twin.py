@@ -17,6 +17,7 @@ from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehi
 from testbed.config import ConfigError, Experiment, Fork
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.fault_injection import ON_WIRES
+from testbed.core.jets import JetHealth
 from testbed.core.landing import landing_delay
 from testbed.core.law import Concern
 from testbed.core.ports import Clock, HostLink
@@ -205,6 +206,10 @@ class TwinRig(Struct, frozen=True):
         return Consumption(
             float(plant.impulse[k]), float(plant.used[k]), plant.boards[name].openings
         )
+
+    def jets(self, name: str) -> tuple[JetHealth, ...]:
+        """See `Rig`."""
+        return next(one.jets for one in self.vehicles if one.name == name)
 
     @property
     def name(self) -> str:

@@ -25,7 +25,7 @@ from testbed.logs.recorder import (
 )
 from testbed.logs.tick_row import Names
 from testbed.metrics.characterisation import characterise
-from testbed.metrics.run_metrics import Metrics, ReferenceLog
+from testbed.metrics.run_metrics import Metrics, ReferenceLog, with_jets
 from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience
 from testbed.realtime.pacer import PacedClock
@@ -195,7 +195,8 @@ def fly_and_judge(
                     completed = ending.fault is None and ending.t >= experiment.end_s
                     metrics = measure(rig, references, ending, wall, completed=completed)
                     after = rig.come_to_rest(ending, log, lambda: interrupt.asked)
-                    metrics = replace(metrics, after=after)
+                    jets = {name: rig.jets(name) for name in experiment.vehicles}
+                    metrics = with_jets(replace(metrics, after=after), jets)
                 if log.trouble is not None:
                     raise RecorderError(log.trouble)
     except RecorderError as error:

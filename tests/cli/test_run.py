@@ -21,7 +21,7 @@ METRICS = {
     "experiment", "rig", "seed", "completed", "duration_s", "wall_s", "real_time_factor",
     "contacts", "min_vehicle_distance_m", "criteria", "vehicles", "warnings",
     "phase", "red", "touches", "after",
-    "formation",
+    "formation", "jets",
 }  # fmt: skip
 VEHICLE_METRICS = {
     "final_error_m", "settle_s", "track_rms_m", "hold_rms_m", "heading_rms_deg",

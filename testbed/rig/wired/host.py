@@ -103,6 +103,7 @@ class WireRig:
         self.track, self.truth, self.valves = results.track, results.truth, results.valves
         self.paces, self.spent, self.wires = results.paces, results.spent, results.wires
         self.concerns, self.come_to_rest = results.concerns, results.come_to_rest
+        self.jets = results.jets
         self._bench, self._keep = bench, keep
         if bench and experiment.board in LOCKSTEP:
             expected = "host or qemu on the bench, where time is real"

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from testbed.config import Experiment
+from testbed.core.jets import JetHealth
 from testbed.core.law import Concern
 from testbed.flight.loop import Ending, Observer
 from testbed.metrics.afterwards import After, Left
@@ -170,6 +171,10 @@ class RunResults:
     def concerns(self) -> list[Concern]:
         """See `Rig`. Concerns of laws on board are not collected."""
         return [*self.law_concerns, *(Concern("keys_expire", words) for words in self.key_warnings)]
+
+    def jets(self, name: str) -> tuple[JetHealth, ...]:
+        """See `Rig`."""
+        return self.ended[name].jets if name in self.ended else ()
 
     def wires(self) -> dict[str, Any]:
         """See `Rig`."""

@@ -245,7 +245,7 @@ class VehicleProcess:
             count(self.link, self.thrusters, self.poses, self.clock_of_host, refused),
             flight.rows, flight.responses,
             None if flight.landed_at is None else max(0.0, flight.landed_at - ending.t),
-            "on" if self.thrusters.floats else "off",
+            "on" if self.thrusters.floats else "off", self.agent.jets,
         )  # fmt: skip
         if self.report_file is not None:
             write_atomic(self.report_file, msgspec.json.encode(ended))

@@ -1,0 +1,193 @@
+"""Flying on with the jets that are left: how much they can give, and flights with a bad jet."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from scipy.optimize import linprog
+
+from stages import Allocator, Modulator, agent_of
+from testbed.config import find, load
+from testbed.config.shipped import shipped_faults
+from testbed.core.codes import Detector
+from testbed.core.error import MismatchError
+from testbed.core.fault_injection import Injection
+from testbed.core.jets import JetHealth, effect_matrix
+from testbed.flight import allocation, modulation
+from testbed.flight.allocation import AllocatorParams, weakest_force
+from testbed.flight.modulation import SigmaDeltaParams
+from testbed.flight.reconfiguration import LEAST, change, culprit, room, suffices, whole_of
+from testbed.metrics.run_metrics import with_jets
+from testbed.rig.observers import MetricsObserver, NullObserver
+from testbed.rig.twin import make_twin
+from testbed.run.judge import measure
+
+WAYS = 24  # directions of the linear programs
+
+
+def furthest(effect, gives, leaks, way):
+    """The largest multiple of a wrench that the jets can give, by a linear program."""
+    n = effect.shape[1]
+    columns = np.column_stack((effect * (gives - leaks), -np.array(way)))
+    best = linprog(
+        -np.eye(n + 1)[n], A_eq=columns, b_eq=-effect @ leaks, bounds=[(0.0, 1.0)] * n + [(0, 1e3)]
+    )
+    return best.x[n] if best.status == 0 else 0.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_room_is_what_linear_programs_find(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(5, 10))
+    effect = rng.normal(size=(3, n))
+    effect[:, -1] = -effect[:, :-1].sum(axis=1)  # then they push every way
+    gives, leaks = rng.uniform(0.5, 1.0, n), np.zeros(n)
+    if seed % 2:
+        leaks[0] = rng.uniform(0.1, 0.5)
+    force, torque = room(effect, gives, leaks)
+    angles = np.linspace(0.0, 2.0 * np.pi, WAYS, endpoint=False)
+    found = [furthest(effect, gives, leaks, (np.cos(a), np.sin(a), 0.0)) for a in angles]
+    turns = [furthest(effect, gives, leaks, (0.0, 0.0, sign)) for sign in (1.0, -1.0)]
+    assert torque == pytest.approx(min(turns), abs=1e-6)
+    assert force <= min(found) + 1e-6
+    # the directions that are tried are within 7.5 degrees of the weakest one
+    if force > 0.0:
+        assert force >= np.cos(np.pi / WAYS) * min(found) * 0.9
+
+
+def test_the_room_of_the_shipped_vehicle_is_its_weakest_force(vehicle):
+    effect, ones = effect_matrix(vehicle.jets, about=vehicle.com), np.ones(8)
+    force, _ = room(effect, ones, 0.0 * ones)
+    assert force == pytest.approx(weakest_force(vehicle))
+    for jet in range(8):
+        shut = np.where(np.arange(8) == jet, 0.0, 1.0)
+        stuck = np.where(np.arange(8) == jet, 1.0, 0.0)
+        assert room(effect, shut, 0.0 * ones)[0] == pytest.approx(0.5 * force)
+        assert room(effect, ones, stuck)[0] == pytest.approx(0.5 * force)
+    both = np.where(np.arange(8) < 2, 0.0, 1.0)  # no jet pushes back
+    assert room(effect, both, 0.0 * ones) == (0.0, 0.0)
+    assert room(np.zeros((3, 4)) + 1e-3, np.ones(4), np.zeros(4)) == (0.0, 0.0)
+
+
+def test_what_is_left_must_suffice(vehicle):
+    effect = effect_matrix(vehicle.jets, about=vehicle.com)
+    whole = whole_of(effect, slope=0.0)
+    assert suffices(whole, LEAST * whole.force, LEAST * whole.torque)
+    assert not suffices(whole, 0.99 * LEAST * whole.force, whole.torque)
+    assert not suffices(whole, whole.force, 0.99 * LEAST * whole.torque)
+    assert not suffices(whole._replace(slope=0.6 * whole.force), whole.force, whole.torque)
+
+
+@pytest.mark.parametrize(
+    ("detector", "share", "gives", "leaks"),
+    [
+        (Detector.JET_MISSING, 0.3, 0.7, 0.0),
+        (Detector.JET_MISSING, 0.9, 0.0, 0.0),
+        (Detector.JET_LEAKS_OR_WEAK, 1.0, 0.0, 0.0),
+        (Detector.JET_OPEN, 0.93, 1.0, 1.0),
+        (Detector.JET_LEAKS, 0.3, 1.0, 0.3),
+    ],
+)
+def test_a_finding_changes_its_jet_only(vehicle, table, detector, share, gives, leaks):
+    memory = agent_of(vehicle, table, shipped_faults()).memory
+    suspected, given, leaked = memory.fixed[0].jet_faults, memory.fired.gives, memory.fired.leaks
+    suspected.weak.jet = suspected.leak.jet = 5
+    suspected.weak.share = suspected.leak.share = share
+    assert culprit(suspected, detector.value) == 5
+    change(given, leaked, suspected, detector.value)
+    assert given[5] == pytest.approx(gives)
+    assert leaked[5] == pytest.approx(leaks)
+    assert (np.delete(given, 5) == 1.0).all()
+    assert (np.delete(leaked, 5) == 0.0).all()
+
+
+def test_a_jet_that_gives_nothing_is_not_used(vehicle):
+    allocator, share = Allocator(AllocatorParams(), vehicle), np.ones(8)
+    share[0], share[4] = 0.0, 0.7
+    for k in range(20):
+        wanted = 0.3 * np.cos(k), 0.3 * np.sin(k), 0.02 * np.cos(2 * k)
+        duty = allocation.allocate(allocator.p._replace(droop=0.0), wanted, share)
+        assert duty[0] == 0.0
+        assert allocator.effect @ (share * duty) == pytest.approx(np.array(wanted), abs=1e-9)
+
+
+def test_what_a_jet_owes_is_not_fired_by_one_that_is_shut(vehicle):
+    modulator = Modulator(SigmaDeltaParams(), vehicle, 0.1)
+    i, j = modulator.p.opposing[0]
+    share, duty = np.ones(8), np.zeros(8)
+    share[i] = 0.0
+    modulator.carried.rest[j] = -0.05  # it has fired more than was wanted
+    for _ in range(5):
+        on, _ = modulation.pulses(modulator.p, modulator.carried, duty, share)
+        assert on[i] == 0.0
+
+
+def test_only_rows_about_jets_reconfigure():
+    rows = shipped_faults()
+    assert rows["valve_stuck_closed"].reconfigures
+    with pytest.raises(MismatchError):
+        replace(rows["pose_lost"], response="reconfigure")
+
+
+def flown(*changes, inject=(), seed=3, lasts=40.0):
+    experiment = load(find("hold"), [*changes, f"seed={seed}", f"duration_s={lasts}"])
+    rig = make_twin(replace(experiment, inject=list(inject)))
+    observer = MetricsObserver(experiment.vehicles)
+    ending = rig.fly(observer)
+    metrics = measure(rig, observer.aims, ending, 0.0, completed=ending.fault is None)
+    return ending, with_jets(metrics, {"sat1": rig.jets("sat1")})
+
+
+STARTS = ("vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.3,0.3,1.0]")
+
+
+def shut(jet):
+    return Injection("stick_closed", "sat1", at_s=0.5, jet=jet)
+
+
+def test_a_vehicle_flies_on_without_a_jet_that_is_stuck_shut():
+    ending, metrics = flown(*STARTS, inject=[shut(1)])
+    assert ending.fault is None
+    jets = metrics.jets["sat1"]
+    assert [k for k, one in enumerate(jets, 1) if one.words] == [1]
+    assert jets[0].gives == 0.0
+    assert metrics.vehicles["sat1"].final_error_m < 0.01
+    assert metrics.warnings[-1].name == "jet_reconfigured"
+    assert metrics.warnings[-1].text.startswith("sat1: jet 1 taken out since ")
+
+
+def test_it_brakes_where_the_jets_left_do_not_suffice():
+    ending, _ = flown(*STARTS, inject=[shut(1), shut(2)])
+    assert ending.fault is not None
+    assert ending.fault.id in ("valve_stuck_closed", "valve_leaks_or_weak", "too_near")
+
+
+def test_a_row_may_still_say_brake():
+    rows = "faults.valve_stuck_closed.response=brake", "faults.valve_leaks_or_weak.response=land"
+    ending, metrics = flown(*STARTS, *rows, inject=[shut(1)])
+    assert ending.fault.id in ("valve_stuck_closed", "valve_leaks_or_weak")
+    assert not any(one.words for one in metrics.jets["sat1"])
+
+
+def test_the_effectiveness_of_jets_is_within_its_sigmas():
+    """Of healthy jets that differ: against the truth of the twin, which only the test knows."""
+    off = []
+    for seed in (0, 1):
+        experiment = load(find("hold"), [*STARTS, f"seed={seed}", "duration_s=60"])
+        rig = make_twin(experiment)
+        model = experiment.vehicles["sat1"].model
+        true = rig.twin.plant.parameters.thrust[0] / [jet.thrust for jet in model.jets]
+        rig.fly(NullObserver())
+        jets = rig.jets("sat1")
+        off += [
+            (one.share - real) / one.sigma for one, real in zip(jets, true, strict=True)
+        ]  # fmt: skip
+        assert min(one.sigma for one in jets) < 0.1
+        assert all(0.0 <= one.share <= 1.5 and 0.0 < one.sigma <= 0.3 for one in jets)
+    assert np.abs(off).max() < 3.0
+
+
+def test_words_say_how_a_jet_is_flown():
+    assert JetHealth(1.0, 0.1).words == ""
+    assert JetHealth(0.0, 0.3, 0.0, 0.0, 4.0).words == "taken out since 4.0 s"
+    assert JetHealth(0.7, 0.1, 0.7, 0.0, 4.0).words == "flown at 70% since 4.0 s"
+    assert "compensated since 4.0 s" in JetHealth(1.0, 0.1, 1.0, 1.0, 4.0).words
