@@ -96,7 +96,7 @@ def _numbers(path: Path, name: str, column: int, rows: Sequence[Row], *, must: b
         except ValueError:
             if not must:
                 return np.full(len(rows), np.nan)
-            hint = "delete a row of units under the head" if number == 1 else ""
+            hint = "if this is a row of units, delete it" if number == 1 else ""
             if GROUPED.fullmatch(cell):
                 hint = "numbers with thousands separators or a decimal comma: write 1234.5"
             raise LogRefusedError(

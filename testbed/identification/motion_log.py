@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from testbed.core.vehicle import Vehicle
 from testbed.identification.columns import LogRefusedError, NumericColumns, digest, read_columns
 from testbed.identification.frame_queue import frame_times
 from testbed.identification.mapping import METRES, RADIANS, SECONDS, Mapping
@@ -26,6 +27,7 @@ class MotionLog(NamedTuple):
     whole: NDArray[np.bool_]  # (n,) undisturbed flight
     inputs: Inputs
     notes: list[str]  # what was left out, and why
+    vehicle: Vehicle | None = None  # as it was flown, where the log says it
 
 
 def read_motion_log(path: Path, mapping: Mapping) -> MotionLog:

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
+from testbed.config import load
+from testbed.core.vehicle import Vehicle
 from testbed.identification.columns import LogRefusedError, digest
 from testbed.identification.motion_log import FEWEST_POSES, MotionLog, gaps
 from testbed.identification.prediction import Valves
@@ -45,4 +47,12 @@ def read_run_log(folder: Path, body: str | None) -> MotionLog:
     inputs = Valves(up[order], down[order], jets[order].astype(np.int64))
     t = own.at[known]
     whole = np.ones(len(t), dtype=bool)
-    return MotionLog(str(folder), digest(path), t, pose, whole, inputs, gaps(t))
+    return MotionLog(
+        str(folder), digest(path), t, pose, whole, inputs, gaps(t), _flown(path.parent, body)
+    )
+
+
+def _flown(folder: Path, body: str) -> Vehicle | None:
+    """The vehicle of the run's experiment; None: the log was taken out of its folder."""
+    config = folder / "config.toml"
+    return load(config).vehicles[body].model if config.is_file() else None

@@ -28,6 +28,8 @@ CLEARLY = 0.12  # of explained variance, by which another reading must be better
 HARDLY = 0.01  # the same between other readings
 UNEXPLAINED = 0.04  # on a table with steep slopes little of the motion is commanded
 FARTHER = 5.0  # than the pose before the last: it is another vehicle's
+SAME_PLACE = 0.005  # [m] of a jet
+SAME_MASS = 0.05  # relative
 UNITS = {"mm": 1000.0, "cm": 100.0, "inches": 39.37, "km": 0.001}
 
 
@@ -195,6 +197,10 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
     """Suspicions about the logs as a whole: units, axes, delay."""
     if not any(log.whole.any() for log in logs):
         look_at(logs, vehicle)  # refuses them
+    flown = [one for log in logs for one in _other_than_flown(log, vehicle)]
+    if flown:
+        yield from flown
+        return
     implausible = [one for log in logs for one in _plausible(log)]
     if implausible:
         yield from implausible
@@ -230,6 +236,21 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
     if found.turn_scale < -0.2 and found.turn > 0.3 and turns:
         text = "the vehicle turns against its commanded torque: heading or jets mirrored"
         yield Suspicion("heading-sign", text)
+
+
+def _other_than_flown(log: MotionLog, vehicle: Vehicle) -> Iterator[Suspicion]:
+    """A log that tells its vehicle: mass and jets must be the file's."""
+    own = log.vehicle
+    if own is None:
+        return
+    levers = [[(*jet.position, *jet.push) for jet in one.jets] for one in (own, vehicle)]
+    apart = len(own.jets) != len(vehicle.jets) or not np.allclose(*levers, atol=SAME_PLACE)
+    what = [f"a mass of {own.mass:g} kg, the file has {vehicle.mass:g} kg"]
+    what *= abs(own.mass / vehicle.mass - 1.0) > SAME_MASS
+    what += ["jets at other places than the file's"] * apart
+    if what:
+        text = f"{log.where}: it was flown with {' and '.join(what)}"
+        yield Suspicion("other-vehicle", text)
 
 
 def _plausible(log: MotionLog) -> Iterator[Suspicion]:

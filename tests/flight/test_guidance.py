@@ -13,11 +13,12 @@ from scipy.optimize import linprog
 from controllers.pd import PdParams, pd
 from testbed.core.jets import effect_matrix
 from testbed.core.law import Ahead
+from testbed.core.path import Circle
 from testbed.core.se2 import to_table
 from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Pose, Trajectory
 from testbed.core.vehicle import Jet
-from testbed.flight.guidance import Guidance, GuidanceParams, Turn, weakest_force
+from testbed.flight.guidance import Guidance, GuidanceParams, Turn, turn_to, weakest_force
 
 PERIOD = 0.1  # [s]
 GOAL = Pose(0.5, -0.4, 2.0)
@@ -311,3 +312,14 @@ def test_wrench_mode_closes_the_loop_on_the_estimate(make_guidance, make_state):
     far = guidance.step(0.1, make_state((0.0, -0.4, 0.0), t=0.1), {})
     assert 0.0 < near.fx_w < far.fx_w
     assert far.fx_w <= 0.6 * 1.2 + 1e-12
+
+
+def test_a_heading_along_a_path_begins_where_the_vehicle_points_and_joins_the_path():
+    path = Circle(radius=0.8, period_s=90.0, start_deg=20.0, heading="along")
+    turn, rate = turn_to(0.3, path, -1.0, 5.0, 0.02), 2.0 * math.pi / 90.0
+    theta, omega, alpha = turn.at(5.0)
+    assert math.cos(theta + 1.0) == pytest.approx(1.0)
+    assert (omega, alpha) == (pytest.approx(rate), 0.0)
+    assert math.cos(turn.at(60.0)[0] - path.tangent(60.0)[0]) == pytest.approx(1.0)
+    assert turn.at(60.0)[1:] == pytest.approx((rate, 0.0))
+    assert turn_to(0.3, None, -1.0, 5.0, 0.02).at(1e3)[0] == pytest.approx(0.3)

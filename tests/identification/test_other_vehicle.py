@@ -5,6 +5,7 @@ import pytest
 from msgspec import structs
 
 from testbed.identification.motion import RefusedError, calibrate_motion
+from testbed.identification.suspicion import suspicions
 from testbed.identification.synthetic import excitation, flown_log
 from testbed.identification.vehicle_file import load_vehicle
 
@@ -19,6 +20,19 @@ def refused(logs, vehicle, **others):
     with pytest.raises(RefusedError) as caught:
         calibrate_motion(logs, vehicle, **others)
     return [(one.name, one.text) for one in caught.value.suspicions]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("uky", "23.09 kg and jets at other places"), ("spot_black", "flown with jets at other places")],
+)
+def test_a_log_that_tells_its_vehicle_is_compared_with_the_file(flight, floater, name, words):
+    log = flight[1]._replace(vehicle=floater)
+    found = list(suspicions([log], load_vehicle(name)))
+    assert [one.name for one in found] == ["other-vehicle"]
+    assert words in found[0].text
+    recalibrated = structs.replace(floater, mass=1.02 * floater.mass)
+    assert list(suspicions([log], recalibrated)) == []
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,74 @@
+"""Mass and thrust that follow the gas."""
+
+import numpy as np
+import pytest
+
+from testbed.config import SHIPPED, load
+from testbed.flight.estimator import model_of
+from testbed.flight.online import OnlineParams, gains_now, gas_used, model_now, online_of
+from testbed.flight.tracker import TrackerParams, gains_of
+from testbed.rig.observers import MetricsObserver
+from testbed.rig.twin import make_twin
+from testbed.run.judge import measure
+
+SHUT = np.zeros(8)
+
+
+def known(vehicle, **on):
+    return online_of(OnlineParams(**on), vehicle)
+
+
+def test_a_gauge_at_the_tank_tells_the_gas(vehicle):
+    p, air = known(vehicle), vehicle.air
+    assert gas_used(p, 0.0, air.tank_pressure, SHUT, 1.0, 0.1) == 0.0
+    assert gas_used(p, 0.0, 0.25 * air.tank_pressure, SHUT, 1.0, 0.1) == 0.75 * air.gas
+    assert gas_used(p, 0.1, 1.1 * air.tank_pressure, SHUT, 1.0, 0.1) == 0.0
+
+
+def test_without_a_gauge_the_flow_is_added_up(vehicle):
+    p, air = known(vehicle), vehicle.air
+    flowed = np.array([1.0, 0.5, *np.zeros(6)])
+    jets = (vehicle.jets[0].thrust + 0.5 * vehicle.jets[1].thrust) / air.exhaust_speed
+    jets *= 0.8 / (1.0 + 0.5 * air.droop)
+    found = gas_used(p, 0.01, 0.0, flowed, 0.8, 0.1)
+    assert found == pytest.approx(0.01 + 0.1 * (jets + air.bearing_flow))
+    assert gas_used(p, air.gas, 0.0, flowed, 0.8, 0.1) == air.gas
+
+
+def test_switched_off_the_numbers_are_the_files(vehicle):
+    model, gains = model_of(vehicle), gains_of(TrackerParams(), vehicle, 0.1)
+    p = known(vehicle)
+    assert gains_now(p, gains, 0.2) == gains
+    for one, other in zip(model_now(p, model, 0.2, 0.7), model, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_switched_on_mass_and_thrust_follow(vehicle):
+    model, gains = model_of(vehicle), gains_of(TrackerParams(), vehicle, 0.1)
+    p = known(vehicle, mass=True, thrust=True)
+    assert gains_now(p, gains, 0.2).mass == vehicle.mass - 0.2
+    now = model_now(p, model, 0.2, 0.8)
+    assert now.mass == pytest.approx((vehicle.mass - 0.2) / 0.8)
+    assert now.inertia == pytest.approx(vehicle.inertia / 0.8)
+
+
+def flown(*switches):
+    """Gas of the twin and of the chain, and the tracking error, with four fifths of it used."""
+    experiment = load(SHIPPED / "scenarios" / "circle.toml", [
+        "vehicles.sat1.model.air.gas=2.5", "duration_s=20", *switches,
+        'vehicles.sat1.path={type="square", side=0.6, period_s=60}',
+    ])  # fmt: skip
+    rig, observer = make_twin(experiment), MetricsObserver(experiment.vehicles)
+    rig.twin.plant.used[:] = 2.0
+    ending = rig.fly(observer)
+    metrics = measure(rig, observer.aims, ending, 0.0, completed=ending.fault is None)
+    (node,) = rig.vehicles
+    told = float(node._agent.memory.fixed[0]["gas_used"])
+    return float(rig.twin.plant.used[0]), told, metrics.vehicles["sat1"].track_rms_m
+
+
+def test_a_vehicle_that_has_lost_a_sixth_of_its_mass_tracks_better_when_it_knows():
+    used, told, without = flown()
+    assert told == pytest.approx(used, abs=1e-3)
+    *_, with_it = flown("flight.online.mass=true")
+    assert with_it < 0.7 * without
