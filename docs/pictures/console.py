@@ -69,6 +69,20 @@ CASES = {
          Shot("console_three_phone", PHONE, True)],
         replay=True,
     ),
+    "gains": Case(
+        ["zhang2023_table", "--speed", "2"],
+        "picture && picture.now && picture.now.t > 20 && controls.now && (window.asked ||= ("
+        "controls.open('gains', true), controls.tune({type: 'Tune', values: {beta: 1.7}}), 1))"
+        " && document.getElementById('open-gains').textContent === 'Gains (1)'",
+        [Shot("console_gains")],
+    ),
+    "hands": Case(
+        ["zhang2023_table"],
+        "picture && picture.now && picture.now.t > 20 && controls.now && (window.asked ||= ("
+        "controls.open('hands', true), controls.take(), controls.drag = [0.6, 0.5], 1))"
+        " && document.querySelector('.tile .state').textContent === 'flown by hand'",
+        [Shot("console_hands_phone", PHONE), Shot("console_hands", TABLET, True)],
+    ),
     "five": Case(
         ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
     ),

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Literal
+from typing import Literal, Protocol
 
 import msgspec
 from msgspec import Struct
@@ -80,6 +80,14 @@ class Letter(Struct, frozen=True):
     number: int = 0
 
 
+class Wishes(Protocol):
+    """Where wishes come from."""
+
+    def heard(self) -> Iterator[tuple[Wish, Callable[[Told], None]]]:
+        """Wishes since the last call, and how to answer each."""
+        ...
+
+
 class Door:
     """The flight's end; a context manager.
 
@@ -101,7 +109,7 @@ class Door:
         path.chmod(0o600)
 
     def heard(self) -> Iterator[tuple[Wish, Callable[[Told], None]]]:
-        """Wishes since the last call, and how to answer each."""
+        """See `Wishes`."""
         for _ in range(MANY):
             try:
                 data, sender = self._socket.recvfrom(LARGEST)

@@ -20,7 +20,7 @@ from testbed.core.ports import Clock
 from testbed.core.types import Stick
 from testbed.flight.loop import HostNode
 from testbed.flight.supervisor import Supervisor
-from testbed.net.door import Controls, Door, Look, Mode, Revert, Steer, Told, Tune, Wish
+from testbed.net.door import Controls, Look, Mode, Revert, Steer, Told, Tune, Wish, Wishes
 from testbed.realtime.wall_clock import monotonic_ns
 
 AHEAD = 2  # ticks from a wish to its change of gains; the time to save it
@@ -55,7 +55,7 @@ class LiveFlight:
     """
 
     def __init__(
-        self, experiment: Experiment, door: Door, save: Callable[[Experiment], None],
+        self, experiment: Experiment, door: Wishes, save: Callable[[Experiment], None],
         now_ns: Callable[[], int] = monotonic_ns,
     ) -> None:  # fmt: skip
         self.experiment = experiment  # with a fork for each change

@@ -154,11 +154,14 @@ def check_fork(original: Path, folder: Path, t: float, *, on_board: bool) -> Non
     first = departure(original, folder, t, on_board=on_board)
     if first is not None:
         shutil.rmtree(folder)
+        hint = f"the code is not the one that flew it: `testbed replay {original}` says more"
+        if first.field.startswith("inputs.stick"):
+            hint = f"it was flown by hand; a fork can begin up to {first.t:g} s"
         raise ForkError(
             where=f"fork of {original}", expected=f"the flight of its log up to {t:g} s",
             found=f"at {first.t:.3f} s, {first.topic}, {first.stage}: {first.field} was "
             f"{first.logged!r}, is {first.now!r}",
-            hint=f"the code is not the one that flew it: `testbed replay {original}` says more",
+            hint=hint,
         )  # fmt: skip
     note = Origin(os.path.relpath(original.resolve(), folder.resolve()), t)
     write_atomic(folder / NOTE, msgspec.json.encode(note) + b"\n")

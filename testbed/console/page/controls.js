@@ -183,7 +183,7 @@ class Controls {
 
   async steer() {
     const [x, y, turn] = this.stick();
-    el('knob').style.transform = `translate(${50 * x}%, ${-50 * y}%) translate(-50%, -50%)`;
+    el('knob').style.transform = `translate(${34 * x}%, ${-34 * y}%) translate(-50%, -50%)`;
     el('stick').textContent = `${Math.round(100 * x)}, ${Math.round(100 * y)} %${turn ? `, turn ${turn > 0 ? 'left' : 'right'}` : ''}`;
     if (!this.flies || this.busy) return;
     const vehicle = this.flies;

@@ -65,7 +65,7 @@ class OnboardGains:
         """Change the gains; why not, or empty."""
         if order.session != self._session:
             return "the order is of another session"
-        if order.at_s <= self._now() + self._period:
+        if not order.at_s > self._now() + self._period:  # also if it is not a number
             return f"too late for a change at {order.at_s:.1f} s"
         if not order.values:
             self._agent.withdraw(order.at_s)
