@@ -72,7 +72,7 @@ class Browser:
         os.close(self._out)
         self._home.cleanup()
 
-    def call(self, method: str, patience: float = 60.0, **params: Any) -> dict[str, Any]:
+    def call(self, method: str, patience: float = 180.0, **params: Any) -> dict[str, Any]:
         """Send a command and return its answer."""
         self._number += 1
         words: dict[str, Any] = {"id": self._number, "method": method, "params": params}

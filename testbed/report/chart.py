@@ -197,9 +197,12 @@ class _Frame:
                 data = f' data-name="{escape(item.hint or name)}" data-hue="{hue % HUES}"'
                 return (f'<path class="line s{hue % HUES} {style}"{data * bool(item.hint or name)} '
                         f'd="{self._path(x, y)}"/>{self._marks(item)}')  # fmt: skip
-            case Limit(y, name):
-                name = text(self.right - 4, self._name_at[name], name, "limitname", "end")
-                return f'<path class="limit" d="M{self.left} {self.y(y):.1f}H{self.right}"/>{name}'
+            case Limit(y, name, style):
+                look = f"limit {style}".rstrip()
+                name = text(
+                    self.right - 4, self._name_at[name], name, f"limitname {style}".rstrip(), "end"
+                )
+                return f'<path class="{look}" d="M{self.left} {self.y(y):.1f}H{self.right}"/>{name}'
             case Moment(x, name, style):
                 at = self.x.at(x)
                 if not name:
@@ -210,8 +213,9 @@ class _Frame:
                 row = self.top + 12.0 + APART * sum(other < x for other in moments)
                 late = at + LETTER * len(name) > self.right  # no room on the right
                 side = (at - 5, "end") if late else (at + 5, "start")
-                return (f'<path class="limit" d="M{at:.1f} {self.top}V{self.bottom:.1f}"/>'
-                        + text(side[0], row, name, "limitname", side[1]))  # fmt: skip
+                of = " value" * (style == "value")
+                return (f'<path class="limit{of}" d="M{at:.1f} {self.top}V{self.bottom:.1f}"/>'
+                        + text(side[0], row, name, f"limitname{of}", side[1]))  # fmt: skip
             case Disc(x, y, radius, style, hue):
                 paint = f"{style} s{hue % HUES} f{hue % HUES}" if style == "ghost" else style
                 return (f'<circle class="{paint}" cx="{self.x.at(x):.1f}" cy="{self.y(y):.1f}" '

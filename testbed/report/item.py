@@ -28,6 +28,7 @@ class Limit(Struct, frozen=True):
 
     y: float
     name: str
+    style: str = ""  # value: what was measured
 
 
 class Moment(Struct, frozen=True):

@@ -33,9 +33,11 @@ from testbed.reproduction.paper_numbers import SIGNS, limits, points
 from testbed.reproduction.plot import chart_of
 
 LOOKS = {HOLDS: "passed", CORRECTED: "passed", FAILS: "fault", UNTESTABLE: "unjudged"}
+AGAIN = "the same"  # begins a claim that refers to an earlier one
 COLUMNS = 300  # of a curve on a page, which keeps it small
 STYLE = """nav { display: flex; gap: 18px; margin-bottom: 18px; } td { vertical-align: top; }
 .badge { color: #fff; border-radius: 6px; padding: 1px 8px; font-size: 13px; white-space: nowrap; }
+figure:has(rect.table) { grid-row: span 2; }
 td.fact { white-space: normal; text-align: left; max-width: 75ch; } a { color: var(--h0); }"""
 
 
@@ -54,10 +56,13 @@ def write_pages(folder: Path, audit: Mapping[str, Audited]) -> Path:
     index.write_text(_index(audit), encoding="utf-8")
     for key, one in audit.items():
         (folder / f"{key}.html").write_text(_of_paper(key, one), encoding="utf-8")
-        claims = {f"{key}.{claim.id}": claim for claim in one.paper.claims}
+        claims, title = {f"{key}.{claim.id}": claim for claim in one.paper.claims}, ""
         for k, row in enumerate(one.rows):
             near = [one.rows[n].id for n in (k - 1, k + 1) if 0 <= n < len(one.rows)]
-            text = _of_claim(key, one, claims[row.id], row, near)
+            again = row.claim.startswith(AGAIN)
+            title = title if again else row.claim
+            said = f"{title}: {row.claim}" if again else row.claim
+            text = _of_claim(key, one, claims[row.id], row, near, said)
             (folder / f"{row.id}.html").write_text(text, encoding="utf-8")
     return index
 
@@ -111,11 +116,13 @@ def _measured(row: ClaimRow) -> str:
     return escape(f"{row.measured:.4g} {row.unit}".strip())
 
 
-def _of_claim(key: str, one: Audited, claim: Claim, row: ClaimRow, near: Sequence[str]) -> str:
+def _of_claim(
+    key: str, one: Audited, claim: Claim, row: ClaimRow, near: Sequence[str], title: str
+) -> str:
     links = "".join(f'<a href="{other}.html">{escape(other)}</a>' for other in near)
     body = (
         f'<nav><a href="index.html">all papers</a><a href="{key}.html">{key}</a>{links}</nav>'
-        f"<header><div><h1>{escape(row.claim)}</h1>"
+        f"<header><div><h1>{escape(title)}</h1>"
         f'<p class="soft">{escape(row.id)} &middot; {escape(row.source)} of {key}</p></div>'
         f'<div class="verdict {LOOKS[row.outcome]}">{escape(row.outcome)}</div></header>'
         f'<div class="wide"><table>{"".join(_facts(key, claim, row))}</table></div>'
@@ -135,13 +142,15 @@ def _line(name: str, words: str) -> str:
 
 
 def _facts(key: str, claim: Claim, row: ClaimRow) -> Iterator[str]:
-    yield _line("the paper", escape(claimed(row)))
+    said = claimed(row).replace("<= ", SIGNS["at most"]).replace(">= ", SIGNS["at least"])
+    yield _line("the paper", escape(said))
     if claim.untestable is not None:
         yield _line("cannot be tested", escape(claim.untestable))
         return
     limit = f"{SIGNS[claim.must]}{limit_of(claim):.6g} {claim.unit}".rstrip()
     slack = f", tolerance {claim.tolerance:g} {claim.unit}".rstrip() if claim.tolerance else ""
-    yield _line("limit", escape(limit + slack))
+    if limit + slack != said:
+        yield _line("limit", escape(limit + slack))
     seeds = f"the worst of {row.seeds} seeds" if row.seeds > 1 else "one run"
     quick = ", quick: fewer seeds, coarser steps" * row.quick
     yield _line("measured", f"<b>{_measured(row)}</b> ({seeds}{quick})")

@@ -23,12 +23,14 @@ def limits(figure: Figure, claim: Claim, row: ClaimRow) -> Iterator[Item]:
     if not axis or claim.over is not None:
         return
     limit = limit_of(claim) + (claim.tolerance if figure.log and not limit_of(claim) else 0.0)
-    named = (f"limit {SIGNS[claim.must]}{limit:.4g} {claim.unit}".rstrip(), limit)
-    for name, value in (named, (f"measured {row.measured:.4g}" if row.measured is not None else "",
-                                row.measured)):  # fmt: skip
+    named = (
+        (limit, f"limit {SIGNS[claim.must]}{limit:.4g} {claim.unit}".rstrip(), ""),
+        (row.measured, "" if row.measured is None else f"measured {row.measured:.4g}", "value"),
+    )
+    for value, name, style in named:
         if value is None or (figure.log and axis == "y" and value <= 0.0):
             continue
-        yield Limit(value, name) if axis == "y" else Moment(value, name)
+        yield Limit(value, name, style) if axis == "y" else Moment(value, name, style)
 
 
 def points(figure: Figure, run: str, claims: Sequence[Claim]) -> list[Mark]:

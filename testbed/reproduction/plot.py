@@ -28,7 +28,7 @@ def chart_of(
             items.append(Mark(float(x[-1]), float(y[-1]), name, case=0, style="rest"))
     items += [Line(x, y, 0, "", "edge dashed") for x, y in figure.shapes]
     rims = [((x - r, x + r), (y - r, y + r)) for x, y, r in figure.circles]
-    drawn = [*figure.curves.values(), *figure.shapes, *rims]
+    drawn = [*figure.curves.values(), *figure.shapes, *figure.ways, *rims]
     x_range, y_range = (_span([np.asarray(curve[k]) for curve in drawn]) for k in (0, 1))
     if figure.dots:
         half = 0.52 * max(x_range[1] - x_range[0], y_range[1] - y_range[0])

@@ -47,3 +47,17 @@ def test_positions_are_a_square_with_a_mark_at_each_end():
 def test_a_figure_without_numbers_is_drawn():
     drawn(Figure("errors", "x", "y", {"none": (T, np.full(50, np.nan))}))
     drawn(Figure("positions", "x", "y", {}, dots=True))
+
+
+def test_obstacles_their_paths_and_shapes_are_within_the_frame():
+    way = {"agent 1": (T, T)}
+    circle = (300.0 * np.cos(T), 300.0 * np.sin(T))
+    figure = Figure("positions", "x [m]", "y [m]", way, dots=True, circles=((-400.0, 0.0, 50.0),),
+                    ways=(circle,), shapes=((T, -350.0 + 0.0 * T),))  # fmt: skip
+    chart = chart_of("key", "six", figure)
+    assert chart.x_range[0] <= -450.0
+    assert chart.y_range[0] <= -350.0
+    looks = [e.get("class", "") for e in drawn(figure).iter()]
+    assert looks.count("danger") == 1
+    assert "line s0 way dashed" in looks
+    assert "line s0 edge dashed" in looks
