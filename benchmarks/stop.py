@@ -51,6 +51,8 @@ GAP_NS = 600_000_000
 PROGRAM = HOST.replace(", relay=way", "")  # the vehicles know the port of the host
 NOBODY = 65534
 AS_NOBODY = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
+# the host's processes must find an interpreter that may lie in root's home
+SEARCHES = ["--inh-caps=+dac_read_search", "--ambient-caps=+dac_read_search"]
 INSIDE = "ABT_STOP_INSIDE"
 NOTES = Path("/run/user")
 
@@ -95,7 +97,8 @@ def surroundings(condition, home):
         return [], own, [], path
     if condition == "sudo":
         theirs = {"HOME": str(home), "XDG_RUNTIME_DIR": str(NOTES / str(NOBODY))}
-        return AS_NOBODY, path | theirs, [], path | {"SUDO_UID": str(NOBODY)}
+        asked = path | {"SUDO_UID": str(NOBODY)}
+        return [*AS_NOBODY, *SEARCHES], path | theirs, [], asked
     if condition == "other-user":
         return [], own, AS_NOBODY, path
     if condition == "full":
