@@ -29,6 +29,7 @@ from testbed.campaign.score import beside_metrics, goal_at, wanted_distances
 from testbed.config import SHIPPED as CONFIGS
 from testbed.config import ConfigError, dump, find, load
 from testbed.core.path import Circle
+from testbed.flight.arming import Check
 from testbed.metrics.run_metrics import Metrics, Track, VehicleMetrics
 from testbed.rig.twin import make_twin
 from testbed.run.fly import fly_and_judge
@@ -385,10 +386,10 @@ def test_rigs_of_one_cell_are_all_named(put, tmp_path):
 
 
 def test_a_run_that_never_armed_is_no_run_and_one_that_a_fault_ended_is(put, tmp_path):
-    put("still/pd/0", completed=False, red=["sat1: supply at 80 % of its set value"])
+    put("still/pd/0", completed=False, red=[Check("supply", "sat1", "at 80 % of its set value")])
     put("still/pd/1", "seed=1", completed=False, fault="pose lost")
     record = scored(tmp_path)
-    assert reasons(record) == {"still/pd/0": "never armed: sat1: supply at 80 % of its set value"}
+    assert reasons(record) == {"still/pd/0": "never armed: sat1 supply: at 80 % of its set value"}
     assert [(row.passed, row.runs) for row in record.scores] == [(0, 1)]
 
 

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 from testbed.config import find, load
 from testbed.core.codes import FaultReport
+from testbed.flight.arming import Check
 from testbed.logs.history import FlightEvent
 from testbed.metrics.run_metrics import Metrics, Touch, VehicleMetrics
 from testbed.report.events import happened, lines
@@ -77,7 +78,7 @@ def test_the_colour_of_a_verdict():
         (flown(completed=False, duration_s=12.3, criteria=None),
          ("unjudged", "interrupted at 12.3 s: not judged")),
         (flown(criteria={}), ("unjudged", "no criteria to judge")),
-        (flown(completed=False, red=["sat1: no pose"], fault="not started"),
+        (flown(completed=False, red=[Check("pose", "sat1", "no pose yet")], fault="not started"),
          ("failed", "not started: a check failed")),
         (flown(completed=False, duration_s=9.0, contacts=-1, fault="killed", criteria=None),
          ("unjudged", "not judged, 9.0 s in the log")),

@@ -6,9 +6,11 @@ from sim_twin.plant import Touch
 from testbed.core.codes import FaultReport, Response
 from testbed.core.fault_injection import Injection
 from testbed.faults.drill import cases_of
+from testbed.flight.arming import Check
 from testbed.net.commands import Counts, Ended
 from testbed.rig.wired.table_report import TableReport
-from testbed.run.drill_on_wires import Flown, judge
+from testbed.run import drill_on_wires
+from testbed.run.drill_on_wires import NOTHING, DrillError, Flown, judge
 
 COUNTS = Counts({}, {}, {}, 0, 0, None, None)
 EPOCH = 5_000_000_000  # [ns]
@@ -110,3 +112,26 @@ def test_the_response_is_that_of_the_vehicle_concerned():
     found = judged("kill_process", dead)
     assert (found.response, found.named) == (Response.BRAKE, "neighbour_silent")
     assert found.detected_s == pytest.approx(1.2)
+
+
+def test_a_flight_that_does_not_arm_is_judged_by_its_red_checks(monkeypatch):
+    red = [Check("supply", "sat1", "no pressure: open the air")]
+    monkeypatch.setattr(drill_on_wires, "fly", lambda *_: Flown(0, NOTHING, {}, None, red))
+    rows = cases_of("bench", 1)
+    found = drill_on_wires.case(rows.index("no_air"), 0, "hold")
+    assert (found.kind, found.named, found.refused, found.missed) == (
+        "no_air",
+        "supply",
+        True,
+        False,
+    )
+    with pytest.raises(DrillError, match="sat1 supply: no pressure"):  # such as on a busy machine
+        drill_on_wires.case(rows.index("drop_mocap"), 0, "hold")
+
+
+def test_a_wrong_frame_concerns_every_vehicle():
+    last = ended(3.0, LOST, {"pose_jumped": 2.3}, {Response.BRAKE: 2.3})
+    moved = flown([], None)
+    moved.ended["sat2"] = last
+    found = judged("shift_frame", moved, "frame_bumped")
+    assert (found.named, found.response) == ("pose_jumped", Response.BRAKE)
