@@ -107,7 +107,8 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
 def reconfigure(p, memory, row, k):
     """Take the jet that row `k` of the fault table names out, or compensate for it, if possible.
 
-    Two bad jets in a flight mean a wrong vehicle file or wrong wires, and are not flown around.
+    Two bad jets in a flight mean a wrong vehicle file or wrong wires, and are not flown around. If
+    the doubt between a leak and a weak jet comes back without the jet in doubt, it is a leak.
     """
     m, fired, detector = memory.fixed[0], memory.fired, p.rows.detector[k]
     named, t = memory.named, row.told.t
@@ -121,7 +122,8 @@ def reconfigure(p, memory, row, k):
         others += named[i] > 0.0 and i != j and not (back and i == doubted)
     reconfiguration.change(fired.gives, fired.leaks, m.jet_faults, detector)
     force, torque = reconfiguration.room(p.jets.effect, fired.gives, fired.leaks)
-    if others == 0 and reconfiguration.suffices(p.whole, force, torque):
+    leak = back and detector == reconfiguration.DOUBTFUL
+    if others == 0 and not leak and reconfiguration.suffices(p.whole, force, torque):
         m.strength = min(1.0, force / p.whole.force)
         if back:
             named[doubted] = 0.0
