@@ -79,7 +79,7 @@ CASES = {
         " && document.querySelector('.tile .state').textContent === 'flown by hand'"
         " && !document.body.classList.contains('stale')"
         " && document.getElementById('hands-told').className === 'ok'",
-        [Shot("console_hands_phone", PHONE), Shot("console_hands", TABLET, True)],
+        [Shot("console_hands")],
     ),
     "five": Case(
         ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
