@@ -73,15 +73,18 @@ CASES = {
         ["zhang2023_table", "--speed", "2"],
         "picture && picture.now && picture.now.t > 20 && controls.now && (window.asked ||= ("
         "controls.open('gains', true), controls.tune({type: 'Tune', values: {beta: 1.7}}), 1))"
-        " && document.getElementById('open-gains').textContent === 'Gains (1)'",
+        " && document.getElementById('open-gains').textContent === 'Gains (1)'"
+        " && !document.body.classList.contains('stale')",
         [Shot("console_gains")],
     ),
     "hands": Case(
         ["zhang2023_table"],
         "picture && picture.now && picture.now.t > 20 && controls.now && (window.asked ||= ("
         "controls.open('hands', true), controls.take(), controls.drag = [0.6, 0.5], 1))"
-        " && document.querySelector('.tile .state').textContent === 'flown by hand'",
-        [Shot("console_hands_phone", PHONE), Shot("console_hands", TABLET, True)],
+        " && document.querySelector('.tile .state').textContent === 'flown by hand'"
+        " && !document.body.classList.contains('stale')"
+        " && document.getElementById('hands-told').className === 'ok'",
+        [Shot("console_hands")],
     ),
     "five": Case(
         ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
@@ -174,15 +177,21 @@ def take(name: str, case: Case, folder: Path) -> None:
         url, end = page_of(run), monotonic() + PATIENCE_S
         with Browser(*SCREEN) as page:
             page.open(url)
-            while not page.value(case.until):
-                if monotonic() > end:
-                    raise TimeoutError(f"{case.words[0]}: {page.value('document.body.innerText')}")
-                Event().wait(0.1)
+
+            def wait() -> None:
+                while not page.value(case.until):
+                    if monotonic() > end:
+                        words = page.value("document.body.innerText")
+                        raise TimeoutError(f"{case.words[0]}: {words}")
+                    Event().wait(0.1)
+
+            wait()
             if case.replay:  # all pictures at one instant
                 page.value("take = () => {}")
                 t = page.value("picture.now.t")
             for shot in case.shots:
                 look(page, shot)
+                wait()  # a busy machine may have kept the page waiting
                 keep(page.picture(), shot.name)
             every = []
             for dark in (False, True):
