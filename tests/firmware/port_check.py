@@ -86,6 +86,8 @@ def wrong_with(path):
     for never, (divider, prescaler) in LOST_CLOCKS.items():
         kind = type("Without", (Deaf,), {"never": never})
         without = kind(path, adc=SUPPLIED)
+        if without._reg[0x4002_3804] != 16 | 336 << 6 | 7 << 24:
+            return "the clock multiplier without crystal"
         if (without._reg[0x4001_1008], without._reg[0x4000_0028]) != (divider, prescaler):
             return "the rates without crystal or clock multiplier"
     return flown(machine, decoder) or lived_through(path)
