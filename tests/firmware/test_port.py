@@ -12,7 +12,6 @@ pytestmark = pytest.mark.usefixtures("a_cross_compiler")
 FAULTS = {
     "alarm above the line": ("timer.h", "ALARM_PRIORITY 0x80u", "ALARM_PRIORITY 0x00u"),
     "converter frozen": ("main.c", "ADC1_CR2 |= ADC_CR2_SWSTART;", ";"),
-    "ring guard removed": ("main.c", "received.in - received.out < RECEIVE_MAX", "1"),
     "no clock security": ("main.c", "(crystal ? RCC_CR_CSSON : 0u)", "0u"),
     "no pull-up": ("main.c", "GPIOA_PUPDR |= 1u << 20;", ";"),
     "watchdog not fed": ("main.c", "IWDG_KR = IWDG_KR_FEED;", ";"),
