@@ -4,9 +4,9 @@ Instructions take no time; time passes only while the program sleeps (WFI). So r
 reproducible: alarms occur at their microsecond, and stores to GPIO are recorded with their time.
 
 Modelled as in ST's RM0090, as far as the image uses it: clocks and reset flags (RCC), GPIOC, TIM2,
-USART1, ADC1's injected channels, the independent watchdog, the random generator; and the interrupts
-of TIM2 and USART1, which do not nest. Accesses to anything else are listed in `unknown`. Not
-modelled: cycles, baud rate, interrupt priorities, floating point.
+USART1, ADC1's injected channels, the independent watchdog, the random generator; the interrupts of
+TIM2 and USART1 by priority, without nesting. Accesses to anything else are in `unknown`. Not
+modelled: cycles, baud rate, floating point.
 
 Unicorn lacks M-profile interrupts: the handler is called with a return address that ends the
 emulation, and the registers that the core would stack are kept here.
@@ -34,23 +34,19 @@ IWDG_KR, IWDG_PR, IWDG_RLR = 0x4000_3000, 0x4000_3004, 0x4000_3008
 TIM2_CR1, TIM2_DIER, TIM2_SR = 0x4000_0000, 0x4000_000C, 0x4000_0010
 TIM2_EGR, TIM2_CNT, TIM2_CCR1 = 0x4000_0014, 0x4000_0024, 0x4000_0034
 USART1_SR, USART1_DR, USART1_CR1 = 0x4001_1000, 0x4001_1004, 0x4001_100C
-ADC1_JDR1, ADC1_JDR2 = 0x4001_203C, 0x4001_2040
-RNG_SR, RNG_DR = 0x5006_0804, 0x5006_0808
-NVIC_ISER0, NVIC_ISER1, NVIC_ISPR0 = 0xE000_E100, 0xE000_E104, 0xE000_E200
+ADC1_JDR1, ADC1_JDR2, RNG_SR, RNG_DR = 0x4001_203C, 0x4001_2040, 0x5006_0804, 0x5006_0808
+NVIC_ISER0, NVIC_ISER1, NVIC_ISPR0, NVIC_IPR = 0xE000_E100, 0xE000_E104, 0xE000_E200, 0xE000_E400
 PLAIN = frozenset({  # registers stored and read back, without effect here
     RCC_CR, RCC_CFGR, 0x4002_3804, 0x4002_3830, 0x4002_3834, 0x4002_3840, 0x4002_3844,
     0x4002_3C00,  # FLASH_ACR
     0x4002_0000, 0x4002_000C, 0x4002_0024,  # GPIOA
-    TIM2_DIER, TIM2_CCR1, 0x4000_0028, 0x4000_002C,
-    0x4001_1008, USART1_CR1,
+    TIM2_CR1, TIM2_DIER, TIM2_CCR1, 0x4000_0028, 0x4000_002C, 0x4001_1008, USART1_CR1,
     0x4001_2004, 0x4001_2008, 0x4001_2010, 0x4001_2034, 0x4001_2038, 0x4001_2304,
-    0x5006_0800, NVIC_ISER0, NVIC_ISER1, 0xE000_E41C, 0xE000_E425,
-    IWDG_PR, IWDG_RLR,
+    0x5006_0800, NVIC_ISER0, NVIC_ISER1, 0xE000_E41C, 0xE000_E425, IWDG_PR, IWDG_RLR,
 })  # fmt: skip
 
 TIM2, USART1, HARD_FAULT = 28, 37, 3 - 16  # numbers of interrupts; exceptions come before
-RXNE, TXE, TC, CC1 = 1 << 5, 1 << 7, 1 << 6, 1 << 1
-LSI_HZ = 32_000
+RXNE, TXE, TC, CC1, LSI_HZ = 1 << 5, 1 << 7, 1 << 6, 1 << 1, 32_000
 CAUSES = {  # flags in RCC_CSR; power-on sets all of a reset's, RM0090 7.3.21
     ResetCause.UNKNOWN: 0,
     ResetCause.POWER_ON: 0x0E00_0000,
@@ -60,8 +56,7 @@ CAUSES = {  # flags in RCC_CSR; power-on sets all of a reset's, RM0090 7.3.21
     ResetCause.WATCHDOG: 0x2400_0000,
 }
 BUDGET = 10_000_000  # limit of instructions without sleep; a boot, the longest, takes 30 000
-NEVER = 1 << 62
-WRAP = 1 << 32
+NEVER, WRAP = 1 << 62, 1 << 32
 WFI, CPSIE_I, ISB = b"\x30\xbf", b"\x62\xb6", b"\xbf\xf3\x6f\x8f"
 
 
@@ -156,6 +151,7 @@ class Machine:
         self.resets.append(cause)
         uc = self._uc
         uc.reg_write(arm.UC_ARM_REG_PRIMASK, 0)
+        uc.reg_write(arm.UC_ARM_REG_BASEPRI, 0)
         uc.reg_write(arm.UC_ARM_REG_SP, self._vector(-16))
         self._pc = self._vector(-15)
         self._asleep = False
@@ -238,7 +234,7 @@ class Machine:
         self._countdown -= 1
         if self._countdown == -1:
             self._pended = True
-        masked = uc.reg_read(arm.UC_ARM_REG_PRIMASK)
+        masked = uc.reg_read(arm.UC_ARM_REG_PRIMASK) or uc.reg_read(arm.UC_ARM_REG_BASEPRI)
         if self._countdown < 0 and self._pended and not masked and not in_block:
             self._stopped_at = address
             self._stopped = True
@@ -258,12 +254,20 @@ class Machine:
     def _pending(self) -> int | None:
         reg = self._reg
         alarm = self._pended or (self._compared and reg.get(TIM2_DIER, 0) & CC1)
-        if alarm and reg.get(NVIC_ISER0, 0) >> TIM2 & 1 and not self.mute_alarm:
-            return TIM2
-        wanted = reg.get(USART1_CR1, 0)
-        if wanted & (TXE | (RXNE if self._receive else 0)) and reg.get(NVIC_ISER1, 0) >> 5 & 1:
-            return USART1
-        return None
+        alarm = alarm and reg.get(NVIC_ISER0, 0) >> TIM2 & 1 and not self.mute_alarm
+        wanted = reg.get(USART1_CR1, 0) & self._line_flags() & (TXE | RXNE)
+        line = wanted and reg.get(NVIC_ISER1, 0) >> 5 & 1
+        found = [n for n, waits in ((TIM2, alarm), (USART1, line)) if waits]
+        base = self._uc.reg_read(arm.UC_ARM_REG_BASEPRI) if found else 0
+        found = [n for n in found if not 0 < base <= self.priority(n)]
+        return min(found, key=self.priority, default=None)
+
+    def priority(self, number: int) -> int:
+        """Of an interrupt; lower ones come first."""
+        return self._reg.get(NVIC_IPR + number, 0)
+
+    def _line_flags(self) -> int:
+        return TXE | TC | (RXNE if self._receive else 0)
 
     def _interruptible(self) -> bool:
         """Whether an interrupt is taken here; a sleeping program wakes and runs until it is."""
@@ -322,16 +326,15 @@ class Machine:
         if at == TIM2_CNT:
             return self._count()
         if at == USART1_SR:
-            return TXE | TC | (RXNE if self._receive else 0)
+            return self._line_flags()
         if at == USART1_DR:
             return self._receive.pop(0) if self._receive else 0
         if at in (ADC1_JDR1, ADC1_JDR2):
             return self.adc[at == ADC1_JDR2]
+        value = self._reg.get(at, 0)
         if at == RCC_CR:  # oscillators are ready at once
-            value = self._reg.get(at, 0)
             return value | (value & 0x0101_0000) << 1
         if at == RCC_CFGR:
-            value = self._reg.get(at, 0)
             return value | (value & 3) << 2
         if at == RCC_CSR:
             return self._csr
@@ -342,7 +345,7 @@ class Machine:
             return self._random - 1
         if at not in PLAIN:
             self.unknown.add(at)
-        return self._reg.get(at, 0)
+        return value
 
     def _store(self, uc: unicorn.Uc, offset: int, size: int, value: int, start: int) -> None:
         at = start + offset
@@ -365,8 +368,6 @@ class Machine:
                 self._counting_from = self.now_us
                 self._set_alarm()
             self._compared = self._compared or bool(value & CC1)
-        elif at == TIM2_CR1:
-            self._reg[at] = value
         elif at == GPIOC_MODER:
             self._driven = sum(1 << i for i in range(16) if value >> 2 * i & 3 == 1)
             self._note(at, value)

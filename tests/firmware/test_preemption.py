@@ -9,6 +9,7 @@ Boundaries before which nothing but registers changed are one and the same place
 which saves and restores them; a copy is made for the first of them only.
 """
 
+import re
 from collections import Counter
 
 import msgspec
@@ -38,6 +39,7 @@ SUPPLIED = (3000, 2000)  # counts of the converter: 24 V
 REGISTERS = [
     *(getattr(arm, f"UC_ARM_REG_R{number}") for number in range(13)),
     *(arm.UC_ARM_REG_SP, arm.UC_ARM_REG_LR, arm.UC_ARM_REG_XPSR, arm.UC_ARM_REG_PRIMASK),
+    arm.UC_ARM_REG_BASEPRI,
 ]
 
 
@@ -99,7 +101,8 @@ class Stepped(Machine):
     @property
     def masked(self):
         """Whether interrupts wait: then one that comes is taken at a later boundary."""
-        return bool(self._uc.reg_read(arm.UC_ARM_REG_PRIMASK))
+        masks = (arm.UC_ARM_REG_PRIMASK, arm.UC_ARM_REG_BASEPRI)
+        return any(self._uc.reg_read(mask) for mask in masks)
 
     def interrupted(self, other):
         """Pins and answers of a copy that takes the alarm's interrupt here."""
@@ -189,10 +192,10 @@ def test_wherever_the_interrupt_comes_the_outside_sees_the_same(flashed, kind):
 @pytest.mark.slow
 def test_without_the_critical_sections_plans_are_torn_and_this_test_sees_it(flashed, tmp_path):
     code = flashed.read_bytes()
-    cpsid_i, nop = b"\x72\xb6", b"\x00\xbf"
-    assert code.count(cpsid_i) >= 2
+    msr_basepri, nop = re.compile(rb"[\x80-\x8f]\xf3\x11\x88"), b"\xaf\xf3\x00\x80"
+    assert len(msr_basepri.findall(code)) >= 2
     bare = tmp_path / "bare.bin"
-    bare.write_bytes(code.replace(cpsid_i, nop))
+    bare.write_bytes(msr_basepri.sub(nop, code))
     undisturbed, found, _ = everywhere(bare, "plan")
     assert undisturbed == everywhere(flashed, "plan")[0]
     assert len(found) > 5

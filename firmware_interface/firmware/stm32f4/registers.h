@@ -118,6 +118,7 @@
 #define NVIC_ISPR(irq) REG(0xe000e200u + 4u * ((irq) / 32u))
 #define NVIC_BIT(irq) (1u << ((irq) % 32u))
 #define NVIC_IPR(irq) (*(volatile uint8_t *)(uintptr_t)(0xe000e400u + (irq)))
+#define SCB_SYSTICK_PRIORITY (*(volatile uint8_t *)(uintptr_t)0xe000ed23u)
 #define SCB_ICSR REG(0xe000ed04u)
 #define SCB_ICSR_PENDSTSET (1u << 26)
 

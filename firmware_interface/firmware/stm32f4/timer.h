@@ -4,6 +4,10 @@
 
 #include <stdint.h>
 
+/* Lower numbers come first. */
+#define LINE_PRIORITY 0x40u
+#define ALARM_PRIORITY 0x80u
+
 void timer_start(uint32_t timer_hz);
 
 uint32_t timer_now_us(void);

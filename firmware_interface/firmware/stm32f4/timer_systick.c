@@ -18,6 +18,7 @@ void timer_start(uint32_t timer_hz)
     (void)timer_hz;
     SYSTICK_RVR = CORE_MHZ * 1000u - 1u;
     SYSTICK_CVR = 0;
+    SCB_SYSTICK_PRIORITY = ALARM_PRIORITY;
     SYSTICK_CSR = SYSTICK_CSR_CORE_CLOCK | SYSTICK_CSR_TICKINT | SYSTICK_CSR_ENABLE;
 }
 

@@ -15,7 +15,7 @@ void timer_start(uint32_t timer_hz)
     TIM2_SR = 0;
     TIM2_DIER = TIM2_DIER_CC1IE;
     TIM2_CR1 = TIM2_CR1_URS | TIM2_CR1_CEN;
-    NVIC_IPR(TIM2_IRQ) = 0; /* above everything else */
+    NVIC_IPR(TIM2_IRQ) = ALARM_PRIORITY;
     NVIC_ISER(TIM2_IRQ) = NVIC_BIT(TIM2_IRQ);
 }
 

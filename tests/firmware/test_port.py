@@ -1,0 +1,49 @@
+"""The port: its registers and behaviour, and faults planted in it that the check must notice."""
+
+from pathlib import Path
+
+import port_mutation
+import pytest
+from port_check import wrong_with
+
+pytestmark = pytest.mark.usefixtures("a_cross_compiler")
+
+# file, what is there, what instead
+FAULTS = {
+    "alarm above the line": ("timer.h", "ALARM_PRIORITY 0x80u", "ALARM_PRIORITY 0x00u"),
+    "converter frozen": ("main.c", "ADC1_CR2 |= ADC_CR2_SWSTART;", ";"),
+    "no clock security": ("main.c", "(crystal ? RCC_CR_CSSON : 0u)", "0u"),
+    "no pull-up": ("main.c", "GPIOA_PUPDR |= 1u << 20;", ";"),
+    "watchdog not fed": ("main.c", "IWDG_KR = IWDG_KR_FEED;", ";"),
+    "watchdog longer": ("startup.c", "IWDG_RLR = 400u;", "IWDG_RLR = 4000u;"),
+    "outputs before closed": ("board.h", "    board_drive(0, 0);\n", ""),
+    "a fault shuts the air": ("board.h", "VALVE_PINS << 16;", "0x1ffu << 16;"),
+    "a fault leaves valves open": ("startup.c", "    board_close_valves();\n", ""),
+    "reset flags pile up": ("main.c", "RCC_CSR |= RCC_CSR_RMVF;", ";"),
+    "one wait state": ("registers.h", "(5u | (1u << 8)", "(1u | (1u << 8)"),
+}
+
+
+def built(folder, fault):
+    name, was, now = fault
+    code = (port_mutation.CHIP / name).read_text()
+    assert code.count(was) == 1, was
+    begin = len(code[: code.index(was)].encode())
+    source = port_mutation.CHIP / name
+    mutant = port_mutation.Mutant(source, begin, begin + len(was.encode()), now, "", was, now)
+    assert port_mutation.built(folder, mutant) is not None
+    return folder / "bin"
+
+
+def test_nothing_is_wrong_with_the_image(tmp_path: Path):
+    assert port_mutation.built(tmp_path, None) is not None
+    assert wrong_with(tmp_path / "bin") == ""
+
+
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
+def test_a_planted_fault_is_noticed(tmp_path: Path, fault):
+    try:
+        wrong = wrong_with(built(tmp_path, fault))
+    except Exception as error:  # a broken image breaks the emulator in any way
+        wrong = str(error)
+    assert wrong

@@ -1,0 +1,92 @@
+"""A vehicle leaves the path of a moving obstacle in time, and makes room for one that must."""
+
+import numpy as np
+import pytest
+
+from testbed.core.table import Obstacle
+from testbed.flight.barrier import Barrier, BarrierParams, discs_of, filtered
+from testbed.flight.escape import GIVE_WAY, reached_in, right_of_way
+
+PARAMS = BarrierParams()
+MASS, FORCE, PERIOD = 12.5, 1.14, 0.1  # the shipped vehicle: [kg], [N], [s]
+HALF = 2.0  # of the places of its centre [m]
+TOUCH = 0.4  # [m] centre to centre
+RADIUS, BODY = 0.6, 0.05  # danger radius, and how much of it is air beside the body [m]
+
+# obstacles that end at the fence, and vehicles between; a filter that only brakes loses them all
+TRAPPED = {
+    "against the fence": ((0.0, 0.0), (0.08, 0.0), (1.9, 0.0)),
+    "in a corner": ((0.0, 0.0), (0.06, 0.06), (1.9, 1.8)),
+    "along the fence": ((-2.5, 1.7), (0.1, 0.0), (0.5, 1.95)),
+}
+
+
+def rows(*obstacles):
+    kept = RADIUS + PARAMS.obstacle_margin
+    return discs_of([(*place, *velocity, kept, 1.0) for place, velocity in obstacles])
+
+
+def room(force_of, place, velocity, start, seconds=40.0):
+    """Smallest room to the obstacle's danger radius and to the fence [m]."""
+    p, v, least = np.array(start), np.zeros(2), np.inf
+    for k in range(round(seconds / PERIOD)):
+        t = k * PERIOD
+        # the law wants to meet the obstacle
+        wish = np.array(place) + t * np.array(velocity) - p
+        wish *= FORCE / max(np.hypot(*wish), 1e-9)
+        a = np.array(force_of(t, wish, p, v)) / MASS
+        p, v = p + PERIOD * (v + 0.5 * PERIOD * a), v + PERIOD * a
+        far = np.hypot(*(p - place - (t + PERIOD) * np.array(velocity)))
+        least = min(least, far - RADIUS, HALF - np.abs(p).max())
+    return least
+
+
+@pytest.fixture(scope="module", params=TRAPPED)
+def trap(request):
+    return TRAPPED[request.param]
+
+
+def test_a_vehicle_in_the_path_of_an_obstacle_leaves_it(trap):
+    place, velocity, _ = trap
+    rock = Obstacle(place, RADIUS, RADIUS - 0.2 - BODY, velocity)
+    barrier = Barrier(PARAMS, MASS, FORCE, PERIOD, (HALF, HALF), {"o1": rock}, {})
+    named = set()
+
+    def force_of(t, wish, p, v):
+        fx, fy, change = barrier.filter(t, tuple(wish), (*p, *v, 0.0, 0.0), {})
+        named.add(change.words if change else "")
+        return fx, fy
+
+    assert room(force_of, *trap) > 0.0
+    assert "o1" in named
+
+
+def test_half_planes_alone_would_lose_it(trap):
+    place, velocity, _ = trap
+    limits = Barrier(PARAMS, MASS, FORCE, PERIOD, (HALF, HALF), {}, {}).limits
+    disc = rows((place, velocity))
+
+    def force_of(t, wish, p, v):
+        now = disc.copy()
+        now[:, :2] += t * disc[:, 2:4]
+        return filtered(*wish, *p, *v, 0.0, 0.0, now, limits, 1.0)[:2]
+
+    assert room(force_of, *trap) < 0.0
+
+
+def test_the_time_until_an_obstacle_reaches_a_place():
+    discs = rows(((-1.0, 0.0), (0.1, 0.0)), ((0.0, 5.0), (0.0, 0.0)))
+    ahead, which = reached_in(0.5, 0.0, discs)
+    assert which == 0
+    assert ahead == pytest.approx((1.5 - RADIUS) / 0.1, abs=1.2)  # NARROW earlier
+    assert reached_in(0.5, 2.0, discs) == (np.inf, -1)  # beside its path
+    assert reached_in(-2.5, 0.0, discs) == (np.inf, -1)  # behind it
+
+
+def test_the_vehicle_that_is_reached_first_has_the_right_of_way():
+    rock = (-1.0, 0.0, 0.1, 0.0, RADIUS, 1.0)
+    near, far = (0.2, 0.0), (0.8, 0.0)
+    seen_by_far = discs_of([rock, (*near, 0.0, 0.0, 0.46, 0.5)])
+    seen_by_near = discs_of([rock, (*far, 0.0, 0.0, 0.46, 0.5)])
+    assert right_of_way(*far, seen_by_far).tolist() == [0.0, GIVE_WAY]
+    assert right_of_way(*near, seen_by_near).tolist() == [0.0, 0.0]
