@@ -90,7 +90,7 @@ CASES = {
         ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
     ),
     "fault": Case(
-        ["zhang2023_table", "--speed", "2", fault("stick_open", "sat2", 25.0, ",jet=3"),
+        ["zhang2023_table", "--speed", "0.1", fault("stick_open", "sat2", 6.0, ",jet=3"),
          "duration_s=40"],
         "document.getElementById('head').textContent.startsWith('FAULT')",
         [Shot("console_fault"), Shot("console_fault_tablet", TABLET, True)],
@@ -114,7 +114,9 @@ CASES = {
 def keep(png: bytes, name: str) -> None:
     """Save a picture with a palette."""
     picture = Image.open(io.BytesIO(png)).convert("RGB")
-    few = picture.quantize(255, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    # a sheet is light and dark, and the median cut would lose colours of few pixels
+    way = Image.Quantize.MAXCOVERAGE if name.startswith("sheet") else Image.Quantize.MEDIANCUT
+    few = picture.quantize(255, method=way, dither=Image.Dither.NONE)
     few.save(HERE / f"{name}.png", optimize=True)
     sys.stdout.write(f"{name}.png: {(HERE / f'{name}.png').stat().st_size / 1e3:.0f} kB\n")
 
@@ -145,12 +147,15 @@ def replay(run: Path, t: float, name: str) -> None:
     """Save the report's picture of the table and its bar at a time of the run."""
     with Browser(*SCREEN) as page:
         page.open((run / "report.html").resolve().as_uri())
+        while not page.value(
+            "document.readyState === 'complete' && !!window.scrub && !scrub.hidden"
+        ):
+            Event().wait(0.1)
         page.value(
-            "new Promise(done => setTimeout(done, 1000)).then(() => {"
-            " const bar = document.querySelector('#scrub input');"
+            "(() => { const bar = document.querySelector('#scrub input');"
             f" bar.value = {t}; bar.dispatchEvent(new Event('input'));"
             " document.getElementById('trajectory').scrollIntoView();"
-            " return new Promise(done => setTimeout(done, 600)); })"
+            " return new Promise(done => setTimeout(done, 600)); })()"
         )
         keep(page.picture(), name)
 

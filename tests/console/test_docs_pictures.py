@@ -32,7 +32,8 @@ def share(area: np.ndarray, colour: tuple[int, int, int]) -> float:
 
 def test_the_states_that_the_docs_name_are_there():
     page = (FOLDER.parent / "console.md").read_text()
-    assert "sheet_three" in SHEETS
+    cases = ("arming", "one", "three", "five", "fault", "cameras", "hung")
+    assert {f"sheet_{case}" for case in cases} == set(SHEETS)
     for name in SHEETS:
         assert f"pictures/{name}.png" in page, name
         assert (FOLDER / f"{name}.png").stat().st_size < 250_000
