@@ -31,8 +31,6 @@ from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
-from testbed.flight.effectiveness import MEMORY_S as SLOWLY
-from testbed.flight.effectiveness import SPREAD as UNHEARD
 from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.record import record
@@ -158,16 +156,6 @@ def pause(p, m, heard):
     forget(m.leak)
     forget(m.weak)
     heard.recent[:] = 0.0
-
-
-@compiled
-def restart(p, m, heard):
-    """Begin anew: what was heard so far is explained, and the jets are other ones from now on."""
-    pause(p, m, heard)
-    m.counted, m.again, m.noted = max(0, m.counted - 2 * CALM), AGAIN, 0
-    heard.told[:], heard.blocks[:] = 0.0, 0.0
-    heard.duty[:], heard.bias[:], heard.last[:] = 0.0, heard.calm[0], 0.0
-    heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, UNHEARD
 
 
 @compiled
@@ -330,9 +318,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         blocks[1:] = blocks[:-1].copy()
         blocks[0] = 0.0
     listen(e, x, heard, m.counted, known.keep, known.rough)
-    push = 1.0 / (heard.spread[0] + known.rough)
-    weights = (push, push, 1.0 / heard.spread[1])
-    learn(heard.slow, e, x, weights, 1.0 - min(0.5, known.period / SLOWLY))
+    learn(heard, e, x, known.period, known.rough)
     if look % SHOWN == 0:
         slope = 1.0 / (known.slope * known.slope + known.bumps * known.bumps)
         resolve(heard.slow, known.sure, slope, heard.off, heard.sigma)

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
+from testbed.flight.effectiveness import SPREAD
+from testbed.flight.jet_faults import AGAIN, CALM, pause
 
 LEAST = 0.2  # of the whole vehicle's weakest force and torque, both: less does not fly on
 UPHILL = 2.0  # and this many times the force that the table's slope takes
@@ -120,6 +122,22 @@ def suffices(whole, force, torque):
     return force >= max(LEAST * whole.force, UPHILL * whole.slope) and (
         torque >= LEAST * whole.torque
     )
+
+
+@compiled
+def restart(p, m, heard):
+    """Let the detector begin anew: what it heard is explained, and the jets are other ones now.
+
+    Args:
+        p: jet_faults.Known.
+        m: jet_faults.MEMORY, changed in place.
+        heard: jet_faults.Heard.
+    """
+    pause(p, m, heard)
+    m.counted, m.again, m.noted = max(0, m.counted - 2 * CALM), AGAIN, 0
+    heard.told[:], heard.blocks[:] = 0.0, 0.0
+    heard.duty[:], heard.bias[:], heard.last[:] = 0.0, heard.calm[0], 0.0
+    heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, SPREAD
 
 
 @compiled
