@@ -50,6 +50,7 @@ class Flown(NamedTuple):
     cause: str  # id of the fault; "": none
     text: str
     contacts: int
+    jets: str = ""  # that were named and compensated, although they are healthy
 
 
 def draw(seed: int, number: int) -> dict[str, float]:
@@ -113,7 +114,13 @@ def fly(seed: int, number: int) -> Flown:
         return Flown(number, drawn, "refused", str(error).replace("\n", " "), 0)
     fault = ending.fault
     text = "" if fault is None else f"{ending.t:.1f} s: {fault.words}"
-    return Flown(number, drawn, "" if fault is None else fault.id, text, len(rig.touches))
+    jets = ", ".join(
+        f"{name}: jet {k} {jet.words}"
+        for name in experiment.vehicles
+        for k, jet in enumerate(rig.jets(name), 1)
+        if jet.words
+    )
+    return Flown(number, drawn, "" if fault is None else fault.id, text, len(rig.touches), jets)
 
 
 def corner(drawn: dict[str, float]) -> str:
@@ -147,9 +154,15 @@ def main() -> int:
     for one in flown:
         if one.cause or one.contacts:
             print(f"{one.number}: {one.contacts} contacts, {one.text}\n    {corner(one.drawn)}")
+        if one.jets:
+            print(f"{one.number}: {one.jets}\n    {corner(one.drawn)}")
     causes = Counter(one.cause for one in flown if one.cause)
     contacts = sum(one.contacts for one in flown)
-    print(f"{len(flown)} flights, {sum(causes.values())} false stops, {contacts} contacts")
+    named = sum(bool(one.jets) for one in flown)
+    print(
+        f"{len(flown)} flights, {sum(causes.values())} false stops, {contacts} contacts,"
+        f" {named} in which a healthy jet was compensated"
+    )
     for cause, count in causes.most_common():
         print(f"  {cause}: {count}")
     return int(bool(causes) or contacts > 0)

@@ -159,7 +159,10 @@ class Agent:
         # a jet that is stuck open is judged by what it pushes anyway
         shares = np.clip(np.maximum(gives, leaks) * (1.0 + memory.heard.off), 0.0, MOST)
         rows = np.column_stack((shares, memory.heard.sigma, gives, leaks, named)).tolist()
-        return tuple(JetHealth(*row[:4], row[4] or None) for row in rows)
+        return tuple(
+            JetHealth(share, sigma, gives, leaks, named or None)
+            for share, sigma, gives, leaks, named in rows
+        )
 
     def _tell(self, inputs: Inputs, setpoint: Setpoint | None) -> None:
         """Write the inputs into the tick's record, in the order of record.TOLD."""

@@ -16,7 +16,6 @@ from testbed.flight import (
     estimator,
     fault_monitor,
     gate,
-    jet_faults,
     online,
     reconfiguration,
     safety,
@@ -131,7 +130,7 @@ def reconfigure(p, memory, row, k):
         named[j] = t
         memory.carried.rest[j] = memory.carried.filter[j] = 0.0
         reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
-        jet_faults.restart(p.jets_known, m.jet_faults, memory.heard)
+        reconfiguration.restart(p.jets_known, m.jet_faults, memory.heard)
         return
     fired.gives[:], fired.leaks[:] = gives, leaks
     fault_monitor.refuse(p.rows, memory.counters, k, row.numbers[detector], row.done)

@@ -16,18 +16,20 @@ WHITENESS = 2.0  # the residuals of successive looks depend on each other: sigma
 
 
 @compiled
-def learn(slow, e, x, weights, keep):
+def learn(heard, e, x, period, rough):
     """Add a look to the sums, in place.
 
     Args:
-        slow: z'z, and z'e as the last column, shape (m, m + 1).
+        heard: jet_faults.Heard; `slow` has z'z, and z'e as the last column, shape (m, m + 1).
         e: residual, shape (3,), see jet_faults.residual.
         x: its possible causes, the first m are z.
-        weights: 1 / variance of push, push and turn.
-        keep: factor of forgetting.
+        period: of a look [s].
+        rough: see jet_faults.Known.
     """
-    m = slow.shape[0]
-    slow *= keep
+    slow, m, spread = heard.slow, heard.slow.shape[0], heard.near.spread
+    push = 1.0 / (spread[0] + rough)
+    weights = (push, push, 1.0 / spread[1])
+    slow *= 1.0 - min(0.5, period / MEMORY_S)
     for i in range(m):
         a, b, c = x[i, 0] * weights[0], x[i, 1] * weights[1], x[i, 2] * weights[2]
         for k in range(m):
@@ -40,7 +42,7 @@ def resolve(slow, sure, slope, off, sigma):
     """Write each jet's deviation from the thrust that is assumed, as a share of it, and its sigma.
 
     Args:
-        slow: see `learn`.
+        slow: of jet_faults.Heard, see `learn`.
         sure: 1 / tolerance^2 of z, shape (m,): of the centre of mass.
         slope: 1 / variance of the slope [s^4/m^2].
         off: shape (jets,).

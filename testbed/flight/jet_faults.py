@@ -31,14 +31,12 @@ from testbed.core.compiled import compiled, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
-from testbed.flight.effectiveness import MEMORY_S as SLOWLY
-from testbed.flight.effectiveness import SPREAD as UNHEARD
 from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.hypotheses import CLEAR, LEAK, SURE, WEAK, beyond, causes, least_of, pads_of
 from testbed.flight.record import record
 from testbed.flight.response import response
-from testbed.flight.window import VERDICT, Window, age, clear, decide, factor, forget, listen
+from testbed.flight.window import VERDICT, Window, age, decide, factor, forget, listen
 
 Array = NDArray[np.float64]
 
@@ -160,18 +158,6 @@ def pause(p, m, heard):
 
 
 @compiled
-def restart(p, m, heard):
-    """Begin anew: what was heard so far is explained, and the jets are other ones from now on."""
-    pause(p, m, heard)
-    m.counted, m.again = max(0, m.counted - 2 * CALM), AGAIN
-    m.noted, m.stretches = 0, 0
-    clear(heard.near)
-    clear(heard.far)
-    heard.duty[:], heard.bias[:] = 0.0, heard.calm[0]
-    heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, UNHEARD
-
-
-@compiled
 def residual(before, now, duty, thrust_scale, known, heard, look):
     """Unexplained motion since the last look, (3,), and its causes, (m + n + COLUMNS, 3)."""
     n, period, shown = duty.shape[0], known.period, known.shown
@@ -250,9 +236,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         age(near.blocks)
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
     listen(near, e, x, trust, known.keep, known.rough)
-    push = 1.0 / (near.spread[0] + known.rough)
-    weights = (push, push, 1.0 / near.spread[1])
-    learn(heard.slow, e, x, weights, 1.0 - min(0.5, known.period / SLOWLY))
+    learn(heard, e, x, known.period, known.rough)
     if m.look % SHOWN == 0:
         slope = 1.0 / (known.slope * known.slope + known.bumps * known.bumps)
         resolve(heard.slow, known.sure, slope, heard.off, heard.sigma)

@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
+from testbed.flight.effectiveness import SPREAD
+from testbed.flight.jet_faults import AGAIN, CALM, is_weak, pause
+from testbed.flight.window import clear
 
 LEAST = 0.2  # of the whole vehicle's weakest force and torque, both: less does not fly on
 UPHILL = 2.0  # and this many times the force that the table's slope takes
@@ -95,7 +98,15 @@ def culprit(suspected, detector):
         detector: codes.Detector, one of the jets'.
     """
     of_leaks = detector in (OPEN, LEAKS)
-    return suspected.leak.jet if of_leaks else suspected.weak.jet
+    return suspected.leak.jet if of_leaks else weak_of(suspected, detector).jet
+
+
+@compiled
+def weak_of(suspected, detector):
+    """The weak jet of the window that is sure of one, see jet_faults.missing."""
+    if detector == DOUBTFUL or is_weak(suspected):
+        return suspected.weak
+    return suspected.far.weak
 
 
 @compiled
@@ -103,7 +114,7 @@ def change(gives, leaks, suspected, detector):
     """Write to `gives` and `leaks`, see `room`, what a detector has found."""
     j = culprit(suspected, detector)
     if detector not in (OPEN, LEAKS):
-        left = 1.0 - min(1.0, suspected.weak.share)
+        left = 1.0 - min(1.0, weak_of(suspected, detector).share)
         gives[j], leaks[j] = gives[j] * left, leaks[j] * left
         if gives[j] < SHUT:
             gives[j] = leaks[j] = 0.0
@@ -120,6 +131,24 @@ def suffices(whole, force, torque):
     return force >= max(LEAST * whole.force, UPHILL * whole.slope) and (
         torque >= LEAST * whole.torque
     )
+
+
+@compiled
+def restart(p, m, heard):
+    """Let the detector begin anew: what it heard is explained, and the jets are other ones now.
+
+    Args:
+        p: jet_faults.Known.
+        m: jet_faults.MEMORY, changed in place.
+        heard: jet_faults.Heard.
+    """
+    pause(p, m, heard)
+    m.counted, m.again = max(0, m.counted - 2 * CALM), AGAIN
+    m.noted, m.stretches = 0, 0
+    clear(heard.near)
+    clear(heard.far)
+    heard.duty[:], heard.bias[:] = 0.0, heard.calm[0]
+    heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, SPREAD
 
 
 @compiled

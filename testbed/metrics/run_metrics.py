@@ -23,7 +23,7 @@ from testbed.metrics.afterwards import After
 Array = NDArray[np.float64]
 
 SETTLED_M = 0.05  # "settled" means an error that stays below this [m]
-KNOWN_JET = 0.1  # a jet's share of thrust is known if its sigma is at most this
+KNOWN_JET = 0.2  # a jet's share of thrust is known if its sigma is at most this
 HOLD_S = 30.0  # the last part of a run, which counts as holding [s]
 
 
