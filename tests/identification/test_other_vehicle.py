@@ -24,7 +24,10 @@ def refused(logs, vehicle, **others):
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("uky", "23.09 kg and jets at other places"), ("spot_black", "flown with jets at other places")],
+    [
+        ("uky", "23.09 kg and jets at other places"),
+        ("spot_black", "flown with jets at other places"),
+    ],
 )
 def test_a_log_that_tells_its_vehicle_is_compared_with_the_file(flight, floater, name, words):
     log = flight[1]._replace(vehicle=floater)
