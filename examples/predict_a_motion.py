@@ -16,7 +16,6 @@ at_rest = np.zeros(6)  # x, y, theta, vx, vy, omega
 states = testbed.predict(vehicle, None, inputs, at_rest, times)
 others = testbed.predict(late, None, inputs, at_rest, times)
 for t, state, other in zip(times, states, others, strict=True):
+    x, y = 1e3 * state[:2]
     off = 1e3 * np.hypot(*(other - state)[:2])
-    print(
-        f"{t:.1f} s: x {1e3 * state[0]:6.1f} mm, y {1e3 * state[1]:6.1f} mm, 50 ms late {off:.1f} mm off"
-    )
+    print(f"{t:.1f} s: x {x:6.1f} mm, y {y:6.1f} mm; 50 ms later {off:.1f} mm off")

@@ -17,7 +17,8 @@ def refused(path, *more):
 @pytest.mark.parametrize(
     ("path", "key", "expected", "found"),
     [
-        ('{type="points", points=[], speed=0.05}', f"{KEY}.points", "a list of 1 to 1000", "0 entries"),
+        ('{type="points", points=[], speed=0.05}', f"{KEY}.points", "a list of 1 to 1000",
+         "0 entries"),
         ('{type="points", points=[[0,0],[-1,0]], speed=0.05}', f"{KEY}.points.1",
          "1 mm from the goal, (0, 0)", "[0.0, 0.0]"),
         ('{type="points", points=[[-1,0],[-1,0],[-1,-1]], speed=0.05}', f"{KEY}.points.2",
