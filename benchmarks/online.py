@@ -2,8 +2,8 @@
 
     python benchmarks/online.py
 
-The freeflyer flies a circle and a square, with a part of its tank already empty: with the numbers of
-its file, with the mass that follows the gas, and with the thrust as well. Means over the seeds.
+The freeflyer flies a circle and a square, with a part of its tank already empty: with the numbers
+of its file, with the mass that follows the gas, and with the thrust as well. Means over the seeds.
 """
 
 import argparse

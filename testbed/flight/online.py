@@ -1,7 +1,8 @@
 """Mass and thrust of a vehicle in flight: less gas is less mass, less supply pressure less thrust.
 
-The gas left follows from the tank's pressure where the board tells it. Without that gauge, as on the
-shipped board, the tank counts as full at the start, and the flow of jets and bearings is added up.
+The gas left follows from the tank's pressure where the board tells it. Without that gauge, as on
+the shipped board, the tank counts as full at the start, and the flow of jets and bearings is added
+up.
 """
 
 from typing import NamedTuple

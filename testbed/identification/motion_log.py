@@ -78,7 +78,8 @@ def check_clock(t: Array, where: str, mapping: Mapping) -> None:
         k = int(np.argmax(step <= 0.0))
         raise LogRefusedError(
             where=f"{where}, data row {k + 2}", expected="a time after the row before",
-            found=f"{t[k]:.6g} s, then {t[k + 1]:.6g} s", hint="a clock jump, two logs in one, or two vehicles: [rows] of the mapping chooses one",
+            found=f"{t[k]:.6g} s, then {t[k + 1]:.6g} s",
+            hint="a clock jump, two logs, or two vehicles: [rows] of the mapping chooses one",
         )  # fmt: skip
     usual = float(np.median(step))
     period = mapping.valves.period_s if mapping.valves else None

@@ -112,7 +112,8 @@ def excitation(
 
 def steered(
     truth: Vehicle, table: Table, file: Vehicle, seconds: float, period: float,
-    rng: np.random.Generator, used: NDArray[np.bool_] | None = None, part: float = 5.0, room: float = 2.5,
+    rng: np.random.Generator, used: NDArray[np.bool_] | None = None, part: float = 5.0,
+    room: float = 2.5,
 ) -> Valves:  # fmt: skip
     """An excitation in parts of `part` seconds, each planned from where the vehicle really is.
 

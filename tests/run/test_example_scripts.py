@@ -15,6 +15,7 @@ SAYS = {
     "fly_and_plot": "figures/valves.svg",
     "own_law": "passed",
     "read_a_log": "replayed bit for bit",
+    "predict_a_motion": "50 ms later",
     "sweep_a_gain": "100% passed",
 }
 
