@@ -79,7 +79,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     first = Heard._fields.index("near")
     windows = views[Heard][first:]
     near, far = Window(*windows[:4]), Window(*windows[4:])
-    fired, heard = Fired(*views[Fired]), Heard(*views[Heard][:first], near, far)
+    fired, heard = Fired(*views[Fired]), Heard(*views[Heard][:first], near=near, far=far)
     fired.start[:] = fired.end[:] = -np.inf
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2
     fixed["thrust_scale"] = 1.0
