@@ -191,21 +191,20 @@ def main():
     for one in found:
         if (one.asked and not one.named) or one.contact:
             print(f"{one.fault} {one.number}: {one.response}: {one.words}")
-    print(
-        "| fault | flights | not asked | noticed | named | unclear | contacts | median [s] | worst [s] | fell |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    heads = "fault", "flights", "not asked", "noticed", "named", "unclear", "contacts"
+    print("|", " | ".join((*heads, "median [s]", "worst [s]", "fell")), "|")
+    print("|---" * (len(heads) + 3) + "|")
     for name in names:
         own = [one for one in found if one.fault == name]
+        counts = [
+            len(own), sum(not o.asked for o in own), sum(o.noticed for o in own),
+            sum(o.named for o in own), sum(o.unclear for o in own), sum(o.contact for o in own),
+        ]  # fmt: skip
         after = [one.after_s for one in own if one.named]
-        times = f"{np.median(after):.2f} | {max(after):.2f}" if after else "- | -"
-        fell = ", ".join(
-            f"{what or 'none'} {n}" for what, n in Counter(o.response for o in own).items()
-        )
-        print(
-            f"| {name} | {len(own)} | {sum(not o.asked for o in own)} | {sum(o.noticed for o in own)} | {sum(o.named for o in own)} "
-            f"| {sum(o.unclear for o in own)} | {sum(o.contact for o in own)} | {times} | {fell} |"
-        )
+        times = [f"{np.median(after):.2f}", f"{max(after):.2f}"] if after else ["-", "-"]
+        responses = Counter(one.response or "none" for one in own)
+        fell = ", ".join(f"{what} {count}" for what, count in responses.items())
+        print("|", " | ".join([name, *map(str, counts), *times, fell]), "|")
     return int(not all(one.named or not one.asked for one in found))
 
 
