@@ -173,7 +173,7 @@ def test_a_failure_is_told_from_its_beginning(testbed):
     contact = f"hit obstacle o1, {100 * first['speed']:.0f} cm/s"
     assert told.index(contact) < told.index("valve_leaks")
     sentence = (
-        r"contact with o1 \([\d.]+ cm away\) or valve leaks\? jet \d gives \d+% of its thrust"
+        r"contact with o1 \([\d.]+ cm away\) or jet \d leaks \d+% of its thrust"
     )
     assert len(re.findall(sentence, before_scrubber(page))) == 1  # said once
     for key in ("obstacles", "error", "speed"):  # and in the figures
