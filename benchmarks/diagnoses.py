@@ -6,6 +6,7 @@ Flies every fault of `FAULTS` in flights of one vehicle that moves a metre and t
 of zhang2023's three vehicles. Size, jet, direction and time are drawn. A fault of "believed wrong"
 is there from the start, all others begin after 3 to 9 s.
 
+not asked flights in which a weak jet was commanded too little to show
 noticed   a row of the fault table holds that fault-free flights do not show
 named     the first such row that stops or, if none stops, the first one is the right one; of a jet,
           the words must say its number
@@ -27,6 +28,7 @@ from msgspec.structs import replace
 from testbed.config import find, load
 from testbed.core.codes import Response
 from testbed.core.fault_injection import Injection
+from testbed.faults.drill import ASKED
 from testbed.rig.twin import make_twin
 from testbed.run.drill import Notes
 
@@ -113,6 +115,7 @@ class Found(NamedTuple):
     named: bool
     unclear: bool
     contact: bool  # before the response
+    asked: bool  # the jet was commanded for long enough to show
     after_s: float  # from the fault to the row that names it
     response: str
     words: str
@@ -160,8 +163,11 @@ def fly(name, number, seed):
     until = min(answers, default=ending.t)
     contact = any(began <= touch.t <= until for touch in rig.touches)
     response = max((one for t, _, one in notes.responses if t >= began), default=Response.NONE)
+    flowed = sum(on[what.jet - 1] for t, who, on in notes.asked if who == "sat1" and t > began)
+    lacks = 1.0 - what.size if fault.kind in ("weak_jet", "stick_closed") else 0.0
+    asked = bool(rows or stopped) or not lacks or 1e-6 * flowed > ASKED / lacks**2
     return Found(
-        name, number, bool(rows or stopped), right or either, either, contact, since - began,
+        name, number, bool(rows or stopped), right or either, either, contact, asked, since - began,
         response.words, f"{what.size:.3g} jet {what.jet}: {decided}: {words}",
     )  # fmt: skip
 
@@ -183,24 +189,23 @@ def main():
         with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
             found = list(pool.map(fly, *zip(*cases, strict=True), chunksize=4))
     for one in found:
-        if not one.named or one.contact:
+        if (one.asked and not one.named) or one.contact:
             print(f"{one.fault} {one.number}: {one.response}: {one.words}")
-    print(
-        "| fault | flights | noticed | named | unclear | contacts | median [s] | worst [s] | fell |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
+    heads = "fault", "flights", "not asked", "noticed", "named", "unclear", "contacts"
+    print("|", " | ".join((*heads, "median [s]", "worst [s]", "fell")), "|")
+    print("|---" * (len(heads) + 3) + "|")
     for name in names:
         own = [one for one in found if one.fault == name]
+        counts = [
+            len(own), sum(not o.asked for o in own), sum(o.noticed for o in own),
+            sum(o.named for o in own), sum(o.unclear for o in own), sum(o.contact for o in own),
+        ]  # fmt: skip
         after = [one.after_s for one in own if one.named]
-        times = f"{np.median(after):.2f} | {max(after):.2f}" if after else "- | -"
-        fell = ", ".join(
-            f"{what or 'none'} {n}" for what, n in Counter(o.response for o in own).items()
-        )
-        print(
-            f"| {name} | {len(own)} | {sum(o.noticed for o in own)} | {sum(o.named for o in own)} "
-            f"| {sum(o.unclear for o in own)} | {sum(o.contact for o in own)} | {times} | {fell} |"
-        )
-    return int(not all(one.named for one in found))
+        times = [f"{np.median(after):.2f}", f"{max(after):.2f}"] if after else ["-", "-"]
+        responses = Counter(one.response or "none" for one in own)
+        fell = ", ".join(f"{what} {count}" for what, count in responses.items())
+        print("|", " | ".join([name, *map(str, counts), *times, fell]), "|")
+    return int(not all(one.named or not one.asked for one in found))
 
 
 if __name__ == "__main__":

@@ -13,9 +13,10 @@ class Late:
 
     def __init__(self) -> None:
         self._seen: deque[PoseSample] = deque()
+        self._last: PoseSample | None = None
 
-    def pose(self, now: PoseSample, delay: float) -> PoseSample:
-        """The pose that was true `delay` before, with the stamp of this one."""
+    def pose(self, now: PoseSample, delay: float) -> PoseSample | None:
+        """The pose that was true `delay` before, with this one's stamp; None: it was lost."""
         self._seen.append(now)
         while now.captured_at - self._seen[0].captured_at > LONGEST_DELAY:
             self._seen.popleft()
@@ -24,6 +25,9 @@ class Late:
         due = now.captured_at - delay
         old = [one for one in self._seen if one.captured_at <= due]
         then = old[-1] if old else now  # before the flight it was at rest
+        if then is self._last:
+            return None
+        self._last = then
         return PoseSample(now.captured_at, then.x, then.y, then.theta)
 
 

@@ -24,7 +24,8 @@ class ReferenceBodies:
         """Their poses after faults of the cameras; a body that is not seen is missing."""
         found = {}
         for name, place in self._places.items():
-            x, y, theta = (place + self._sigma * self._rng.standard_normal(3)).tolist()
+            noise = self._rng.standard_normal(3)
+            x, y, theta = (np.array(place) + self._sigma * noise).tolist()
             samples = [PoseSample(now - self._latency, x, y, theta)]
             if injector is not None:
                 samples = injector.poses(name, samples)

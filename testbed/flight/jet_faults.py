@@ -62,6 +62,7 @@ HARDEST = 3.0  # jets: a stronger push in a look is external
 ENOUGH = 0.2  # smallest missing share of thrust that is a fault
 TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
 LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
+UNLIKE = 0.6  # largest gain of a leak beside it, as a share
 PART = 0.15  # smallest missing share of thrust that is worth a warning
 DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
 
@@ -291,13 +292,23 @@ def missing(m):
     """Sigmas of a jet that is too weak; the long window has to be surer."""
     if is_weak(m):
         return sigmas(m.weak)
-    return sigmas(m.far.weak) if m.far.weak.gain > LONG_SURE and is_weak(m.far) else 0.0
+    sure = m.far.weak.gain > LONG_SURE and is_weak(m.far) and is_no_leak(m.far)
+    return sigmas(m.far.weak) if sure else 0.0
+
+
+@compiled
+def is_no_leak(far):
+    """Whether a leak of the opposite jet explains far less, by the long window.
+
+    On average over a second the two look alike.
+    """
+    return far.leak.gain < UNLIKE * far.weak.gain
 
 
 @compiled
 def is_partly_weak(m):
     """Whether a jet lacks less than what is a fault, and nothing else explains the motion."""
-    return PART < m.weak.share <= ENOUGH and weakness_is_clear(m)
+    return PART < m.weak.share <= ENOUGH and is_no_leak(m) and weakness_is_clear(m)
 
 
 @compiled

@@ -83,10 +83,9 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             views[kind].append(everything[size : size + math.prod(shape)].reshape(shape))
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
-    first = Heard._fields.index("near")
-    windows = views[Heard][first:]
+    duty, recent, bias, sums, *windows = views[Heard]
     near, far = Window(*windows[:4]), Window(*windows[4:])
-    fired, heard = Fired(*views[Fired]), Heard(*views[Heard][:first], near, far)
+    fired, heard = Fired(*views[Fired]), Heard(duty, recent, bias, sums, near, far)
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from testbed.core.compiled import compiled
 from testbed.flight.hypotheses import KINDS, LEAK, WEAK, score
-from testbed.flight.record import record
+from testbed.flight.record import Kind, record
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ SUSPICION = record(  # the best of its kind
     gain=float,  # in log-likelihood; 0: no suspicion
 )
 
-VERDICT = {
+VERDICT: dict[str, Kind] = {
     "leak": SUSPICION,
     "weak": SUSPICION,
     "gains": (KINDS,),  # of the best cause of each kind, see hypotheses.py
