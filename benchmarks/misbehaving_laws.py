@@ -156,6 +156,8 @@ def try_law(name, rig, folder):
         metrics = json.loads((out / "metrics.json").read_text())
     fault = metrics.get("fault") or ""
     text = (folder / "said").read_text()
+    if not fault and (found := re.search(r"aborted by a fault: (.*)", text)):
+        fault = found[1]
     if not fault and (found := re.search(r"found +(.*(?:\n    .*)*)", text)):
         fault = found[1]
     files = "".join(

@@ -61,6 +61,8 @@ class PlainLaw:
             force, change = self._force(own, neighbours, world, t), law_state
         else:
             force, change = self._rate(law_state, own, neighbours, world, t)
+        if np.iscomplexobj(force) or np.iscomplexobj(change):
+            raise ValueError(f"expected real numbers, found {force} and {change}")
         force, change = np.asarray(force, dtype=float), np.asarray(change, dtype=float)
         if force.shape != own.p.shape or change.shape != law_state.shape:
             raise ValueError(

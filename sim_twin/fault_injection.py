@@ -122,7 +122,7 @@ class FaultInjector:
                 case "brown_out" if self._boards:
                     board = self._plant.boards[what.vehicle]
                     assert isinstance(board, Board), "the configuration refuses it"
-                    board.lose_power(one.since, over)
+                    board.lose_power(one.since, NEVER)  # afterwards it is SAFE and plays nothing
                     if self._plant.t >= one.since:  # normally closed, as the jets' valves are
                         self._plant.land(k)
                 case "leak":
@@ -262,8 +262,9 @@ class FaultInjector:
         if flat := self.found(name, "flat_battery"):
             return flat.size, 0.0
         for one in self._active:
-            if one.what.kind == "brown_out" and one.what.vehicle == name and one.holds(self._now):
-                return DEAD_BATTERY, self._now - one.since
+            if one.what.kind == "brown_out" and one.what.vehicle == name and one.since <= self._now:
+                # a board that has rebooted does not fly on, which looks like silence here
+                return DEAD_BATTERY if one.holds(self._now) else 12.0, self._now - one.since
         return 12.0, 0.0
 
     def supply(self, name: str, pressure: float) -> float:

@@ -181,7 +181,8 @@ class ProcessSupervisor:
                 how += ", as the system does when memory runs out"
         if self._heartbeat.inside is not None:
             return self._law(f"ended its process {how}")
-        return f"the process of the run ended {how} before it had finished"
+        flew = f" of the law {law}" if (law := self._heartbeat.law) else ""
+        return f"the process of the run{flew} ended {how} before it had finished"
 
     # Finishing
 
@@ -199,6 +200,9 @@ class ProcessSupervisor:
                 self._wait([pid], LAST_S)
         if self._asked and (heartbeat.inside is None or heartbeat.phase is RunPhase.COMPILING):
             fault = ""
+        if not Path(heartbeat.folder, "config.toml").exists():
+            say(f"aborted by a fault: {fault}; the run folder is gone: {heartbeat.folder}")
+            return FAULT
         self._judge(fault)
         self._wait([pid for pid in children() if not shows(words_of(pid))], LAST_S)
         return FAULT if fault else INTERRUPTED

@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import NoReturn
 
 SUPERVISED = ("run", "check")
+UNFINISHED = (2, 70)  # exit codes of a run that could not write its files, or of an internal error
 PRIORITY = 90  # above hosts, vehicles and the twin
 
 
@@ -40,12 +41,15 @@ def entry() -> None:
 
 def _leave(code: int) -> NoReturn:
     """Exit at once: Python would wait for a law's threads and tear down large packages first."""
-    from testbed.realtime.heartbeat import heartbeat
+    from testbed.realtime.heartbeat import RunPhase, heartbeat
 
-    with suppress(OSError):
+    heart = heartbeat()
+    with suppress(OSError, ValueError, AttributeError):  # a law may have closed or replaced them
         sys.stdout.flush()
         sys.stderr.flush()
-    heartbeat().finished(code)
+    # an error after take-off may be the law's, which shares this process: the supervisor finishes
+    if not (heart.law and heart.phase >= RunPhase.FLYING and code in UNFINISHED):
+        heart.finished(code)
     atexit._run_exitfuncs()  # noqa: SLF001  (there is no public function)
     os._exit(code)
 

@@ -32,6 +32,7 @@ TO_DO = {
     "config": "start its agent again",
     "disk": "free space where the log goes",
     "operator": "answer the question at the terminal",
+    "commissioned": "run `testbed commission`",
     "law": "the message says where the law fails",
 }
 

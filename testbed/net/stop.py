@@ -27,6 +27,7 @@ WAIT_S = 0.0  # time for a host to start listening
 OPEN_S = 1.0  # time for a host's handshake
 ANSWER_S = 0.5  # time for vehicles to answer
 DIRECT_S = 0.3  # time for vehicles to answer without their host
+LATE_S = 2.0  # further time for vehicles that have not answered: busy computers answer late
 END_S = 2.0  # time for a flight on the twin to end
 LOOK_S = 0.02
 DEFAULT = "tcp/127.0.0.1:7450"  # the host's default endpoint
@@ -144,12 +145,12 @@ def _new_id() -> str:
     return secrets.token_hex(8)
 
 
-def _stop_directly(flight: StoppableFlight, stop: str) -> set[str]:
+def _stop_directly(flight: StoppableFlight, stop: str, wait_s: float = DIRECT_S) -> set[str]:
     """Stop the vehicles of a host without it; returns those that answered."""
     from testbed.net.direct_stop import stop_directly
 
     keys = Path(flight.keys) if flight.keys else None
-    return stop_directly(flight.endpoint, flight.lab, keys, flight.vehicles, stop, DIRECT_S)
+    return stop_directly(flight.endpoint, flight.lab, keys, flight.vehicles, stop, wait_s)
 
 
 def _stop_wires(flight: StoppableFlight) -> bool:
@@ -166,6 +167,8 @@ def _stop_wires(flight: StoppableFlight) -> bool:
         trouble = f"the host{process} did not answer: {error}"
     else:
         shut, names = shut | heard, names or flown
+    if not names <= shut:
+        shut |= _stop_directly(flight._replace(vehicles=list(names - shut)), stop, LATE_S)
     return _report(flight, names, shut, trouble)
 
 

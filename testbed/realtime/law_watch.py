@@ -12,11 +12,13 @@ threads, this module has no effect.
 import os
 import signal
 import statistics
+import sys
 import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -34,6 +36,7 @@ READ_S = 30.0  # limit for reading a law's file: it may import large packages
 FIRST_S = 10.0  # limit for the first calls, before the flight, without numba's compilation
 HURRY_S = 0.5  # limit for a call that continues after the operator's stop
 LOOKS = 4  # timer ticks before the limit: a suspended process is not a hanging law
+STARTS = ("subprocess.Popen", "os.posix_spawn", "os.system", "os.exec")  # audit events
 WAITS = Path("/proc/thread-self/schedstat")  # second number: waits for a free core [ns]
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 FEW = 3  # calls needed to warn of a slow law; on wires a flight ends after this many slow ones
@@ -65,6 +68,7 @@ class LawWatch:
         self._stack = ExitStack()
 
     def __enter__(self) -> "LawWatch":
+        _listen()
         self._threads = set(threading.enumerate())
         before = signal.signal(signal.SIGALRM, self._tick)
         self._stack.callback(signal.signal, signal.SIGALRM, before)
@@ -184,6 +188,16 @@ class LawWatch:
         """Called before os.fork()."""
         self._forked = self._forked or self._inside
 
+    def starts(self, event: str) -> None:
+        """Called before a process is started; a file may do so while it is read or compiled.
+
+        Raises:
+            LawStoppedError: a law starts it, in flight.
+        """
+        in_flight = self._inside and self._now_s <= self.limit_s and self.budget_s > 0.0
+        if in_flight and threading.current_thread() is threading.main_thread():
+            raise LawStoppedError(f"started a process by {event}; a law must not")
+
     def end_of_a_fork(self) -> None:
         """Called in the new process: a process started by a law must not continue the flight."""
         if self._inside:
@@ -198,6 +212,18 @@ def _at_fork(tell: Callable[[LawWatch], None]) -> None:
 os.register_at_fork(
     before=lambda: _at_fork(LawWatch.forks), after_in_child=lambda: _at_fork(LawWatch.end_of_a_fork)
 )
+
+
+@cache
+def _listen() -> None:
+    """Hear of every process that is started; this cannot be undone."""
+
+    def hear(event: str, arguments: tuple[object, ...]) -> None:
+        if event in STARTS:
+            for watch in _open_watches:
+                watch.starts(event)
+
+    sys.addaudithook(hear)
 
 
 def current() -> LawWatch | None:

@@ -202,6 +202,8 @@ def fly_and_judge(
     except RecorderError as error:
         fault = FaultReport(FaultId.LOG_FAILED, f"log: {error}")
         if metrics is not None:
+            if (first := metrics.fault_report) is not None:  # it had ended the flight before
+                fault = replace(first, notes=(*first.notes, fault.text))
             metrics = replace(metrics, fault=fault.words, fault_report=fault, completed=False)
         ending = Ending(rig.now, fault)
     heartbeat().phase = RunPhase.ENDING

@@ -91,6 +91,18 @@ SOON = "deploy.law_limit_s=0.4"
         ("time.sleep(1000)", "my_law.py:20, in force: did not return within 0.4 s"),
         ("sys.exit(0)", "my_law.py:20, in force: called sys.exit(0)"),
         ("os.fork()", "my_law.py: started a process by os.fork(); a law must not"),
+        (
+            "subprocess.Popen(['sleep', '1000'])",
+            "my_law.py:20, in force: started a process by subprocess.Popen; a law must not",
+        ),
+        (
+            "os.system('sleep 1000')",
+            "my_law.py:20, in force: started a process by os.system; a law must not",
+        ),
+        (
+            "return np.zeros(2) + 1j",
+            "my_law.py: ValueError: expected real numbers, found [0.+1.j 0.+1.j] and []",
+        ),
         ("raise KeyboardInterrupt", "my_law.py:20, in force: KeyboardInterrupt: "),
         (
             r"raise ValueError('\x00\x1b[2J\udcff' + 200 * 'x')",
@@ -103,7 +115,9 @@ SOON = "deploy.law_limit_s=0.4"
     ],
 )
 def test_what_can_be_interrupted_is_blamed_line_by_line(testbed, does, fault):
-    result = testbed(*words(law(does), SOON))
+    # a fork of a large process takes its time on a busy machine
+    limit = "deploy.law_limit_s=5" if "fork" in does else SOON
+    result = testbed(*words(law(does), limit))
     assert result.exit_code == 3, result.output
     metrics = json.loads(Path("out/metrics.json").read_text())
     assert metrics["fault"] == f"sat1: law on the host: LawError: {fault}"
@@ -140,11 +154,26 @@ def test_threads_that_do_not_end_are_a_fault_and_the_command_ends(start):
     assert found == "law my_law.py has left a thread running: mine"
 
 
-def test_what_a_law_has_started_does_not_outlive_the_run(start):
-    starts = "subprocess.Popen(['sleep', '1000']); os._exit(0)"
-    does = f"open('pid', 'w').write(str({starts.partition(';')[0]}.pid)); os._exit(0)"
-    fault_of(start(*words(law(does))))
-    assert not psutil.pid_exists(int(Path("pid").read_text()))
+def test_what_a_file_has_started_does_not_outlive_the_run(start):
+    override, file = law("os._exit(0)"), Path("my_law.py")
+    starts = "open('pid', 'a').write(f'{subprocess.Popen([\"sleep\", \"1000\"]).pid}\\n')"
+    file.write_text(f"{file.read_text()}\n{starts}\n")
+    fault_of(start(*words(override)))
+    started = [int(pid) for pid in Path("pid").read_text().split()]
+    assert started
+    assert not any(map(psutil.pid_exists, started))
+
+
+def test_a_law_that_kills_the_log_writer_is_blamed_all_the_same(start):
+    kills = (
+        "[os.kill(one.pid, 9) for one in psutil.Process().children()"
+        " if 'mcap_writer' in ' '.join(one.cmdline())]; [][0]"
+    )
+    override, file = law(kills), Path("my_law.py")
+    file.write_text(f"import psutil\n{file.read_text()}")
+    fault = fault_of(start(*words(override)))
+    assert "my_law.py:21, in force: IndexError" in fault
+    assert "; log: " in fault
 
 
 @pytest.mark.parametrize(("nap", "warned", "code"), [(0.003, 0, 0), (0.025, 1, 0), (0.06, 1, 3)])

@@ -224,3 +224,18 @@ def test_a_run_on_the_twin_is_stopped(here, tmp_path):
     assert run.returncode == 130, errors
     assert "interrupted at" in said
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["completed"] is False
+
+
+def test_vehicles_that_answer_late_are_asked_again(monkeypatch, capsys):
+    asked = []
+
+    def directly(flight, stop, wait_s=0.3):
+        asked.append((sorted(flight.vehicles), stop))
+        return {"sat1"} if len(asked) == 1 else {"sat2"}
+
+    monkeypatch.setattr("testbed.net.stop._stop_directly", directly)
+    monkeypatch.setattr("testbed.net.stop._stop_host", lambda *_: (set(), {"sat1", "sat2"}))
+    assert stop_everything("tcp/127.0.0.1:9", "lab") == 0
+    assert [names for names, _ in asked] == [[], ["sat2"]]
+    assert asked[0][1] == asked[1][1]  # the same stop: it counts once
+    assert "sat2: stops" in capsys.readouterr().out
