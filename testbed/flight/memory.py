@@ -83,9 +83,11 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             views[kind].append(everything[size : size + math.prod(shape)].reshape(shape))
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
-    duty, recent, bias, sums, *windows = views[Heard]
-    near, far = Window(*windows[:4]), Window(*windows[4:])
-    fired, heard = Fired(*views[Fired]), Heard(duty, recent, bias, sums, near, far)
+    *sums, a, b, c, d, e, f, g, h = views[Heard]
+    duty, recent, bias, total, calm, slow, off, sigma = sums
+    near, far = Window(a, b, c, d), Window(e, f, g, h)
+    fired = Fired(*views[Fired])
+    heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far)
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2

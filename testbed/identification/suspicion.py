@@ -243,8 +243,8 @@ def _other_than_flown(log: MotionLog, vehicle: Vehicle) -> Iterator[Suspicion]:
     own = log.vehicle
     if own is None:
         return
-    levers = [[(*jet.position, *jet.push) for jet in one.jets] for one in (own, vehicle)]
-    apart = len(own.jets) != len(vehicle.jets) or not np.allclose(*levers, atol=SAME_PLACE)
+    flown, file = ([(*jet.position, *jet.push) for jet in one.jets] for one in (own, vehicle))
+    apart = len(flown) != len(file) or not np.allclose(flown, file, atol=SAME_PLACE)
     what = [f"a mass of {own.mass:g} kg, the file has {vehicle.mass:g} kg"]
     what *= abs(own.mass / vehicle.mass - 1.0) > SAME_MASS
     what += ["jets at other places than the file's"] * apart
