@@ -26,7 +26,8 @@ class ReferenceBodies:
         for name, place in self._places.items():
             noise = self._rng.standard_normal(3)
             x, y, theta = (np.array(place) + self._sigma * noise).tolist()
-            samples = [PoseSample(now - self._latency, x, y, theta)]
+            # before the flight a fault that begins with it is seen already
+            samples = [PoseSample(max(0.0, now - self._latency), x, y, theta)]
             if injector is not None:
                 samples = injector.poses(name, samples)
             if samples:

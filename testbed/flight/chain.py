@@ -98,7 +98,7 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
     # a fault after the end gets its response, but is not latched
     latches = armed and told.ended == 0
     asks = fault_monitor.look(p.rows, memory.counters, told.t, latches, row.numbers, done)
-    if asks >= 0:
+    if asks >= 0 and done.fault < 0:  # a vehicle that stops anyway keeps what was found
         reconfigure(p, memory, row, asks)
 
 

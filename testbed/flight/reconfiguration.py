@@ -104,9 +104,10 @@ def culprit(suspected, detector):
 @compiled
 def weak_of(suspected, detector):
     """The weak jet of the window that is sure of one, see jet_faults.missing."""
-    if detector == DOUBTFUL or is_weak(suspected):
+    far = suspected.far.weak
+    if detector == DOUBTFUL or far.gain == 0.0 or is_weak(suspected):
         return suspected.weak
-    return suspected.far.weak
+    return far
 
 
 @compiled

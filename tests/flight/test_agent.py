@@ -57,7 +57,8 @@ def make_inputs(vehicle):
     def make(t, pose=(0.0, 0.0, 0.0), pressure=vehicle.air.set_pressure, **changes):
         x, *rest = pose
         seen = tuple(
-            PoseSample(t - 0.02 - 0.01 * k, x + 1e-9 * (k % 2), *rest) for k in reversed(range(10))
+            PoseSample(t - 0.02 - 0.01 * k, x + 1e-4 * (-1) ** k, *rest)
+            for k in reversed(range(10))
         )
         health = Health(t, pressure, 20e6)
         return replace(Inputs(t, True, seen, hold(), {}, health), **changes)

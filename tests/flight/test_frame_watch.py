@@ -63,4 +63,4 @@ def test_a_frame_that_creeps_is_red_before_and_stops_in_flight(at_s, armed):
         assert ending.fault.origin.id == FaultId.FRAME_MOVED
         assert 2.2 < ending.t < 5.0
     else:
-        assert any("frame moved" in red for red in rig.red)
+        assert any("frame moved" in red.reason for red in rig.red)
