@@ -174,7 +174,10 @@ def _is_compiled(module: ModuleType) -> bool:
 def blame(error: BaseException, path: Path | None) -> str:
     """Line and cause of an error in a law's file, as one line of text that any file can hold."""
     text = _blame(error, path)
-    return "".join(sign if sign.isprintable() else "?" for sign in text[:LONGEST])
+    return "".join(
+        sign if sign.isprintable() else sign.encode("unicode_escape").decode()
+        for sign in text[:LONGEST]
+    )
 
 
 def _text_of(error: BaseException) -> str:

@@ -219,7 +219,7 @@ class Agent:
         if hazard >= 0 and self._barrier is not None:
             named = self._barrier.hazard(hazard, inputs.neighbours)
             filtered = Intervention(dfx, dfy, *named)
-        if leak > ALERT and state is not None:
+        if (leak > ALERT or holding) and state is not None:
             self._nearby.look(inputs.t, state, inputs.neighbours)
         if fault != self._fault[0]:
             names = ("", *inputs.neighbours)

@@ -41,8 +41,6 @@ ROUGH = 11.0  # limit of the mean, in variances of the table file: 3.5 times its
 # cameras stay below 4, and one ghost among good poses gives 10
 AT_ONCE = 25.0  # largest contribution of a single pose to the mean
 RECENT = 0.15  # share of the newest pose in the mean
-SLOW = 0.003  # below this a vehicle counts as not moving [m/s]
-SLOW_SPIN = 0.02  # below this it counts as not turning [rad/s]
 FORGIVEN = 2  # refusals cancelled by an accepted pose: noise is sometimes accepted by chance
 JUMP = 0.05  # a larger error is a jump [m]
 TURN = 0.1  # [rad]
@@ -315,8 +313,7 @@ def absorb(p, model, m, fired, sample):
     predict_covariance(cov, step, p.walk[0], p.walk[1])
     predict_covariance(cov_spin, step, p.walk[2], p.walk[3])
     m.t = sample[0]
-    moves = np.hypot(x[3], x[4]) > SLOW or abs(x[5]) > SLOW_SPIN
-    same = is_still(m, sample, p.noise) and moves
+    same = is_still(m, sample, p.noise)
     dx = sample[1] - x[0]
     dy = sample[2] - x[1]
     turn = wrap_compiled(sample[3] - x[2])

@@ -14,6 +14,8 @@ BEND = 0.5  # allowed acceleration: five times that of the jets [m/s^2]
 BEND_SPIN = 2.0  # [rad/s^2]
 STEP = 6.0  # smallest such step [sigmas]
 STILL = 0.5  # poses nearer than this to the one before are as if frozen [sigmas of the noise]
+SLOW = 0.003  # below this a vehicle counts as not moving [m/s]
+SLOW_SPIN = 0.02  # below this it counts as not turning [rad/s]
 STILLS = 3  # so many in a row are not accepted while the vehicle moves
 
 
@@ -47,14 +49,18 @@ def off_line(last, sample, noise):
 
 @compiled
 def is_still(m, sample, noise):
-    """Whether a pose equals the one before, or is the last of several that nearly do."""
+    """Whether a moving body's pose equals the one before, or is the last of several that nearly do.
+
+    At rest, cameras that are better than their file say nearly the same again and again.
+    """
     last, exact, near = m.last[1], True, True
     share = STILL * STILL * min(1.0, m.usual)
     for i in range(1, 4):
         d = sample[i] - last[i]
         exact, near = exact and d == 0.0, near and d * d <= share * noise[i // 3]
-    m.still = m.still + 1 if near else 0
-    return exact or m.still >= STILLS
+    moves = np.hypot(m.x[3], m.x[4]) > SLOW or abs(m.x[5]) > SLOW_SPIN
+    m.still = m.still + 1 if near and moves else 0
+    return moves and (exact or m.still >= STILLS)
 
 
 @compiled

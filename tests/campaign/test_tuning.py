@@ -101,7 +101,7 @@ def test_a_column_that_does_not_exist_is_said(tuning):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"gain": []}, "length >= 1"),
+        ({"gain": []}, "a list of 1 to 50"),
         ({"cost": {}}, "length >= 1"),
         ({"gain": [{**BANDWIDTH, "low": -1.0, "log": False}]}, "> 0"),
         ({"gain": [{**BANDWIDTH, "low": 0.0}]}, "low > 0 for log"),

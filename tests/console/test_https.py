@@ -16,7 +16,9 @@ from testbed.console.process import address, open_server
 from testbed.console.server import Answers, ConsoleError
 
 TOKEN = "a-token"
-ANSWERS = Answers(Hub(), lambda: b"null", lambda name: {"lines": [], "sent": True})
+ANSWERS = Answers(
+    Hub(), lambda: b"null", lambda name: {"lines": [], "sent": True}, lambda data: {"ok": False}
+)
 
 certificates = pytest.importorskip("testbed.net.certificate_authority")
 
