@@ -73,8 +73,12 @@ def test_and_where_they_stand_elsewhere(seed):
 
 @pytest.mark.slow
 def test_lqr_is_blind_to_obstacles():
-    # pushed by the obstacle, it would land: "a push that no command explains"
-    on = "faults.valve_leaks.response=warn", "faults.valve_leaks_or_weak.response=warn"
+    # pushed by the obstacle, it would land or brake: no command explains that push
+    rows = (
+        "valve_leaks", "valve_leaks_or_weak", "valve_stuck_open", "valve_stuck_closed",
+        "pulled_hard", "thrust_or_mass", "pads_drag", "heading_off", "poses_late",
+    )  # fmt: skip
+    on = [f"faults.{row}.{what}" for row in rows for what in ("response=warn", "latched=false")]
     _, nearest, _, touches = flown("zhang2023_table_lqr", "duration_s=60", *on)
     assert touches > 0
     assert nearest < 0.52  # as near as the solid lets it come
