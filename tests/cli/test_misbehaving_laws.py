@@ -106,7 +106,7 @@ SOON = "deploy.law_limit_s=0.4"
         ("raise KeyboardInterrupt", "my_law.py:20, in force: KeyboardInterrupt: "),
         (
             r"raise ValueError('\x00\x1b[2J\udcff' + 200 * 'x')",
-            f"my_law.py:20, in force: ValueError: ??[2J?{200 * 'x'}",
+            rf"my_law.py:20, in force: ValueError: \x00\x1b[2J\udcff{200 * 'x'}",
         ),
         (
             "raise type('Odd', (Exception,), {'__str__': lambda self: 1 / 0})()",
