@@ -124,8 +124,11 @@ def main() -> int:
         for name, keys in differ.items():
             print(f"  {name}: {', '.join(keys[:6])}")
     a, b = before["reproduce"], rest["reproduce"]
-    same = sum(a[k] == b[k] for k in a.keys() & b.keys())
-    print(f"reproduce: {same} of {len(a.keys() & b.keys())} numbers that both have are equal")
+    both = sorted(a.keys() & b.keys())
+    other = [k for k in both if a[k] != b[k]]
+    print(f"reproduce: {len(both) - len(other)} of {len(both)} numbers that both have are equal")
+    for key in other:
+        print(f"  {key}: {a[key]} before, {b[key]} now")
     return int(bool(moved))
 
 

@@ -16,7 +16,7 @@ STEP = 6.0  # smallest such step [sigmas]
 STILL = 0.5  # poses nearer than this to the one before are as if frozen [sigmas of the noise]
 SLOW = 0.003  # below this a vehicle counts as not moving [m/s]
 SLOW_SPIN = 0.02  # below this it counts as not turning [rad/s]
-STILLS = 3  # so many in a row are not accepted while the vehicle moves
+STILLS = 5  # so many in a row are not accepted while the vehicle moves; by chance one in 10^8
 
 
 @compiled
