@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import borrowed, compiled, keep
 from testbed.core.jets import effect_matrix
 from testbed.core.pulse import Timing, open_time, timing
 from testbed.core.se2 import wrap_compiled
@@ -115,10 +115,13 @@ def model_of(vehicle: Vehicle) -> Model:
 
 
 @compiled
-def mean_wrench(fired, model, start, end):
-    """Mean body wrench of the fired pulses over [start, end]: (fx, fy, tau)."""
+def mean_wrench(fired, model, flow, start, end):
+    """Mean body wrench of the fired pulses over [start, end]: (fx, fy, tau).
+
+    `flow` is working memory of one number per jet: this is called ten times per tick.
+    """
     jets = model.effect.shape[1]
-    flow = np.zeros(jets)
+    flow[:] = 0.0
     open_jets = 0.0
     closing = model.valve.close_delay + model.valve.close_ramp
     for m in range(fired.start.shape[0]):
@@ -174,11 +177,13 @@ def predict_covariance(cov, h, white, walk):
 def predict_mean(x, fired, model, start, end):
     """Advance (x, y, theta, vx, vy, omega, bx, by, balpha) in place from `start` to `end`."""
     steps = int(np.ceil((end - start) / SUB_STEP - 1e-9))
+    memory = np.empty(model.effect.shape[1])
+    flow = borrowed(memory)
     for k in range(steps):
         a = start + (end - start) * k / steps
         b = start + (end - start) * (k + 1) / steps
         h = b - a
-        fx, fy, tau = mean_wrench(fired, model, a, b)
+        fx, fy, tau = mean_wrench(fired, model, flow, a, b)
         theta = x[2] + 0.5 * h * x[5]
         c, s = np.cos(theta), np.sin(theta)
         accel = (
@@ -189,6 +194,7 @@ def predict_mean(x, fired, model, start, end):
         for i in range(3):
             x[i] += h * (x[3 + i] + 0.5 * h * accel[i])
             x[3 + i] += h * accel[i]
+    keep(memory)
 
 
 @compiled

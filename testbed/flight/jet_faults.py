@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled, pasted
+from testbed.core.compiled import borrowed, compiled, keep, pasted
 from testbed.core.jets import effect_matrix
 from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
@@ -219,10 +219,12 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         duty: share of the time since the last one for which each jet flowed, shape (n,).
         thrust_scale: of the thrust at the supply pressure.
     """
-    e, x = residual(m.before, now, duty, thrust_scale, known, heard, m.look)
+    own = residual(m.before, now, duty, thrust_scale, known, heard, m.look)
+    e, x = borrowed(own)
     near, bias = heard.near, heard.bias
     forget(m)
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
+        keep(own)
         return
     heard.sums[:-1] += x
     heard.sums[-1] += e
@@ -242,11 +244,13 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         slope = 1.0 / (known.slope * known.slope + known.bumps * known.bumps)
         resolve(heard.slow, known.sure, slope, heard.off, heard.sigma)
     slope = known.bumps * known.bumps + known.slope * known.slope / (1.0 + 0.1 * m.counted)
-    least, y = factor(near.told, known.sure, 1.0 / slope)
+    root = factor(near.told, known.sure, 1.0 / slope)
+    least, y = borrowed(root)
     decide(near, least, y, known.period, False, m)
     m.summed += 1
     if m.summed == known.long:
         weigh_long(known, m, heard)
+    keep((own, root))
 
 
 @compiled
@@ -255,16 +259,18 @@ def weigh_long(known, m, heard):
 
     Pushes add up over a second, while the noise of its residual is that of a look.
     """
-    far, keep = heard.far, 1.0 - known.long * known.period / LONG_MEMORY_S
+    far, remembers = heard.far, 1.0 - known.long * known.period / LONG_MEMORY_S
     forget(m.far)
     age(far.blocks)
     m.stretches += 1
-    trust = max(1.0 - keep, 1.0 / (m.stretches + LONG_BELIEVED))
-    listen(far, heard.sums[-1], heard.sums[:-1], trust, keep, known.long * known.rough)
+    trust = max(1.0 - remembers, 1.0 / (m.stretches + LONG_BELIEVED))
+    listen(far, heard.sums[-1], heard.sums[:-1], trust, remembers, known.long * known.rough)
     slope = known.bumps * known.bumps + known.slope * known.slope
-    least, y = factor(far.told, known.sure, 1.0 / slope)
+    root = factor(far.told, known.sure, 1.0 / slope)
+    least, y = borrowed(root)
     decide(far, least, y, known.period, True, m.far)
     m.summed, heard.sums[:] = 0, 0.0
+    keep(root)
 
 
 @compiled

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled
+from testbed.core.compiled import borrowed, compiled, keep
 from testbed.flight.hypotheses import KINDS, LEAK, WEAK, score
 from testbed.flight.record import Kind, record
 
@@ -115,8 +115,8 @@ def factor(told, sure, slope):
 
 
 @compiled
-def suspect(since, least, y):
-    """S_j and N_j of jet_faults' first lines for every suspicion, both of shape (count,).
+def suspect(since, least, y, root, fits, own):
+    """Write S_j and N_j of jet_faults' first lines for every suspicion to `fits` and `own`.
 
     They are computed side by side: a processor does several at a time, and one after the other they
     took most of a tick.
@@ -125,9 +125,13 @@ def suspect(since, least, y):
         since: columns x'z, x'x, x'e, one for each suspicion, shape (m + 2, count).
         least: see `factor`.
         y: see `factor`.
+        root: working memory, shape (m, count).
+        fits: shape (count,).
+        own: shape (count,).
     """
     m, count = y.shape[0], since.shape[1]
-    root, own, fits = np.empty((m, count)), since[m].copy(), since[m + 1].copy()
+    for h in range(count):
+        own[h], fits[h] = since[m, h], since[m + 1, h]
     for i in range(m):
         for h in range(count):
             root[i, h] = since[i, h]
@@ -138,7 +142,6 @@ def suspect(since, least, y):
             root[i, h] *= least[i, i]
             own[h] -= root[i, h] * root[i, h]
             fits[h] -= root[i, h] * y[i]
-    return fits, own
 
 
 @compiled
@@ -154,12 +157,14 @@ def decide(window, least, y, period, every, found):
         found: changed in place.
     """
     blocks, n = window.blocks, window.told.shape[0] - 4
-    since = np.zeros(blocks.shape[1:])
+    m, count = y.shape[0], blocks.shape[2]
+    sums, memory, both = np.zeros((m + 2, count)), np.empty((m, count)), np.empty((2, count))
+    since, root, fits, own = borrowed((sums, memory, both[0], both[1]))
     for k in range(blocks.shape[0]):
         since += blocks[k]
         if not (every or k in BEGUN):
             continue
-        fits, own = suspect(since, least, y)
+        suspect(since, least, y, root, fits, own)
         for h in range(2 * n):
             if own[h] <= 1e-6 * since[-2, h] or own[h] < 1e-9:
                 continue
@@ -172,6 +177,7 @@ def decide(window, least, y, period, every, found):
         score(fits, own, 2 * n, period, always, found.gains, found.sizes, found.way)
     found.gains[LEAK], found.sizes[LEAK] = found.leak.gain, found.leak.share
     found.gains[WEAK], found.sizes[WEAK] = found.weak.gain, found.weak.share
+    keep((sums, memory, both))
 
 
 @compiled
