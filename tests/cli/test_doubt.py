@@ -42,6 +42,12 @@ def test_doubts(case):
     assert [one.name for one in doubts_of(load(find("hold"), changes))] == names
 
 
+def test_a_slope_that_the_jets_cannot_hold_is_called_that():
+    for tilt, said in ((0.06, "little is left to steer with"), (0.12, "the vehicle slides off")):
+        (one,) = doubts_of(load(find("hold"), [f"table.tilt.uniform=[{tilt},0.0]"]))
+        assert said in one.text
+
+
 @pytest.mark.parametrize("name", SHIPPED_ONES)
 def test_what_is_shipped_is_not_doubted(name):
     found = {one.name for one in doubts_of(load(find(name)))}
