@@ -38,7 +38,8 @@ ERRORS: dict[str, tuple[str, set[str]]] = {  # what is injected, verdicts that n
     "noise of 5 mm": ('kind = "noisy_mocap", value = 0.005', {"camera_noise"}),
     "stream frozen": ('kind = "freeze_mocap", value = 0.0', {"camera_frozen"}),
     "no poses": ('kind = "drop_mocap"', {"no_poses", "untracked", "camera_rate"}),
-    "body registered 90 deg off": ('kind = "turn_body", value = 90.0', {"body_turned", "all_turned"}),
+    "body registered 90 deg off": (
+        'kind = "turn_body", value = 90.0', {"body_turned", "all_turned"}),
     "bodies of two vehicles exchanged": (
         'kind = "swap_bodies", other = "sat2"', {"bodies_swapped", "boards_swapped"}),
     "boards of two vehicles exchanged": (

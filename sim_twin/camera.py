@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sim_twin.plant_parameters import AS_IN_THE_FILES
 from sim_twin.randomness import Words, normal, stream, uniform, words
 from testbed.core.compiled import borrowed, compiled
+from testbed.core.rows import PoseSamples
 from testbed.core.se2 import wrap, wrap_compiled
 from testbed.core.table import Mocap, Spread
 from testbed.core.types import PoseSample
@@ -148,17 +149,17 @@ class Cameras:
         shown = self.own if shown is None else shown
         self.most = photograph(film, self.optics, times, states, shown, now)
 
-    def arrived(self, k: int) -> list[PoseSample]:
+    def arrived(self, k: int) -> Sequence[PoseSample]:
         """Poses of body `k` that have arrived since the last call, in order of arrival."""
         count = self.film.tally
         _, arrived, taken = count[k].tolist()
         count[k, TAKEN] = arrived
-        rows = self.film.poses[k, taken:arrived].tolist()
+        rows = self.film.poses[k, taken:arrived, 1:].copy()
         if self._exact:
-            return [PoseSample(t, x, y, theta) for _, t, x, y, theta in rows]
+            return PoseSamples(rows)
         dx, dy, turn = self._offsets[k]
         found = []
-        for _, t, x, y, theta in rows:
+        for t, x, y, theta in rows.tolist():
             c, s = math.cos(theta), math.sin(theta)
             found.append(
                 PoseSample(

@@ -185,7 +185,7 @@ class FaultInjector:
             rows.append(row)
         return rows
 
-    def poses(self, name: str, samples: list[PoseSample]) -> list[PoseSample]:
+    def poses(self, name: str, samples: Sequence[PoseSample]) -> Sequence[PoseSample]:
         """A vehicle's poses after camera faults."""
         seen = samples
         for one in self._active:

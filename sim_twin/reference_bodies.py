@@ -27,9 +27,8 @@ class ReferenceBodies:
             noise = self._rng.standard_normal(3)
             x, y, theta = (np.array(place) + self._sigma * noise).tolist()
             # before the flight a fault that begins with it is seen already
-            samples = [PoseSample(max(0.0, now - self._latency), x, y, theta)]
-            if injector is not None:
-                samples = injector.poses(name, samples)
+            seen = PoseSample(max(0.0, now - self._latency), x, y, theta)
+            samples = [seen] if injector is None else injector.poses(name, [seen])
             if samples:
                 found[name] = samples[-1]
         return found

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.core.codes import FaultReport, InhibitReason, Refusal, Response
+from testbed.core.rows import PoseSamples, References
 from testbed.core.types import Accel, Pose, Reference, State, Trajectory, Twist, Wrench
 from testbed.flight import (
     allocation,
@@ -20,7 +21,7 @@ from testbed.flight import (
     safety,
     tracker,
 )
-from testbed.flight.agent import Agent, lead_time, numbers_of, poses, rows_of
+from testbed.flight.agent import Agent, lead_time, numbers_of
 from testbed.flight.gate import Fence
 from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
@@ -97,7 +98,9 @@ class Estimator:
         estimator.note(self.fired, start, end, times)
 
     def update(self, samples, now):
-        estimator.update(self.p, self.model, self.m, self.fired, poses(samples), float(now))
+        estimator.update(
+            self.p, self.model, self.m, self.fired, PoseSamples.of(samples).rows, float(now)
+        )
 
     def predict(self, t, now):
         estimator.predict(self.model, self.m, self.fired, float(t), float(now), self.out)
@@ -112,7 +115,7 @@ class Tracker:
 
     def track(self, state, reference):
         rows = np.zeros(1, REFERENCE)
-        rows[0] = tuple(rows_of([reference])[0])
+        rows[0] = tuple(References.of([reference]).rows[0])
         return Wrench(*tracker.track(self.p, as_record(state), rows[0]))
 
     def obey(self, state, demand, period):
@@ -131,7 +134,7 @@ def carry_forward(reference, t):
 
 def due(trajectory, t):
     out = np.zeros(1, REFERENCE)
-    tracker.due(rows_of(trajectory.references), float(t), out[0])
+    tracker.due(References.of(trajectory.references).rows, float(t), out[0])
     return read_reference(out[0])
 
 
@@ -233,15 +236,15 @@ class Detectors:
             self.m.known, self.m.before[:] = 1, (before.t, pose.x, pose.y, twist.vx, twist.vy)
 
     def count_repeats(self, samples):
-        return detectors.count_repeats(self.m, poses(samples))
+        return detectors.count_repeats(self.m, PoseSamples.of(samples).rows)
 
     def jump(self, samples):
-        return detectors.jump(self.m, poses(samples))
+        return detectors.jump(self.m, PoseSamples.of(samples).rows)
 
     @staticmethod
     def whose(jumped, samples, others):
         rows = [(o.pose.x, o.pose.y, o.twist.vx, o.twist.vy, 0.0, o.t) for o in others.values()]
-        k = detectors.whose(jumped, poses(samples), np.array(rows))
+        k = detectors.whose(jumped, PoseSamples.of(samples).rows, np.array(rows))
         return list(others)[k] if k >= 0 else None
 
 
@@ -337,7 +340,7 @@ class Safety:
         write_state(state, row.state)
         demanded = (wrench.fx, wrench.fy, wrench.tau)
         row.done.hazard = -1
-        others, samples = agent._others(inputs), poses(inputs.samples)
+        others, samples = agent._others(inputs), PoseSamples.of(inputs.samples).rows
         chain.watch(self.p, memory, row, samples, others, demanded, np.inf)
         flown, shut = safety.respond(
             self.p.brakes, self.p.gains, memory.fixed[0].safety, row, demanded, demanded,

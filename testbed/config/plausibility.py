@@ -78,7 +78,9 @@ def _vehicle(vehicle: Vehicle, tilt: Tilt) -> Iterator[tuple[str, str]]:
         found = f"the table's slope takes {slope:.2g} of the {accel:.2g} m/s^2 of the jets"
         left = "little is left to steer with"
         if slope >= accel:
-            found = f"the table's slope of {slope:.2g} m/s^2 is more than the jets give, {accel:.2g}"
+            found = (
+                f"the table's slope of {slope:.2g} m/s^2 is more than the jets give, {accel:.2g}"
+            )
             left = "the vehicle slides off"
         yield "slope", f"{found}: {left}"
     if valve.min_on_s < valve.open_delay_s:

@@ -8,6 +8,8 @@ All are frozen: a value that is passed on never changes. A frozen value cannot b
 so the garbage collector does not track it (`gc=False`): a flight creates half a million of them.
 """
 
+from collections.abc import Sequence
+
 from msgspec import Struct
 
 from testbed.core.codes import FaultReport, Intervention, Refusal, Response
@@ -77,7 +79,7 @@ class Reference(Struct, frozen=True, gc=False, tag=True):
 class Trajectory(Struct, frozen=True, gc=False, tag=True):
     """References for the coming jet periods: they bridge lost messages."""
 
-    references: tuple[Reference, ...]  # in order of time, at least one
+    references: Sequence[Reference]  # in order of time, at least one
     valid_until: float  # not used afterwards [s]
 
 
@@ -156,7 +158,7 @@ class Inputs(Struct, frozen=True, gc=False, omit_defaults=True):
 
     t: float  # [s]
     armed: bool
-    samples: tuple[PoseSample, ...]  # arrived since the last tick, in order of arrival
+    samples: Sequence[PoseSample]  # arrived since the last tick, in order of arrival
     setpoint: Setpoint | None  # the newest one, of any age
     neighbours: dict[str, State]  # the newest one of each, of any age
     health: Health

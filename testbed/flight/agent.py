@@ -5,12 +5,11 @@ becomes the outputs, with the names and words that belong to its codes.
 """
 
 import math
-from collections.abc import Iterable, Sequence
-from itertools import chain as chained
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from msgspec.structs import astuple, replace
+from msgspec.structs import replace
 
 from testbed.core.codes import (
     Detector,
@@ -23,6 +22,7 @@ from testbed.core.codes import (
 from testbed.core.compiled import settled
 from testbed.core.error import MismatchError
 from testbed.core.jets import JetHealth
+from testbed.core.rows import PoseSamples, References
 from testbed.core.types import (
     Accel,
     Demand,
@@ -30,7 +30,6 @@ from testbed.core.types import (
     LawMessage,
     Outputs,
     Pose,
-    PoseSample,
     Reference,
     Setpoint,
     State,
@@ -123,7 +122,7 @@ class Agent:
     def step(self, inputs: Inputs) -> Outputs:
         """One tick: call it once per jet period, with time increasing."""
         setpoint, message = None if inputs.vitals.end else inputs.setpoint, None
-        samples, others = poses(inputs.samples), self._others(inputs)
+        samples, others = PoseSamples.of(inputs.samples).rows, self._others(inputs)
         rows, references = self._row, NO_REFERENCES
         # a vehicle that stays after its flight has the setpoint of `staying`
         guided = self.guidance is not None and setpoint is None
@@ -133,7 +132,7 @@ class Agent:
             setpoint, message = self._guided(self.guidance, inputs)
         self._tell(inputs, setpoint)
         if isinstance(setpoint, Trajectory):
-            references = rows_of(setpoint.references)
+            references = References.of(setpoint.references).rows
         if not guided:
             self._step(self.params, self.memory, rows, samples, references, others)
         else:
@@ -305,30 +304,12 @@ def taken(record: memoryview) -> tuple[State | None, Sequence[Any]]:
     return State(t, Pose(x, y, theta), twist, bias, age, rejected), done
 
 
-def poses(samples: Sequence[PoseSample]) -> Array:
-    """Rows (captured at, x, y, theta)."""
-    numbers = chained.from_iterable(map(astuple, samples))
-    return np.fromiter(numbers, np.float64, 4 * len(samples)).reshape(-1, 4)
-
-
-def rows_of(references: Iterable[Reference]) -> Array:
-    """Rows in the order of record.REFERENCE."""
-    rows: list[float] = []  # one after the other
-    for one in references:
-        pose, twist, accel = one.pose, one.twist, one.accel
-        rows += (
-            one.t, pose.x, pose.y, pose.theta, twist.vx, twist.vy, twist.omega,
-            accel.ax, accel.ay, accel.alpha,
-        )  # fmt: skip
-    return np.array(rows, dtype=np.float64).reshape(-1, 10)
-
-
 def numbers_of(setpoint: Setpoint | None) -> tuple[float, ...]:
     """A setpoint as a record.SETPOINT."""
     if setpoint is None:
         return NO_SETPOINT, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if isinstance(setpoint, Trajectory):
-        begins = setpoint.references[0].t
+        begins = References.of(setpoint.references).rows[0, 0]
         return TRAJECTORY, begins, setpoint.valid_until, 0.0, 0.0, 0.0, 0.0, 0.0
     one = setpoint
     return DEMAND, one.t, one.valid_until, one.fx_w, one.fy_w, one.theta, one.omega, one.alpha

@@ -25,19 +25,17 @@ from numpy.typing import NDArray
 
 from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World, concerns_of
 from testbed.core.path import Circle, Path, Points, along
+from testbed.core.rows import References
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import (
-    Accel,
     Demand,
     Intervention,
     LawMessage,
     Pose,
-    Reference,
     Setpoint,
     State,
     Trajectory,
-    Twist,
 )
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
@@ -178,7 +176,7 @@ class Guidance:
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | TurnAlong | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
-        self._ahead: deque[Reference] = deque()  # references not due yet
+        self._ahead: deque[Array] = deque()  # references not due yet, a row each
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
 
     def take_over(self, before: "Guidance", kept: Kept) -> None:
@@ -231,9 +229,10 @@ class Guidance:
             return self._demand(t, own, heard, self._turn)
         while self._t <= t + self._params.preview_s + 1e-9:
             self._ahead.append(self._reference(heard, self._turn))
-        references = tuple(self._ahead)
+        references = np.concatenate(self._ahead).reshape(-1, References.width)
         self._ahead.popleft()
-        return Trajectory(references, references[-1].t + self._params.setpoint_life_s)
+        last = float(references[-1, 0])
+        return Trajectory(References(references), last + self._params.setpoint_life_s)
 
     def _demand(self, t: float, own: State, heard: _Heard, turn: Turn | TurnAlong) -> Demand:
         """Wrench mode: integrate the law ahead from the estimate and demand its mean force."""
@@ -243,8 +242,8 @@ class Guidance:
         fx, fy = force.tolist()
         return Demand(t, fx, fy, *turn.at(t), t + self._params.setpoint_life_s)
 
-    def _reference(self, heard: _Heard, turn: Turn | TurnAlong) -> Reference:
-        """Reference mode: the reference model's state now; then advance it by one period."""
+    def _reference(self, heard: _Heard, turn: Turn | TurnAlong) -> Array:
+        """Reference mode: the model's state now, as a row; then advance it by one period."""
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
         ahead = self._fly(t, self._p, self._v, ZERO, heard)
         self._t, p, v = t + self._period, ahead.p, ahead.v
@@ -258,7 +257,7 @@ class Guidance:
         self._p, self._v = p, v
         ax, ay = fx / self._mass, fy / self._mass
         theta, omega, alpha = turn.at(t)
-        return Reference(t, Pose(px, py, theta), Twist(vx, vy, omega), Accel(ax, ay, alpha))
+        return np.array((t, px, py, theta, vx, vy, omega, ax, ay, alpha))
 
     def _fly(self, t: float, p: Array, v: Array, disturbance: Array, heard: _Heard) -> Ahead:
         """Integrate the law ahead over one period and keep its state."""

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.jets import JetHealth
 from testbed.core.ports import Clock, HostLink, PoseSource, Thrusters, VehicleLink
+from testbed.core.rows import PoseSamples
 from testbed.core.types import (
     ALL_WELL,
     Demand,
@@ -114,7 +115,7 @@ class VehicleNode:
         inputs = Inputs(
             t,
             armed,
-            tuple(self._poses.samples()),
+            PoseSamples.of(self._poses.samples()),
             self._setpoint(t, stay),
             link.neighbours(),
             self._thrusters.health(),

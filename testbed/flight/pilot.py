@@ -11,16 +11,13 @@ filter, fence and gate afterwards.
 import math
 from collections.abc import Mapping
 
+from testbed.core.rows import References
 from testbed.core.se2 import wrap
 from testbed.core.types import (
-    Accel,
     Intervention,
-    Pose,
-    Reference,
     State,
     Stick,
     Trajectory,
-    Twist,
 )
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
@@ -81,16 +78,14 @@ class Pilot:
         if not self.flies or math.hypot(motion[0] - x, motion[1] - y) > ASTRAY_M:
             motion = (x, y, pose.theta + late * twist.omega, twist.vx, twist.vy, twist.omega)
         self.flies = True
-        references: list[Reference] = []
+        references: list[tuple[float, ...]] = []
         for k in range(self._ahead):
             now = t + k * h
             ax, ay, filtered = self._push(now, motion, stick, neighbours)
             x, y, theta, vx, vy, omega = motion
             wanted = TURN * stick.turn if stick.alive else 0.0
             alpha = (nearer(omega, wanted, TURN_ACCEL * h) - omega) / h
-            references.append(
-                Reference(now, Pose(x, y, theta), Twist(vx, vy, omega), Accel(ax, ay, alpha))
-            )
+            references.append((now, x, y, theta, vx, vy, omega, ax, ay, alpha))
             motion = (
                 x + h * (vx + 0.5 * h * ax), y + h * (vy + 0.5 * h * ay),
                 wrap(theta + h * (omega + 0.5 * h * alpha)),
@@ -98,7 +93,7 @@ class Pilot:
             )  # fmt: skip
             if k == 0:
                 self._motion, self.filtered = motion, filtered
-        return Trajectory(tuple(references), references[-1].t + self._life)
+        return Trajectory(References.made(references), references[-1][0] + self._life)
 
     def _push(
         self, t: float, motion: Motion, stick: Stick, neighbours: Mapping[str, State]

@@ -10,6 +10,7 @@ from testbed.core.codes import FaultReport, Hazard, InhibitReason, Intervention,
 from testbed.core.records import cdr
 from testbed.core.records.definition import MESSAGES
 from testbed.core.records.kinds import Active, EventKind, SetpointKind
+from testbed.core.rows import PoseSamples, References
 from testbed.core.types import (
     Demand,
     EndingTick,
@@ -20,7 +21,6 @@ from testbed.core.types import (
     Inputs,
     LawMessage,
     Outputs,
-    PoseSample,
     Reference,
     Setpoint,
     State,
@@ -87,7 +87,7 @@ class RowReader:
             self.report(who, EventKind.FLEET) if fleet else None, foreign, bool(end),
         )  # fmt: skip
         inputs = Inputs(
-            t, bool(armed), tuple(PoseSample(*one) for one in row.sequences["samples"]),
+            t, bool(armed), PoseSamples.made(row.sequences["samples"]),
             self._setpoint(kind, demand, until, row), self._states(row), health,
             self._messages(row), vitals,
         )  # fmt: skip
@@ -167,7 +167,7 @@ class RowReader:
         if kind == SetpointKind.NONE:
             return None
         ahead = row.sequences["references"]
-        return Trajectory(tuple(made(Reference, iter(one)) for one in ahead), until)
+        return Trajectory(References.made(ahead), until)
 
 
 def fault_of(event: cdr.Message) -> FaultReport | None:

@@ -14,6 +14,7 @@ from msgspec import Struct
 from testbed.core.codes import FaultReport, Hazard, InhibitReason, Intervention
 from testbed.core.records import cdr
 from testbed.core.records.kinds import Active, EventKind, FaultCode, SetpointKind
+from testbed.core.rows import PoseSamples, References
 from testbed.core.types import (
     Demand,
     HostTick,
@@ -34,7 +35,7 @@ MOST_FAULTS = 64  # bits of `faults`; later rows of the fault table are not in i
 
 
 _state, _reference, _demand = getter("State"), getter("Reference"), getter("Demand")
-_sample, _wrench, _health = getter("PoseSample"), getter("Wrench"), getter("Health")
+_wrench, _health = getter("Wrench"), getter("Health")
 _NO_STATE, _NO_REFERENCE, _NO_DEMAND = (NAN,) * 11 + (0,), (NAN,) * 10, (NAN,) * 7
 _STATE, _VEHICLE = several("State", 1), struct.Struct("<II")
 _NO_FILTER = (0.0, 0.0, 0, 0)
@@ -143,7 +144,7 @@ class RowWriter:
             o.state is not None, now, o.air_off, own is not None,
         )  # fmt: skip
         sequences = (
-            elements("PoseSample", map(_sample, i.samples)),
+            (len(i.samples), PoseSamples.of(i.samples).rows.tobytes()),
             self._neighbours(i.neighbours),
             references,
             elements("Pulse", zip(c.on_us, c.offset_us, strict=True)),
@@ -227,8 +228,7 @@ class RowWriter:
             return (*_demand(setpoint), NAN, SetpointKind.DEMAND), _EMPTY
         ahead = setpoint.references
         fixed = (*_NO_DEMAND, setpoint.valid_until, SetpointKind.TRAJECTORY)
-        data = self._kept(ahead, _reference_bytes)
-        return fixed, (len(ahead), data)
+        return fixed, (len(ahead), References.of(ahead).rows.tobytes())
 
 
 _EMPTY = 0, b""
@@ -236,10 +236,6 @@ _EMPTY = 0, b""
 
 def _state_bytes(state: State) -> bytes:
     return _STATE.pack(*_state(state))
-
-
-def _reference_bytes(references: tuple[Reference, ...]) -> bytes:
-    return elements("Reference", map(_reference, references))[1]
 
 
 def _message(message: LawMessage | None) -> tuple[int, bytes]:

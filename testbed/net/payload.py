@@ -10,7 +10,8 @@ from typing import Any
 import msgspec
 
 from testbed.core.records.kinds import SetpointKind
-from testbed.core.types import Demand, LawMessage, Reference, Setpoint, State, Trajectory
+from testbed.core.rows import References
+from testbed.core.types import Demand, LawMessage, Setpoint, State, Trajectory
 from testbed.logs.packing import elements, getter, made, packed, unpack
 
 LARGEST = 1e9  # numbers beyond it are refused
@@ -30,7 +31,8 @@ def body_of(message: Any) -> bytes:
             return packed("Setpoint", aim, elements("Reference", ()))
         case Trajectory(ahead, until):
             aim = (*NO_DEMAND, until, SetpointKind.TRAJECTORY)
-            return packed("Setpoint", aim, elements("Reference", map(_reference, ahead)))
+            rows = References.of(ahead).rows
+            return packed("Setpoint", aim, (len(rows), rows.tobytes()))
         case LawMessage(t, values):
             return packed("LawMessage", (t,), elements("float64", ((one,) for one in values)))
     return _other(message)
@@ -62,7 +64,7 @@ def open_setpoint(data: bytes) -> Setpoint:
             return Demand(*demand)
         case SetpointKind.TRAJECTORY if ahead:
             _insist([until, *chain.from_iterable(ahead)])
-            return Trajectory(tuple(made(Reference, iter(one)) for one in ahead), until)
+            return Trajectory(References.made(ahead), until)
     raise ValueError(
         f"expected a demand or a trajectory, found kind {kind}, {len(ahead)} references"
     )

@@ -113,9 +113,9 @@ class ResumedVehicle:
         if (tank := tick.inputs.health.tank_pressure) > 0.0:
             plant.used[self._row] = gas * min(1.0, max(0.0, 1.0 - tank / full))
 
-    def samples(self) -> tuple[PoseSample, ...]:
+    def samples(self) -> Sequence[PoseSample]:
         """See `PoseSource`."""
-        seen = tuple(self._poses.samples())  # of the log's time the twin's are dropped
+        seen = self._poses.samples()  # of the log's time the twin's are dropped
         return seen if self.then is None else self.then.inputs.samples
 
     def setpoint(self) -> Setpoint | None:
