@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from testbed.config import find, load
 from testbed.core.codes import FaultCause, FaultReport, InhibitReason, Refusal, Response
+from testbed.core.rows import Rows
 from testbed.core.types import (
     Accel,
     Demand,
@@ -61,7 +62,7 @@ def bits(message):
             return [type(message), *map(bits, msgspec.structs.astuple(message))]
         case dict():
             return [(name, bits(one)) for name, one in message.items()]
-        case tuple() | list():
+        case tuple() | list() | Rows():
             return [bits(one) for one in message]
         case float():
             return message.hex()

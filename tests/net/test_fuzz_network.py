@@ -164,7 +164,9 @@ def test_messages(kind):
         if verdict is Acceptance.TAKEN and isinstance(
             box.newest, State | Trajectory | Demand | LawMessage
         ):
-            assert all(abs(x) < 1e9 for x in numbers(msgspec.to_builtins(box.newest)))
+            assert all(
+                abs(x) < 1e9 for x in numbers(msgspec.to_builtins(box.newest, enc_hook=tuple))
+            )
             assert not isinstance(box.newest, Trajectory) or box.newest.references
         if box._seq > 10 * COUNT:  # a number that is far ahead was believed: of this sender it is
             box._seq = 0
