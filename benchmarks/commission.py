@@ -34,7 +34,11 @@ class Planted(TwinStation):
         self.how = how
         super().__init__(experiment, believed)
         if "plant" in how:
+            for name in self.twin.names:
+                self.bearing(name, on=True)  # a vehicle without air has no thrust to change
             how["plant"](self.twin.plant)
+            for name in self.twin.names:
+                self.bearing(name, on=False)
         self._still: dict[str, PoseSample] = {}
 
     def _behind(self, name: str) -> str:

@@ -288,6 +288,11 @@ class Plant:
             up[0], down[0], strength[0] = since, until, share
         return played
 
+    def behind(self, k: int) -> int:
+        """The vehicle that the board of vehicle `k` is in."""
+        others = [b if k == a else a for a, b in self.crossed if k in (a, b)]
+        return others[0] if others else k
+
     def floats(self, k: int) -> bool:
         """Whether the bearing air of vehicle `k` is on."""
         return k not in self.landed
@@ -331,6 +336,6 @@ class Plant:
             )
         self.t = t
         for k, board in enumerate(self.boards.values()):
-            if self.floats(k) and not board.floats:
-                self.land(k)
+            if not board.floats:
+                self.land(self.behind(k))
         return seen

@@ -234,7 +234,8 @@ class TwinThrusters:
     def land(self) -> None:
         """See `Thrusters`."""
         self._board.land()
-        self._twin.plant.land(self._twin.rows[self._name])
+        plant = self._twin.plant
+        plant.land(plant.behind(self._twin.rows[self._name]))
 
     def health(self) -> Health:
         """See `Thrusters`."""

@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from firmware_interface.limits import config_hash, limits_of
-from sim_twin.plant import FRICTION, GRAVITY, PADS
 from sim_twin.randomness import stream
 from sim_twin.twin import Twin, TwinPoses
 from testbed.commission.cameras import Mark
@@ -22,7 +21,7 @@ class TwinStation:
     """The vehicles of an experiment on the twin, standing on the table without bearing air.
 
     Args:
-        experiment: as it really is.
+        experiment: as it really is, with the faults that it injects.
         believed: as the lab's files say; None: the same.
         agree: asks whether something may move; None: nothing is asked.
     """
@@ -39,7 +38,7 @@ class TwinStation:
         self.twin = Twin(
             {name: setup.model for name, setup in setups.items()},
             {name: Pose(*setup.start) for name, setup in setups.items()},
-            experiment.table, {}, experiment.seed,
+            experiment.table, {}, experiment.seed, injections=experiment.inject,
         )  # fmt: skip
         self._models = {name: setup.model for name, setup in setups.items()}
         self._poses = {name: TwinPoses(self.twin, name) for name in setups}
@@ -82,10 +81,12 @@ class TwinStation:
 
     def bearing(self, name: str, *, on: bool) -> None:
         """See `Station`."""
-        k, parameters = self.twin.rows[name], self.twin.plant.parameters
-        slows = FRICTION * GRAVITY
-        turns = slows * PADS * parameters.radius[k] * parameters.mass[k] / parameters.inertia[k]
-        parameters.grip[k] = (0.0, 0.0) if on else (slows, turns)
+        plant = self.twin.plant
+        k = plant.behind(self.twin.rows[name])
+        if not on:
+            plant.land(k)
+        elif not plant.floats(k):
+            plant.lift(k)
 
     def fire(self, name: str, jet: int, seconds: float) -> float:
         """See `Station`."""

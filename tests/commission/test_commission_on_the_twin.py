@@ -4,10 +4,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from testbed.commission.pace import FASTEST, LONGEST, PUSH, pulse_length
 from testbed.commission.procedure import commission
 from testbed.commission.report import measured, passed
+from testbed.commission.twin_station import TwinStation
+from testbed.core.fault_injection import Injection
 from testbed.identification.vehicle_file import load_vehicle
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -21,6 +24,7 @@ def test_a_healthy_vehicle_passes_and_is_measured():
     assert not [v.text for v in done.verdicts if v.code or v.skipped]
     assert passed(done.verdicts, "sat1")
     vehicle, notes = measured(experiment.vehicles["sat1"].model, done.pulses["sat1"])
+    station.bearing("sat1", on=True)  # without air it has no thrust
     true = station.twin.plant.parameters.thrust[0] / station.twin.plant.parameters.mass[0]
     found = [jet.thrust / vehicle.mass for jet in vehicle.jets]
     assert found == pytest.approx(true.tolist(), rel=0.08)
@@ -42,6 +46,26 @@ def test_a_planted_error_is_named_while_everything_is_slow(name):
     found, speed, words = fly(setup("generic_8jet", 5, two=how.get("two", False)), how)
     assert found & codes, words
     assert speed < FASTEST
+
+
+@pytest.mark.parametrize(
+    ("what", "code"),
+    [
+        ({"kind": "reverse_jet", "jet": 3}, "jet_reversed"),
+        ({"kind": "swap_jets", "jet": 2, "value": 5.0}, "wires_swapped"),
+        ({"kind": "leak_valve", "jet": 5, "value": 0.2}, "leak"),
+        ({"kind": "stick_closed", "jet": 7}, "dead"),
+        ({"kind": "turn_frame"}, "frame_turned"),
+        ({"kind": "swap_boards", "other": "sat2"}, "boards_swapped"),
+        ({"kind": "swap_bodies", "other": "sat2"}, "bodies_swapped"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_fault_that_the_experiment_injects_is_named(what, code):
+    healthy = setup("generic_8jet", 5, two="other" in what)
+    experiment = replace(healthy, inject=[Injection(vehicle="sat1", at_s=0.0, **what)])
+    done = commission(experiment, TwinStation(experiment))
+    assert code in {v.code for v in done.verdicts}, [v.text for v in done.verdicts if v.code]
 
 
 @pytest.mark.parametrize("name", ["generic_8jet", "uky", "ita", "spot_red"])
