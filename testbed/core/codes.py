@@ -122,6 +122,7 @@ class Detector(Code):
     FRAME_STEP = 34, "frame_step"  # [m] that it cannot be explained by a delay
     HEADING_STEP = 35, "heading_step"  # [rad] at the same place
     POSE_RATE = 36, "pose_rate"  # poses of the last second over what the cameras should give
+    BUMPED = 37, "bumped"  # [m/s] change of velocity at once: a contact, or a hand
 
 
 class FaultId(StrEnum):

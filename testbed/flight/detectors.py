@@ -154,6 +154,7 @@ def explain(p, m, seen, known, suspected, row, samples):
         frame_step,
         heading_step,
         pose_rate(p, m, row.told.t, samples.shape[0]),
+        seen.bumped,
     )
 
 

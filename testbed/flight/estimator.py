@@ -252,6 +252,7 @@ MEMORY = record(
     since=float,  # capture time of the last accepted pose before it [s]
     step=(3,),  # how far this tick's accepted pose is elsewhere without a push [m, m, rad]
     going=(3,),  # velocity then [m/s, m/s, rad/s]
+    bumped=float,  # change of velocity by a push at once, in this tick [m/s]
     x=(9,),  # x, y, theta, vx, vy, omega, bias of the three
     cov=(3, 3),  # of position, velocity, bias in x, and in y
     cov_spin=(3, 3),  # the same of the heading
@@ -283,7 +284,7 @@ def update(p, model, m, fired, samples, now):
         samples: rows (captured at [s], x [m], y [m], theta [rad]).
         now: [s].
     """
-    m.step[:] = 0.0
+    m.step[:] = m.bumped = 0.0
     for n in range(samples.shape[0]):
         sample = samples[n]
         whole = np.isfinite(sample[0] + sample[1] + sample[2] + sample[3])
@@ -302,7 +303,7 @@ def start(p, m, sample):
     m.t = m.newest = sample[0]
     m.refused = m.agreed = 0.0
     m.rough = m.usual = 1.0
-    m.still, m.step[:], m.prior[:] = 0, 0.0, 0.0
+    m.still, m.bumped, m.step[:], m.prior[:] = 0, 0.0, 0.0, 0.0
     m.x[:], m.cov[:], m.cov_spin[:] = 0.0, 0.0, 0.0
     m.x[0], m.x[1], m.x[2] = sample[1], sample[2], sample[3]
     for i in range(4):
@@ -344,6 +345,7 @@ def absorb(p, model, m, fired, sample):
             x[0], x[1], x[2] = sample[1], sample[2], sample[3]  # and its velocity is known
             dx = dy = turn = 0.0
         else:
+            m.bumped = np.hypot(dx, dy) / (m.t - m.since)
             doubt(cov, np.hypot(dx, dy), SHOVE)
             doubt(cov_spin, turn, SHOVE_SPIN)
     gain = correct(cov, p.noise[0])

@@ -76,7 +76,7 @@ def test_lqr_is_blind_to_obstacles():
     # pushed by the obstacle, it would land or brake: no command explains that push
     rows = (
         "valve_leaks", "valve_leaks_or_weak", "valve_stuck_open", "valve_stuck_closed",
-        "pulled_hard", "thrust_or_mass", "pads_drag", "heading_off", "poses_late",
+        "pulled_hard", "bumped", "thrust_or_mass", "pads_drag", "heading_off", "poses_late",
     )  # fmt: skip
     on = [f"faults.{row}.{what}" for row in rows for what in ("response=warn", "latched=false")]
     _, nearest, _, touches = flown("zhang2023_table_lqr", "duration_s=60", *on)
