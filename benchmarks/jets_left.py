@@ -70,7 +70,7 @@ class Found(NamedTuple):
 
 
 class Watch(NullObserver):
-    """Notes when jets are commanded and named, and weakens a jet."""
+    """Notes when jets are commanded and named."""
 
     def __init__(self, rig, case: Case, at_s: float) -> None:
         self.rig, self.case, self.at_s = rig, case, at_s
@@ -79,12 +79,7 @@ class Watch(NullObserver):
     def vehicle(self, name, tick) -> None:
         """See `Observer`."""
         t, on = tick.outputs.t, tick.outputs.command.on_us[self.case.jet]
-        parameters = self.rig.twin.plant.parameters
-        if self.case.kind == "weak" and t >= self.at_s:
-            parameters.thrust[0, self.case.jet] *= WEAK
-            self.at_s, self.began = np.inf, t
-        began = self.at_s if np.isfinite(self.at_s) else self.began
-        if t >= began and on and self.case.jet not in self.named:
+        if t >= self.at_s and on and self.case.jet not in self.named:
             self.first = self.first or t
             self.asked_s += 1e-6 * on
         jets = self.rig.vehicles[0].jets
@@ -100,10 +95,12 @@ def experiment_of(case: Case) -> tuple[Experiment, float]:
     faults = dict(experiment.faults)
     row = faults["valve_stuck_open"]
     faults["valve_stuck_open"] = replace(row, response="reconfigure", otherwise="land")
-    kinds = {"shut": "stick_closed", "open": "stick_open"}
+    kinds = {"shut": "stick_closed", "open": "stick_open", "weak": "weak_jet"}
     inject = []
     if case.kind in kinds:
-        inject = [Injection(kinds[case.kind], "sat1", at_s=at_s, jet=case.jet + 1)]
+        share = WEAK if case.kind == "weak" else None
+        bad = Injection(kinds[case.kind], "sat1", at_s=at_s, jet=case.jet + 1, value=share)
+        inject = [bad]
     return replace(
         experiment, duration_s=LASTS_S, seed=case.seed, faults=faults, inject=inject
     ), at_s

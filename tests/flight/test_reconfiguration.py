@@ -1,5 +1,8 @@
 """Flying on with the jets that are left: how much they can give, and flights with a bad jet."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -20,6 +23,9 @@ from testbed.metrics.run_metrics import with_jets
 from testbed.rig.observers import MetricsObserver, NullObserver
 from testbed.rig.twin import make_twin
 from testbed.run.judge import measure
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from jets_left import WEAK, Case, experiment_of
 
 WAYS = 24  # directions of the linear programs
 
@@ -184,6 +190,12 @@ def test_the_effectiveness_of_jets_is_within_its_sigmas():
         assert min(one.sigma for one in jets) < 0.2
         assert all(0.0 <= one.share <= 1.5 and 0.0 < one.sigma <= 0.3 for one in jets)
     assert np.abs(off).max() < 3.0
+
+
+def test_the_benchmark_takes_thrust_from_its_weak_jet():
+    experiment, at_s = experiment_of(Case("generic_8jet", "weak", 2, 0))
+    (fault,) = experiment.inject
+    assert (fault.kind, fault.jet, fault.value, fault.at_s) == ("weak_jet", 3, WEAK, at_s)
 
 
 def test_words_say_how_a_jet_is_flown():
