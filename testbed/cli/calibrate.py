@@ -1,5 +1,6 @@
 """`testbed calibrate` and `testbed validate`: from logs to files and figures."""
 
+import re
 import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -71,6 +72,7 @@ def read_logs(asked: Asked) -> list[MotionLog]:
             raise TestbedError(
                 where="--mapping", expected="a mapping for a log that is no run folder",
                 found="nothing",
+                hint="shipped: ita, spot, uky; docs/calibrate.md shows how to write one",
             )  # fmt: skip
         else:
             log = read_motion_log(path, load_mapping(mapping))
@@ -147,7 +149,7 @@ def check_against(
         surface = load_table(table) if table else None
         doubts = doubts_about(logs, own, vehicles_of(asked))
         result, errors = validate(logs, own, other, surface)
-        seen = [log.where for log in logs if _knows(vehicle, log.digest)]
+        seen = [log.where for log in logs if _knows(vehicle, log)]
         result |= {
             "files": {"vehicle": vehicle, "against": against, "table": table},
             "suspicions": [{"name": s.name, "text": s.text} for s in doubts],
@@ -178,10 +180,16 @@ def check_against(
     return OK
 
 
-def _knows(vehicle: str, digest: str) -> bool:
-    """Whether the vehicle file says that it was fitted to the log with this SHA-256."""
-    path = Path(vehicle)
-    return path.is_file() and digest in path.read_text(encoding="utf-8", errors="replace")
+def _knows(vehicle: str, log: MotionLog) -> bool:
+    """Whether the vehicle file says that it was fitted to this part of the log."""
+    path, t = Path(vehicle), log.t[log.whole]
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    for line in text.splitlines():
+        if log.digest in line and len(t):
+            part = re.search(r"t = (\S+) to (\S+) s", line)
+            if part is None or (t[-1] > float(part[1]) and t[0] < float(part[2])):
+                return True
+    return False
 
 
 def floor(
