@@ -197,6 +197,32 @@ def exchanged(count):
     print(f"synthetic: {wrong} of {pairs} exchanged files named, {healthy} of {count} healthy ones")
 
 
+def rebuilt(count):
+    """Synthetic vehicles with another mass or a jet moved, against the file from before."""
+    floater = load_vehicle("generic_8jet")
+    cases = {"healthy": (1.0, 0.0), "mass +20 %": (1.2, 0.0), "mass -20 %": (0.8, 0.0),
+             "a jet moved by 20 mm": (1.0, 0.02), "a jet moved by 30 mm": (1.0, 0.03),
+             "mass +20 %, a jet moved by 30 mm": (1.2, 0.03)}  # fmt: skip
+    for what, (mass, beside) in cases.items():
+        said, refused, right = 0, 0, 0
+        for k in range(count):
+            rng = np.random.default_rng(200 + k)
+            truth = drawn(floater, rng)
+            jets, j = list(truth.jets), int(rng.integers(8))
+            (x, y), (px, py) = jets[j].position, jets[j].push
+            jets[j] = structs.replace(jets[j], position=(x - py * beside, y + px * beside))
+            truth = structs.replace(truth, jets=jets, mass=mass * truth.mass)
+            log = flown_log(truth, None, excitation(truth, 40.0, 0.1, rng), 40.0, rng)
+            try:
+                found = calibrate_motion([log], floater).suspicions
+            except RefusedError as error:
+                found, refused = error.suspicions, refused + 1
+            said += any(one.name == "other-vehicle" for one in found)
+            right += any(f"jet {j + 1} pushes" in one.text for one in found)
+        print(f"rebuilt, {what}: {said} of {count} named, {refused} of them refused,"
+              f" {right} with the jet", flush=True)  # fmt: skip
+
+
 def ita(data):
     vehicle, mapping = load_vehicle("ita"), load_mapping("ita")
     logs = [read_motion_log(path, mapping) for path in sorted((data / "ita").glob("dl*.csv"))]
@@ -319,13 +345,14 @@ def main():
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     parser.add_argument("--data", type=Path, default=beside, help="folder of the labs' logs")
     parser.add_argument(
-        "--only", choices=["synthetic", "exchanged", "uky", "spot", "ita", "mutations"]
+        "--only", choices=["synthetic", "exchanged", "rebuilt", "uky", "spot", "ita", "mutations"]
     )
     asked = parser.parse_args()
     parts = {
         "synthetic": lambda: synthetic(4 if asked.quick else 20, 120.0),
         "uky": lambda: uky(asked.data),
         "exchanged": lambda: exchanged(2 if asked.quick else 10),
+        "rebuilt": lambda: rebuilt(4 if asked.quick else 20),
         "spot": lambda: spot(asked.data, asked.quick),
         "ita": lambda: ita(asked.data),
         "mutations": lambda: mutations(asked.data, 45 if asked.quick else 200),
@@ -333,7 +360,7 @@ def main():
     for name, part in parts.items():
         if asked.only not in (None, name):
             continue
-        if name not in ("synthetic", "exchanged") and not asked.data.is_dir():
+        if name not in ("synthetic", "exchanged", "rebuilt") and not asked.data.is_dir():
             print(f"{name}: skipped, no logs at {asked.data}")
             continue
         part()

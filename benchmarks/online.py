@@ -1,9 +1,11 @@
-"""What it brings that mass and thrust follow the gas in flight (`flight.online`).
+"""What it brings that mass and thrust follow the gas in flight, and jets what they give.
 
     python benchmarks/online.py
 
 The freeflyer flies a circle and a square, with a part of its tank already empty: with the numbers
-of its file, with the mass that follows the gas, and with the thrust as well. Means over the seeds.
+of its file, with the mass that follows the gas, and with the thrust as well. Then with one jet that
+gives a part of its thrust, another one per seed: without and with `flight.online.jets`. Means over
+the seeds.
 """
 
 import argparse
@@ -28,7 +30,10 @@ CASES = {  # overrides of the freeflyer, and the part of the gas that is left
 MODES = {"file": (), "mass": ("mass",), "both": ("mass", "thrust")}
 
 
-def flown(overrides, left):
+WEAK = (0.7, 0.85, 1.0)  # share of its thrust that one jet gives
+
+
+def flown(overrides, left=1.0):
     """Tracking RMS [mm], heading RMS [deg], 1 if the flight was completed."""
     experiment = load(SHIPPED / "scenarios" / "circle.toml", overrides)
     rig, observer = make_twin(experiment), MetricsObserver(experiment.vehicles)
@@ -42,8 +47,10 @@ def flown(overrides, left):
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
-    seeds = range(parser.parse_args().seeds)
-    for what, (air, left) in CASES.items():
+    parser.add_argument("--only", choices=["gas", "jets"])
+    asked = parser.parse_args()
+    seeds = range(asked.seeds)
+    for what, (air, left) in CASES.items() if asked.only != "jets" else ():
         for way, path in PATHS.items():
             words = []
             for mode, switches in MODES.items():
@@ -57,6 +64,27 @@ def main():
                 mm, deg, done = found.mean(axis=0)
                 words.append(f"{mode} {mm:.2f} mm, {deg:.3f} deg{'' if done == 1 else ' (aborts)'}")
             print(f"{what}, {way}: {'; '.join(words)}", flush=True)
+    for share in WEAK if asked.only != "gas" else ():
+        for way, path in PATHS.items():
+            words = []
+            for switch in ("false", "true"):
+                common = [
+                    f"vehicles.sat1.model={SHIPPED / 'vehicles' / 'freeflyer.toml'}", *path,
+                    "duration_s=185", f"flight.online.jets={switch}",
+                ]  # fmt: skip
+                found = np.array([
+                    flown([*common, f"seed={seed}", f"inject=[{weak(1 + seed % 8, share)}]"])
+                    for seed in seeds
+                ])  # fmt: skip
+                mm, deg, done = found.mean(axis=0)
+                text = f"{mm:.2f} mm, {deg:.3f} deg{'' if done == 1 else ' (aborts)'}"
+                words.append(f"{'jets' if switch == 'true' else 'file'} {text}")
+            print(f"one jet at {share:.0%}, {way}: {'; '.join(words)}", flush=True)
+
+
+def weak(jet, share):
+    """The injection of a weak jet, from the start on."""
+    return f'{{kind="weak_jet", vehicle="sat1", jet={jet}, at_s=0, for_s=1e6, value={share}}}'
 
 
 if __name__ == "__main__":

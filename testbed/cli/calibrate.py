@@ -1,5 +1,6 @@
 """`testbed calibrate` and `testbed validate`: from logs to files and figures."""
 
+import re
 import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -14,6 +15,7 @@ from testbed.cli.exit_code import BAD_INPUT, OK
 from testbed.cli.refusal import refuse, warn
 from testbed.core.error import TestbedError
 from testbed.core.table import Table
+from testbed.core.vehicle import Vehicle
 from testbed.identification.calibration_file import report_of, save
 from testbed.identification.cameras import latency_of, seen_in_flight
 from testbed.identification.columns import LogRefusedError, digest, read_columns, read_sources
@@ -21,11 +23,10 @@ from testbed.identification.excite import design, write_commands
 from testbed.identification.floor import flat_fit, learn_floor
 from testbed.identification.link import link_of
 from testbed.identification.mapping import load_mapping
-from testbed.identification.motion import RefusedError, calibrate_motion
+from testbed.identification.motion import RefusedError, calibrate_motion, doubts_about
 from testbed.identification.motion_log import MotionLog, read_motion_log
 from testbed.identification.own_run import read_run_log
 from testbed.identification.slope_map import measured_map, with_map, write_slope_page
-from testbed.identification.suspicion import suspicions
 from testbed.identification.table_file import load_table, write_table
 from testbed.identification.thrust_stand import thrust_of
 from testbed.identification.validation import validate
@@ -71,6 +72,7 @@ def read_logs(asked: Asked) -> list[MotionLog]:
             raise TestbedError(
                 where="--mapping", expected="a mapping for a log that is no run folder",
                 found="nothing",
+                hint="shipped: ita, spot, uky; docs/calibrate.md shows how to write one",
             )  # fmt: skip
         else:
             log = read_motion_log(path, load_mapping(mapping))
@@ -83,6 +85,13 @@ def read_logs(asked: Asked) -> list[MotionLog]:
     return logs
 
 
+def vehicles_of(asked: Asked) -> dict[str, Vehicle]:
+    """The lab's vehicles, which the mapping names."""
+    return (
+        {name: load_vehicle(name) for name in load_mapping(asked[1]).vehicles} if asked[1] else {}
+    )
+
+
 def motion(
     asked: Asked, vehicle: str, out: Path | None, table_out: Path | None, *, force: bool,
     as_json: bool,
@@ -90,10 +99,8 @@ def motion(
     """Fit a vehicle and write its file, and the slope of the table."""
     try:
         logs = read_logs(asked)
-        lab = load_mapping(asked[1]).vehicles if asked[1] else []
         found = calibrate_motion(
-            logs, load_vehicle(vehicle), others={name: load_vehicle(name) for name in lab},
-            force=force,
+            logs, load_vehicle(vehicle), others=vehicles_of(asked), force=force,
             progress=lambda text: None if as_json else screen.print(f"[dim]{text}"),
         )  # fmt: skip
         if out is not None:
@@ -140,14 +147,16 @@ def check_against(
         own = load_vehicle(vehicle)
         other = load_vehicle(against) if against else None
         surface = load_table(table) if table else None
-        doubts = list(suspicions(logs, own))
+        doubts = doubts_about(logs, own, vehicles_of(asked))
         result, errors = validate(logs, own, other, surface)
-        seen = [log.where for log in logs if _knows(vehicle, log.digest)]
+        seen = [log.where for log in logs if _knows(vehicle, log)]
         result |= {
             "files": {"vehicle": vehicle, "against": against, "table": table},
             "suspicions": [{"name": s.name, "text": s.text} for s in doubts],
             "seen_by_the_fit": seen,
         }
+        if any(one.name == "other-vehicle" for one in doubts):
+            result["verdict"] = f"Perhaps another vehicle's log. {result['verdict']}"
         if out is not None:
             write_page(out, f"Validation of {vehicle}", result, errors)
     except TestbedError as error:
@@ -171,10 +180,16 @@ def check_against(
     return OK
 
 
-def _knows(vehicle: str, digest: str) -> bool:
-    """Whether the vehicle file says that it was fitted to the log with this SHA-256."""
-    path = Path(vehicle)
-    return path.is_file() and digest in path.read_text(encoding="utf-8", errors="replace")
+def _knows(vehicle: str, log: MotionLog) -> bool:
+    """Whether the vehicle file says that it was fitted to this part of the log."""
+    path, t = Path(vehicle), log.t[log.whole]
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    for line in text.splitlines():
+        if log.digest in line and len(t):
+            part = re.search(r"t = (\S+) to (\S+) s", line)
+            if part is None or (t[-1] > float(part[1]) and t[0] < float(part[2])):
+                return True
+    return False
 
 
 def floor(

@@ -90,6 +90,8 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
     armed = told.armed == 1
     if row.state.known == 1 and armed:
         compare(p.jets_known, m.jet_faults, memory.heard, row, memory.flowed, m.thrust_scale)
+        if p.online.each_jet:
+            online.follow_jets(memory.fired, memory.heard, p.gains.period)
     finite = gate.is_number(demanded)
     detectors.measure(
         p.sensors, m.detectors, m.estimator, p.jets_known, m.jet_faults, row, samples, neighbours,

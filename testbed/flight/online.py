@@ -2,7 +2,7 @@
 
 The gas left follows from the tank's pressure where the board tells it. Without that gauge, as on
 the shipped board, the tank counts as full at the start, and the flow of jets and bearings is added
-up.
+up. The thrust of each jet follows from the motion, see effectiveness.py.
 """
 
 from typing import NamedTuple
@@ -17,12 +17,16 @@ from testbed.flight.estimator import Model
 from testbed.flight.plan import WEAKEST
 from testbed.flight.tracker import Gains
 
+SLOWLY_S = 10.0  # time constant with which a jet's assumed thrust follows its estimate [s]
+LEAST, MOST = 0.35, 1.5  # share of the file's thrust that is assumed of a jet
+
 
 class OnlineParams(Struct, frozen=True, forbid_unknown_fields=True):
     """What estimator and tracker follow in flight; off, they keep the values of the file."""
 
     mass: bool = False  # by the gas used; inertia and centre of mass stay
     thrust: bool = False  # of the fired pulses, by the supply pressure; the allocator always does
+    jets: bool = False  # thrust of each jet by the motion, also for the allocator
 
 
 class Online(NamedTuple):
@@ -30,6 +34,7 @@ class Online(NamedTuple):
 
     mass: bool
     thrust: bool
+    each_jet: bool
     gas: float  # in the full tank [kg]
     full: float  # pressure of the full tank [Pa]
     bearings: float  # flow [kg/s]
@@ -42,8 +47,9 @@ def online_of(params: OnlineParams, vehicle: Vehicle) -> Online:
     air = vehicle.air
     jets = np.array([jet.thrust for jet in vehicle.jets]) / air.exhaust_speed
     return Online(
-        params.mass, params.thrust, air.gas, air.tank_pressure, air.bearing_flow, jets, air.droop
-    )
+        params.mass, params.thrust, params.jets, air.gas, air.tank_pressure, air.bearing_flow,
+        jets, air.droop,
+    )  # fmt: skip
 
 
 @compiled
@@ -87,3 +93,34 @@ def gains_now(p, gains, used):
         gains.bandwidth, gains.damping, gains.heading_bandwidth, gains.heading_damping,
         gains.brake_decel, mass, gains.inertia, gains.period,
     )  # fmt: skip
+
+
+@compiled
+def follow_jets(fired, heard, period):
+    """Let the thrust that is assumed of each jet follow what the motion tells of it, in place.
+
+    Only what is beyond one sigma moves it: an estimate of noise would wander. The sums of past
+    looks are written anew with the thrust that is now assumed, so that nothing is counted twice. A
+    jet that leaks, or was taken out, stays as it was found.
+
+    Args:
+        fired: estimator.Fired.
+        heard: jet_faults.Heard.
+        period: [s].
+    """
+    slow, m, off = heard.slow, heard.slow.shape[0], heard.off
+    for j in range(off.shape[0]):
+        sure = max(0.0, abs(off[j]) - heard.sigma[j])
+        if sure == 0.0 or fired.leaks[j] > 0.0 or fired.gives[j] == 0.0:
+            continue
+        change = np.copysign(sure, off[j]) * period / SLOWLY_S
+        after = min(max(fired.gives[j] * (1.0 + change), LEAST), MOST)
+        change = after / fired.gives[j] - 1.0
+        fired.gives[j] = after
+        for i in range(m):
+            slow[i, m] -= change * slow[i, j]
+        for i in range(m):
+            slow[i, j] *= 1.0 + change
+        for i in range(m + 1):
+            slow[j, i] *= 1.0 + change
+        off[j] = (1.0 + off[j]) / (1.0 + change) - 1.0

@@ -68,6 +68,12 @@ def used_s(log: MotionLog) -> float:
     return float(np.median(np.diff(log.t)) * log.whole.sum())
 
 
+def span(log: MotionLog) -> str:
+    """The part of a log that was used, in words."""
+    t = log.t[log.whole]
+    return f"{used_s(log):.1f} s of t = {t[0]:.6g} to {t[-1]:.6g} s" if len(t) else "nothing"
+
+
 def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: date) -> None:
     """Write the fitted vehicle with the origin of each number."""
     notes: dict[str, str] = {}
@@ -92,7 +98,7 @@ def save(path: Path, c: Calibration, name: str, logs: Sequence[MotionLog], day: 
         note = "" if row["identifiable"] else ", not identifiable"
         text = f"fitted, {row['low_n']:.4g} to {row['high_n']:.4g} N{words}{note}"
         notes[f"jets.{row['jet'] - 1}"] = text
-    origin = [f"{Path(log.where).name}, sha256 {log.digest}, {used_s(log):.1f} s" for log in logs]
+    origin = [f"{Path(log.where).name}, sha256 {log.digest}, {span(log)}" for log in logs]
     origin.append(f"values that were not fitted: vehicle {name}")
     p = c.estimate.p
     slope = [p[c.model.index(axis)] for axis in ("slope_x", "slope_y")]

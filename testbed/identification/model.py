@@ -39,11 +39,14 @@ class VehicleModel:
     """A vehicle file and the parameters that are varied.
 
     `thrust` scales all jets, `thrust_j` the jet j on top of it. `delay` is the opening and closing
-    delay together, `hold` how much later a valve closes than it opens.
+    delay together, `hold` how much later a valve closes than it opens. `lever_j`, which only a test
+    of the vehicle asks for, is how much longer the lever of jet j is than in the file.
     """
 
-    def __init__(self, vehicle: Vehicle, *, valves: bool, table: Table | None = None) -> None:
-        self.vehicle, self.valves = vehicle, valves
+    def __init__(
+        self, vehicle: Vehicle, *, valves: bool, table: Table | None = None, levers: bool = False
+    ) -> None:
+        self.vehicle, self.valves, self.levers = vehicle, valves, levers
         self.ground = LEVEL if table is None else lay(table)
         v, jets = vehicle, len(vehicle.jets) if valves else 0
         spread = max(0.15, 2.0 * v.tolerance.thrust)
@@ -73,12 +76,20 @@ class VehicleModel:
                 Parameter("droop", "", v.air.droop, 0.3, 0.01, "droop", 0.0),
                 Parameter("hold", "s", gap, 0.02, 0.001, "hold"),
             ]
+        if levers:
+            names = [f"lever_{j + 1}" for j in range(jets)]
+            self.parameters += [Parameter(n, "m", 0.0, 0.03, 0.002, n) for n in names]
         self.names = [p.name for p in self.parameters]
         self.prior = np.array([p.value for p in self.parameters])
         self.sigma = np.array([p.sigma for p in self.parameters])
         self.step = np.array([p.step for p in self.parameters])
         self.least = np.array([p.least for p in self.parameters])
         self.plant = nominal_plant(vehicle)
+
+    @property
+    def groups(self) -> list[str]:
+        """Groups of parameters, in order."""
+        return list(dict.fromkeys(one.group for one in self.parameters))
 
     def index(self, name: str) -> int:
         """Position of a parameter."""
@@ -101,6 +112,9 @@ class VehicleModel:
         at = dict(zip(self.names, p, strict=True))
         m = self.plant
         scale = self.thrust(p)
+        effect = m.effect * scale if effect is None else effect[None]
+        if self.levers:
+            effect[0, 2] += p[-len(scale) :] * m.thrust[0] * scale
         timing = m.timing.copy()
         timing[0, 0] = at["delay"]
         timing[0, 1] = at["delay"] + at.get("hold", 0.0)
@@ -110,7 +124,7 @@ class VehicleModel:
             com=np.array([[at["com_x"], at["com_y"]]]),
             drag=np.array([at["drag"]]),
             spin_drag=np.array([at["spin_drag"]]),
-            effect=m.effect * scale if effect is None else effect[None],
+            effect=effect,
             thrust=m.thrust * scale,
             droop=np.array([at.get("droop", 0.0)]),
             timing=timing,

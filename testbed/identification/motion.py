@@ -13,6 +13,7 @@ from testbed.identification.estimate import Estimate, fit
 from testbed.identification.jets import JetFinding, examine
 from testbed.identification.model import Parameter, VehicleModel
 from testbed.identification.motion_log import MotionLog
+from testbed.identification.moved_jets import by_moved_jets
 from testbed.identification.other_vehicle import between_logs, by_levers, by_thrust
 from testbed.identification.prediction import Valves
 from testbed.identification.selection import choose
@@ -21,6 +22,7 @@ from testbed.identification.windows import Windows, tiled
 
 Array = NDArray[np.float64]
 LENGTH = 2.5  # [s] of a window of the fit
+FEWEST_WINDOWS = 3
 IDENTIFIABLE = (
     0.6  # standard deviation over that of the prior: above, the log does not tell the number
 )
@@ -88,38 +90,22 @@ def _calibrated(
     progress: Callable[[str], None],
 ) -> Calibration:  # fmt: skip
     """See `calibrate_motion`."""
-    where, named = ", ".join(log.where for log in logs), vehicle
+    where = ", ".join(log.where for log in logs)
     progress("check the logs")
     model, doubts = checked(logs, vehicle)
     refusing = [one for one in doubts if one.refuses]
     if refusing and not force:
         raise RefusedError(refusing, where)
-    windows = [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
-    if sum(len(w.rows) for w in windows) < 3:
+    windows = _windows(logs)
+    if sum(len(w.rows) for w in windows) < FEWEST_WINDOWS:
         raise LogRefusedError(
-            where=where, expected=f"at least {3 * LENGTH:g} s of undisturbed flight",
+            where=where, expected=f"at least {FEWEST_WINDOWS * LENGTH:g} s of undisturbed flight",
             found="less", hint="see [use] of the mapping",
         )  # fmt: skip
-    first = start_of(model, logs, vehicle)
-    progress("try dead, weak and exchanged jets")
-    rough = fit(model, windows, ["thrust", "delay", "inertia"], first)
-    jets: list[JetFinding] = []
-    if model.valves:
-        jets = examine(model, rough.p, windows)
-        if exchanged := [one for one in jets if one.state == "exchanged"]:
-            vehicle = _exchanged(vehicle, exchanged)
-            model = VehicleModel(vehicle, valves=True)
-            rough = fit(model, windows, ["thrust", "delay", "inertia"], first)
-        _expect(model, jets)
-    progress("fit all parameters")
-    groups = list(dict.fromkeys(p.group for p in model.parameters))
-    if not model.valves:
-        groups = [g for g in groups if g not in _unidentifiable_from_wrenches(logs)]
-    wide = fit(model, windows, groups, _merged(model, rough))
+    model, jets, wide = _fitted_widely(model, logs, windows, progress)
     if model.valves:
         progress("compare with other vehicles")
-        doubts += by_thrust(model, wide, windows)
-        doubts += by_levers(windows, named, others)
+        doubts += _of_another(model, jets, wide, windows, vehicle, others)
     progress("cross-validate")
     chosen, gains = choose(model, wide, windows)
     start = model.prior.copy()
@@ -133,6 +119,56 @@ def _calibrated(
         raise RefusedError(refusing, where)
     fitted = model.fitted(estimate.p)
     return Calibration(fitted, model, estimate, wide, chosen, gains, jets, doubts, windows)
+
+
+def _fitted_widely(
+    model: VehicleModel, logs: Sequence[MotionLog], windows: Sequence[Windows],
+    progress: Callable[[str], None],
+) -> tuple[VehicleModel, list[JetFinding], Estimate]:  # fmt: skip
+    """The model with exchanged jets set right, what is found of each jet, a fit of all groups."""
+    first = start_of(model, logs, model.vehicle)
+    progress("try dead, weak and exchanged jets")
+    rough = fit(model, windows, ["thrust", "delay", "inertia"], first)
+    jets: list[JetFinding] = []
+    if model.valves:
+        jets = examine(model, rough.p, windows)
+        if exchanged := [one for one in jets if one.state == "exchanged"]:
+            model = VehicleModel(_exchanged(model.vehicle, exchanged), valves=True)
+            rough = fit(model, windows, ["thrust", "delay", "inertia"], first)
+        _expect(model, jets)
+    progress("fit all parameters")
+    groups = model.groups
+    if not model.valves:
+        groups = [g for g in groups if g not in _unidentifiable_from_wrenches(logs)]
+    return model, jets, fit(model, windows, groups, _merged(model, rough))
+
+
+def _of_another(
+    model: VehicleModel, jets: Sequence[JetFinding], wide: Estimate, windows: Sequence[Windows],
+    vehicle: Vehicle, others: Mapping[str, Vehicle],
+) -> list[Suspicion]:  # fmt: skip
+    """Whether logs with valve commands are of another vehicle."""
+    found = [*by_thrust(model, wide, windows), *by_levers(windows, vehicle, others)]
+    return [*found, *by_moved_jets(model, jets, wide, windows)]
+
+
+def doubts_about(
+    logs: Sequence[MotionLog], vehicle: Vehicle, others: Mapping[str, Vehicle]
+) -> list[Suspicion]:
+    """What is wrong with the logs, and whether they are of another vehicle; nothing is chosen."""
+    model, doubts = checked(logs, vehicle)
+    windows = _windows(logs)
+    if doubts or not model.valves or sum(len(w.rows) for w in windows) < FEWEST_WINDOWS:
+        return doubts
+    try:
+        model, jets, wide = _fitted_widely(model, logs, windows, lambda text: None)
+        return _of_another(model, jets, wide, windows, vehicle, others)
+    except (np.linalg.LinAlgError, FloatingPointError):
+        return []  # hardly excited
+
+
+def _windows(logs: Sequence[MotionLog]) -> list[Windows]:
+    return [w for w in (tiled(log, LENGTH) for log in logs) if len(w.rows)]
 
 
 def checked(logs: Sequence[MotionLog], vehicle: Vehicle) -> tuple[VehicleModel, list[Suspicion]]:

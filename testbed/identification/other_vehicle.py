@@ -21,6 +21,7 @@ NAME = "other-vehicle"
 TOO_STRONG = 0.08  # of common thrust over the file's, beyond its tolerance
 FAR_TOO_STRONG = 1.5  # factor of a single jet's thrust, droop apart
 TOO_WEAK = 0.2  # under the file's, beyond its tolerance, droop apart
+RATHER_WEAK = 0.08  # the same, for a warning: a regulator may be set so low
 TURNING = 1.5  # factor of inertia
 APART = 1.25  # factor of thrust between logs of one calibration
 SURE = 2.0  # standard deviations
@@ -45,14 +46,29 @@ def by_thrust(
     if scale - sigma > 1.0 + TOO_STRONG + spread or own - reach > FAR_TOO_STRONG:
         text = f"thrust over mass is {scale:.2f} times the file's ({own:.2f} without droop)"
         yield Suspicion(NAME, text + ": lighter, or another supply")
-    if max(own + reach, scale + SURE * sigma) < 1.0 - TOO_WEAK - spread:
-        text = f"thrust over mass is {own:.2f} times the file's: heavier, or little supply"
-        yield Suspicion(NAME, text)
+    weak = max(own + reach, scale + SURE * sigma) < 1.0 - TOO_WEAK - spread
+    mean, reach = _mean_thrust(model, estimate)
+    if weak or max(mean + SURE * reach, scale) < 1.0 - RATHER_WEAK - spread:
+        text = f"thrust over mass is {mean:.2f} times the file's: heavier, or little supply"
+        yield Suspicion(NAME, text, refuses=weak)
     k = model.index("inertia")
     value, reach = float(estimate.p[k]), SURE * float(estimate.sigma[k])
     if value - reach > TURNING or value + reach < 1.0 / TURNING:
         text = f"it turns as with {value:.2f} times the file's inertia (+- {reach:.2f})"
         yield Suspicion(NAME, text)
+
+
+def _mean_thrust(model: VehicleModel, estimate: Estimate) -> tuple[float, float]:
+    """Thrust of all jets together over the file's, and its standard deviation.
+
+    Far better known than that of a jet: what one of them gives more, another gives less.
+    """
+    jets = len(model.vehicle.jets)
+    slope = np.zeros(len(model.prior))
+    slope[0], slope[1 : 1 + jets] = np.mean(estimate.p[1 : 1 + jets]), estimate.p[0] / jets
+    slope = slope[estimate.free]
+    mean = float(np.mean(model.thrust(estimate.p)))
+    return mean, float(np.sqrt(slope @ estimate.covariance @ slope))
 
 
 def between_logs(
@@ -80,15 +96,21 @@ def by_levers(
     rivals = {name: one for name, one in others.items() if _levers(one) != _levers(vehicle)}
     if not rivals:
         return
+    untold = set(rivals)
     for part in _parts(windows):
         own = departure(*part, vehicle)
         for name, rival in rivals.items():
             gain = own - departure(*part, rival)
+            if abs(gain) > MARGIN:
+                untold.discard(name)
             if gain > MARGIN:
                 where = ", ".join(log.where for log in part[0])
                 text = f"{where}: the levers of {name} explain it better"
                 yield Suspicion(NAME, f"{text} (chi^2 smaller by {gain:.0f})")
                 break
+    if untold:
+        text = f"too little flight to tell this vehicle from {', '.join(sorted(untold))}"
+        yield Suspicion("vehicle-not-told", text + ": is --vehicle right?", refuses=False)
 
 
 Part = tuple[list[MotionLog], list[Windows]]

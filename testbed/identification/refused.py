@@ -23,7 +23,7 @@ class NumericColumns(dict[str, Array]):
     def __missing__(self, name: str) -> Array:
         raise LogRefusedError(
             where=self.where,
-            expected=f"a column {name!r}, which the mapping names",
+            expected=f"a column {name!r}, named by the mapping or an option",
             found=f"no such column{did_you_mean(name, list(self))}",
             hint=f"the columns are: {', '.join(self)}",
         )

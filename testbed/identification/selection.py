@@ -44,9 +44,9 @@ def choose(
     chosen = [g for g in groups if g in ALWAYS]
     rest = [g for g in groups if g not in ALWAYS]
     gains: dict[str, float] = {}
-    now = _unseen(model, estimate, parts, chosen)
+    now = unseen(model, estimate, parts, chosen)
     while rest:
-        tried = {g: _unseen(model, estimate, parts, [*chosen, g]) for g in rest}
+        tried = {g: unseen(model, estimate, parts, [*chosen, g]) for g in rest}
         best = min(rest, key=lambda g: float(tried[g].mean()))
         gain = now - tried[best]
         error = gain.std() / np.sqrt(len(gain))
@@ -60,7 +60,7 @@ def choose(
     return chosen, gains
 
 
-def _unseen(
+def unseen(
     model: VehicleModel,
     estimate: Estimate,
     parts: Sequence[NDArray[np.int64]],

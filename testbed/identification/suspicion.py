@@ -26,6 +26,8 @@ DELAYS = np.arange(0.0, 0.85, 0.05)  # [s] tried
 TILE = 3.0  # [s]
 CLEARLY = 0.12  # of explained variance, by which another reading must be better
 HARDLY = 0.01  # the same between other readings
+TELLS = 0.2  # explained share of the motion that tells the axes
+DOUBTFUL = 0.5  # a smaller share may be the table's
 UNEXPLAINED = 0.04  # on a table with steep slopes little of the motion is commanded
 FARTHER = 5.0  # than the pose before the last: it is another vehicle's
 SAME_PLACE = 0.005  # [m] of a jet
@@ -53,9 +55,9 @@ class MappingFit(NamedTuple):
     delay: float  # [s]
 
 
-def look_at(logs: Sequence[MotionLog], vehicle: Vehicle) -> MappingFit:
-    """Compare commands and motion of some logs together."""
-    parts = [_Parts(log, vehicle) for log in logs]
+def look_at(logs: Sequence[MotionLog], vehicle: Vehicle, *, steep: bool = False) -> MappingFit:
+    """Compare commands and motion of some logs together; `steep` leaves steady pushes out."""
+    parts = [_Parts(log, vehicle, steep) for log in logs]
     parts = [part for part in parts if part.windows]
     if not parts:
         raise LogRefusedError(
@@ -87,8 +89,8 @@ def start_of(model: VehicleModel, logs: Sequence[MotionLog], vehicle: Vehicle) -
 class _Parts:
     """One log on a regular grid, cut in windows."""
 
-    def __init__(self, log: MotionLog, vehicle: Vehicle) -> None:
-        self.log = log
+    def __init__(self, log: MotionLog, vehicle: Vehicle, steep: bool) -> None:
+        self.log, self.degree = log, 2 if steep else 1
         valves = isinstance(log.inputs, Valves)
         model = VehicleModel(vehicle, valves=valves)
         p = model.prior.copy()
@@ -108,7 +110,10 @@ class _Parts:
         self.heading = np.interp(self.grid, log.t, log.pose[:, 2])
 
     def at(self, delay: float) -> list[Array]:
-        """Path, readings of the commands and heading, window by window, without a straight line."""
+        """Path, readings of the commands and heading, window by window.
+
+        A straight line is left out of each, or a parabola: the push of a steep table.
+        """
         shift = round(delay / GRID)
         force, spin = np.roll(self.force, shift), np.roll(self.spin, shift)
         force[:shift] = spin[:shift] = 0.0
@@ -126,7 +131,7 @@ class _Parts:
         found: list[Array] = []
         for rows in self.windows:
             t = self.log.t[rows]
-            base = np.stack([np.ones(len(t)), t - t[0]], axis=1)
+            base = np.vander(t - t[0], self.degree + 1)
             columns = [z[rows], self.log.pose[rows, 2]]
             columns += [_at(self.grid, one, t) for one in (*paths, q)]
             stack = np.stack(columns, axis=1)
@@ -218,11 +223,15 @@ def suspicions(logs: Sequence[MotionLog], vehicle: Vehicle) -> Iterator[Suspicio
             text = f"the heading turns {found.turn_scale:.3g} times as far as commanded: in {unit}?"
             yield Suspicion("unit-angle", text)
             return
-    if found.other and found.explained > max(0.25, found.plain + CLEARLY):
+    axes = found
+    if found.plain < DOUBTFUL:  # a steep table pushes too: judge by what is not steady
+        steep = look_at(logs, vehicle, steep=True)
+        axes = steep if steep.explained > TELLS else found
+    if axes.other and axes.explained > max(TELLS, axes.plain + CLEARLY):
         yield Suspicion(
-            found.other,
-            f"{WORDS[found.other]}: so the commands explain {found.explained:.0%} of the motion,"
-            f" as the mapping says only {max(0.0, found.plain):.0%}",
+            axes.other,
+            f"{WORDS[axes.other]}: so the commands explain {axes.explained:.0%} of the motion,"
+            f" as the mapping says only {max(0.0, axes.plain):.0%}",
         )
         return
     if found.plain < UNEXPLAINED:

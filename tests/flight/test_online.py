@@ -1,11 +1,20 @@
-"""Mass and thrust that follow the gas."""
+"""Mass and thrust that follow the gas, and the thrust of each jet."""
 
 import numpy as np
 import pytest
 
 from testbed.config import SHIPPED, load
+from testbed.flight.effectiveness import resolve
 from testbed.flight.estimator import model_of
-from testbed.flight.online import OnlineParams, gains_now, gas_used, model_now, online_of
+from testbed.flight.memory import make_memory
+from testbed.flight.online import (
+    OnlineParams,
+    follow_jets,
+    gains_now,
+    gas_used,
+    model_now,
+    online_of,
+)
 from testbed.flight.tracker import TrackerParams, gains_of
 from testbed.rig.observers import MetricsObserver
 from testbed.rig.twin import make_twin
@@ -50,6 +59,49 @@ def test_switched_on_mass_and_thrust_follow(vehicle):
     now = model_now(p, model, 0.2, 0.8)
     assert now.mass == pytest.approx((vehicle.mass - 0.2) / 0.8)
     assert now.inertia == pytest.approx(vehicle.inertia / 0.8)
+
+
+@pytest.fixture
+def told():
+    """Fired plans and what was heard of eight jets that each give 0.9 of what is assumed."""
+    memory, _ = make_memory(8, 2, 3, 1)
+    rng = np.random.default_rng(3)
+    z = 10.0 * rng.standard_normal((300, 12))
+    memory.heard.slow[:, :12], memory.heard.slow[:, 12] = (
+        z.T @ z,
+        z.T @ (z[:, :8] @ np.full(8, -0.1)),
+    )
+    memory.heard.off[:], memory.heard.sigma[:] = -0.1, 0.01
+    return memory.fired, memory.heard
+
+
+def followed(fired, heard, seconds=100.0):
+    for _ in range(round(seconds / 0.1)):
+        follow_jets(fired, heard, 0.1)
+        resolve(heard.slow, np.full(12, 1e-9), 1e-9, heard.off, heard.sigma)
+
+
+def test_the_assumed_thrust_of_a_jet_follows_what_the_motion_tells(told):
+    fired, heard = told
+    followed(fired, heard)
+    np.testing.assert_allclose(fired.gives, 0.9, atol=0.02)
+    np.testing.assert_allclose(fired.gives * (1.0 + heard.off), 0.9, atol=0.01)
+
+
+def test_a_jet_that_leaks_or_was_taken_out_stays_as_it_was_found(told):
+    fired, heard = told
+    fired.leaks[1], fired.gives[2] = 0.3, 0.0
+    followed(fired, heard, 1.0)
+    assert fired.gives[1] == 1.0
+    assert fired.gives[2] == 0.0
+    assert fired.gives[3] < 1.0
+
+
+def test_an_estimate_within_its_noise_moves_nothing(told):
+    fired, heard = told
+    heard.off[:], heard.sigma[:] = 0.04, 0.05
+    follow_jets(fired, heard, 0.1)
+    np.testing.assert_array_equal(fired.gives, 1.0)
 
 
 def flown(*switches):

@@ -68,6 +68,16 @@ def test_spot_unseen_strong_pushes_are_predicted():
     assert rms(log, calibrate_motion(logs, lab).vehicle) < 0.25 * rms(log, lab)
 
 
+@pytest.mark.parametrize(
+    ("factors", "named"), [((1, 1), []), ((1, -1), ["mirrored-y"]), ((-1, -1), ["signs-turned"])]
+)
+def test_ita_a_steep_table_is_no_mirrored_axis(factors, named):
+    names = ("track_uncompensated_no_wheel", "disturbance")
+    logs = [read(f"ita/dlqr_{name}.csv", "ita") for name in names]
+    seen = [log._replace(pose=log.pose * [*factors, 1]) for log in logs]
+    assert [one.name for one in suspicions(seen, load_vehicle("ita"))] == named
+
+
 def test_ita_camera_latency():
     found = read_sources(shared("ita/camera_latency.csv"), "source", "t_s", "angle_deg")
     camera, servo = found["camera"], found["servo"]

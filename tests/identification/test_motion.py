@@ -131,7 +131,9 @@ def test_from_a_log_to_a_vehicle_file_to_a_verdict(files, tmp_path):
         assert both["vehicle"]["position_rms_m"] < 0.5 * both["against"]["position_rms_m"]
         assert both["vehicle"]["heading_rms_deg"] < both["against"]["heading_rms_deg"]
     assert verdict["vehicle"]["horizons"]["3"] == verdict["horizons"]["3"]["vehicle"]
-    assert verdict["seen_by_the_fit"] == [str(log)]
+    assert verdict["seen_by_the_fit"] == []
+    code, text = run("validate", log, *common, "--vehicle", out, "--from", 35, "--until", 45)
+    assert json.loads(text)["seen_by_the_fit"] == [str(log)]
     assert "<svg" in page.read_text()
     code, _ = run("check", "hold", f"vehicles.sat1.model={out}")
     assert code == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from testbed.identification.motion import RefusedError, calibrate_motion
+from testbed.identification.motion import RefusedError, calibrate_motion, doubts_about
 from testbed.identification.suspicion import suspicions
 from testbed.identification.synthetic import excitation, flown_log
 from testbed.identification.vehicle_file import load_vehicle
@@ -62,6 +62,38 @@ def test_the_levers_of_another_vehicle_of_the_lab_are_named(red):
     assert "levers of spot_red" in found[0][1]
     healthy = calibrate_motion([log], red, others={"spot_red": red, "spot_black": same})
     assert healthy.suspicions == []
+
+
+def test_a_rather_heavy_vehicle_is_named_and_fitted(floater):
+    """A supply that is set low looks the same, so it is no reason to refuse."""
+    heavier = structs.replace(floater, mass=1.25 * floater.mass, inertia=1.25 * floater.inertia)
+    (found,) = calibrate_motion([flown(heavier)], floater).suspicions
+    assert found.name == "other-vehicle"
+    assert "heavier, or little supply" in found.text
+
+
+@pytest.mark.parametrize("jet", [2, 7])
+def test_a_jet_that_was_moved_is_named(floater, jet):
+    jets = list(floater.jets)
+    (x, y), (px, py) = jets[jet].position, jets[jet].push
+    jets[jet] = structs.replace(jets[jet], position=(x - 0.03 * py, y + 0.03 * px))
+    moved = structs.replace(floater, jets=jets)
+    (name, text), *_ = refused([flown(moved)], floater)
+    assert name == "other-vehicle"
+    assert text.startswith(f"jet {jet + 1} pushes")
+
+
+def test_a_log_that_is_too_short_to_tell_its_vehicle_says_so(red):
+    others = {"spot_red": red, "spot_black": load_vehicle("spot_black")}
+    found = calibrate_motion([flown(red, seconds=10.0)], red, others=others)
+    assert [(one.name, one.refuses) for one in found.suspicions] == [("vehicle-not-told", False)]
+    assert "spot_black" in found.suspicions[0].text
+
+
+def test_a_validation_looks_for_another_vehicle(floater):
+    lighter = structs.replace(floater, mass=0.7 * floater.mass, inertia=0.7 * floater.inertia)
+    assert [one.name for one in doubts_about([flown(lighter)], floater, {})] == ["other-vehicle"]
+    assert doubts_about([flown(floater)], floater, {}) == []
 
 
 def test_a_log_of_a_rebuilt_vehicle_among_others_is_named(red):
