@@ -111,7 +111,7 @@ CATALOGUE: dict[str, Case] = {
     "swap_boards": Case("swap_boards", (*PUSHED, "estimator_inconsistent"), flown_s=20.0),
     "board_reboots": Case(
         "brown_out", ("battery_low", "board_silent"), lasts=(0.03, 0.1),
-        on_wires=(FaultId.LINE_LOST, FaultId.BOARD_LEFT_ARMED),
+        on_wires=(FaultId.BOARD_RESET, FaultId.LINE_LOST),
     ),
     "cut_serial": Case("cut_serial", ("board_silent", FaultId.BOARD_LEFT_ARMED), rigs=BENCH),
     "usb_replugged": Case(
@@ -125,10 +125,11 @@ CATALOGUE: dict[str, Case] = {
         rigs=BENCH, unnoticed=SMALL,
     ),
     "foreign_session": Case("foreign_session", ("foreign",), rigs=BENCH),
-    "flood": Case("flood", ("foreign", *HOST, FaultId.VEHICLE_SILENT), rigs=BENCH,
-                  unnoticed=SMALL),
+    "flood": Case("flood", (FaultId.FLOODED,), rigs=BENCH),
     "no_files": Case("no_files", (), rigs=BENCH, unnoticed="a flight opens no file"),
     "kill_host": Case("kill_host", HOST, rigs=BENCH),
     "stop_host": Case("stop_host", HOST, rigs=BENCH),
-    "host_suspended": Case("stop_host", HOST, lasts=(1.5, 3.0), rigs=BENCH),
+    "host_suspended": Case(
+        "stop_host", (FaultId.HOST_SUSPENDED,), lasts=(1.5, 3.0), rigs=BENCH
+    ),
 }  # fmt: skip

@@ -43,6 +43,11 @@ class MocapPoses:
         self._number: int | None = None
         self.implausible = 0  # exposures with a wrong time, and own poses not finite
 
+    @property
+    def senseless(self) -> int:
+        """Number of messages so far, as from the cameras, that were no frames."""
+        return int(getattr(self._source, "bad", 0))
+
     def samples(self) -> Sequence[PoseSample]:
         """See `PoseSource`."""
         samples = []

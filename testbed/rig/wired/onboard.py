@@ -28,6 +28,7 @@ from testbed.net.session import Publisher, Subscriber
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.interface import holds
 from testbed.rig.wired.command_server import CommandServer
+from testbed.rig.wired.flood import FloodWatch
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
 from testbed.rig.wired.thrusters import WiredThrusters
@@ -71,6 +72,7 @@ class VehicleFlight:
         self._lease: Inbox[Lease] = Inbox(
             msgspec.msgpack.Decoder(Lease).decode, party.run, party.lab.late_s
         )
+        self.flood = FloodWatch(self._arrived, lambda: poses.senseless)
         self._k = 0
         self.rows: dict[str, float] = {}  # fault rows that held, and since when [s]
         self.responses: dict[Response, float] = {}  # active responses, and since when [s]
@@ -88,6 +90,9 @@ class VehicleFlight:
         if not tick.inputs.vitals.end:
             for row in out.faults:
                 self.rows.setdefault(row, out.t)
+            self.flood.look(out.t)
+            if self.flood.since is not None:
+                self.rows.setdefault(FaultId.FLOODED, self.flood.since)
             if out.response:
                 self.responses.setdefault(out.response, out.t)
         if self._poses.arrived_ns is not None:
@@ -103,6 +108,9 @@ class VehicleFlight:
         )
         self._k += 1
         self._publisher.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
+
+    def _arrived(self) -> dict[str, int]:
+        return self._link.arrived | {"leases": self._lease_subscriber.arrived}
 
     def _pace(self, late: float) -> Pace:
         inbox, poses = self._link.heard.inbox, self._poses

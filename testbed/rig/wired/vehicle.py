@@ -229,7 +229,7 @@ class VehicleProcess:
     def fault(self, ending: Ending, ended_by: FaultReport | None) -> FaultReport | None:
         """The loop's fault, or else that of a hold, the board, the lease or the terminal."""
         fault = ending.fault or ended_by or self.flight.fault
-        fault = fault and replace(fault, vehicle=self.name)
+        fault = fault and self.flight.flood.blamed(replace(fault, vehicle=self.name))
         if self.poses.trouble is None or fault is None:
             return fault
         why = getattr(self.source, "complaint", "")

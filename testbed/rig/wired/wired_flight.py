@@ -39,6 +39,7 @@ from testbed.rig.forked import make_host
 from testbed.rig.interface import holds
 from testbed.rig.live import LiveFlight
 from testbed.rig.wired.gains import RemoteLaw
+from testbed.rig.wired.pause import Pause
 from testbed.rig.wired.preflight import order
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
@@ -177,6 +178,7 @@ class HostFlight:
         self._fleet: FaultReport | None = None
         self._armed = True
         self._asked = Asked()  # stops from any terminal
+        self._pause = Pause()
         self.concerns: list[Concern] = []  # of laws on the host, after the flight
         self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
 
@@ -241,6 +243,8 @@ class HostFlight:
         )
         late = self._late_fault()
         fault = ending.fault or late
+        if fault and late and late.id == FaultId.FLOODED:  # the cause
+            fault = late
         if fault and late and fault.id == FaultId.VEHICLE_SILENT:  # the cause
             fault = replace(fault, notes=(*fault.notes, f"its last report: {late.words}"))
         self.concerns = [
@@ -251,6 +255,7 @@ class HostFlight:
         if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
             # late setpoints look like a link fault
             fault = fault and replace(fault, notes=(*fault.notes, slow[0]))
+        fault = fault and self._pause.blamed(fault)
         if fault is None and self._asked.times and not holding:
             fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
         return Ending(ending.t, fault)
@@ -276,6 +281,7 @@ class HostFlight:
 
     def done(self, t: float) -> None:
         """See `Observer`."""
+        self._pause.look(self._party.clock.now)
         self._process_faults.at_host()
         self.lease()
         if intruder := self._process_faults.found("foreign_session"):
