@@ -145,6 +145,7 @@ class Machine:
         self._compared = self._pended = False
         self._counting_from = NEVER  # time at which TIM2 was 0
         self._alarm_at = self._bite_at = NEVER
+        self._watchdog_open = False  # its two registers can be written
         self._receive = bytearray()
         self._reset_at = self.now_us
         self._update_pins()
@@ -361,6 +362,8 @@ class Machine:
             self.sent.append(value & 0xFF)
         elif at == IWDG_KR:
             self._feed_watchdog(value)
+        elif at in (IWDG_PR, IWDG_RLR) and not self._watchdog_open:
+            return
         elif at == NVIC_ISPR0:
             self._pended = self._pended or bool(value >> TIM2 & 1)
         elif at == TIM2_EGR:
@@ -390,6 +393,7 @@ class Machine:
             self.outputs.append((self.now_us, pins))
 
     def _feed_watchdog(self, key: int) -> None:
+        self._watchdog_open = key == 0x5555
         if key == 0xCCCC:
             self._bite_at = self.now_us
         if key == 0xAAAA:

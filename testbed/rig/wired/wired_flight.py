@@ -179,7 +179,7 @@ class HostFlight:
         self._armed = True
         self._asked = Asked()  # stops from any terminal
         self._pause = Pause()
-        self.concerns: list[Concern] = []  # of laws on the host, after the flight
+        self.concerns: list[Concern] = []  # of laws on the host and floods, after the flight
         self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
 
     @property
@@ -251,6 +251,11 @@ class HostFlight:
             Concern(one.name, f"{host.name}: {one.text}")
             for host in hosts
             for one in host.guidance.concerns
+        ]
+        self.concerns += [
+            Concern("flooded", f"{n.name}: flooded with messages from t = {since:.1f} s on")
+            for n in self._nodes.values()
+            if n.ended and (since := n.ended.rows.get(FaultId.FLOODED)) is not None
         ]
         if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
             # late setpoints look like a link fault
