@@ -142,10 +142,9 @@ class Machine:
         self._reg: dict[int, int] = {}
         self._csr = CAUSES[cause]
         self._driven = self._odr = 0
-        self._compared = self._pended = False
+        self._compared = self._pended = self._unlocked = False
         self._counting_from = NEVER  # time at which TIM2 was 0
         self._alarm_at = self._bite_at = NEVER
-        self._watchdog_open = False  # its two registers can be written
         self._receive = bytearray()
         self._reset_at = self.now_us
         self._update_pins()
@@ -362,8 +361,6 @@ class Machine:
             self.sent.append(value & 0xFF)
         elif at == IWDG_KR:
             self._feed_watchdog(value)
-        elif at in (IWDG_PR, IWDG_RLR) and not self._watchdog_open:
-            return
         elif at == NVIC_ISPR0:
             self._pended = self._pended or bool(value >> TIM2 & 1)
         elif at == TIM2_EGR:
@@ -376,7 +373,7 @@ class Machine:
             self._note(at, value)
         elif at == RCC_CSR:
             self._csr = 0 if value >> 24 & 1 else self._csr
-        else:
+        elif self._unlocked or at not in (IWDG_PR, IWDG_RLR):
             if at not in PLAIN:
                 self.unknown.add(at)
             self._reg[at] = value
@@ -393,11 +390,10 @@ class Machine:
             self.outputs.append((self.now_us, pins))
 
     def _feed_watchdog(self, key: int) -> None:
-        self._watchdog_open = key == 0x5555
+        self._unlocked = key == 0x5555
         if key == 0xCCCC:
             self._bite_at = self.now_us
-        if key == 0xAAAA:
-            self.feeds += 1
+        self.feeds += key == 0xAAAA
         if key in (0xCCCC, 0xAAAA) and self._bite_at != NEVER:
             per_count = 4 << self._reg.get(IWDG_PR, 0)
             counts = self._reg.get(IWDG_RLR, 0xFFF) + 1
