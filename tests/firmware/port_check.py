@@ -41,6 +41,7 @@ AFTER_BOOT = {  # register: (value, what it is)
     0x4001_2304: (1 << 16, "ADC clock / 4"),
     0x5006_0800: (1 << 2, "random generator on"),
 }
+ANYTHING = bytes(k * k % 251 for k in range(RAM_SIZE))
 SUPPLIED = (3000, 2000)  # counts of the converter
 LOST_CLOCKS = {0x0101_0000: (35, 15), 0x0001_0000: (182, 83)}  # ready bits: divider, prescaler
 
@@ -50,7 +51,7 @@ class Cold(Machine):
 
     def _chip(self):
         uc = super()._chip()
-        uc.mem_write(RAM, b"\xa5" * RAM_SIZE)
+        uc.mem_write(RAM, ANYTHING)
         return uc
 
 
