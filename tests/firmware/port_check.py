@@ -43,7 +43,9 @@ AFTER_BOOT = {  # register: (value, what it is)
 }
 ANYTHING = bytes(k * k % 251 for k in range(RAM_SIZE))
 SUPPLIED = (3000, 2000)  # counts of the converter
-LOST_CLOCKS = {0x0101_0000: (35, 15), 0x0001_0000: (182, 83)}  # ready bits: divider, prescaler
+# bits of oscillators that do not start: divider, prescaler, reads of the register: 16 000 looks at
+# each of these, one at an oscillator that starts, and two before stores
+LOST_CLOCKS = {0x0101_0000: (35, 15, 32_002), 0x0001_0000: (182, 83, 16_003)}
 
 
 class Cold(Machine):
@@ -59,10 +61,12 @@ class Deaf(Cold):
     """Oscillators that do not start."""
 
     never = 0
+    looks = 0  # at the oscillators
     switches = True  # to the clock multiplier
 
     def _load(self, uc, offset, size, start):
         value = super()._load(uc, offset, size, start)
+        self.looks += start + offset == RCC_CR
         if start + offset == RCC_CFGR and not self.switches:
             return value & ~0xC
         return value & ~(self.never << 1) if start + offset == RCC_CR else value
@@ -96,9 +100,11 @@ def wrong_with(path):
         again = Cold(path, cause, adc=SUPPLIED)
         if ask(again, Decoder(), Hello(1), 1, HelloAck).reset_cause != cause:
             return f"reset cause {cause.name}"
-    for never, (divider, prescaler) in LOST_CLOCKS.items():
+    for never, (divider, prescaler, looks) in LOST_CLOCKS.items():
         kind = type("Without", (Deaf,), {"never": never})
         without = kind(path, adc=SUPPLIED)
+        if without.looks != looks:
+            return f"{without.looks} looks at oscillators that do not start"
         if without._reg[0x4002_3804] != 16 | 336 << 6 | 7 << 24:
             return "the clock multiplier without crystal"
         if (without._reg[0x4001_1008], without._reg[0x4000_0028]) != (divider, prescaler):

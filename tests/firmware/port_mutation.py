@@ -1,6 +1,6 @@
 """Put small faults into the port of the board's chip, and see whether `port_check` notices them.
 
-    python tests/firmware/port_mutation.py [--every N] [--processes P]
+    python tests/firmware/port_mutation.py [--every N] [--first K]
 
 Each fault is built into an image of its own. A survivor whose machine code is the same does not
 count. Survivors are printed.
