@@ -77,3 +77,27 @@ def test_the_law_dies_on_the_host_and_the_vehicle_is_brought_to_rest():
     assert ending.fault.id == FaultId.HOST_LAW_RAISED
     assert "fleet" in noted.rows  # it was told, and stopped by itself
     assert rig.results.report.edges["sat1"][-1][1] == 0
+
+
+FIXED = "table.lab.mocap.reference={north=[0.0,2.9,0.0],east=[2.9,0.0,0.0]}"
+
+
+@pytest.mark.slow
+def test_reference_bodies_show_a_frame_that_creeps():
+    _, ending, noted = fly("creep_frame", FIXED, value=0.02)
+    assert ending.fault is not None
+    assert ending.fault.origin.id == FaultId.FRAME_MOVED, ending.fault
+    assert "the cameras' frame moved: north" in ending.fault.words
+    assert "fleet" in noted.rows
+
+
+@pytest.mark.slow
+def test_a_frame_that_has_moved_does_not_arm():
+    words = ["duration_s=2.0", "deploy.law=vehicle", FIXED]
+    experiment = load(find("hold"), words)
+    warm_up(experiment)
+    experiment.inject.append(Injection("shift_frame", "sat1", at_s=0.0, value=0.02))
+    rig = WireRig(experiment, bench=True)
+    rig.fly(NullObserver())
+    assert [one.id for one in rig.red] == ["frame"]
+    assert "the cameras' frame moved" in rig.red[0].reason

@@ -12,6 +12,7 @@ import msgspec
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.types import HostTick, Tick, Vitals
+from testbed.flight.frame_watch import FrameWatch
 from testbed.flight.loop import Ending, VehicleNode, come_to_rest, hold
 from testbed.flight.safety import SPARE_S
 from testbed.mocap.poses import MocapPoses
@@ -53,9 +54,10 @@ class VehicleFlight:
         link: ZenohVehicleLink,
         process_faults: ProcessFaults,
         brakes: bool,
+        frame: FrameWatch,
     ) -> None:
         """With `brakes` the vehicle brakes in an emergency, and else lands."""
-        self._link, self._foreign, self.brakes = link, 0, brakes
+        self._link, self._foreign, self.brakes, self._frame = link, 0, brakes, frame
         self.process_faults, self.due = process_faults, 0.0
         self._impairment = NetworkImpairment(
             party.lab.impairment, party.seed, f"lease to {party.name}", party.worse
@@ -140,6 +142,7 @@ class VehicleFlight:
         """Vital data of this process, the network and the operator."""
         for at, data in self._lease_subscriber.heard():
             self._lease.take(data, self._clock.of(at))
+        self._frame.look(self._poses.reference_bodies())
         clock, lease = self._clock, self._lease.newest
         late = max(0.0, clock.now - self.due)
         before, self._foreign = self._foreign, self._lease.foreign + self._link.foreign
@@ -151,7 +154,7 @@ class VehicleFlight:
             late_s=late,
             disk_free=lease.disk_free,
             same_config=lease.config == self._config,
-            fleet=lease.fleet,
+            fleet=lease.fleet or self._frame.fault,
             foreign=self._foreign - before,
         )
 
