@@ -105,6 +105,8 @@ def wrong_with(path):
         without = kind(path, adc=SUPPLIED)
         if without.looks != looks:
             return f"{without.looks} looks at oscillators that do not start"
+        if without._reg[RCC_CR] != 1 << 16 | 1 << 24:
+            return "a clock security system without crystal"
         if without._reg[0x4002_3804] != 16 | 336 << 6 | 7 << 24:
             return "the clock multiplier without crystal"
         if (without._reg[0x4001_1008], without._reg[0x4000_0028]) != (divider, prescaler):
