@@ -46,14 +46,16 @@ def test_a_flood_at_the_port_of_the_cameras_explains_missing_poses():
     assert flooded({"setpoints": 1000}).blamed(lost) is lost
 
 
-def paused(*gaps_s):
-    """The host's loop, with these times between its turns."""
+def paused(*gaps_s, turn_s=0.0):
+    """The host's loop, with these times between its turns, which take some time themselves."""
     now = [0]
     pause = Pause(lambda: now[0])
     for gap in (0.1, *gaps_s, 0.1):
-        pause.look(1e-9 * now[0])
+        pause.turn_begins(1e-9 * now[0])
+        now[0] += round(1e9 * turn_s)
+        pause.turn_ends()
         now[0] += round(1e9 * gap)
-    pause.look(1e-9 * now[0])
+    pause.turn_begins(1e-9 * now[0])
     return pause
 
 
@@ -66,8 +68,12 @@ def test_a_host_that_did_not_run_is_the_fault_and_not_the_silent_vehicle():
 
 
 def test_a_late_turn_is_no_pause_and_a_pause_is_not_blamed_for_a_jet():
-    assert paused(0.4).blamed(LINK) is LINK
+    assert paused(0.7).blamed(LINK) is LINK
     assert paused(2.0).blamed(JET) is JET
+
+
+def test_a_slow_law_is_no_pause():
+    assert paused(0.1, turn_s=1.5).blamed(LINK) is LINK
 
 
 def test_a_fault_of_the_fleet_counts_with_its_cause():

@@ -260,7 +260,9 @@ class HostFlight:
         if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
             # late setpoints look like a link fault
             fault = fault and replace(fault, notes=(*fault.notes, slow[0]))
-        fault = fault and self._pause.blamed(fault)
+        silent = fault and fault.id == FaultId.VEHICLE_SILENT and self._nodes[fault.vehicle]
+        if fault and not (silent and silent.ended is None):  # a dead vehicle stays silent
+            fault = self._pause.blamed(fault)
         if fault is None and self._asked.times and not holding:
             fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
         return Ending(ending.t, fault)
@@ -268,6 +270,7 @@ class HostFlight:
     def _meet(self, armed: bool, fleet: FaultReport | None) -> None:
         """Receive from all vehicles; the loop's data for them goes into the next lease."""
         self._armed, self._fleet = armed, fleet
+        self._pause.turn_begins(self._party.clock.now)
         self._listen()
 
     def _late_fault(self) -> FaultReport | None:
@@ -286,7 +289,7 @@ class HostFlight:
 
     def done(self, t: float) -> None:
         """See `Observer`."""
-        self._pause.look(self._party.clock.now)
+        self._pause.turn_ends()
         self._process_faults.at_host()
         self.lease()
         if intruder := self._process_faults.found("foreign_session"):
