@@ -27,6 +27,11 @@ class Pause:
         self._since_ns: int | None = None
         self.longest_s, self.at_s = 0.0, 0.0  # and the time of the run at its end [s]
 
+    @property
+    def began_s(self) -> float:
+        """Time of the run at its beginning [s]."""
+        return self.at_s - self.longest_s
+
     def turn_ends(self) -> None:
         """The loop waits from now on."""
         self._since_ns = self._clock()

@@ -261,8 +261,8 @@ class HostFlight:
             # late setpoints look like a link fault
             fault = fault and replace(fault, notes=(*fault.notes, slow[0]))
         silent = fault and fault.id == FaultId.VEHICLE_SILENT and self._nodes[fault.vehicle]
-        if fault and not (silent and silent.ended is None):  # a dead vehicle stays silent
-            fault = self._pause.blamed(fault)
+        if fault and (not silent or self._pause.began_s - silent.heard_at < 0.5 * LOST_S):
+            fault = self._pause.blamed(fault)  # if the vehicle was heard until then
         if fault is None and self._asked.times and not holding:
             fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
         return Ending(ending.t, fault)
