@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 from testbed.core.codes import FaultId, FaultReport
 
-FLOOD_HZ = 400.0  # messages of a key; a flight sends one in each jet period: at most 50 a second
+FLOOD_HZ = 200.0  # messages of a key; a flight sends one in each jet period, at most 50 a second
 CAMERA_HZ = 20.0  # messages that are no frames; cameras send none
 LOOK_S = 0.5
 BLAMED = (
