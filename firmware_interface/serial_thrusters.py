@@ -14,7 +14,7 @@ from collections import deque
 from msgspec.structs import replace
 
 from firmware_interface.frame import WRAP
-from firmware_interface.messages import Config, Result, State
+from firmware_interface.messages import Config, ResetCause, Result, State, Status
 from firmware_interface.serial_board import BAUD, SerialBoard, monotonic_us
 from firmware_interface.session import Session, SessionError
 from testbed.core.codes import FaultId, FaultReport
@@ -27,6 +27,15 @@ ANSWER_US = 3_000_000  # longest wait for a board's first answer
 UNKNOWN_V = 12.0  # assumed supply of a vehicle without a voltmeter
 ALL_GAUGES = Gauges()
 REPEAT_US = 30_000  # time after which a command without effect is repeated
+REASON_US = 150_000  # longest wait for a reset board's HELLO_ACK, which has the cause
+CAUSES = {
+    ResetCause.UNKNOWN: "its chip does not say why",
+    ResetCause.POWER_ON: "its power was off",
+    ResetCause.BROWN_OUT: "its supply dipped (brown-out)",
+    ResetCause.PIN: "by its reset pin: a button, a debugger",
+    ResetCause.SOFTWARE: "by its own program",
+    ResetCause.WATCHDOG: "by its watchdog: its program hung",
+}
 
 
 class ThrustersError(TestbedError):
@@ -66,6 +75,8 @@ class SerialThrusters:
         self.sent: deque[tuple[int, int]] = deque(maxlen=1000)  # plan numbers and times [us]
         self.trouble: FaultReport | None = None  # latched
         self._armed = False
+        self._status_when_armed: Status | None = None
+        self._reset_us: int | None = None  # when a reset of the board was noticed
         self._heard_us = 0  # time of the last frame from the board
 
     def __enter__(self) -> "SerialThrusters":
@@ -113,7 +124,7 @@ class SerialThrusters:
                 self._heard_us = now
         except SessionError as error:
             self.trouble = FaultReport(FaultId.BOARD_FAILED, str(error))
-        self._judge()
+        self._judge(now)
         if self._waiting is not None:
             left = self._start_us(self._waiting) - now
             if left > 0:
@@ -123,20 +134,46 @@ class SerialThrusters:
             self._feed(data)
         return KEEP_US
 
-    def _judge(self) -> None:
+    def _judge(self, now: int) -> None:
         """Detect that the line was lost or an armed board has left ARMED."""
         session = self._session
-        if self.trouble is not None or not self._armed:
+        if self.trouble is not None:
             return
-        if not self._board.connected:
+        if self._reset_us is not None:
+            self._judge_reset(now, self._reset_us)
+        elif not self._armed:
+            return
+        elif not self._board.connected:
             self.trouble = FaultReport(FaultId.LINE_LOST, "the serial line to the board is lost")
         elif session.state is not State.ARMED and session.status is not None:
-            status = session.status
-            if status.state is State.ARMED:
-                return  # the report with the reason follows the answer with the state
-            why = ", ".join(f.name or "" for f in status.faults) or "no fault, it was disarmed"
-            text = f"the board has left ARMED: {why.lower()}"
-            self.trouble = FaultReport(FaultId.BOARD_LEFT_ARMED, text)
+            self._judge_left(session.status, now)
+
+    def _judge_left(self, status: Status, now: int) -> None:
+        """Say why an armed board is not armed any more; a board that was reset is asked."""
+        if status.state is State.ARMED or status is self._status_when_armed:
+            return  # the report with the reason follows the answer with the state
+        if status.session == 0:  # as before the first HELLO
+            self._armed, self._waiting, self._reset_us = False, None, now
+            self._feed(self._session.hello(now))
+            return
+        own = self._session.board is not None and status.session == self._session.board.session
+        why = ", ".join(f.name or "" for f in status.faults) or "no fault, it was disarmed"
+        if not own:
+            why = "another program has opened a session with it"
+        self.trouble = FaultReport(
+            FaultId.BOARD_LEFT_ARMED, f"the board has left ARMED: {why.lower()}"
+        )
+
+    def _judge_reset(self, now: int, since: int) -> None:
+        """Report a reset with its cause, or without if the board does not say it soon."""
+        board = self._session.board
+        if self._session.greeted and board is not None:
+            why = CAUSES[board.reset_cause]
+        elif now - since > REASON_US:
+            why = "it does not answer why"
+        else:
+            return
+        self.trouble = FaultReport(FaultId.BOARD_RESET, f"the board was reset: {why}")
 
     def _feed(self, data: bytes) -> None:
         if data:
@@ -200,6 +237,7 @@ class SerialThrusters:
             ThrustersError: the board refuses, or does not answer.
         """
         self._insist(self._session.arm, lambda: self._session.state is State.ARMED, "ARM")
+        self._status_when_armed = self._session.status
         self._armed = True
 
     def _insist(self, order: object, done: object, what: str) -> None:

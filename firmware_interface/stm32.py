@@ -142,7 +142,7 @@ class Machine:
         self._reg: dict[int, int] = {}
         self._csr = CAUSES[cause]
         self._driven = self._odr = 0
-        self._compared = self._pended = False
+        self._compared = self._pended = self._unlocked = False
         self._counting_from = NEVER  # time at which TIM2 was 0
         self._alarm_at = self._bite_at = NEVER
         self._receive = bytearray()
@@ -373,7 +373,7 @@ class Machine:
             self._note(at, value)
         elif at == RCC_CSR:
             self._csr = 0 if value >> 24 & 1 else self._csr
-        else:
+        elif self._unlocked or at not in (IWDG_PR, IWDG_RLR):
             if at not in PLAIN:
                 self.unknown.add(at)
             self._reg[at] = value
@@ -390,10 +390,10 @@ class Machine:
             self.outputs.append((self.now_us, pins))
 
     def _feed_watchdog(self, key: int) -> None:
+        self._unlocked = key == 0x5555
         if key == 0xCCCC:
             self._bite_at = self.now_us
-        if key == 0xAAAA:
-            self.feeds += 1
+        self.feeds += key == 0xAAAA
         if key in (0xCCCC, 0xAAAA) and self._bite_at != NEVER:
             per_count = 4 << self._reg.get(IWDG_PR, 0)
             counts = self._reg.get(IWDG_RLR, 0xFFF) + 1

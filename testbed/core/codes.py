@@ -136,7 +136,10 @@ class FaultId(StrEnum):
     FRAME_MOVED = auto()  # the cameras see the reference bodies elsewhere
     BOARD_FAILED = auto()  # it no longer executes plans
     BOARD_LEFT_ARMED = auto()
+    BOARD_RESET = auto()  # its valves and its bearing air are shut
     LINE_LOST = auto()  # the serial line to the board
+    FLOODED = auto()  # more messages without sense than a vehicle can read beside its own
+    HOST_SUSPENDED = auto()  # the host's process did not run for a while
     NO_LEASE = auto()  # the host never permitted the flight
     STOPPED = auto()  # by an operator
     NOT_STARTED = auto()  # an arming check failed

@@ -15,6 +15,9 @@ POSES_STOP = ("pose_stale", "pose_missing", "pose_lost")
 POSES_WRONG = ("pose_jumped", "estimator_inconsistent", "pose_swapped", "pose_frozen")
 STANDS_WRONG = ("start", "heading", "fence")  # arming checks
 PUSHED = ("valve_stuck_open", "valve_leaks", "valve_leaks_or_weak", "valve_stuck_closed")
+SHIFTED = ("frame_shifted", "heading_shifted")
+LATE = ("poses_late", "poses_step_back")
+SCALED = ("thrust_or_mass", "pulled_hard")  # by which wrong wiring shows, if not by one jet
 SUPPLY = ("supply_weak", "supply_low", "leak")
 HOST = ("operator_gone", *LINK)
 SMALL = "so small that the flight goes on"
@@ -78,12 +81,14 @@ CATALOGUE: dict[str, Case] = {
     # cameras
     "occlusion": Case("drop_mocap", POSES_STOP, lasts=(0.6, 3.0)),
     "dithered_freeze": Case("freeze_mocap", (*POSES_WRONG, *PUSHED), (1e-9, 2e-5)),
-    "heading_flips": Case("turn_body", POSES_WRONG, (180.0, 180.0)),
-    "heading_jumps": Case("turn_body", POSES_WRONG, (3.0, 5.0), unnoticed=SMALL),
-    "old_poses": Case("delay_mocap", (*POSES_WRONG, *PUSHED), (0.2, 0.4), unnoticed=SMALL),
-    "slow_frames": Case("slow_mocap", (*POSES_STOP, *POSES_WRONG), unnoticed=SMALL),
-    "frame_bumped": Case("shift_frame", POSES_WRONG, (0.005, 0.05), unnoticed=FOLLOWED),
-    "frame_creeps": Case("creep_frame", POSES_WRONG, (0.01, 0.03), unnoticed=FOLLOWED),
+    "heading_flips": Case("turn_body", (*POSES_WRONG, "heading_shifted"), (180.0, 180.0)),
+    "heading_jumps": Case("turn_body", SHIFTED, (3.0, 5.0)),
+    "old_poses": Case("delay_mocap", (*LATE, *POSES_WRONG), (0.2, 0.4), unnoticed=SMALL),
+    "slow_frames": Case("slow_mocap", ("pose_rate_low", "pose_missing", "pose_lost")),
+    "frame_bumped": Case(
+        "shift_frame", (*SHIFTED, "poses_step_back", "pose_jumped"), (0.005, 0.05)
+    ),
+    "frame_creeps": Case("creep_frame", ("frame_moved",), (0.01, 0.03), unnoticed=FOLLOWED),
     "origin_moved": Case(
         "shift_frame", ("start",), (0.05, 0.15), at_start=True, unnoticed=FOLLOWED
     ),
@@ -98,20 +103,24 @@ CATALOGUE: dict[str, Case] = {
     "high_supply": Case("regulator", ("supply",), (1.3, 2.0), at_start=True),
     "sag": Case("sag", ("supply_low", "supply_weak")),
     "flat_battery": Case("flat_battery", ("battery_low",)),
-    "weak_jet": Case("weak_jet", PUSHED, (0.5, 0.7), flown_s=20.0, unnoticed=SMALL),
-    "weak_jets": Case("thrust", PUSHED, (0.5, 0.8), flown_s=20.0, unnoticed=SMALL),
+    "weak_jet": Case(
+        "weak_jet", (*PUSHED, "jet_weak"), (0.5, 0.7), flown_s=20.0, unnoticed=SMALL
+    ),
+    "weak_jets": Case("thrust", ("thrust_or_mass",), (0.5, 0.8), flown_s=20.0, unnoticed=SMALL),
     "dead_jet": Case(
         "stick_closed", ("valve_stuck_closed", "valve_leaks_or_weak"), at_start=True, flown_s=40.0
     ),
-    "hose": Case("hose", PUSHED, (0.05, 0.3), flown_s=20.0, unnoticed=SMALL),
-    "drag_pad": Case("pad_drag", PUSHED, (0.5, 2.0), flown_s=20.0, unnoticed=SMALL),
+    "hose": Case("hose", ("pulled", "pulled_hard"), (0.05, 0.3), flown_s=20.0, unnoticed=SMALL),
+    "drag_pad": Case("pad_drag", ("pads_drag",), (0.5, 2.0), flown_s=20.0, unnoticed=SMALL),
     # wiring
-    "swap_jets": Case("swap_jets", PUSHED, flown_s=40.0),
-    "reverse_jet": Case("reverse_jet", PUSHED, flown_s=40.0),
-    "swap_boards": Case("swap_boards", (*PUSHED, "estimator_inconsistent"), flown_s=20.0),
+    "swap_jets": Case("swap_jets", (*PUSHED, *SCALED), flown_s=40.0),
+    "reverse_jet": Case("reverse_jet", (*PUSHED, *SCALED), flown_s=40.0),
+    "swap_boards": Case(
+        "swap_boards", (*PUSHED, *SCALED, "estimator_inconsistent"), flown_s=20.0
+    ),
     "board_reboots": Case(
         "brown_out", ("battery_low", "board_silent"), lasts=(0.03, 0.1),
-        on_wires=(FaultId.LINE_LOST, FaultId.BOARD_LEFT_ARMED),
+        on_wires=(FaultId.BOARD_RESET, FaultId.LINE_LOST),
     ),
     "cut_serial": Case("cut_serial", ("board_silent", FaultId.BOARD_LEFT_ARMED), rigs=BENCH),
     "usb_replugged": Case(
@@ -125,10 +134,11 @@ CATALOGUE: dict[str, Case] = {
         rigs=BENCH, unnoticed=SMALL,
     ),
     "foreign_session": Case("foreign_session", ("foreign",), rigs=BENCH),
-    "flood": Case("flood", ("foreign", *HOST, FaultId.VEHICLE_SILENT), rigs=BENCH,
-                  unnoticed=SMALL),
+    "flood": Case("flood", (FaultId.FLOODED,), rigs=BENCH),
     "no_files": Case("no_files", (), rigs=BENCH, unnoticed="a flight opens no file"),
     "kill_host": Case("kill_host", HOST, rigs=BENCH),
     "stop_host": Case("stop_host", HOST, rigs=BENCH),
-    "host_suspended": Case("stop_host", HOST, lasts=(1.5, 3.0), rigs=BENCH),
+    "host_suspended": Case(
+        "stop_host", (FaultId.HOST_SUSPENDED,), lasts=(1.5, 3.0), rigs=BENCH
+    ),
 }  # fmt: skip

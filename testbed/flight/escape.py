@@ -136,18 +136,7 @@ def right_of_way(px, py, discs):
 def escape(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
     """The force that leads out of the path of moving obstacles, if (fx, fy) leaves no way out.
 
-    Args:
-        fx: filtered mean force over the coming period in W [N].
-        fy: [N].
-        px: position at its start [m].
-        py: [m].
-        vx: velocity [m/s].
-        vy: [m/s].
-        bx: bias [m/s^2].
-        by: [m/s^2].
-        discs: rows as in `barrier.filtered`.
-        limits: constants, `barrier.Limits`.
-        thrust_scale: of the jets' force at the present supply pressure.
+    The arguments are those of `barrier.filtered`, but the force is the filtered one.
 
     Returns:
         force [N], and the number of the moving obstacle; -1: (fx, fy) leaves a way out.

@@ -47,6 +47,12 @@ class FrameWatch:
         return f"{what}: {sizes} off, turned by {turn:.1f} deg"
 
     @property
+    def unseen(self) -> str:
+        """Which bodies have never been seen, for a person; empty: none."""
+        names = ", ".join(name for name in self._places if name not in self._off)
+        return f"the cameras do not see the reference body {names}" if names else ""
+
+    @property
     def fault(self) -> FaultReport | None:
         """The fault that stops all vehicles."""
         return FaultReport(FaultId.FRAME_MOVED, self.reason) if self.reason else None

@@ -33,6 +33,8 @@ class MocapPoses:
     def __init__(self, source: MocapSource, wire: MocapWire, clock: WallClock, name: str) -> None:
         self._source, self._axes, self._clock = source, Axes(wire), clock
         self._body = wire.bodies.get(name, name)
+        self._fixed = {one: wire.bodies.get(one, one) for one in wire.reference}
+        self._places: dict[str, PoseSample] = {}  # newest poses of reference bodies
         self.trouble: PoseTrouble | None = None
         self.troubles: dict[PoseTrouble, int] = {}  # how often each began
         self._frame_at: float | None = None  # exposure of the newest frame [s]
@@ -42,6 +44,11 @@ class MocapPoses:
         self.lost_frames = 0  # from gaps in the frame numbers
         self._number: int | None = None
         self.implausible = 0  # exposures with a wrong time, and own poses not finite
+
+    @property
+    def senseless(self) -> int:
+        """Number of messages so far, as from the cameras, that were no frames."""
+        return int(getattr(self._source, "bad", 0))
 
     def samples(self) -> Sequence[PoseSample]:
         """See `PoseSource`."""
@@ -57,6 +64,9 @@ class MocapPoses:
             t = self._clock.of(exposure.exposed_ns)
             self._frame_at = t
             self.latencies.append(1e-9 * age)
+            for name, body in self._fixed.items():
+                if (one := exposure.bodies.get(body)) and (at := self._seen(one)):
+                    self._places[name] = PoseSample(t, at.x, at.y, at.theta)
             seen = exposure.bodies.get(self._body)
             pose = None if seen is None else self._seen(seen)
             if seen is not None and seen.tracked and pose is None:
@@ -66,6 +76,11 @@ class MocapPoses:
                 self._pose_at = t
                 self.arrived_ns = exposure.arrived_ns
         return samples
+
+    def reference_bodies(self) -> dict[str, PoseSample]:
+        """Newest poses of the reference bodies that were seen since the last call."""
+        places, self._places = self._places, {}
+        return places
 
     def review(self) -> None:
         """Note whether frames arrive, and whether the body is tracked in them."""

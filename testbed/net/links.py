@@ -48,6 +48,11 @@ class NewestMessage(Generic[M]):
         self._clock = party.clock
         self.inbox: Inbox[M] = Inbox(open_body, party.run, party.lab.late_s)
 
+    @property
+    def arrived(self) -> int:
+        """Number of messages so far, of any kind."""
+        return self._subscriber.arrived
+
     def newest(self) -> M | None:
         """The newest message, of any age."""
         for at, data in self._subscriber.heard():
@@ -98,6 +103,13 @@ class ZenohVehicleLink:
             *self._messages.values(),
         ]
         return sum(one.inbox.foreign for one in heard)
+
+    @property
+    def arrived(self) -> dict[str, int]:
+        """Number of messages so far, by what they carry."""
+        counts = {"setpoints": self.heard.arrived}
+        counts |= {f"states of {n}": one.arrived for n, one in self._states.items()}
+        return counts | {f"messages of {n}": one.arrived for n, one in self._messages.items()}
 
     def setpoint(self) -> Setpoint | None:
         """See `VehicleLink`."""

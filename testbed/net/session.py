@@ -152,6 +152,7 @@ class Subscriber:
     ) -> None:
         self._waiting: deque[tuple[int, bytes]] = deque(maxlen=PENDING)
         self._arrival = arrival
+        self.arrived = 0  # messages so far, also those that were dropped
         self._subscriber = session.declare_subscriber(
             key,
             zenoh.handlers.Callback(self._hear, indirect=False),  # short, never blocks
@@ -160,6 +161,7 @@ class Subscriber:
 
     def _hear(self, sample: Any) -> None:
         at: int | None = monotonic_ns()
+        self.arrived += 1
         if self._arrival is not None:
             assert at is not None
             at = self._arrival(at)

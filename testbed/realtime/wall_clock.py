@@ -12,6 +12,11 @@ def monotonic_ns() -> int:
     return time.monotonic_ns()
 
 
+def boot_ns() -> int:
+    """The same clock, but it also counts while this machine is suspended [ns]."""
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+
 def monotonic_of_wall(wall_ns: int) -> int:
     """Convert the kernel's wall clock, which stamps datagrams, to the monotonic clock [ns]."""
     return wall_ns - time.clock_gettime_ns(time.CLOCK_REALTIME) + time.monotonic_ns()

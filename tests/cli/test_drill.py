@@ -248,8 +248,8 @@ def test_a_check_that_does_not_name_the_fault_is_no_detection():
 def test_only_a_case_that_may_pass_is_not_missed_without_a_response():
     silent = replace(CASE, detected_s=None, named="")
     assert silent.missed
-    assert not replace(silent, kind="frame_bumped").missed
-    drill = summarise("twin", [silent, replace(silent, kind="frame_bumped")])
+    assert not replace(silent, kind="frame_creeps").missed
+    drill = summarise("twin", [silent, replace(silent, kind="frame_creeps")])
     assert [(row.undetected, row.unnoticed) for row in drill.rows] == [(1, 0), (0, 1)]
 
 

@@ -6,7 +6,7 @@ The values are from ST, RM0090, and from the wiring in board.h, not from the por
 from firmware_interface.frame import Decoder, encode_message
 from firmware_interface.messages import Ack, Arm, Bearing, Cmd, Hello, HelloAck, Ping, ResetCause
 from firmware_interface.messages import Status as Report
-from firmware_interface.stm32 import RCC_CR, Machine
+from firmware_interface.stm32 import RAM, RAM_SIZE, RCC_CFGR, RCC_CR, Machine
 
 CLOSE, OUTPUTS = 0x01FF_0000, 0x0001_5555
 AFTER_BOOT = {  # register: (value, what it is)
@@ -41,17 +41,34 @@ AFTER_BOOT = {  # register: (value, what it is)
     0x4001_2304: (1 << 16, "ADC clock / 4"),
     0x5006_0800: (1 << 2, "random generator on"),
 }
+ANYTHING = bytes(k * k % 251 for k in range(RAM_SIZE))
 SUPPLIED = (3000, 2000)  # counts of the converter
-LOST_CLOCKS = {0x0101_0000: (35, 15), 0x0001_0000: (182, 83)}  # ready bits: divider, prescaler
+# bits of oscillators that do not start: divider, prescaler, reads of the register: 16 000 looks at
+# each of these, one at an oscillator that starts, and two before stores
+LOST_CLOCKS = {0x0101_0000: (35, 15, 32_002), 0x0001_0000: (182, 83, 16_003)}
 
 
-class Deaf(Machine):
+class Cold(Machine):
+    """Its RAM holds anything when the power comes, as on the chip."""
+
+    def _chip(self):
+        uc = super()._chip()
+        uc.mem_write(RAM, ANYTHING)
+        return uc
+
+
+class Deaf(Cold):
     """Oscillators that do not start."""
 
     never = 0
+    looks = 0  # at the oscillators
+    switches = True  # to the clock multiplier
 
     def _load(self, uc, offset, size, start):
         value = super()._load(uc, offset, size, start)
+        self.looks += start + offset == RCC_CR
+        if start + offset == RCC_CFGR and not self.switches:
+            return value & ~0xC
         return value & ~(self.never << 1) if start + offset == RCC_CR else value
 
 
@@ -68,7 +85,7 @@ def ask(machine, decoder, message, seq, kind=Ack):
 
 def wrong_with(path):
     """The first thing that is wrong; empty: nothing."""
-    machine, decoder = Machine(path, adc=SUPPLIED), Decoder()
+    machine, decoder = Cold(path, adc=SUPPLIED), Decoder()
     first, second = (tuple(store)[1:] for store in machine.stores[:2])
     if (first, second) != ((0x4002_0818, CLOSE), (0x4002_0800, OUTPUTS)) or machine.outputs:
         return "the pins at boot"
@@ -80,16 +97,26 @@ def wrong_with(path):
     if machine._count() != 0 or machine._csr:
         return "the counter's start, or reset flags that stay"
     for cause in ResetCause:
-        again = Machine(path, cause, adc=SUPPLIED)
+        again = Cold(path, cause, adc=SUPPLIED)
         if ask(again, Decoder(), Hello(1), 1, HelloAck).reset_cause != cause:
             return f"reset cause {cause.name}"
-    for never, (divider, prescaler) in LOST_CLOCKS.items():
+    for never, (divider, prescaler, looks) in LOST_CLOCKS.items():
         kind = type("Without", (Deaf,), {"never": never})
         without = kind(path, adc=SUPPLIED)
+        if without.looks != looks:
+            return f"{without.looks} looks at oscillators that do not start"
+        if without._reg[RCC_CR] != 1 << 16 | 1 << 24:
+            return "a clock security system without crystal"
         if without._reg[0x4002_3804] != 16 | 336 << 6 | 7 << 24:
             return "the clock multiplier without crystal"
         if (without._reg[0x4001_1008], without._reg[0x4000_0028]) != (divider, prescaler):
             return "the rates without crystal or clock multiplier"
+    stuck = type("Stuck", (Deaf,), {"switches": False})(path, adc=SUPPLIED)
+    if (stuck._reg[0x4001_1008], stuck._reg[0x4000_0028]) != (17, 7):
+        return "the rates behind the dividers of the internal oscillator"
+    nonces = {ask(Cold(path, random=k), Decoder(), Hello(1), 1, HelloAck).session for k in (1, 2)}
+    if len(nonces) != 2:
+        return "the random generator does not count"
     return flown(machine, decoder) or lived_through(path)
 
 
@@ -122,7 +149,7 @@ def flown(machine, decoder):
 
 def lived_through(path):
     """A fault closes the valves and keeps the air until the watchdog's reset closes both."""
-    machine, decoder = Machine(path, adc=SUPPLIED), Decoder()
+    machine, decoder = Cold(path, adc=SUPPLIED), Decoder()
     session = ask(machine, decoder, Hello(7), 1, HelloAck).session
     nonce = session
     ask(machine, decoder, Arm(session), 2)

@@ -1,6 +1,6 @@
 """Put small faults into the port of the board's chip, and see whether `port_check` notices them.
 
-    python tests/firmware/port_mutation.py [--every N] [--processes P]
+    python tests/firmware/port_mutation.py [--every N] [--first K]
 
 Each fault is built into an image of its own. A survivor whose machine code is the same does not
 count. Survivors are printed.
@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 from conftest import LIMITS
@@ -43,6 +44,17 @@ def port_mutants() -> list[Mutant]:
     return found
 
 
+@cache
+def core_objects() -> tuple[tempfile.TemporaryDirectory[str], list[str]]:
+    """The core, compiled once: it includes nothing of the port."""
+    place = tempfile.TemporaryDirectory()
+    flags = ["-std=c99", "-w", *CHIP_FLAGS, f"-I{FIRMWARE / 'core'}", "-c"]
+    objects = [f"{place.name}/{source.stem}.o" for source in CORE]
+    for source, target in zip(CORE, objects, strict=True):
+        subprocess.run([cross_compiler(), *flags, str(source), "-o", target], check=True)
+    return place, objects
+
+
 def built(folder: Path, mutant: Mutant | None) -> bytes | None:
     """The image with a fault in it; None if it does not compile."""
     chip = folder / "chip"
@@ -51,11 +63,11 @@ def built(folder: Path, mutant: Mutant | None) -> bytes | None:
         (chip / mutant.source.name).write_bytes(mutant.mutated())
     (folder / "abt_board_config.h").write_text(board_header(LIMITS))
     flags = [flag for flag in CHIP_FLAGS if flag != "-g"]
-    sources = [*CORE, *(chip / name for name in ("startup.c", "main.c", "timer_tim2.c"))]
+    sources = [chip / name for name in ("startup.c", "main.c", "timer_tim2.c")]
     command = [
         cross_compiler(), "-std=c99", "-w", *flags, f"-I{FIRMWARE / 'core'}", f"-I{chip}",
         f"-I{folder}", f"-T{CHIP / 'stm32f405.ld'}", "-DABT_FIRMWARE_ID=1u", *map(str, sources),
-        "-lgcc", "-o", str(folder / "elf"),
+        *core_objects()[1], "-lgcc", "-o", str(folder / "elf"),
     ]  # fmt: skip
     if subprocess.run(command, capture_output=True, check=False).returncode:
         return None

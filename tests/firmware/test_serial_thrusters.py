@@ -6,10 +6,13 @@ from contextlib import contextmanager
 
 import pytest
 
+from firmware_interface.frame import encode_message
 from firmware_interface.line_tap import LineTap, TapError
+from firmware_interface.messages import Hello, ResetCause
 from firmware_interface.serial_board import BoardError, monotonic_us
-from firmware_interface.serial_thrusters import SerialThrusters, ThrustersError
+from firmware_interface.serial_thrusters import CAUSES, SerialThrusters, ThrustersError
 from patience import wait_for
+from testbed.core.codes import FaultId
 from testbed.core.types import ValveCommand
 from testbed.core.vehicle import Gauges
 
@@ -211,3 +214,41 @@ def test_a_twin_takes_away_no_port_but_its_own(limits, tmp_path):
         link.unlink()
         link.symlink_to("/dev/pts/4096")
     assert str(link.readlink()) == "/dev/pts/4096"
+
+
+def test_a_board_that_was_reset_says_why(limits, tmp_path):
+    with (
+        served(limits, tmp_path) as (tap, edges),
+        SerialThrusters(str(tap.link), limits, 0.0, 1) as thrusters,
+    ):
+        thrusters.epoch_us = monotonic_us()
+        thrusters.arm()
+        thrusters.apply(plan(1, 0.0, 90_000))
+        wait_for(lambda: edges)
+        tap.power(on=False)
+        tap.power(on=True)
+        wait_for(lambda: thrusters.trouble)
+        assert thrusters.trouble.id is FaultId.BOARD_RESET
+        assert thrusters.trouble.text == "the board was reset: its supply dipped (brown-out)"
+        thrusters.apply(plan(2, 0.0, 90_000))  # neither raises nor opens a valve
+        thrusters.land()
+        wait_for(lambda: tap.status.mask == 0)
+
+
+def test_a_board_with_another_session_was_taken_by_another_program(limits, tmp_path):
+    with (
+        served(limits, tmp_path) as (tap, edges),
+        SerialThrusters(str(tap.link), limits, 0.0, 1) as thrusters,
+    ):
+        thrusters.epoch_us = monotonic_us()
+        thrusters.arm()
+        thrusters.apply(plan(1, 0.0, 90_000))
+        wait_for(lambda: edges)
+        os.write(tap.board_fd, encode_message(Hello(99), 1, 0))
+        wait_for(lambda: thrusters.trouble)
+        assert thrusters.trouble.id is FaultId.BOARD_LEFT_ARMED
+        assert "another program has opened a session" in thrusters.trouble.text
+
+
+def test_every_cause_of_a_reset_has_words():
+    assert set(CAUSES) == set(ResetCause)

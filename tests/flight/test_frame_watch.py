@@ -35,6 +35,13 @@ def test_bodies_in_their_place_are_fine():
     assert (watch.reason, watch.fault) == ("", None)
 
 
+def test_a_body_that_the_cameras_do_not_see():
+    assert watched().unseen == ""
+    watch = FrameWatch(PLACES, NOISE)
+    watch.look({"north": PoseSample(0.0, *PLACES["north"])})
+    assert watch.unseen == "the cameras do not see the reference body east"
+
+
 def test_a_frame_that_moved():
     watch = watched(north=(0.01, 0.0, 0.0), east=(0.01, 0.0, 0.0))
     assert "frame moved: north 10 mm, east 10 mm" in watch.reason

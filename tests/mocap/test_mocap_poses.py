@@ -54,6 +54,23 @@ def test_poses_of_one_vehicle_in_the_frame_and_time_of_the_run():
     assert poses.trouble == PoseTrouble.SILENT  # the present is long after these frames
 
 
+def test_the_newest_poses_of_reference_bodies_come_once_and_in_the_frame_of_the_table():
+    wire = MocapWire(
+        origin=(1.0, 1.0), bodies={"north": "Post 1"}, reference={"north": (0.0, 2.9, 0.0)}
+    )
+    axes = Axes(wire)
+    exposures = [
+        Exposure(n, n * 10**7, n * 10**7, {"Post 1": axes.to_cameras(Pose(0.001 * n, 2.9, 0.0))})
+        for n in (1, 2)
+    ]
+    poses = MocapPoses(Recorded(exposures), wire, WallClock(0), "sat1")
+    assert poses.samples() == []  # of the vehicle
+    (seen,) = poses.reference_bodies().items()
+    assert seen[0] == "north"
+    assert (seen[1].captured_at, seen[1].x, seen[1].y) == pytest.approx((0.02, 0.002, 2.9))
+    assert poses.reference_bodies() == {}
+
+
 def test_the_quickest_exchange_tells_the_clock():
     clock = ClockOffset()
     clock.heard(1_000_000, 400)

@@ -77,3 +77,54 @@ def test_the_law_dies_on_the_host_and_the_vehicle_is_brought_to_rest():
     assert ending.fault.id == FaultId.HOST_LAW_RAISED
     assert "fleet" in noted.rows  # it was told, and stopped by itself
     assert rig.results.report.edges["sat1"][-1][1] == 0
+
+
+BUSY = ("board_silent", FaultId.BOARD_LEFT_ARMED)  # by a machine that stops for a quarter second
+
+
+def fly_undisturbed(*words, **options):
+    """The same, again if a busy machine ended the flight before."""
+    for _ in range(3):
+        flown = fly(*words, **options)
+        if flown[1].fault is None or flown[1].fault.id not in BUSY:
+            break
+    return flown
+
+
+@pytest.mark.slow
+def test_a_board_that_was_reset_is_named_with_the_cause():
+    _, ending, _ = fly_undisturbed("brown_out", for_s=0.05)
+    assert ending.fault.id == FaultId.BOARD_RESET, ending.fault
+    assert "brown-out" in ending.fault.text
+
+
+@pytest.mark.slow
+def test_a_flood_is_named_and_changes_nothing():
+    rig, ending, _ = fly_undisturbed("flood", "deploy.law=host")
+    assert ending.fault is None
+    assert FaultId.FLOODED in rig.results.ended["sat1"].rows
+    assert "flooded" in [one.name for one in rig.results.concerns()]
+
+
+FIXED = "table.lab.mocap.reference={north=[0.0,2.9,0.0],east=[2.9,0.0,0.0]}"
+
+
+@pytest.mark.slow
+def test_reference_bodies_show_a_frame_that_creeps():
+    _, ending, noted = fly_undisturbed("creep_frame", FIXED, value=0.02)
+    assert ending.fault is not None
+    assert ending.fault.origin.id == FaultId.FRAME_MOVED, ending.fault
+    assert "the cameras' frame moved: north" in ending.fault.words
+    assert "fleet" in noted.rows
+
+
+@pytest.mark.slow
+def test_a_frame_that_has_moved_does_not_arm():
+    words = ["duration_s=2.0", "deploy.law=vehicle", FIXED]
+    experiment = load(find("hold"), words)
+    warm_up(experiment)
+    experiment.inject.append(Injection("shift_frame", "sat1", at_s=0.0, value=0.02))
+    rig = WireRig(experiment, bench=True)
+    rig.fly(NullObserver())
+    assert [one.id for one in rig.red] == ["frame"]
+    assert "the cameras' frame moved" in rig.red[0].reason

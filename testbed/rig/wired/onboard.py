@@ -12,6 +12,7 @@ import msgspec
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport, Response
 from testbed.core.types import HostTick, Tick, Vitals
+from testbed.flight.frame_watch import FrameWatch
 from testbed.flight.loop import Ending, VehicleNode, come_to_rest, hold
 from testbed.flight.safety import SPARE_S
 from testbed.mocap.poses import MocapPoses
@@ -28,6 +29,7 @@ from testbed.net.session import Publisher, Subscriber
 from testbed.realtime.wall_clock import WallClock, monotonic_ns, sleep_until_ns
 from testbed.rig.interface import holds
 from testbed.rig.wired.command_server import CommandServer
+from testbed.rig.wired.flood import FloodWatch
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
 from testbed.rig.wired.thrusters import WiredThrusters
@@ -52,9 +54,10 @@ class VehicleFlight:
         link: ZenohVehicleLink,
         process_faults: ProcessFaults,
         brakes: bool,
+        frame: FrameWatch,
     ) -> None:
         """With `brakes` the vehicle brakes in an emergency, and else lands."""
-        self._link, self._foreign, self.brakes = link, 0, brakes
+        self._link, self._foreign, self.brakes, self._frame = link, 0, brakes, frame
         self.process_faults, self.due = process_faults, 0.0
         self._impairment = NetworkImpairment(
             party.lab.impairment, party.seed, f"lease to {party.name}", party.worse
@@ -71,6 +74,7 @@ class VehicleFlight:
         self._lease: Inbox[Lease] = Inbox(
             msgspec.msgpack.Decoder(Lease).decode, party.run, party.lab.late_s
         )
+        self.flood = FloodWatch(self._arrived, lambda: poses.senseless)
         self._k = 0
         self.rows: dict[str, float] = {}  # fault rows that held, and since when [s]
         self.responses: dict[Response, float] = {}  # active responses, and since when [s]
@@ -88,6 +92,9 @@ class VehicleFlight:
         if not tick.inputs.vitals.end:
             for row in out.faults:
                 self.rows.setdefault(row, out.t)
+            self.flood.look(out.t)
+            if self.flood.since is not None:
+                self.rows.setdefault(FaultId.FLOODED, self.flood.since)
             if out.response:
                 self.responses.setdefault(out.response, out.t)
         if self._poses.arrived_ns is not None:
@@ -103,6 +110,9 @@ class VehicleFlight:
         )
         self._k += 1
         self._publisher.say(self._out.seal(flown, clock.now, clock.now + KEPT_S))
+
+    def _arrived(self) -> dict[str, int]:
+        return self._link.arrived | {"leases": self._lease_subscriber.arrived}
 
     def _pace(self, late: float) -> Pace:
         inbox, poses = self._link.heard.inbox, self._poses
@@ -132,6 +142,7 @@ class VehicleFlight:
         """Vital data of this process, the network and the operator."""
         for at, data in self._lease_subscriber.heard():
             self._lease.take(data, self._clock.of(at))
+        self._frame.look(self._poses.reference_bodies())
         clock, lease = self._clock, self._lease.newest
         late = max(0.0, clock.now - self.due)
         before, self._foreign = self._foreign, self._lease.foreign + self._link.foreign
@@ -143,7 +154,7 @@ class VehicleFlight:
             late_s=late,
             disk_free=lease.disk_free,
             same_config=lease.config == self._config,
-            fleet=lease.fleet,
+            fleet=lease.fleet or self._frame.fault,
             foreign=self._foreign - before,
         )
 

@@ -137,4 +137,7 @@ class Preflight:
             if self._records:
                 why = not_commissioned(self._experiment, name, one.board)
                 found.append(Check("commissioned", name, why, at_reset=False))
+        if self._experiment.table.lab.mocap.reference:
+            moved = (one.readiness.vitals.fleet for one, _ in heard.values())
+            found.append(Check("frame", "", next((one.text for one in moved if one), "")))
         return found

@@ -12,8 +12,10 @@ from threading import Lock
 from msgspec.structs import replace
 
 from testbed.config import Experiment
+from testbed.core.codes import FaultId, FaultReport
 from testbed.core.types import Inputs, State, Vitals
 from testbed.flight.arming import Readiness
+from testbed.flight.frame_watch import FrameWatch
 from testbed.mocap.exposure import MocapSource
 from testbed.mocap.poses import MocapPoses
 from testbed.net.clock import Reader
@@ -37,6 +39,7 @@ class PreflightMonitor:
         self._clock = WallClock(monotonic_ns())
         wire = experiment.table.lab.mocap
         self._poses = MocapPoses(source, wire, self._clock, name)
+        self._frame = FrameWatch(wire.reference, experiment.table.mocap.noise)
         self._agent, self._thrusters = make_agent(experiment, name), thrusters
         self._period = experiment.flight.jet_period_s
         self._due = 0.0
@@ -57,6 +60,7 @@ class PreflightMonitor:
         if sum(len(key.heard()) for key in self._strangers):
             self._strange_at = now
         samples = tuple(self._poses.samples())
+        self._frame.look(self._poses.reference_bodies())
         health = self._thrusters.health()
         step = self._agent.step(Inputs(now, False, samples, None, {}, health))
         with self._lock:
@@ -76,7 +80,9 @@ class PreflightMonitor:
             late = max(0.0, self._clock.now - at - self._period)
             state = replace(state, pose_age=state.pose_age + late)
         alone = self._clock.now - self._strange_at > ALONE_S
-        vitals = Vitals(session_ok=alone, clock_offset=self._reader.unsure())
+        why = self._frame.reason or self._frame.unseen
+        frame = FaultReport(FaultId.FRAME_MOVED, why) if why else None
+        vitals = Vitals(session_ok=alone, clock_offset=self._reader.unsure(), fleet=frame)
         health, shut = self._thrusters.health(), self._thrusters.shut
         return Ready(
             Readiness(at, state, rate, health, vitals, 0.0, shut, {}),

@@ -25,6 +25,7 @@ from sim_twin.camera import Cameras
 from sim_twin.fault_injection import FaultInjector
 from sim_twin.plant import Plant
 from sim_twin.randomness import stream
+from sim_twin.reference_bodies import ReferenceBodies
 from sim_twin.reported import ReportedValves
 from testbed.config import Experiment
 from testbed.core.fault_injection import Injection
@@ -69,6 +70,8 @@ class TableServer:
         seed = experiment.seed
         self.plant = Plant(self.models, starts, table, experiment.obstacles, seed)
         self._cameras = Cameras(self.names, table.mocap, seed, table.spread)
+        self._fixed = ReferenceBodies(table.lab.mocap.reference, table.mocap, seed)
+        self._bodies = [*self.names, *table.lab.mocap.reference]
         self._jitter = stream(seed, "frames")
         self._valves = {
             n: ReportedValves(m, self.plant.boards[n].pulses, stream(seed, n, "pulses"))
@@ -101,7 +104,7 @@ class TableServer:
                 NatNetServer(
                     NatNetAddress(wire.server, wire.command_port, wire.data_port, wire.group),
                     (int(major), int(minor)),
-                    [Described(k + 1, wire.bodies.get(n, n)) for k, n in enumerate(self.names)],
+                    [Described(k + 1, wire.bodies.get(n, n)) for k, n in enumerate(self._bodies)],
                 )
             )
             self._taps = {}
@@ -231,8 +234,9 @@ class TableServer:
             rows = self._injector.sources(self.names, np.array([t]))
         shown = None if rows is None else np.array(rows, np.int64)
         self._cameras.expose(np.array([1e-9 * exposed]), self.plant.x[None], np.inf, shown)
-        for k, name in enumerate(self.names):
-            seen = self._look(name, k)
+        fixed = self._fixed.seen(self.plant.t, self._injector)
+        for k, name in enumerate(self._bodies):
+            seen = self._look(name, k) if k < len(self.names) else self._shown(fixed.get(name))
             bodies.append(
                 RigidBody(k + 1, seen.position, seen.rotation, ERROR_M, tracked=seen.tracked)
             )
@@ -251,7 +255,7 @@ class TableServer:
         wire = self.experiment.table.lab.mocap
         seen = {
             wire.bodies.get(name, name): (*body.position, *body.rotation)
-            for name, body in zip(self.names, bodies, strict=True)
+            for name, body in zip(self._bodies, bodies, strict=True)
             if body.tracked
         }
         self._pose_topic.say(encode_poses(number, exposed, monotonic_ns(), seen))
@@ -260,9 +264,10 @@ class TableServer:
         now = self.plant.t  # injections use the plant's time here: 0 until the vehicles float
         fresh = [PoseSample(now, one.x, one.y, one.theta) for one in self._cameras.arrived(k)]
         samples = self._injector.poses(name, fresh)
-        if not samples:
-            return UNTRACKED
-        return self._axes.to_cameras(Pose(samples[-1].x, samples[-1].y, samples[-1].theta))
+        return self._shown(samples[-1] if samples else None)
+
+    def _shown(self, one: PoseSample | None) -> Sighting:
+        return UNTRACKED if one is None else self._axes.to_cameras(Pose(one.x, one.y, one.theta))
 
     # The network
 

@@ -24,6 +24,7 @@ from msgspec.structs import replace
 
 from testbed.core.codes import FaultReport
 from testbed.files import write_atomic
+from testbed.flight.frame_watch import FrameWatch
 from testbed.flight.loop import Ending, VehicleNode, fly
 from testbed.mocap.poses import MocapPoses
 from testbed.mocap.source import make_source
@@ -204,6 +205,7 @@ class VehicleProcess:
         self.flight = VehicleFlight(
             party, thrusters, self.poses, self.commands, config_id(experiment), host_clock,
             self.link, self.process_faults, brakes_first(experiment, name),
+            FrameWatch(wires.mocap.reference, experiment.table.mocap.noise),
         )  # fmt: skip
         if self.commands.stop_reason is None:
             thrusters.arm()
@@ -229,7 +231,7 @@ class VehicleProcess:
     def fault(self, ending: Ending, ended_by: FaultReport | None) -> FaultReport | None:
         """The loop's fault, or else that of a hold, the board, the lease or the terminal."""
         fault = ending.fault or ended_by or self.flight.fault
-        fault = fault and replace(fault, vehicle=self.name)
+        fault = fault and self.flight.flood.blamed(replace(fault, vehicle=self.name))
         if self.poses.trouble is None or fault is None:
             return fault
         why = getattr(self.source, "complaint", "")

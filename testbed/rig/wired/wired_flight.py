@@ -39,6 +39,7 @@ from testbed.rig.forked import make_host
 from testbed.rig.interface import holds
 from testbed.rig.live import LiveFlight
 from testbed.rig.wired.gains import RemoteLaw
+from testbed.rig.wired.pause import Pause
 from testbed.rig.wired.preflight import order
 from testbed.rig.wired.process_faults import ProcessFaults
 from testbed.rig.wired.stop_requests import Asked
@@ -177,7 +178,8 @@ class HostFlight:
         self._fleet: FaultReport | None = None
         self._armed = True
         self._asked = Asked()  # stops from any terminal
-        self.concerns: list[Concern] = []  # of laws on the host, after the flight
+        self._pause = Pause()
+        self.concerns: list[Concern] = []  # of laws on the host and floods, after the flight
         self._stop_key = on_word(party.session, keys.stop, self._asked.hear)
 
     @property
@@ -241,6 +243,8 @@ class HostFlight:
         )
         late = self._late_fault()
         fault = ending.fault or late
+        if fault and late and late.id == FaultId.FLOODED:  # the cause
+            fault = late
         if fault and late and fault.id == FaultId.VEHICLE_SILENT:  # the cause
             fault = replace(fault, notes=(*fault.notes, f"its last report: {late.words}"))
         self.concerns = [
@@ -248,9 +252,17 @@ class HostFlight:
             for host in hosts
             for one in host.guidance.concerns
         ]
+        self.concerns += [
+            Concern("flooded", f"{n.name}: flooded with messages from t = {since:.1f} s on")
+            for n in self._nodes.values()
+            if n.ended and (since := n.ended.rows.get(FaultId.FLOODED)) is not None
+        ]
         if slow := [one.text for one in self.concerns if one.name == "slow_law"]:
             # late setpoints look like a link fault
             fault = fault and replace(fault, notes=(*fault.notes, slow[0]))
+        silent = fault and fault.id == FaultId.VEHICLE_SILENT and self._nodes[fault.vehicle]
+        if fault and (not silent or self._pause.began_s - silent.heard_at < 0.5 * LOST_S):
+            fault = self._pause.blamed(fault)  # if the vehicle was heard until then
         if fault is None and self._asked.times and not holding:
             fault = FaultReport(FaultId.STOPPED, "stopped by the operator")
         return Ending(ending.t, fault)
@@ -258,6 +270,7 @@ class HostFlight:
     def _meet(self, armed: bool, fleet: FaultReport | None) -> None:
         """Receive from all vehicles; the loop's data for them goes into the next lease."""
         self._armed, self._fleet = armed, fleet
+        self._pause.turn_begins(self._party.clock.now)
         self._listen()
 
     def _late_fault(self) -> FaultReport | None:
@@ -276,6 +289,7 @@ class HostFlight:
 
     def done(self, t: float) -> None:
         """See `Observer`."""
+        self._pause.turn_ends()
         self._process_faults.at_host()
         self.lease()
         if intruder := self._process_faults.found("foreign_session"):
