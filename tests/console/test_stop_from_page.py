@@ -2,35 +2,18 @@
 
 import io
 import json
-import threading
 
 import numpy as np
 import pytest
+from console_run import PATIENCE_S, address, eventually
 
 from testbed.logs.feed import LogFeed, SeenPhase
 from testbed.logs.log_reader import LogReader
 
 Image = pytest.importorskip("PIL.Image")
 
-PATIENCE_S = 240.0
 RED = (200, 20, 28)
 INTERRUPTED, FAULT = 130, 3
-
-
-def eventually(look, what):
-    for _ in range(round(PATIENCE_S / 0.1)):
-        if found := look():
-            return found
-        threading.Event().wait(0.1)
-    raise AssertionError(f"never: {what}")
-
-
-def address(run) -> str:
-    for line in run.stderr:
-        if line.startswith("console: "):
-            threading.Thread(target=run.stderr.read, daemon=True).start()
-            return line.split()[-1]
-    raise AssertionError("no page")
 
 
 def value(page, script):
