@@ -5,8 +5,8 @@
 Each count is a flight of real processes and real firmware with the page open in Chromium. The first
 press is given while the vehicle is on its way: it brakes. The second comes 0.65 s later, in
 the middle of the brake: every valve shuts at once. What counts for the first is the end of the
-vehicle's last flying period, or the fault that makes it brake sooner, such as a silent host; for the
-second the last edge that its board has reported. Presses fall on all parts of the jet period.
+vehicle's last flying period, or a fault that makes it brake sooner, such as a silent host; for
+the second the last edge that its board has reported. Presses fall on all parts of the jet period.
 `hang`: the law on the host hangs and holds Python's lock. `suspend`: the whole host is suspended
 (SIGSTOP) 0.2 s before the first press. `--load N` keeps N processes busy meanwhile.
 """

@@ -159,10 +159,11 @@ def _quietly(stop: Callable[[], None]) -> None:
 @contextmanager
 def ahead() -> Iterator[None]:
     """Run this thread and those it starts before flights, where the system allows it."""
+    policy, own = os.sched_getscheduler(0), os.sched_getparam(0)
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     try:
         yield
     finally:
         with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            os.sched_setscheduler(0, policy, own)

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 
 import numpy as np
 import pytest
@@ -53,6 +54,9 @@ def test_stop_ends_the_flight(testbed, browser, tmp_path, rig):
         eventually(lambda: told in value(page, "#told"), "the stop is answered")
     assert run.wait(PATIENCE_S) == (INTERRUPTED if rig == "twin" else FAULT)
     assert (out / "arming.json").exists() == (rig == "bench")
+    assert json.loads((out / "metrics.json").read_text())["criteria"] is None
+    assert re.search(r"(interrupted at|stopped by the operator after) \d+\.\d s: not judged",
+                     (out / "report.html").read_text())  # fmt: skip
     phases = [one.message for one in LogFeed(LogReader(out / "log.mcap")).news()]
     assert [one.phase for one in phases if isinstance(one, SeenPhase)][-1] in ("STOPPED", "FAULT")
 
