@@ -38,10 +38,10 @@ def show(out: Console, grid: Grid) -> None:
 def say(out: Console, text: str, style: str | None = None) -> None:
     """Print a sentence; on a terminal it folds between words, below where it begins."""
     if out.is_terminal:
-        indent = " " * (len(text) - len(text.lstrip()) + 2)
+        begins = " " * (len(text) - len(text.lstrip()))
         text = textwrap.fill(
-            text, out.width, subsequent_indent=indent, break_long_words=False,
-            break_on_hyphens=False,
+            text.lstrip(), out.width, initial_indent=begins, subsequent_indent=f"{begins}  ",
+            break_long_words=False, break_on_hyphens=False,
         )  # fmt: skip
     out.print(text, style=style, markup=False, soft_wrap=True)
 
