@@ -119,7 +119,7 @@ def keep(png: bytes, name: str) -> None:
     picture = Image.open(io.BytesIO(png)).convert("RGB")
     # a sheet is light and dark, and the median cut would lose colours of few pixels
     way = Image.Quantize.MAXCOVERAGE if name.startswith("sheet") else Image.Quantize.MEDIANCUT
-    few = picture.quantize(255, method=way, dither=Image.Dither.NONE)
+    few = picture.quantize(255, method=way, kmeans=2, dither=Image.Dither.NONE)
     few.save(HERE / f"{name}.png", optimize=True)
     sys.stdout.write(f"{name}.png: {(HERE / f'{name}.png').stat().st_size / 1e3:.0f} kB\n")
 
