@@ -28,6 +28,7 @@ import numpy as np
 
 from testbed.config import dump, find, load
 from testbed.core.codes import Response
+from testbed.files import write_atomic
 from testbed.net.commands import Ended
 from testbed.rig.wired.host import WireRig
 from testbed.rig.wired.table_report import TableReport
@@ -66,7 +67,8 @@ def host(folder: Path, words: list[str], at: float, hangs: bool) -> None:
         rig = WireRig(one, bench=True, log=folder, keep=folder / "report.json")
 
         def started(rig):
-            (folder / "start.json").write_text(json.dumps([rig.results.epoch_ns, os.getpid()]))
+            start = json.dumps([rig.results.epoch_ns, os.getpid()])
+            write_atomic(folder / "start.json", start.encode())
 
         rig.on_start = started
         return rig
@@ -154,10 +156,12 @@ def one_flight(
         first = press(browser)
         pause(BETWEEN_S)
         answer = "document.getElementById('told').textContent"
-        told = browser.value(answer)
+        heard = "Number(document.getElementById('told').dataset.heard)"
+        told, way = browser.value(answer), [1e-6 * (browser.value(heard) - first)]
         second = press(browser)
         pause(2.0)
         told += f"; then {browser.value(answer)}"
+        way.append(1e-6 * (browser.value(heard) - second))
         if case == "suspend":
             os.kill(pid, signal.SIGCONT)
         if case == "hang":
@@ -185,7 +189,8 @@ def one_flight(
         if edges[-1][1]:
             raise RuntimeError(f"{name}: a valve is open at the end")
     busy = sum(any(0 < second / 1e3 - at < 3e5 for at, _ in e) for e in report.edges.values())
-    print(f"  {told}{faults}", flush=True)
+    by_browser = ", ".join(f"{one:.0f}" for one in way)
+    print(f"  {told}{faults}; after {by_browser} ms at the page's process", flush=True)
     return braked, shut, busy
 
 
