@@ -157,11 +157,11 @@ def one_flight(
         pause(BETWEEN_S)
         answer = "document.getElementById('told').textContent"
         heard = "Number(document.getElementById('told').dataset.heard)"
-        told, way = browser.value(answer), [1e-6 * (browser.value(heard) - first)]
+        told, way = browser.value(answer), [browser.value(heard)]  # None: no answer yet
         second = press(browser)
         pause(2.0)
         told += f"; then {browser.value(answer)}"
-        way.append(1e-6 * (browser.value(heard) - second))
+        way.append(browser.value(heard))
         if case == "suspend":
             os.kill(pid, signal.SIGCONT)
         if case == "hang":
@@ -189,8 +189,9 @@ def one_flight(
         if edges[-1][1]:
             raise RuntimeError(f"{name}: a valve is open at the end")
     busy = sum(any(0 < second / 1e3 - at < 3e5 for at, _ in e) for e in report.edges.values())
-    by_browser = ", ".join(f"{one:.0f}" for one in way)
-    print(f"  {told}{faults}; after {by_browser} ms at the page's process", flush=True)
+    pairs = zip(way, (first, second), strict=True)
+    by_browser = [f"{1e-6 * (at - press):.0f} ms" if at else "no answer" for at, press in pairs]
+    print(f"  {told}{faults}; at the page's process after {', '.join(by_browser)}", flush=True)
     return braked, shut, busy
 
 
