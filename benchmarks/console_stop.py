@@ -5,7 +5,8 @@
 Each count is a flight of real processes and real firmware with the page open in Chromium. The first
 press is given while the vehicle is on its way: it brakes. The second comes 0.65 s later, in
 the middle of the brake: every valve shuts at once. What counts for the first is the end of the
-vehicle's last flying period, for the second the last edge that its board has reported.
+vehicle's last flying period, or a fault that makes it brake sooner, such as a silent host; for
+the second the last edge that its board has reported. Presses fall on all parts of the jet period.
 `hang`: the law on the host hangs and holds Python's lock. `suspend`: the whole host is suspended
 (SIGSTOP) 0.2 s before the first press. `--load N` keeps N processes busy meanwhile.
 """
@@ -26,6 +27,8 @@ import msgspec
 import numpy as np
 
 from testbed.config import dump, find, load
+from testbed.core.codes import Response
+from testbed.files import write_atomic
 from testbed.net.commands import Ended
 from testbed.rig.wired.host import WireRig
 from testbed.rig.wired.table_report import TableReport
@@ -42,6 +45,7 @@ FAST = [  # 0.25 m/s from 6 s on, so that the brake takes some seconds
 ]  # fmt: skip
 BETWEEN_S = 0.65  # two presses; sooner they would count as one
 SUSPENDED_S = 0.2  # before the first press
+PERIOD_S, SPREAD = 0.1, 0.618  # jet period, and the share of it between the presses of two flights
 PATIENCE_S = 300.0
 LOST = 10  # flights that may be lost
 
@@ -63,7 +67,8 @@ def host(folder: Path, words: list[str], at: float, hangs: bool) -> None:
         rig = WireRig(one, bench=True, log=folder, keep=folder / "report.json")
 
         def started(rig):
-            (folder / "start.json").write_text(json.dumps([rig.results.epoch_ns, os.getpid()]))
+            start = json.dumps([rig.results.epoch_ns, os.getpid()])
+            write_atomic(folder / "start.json", start.encode())
 
         rig.on_start = started
         return rig
@@ -151,10 +156,12 @@ def one_flight(
         first = press(browser)
         pause(BETWEEN_S)
         answer = "document.getElementById('told').textContent"
-        told = browser.value(answer)
+        heard = "Number(document.getElementById('told').dataset.heard)"
+        told, way = browser.value(answer), [browser.value(heard)]  # None: no answer yet
         second = press(browser)
         pause(2.0)
         told += f"; then {browser.value(answer)}"
+        way.append(browser.value(heard))
         if case == "suspend":
             os.kill(pid, signal.SIGCONT)
         if case == "hang":
@@ -169,18 +176,22 @@ def one_flight(
             pilot.wait()
     report = until("a report", lambda: (folder / "report.json").exists() and msgspec.json.decode(
         (folder / "report.json").read_bytes(), type=TableReport), 30.0)  # fmt: skip
-    braked, shut = [], []
+    braked, shut, faults = [], [], ""
     for name, edges in report.edges.items():
         ended = msgspec.json.decode((folder / f"{name}.json").read_bytes(), type=Ended)
-        braked.append(1e-6 * (epoch + 1e9 * ended.t - first))
+        begun = min([ended.t, *(t for r, t in ended.responses.items() if r >= Response.BRAKE)])
+        braked.append(1e-6 * (epoch + 1e9 * begun - first))
         if braked[-1] < 0.0:
-            raise LostError(f"{name} ended before the press: {ended.fault}")
+            raise LostError(f"{name} brakes before the press: {ended.fault}")
+        faults += f"; {ended.fault.words}" if ended.fault else ""
         late = [1e-3 * (at_us - second / 1e3) for at_us, _ in edges]
         shut.append(max(0.0, *late))
         if edges[-1][1]:
             raise RuntimeError(f"{name}: a valve is open at the end")
     busy = sum(any(0 < second / 1e3 - at < 3e5 for at, _ in e) for e in report.edges.values())
-    print(f"  {told}", flush=True)
+    pairs = zip(way, (first, second), strict=True)
+    by_browser = [f"{1e-6 * (at - press):.0f} ms" if at else "no answer" for at, press in pairs]
+    print(f"  {told}{faults}; at the page's process after {', '.join(by_browser)}", flush=True)
     return braked, shut, busy
 
 
@@ -207,9 +218,8 @@ def main() -> None:
         k, lost = 0, 0
         while k < options.count:
             try:
-                one = one_flight(
-                    browser, Path(folder) / f"{k}_{lost}", words, options.case, options.at
-                )
+                at = options.at + PERIOD_S * (SPREAD * k % 1.0)
+                one = one_flight(browser, Path(folder) / f"{k}_{lost}", words, options.case, at)
             except LostError as error:
                 lost += 1
                 print(f"not counted: {error}", flush=True)

@@ -51,7 +51,7 @@ class Browser:
         self._process = subprocess.Popen(
             [program, *FLAGS, f"--user-data-dir={self._home.name}", "--remote-debugging-pipe"],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, close_fds=False,
-            preexec_fn=plug,
+            preexec_fn=plug, start_new_session=True,
         )  # fmt: skip
         os.close(their_in)
         os.close(their_out)

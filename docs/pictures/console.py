@@ -42,6 +42,7 @@ class Case(NamedTuple):
     until: str  # JavaScript, true when the picture is due
     shots: list[Shot]
     replay: bool = False  # also the report, at the time of the pictures
+    sheet: bool = True  # also all sizes and themes
 
 
 def clock(seconds: int) -> str:
@@ -76,6 +77,7 @@ CASES = {
         " && document.getElementById('open-gains').textContent === 'Gains (1)'"
         " && !document.body.classList.contains('stale')",
         [Shot("console_gains")],
+        sheet=False,
     ),
     "hands": Case(
         ["zhang2023_table"],
@@ -85,6 +87,7 @@ CASES = {
         " && !document.body.classList.contains('stale')"
         " && document.getElementById('hands-told').className === 'ok'",
         [Shot("console_hands")],
+        sheet=False,
     ),
     "five": Case(
         ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
@@ -116,7 +119,7 @@ def keep(png: bytes, name: str) -> None:
     picture = Image.open(io.BytesIO(png)).convert("RGB")
     # a sheet is light and dark, and the median cut would lose colours of few pixels
     way = Image.Quantize.MAXCOVERAGE if name.startswith("sheet") else Image.Quantize.MEDIANCUT
-    few = picture.quantize(255, method=way, dither=Image.Dither.NONE)
+    few = picture.quantize(255, method=way, kmeans=2, dither=Image.Dither.NONE)
     few.save(HERE / f"{name}.png", optimize=True)
     sys.stdout.write(f"{name}.png: {(HERE / f'{name}.png').stat().st_size / 1e3:.0f} kB\n")
 
@@ -198,12 +201,8 @@ def take(name: str, case: Case, folder: Path) -> None:
                 look(page, shot)
                 wait()  # a busy machine may have kept the page waiting
                 keep(page.picture(), shot.name)
-            every = []
-            for dark in (False, True):
-                for size in (SCREEN, TABLET, PHONE):
-                    look(page, Shot("", size, dark))
-                    every.append(page.picture())
-            sheet(every, f"sheet_{name}")
+            if case.sheet:
+                sheet(all_looks(page), f"sheet_{name}")
     finally:
         run.send_signal(signal.SIGTERM)
         try:
@@ -212,6 +211,16 @@ def take(name: str, case: Case, folder: Path) -> None:
             run.kill()
     if t is not None:
         replay(folder, t, f"replay_{name}")
+
+
+def all_looks(page: Browser) -> list[bytes]:
+    """The page on a screen, a tablet and a phone, light, then dark."""
+    every = []
+    for dark in (False, True):
+        for size in (SCREEN, TABLET, PHONE):
+            look(page, Shot("", size, dark))
+            every.append(page.picture())
+    return every
 
 
 def look(page: Browser, shot: Shot) -> None:

@@ -15,7 +15,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import show
+from testbed.cli.screen import say, show
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.metrics.admission import (
     Admission,
@@ -114,7 +114,7 @@ def print_admission(admission: Admission, again: str = "testbed run --seed") -> 
         grid.add_row(one.name, one.words, str(one.seed), style=None if one.kept else "red")
     show(out, grid)
     for words in admission.faults:
-        out.print(f"  {words}", style="red", markup=False, soft_wrap=True)
+        say(out, f"  {words}", "red")
     failed = [one for one in admission.findings if not one.kept]
     for seed in dict.fromkeys(one.seed for one in failed):
         out.print(f"  see it: {again} {seed}", markup=False, soft_wrap=True)

@@ -29,7 +29,7 @@ from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.campaign import TROUBLE, Bar, find_campaign, write_results
 from testbed.cli.exit_code import INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import show
+from testbed.cli.screen import say, show
 from testbed.config import SHIPPED, ConfigError, find
 from testbed.files import write_atomic
 from testbed.run.code import code_digest
@@ -77,10 +77,11 @@ def run_benchmark(
             with interrupt.caught(), interrupt.at_once(), redirect_stdout(sys.stderr):
                 table = fly_benchmark(path, file, folder, jobs, scheduler)
             if table is None:
-                errors.print(
+                say(
+                    errors,
                     f"interrupted: finished runs are kept in {folder}; the same command resumes",
-                    style="yellow", markup=False, soft_wrap=True,
-                )  # fmt: skip
+                    "yellow",
+                )
                 return INTERRUPTED
             record = Record(file.name, version("airbearing-testbed"), table, code_digest())
         text = msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
@@ -180,7 +181,7 @@ def print_concerns(record: Record) -> None:
     lines += [f"not flown: {one}" for one in record.not_flown]
     lines += [f"differs from the benchmark: {one}" for one in record.own]
     for line in lines:
-        errors.print(line, style="yellow", markup=False, soft_wrap=True)
+        say(errors, line, "yellow")
 
 
 def print_scores(table: list[Score]) -> None:

@@ -30,7 +30,7 @@ from testbed.campaign.trial import fly_batch, fly_with_log, read, warm
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.progress import Bar
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import show
+from testbed.cli.screen import say, show
 from testbed.config import ConfigError
 from testbed.config.tree import trouble_at
 from testbed.files import write_atomic
@@ -83,11 +83,12 @@ def say_interrupted(campaign: Campaign, folder: Path) -> None:
     """Print how many runs are finished."""
     with open_journal(campaign, folder) as journal:
         count = len(flown_before(campaign, journal.found))
-    errors.print(
+    say(
+        errors,
         f"interrupted: {count} of {campaign.count} runs are kept in {folder}; "
         "the same command resumes there",
-        style="yellow", markup=False, soft_wrap=True,
-    )  # fmt: skip
+        "yellow",
+    )
 
 
 def write_results(campaign: Campaign, ended: CampaignEnd, folder: Path) -> Summary:
@@ -129,7 +130,7 @@ def print_summary(
         out.print(f"  {count:5d}  {reason}", markup=False, style="red")
     faulty = [run for run in runs if run.outcome == "fault"]
     for words, run in zip(summary.faults[:SHOWN], faulty, strict=False):
-        out.print(f"  {words}", markup=False, style="red", soft_wrap=True)
+        say(out, f"  {words}", "red")
         command = replay_command(campaign, folder, run.k)
         out.print(f"    {command}", markup=False, soft_wrap=True)
     if (more := summary.outcomes.get("fault", 0) - SHOWN) > 0:

@@ -12,7 +12,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import show
+from testbed.cli.screen import say, show
 from testbed.config import ConfigError, find, load
 from testbed.faults.drill import (
     Drill,
@@ -40,7 +40,7 @@ def run_drill(
             from testbed.run.drill_on_wires import drill_wires
 
             count = injections or len(cases_of(rig, len(first.vehicles)))
-            cases = progress(drill_wires(count, seed, say, names[0]), count)
+            cases = progress(drill_wires(count, seed, report, names[0]), count)
         else:
             count = injections or 540
             cases = progress(drill_twin(count, seed, jobs, names), count)
@@ -55,9 +55,9 @@ def run_drill(
     return OK if clean else FAILED
 
 
-def say(line: str) -> None:
+def report(line: str) -> None:
     """Print progress on standard error; standard output is for the result."""
-    errors.print(line, markup=False, soft_wrap=True)
+    say(errors, line)
 
 
 def progress(cases: Iterable[Drilled], count: int) -> list[Drilled]:
@@ -104,7 +104,7 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
     for one in cases:
         if one.missed or one.late or one.contacts or one.early:
             text = msgspec.json.encode(replace(one, again="")).decode()
-            out.print(f"  {text}", markup=False, soft_wrap=True)
+            say(out, f"  {text}")
             if one.again:
                 out.print(f"    {one.again}", markup=False, soft_wrap=True)
 

@@ -12,7 +12,7 @@ from rich.table import Table as Grid
 from controllers import catalogue
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import show
+from testbed.cli.screen import say, show
 from testbed.config import SHIPPED, ConfigError, Experiment, find, load, read_toml
 from testbed.config.capability import abilities
 from testbed.config.file import fault_texts, words_for
@@ -36,26 +36,24 @@ def check_experiment(
         return refuse(error)
     law = type(experiment.controller).__struct_config__.tag
     out = Console(highlight=False)
-    out.print(
-        f"ok: {path}\n"
+    out.print(f"ok: {path}", markup=False, soft_wrap=True)
+    say(
+        out,
         f"  {counted(experiment.vehicles, 'vehicle')}, "
         f"{counted(experiment.obstacles, 'obstacle')}, "
         f"law {law} in {experiment.guidance.mode} mode on the {experiment.deploy.law}, "
         f"{experiment.duration_s:g} s in {experiment.ticks} jet periods",
-        markup=False, soft_wrap=True,
-    )  # fmt: skip
+    )
     for name in experiment.vehicles:
         first, *rest = abilities(experiment, name)
         for line in (f"{name}: {first}", *rest):
-            out.print(f"  {line}", markup=False, soft_wrap=True)
+            say(out, f"  {line}")
     if defaults:
         print_defaults(experiment, out)
     if faults:
         print_faults(path, experiment, overrides, out)
     for warning in [*warnings_of(experiment), *doubts_of(experiment)]:
-        errors.print(
-            f"warning: {warning.name}: {warning.text}", style="yellow", markup=False, soft_wrap=True
-        )
+        say(errors, f"warning: {warning.name}: {warning.text}", "yellow")
     return OK
 
 
@@ -70,15 +68,15 @@ def print_faults(
         how = f" = {worked_out(text, words)}" if text else ""
         holds = [f"{row.misses} times in a row"] * (row.misses > 1)
         holds += [f"for {row.timeout_s:g} s"] * (row.timeout_s > 0.0)
-        out.print(
+        say(
+            out,
             f"  {name}: {row.detector} {bound} {getattr(row, bound):.4g}"
             f"{''.join(f', {one}' for one in holds)}: {row.response}"
             f"{f', else {row.otherwise}' * row.reconfigures}{how}",
-            markup=False, soft_wrap=True,
-        )  # fmt: skip
+        )
     names = sorted({one for text in texts.values() for one in words_in(text)})
     for one in names:
-        out.print(f"  {one}: {WORDS[one]}", markup=False, soft_wrap=True)
+        say(out, f"  {one}: {WORDS[one]}")
 
 
 def print_defaults(given: Experiment, out: Console) -> None:
@@ -88,7 +86,7 @@ def print_defaults(given: Experiment, out: Console) -> None:
         for part in key:
             own = getattr(own, str(part))
         differs = "" if own == value else f"; the file has {own:.4g}"
-        out.print(f"  {spell(key)} {value:.4g}: {how}{differs}", markup=False, soft_wrap=True)
+        say(out, f"  {spell(key)} {value:.4g}: {how}{differs}")
 
 
 def counted(things: Sized, word: str) -> str:

@@ -8,6 +8,7 @@ import click
 
 from testbed.cli.live import LiveTable
 from testbed.cli.refusal import errors
+from testbed.cli.screen import say
 from testbed.config import ConfigError, Experiment
 from testbed.core.codes import FaultReport
 from testbed.rig.fault_latch import FaultLatch
@@ -58,7 +59,7 @@ class Operator:
         fault = latch.fault
         if fault is None or self._reset:
             return latch, fault
-        errors.print(f"latched: {fault.words}", style="red", markup=False, soft_wrap=True)
+        say(errors, f"latched: {fault.words}", "red")
         if rig != "table":
             errors.print("on the table a reset needs --reset", style="yellow")
             return latch, fault

@@ -16,6 +16,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import say
 from testbed.config import ConfigError, Experiment, find, load
 from testbed.core.lab import MocapWire
 from testbed.core.types import Pose
@@ -144,8 +145,9 @@ def watch_poses(name: str, overrides: Sequence[str], seconds: float | None) -> i
         )
     out.print(room.picture(looked))  # as of the last poll
     for vehicle, body in room.missing().items():
-        errors.print(
+        say(
+            errors,
             f"{vehicle}: the cameras do not track {body!r}; [lab.mocap] bodies maps its name",
-            style="red", markup=False, soft_wrap=True,
-        )  # fmt: skip
+            "red",
+        )
     return FAILED if room.missing() else OK

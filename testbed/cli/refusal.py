@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from rich.console import Console
 
 from testbed.cli.exit_code import BAD_INPUT, OUR_FAULT
+from testbed.cli.screen import say
 
 LABEL = 12  # characters of "  expected  "
 
@@ -26,7 +27,7 @@ def refuse(error: Exception | str, code: int = BAD_INPUT) -> int:
 def warn(lines: Iterable[str]) -> None:
     """Print warnings on stderr, one line each."""
     for line in lines:
-        errors.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
+        say(errors, f"warning: {line}", "yellow")
 
 
 def print_internal_error() -> int:

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from testbed.cli.exit_code import FAILED, INTERRUPTED, OK
 from testbed.cli.refusal import errors, refuse
-from testbed.cli.screen import show
+from testbed.cli.screen import say, show
 from testbed.config import ConfigError
 from testbed.report.chart import alone
 from testbed.reproduction.audit import RunError, TaskResult, made, rows_of, tasks_of
@@ -162,18 +162,20 @@ def say_how_it_went(
     """Print the counts and each unexpected verdict on standard error."""
     every = [row for some in rows.values() for row in some]
     seeds = ", quick: fewer seeds, coarser steps" if any(row.quick for row in every) else ""
-    errors.print(f"{counts(every)} (in {wall:.0f} s{seeds})", soft_wrap=True)
+    say(errors, f"{counts(every)} (in {wall:.0f} s{seeds})")
     for row in surprises:
-        errors.print(
-            f"changed: {row.id}: expected \"{row.expected}\", found \"{row.outcome}\" "
+        say(
+            errors,
+            f'changed: {row.id}: expected "{row.expected}", found "{row.outcome}" '
             f"({measured(row)}, claimed {claimed(row)})",
-            style="red", markup=False, soft_wrap=True,
-        )  # fmt: skip
+            "red",
+        )
     if missing:
-        errors.print(
+        say(
+            errors,
             f"interrupted: {len(missing)} claims were not reached: {', '.join(missing)}",
-            style="yellow", markup=False, soft_wrap=True,
-        )  # fmt: skip
+            "yellow",
+        )
 
 
 def ready(folder: Path, option: str) -> None:

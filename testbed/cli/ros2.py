@@ -8,6 +8,7 @@ from time import monotonic
 
 from testbed.cli.exit_code import OK
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import say
 from testbed.core.error import TestbedError
 from testbed.core.lab import Network
 from testbed.logs.log_reader import LogReader, log_of
@@ -33,7 +34,7 @@ def publish_run(run: Path, endpoint: str, domain: int, speed: float) -> int:
     except KeyboardInterrupt:
         return OK
     for line in log.said():
-        errors.print(f"warning: {line}", style="yellow", markup=False, soft_wrap=True)
+        say(errors, f"warning: {line}", "yellow")
     errors.print(f"{number} messages published", markup=False)
     return OK
 

@@ -21,6 +21,7 @@ from testbed.cli.live import LiveTable
 from testbed.cli.operator import Operator
 from testbed.cli.refusal import errors, refuse, warn
 from testbed.cli.result import code_of, print_result
+from testbed.cli.screen import say
 from testbed.config import ConfigError, Experiment, dump, find, load
 from testbed.dashboard.viewer import ViewerError
 from testbed.logs.log_reader import LogError
@@ -134,7 +135,7 @@ def run_experiment(
 
         leave(pages)
     for check in metrics.red:
-        errors.print(f"red: {check.words}", style="red", markup=False, soft_wrap=True)
+        say(errors, f"red: {check.words}", "red")
     return code_of(metrics)
 
 

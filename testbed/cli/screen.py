@@ -1,10 +1,11 @@
-"""Prints tables so that no name and no number is cut, whatever the width of the terminal.
+"""Prints tables and sentences so that no name and no number is cut, however wide the terminal is.
 
 Text folds inside its column. Numbers, which are aligned to the right, stay on one line: if they do
 not fit beside each other, the table is printed in parts, each with the first column.
 """
 
 import os
+import textwrap
 from collections.abc import Sequence
 
 from rich.console import Console
@@ -32,6 +33,17 @@ def show(out: Console, grid: Grid) -> None:
         return
     for k, some in enumerate(parts):
         out.print(_part(grid, [first, *some], is_first=k == 0))
+
+
+def say(out: Console, text: str, style: str | None = None) -> None:
+    """Print a sentence; on a terminal it folds between words, below where it begins."""
+    if out.is_terminal:
+        begins = " " * (len(text) - len(text.lstrip()))
+        text = textwrap.fill(
+            text.lstrip(), out.width, initial_indent=begins, subsequent_indent=f"{begins}  ",
+            break_long_words=False, break_on_hyphens=False,
+        )  # fmt: skip
+    out.print(text, style=style, markup=False, soft_wrap=True)
 
 
 def _width(out: Console, grid: Grid, columns: Sequence[Column]) -> int:

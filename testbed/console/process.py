@@ -5,6 +5,8 @@
 `testbed run --console` starts it before the flight. It shares nothing with the process that flies:
 a law that hangs, or a host that is suspended, stops neither the page nor its button. It ends
 LINGER_S after its PARENT, so that the button is still there for vehicles whose host was killed.
+Where the system allows it, the page is served before ordinary work, so that a press does not wait
+on a busy machine, and behind hosts and vehicles.
 """
 
 import os
@@ -24,12 +26,14 @@ from testbed.console.hub import Hub
 from testbed.console.server import Answers, ConsoleError, Server, is_loopback
 from testbed.console.stopper import StopSender
 from testbed.core.error import TestbedError
+from testbed.realtime.scheduling import realtime_priority
 
 PORT = 8765  # preferred
 LINGER_S = 20.0
 LOOK_S = 0.5
 LAST_S = 2.0  # for readers to get the end of the flight
 BAD_INPUT = 2
+PRIORITY = 1  # real-time priority, below those of flights
 
 
 def serve(run: Path, bind: str, port: int | None, parent: int = 0) -> None:
@@ -101,7 +105,8 @@ def main() -> int:
     """Serve as the child of a run; returns the exit code."""
     run, bind, port, *parent = sys.argv[1:]
     try:
-        serve(Path(run), bind, int(port) or None, int(parent[0]) if parent else 0)
+        with realtime_priority(PRIORITY):
+            serve(Path(run), bind, int(port) or None, int(parent[0]) if parent else 0)
     except TestbedError as error:
         sys.stderr.write(f"console: {error}\n")
         return BAD_INPUT

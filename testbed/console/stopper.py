@@ -21,6 +21,7 @@ from testbed.net.flight_note import StoppableFlight, known_flights, runs
 from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, answers, dial
 from testbed.net.stop import ANSWER_S, end_twin
+from testbed.realtime.wall_clock import monotonic_ns
 
 LOOK_S = 0.5  # between two looks at the connections
 OPEN_S = 1.0  # time for a host's handshake
@@ -96,6 +97,7 @@ class StopSender:
 
     def press(self, number: str) -> dict[str, Any]:
         """Stop; a repeated `number` is the same press and stops nothing twice."""
+        heard_ns = monotonic_ns()
         with self._lock:
             known, mine = self._answered.get(number), Future[dict[str, Any]]()
             self._answered.setdefault(number, mine)
@@ -103,7 +105,7 @@ class StopSender:
             return known.result()
         with ahead():
             try:
-                mine.set_result(self._stop())
+                mine.set_result({**self._stop(), "heard_ns": heard_ns})
             except Exception as error:  # the button says so, and may be pressed again
                 mine.set_result({"lines": [f"not stopped: {error}"], "sent": False})
         return mine.result()
@@ -159,10 +161,11 @@ def _quietly(stop: Callable[[], None]) -> None:
 @contextmanager
 def ahead() -> Iterator[None]:
     """Run this thread and those it starts before flights, where the system allows it."""
+    policy, own = os.sched_getscheduler(0), os.sched_getparam(0)
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     try:
         yield
     finally:
         with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            os.sched_setscheduler(0, policy, own)

@@ -252,15 +252,18 @@ def fly(
     """Fly `ticks` jet periods, or until a fault or `stopped()` ends it; `come_to_rest` is next.
 
     A fault of one vehicle stops all: they come to rest before the flight ends, as in the fault
-    table. `stopped()` is the operator's number of stops. One ends the flight with this tick, but
-    lets a stop after a fault continue; the second one ends that, too.
+    table. `stopped()` is the operator's number of stops, looked at when a tick is due. One ends the
+    flight before this tick, but lets a stop after a fault continue; the second one ends that, too.
     """
     fault: FaultReport | None = None
-    failed_at, stop = 0.0, False
+    failed_at, over = 0.0, False
     for k in range(ticks):
         t = k * period
         clock.wait_until(t)
-        armed, shut, fleet = not stop, True, fault
+        asked = stopped() if k else 0  # the first tick is always flown
+        if asked and fault is None:
+            return Ending(t, None)
+        armed, shut, fleet = not (over or asked > 1), True, fault
         for node in vehicles:
             tick = node.tick(t, armed, fleet)
             observer.vehicle(node.name, tick)
@@ -275,12 +278,8 @@ def fly(
         observer.done(t)
         if not armed:
             return Ending(t, fault)
-        asked = stopped()
-        if asked and fault is None:
-            clock.wait_until((k + 1) * period)
-            return Ending((k + 1) * period, None)
+        # then one more tick, disarmed, to shut every valve
         over = fault is not None and (shut or t - failed_at >= LONGEST_STOP)
-        stop = asked > 1 or over  # then one more tick, disarmed, to shut every valve
     clock.wait_until(ticks * period)
     return Ending(ticks * period, fault)
 

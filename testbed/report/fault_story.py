@@ -115,6 +115,8 @@ class Story:
         """Level and text of a line; None if it repeats known information."""
         kind, fault = one.kind, one.fault
         if who == SUPERVISOR:
+            if fault is None and (kind, one.words) == ("STOPPED", "stop"):
+                return "WARN", "stopped by the operator"
             if fault is None:
                 return ("CRITICAL" if kind == "FAULT" else "INFO"), one.text
             known = _key("", fault) in self._known

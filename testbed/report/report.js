@@ -133,7 +133,9 @@
     now = Math.min(flight.end, Math.max(0, t));
     bar.querySelector("input").value = now;
     bar.querySelector("output").textContent = `${now.toFixed(1)} s`;
-    const past = flight.events.filter(one => one[0] <= now + 0.05), last = past[past.length - 1];
+    const past = flight.events.filter(one => one[0] <= now + 0.05);
+    // of those at one time, the first is the worst
+    const last = past.find(one => one[0] === past[past.length - 1][0]);
     const told = bar.querySelector(".told");
     told.textContent = last ? `${last[0].toFixed(1)} s  ${last[2]}${last[2] ? ": " : ""}${last[3]}` : "";
     told.className = `told ${last && last[0] > now - 5 ? last[1] : ""}`;

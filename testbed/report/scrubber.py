@@ -37,8 +37,8 @@ def flight_data(
             if rock.velocity != (0.0, 0.0)
         ],
         "events": [
-            [round(one.t, 2), one.level, "" if one.who == (SUPERVISOR,) else ", ".join(one.who),
-             one.words[:LONGEST]]
+            [round(min(one.t, end), 2), one.level,
+             "" if one.who == (SUPERVISOR,) else ", ".join(one.who), one.words[:LONGEST]]
             for one in told
         ],
         "vehicles": [

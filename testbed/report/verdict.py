@@ -1,13 +1,14 @@
 """The verdict on a run: a sentence, its colour, and the metrics that failed.
 
 Green: all criteria met. Amber: a criterion missed, or not started. Red: a fault ended it, or there
-was a contact. Grey: not judged: interrupted by an operator, killed, or without criteria.
+was a contact. Grey: not judged: stopped by an operator, killed, or without criteria.
 """
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from testbed.config.experiment import Experiment
+from testbed.core.codes import FaultId
 from testbed.metrics.run_metrics import Metrics, Touch
 
 UNCOUNTED = -1  # contacts of a run that was killed before they were counted
@@ -42,7 +43,12 @@ def verdict(scenario: Experiment, metrics: Metrics) -> RunVerdict:
     if metrics.red:
         return RunVerdict("failed", "not started: a check failed")
     hits = touched(scenario, metrics.touches[:1])
+    report = metrics.fault_report
+    if report is not None and report.id == FaultId.STOPPED and not hits:
+        return RunVerdict("unjudged", f"{report.text} after {end}: not judged")
     if metrics.fault:
+        if not hits and report is not None and report.vehicle in scenario.vehicles:
+            hits = [f"{report.vehicle}: {report.title}"]
         return RunVerdict("fault", "; ".join([*hits, f"aborted by a fault after {end}"]))
     if not metrics.completed:
         return RunVerdict("unjudged", "; ".join([*hits, f"interrupted at {end}: not judged"]))
@@ -85,15 +91,15 @@ def reasons(scenario: Experiment, metrics: Metrics) -> list[str]:
     if (more := len(metrics.touches) - SHOWN_TOUCHES) > 0:
         found.append(f"{more} more {'contacts' if more > 1 else 'contact'}")
     found += [one.words for one in metrics.red]
-    if metrics.fault and not metrics.red:
-        report = metrics.fault_report
+    report = metrics.fault_report
+    stopped = report is not None and report.id == FaultId.STOPPED
+    if metrics.fault and not metrics.red and not stopped:
         if report is None or report.vehicle not in scenario.vehicles:
             found.append(metrics.fault)
+        elif any(t.vehicle == report.vehicle for t in metrics.touches):
+            found.append(f"{report.vehicle}: {report.title}, after the contact")
         else:
-            after = ", after the contact" * any(
-                t.vehicle == report.vehicle for t in metrics.touches
-            )
-            found.append(f"{report.vehicle}: {report.title}{after}")
+            found.append(f"{report.vehicle}: {report.text}")
     return found
 
 

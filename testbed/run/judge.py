@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from testbed.config.guarantee import warnings_of
+from testbed.core.codes import FaultId
 from testbed.flight.loop import Ending
 from testbed.metrics.formation import formation_metrics
 from testbed.metrics.run_metrics import (
@@ -51,7 +52,8 @@ def measure(
         clear &= all(distance >= obstacles[n].radius for n, distance in distances.items())
     touches = rig.touches
     # ended by an operator, or never started: not judged
-    is_judged = not rig.red and (completed or ending.fault is not None)
+    fault = ending.fault
+    is_judged = not rig.red and (completed if fault is None else fault.id != FaultId.STOPPED)
     together = formation_metrics(experiment.controller, formation_context(experiment), track)
     wanted = experiment.criteria.formation
     return Metrics(

@@ -4,27 +4,16 @@ import io
 import shutil
 import subprocess
 import sys
-import threading
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from console_run import eventually
 
 Image = pytest.importorskip("PIL.Image")
 
-PATIENCE_S = 120.0
 SIZES = {"screen": (1366, 768), "tablet": (820, 1180), "phone": (390, 844)}
 STALE = "document.body.classList.contains('stale')"
-
-
-def eventually(look: Callable[[], Any], what: str) -> Any:
-    for _ in range(round(PATIENCE_S / 0.1)):
-        if found := look():
-            return found
-        threading.Event().wait(0.1)
-    raise AssertionError(f"never: {what}")
 
 
 class Pages:

@@ -1,8 +1,7 @@
 """Live gains and flying by hand: from a browser on the twin, and from a program on the bench."""
 
-import threading
-
 import pytest
+from console_run import PATIENCE_S, address, eventually
 
 from testbed.config import load
 from testbed.console.client import PageClient
@@ -11,25 +10,8 @@ from testbed.logs.feed import LogFeed
 from testbed.logs.log_reader import LogReader
 from testbed.run.replay import replay_experiment
 
-PATIENCE_S = 240.0
 INTERRUPTED = 130
 KEYS = {"d": ("KeyD", 68), "e": ("KeyE", 69)}
-
-
-def eventually(look, what):
-    for _ in range(round(PATIENCE_S / 0.05)):
-        if found := look():
-            return found
-        threading.Event().wait(0.05)
-    raise AssertionError(f"never: {what}")
-
-
-def address(run) -> str:
-    for line in run.stderr:
-        if line.startswith("console: "):
-            threading.Thread(target=run.stderr.read, daemon=True).start()
-            return line.split()[-1]
-    raise AssertionError("no page")
 
 
 def text(page, selector):

@@ -2,35 +2,19 @@
 
 import io
 import json
-import threading
+import re
 
 import numpy as np
 import pytest
+from console_run import PATIENCE_S, address, eventually
 
 from testbed.logs.feed import LogFeed, SeenPhase
 from testbed.logs.log_reader import LogReader
 
 Image = pytest.importorskip("PIL.Image")
 
-PATIENCE_S = 240.0
 RED = (200, 20, 28)
 INTERRUPTED, FAULT = 130, 3
-
-
-def eventually(look, what):
-    for _ in range(round(PATIENCE_S / 0.1)):
-        if found := look():
-            return found
-        threading.Event().wait(0.1)
-    raise AssertionError(f"never: {what}")
-
-
-def address(run) -> str:
-    for line in run.stderr:
-        if line.startswith("console: "):
-            threading.Thread(target=run.stderr.read, daemon=True).start()
-            return line.split()[-1]
-    raise AssertionError("no page")
 
 
 def value(page, script):
@@ -70,6 +54,9 @@ def test_stop_ends_the_flight(testbed, browser, tmp_path, rig):
         eventually(lambda: told in value(page, "#told"), "the stop is answered")
     assert run.wait(PATIENCE_S) == (INTERRUPTED if rig == "twin" else FAULT)
     assert (out / "arming.json").exists() == (rig == "bench")
+    assert json.loads((out / "metrics.json").read_text())["criteria"] is None
+    assert re.search(r"(interrupted at|stopped by the operator after) \d+\.\d s: not judged",
+                     (out / "report.html").read_text())  # fmt: skip
     phases = [one.message for one in LogFeed(LogReader(out / "log.mcap")).news()]
     assert [one.phase for one in phases if isinstance(one, SeenPhase)][-1] in ("STOPPED", "FAULT")
 

@@ -179,6 +179,26 @@ def test_a_fault_in_the_last_tick_is_told(diary):
     assert flown(diary, [Node(diary, "a", fails_at=2)], ticks=3).fault == broke("a")
 
 
+def test_a_stop_between_two_ticks_ends_the_flight_before_the_second(diary):
+    asked = []
+
+    class Pressed(Clock):
+        def wait_until(self, t):
+            super().wait_until(t)
+            if t == 2 * PERIOD:
+                asked.append(t)
+
+    nodes = [Node(diary, "a")]
+    ending = fly(Pressed(diary), nodes, (), PERIOD, 9, Observer(diary), stopped=lambda: len(asked))
+    assert ending == Ending(2 * PERIOD, None)
+    assert [entry[1] for entry in diary if entry[0] == "a"] == [0.0, PERIOD]
+
+
+def test_a_stop_before_the_flight_ends_it_after_one_tick(diary):
+    ending = flown(diary, [Node(diary, "a")], ticks=9, stopped=lambda: 1)
+    assert ending == Ending(PERIOD, None)
+
+
 def test_a_stop_ends_the_flight_with_its_tick(diary):
     asked = iter([0, 0, 1])
     ending = flown(diary, [Node(diary, "a")], ticks=9, stopped=lambda: next(asked))

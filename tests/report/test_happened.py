@@ -3,9 +3,10 @@
 from types import SimpleNamespace
 
 from testbed.config import find, load
-from testbed.core.codes import FaultReport
+from testbed.core.codes import FaultId, FaultReport
 from testbed.flight.arming import Check
-from testbed.logs.history import FlightEvent
+from testbed.logs.feed import SeenPhase
+from testbed.logs.history import FlightEvent, phase_change
 from testbed.metrics.run_metrics import Metrics, Touch, VehicleMetrics
 from testbed.report.events import happened, lines
 from testbed.report.verdict import missed, reasons, verdict
@@ -14,6 +15,7 @@ SCENARIO = load(find("zhang2023_table"))
 STUCK = FaultReport(
     "valve_stuck_open", "pushed by 0.045 m/s^2 that no command explains", "sat3", "jet_open"
 )
+STOPPED = FaultReport(FaultId.STOPPED, "stopped by the operator")
 
 
 def flown(near: float = 0.9, **more) -> Metrics:
@@ -50,6 +52,14 @@ def test_faults_are_never_gathered():
     assert len(told) == 9
 
 
+def test_the_end_of_a_flight_says_who_ended_it():
+    ends = history(sat1=[])
+    ends.phases = [phase_change(SeenPhase(12.0, "STOPPED", "stop"))]
+    assert [(one.level, one.words) for one in lines(SCENARIO, ends, [])] == [
+        ("WARN", "stopped by the operator")
+    ]
+
+
 def test_a_contact_is_an_event():
     touches = [Touch(10.2, "sat1", "o1", 0.123), Touch(12.0, "sat1", "sat2", 0.01),
                Touch(13.0, "sat2", "left edge", 0.2)]  # fmt: skip
@@ -75,6 +85,10 @@ def test_the_colour_of_a_verdict():
          ("fault", "failed: sat1 hit obstacle o1 at 10.2 s, 12 cm/s; settled")),
         (flown(completed=False, duration_s=33.1, fault=STUCK.words),
          ("fault", "aborted by a fault after 33.1 s")),
+        (flown(completed=False, duration_s=33.1, fault=STUCK.words, fault_report=STUCK),
+         ("fault", "sat3: valve stuck open; aborted by a fault after 33.1 s")),
+        (flown(completed=False, duration_s=33.1, fault=STOPPED.words, fault_report=STOPPED),
+         ("unjudged", "stopped by the operator after 33.1 s: not judged")),
         (flown(completed=False, duration_s=12.3, criteria=None),
          ("unjudged", "interrupted at 12.3 s: not judged")),
         (flown(criteria={}), ("unjudged", "no criteria to judge")),
@@ -93,7 +107,8 @@ def test_the_reasons_begin_with_the_first_thing():
         SCENARIO, flown(touches=touches, contacts=5, fault=STUCK.words, fault_report=STUCK)
     )
     assert found[0] == "sat1 hit obstacle o1 at 1.0 s, 10 cm/s"
-    assert found[3:] == ["2 more contacts", "sat3: valve stuck open"]
+    assert found[3:] == ["2 more contacts", f"sat3: {STUCK.text}"]
+    assert reasons(SCENARIO, flown(fault=STOPPED.words, fault_report=STOPPED)) == []
     killed = "the flight was killed before it was judged; gas and contacts are not in the log"
     assert reasons(SCENARIO, flown(fault=killed)) == [killed]
 

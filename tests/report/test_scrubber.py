@@ -48,6 +48,12 @@ def test_poses_are_those_of_the_flight_also_where_the_heading_wraps():
     assert len(car["on"]) == 8 * len(at)
 
 
+def test_the_event_that_ends_a_flight_can_be_reached():
+    after = EventLine(12.1, ("sat1",), "WARN", "stopped by the operator")
+    found = data_of(moving(np.arange(0.0, 12.0, 0.1)), [after])
+    assert found["events"][-1][0] <= found["end"]
+
+
 def test_a_jet_is_open_where_its_plan_or_its_board_says_so():
     t = np.arange(0.0, 10.0, 0.1)
     on = np.zeros((len(t), 8))

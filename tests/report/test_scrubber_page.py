@@ -22,22 +22,25 @@ def browser():
     return chromium()
 
 
-@pytest.fixture(scope="module")
-def crash(tmp_path_factory) -> Path:
-    """PD knows nothing of obstacles: sat3 flies into o1."""
-    folder = tmp_path_factory.mktemp("crash") / "run"
+def failed(folder: Path, *words: str) -> Path:
+    """The report of a flight that ends by a fault."""
     ended = subprocess.run(
-        [sys.executable, "-m", "testbed", "run", "zhang2023_table_pd", "duration_s=20",
-         "--out", str(folder)],
+        [sys.executable, "-m", "testbed", "run", *words, "--out", str(folder / "run")],
         cwd=ROOT, capture_output=True, check=False, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert ended.returncode == 3, ended.stderr.decode()
-    return folder / "report.html"
+    return folder / "run" / "report.html"
+
+
+@pytest.fixture(scope="module")
+def crash(tmp_path_factory) -> Path:
+    """PD knows nothing of obstacles: sat3 flies into o1."""
+    return failed(tmp_path_factory.mktemp("crash"), "zhang2023_table_pd", "duration_s=20")
 
 
 @pytest.fixture
 def page(browser, crash):
-    with browser.Browser(1366, 900) as opened:
+    with browser.Browser(1366, 768) as opened:
         opened.open(crash.as_uri())
         opened.value("new Promise(done => setTimeout(done, 400))")
         yield opened
@@ -82,13 +85,35 @@ def test_the_failure_is_understood_without_scrolling(page, crash, tmp_path):
     for selector in (".verdict", "#trajectory .hit", "#scrub"):
         _, top, _, bottom = box(page, selector)
         assert top >= 0, selector
-        assert bottom <= 900, selector
+        assert bottom <= 768, selector
+    assert box(page, "#trajectory .hit")[3] < box(page, "#scrub")[1]  # not behind the bar
     assert near(region(page, "#trajectory .hit"), (198, 40, 40)) > 0.1  # a red star
     words = page.value("document.querySelector('#trajectory').textContent")
     assert "contact, 10.0 s" in words
     Path(os.environ.get("DASHBOARD_PICTURES", tmp_path), "report_crash.png").write_bytes(
         page.picture()
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("inject", "badge", "story"),
+    [
+        ('kind="stick_open",vehicle="sat3",at_s=2.03,jet=3', "sat3: valve stuck open", "jet 3"),
+        ('kind="drop_mocap",vehicle="sat2",at_s=2.0', "sat2: pose lost", "no pose for 3.00 s"),
+    ],
+)
+def test_a_fault_is_understood_without_scrolling(browser, tmp_path, inject, badge, story):
+    report = failed(tmp_path, "zhang2023_table", "duration_s=12", f"inject=[{{{inject}}}]")
+    with browser.Browser(1366, 768) as page:
+        page.open(report.as_uri())
+        page.value("new Promise(done => setTimeout(done, 400))")
+        assert text(page, ".verdict").startswith(f"{badge}; aborted by a fault after ")
+        assert story in text(page, "header")
+        assert "fault: " in text(page, "#scrub .told")
+        assert story in text(page, "#scrub .told")
+        for selector in (".verdict", "#trajectory .hit", "#scrub"):
+            assert 0 <= box(page, selector)[1] < box(page, selector)[3] <= 768, selector
 
 
 @pytest.mark.slow

@@ -137,6 +137,7 @@ async function stop() {
   for (let tries = 0; tries < 10; tries++) {
     try {
       const told = await ask('stop', ANSWER_MS, { method: 'POST', body: name, headers: { 'X-Console': 'stop' } });
+      $('told').dataset.heard = told.heard_ns; // by the clock of the page's process
       const all = told.sent && !told.lines.some(line => line.includes('did not'));
       show('told', `STOP: ${told.lines.join(', ')}`, all ? 'ok' : 'bad');
       if (!told.sent) presses = 0;
