@@ -257,6 +257,8 @@ class Plant:
 
     def lift(self, k: int) -> None:
         """Open the air of vehicle `k` again."""
+        if k not in self.landed:
+            return
         p = self.parameters
         p.effect[k], p.thrust[k], p.bearing_flow[k] = self._aloft.pop(k)
         p.grip[k] = 0.0

@@ -83,10 +83,10 @@ class TwinStation:
         """See `Station`."""
         plant = self.twin.plant
         k = plant.behind(self.twin.rows[name])
-        if not on:
-            plant.land(k)
-        elif not plant.floats(k):
+        if on:
             plant.lift(k)
+        else:
+            plant.land(k)
 
     def fire(self, name: str, jet: int, seconds: float) -> float:
         """See `Station`."""
