@@ -57,6 +57,8 @@ class Rows(Sequence[S]):
         return self.struct(self.rows[k].tolist())
 
     def __eq__(self, other: object) -> bool:
+        if isinstance(other, type(self)):
+            return np.array_equal(self.rows, other.rows)
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     __hash__ = None  # type: ignore[assignment]
@@ -92,3 +94,14 @@ class References(Rows[Reference]):
         """See `Rows`."""
         t, x, y, theta, vx, vy, omega, ax, ay, alpha = row
         return Reference(t, Pose(x, y, theta), Twist(vx, vy, omega), Accel(ax, ay, alpha))
+
+
+def structs_of(thing: object) -> list[object]:
+    """The structs of rows: msgspec's `enc_hook` for messages with rows in them.
+
+    Raises:
+        NotImplementedError: for anything else.
+    """
+    if not isinstance(thing, Rows):
+        raise NotImplementedError(f"{type(thing).__name__} in a message")
+    return list(thing)

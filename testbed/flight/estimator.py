@@ -46,6 +46,7 @@ JUMP = 0.05  # a larger error is a jump [m]
 TURN = 0.1  # [rad]
 SHOVE = 0.2  # velocity spread after a push [m/s]
 SHOVE_SPIN = 0.5  # [rad/s]
+SETTLED = 1.0  # from the first pose until the velocity is known [s]
 USUAL = 0.005  # share of the newest pose in the mean noise of these cameras
 SUB_STEP = 0.01  # [s] the wrench is averaged over this; at 0.1 m/s^2 that is 5 um
 
@@ -240,6 +241,7 @@ def filter_of(params: EstimatorParams, mocap: Mocap) -> Filter:
 
 MEMORY = record(
     started=int,  # 1: a pose has started the filter
+    began=float,  # capture time of that pose [s]
     t=float,  # of the state [s]
     newest=float,  # capture time of the newest accepted sample [s]
     refused=float,  # recently refused samples, see FORGIVEN
@@ -300,7 +302,7 @@ def update(p, model, m, fired, samples, now):
 def start(p, m, sample):
     """Start at rest at a pose."""
     m.started = 1
-    m.t = m.newest = sample[0]
+    m.t = m.newest = m.began = sample[0]
     m.refused = m.agreed = 0.0
     m.rough = m.usual = 1.0
     m.still, m.bumped, m.step[:], m.prior[:] = 0, 0.0, 0.0, 0.0
@@ -345,7 +347,8 @@ def absorb(p, model, m, fired, sample):
             x[0], x[1], x[2] = sample[1], sample[2], sample[3]  # and its velocity is known
             dx = dy = turn = 0.0
         else:
-            m.bumped = np.hypot(dx, dy) / (m.t - m.since)
+            if m.t - m.began > SETTLED:  # before, it may not have been at rest
+                m.bumped = np.hypot(dx, dy) / (m.t - m.since)
             doubt(cov, np.hypot(dx, dy), SHOVE)
             doubt(cov_spin, turn, SHOVE_SPIN)
     gain = correct(cov, p.noise[0])

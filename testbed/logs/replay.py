@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
+from testbed.core.rows import structs_of
 from testbed.core.types import (
     HostInputs,
     HostTick,
@@ -144,7 +145,7 @@ def _was_armed(tick: HostTick) -> bool:
 
 def parting(tick: int, topic: str, then: Any, now: Any, *, law_on_board: bool) -> Difference | None:
     """Where the outputs of two ticks differ; None: nowhere."""
-    before, after = msgspec.to_builtins(then.outputs), msgspec.to_builtins(now.outputs)
+    before, after = (msgspec.to_builtins(one.outputs, enc_hook=structs_of) for one in (then, now))
     host = isinstance(then, HostTick)
     stage, key = stage_of(before, after, on_host=host, law_on_board=law_on_board)
     if not stage:

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from testbed.core.records.kinds import SetpointKind
-from testbed.core.rows import References
+from testbed.core.rows import References, structs_of
 from testbed.core.types import Demand, LawMessage, Setpoint, State, Trajectory
 from testbed.logs.packing import elements, getter, made, packed, unpack
 
@@ -18,7 +18,7 @@ LARGEST = 1e9  # numbers beyond it are refused
 NAN = float("nan")
 NO_DEMAND = (NAN,) * 7
 _state, _reference, _demand = getter("State"), getter("Reference"), getter("Demand")
-_other = msgspec.msgpack.Encoder().encode
+_other = msgspec.msgpack.Encoder(enc_hook=structs_of).encode
 
 
 def body_of(message: Any) -> bytes:

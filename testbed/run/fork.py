@@ -22,6 +22,7 @@ from msgspec.structs import replace
 from testbed.config import ConfigError, Experiment, Fork, dump, loads
 from testbed.config.experiment import CHANGEABLE
 from testbed.core.error import TestbedError
+from testbed.core.rows import structs_of
 from testbed.files import write_atomic
 from testbed.logs.log_reader import LogReader, config_of, log_of
 from testbed.logs.replay import Difference, before_damage, difference, parting
@@ -111,7 +112,7 @@ def departure(original: Path, fork: Path, t: float, *, on_board: bool) -> Differ
 
 def _between(k: int, topic: str, then: Any, now: Any, *, on_board: bool) -> Difference | None:
     """Where two ticks differ; their inputs come first."""
-    before, after = msgspec.to_builtins(then.inputs), msgspec.to_builtins(now.inputs)
+    before, after = (msgspec.to_builtins(one.inputs, enc_hook=structs_of) for one in (then, now))
     if (found := difference(before, after, "inputs")) is not None:
         return Difference(k, then.inputs.t, topic, *found, "twin")
     return parting(k, topic, then, now, law_on_board=on_board)

@@ -9,11 +9,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from testbed.core.lab import Impairment
-from testbed.core.types import Accel, Demand, LawMessage, Pose, Reference, Trajectory, Twist
+from testbed.core.rows import PoseSamples, References
+from testbed.core.types import (
+    Accel,
+    Demand,
+    Health,
+    Inputs,
+    LawMessage,
+    Pose,
+    PoseSample,
+    Reference,
+    Trajectory,
+    Twist,
+)
 from testbed.net.envelope import SCHEMA, START, Acceptance, Inbox, Outbox, head_of
 from testbed.net.impairment import NetworkImpairment
 from testbed.net.links import LocalMessages
-from testbed.net.payload import open_setpoint
+from testbed.net.payload import body_of, open_setpoint
 
 
 def demand(t):
@@ -31,6 +43,14 @@ def test_what_is_sent_is_what_arrives():
         assert box.take(out.seal(setpoint, 1.0, 1.3), 1.02) is Acceptance.TAKEN
         assert box.newest == setpoint
         assert box.valid_until == 1.3
+
+
+def test_a_whole_tick_is_sent_and_read():
+    """A vehicle on wires sends its ticks to the host, which logs them."""
+    ahead = References.of((Reference(1.0, Pose(1, 2, 3), Twist(4, 5, 6), Accel(7, 8, 9)),))
+    seen = PoseSamples.of((PoseSample(0.9, 1.0, 2.0, 3.0),))
+    inputs = Inputs(1.0, True, seen, Trajectory(ahead, 1.5), {}, Health(1.0, 5e5, 2e7))
+    assert msgspec.msgpack.decode(body_of(inputs), type=Inputs) == inputs
 
 
 @pytest.mark.parametrize(
