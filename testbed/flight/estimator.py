@@ -348,7 +348,8 @@ def absorb(p, model, m, fired, sample):
             dx = dy = turn = 0.0
         else:
             if m.t - m.began > SETTLED:  # before, it may not have been at rest
-                m.bumped = np.hypot(dx, dy) / (m.t - m.since)
+                since = max(1e-3, m.t - m.apart[0])
+                m.bumped = np.hypot(dx - m.apart[1], dy - m.apart[2]) / since
             doubt(cov, np.hypot(dx, dy), SHOVE)
             doubt(cov_spin, turn, SHOVE_SPIN)
     gain = correct(cov, p.noise[0])

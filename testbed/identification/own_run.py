@@ -30,7 +30,9 @@ def read_run_log(folder: Path, body: str | None) -> MotionLog:
         body = names[0]
     if body is None or body not in history.vehicles:
         raise LogRefusedError(
-            where=str(folder), expected=f"--body, one of: {', '.join(names)}", found=body or "none of them chosen"
+            where=str(folder),
+            expected=f"--body, one of: {', '.join(names)}",
+            found=body or "none of them chosen",
         )
     own = history.vehicles[body]
     known = np.isfinite(own.pose).all(axis=1) & np.isfinite(own.at)
