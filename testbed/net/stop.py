@@ -31,8 +31,10 @@ LATE_S = 2.0  # further time for vehicles that have not answered: busy computers
 END_S = 2.0  # time for a flight on the twin to end
 LOOK_S = 0.02
 DEFAULT = "tcp/127.0.0.1:7450"  # the host's default endpoint
-LAST_RESORT = "if a vehicle still moves: shut the main valve or pull the cord by hand\n"
-BY_THEMSELVES = "vehicles without a host brake and shut by themselves after one second"
+LAST_RESORT = """\
+vehicles without a host brake and shut by themselves after one second
+if a vehicle still moves: shut the main valve or pull the cord by hand
+"""
 
 
 def own_keys() -> Path:
@@ -82,16 +84,11 @@ def stop_everything(connect: str | None, lab: str, keys: Path | None = None) -> 
 
 def _stop_here() -> Iterator[bool]:
     """Stop every flight on this machine, and a host at the default endpoint without a note."""
-    tried = set()
+    tried, killed = set(), []
     for note, flight in list(known_flights()):
         tried.add(flight.endpoint)
         if not runs(flight):
-            if flight.endpoint:
-                complain(f"{flight.endpoint}: the host, process {flight.pid}, was killed")
-                shut = _stop_directly(flight, _new_id())
-                yield _report(flight, set(flight.vehicles), shut, "it was killed")
-            if not flight.endpoint or not shut:  # the second stop needs the note
-                note.unlink(missing_ok=True)
+            killed.append((note, flight))
         elif flight.endpoint:
             yield _stop_wires(flight)
         else:
@@ -102,6 +99,14 @@ def _stop_here() -> Iterator[bool]:
             yield _stop_wires(flight)
         elif shut := _stop_directly(flight, _new_id()):
             yield _report(flight, set(), shut, "no host listens")
+    for note, flight in killed:  # last: each takes DIRECT_S, and its vehicles shut by themselves
+        shut = set()
+        if flight.endpoint:
+            shut = _stop_directly(flight, _new_id())
+            why = f"the host, process {flight.pid}, was killed"
+            yield _report(flight, set(flight.vehicles), shut, why)
+        if not shut:  # the second stop needs the note
+            note.unlink(missing_ok=True)
 
 
 def _listens(endpoint: str) -> bool:
@@ -193,8 +198,6 @@ def _report(flight: StoppableFlight, names: set[str], shut: set[str], trouble: s
     """Print which vehicles stopped, and the host's trouble; whether all vehicles stopped."""
     if trouble and not shut:
         complain(f"{flight.endpoint}: not stopped: {trouble}")
-        if flight.pid:
-            complain(BY_THEMSELVES)
         return False
     sys.stdout.write(f"{flight.endpoint}\n")
     for name in sorted({*names, *shut}):

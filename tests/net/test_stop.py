@@ -16,7 +16,7 @@ from ports import free_port
 from testbed.core.lab import Network
 from testbed.net import flight_note
 from testbed.net import stop as stopping
-from testbed.net.flight_note import noted
+from testbed.net.flight_note import StoppableFlight, noted
 from testbed.net.keys import Keys
 from testbed.net.session import answer_to, listen
 from testbed.net.stop import FAILED, OK, stop_everything
@@ -176,6 +176,19 @@ def test_a_host_that_was_killed_is_said_once(here, capsys, process):
         assert f"process {pid}, was killed" in capsys.readouterr().err
         assert stop_everything(None, "lab") == FAILED
         assert "no flight on" in capsys.readouterr().err
+
+
+def test_a_host_that_lives_is_stopped_before_those_that_were_killed(here, capsys, monkeypatch):
+    session, kept = host_at(stopping.DEFAULT, ["sat1"], ["sat1"])
+    killed = StoppableFlight("tcp/127.0.0.1:1", pid=1, started="never")
+    lives = StoppableFlight(stopping.DEFAULT, vehicles=["sat1"])
+    notes = [(here / str(k), one) for k, one in enumerate((killed, lives, killed))]
+    monkeypatch.setattr(stopping, "known_flights", lambda: notes)
+    monkeypatch.setattr(stopping, "runs", lambda flight: flight is lives)
+    with session:
+        assert list(stopping._stop_here()) == [True, False, False]
+        del kept
+    assert capsys.readouterr().out == f"{stopping.DEFAULT}\n  sat1: stops\n{ONCE_MORE}\n"
 
 
 # Flights on the twin
