@@ -5,7 +5,7 @@ A refused experiment can be forced. The operator types its name, because `y` is 
 
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
 
 import msgspec
@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table as Grid
 
+from testbed.cli.counted import counted
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import say, show
@@ -58,9 +59,11 @@ def fly_once(experiment: Experiment, seed: int) -> AdmissionFlight:
     )
 
 
-def admit(experiment: Experiment, flights: int, limits: AdmissionParams | None = None) -> Admission:
-    """Fly the seeds experiment.seed, experiment.seed + 1, ... and judge the flights."""
-    flown = [fly_once(experiment, experiment.seed + k) for k in range(flights)]
+def admit(
+    experiment: Experiment, seeds: Iterable[int], limits: AdmissionParams | None = None
+) -> Admission:
+    """Fly these seeds and judge the flights."""
+    flown = [fly_once(experiment, seed) for seed in seeds]
     return judge_flights(experiment.name, flown, limits or AdmissionParams())
 
 
@@ -81,10 +84,10 @@ def run_admission(
             experiment = load(find(name), overrides)
     except ConfigError as error:
         return refuse(error)
-    times = "once" if flights == 1 else f"{flights} times"
-    words = f"flying {times} in the twin (compiles on the first run)"
-    with redirect_stdout(sys.stderr), errors.status(words):
-        admission = admit(experiment, flights)
+    seeds = range(experiment.seed, experiment.seed + flights)
+    words = "flying in the twin (the first flight compiles)"
+    with redirect_stdout(sys.stderr):
+        admission = admit(experiment, counted(seeds, words, flights))
     if as_json:
         sys.stdout.write(msgspec.json.format(msgspec.json.encode(admission)).decode() + "\n")
     else:

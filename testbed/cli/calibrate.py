@@ -13,6 +13,7 @@ from rich.console import Console
 
 from testbed.cli.exit_code import BAD_INPUT, OK
 from testbed.cli.refusal import refuse, warn
+from testbed.cli.screen import say
 from testbed.core.error import TestbedError
 from testbed.core.table import Table
 from testbed.core.vehicle import Vehicle
@@ -101,7 +102,7 @@ def motion(
         logs = read_logs(asked)
         found = calibrate_motion(
             logs, load_vehicle(vehicle), others=vehicles_of(asked), force=force,
-            progress=lambda text: None if as_json else screen.print(f"[dim]{text}"),
+            progress=lambda text: None if as_json else say(screen, text, "dim"),
         )  # fmt: skip
         if out is not None:
             save(out, found, vehicle, logs, today())
@@ -122,18 +123,20 @@ def motion(
     for name, row in result["parameters"].items():
         kept = "" if row["chosen"] else "  kept as in the file"
         note = "" if row["identifiable"] else "  not identifiable from this log"
-        screen.print(
+        say(
+            screen,
             f"{name:<10} {row['value']:>10.5g} {row['unit']:<9}"
-            f" 95 %: {row['low']:.4g} to {row['high']:.4g}{kept}{note}"
+            f" 95 %: {row['low']:.4g} to {row['high']:.4g}{kept}{note}",
         )
     for row in result["jets"]:
         note = "" if row["identifiable"] else "  not identifiable from this log"
-        screen.print(
+        say(
+            screen,
             f"jet {row['jet']:<6} {row['thrust_n']:>10.4g} N         95 %: {row['low_n']:.4g} to"
-            f" {row['high_n']:.4g}  {row['state']}{note}"
+            f" {row['high_n']:.4g}  {row['state']}{note}",
         )
     for line in result["findings"]:
-        screen.print(f"[bold]{line}")
+        say(screen, line, "bold")
     return OK
 
 
@@ -170,13 +173,14 @@ def check_against(
     for h, both in result["horizons"].items():
         for who, one in both.items():
             if one["count"]:
-                screen.print(
+                say(
+                    screen,
                     f"{h} s ahead, {vehicle if who == 'vehicle' else against}:"
                     f" {1e3 * one['position_rms_m']:.1f} mm RMS,"
                     f" {1e3 * one['position_median_m']:.1f} mm median,"
-                    f" {one['heading_rms_deg']:.2f} deg RMS, {one['count']} predictions"
+                    f" {one['heading_rms_deg']:.2f} deg RMS, {one['count']} predictions",
                 )
-    screen.print(result["verdict"])
+    say(screen, result["verdict"])
     return OK
 
 
@@ -227,9 +231,10 @@ def floor(
     if as_json:
         print_json(result)
         return OK
-    screen.print(
+    say(
+        screen,
         f"slope map of {nodes} x {nodes} nodes; {100 * result['known_share']:.0f} % of them are"
-        f" told by the logs, at most {1e3 * result['largest_m_s2']:.1f} mm/s^2 there"
+        f" told by the logs, at most {1e3 * result['largest_m_s2']:.1f} mm/s^2 there",
     )
     return OK
 
@@ -254,9 +259,10 @@ def slope(
     if as_json:
         print_json(result)
         return OK
-    screen.print(
+    say(
+        screen,
         f"{len(grid[0])} x {len(grid)} nodes on {surface.size[0]:g} m x {surface.size[1]:g} m,"
-        f" at most {1e3 * largest:.1f} mm/s^2"
+        f" at most {1e3 * largest:.1f} mm/s^2",
     )
     return OK
 
@@ -286,10 +292,11 @@ def thrust(paths: Sequence[Path], columns: tuple[str, str, str], unit: str, as_j
         print_json({"jets": rows})
         return OK
     for row in rows:
-        screen.print(
+        say(
+            screen,
             f"{row['file']}: {row['thrust_n']:.4f} N (95 %: {row['low_n']:.4f} to"
             f" {row['high_n']:.4f}), {row['pulses']} pulses, spread {row['pulse_spread']:.2%},"
-            f" change over the run {row['change']:+.1%}"
+            f" change over the run {row['change']:+.1%}",
         )
     return OK
 
@@ -322,8 +329,8 @@ def mocap(
         print_json(result)
         return OK
     for name, value in result.items():
-        screen.print(
-            f"{name:<22} {value:.6g}" if isinstance(value, float) else f"{name:<22} {value}"
+        say(
+            screen, f"{name:<22} {value:.6g}" if isinstance(value, float) else f"{name:<22} {value}"
         )
     return OK
 
@@ -364,9 +371,10 @@ def excite(
     if as_json:
         print_json(result)
         return OK
-    screen.print(
+    say(
+        screen,
         f"{len(found.inputs.up)} pulses, {1e3 * found.gas:.1f} g of gas, at most"
-        f" {found.reach:.2f} m from the start"
+        f" {found.reach:.2f} m from the start",
     )
     for name, row in found.intervals.items():
         note = "" if row["identifiable"] else "  not identifiable"

@@ -7,10 +7,12 @@ from datetime import date
 from pathlib import Path
 
 import click
+from rich.console import Console
 
 from testbed.cli.exit_code import FAILED, FAULT, OK
 from testbed.cli.poses import cameras
 from testbed.cli.refusal import errors, refuse
+from testbed.cli.screen import say
 from testbed.commission.procedure import Commissioned, commission
 from testbed.commission.report import lines_of, passed, write_report
 from testbed.commission.station import Station
@@ -22,6 +24,8 @@ from testbed.core.error import TestbedError
 from testbed.net.session import NetworkError
 from testbed.rig.commissioning import record_of, save
 from testbed.run.folder import FolderError, new_folder
+
+screen = Console(highlight=False)
 
 
 def run_commission(
@@ -111,7 +115,7 @@ def _nothing(_: Verdict) -> None:
 
 def _say(verdict: Verdict) -> None:
     for line in lines_of([verdict]):
-        click.secho(line, fg="red" if verdict.code else None)
+        say(screen, line, "red" if verdict.code else None, len(line) - len(verdict.text))
 
 
 def _end(done: Commissioned, names: Sequence[str], good: Sequence[str], folder: Path) -> None:
@@ -124,5 +128,5 @@ def _end(done: Commissioned, names: Sequence[str], good: Sequence[str], folder: 
             text = f"{one}: not commissioned; mend what is wrong at: {', '.join(wrong)}"
         else:
             text = f"{one}: nothing wrong, but left out: {', '.join(left)}"
-        click.echo(text)
-    click.echo(f"report: {folder / 'commission.txt'}")
+        say(screen, text)
+    say(screen, f"report: {folder / 'commission.txt'}")

@@ -1,15 +1,15 @@
 """`testbed drill`: inject every kind of fault and print the outcomes."""
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import msgspec
 from msgspec.structs import replace
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import track
 from rich.table import Table as Grid
 
+from testbed.cli.counted import counted
 from testbed.cli.exit_code import FAILED, OK
 from testbed.cli.refusal import errors, refuse
 from testbed.cli.screen import say, show
@@ -40,10 +40,11 @@ def run_drill(
             from testbed.run.drill_on_wires import drill_wires
 
             count = injections or len(cases_of(rig, len(first.vehicles)))
-            cases = progress(drill_wires(count, seed, report, names[0]), count)
+            found = counted(drill_wires(count, seed, report, names[0]), "drilling", count)
         else:
             count = injections or 540
-            cases = progress(drill_twin(count, seed, jobs, names), count)
+            found = counted(drill_twin(count, seed, jobs, names), "drilling", count)
+        cases = list(found)
     except ConfigError as error:
         return refuse(error)
     drill = summarise(rig, cases)
@@ -58,16 +59,6 @@ def run_drill(
 def report(line: str) -> None:
     """Print progress on standard error; standard output is for the result."""
     say(errors, line)
-
-
-def progress(cases: Iterable[Drilled], count: int) -> list[Drilled]:
-    """Collect all cases; shows a progress bar at a terminal."""
-    return list(
-        track(
-            cases, "drilling", count, console=errors, transient=True,
-            disable=not errors.is_terminal,
-        )
-    )  # fmt: skip
 
 
 def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:

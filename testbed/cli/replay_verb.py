@@ -28,7 +28,7 @@ def replay(
     context: click.Context, run: Path, overrides: tuple[str, ...], as_json: bool, view: bool,
     since: float | None, out: Path | None,
 ) -> None:  # fmt: skip
-    """Run the logged inputs of a RUN folder through the current code.
+    """Run the logged inputs of a RUN through the current code.
 
     The exit code is 1 if an output differs from the log in any bit. With --from a new flight is
     made, which is the RUN's up to that time; the exit codes are those of `testbed run`.

@@ -35,12 +35,12 @@ def show(out: Console, grid: Grid) -> None:
         out.print(_part(grid, [first, *some], is_first=k == 0))
 
 
-def say(out: Console, text: str, style: str | None = None) -> None:
-    """Print a sentence; on a terminal it folds between words, below where it begins."""
+def say(out: Console, text: str, style: str | None = None, hang: int = 2) -> None:
+    """Print a sentence; on a terminal it folds between words, `hang` further in than it begins."""
     if out.is_terminal:
         begins = " " * (len(text) - len(text.lstrip()))
         text = textwrap.fill(
-            text.lstrip(), out.width, initial_indent=begins, subsequent_indent=f"{begins}  ",
+            text.lstrip(), out.width, initial_indent=begins, subsequent_indent=begins + hang * " ",
             break_long_words=False, break_on_hyphens=False,
         )  # fmt: skip
     out.print(text, style=style, markup=False, soft_wrap=True)

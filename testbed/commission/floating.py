@@ -71,7 +71,8 @@ def afloat(
             " file does not know: a hose, or a table that is not level"
         )
         return Verdict(STEP, name, text, "pulled", numbers)
-    text = f"{1e3 * size:.1f} mm/s^2 beyond the table file's slope, turned by {alpha:.4f} rad/s^2"
+    turn = 1e3 * abs(alpha)
+    text = f"{1e3 * size:.1f} mm/s^2 beyond the table file's slope, turned by {turn:.1f} mrad/s^2"
     return Verdict(STEP, name, text, numbers=numbers)
 
 

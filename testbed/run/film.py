@@ -26,6 +26,7 @@ def make_film(
     run: Path, out: Path | None, speed: float | None, width: int,
     warn: Callable[[list[str]], None] = lambda lines: None,
     video: Path | None = None, offset: float = 0.0,
+    watch: Callable[[Iterator[Any], int], Iterator[Any]] = lambda frames, count: frames,
 ) -> Path:  # fmt: skip
     """Write the film; returns its path.
 
@@ -37,6 +38,7 @@ def make_film(
         warn: called with a line for each damaged place of the log.
         video: a camera's video, shown at the right.
         offset: time of the run at which the video begins [s].
+        watch: passes the frames on, of which there are so many, to show progress.
     """
     ffmpeg = shutil.which("ffmpeg")
     path = out or run / ("film.mp4" if ffmpeg else "film.gif")
@@ -67,6 +69,7 @@ def make_film(
         frames = (film.beside(one, seen, wide)
                   for one, seen in zip(frames, camera.at(places), strict=True))  # fmt: skip
         size = size[0] + wide, size[1]
+    frames = watch(frames, len(times))
     if path.suffix == ".gif":
         _gif(frames, film.palette(COLOURS if video is None else 256, samples), path)
     else:

@@ -1,0 +1,25 @@
+"""Shows how many of some items are done."""
+
+import time
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+from rich.progress import track
+
+from testbed.cli.refusal import errors
+
+LINE_S = 60.0  # interval of lines without a terminal [s]
+Item = TypeVar("Item")
+
+
+def counted(items: Iterable[Item], words: str, total: int) -> Iterator[Item]:
+    """The items; a bar at a terminal, otherwise a line once a minute, both on standard error."""
+    if errors.is_terminal:
+        yield from track(items, words, total, console=errors, transient=True)
+        return
+    told = time.monotonic()
+    for done, item in enumerate(items, 1):
+        yield item
+        if time.monotonic() - told >= LINE_S:
+            told = time.monotonic()
+            errors.print(f"{words}: {done} of {total}", markup=False, soft_wrap=True)
