@@ -278,7 +278,7 @@ class Agent:
                 far, turn = math.hypot(step[0], step[1]), math.degrees(step[2])
                 return f"{1e3 * far:.0f} mm and {turn:.1f} deg away from one pose to the next"
             case Detector.BUMPED:
-                return self._nearby.contact(inputs.t) or "nothing known is near"
+                return self._nearby.contact(inputs.t) or "no known body is near"
             case Detector.LAW_ERROR:
                 return self._law_error or vitals.law_error
             case Detector.POSE_OF_ANOTHER:

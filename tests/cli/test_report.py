@@ -172,7 +172,7 @@ def test_a_failure_is_told_from_its_beginning(testbed):
     told = words[words.index("Faults and interventions") :]
     contact = f"hit obstacle o1, {100 * first['speed']:.0f} cm/s"
     assert told.index(contact) < told.index("bumped")
-    sentence = r"pushed by 0\.\d+ m/s at once: contact with o1 \([\d.]+ cm away\)"
+    sentence = r"velocity jumped by 0\.\d+ m/s: contact with o1 \([\d.]+ cm away\)"
     assert len(re.findall(sentence, before_scrubber(page))) == 1  # said once
     for key in ("obstacles", "error", "speed"):  # and in the figures
         assert "sat3 hits o1" in Path(f"out/figures/{key}.svg").read_text(), key

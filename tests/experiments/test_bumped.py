@@ -1,4 +1,4 @@
-"""A push that no command explains and that comes at once: a contact, or a hand."""
+"""A jump of the velocity that no command explains: a contact, or a hand."""
 
 import math
 
@@ -12,7 +12,7 @@ AT = 5.0  # [s]
 
 
 class Hand(NullObserver):
-    """Changes the vehicle's velocity at once."""
+    """Makes the vehicle's velocity jump."""
 
     def __init__(self, push):
         self.push, self.rig, self.first = push, None, None
@@ -36,12 +36,12 @@ def pushed(push, *words):
 
 @pytest.mark.parametrize("rate", [50.0, 100.0, 240.0])
 @pytest.mark.parametrize("push", [(0.1, 0.0), (-0.08, 0.12)])
-def test_a_push_at_once_stops_the_flight(push, rate):
+def test_a_jump_of_the_velocity_stops_the_flight(push, rate):
     ending, first = pushed(push, f"table.mocap.rate_hz={rate}")
     assert ending.fault.id == "bumped"
-    said = float(ending.fault.text.split()[2])
+    said = float(ending.fault.text.split()[3])
     assert 0.7 < said / math.hypot(*push) < 1.3
-    assert "nothing known is near" in ending.fault.text
+    assert "no known body is near" in ending.fault.text
     assert first - AT < 0.4
 
 
