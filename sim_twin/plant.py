@@ -290,7 +290,7 @@ class Plant:
             up[0], down[0], strength[0] = since, until, share
         return played
 
-    def behind(self, k: int) -> int:
+    def vehicle_of_board(self, k: int) -> int:
         """The vehicle that the board of vehicle `k` is in."""
         others = [b if k == a else a for a, b in self.crossed if k in (a, b)]
         return others[0] if others else k
@@ -339,5 +339,5 @@ class Plant:
         self.t = t
         for k, board in enumerate(self.boards.values()):
             if not board.floats:
-                self.land(self.behind(k))
+                self.land(self.vehicle_of_board(k))
         return seen

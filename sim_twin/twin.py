@@ -235,7 +235,7 @@ class TwinThrusters:
         """See `Thrusters`."""
         self._board.land()
         plant = self._twin.plant
-        plant.land(plant.behind(self._twin.rows[self._name]))
+        plant.land(plant.vehicle_of_board(self._twin.rows[self._name]))
 
     def health(self) -> Health:
         """See `Thrusters`."""

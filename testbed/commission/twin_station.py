@@ -82,7 +82,7 @@ class TwinStation:
     def bearing(self, name: str, *, on: bool) -> None:
         """See `Station`."""
         plant = self.twin.plant
-        k = plant.behind(self.twin.rows[name])
+        k = plant.vehicle_of_board(self.twin.rows[name])
         if on:
             plant.lift(k)
         else:

@@ -138,7 +138,7 @@ class FaultId(StrEnum):
     BOARD_LEFT_ARMED = auto()
     BOARD_RESET = auto()  # its valves and its bearing air are shut
     LINE_LOST = auto()  # the serial line to the board
-    FLOODED = auto()  # more messages without sense than a vehicle can read beside its own
+    FLOODED = auto()  # so many unusable messages that a vehicle cannot read its own in time
     HOST_SUSPENDED = auto()  # the host's process did not run for a while
     NO_LEASE = auto()  # the host never permitted the flight
     STOPPED = auto()  # by an operator

@@ -31,11 +31,11 @@ class Rows(Sequence[S]):
     @classmethod
     def of(cls, structs: Sequence[S]) -> Self:
         """The same structs as rows."""
-        return structs if isinstance(structs, cls) else cls.made(map(cls.numbers, structs))
+        return structs if isinstance(structs, cls) else cls.from_numbers(map(cls.numbers, structs))
 
     @classmethod
-    def made(cls, rows: Iterable[Sequence[float]]) -> Self:
-        """From rows of numbers."""
+    def from_numbers(cls, rows: Iterable[Sequence[float]]) -> Self:
+        """The rows that these numbers are, one struct each."""
         numbers = list(chain.from_iterable(rows))
         return cls(np.array(numbers, dtype=np.float64).reshape(-1, cls.width))
 

@@ -93,7 +93,7 @@ class Pilot:
             )  # fmt: skip
             if k == 0:
                 self._motion, self.filtered = motion, filtered
-        return Trajectory(References.made(references), references[-1][0] + self._life)
+        return Trajectory(References.from_numbers(references), references[-1][0] + self._life)
 
     def _push(
         self, t: float, motion: Motion, stick: Stick, neighbours: Mapping[str, State]

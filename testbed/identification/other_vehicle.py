@@ -96,21 +96,21 @@ def by_levers(
     rivals = {name: one for name, one in others.items() if _levers(one) != _levers(vehicle)}
     if not rivals:
         return
-    untold = set(rivals)
+    ambiguous = set(rivals)
     for part in _parts(windows):
         own = departure(*part, vehicle)
         for name, rival in rivals.items():
             gain = own - departure(*part, rival)
             if abs(gain) > MARGIN:
-                untold.discard(name)
+                ambiguous.discard(name)
             if gain > MARGIN:
                 where = ", ".join(log.where for log in part[0])
                 text = f"{where}: the levers of {name} explain it better"
                 yield Suspicion(NAME, f"{text} (chi^2 smaller by {gain:.0f})")
                 break
-    if untold:
-        text = f"too little flight to tell this vehicle from {', '.join(sorted(untold))}"
-        yield Suspicion("vehicle-not-told", text + ": is --vehicle right?", refuses=False)
+    if ambiguous:
+        text = f"too little flight to tell this vehicle from {', '.join(sorted(ambiguous))}"
+        yield Suspicion("vehicle-ambiguous", text + ": is --vehicle right?", refuses=False)
 
 
 Part = tuple[list[MotionLog], list[Windows]]

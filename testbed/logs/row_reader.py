@@ -87,7 +87,7 @@ class RowReader:
             self.report(who, EventKind.FLEET) if fleet else None, foreign, bool(end),
         )  # fmt: skip
         inputs = Inputs(
-            t, bool(armed), PoseSamples.made(row.sequences["samples"]),
+            t, bool(armed), PoseSamples.from_numbers(row.sequences["samples"]),
             self._setpoint(kind, demand, until, row), self._states(row), health,
             self._messages(row), vitals,
         )  # fmt: skip
@@ -167,7 +167,7 @@ class RowReader:
         if kind == SetpointKind.NONE:
             return None
         ahead = row.sequences["references"]
-        return Trajectory(References.made(ahead), until)
+        return Trajectory(References.from_numbers(ahead), until)
 
 
 def fault_of(event: cdr.Message) -> FaultReport | None:

@@ -64,7 +64,7 @@ def open_setpoint(data: bytes) -> Setpoint:
             return Demand(*demand)
         case SetpointKind.TRAJECTORY if ahead:
             _insist([until, *chain.from_iterable(ahead)])
-            return Trajectory(References.made(ahead), until)
+            return Trajectory(References.from_numbers(ahead), until)
     raise ValueError(
         f"expected a demand or a trajectory, found kind {kind}, {len(ahead)} references"
     )

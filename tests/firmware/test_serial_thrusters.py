@@ -44,6 +44,20 @@ def plan(seq, issued_at, on, offset=0):
     return ValveCommand(seq, issued_at, until, (on,) + (0,) * 7, (offset,) + (0,) * 7)
 
 
+@contextmanager
+def pulsing(limits, folder):
+    """A tap, its edges and armed thrusters, while a jet is open."""
+    with (
+        served(limits, folder) as (tap, edges),
+        SerialThrusters(str(tap.link), limits, 0.0, 1) as thrusters,
+    ):
+        thrusters.epoch_us = monotonic_us()
+        thrusters.arm()
+        thrusters.apply(plan(1, 0.0, 90_000))
+        wait_for(lambda: edges)
+        yield tap, edges, thrusters
+
+
 @pytest.fixture
 def limits(host):
     return host.limits
@@ -86,14 +100,7 @@ def test_leaving_disarms(limits, tmp_path):
 
 
 def test_a_cut_line_is_trouble_and_the_board_closes(limits, tmp_path):
-    with (
-        served(limits, tmp_path) as (tap, edges),
-        SerialThrusters(str(tap.link), limits, 0.0, 1) as thrusters,
-    ):
-        thrusters.epoch_us = monotonic_us()
-        thrusters.arm()
-        thrusters.apply(plan(1, 0.0, 90_000))
-        wait_for(lambda: edges)
+    with pulsing(limits, tmp_path) as (tap, edges, thrusters):
         tap.cut = True
         wait_for(lambda: tap.status.faults)
         assert edges[-1].mask == 0
@@ -217,14 +224,7 @@ def test_a_twin_takes_away_no_port_but_its_own(limits, tmp_path):
 
 
 def test_a_board_that_was_reset_says_why(limits, tmp_path):
-    with (
-        served(limits, tmp_path) as (tap, edges),
-        SerialThrusters(str(tap.link), limits, 0.0, 1) as thrusters,
-    ):
-        thrusters.epoch_us = monotonic_us()
-        thrusters.arm()
-        thrusters.apply(plan(1, 0.0, 90_000))
-        wait_for(lambda: edges)
+    with pulsing(limits, tmp_path) as (tap, _, thrusters):
         tap.power(on=False)
         tap.power(on=True)
         wait_for(lambda: thrusters.trouble)
@@ -236,14 +236,7 @@ def test_a_board_that_was_reset_says_why(limits, tmp_path):
 
 
 def test_a_board_with_another_session_was_taken_by_another_program(limits, tmp_path):
-    with (
-        served(limits, tmp_path) as (tap, edges),
-        SerialThrusters(str(tap.link), limits, 0.0, 1) as thrusters,
-    ):
-        thrusters.epoch_us = monotonic_us()
-        thrusters.arm()
-        thrusters.apply(plan(1, 0.0, 90_000))
-        wait_for(lambda: edges)
+    with pulsing(limits, tmp_path) as (tap, _, thrusters):
         os.write(tap.board_fd, encode_message(Hello(99), 1, 0))
         wait_for(lambda: thrusters.trouble)
         assert thrusters.trouble.id is FaultId.BOARD_LEFT_ARMED

@@ -86,7 +86,7 @@ def test_a_jet_that_was_moved_is_named(floater, jet):
 def test_a_log_that_is_too_short_to_tell_its_vehicle_says_so(red):
     others = {"spot_red": red, "spot_black": load_vehicle("spot_black")}
     found = calibrate_motion([flown(red, seconds=10.0)], red, others=others)
-    assert [(one.name, one.refuses) for one in found.suspicions] == [("vehicle-not-told", False)]
+    assert [(one.name, one.refuses) for one in found.suspicions] == [("vehicle-ambiguous", False)]
     assert "spot_black" in found.suspicions[0].text
 
 

@@ -197,10 +197,10 @@ class TableServer:
             for k, (name, tap) in enumerate(self._taps.items()):
                 if not tap.bearing and name not in self._landed:
                     self._landed.add(name)
-                    self.plant.land(self.plant.behind(k))
+                    self.plant.land(self.plant.vehicle_of_board(k))
                 elif tap.bearing and name in self._landed - self._down:
                     self._landed.discard(name)
-                    self.plant.lift(self.plant.behind(k))
+                    self.plant.lift(self.plant.vehicle_of_board(k))
         elif all(tap.bearing for tap in self._taps.values()):
             self._released_ns = monotonic_ns()
 
