@@ -18,12 +18,15 @@ from threading import Event, Thread
 from time import monotonic
 from typing import NamedTuple
 
+import numpy as np
 from browser import Browser
 from PIL import Image
+from scipy.spatial import cKDTree
 
 HERE = Path(__file__).parent
 PATIENCE_S = 400.0
 SCREEN, TABLET, PHONE = (1366, 768), (820, 1180), (390, 844)
+COLOURS, EXACT = 256, 64  # of a picture, and how many of them are kept as they are
 LOW, GAP = 420, 10  # height of a picture in a sheet, and room between two [px]
 
 
@@ -93,7 +96,7 @@ CASES = {
         ["gao2022_table", "--speed", "4"], clock(60), [Shot("console_five", SCREEN, True)]
     ),
     "fault": Case(
-        ["zhang2023_table", "--speed", "0.1", fault("stick_open", "sat2", 6.0, ",jet=3"),
+        ["zhang2023_table", "--speed", "0.05", fault("stick_open", "sat2", 6.0, ",jet=3"),
          "duration_s=40"],
         "document.getElementById('head').textContent.startsWith('FAULT')",
         [Shot("console_fault"), Shot("console_fault_tablet", TABLET, True)],
@@ -117,11 +120,27 @@ CASES = {
 def keep(png: bytes, name: str) -> None:
     """Save a picture with a palette."""
     picture = Image.open(io.BytesIO(png)).convert("RGB")
-    # a sheet is light and dark, and the median cut would lose colours of few pixels
-    way = Image.Quantize.MAXCOVERAGE if name.startswith("sheet") else Image.Quantize.MEDIANCUT
-    few = picture.quantize(255, method=way, kmeans=2, dither=Image.Dither.NONE)
-    few.save(HERE / f"{name}.png", optimize=True)
+    few(picture).save(HERE / f"{name}.png", optimize=True)
     sys.stdout.write(f"{name}.png: {(HERE / f'{name}.png').stat().st_size / 1e3:.0f} kB\n")
+
+
+def few(picture: Image.Image) -> Image.Image:
+    """The picture with 256 colours: the frequent ones as they are, and a choice of the others.
+
+    Pillow chooses colours for all pixels alike and looks for the nearest one roughly: areas would
+    get a tint.
+    """
+    pixels = np.asarray(picture).reshape(-1, 3)
+    colours, which, counts = np.unique(pixels, axis=0, return_inverse=True, return_counts=True)
+    chosen = colours[np.argsort(-counts)]
+    if len(chosen) > COLOURS:
+        rest = Image.fromarray(chosen[None, EXACT:])
+        found = rest.quantize(COLOURS - EXACT, Image.Quantize.MAXCOVERAGE).getpalette() or []
+        chosen = np.vstack([chosen[:EXACT], np.reshape(found, (-1, 3))])
+    nearest = cKDTree(chosen).query(colours)[1].astype(np.uint8)
+    small = Image.fromarray(nearest[which.ravel()].reshape(picture.height, picture.width), "P")
+    small.putpalette(chosen.ravel().tolist())
+    return small
 
 
 def sheet(pictures: Sequence[bytes], name: str) -> None:

@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as Grid
 
+from testbed.cli.counted import LINE_S
 from testbed.config import Experiment
 from testbed.core.types import Tick
 from testbed.report.fault_story import STOPPING_TOO
@@ -31,7 +32,8 @@ class LiveTable(FlightScreen):
     Args:
         experiment: the experiment that flies.
         console: where to print.
-        line_s: interval of status lines without a terminal; None: no lines [s].
+        line_s: interval of status lines without a terminal, and LINE_S of a line that does not
+            change; None: no lines [s].
     """
 
     def __init__(
@@ -75,8 +77,12 @@ class LiveTable(FlightScreen):
 
     def _tell(self) -> None:
         assert self._line_s is not None
+        told, silent_s = "", 0.0
         while not self._end.wait(self._line_s):
-            self._console.print(self.line(), markup=False, highlight=False, soft_wrap=True)
+            silent_s += self._line_s
+            if (line := self.line()) != told or silent_s >= LINE_S:
+                self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+                told, silent_s = line, 0.0
 
     def line(self) -> str:
         """The status line: time, phase, errors, and the vehicles that do not fly."""
