@@ -103,7 +103,8 @@ def run_experiment(
             live = None if console is None else stack.enter_context(opened(experiment, folder))
             make = maker(rig, experiment, folder, operator, live)
             # without a terminal, a flight in real time prints status lines
-            operator.live = LiveTable(experiment, errors, None if rig == "twin" else LINE_S)
+            line_s = None if rig == "twin" and speed is None else LINE_S
+            operator.live = LiveTable(experiment, errors, line_s)
             with redirect_stdout(sys.stderr), noted_on_twin(rig, experiment, folder):
                 metrics = fly_and_judge(
                     experiment, folder, interrupt, make, speed, operator.live, utc_ns()
