@@ -5,7 +5,9 @@ with a moving obstacle on the table one more condition holds for every force: af
 period at least one short flight must exist that comes to rest, and that keeps clear of everything
 for `LOOK` seconds. Tried are a stop, a few places around it and a grid over the table. If no flight
 is left, the vehicle flies the first period of the flight that keeps most clearance, from where it
-is. The next period repeats this from the new state, so nothing needs to be remembered.
+is. The next period repeats this from the new state, so nothing needs to be remembered. The flights
+use the planned acceleration. What the jets can do beyond it is the reserve: with it a second search
+looks for a way out where the first has found none.
 
 Neighbours go on for `HEARD` seconds and then stand. A neighbour that a moving obstacle reaches
 earlier has the right of way: the others make room around it.
@@ -23,6 +25,7 @@ LOOK = 30.0  # [s] of a flight tried
 STEP = 0.4  # between two of its instants [s]
 CRUISE = 0.18  # its speed [m/s]
 EASE = 0.6  # share of the planned deceleration with which it comes to rest
+RESERVE = 0.9  # share of the whole force of the jets for a flight that must not be late
 AROUND, NEAR = 8, 0.4  # places around the stop, and their distance from it [m]
 GRID = 6  # places over the table, per side
 CLEAR = 0.02  # kept from a moving obstacle, beyond its margin [m]
@@ -139,14 +142,15 @@ def escape(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
     The arguments are those of `barrier.filtered`, but the force is the filtered one.
 
     Returns:
-        force [N], and the number of the moving obstacle; -1: (fx, fy) leaves a way out.
+        force [N], the number of the moving obstacle (-1: (fx, fy) leaves a way out), and the
+        smallest clearance of the flight that begins with this force [m].
     """
     runner = -1
     for k in range(discs.shape[0]):
         if discs[k, 5] == 1.0 and (discs[k, 2] != 0.0 or discs[k, 3] != 0.0):
             runner = k
     if runner < 0:
-        return fx, fy, -1
+        return fx, fy, -1, np.inf
     accel, late, h = limits.decel * thrust_scale, limits.slow, limits.period
     wide, soon = right_of_way(px, py, discs), discs.copy()
     soon[:, :2] += late * discs[:, 2:4]
@@ -156,10 +160,15 @@ def escape(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
         vx + h * ax, vy + h * ay, soon, wide, limits, accel, 0.0,
     )  # fmt: skip
     if room >= 0.0:
-        return fx, fy, -1
-    _, gx, gy = way_out(px, py, vx, vy, discs, wide, limits, accel, GOOD)
+        return fx, fy, -1, room
+    room, gx, gy = way_out(px, py, vx, vy, discs, wide, limits, accel, GOOD)
+    if room < 0.0:
+        hard = RESERVE * limits.hard * thrust_scale
+        more, hx, hy = way_out(px, py, vx, vy, discs, wide, limits, hard, GOOD)
+        if more > room:
+            room, gx, gy, accel = more, hx, hy, hard
     ux, uy = toward(px, py, vx, vy, gx, gy, accel)
     _, reached_by = reached_in(px, py, discs)
     if reached_by >= 0:
         runner = reached_by
-    return limits.mass * (ux / STEP - bx), limits.mass * (uy / STEP - by), runner
+    return limits.mass * (ux / STEP - bx), limits.mass * (uy / STEP - by), runner, room

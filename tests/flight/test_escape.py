@@ -18,6 +18,8 @@ TRAPPED = {
     "against the fence": ((0.0, 0.0), (0.08, 0.0), (1.9, 0.0)),
     "in a corner": ((0.0, 0.0), (0.06, 0.06), (1.9, 1.8)),
     "along the fence": ((-2.5, 1.7), (0.1, 0.0), (0.5, 1.95)),
+    # the way out passes before the obstacle: a filter that brakes it there loses the vehicle
+    "between fence and obstacle": ((1.27, -0.62), (0.022, -0.07), (1.95, -0.99)),
 }
 
 
