@@ -131,7 +131,8 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
 
     Returns:
         fx, fy, deciding hazard or -1 (number of the disc; then right, left, upper, lower edge; then
-        the speed limit), spare room [m]: the smallest gap minus the distance of a full stop.
+        the speed limit), spare room [m]: the smallest gap minus the distance of a full stop. An
+        obstacle that moves does not count: it reaches a vehicle that stops, see escape.py.
     """
     n = discs.shape[0]
     planes = np.empty((n + 5, 4))
@@ -146,7 +147,8 @@ def filtered(fx, fy, px, py, vx, vy, bx, by, discs, limits, thrust_scale):
         nx, ny = (mx / middle, my / middle) if middle > 1e-6 else (1.0, 0.0)
         gap = np.sqrt(rx * rx + ry * ry) - discs[k, 4]
         relative = -(nx * ux + ny * uy)
-        if relative > 0.0:
+        moves = discs[k, 5] == 1.0 and (discs[k, 2] != 0.0 or discs[k, 3] != 0.0)
+        if relative > 0.0 and not moves:
             spare = min(spare, gap - relative * relative / (2.0 * limits.hard))
         if discs[k, 5] < 1.0:
             closing, moving = -(nx * vx + ny * vy), speed

@@ -150,6 +150,14 @@ def test_spare_room_is_what_a_full_stop_leaves():
     assert none == math.inf  # nothing is ahead of what stands
 
 
+def test_spare_room_does_not_count_an_obstacle_that_moves():
+    # a stop is no remedy against it: `escape` looks after it
+    rock = (1.0, 0.0, -0.1, 0.0, 0.8, 1.0)
+    *_, spare = use((0.0, 0.0), (0.0, 0.0), (0.1, 0.0), [rock])
+    _, _, _, alone = use((0.0, 0.0), (0.0, 0.0), (0.1, 0.0), [])
+    assert spare == alone
+
+
 def test_a_demand_that_is_no_number_is_left_to_the_watch():
     x, _, hazard, _ = use((math.nan, 0.0), (0.0, 0.0), (0.0, 0.0))
     assert math.isnan(x)
