@@ -5,7 +5,7 @@ from typing import NamedTuple
 from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
 from testbed.flight import jet_faults
-from testbed.flight.hypotheses import DRAG, LATE, MASS, PULL, THRUST, TURNED, certain
+from testbed.flight.hypotheses import DRAG, LATE, MASS, NUDGE, PULL, THRUST, TURNED, certain
 from testbed.flight.jet_faults import look, pause
 from testbed.flight.record import NO_SETPOINT, record
 
@@ -155,6 +155,10 @@ def explain(p, m, seen, known, suspected, row, samples):
         heading_step,
         pose_rate(p, m, row.told.t, samples.shape[0]),
         seen.bumped,
+        max(
+            certain(gains, sizes, least, NUDGE),
+            certain(suspected.gains, suspected.sizes, least, NUDGE),
+        ),
     )
 
 
