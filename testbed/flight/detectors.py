@@ -142,6 +142,8 @@ def explain(p, m, seen, known, suspected, row, samples):
     pull = certain(gains, sizes, least, PULL)
     scaled = THRUST if gains[THRUST] >= gains[MASS] else MASS
     late_s, frame_step, heading_step = what_stepped(seen.step, seen.going)
+    if abs(row.told.clock_offset) >= SAME_CLOCK:  # poses of another time lie elsewhere
+        late_s = frame_step = heading_step = 0.0
     return (
         jet_faults.sigmas(far.weak) if jet_faults.is_partly_weak(far) else 0.0,
         pull,

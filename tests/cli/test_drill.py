@@ -212,6 +212,13 @@ def test_a_fault_of_another_vehicle_is_named_by_its_origin():
     assert called(own, [], ("leak",))[::2] == ("leak", True)
 
 
+@pytest.mark.parametrize("value", [0.025, 0.05, 0.1])
+def test_a_clock_that_steps_is_not_called_a_frame_that_moved(value):
+    words = f'{{kind="clock_step",vehicle="sat1",at_s=6.03,value={value}}}'
+    found = flown("zhang2023_table", words, 9.0)
+    assert (found.called, found.rightly) == ("clock_off", True)
+
+
 def test_a_failed_case_is_printed_with_the_command_that_flies_it_again(capsys):
     cases = [CASE, replace(CASE, contacts=1, again="testbed run hold --seed 5")]
     print_drill(summarise("twin", cases), cases)
