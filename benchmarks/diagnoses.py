@@ -28,14 +28,13 @@ from msgspec.structs import replace
 from testbed.config import find, load
 from testbed.core.codes import Response
 from testbed.core.fault_injection import Injection
-from testbed.faults.drill import ASKED
+from testbed.faults.drill import ASKED, ROUTINE
 from testbed.rig.twin import make_twin
 from testbed.run.drill import Notes
 
 METRE = ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0]"]
 EXPERIMENTS = (("hold", METRE), ("zhang2023_table", []))
 WHEN = (3.0, 9.0)  # [s]
-ROUTINE = ("pose_stale", "neighbour_late", "link_late", "link_out", "neighbour_missing")
 
 
 class Fault(NamedTuple):

@@ -24,7 +24,7 @@ from testbed.run.drill import EXPERIMENTS, drill_twin
 
 HEADINGS = (  # numeric columns, narrow so that the table fits into 80 columns
     "n", "not\nfound", "may\npass", "does\n[s]", "worst\n[s]", "shut\n[s]", "moved\n[m]",
-    "con-\ntacts", "a-\ndrift", "open\nlate",
+    "con-\ntacts", "a-\ndrift", "open\nlate", "na-\nmed",
 )  # fmt: skip
 
 
@@ -79,7 +79,8 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
             str(row.dormant + row.unnoticed), _number(row.detected_median_s),
             _number(row.detected_worst_s), _number(row.shut_worst_s),
             _number(row.travelled_worst_m), str(row.contacts), str(row.adrift),
-            str(row.valves_open_after_deadline), style="red" if bad else None,
+            str(row.valves_open_after_deadline), f"{row.rightly}/{row.judged}",
+            style="red" if bad else None,
         )  # fmt: skip
     show(out, grid)
     out.print(
@@ -92,6 +93,13 @@ def print_drill(drill: Drill, cases: Sequence[Drilled]) -> None:
         f"{sum(row.moving for row in drill.rows)} cases with a vehicle in motion, "
         f"{sum(row.air_on for row in drill.rows)} with bearing air on"
     )
+    out.print(
+        f"named: {sum(row.rightly for row in drill.rows)} of "
+        f"{sum(row.judged for row in drill.rows)} answers have the right name"
+    )
+    for one in cases:
+        if one.rightly is False:
+            say(out, f"  {one.kind} was called {one.called}: {one.said}")
     for one in cases:
         if one.missed or one.late or one.contacts or one.early:
             text = msgspec.json.encode(replace(one, again="")).decode()

@@ -123,6 +123,7 @@ class Detector(Code):
     HEADING_STEP = 35, "heading_step"  # [rad] at the same place
     POSE_RATE = 36, "pose_rate"  # poses of the last second over what the cameras should give
     BUMPED = 37, "bumped"  # [m/s] change of velocity at once: a contact, or a hand
+    NUDGED = 38, "nudged"  # standard deviations of a push at once, also one too small for BUMPED
 
 
 class FaultId(StrEnum):

@@ -4,6 +4,7 @@ This module draws the cases and judges them; the rig flies them.
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,6 +25,8 @@ WHEN = (2.0, 12.0)  # range of the injection time [s]
 # kinds after which the vehicle can no longer avoid a contact, and that only others can detect
 ADRIFT = ("kill_process", "brown_out", "leak", "empty_tank")
 OTHERS = ("kill_process", "stop_process")
+# rows that also hold in flights without a fault
+ROUTINE = ("pose_stale", "neighbour_late", "link_late", "link_out", "neighbour_missing")
 
 
 class Drilled(Struct, frozen=True):
@@ -50,6 +53,9 @@ class Drilled(Struct, frozen=True):
     air: str = "off"  # bearing air a minute after the end; "on": at least one vehicle
     again: str = ""  # the command that flies it again
     refused: bool = False  # by the arming checks: nothing has moved
+    called: str = ""  # id of the fault that ended the run, or of the first warning; empty: none
+    said: str = ""  # its words
+    rightly: bool | None = None  # whether it is a name of the injected fault; null: nothing said
 
     @property
     def missed(self) -> bool:
@@ -77,6 +83,9 @@ class DrillRow(Struct, frozen=True):
     moving: int = 0  # cases in which a vehicle was not at rest a minute after the end
     air_on: int = 0  # cases in which a vehicle had bearing air then
     unnoticed: int = 0  # cases that nothing answered, and that the flight may go on with
+    judged: int = 0  # cases in which something was said
+    rightly: int = 0  # of them, those in which it was the right name
+    called: dict[str, int] = {}  # ids that were said, and how often
 
 
 class Drill(Struct, frozen=True):
@@ -131,13 +140,31 @@ def refused(
     return Drilled(
         name, experiment, what.vehicle, seed, 0.0, named, 0.0 if named else None, Response.NONE,
         None, 0, 0, 0.0, None, () if named else tuple(one.words for one in red), 0,
-        dormant=False, at_rest_s=0.0, refused=True,
+        dormant=False, at_rest_s=0.0, refused=True, called=named or red[0].id,
+        said=red[0].words, rightly=bool(named),
     )  # fmt: skip
 
 
 def names_of(fault: FaultReport) -> set[str]:
     """Ids of a fault, and of the other vehicle's fault with which it stops."""
     return {fault.id, fault.origin.id}
+
+
+def called(
+    fault: FaultReport | None, rows: Sequence[tuple[float, str]], names: Sequence[str]
+) -> tuple[str, str, bool | None]:
+    """Id and words of what was said of a fault, and whether the id is right; see `Drilled`.
+
+    Args:
+        fault: that ended the run.
+        rows: times and ids of the rows that held after the injection began.
+        names: the right ones.
+    """
+    if fault is not None:
+        return fault.origin.id, fault.words, not names_of(fault).isdisjoint(names)
+    # healthy flights warn as well: such a row counts only as a name of the injected fault
+    told = [row for _, row in sorted(rows) if row in names or row not in ROUTINE]
+    return (told[0], "a warning", told[0] in names) if told else ("", "", None)
 
 
 def answered(
@@ -197,6 +224,9 @@ def summarise(rig: str, cases: Sequence[Drilled]) -> Drill:
                 sum(one.at_rest_s is None for one in own),
                 sum(one.air == "on" for one in own),
                 sum(not one.missed and not one.dormant and one.detected_s is None for one in own),
+                sum(one.rightly is not None for one in own),
+                sum(one.rightly is True for one in own),
+                dict(Counter(one.called for one in own if one.rightly is not None)),
             )
         )
     return Drill(

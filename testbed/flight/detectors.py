@@ -5,7 +5,7 @@ from typing import NamedTuple
 from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
 from testbed.flight import jet_faults
-from testbed.flight.hypotheses import DRAG, LATE, MASS, PULL, THRUST, TURNED, certain
+from testbed.flight.hypotheses import DRAG, LATE, MASS, NUDGE, PULL, THRUST, TURNED, certain
 from testbed.flight.jet_faults import look, pause
 from testbed.flight.record import NO_SETPOINT, record
 
@@ -142,6 +142,8 @@ def explain(p, m, seen, known, suspected, row, samples):
     pull = certain(gains, sizes, least, PULL)
     scaled = THRUST if gains[THRUST] >= gains[MASS] else MASS
     late_s, frame_step, heading_step = what_stepped(seen.step, seen.going)
+    if abs(row.told.clock_offset) >= SAME_CLOCK:  # poses of another time lie elsewhere
+        late_s = frame_step = heading_step = 0.0
     return (
         jet_faults.sigmas(far.weak) if jet_faults.is_partly_weak(far) else 0.0,
         pull,
@@ -155,6 +157,10 @@ def explain(p, m, seen, known, suspected, row, samples):
         heading_step,
         pose_rate(p, m, row.told.t, samples.shape[0]),
         seen.bumped,
+        max(
+            certain(gains, sizes, least, NUDGE),
+            certain(suspected.gains, suspected.sizes, least, NUDGE),
+        ),
     )
 
 

@@ -10,6 +10,7 @@ sure that is.
     MASS    the same of the push only                            x = the jets' push
     TURNED  the cameras' heading is off                          x = the push turned by 90 degrees
     LATE    poses are older than their stamps                    x = an earlier push less this one
+    NUDGE   a push at once, and none after it                    see nudges.py
 """
 
 import math
@@ -25,8 +26,8 @@ from testbed.core.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-LEAK, WEAK, PULL, DRAG, THRUST, MASS, TURNED, LATE = range(8)
-KINDS = 8
+LEAK, WEAK, PULL, DRAG, THRUST, MASS, TURNED, LATE, NUDGE = range(9)
+KINDS = 9
 DELAYS = 4  # tested delays: 1 to so many looks
 # columns, after those of the jets
 X, Y, SLOWED, ALL, PUSHED, ROTATED, DELAYED = range(7)
@@ -45,6 +46,7 @@ PATCHY = 10.0  # on a table with patches of friction [N s/m]
 LEAST_SCALE = 0.25  # of thrust or mass; the safety filter allows for 10 %
 LEAST_TURN = math.radians(4.0)
 LEAST_DELAY = 0.07  # [s]
+LEAST_NUDGE = 5e-3  # [m/s]; less does not disturb a flight
 SURE = 12.5  # least gain of a cause: 5 sigma
 CLEAR = 3.0  # difference in gain that separates two causes (a factor e^3 in likelihood)
 
@@ -119,19 +121,29 @@ def keep(kind, unit, found, gains, sizes):
 
 @compiled
 def beyond(gains, kind):
-    """Gain of the best cause of another kind; thrust and mass are one."""
+    """Gain of the best lasting cause of another kind; thrust and mass are one."""
     best = 0.0
     for other in range(KINDS):
         pair = min(kind, other) == THRUST and max(kind, other) == MASS
-        if other != kind and not pair:
+        if other not in (kind, NUDGE) and not pair:
             best = max(best, gains[other])
     return best
+
+
+@compiled
+def outlasts(gains, kind):
+    """Whether a lasting cause explains more than a nudge.
+
+    Both have the same thrust and slope, so no doubt about these counts here.
+    """
+    return gains[kind] > gains[NUDGE] + CLEAR
 
 
 @compiled
 def certain(gains, sizes, least, kind):
     """Sigmas of a cause that is large enough and explains more than any other; 0: it does not."""
     clear = gains[kind] > SURE and gains[kind] > beyond(gains, kind) + CLEAR
+    clear = clear and (kind == NUDGE or outlasts(gains, kind))
     return np.sqrt(2.0 * gains[kind]) if clear and abs(sizes[kind]) > least[kind] else 0.0
 
 
@@ -144,6 +156,7 @@ def least_of(vehicle: Vehicle, table: Table, bumps: float) -> Array:
     least[THRUST] = least[MASS] = scale
     least[TURNED] = max(LEAST_TURN, 4.0 * math.radians(table.spread.body_deg))
     least[LATE] = max(LEAST_DELAY, 4.0 * table.spread.clock_s)
+    least[NUDGE] = LEAST_NUDGE
     return least
 
 
@@ -164,6 +177,7 @@ CAUSES = {  # detector -> kind of its cause
     Detector.THRUST_OR_MASS: THRUST,
     Detector.HEADING_OFF: TURNED,
     Detector.POSES_LATE: LATE,
+    Detector.NUDGED: NUDGE,
 }
 
 
@@ -196,6 +210,8 @@ def words(m: Any, kind: int, mass: float) -> str:
             return f"mass is {1.0 / max(0.1, 1.0 + size):.0%} of the file's"
         case k if k == TURNED:
             return f"heading is off by {math.degrees(size):.0f} deg"
+        case k if k == NUDGE:
+            return f"a nudge of {1e3 * size:.0f} mm/s"
     return f"poses are {size:.2f} s late"
 
 

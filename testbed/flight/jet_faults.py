@@ -33,7 +33,18 @@ from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import CLEAR, LEAK, SURE, WEAK, beyond, causes, least_of, pads_of
+from testbed.flight.hypotheses import (
+    CLEAR,
+    LEAK,
+    SURE,
+    WEAK,
+    beyond,
+    causes,
+    least_of,
+    outlasts,
+    pads_of,
+)
+from testbed.flight.nudges import Nudges, hear, hear_long, judge
 from testbed.flight.record import record
 from testbed.flight.response import response
 from testbed.flight.window import VERDICT, Window, age, decide, factor, forget, listen
@@ -118,6 +129,7 @@ class Heard(NamedTuple):
     sigma: Array  # of that, (n,)
     near: Window  # of looks
     far: Window  # of their sums
+    nudges: Nudges
 
 
 @pasted
@@ -239,6 +251,8 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         age(near.blocks)
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
     listen(near, e, x, trust, known.keep, known.rough)
+    weight = 1.0 / (near.spread[0] + known.rough), 1.0 / near.spread[1]
+    hear(heard.nudges, known.shown, m.look, weight, known.keep, e, x)
     learn(heard, e, x, known.period, known.rough)
     if m.look % SHOWN == 0:
         slope = 1.0 / (known.slope * known.slope + known.bumps * known.bumps)
@@ -247,6 +261,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     root = factor(near.told, known.sure, 1.0 / slope)
     least, y = borrowed(root)
     decide(near, least, y, known.period, False, m)
+    judge(heard.nudges.near, least, y, m)
     m.summed += 1
     if m.summed == known.long:
         weigh_long(known, m, heard)
@@ -264,11 +279,16 @@ def weigh_long(known, m, heard):
     age(far.blocks)
     m.stretches += 1
     trust = max(1.0 - remembers, 1.0 / (m.stretches + LONG_BELIEVED))
-    listen(far, heard.sums[-1], heard.sums[:-1], trust, remembers, known.long * known.rough)
+    rough = known.long * known.rough
+    listen(far, heard.sums[-1], heard.sums[:-1], trust, remembers, rough)
+    weight = 1.0 / (far.spread[0] + rough), 1.0 / far.spread[1]
+    e, z = heard.sums[-1], heard.sums[:-1]
+    hear_long(heard.nudges, known.shown, m.look, known.long, weight, remembers, e, z)
     slope = known.bumps * known.bumps + known.slope * known.slope
     root = factor(far.told, known.sure, 1.0 / slope)
     least, y = borrowed(root)
     decide(far, least, y, known.period, True, m.far)
+    judge(heard.nudges.far, least, y, m.far)
     m.summed, heard.sums[:] = 0, 0.0
     keep(root)
 
@@ -284,7 +304,7 @@ def leaks(m):
     """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
     other = beyond(m.gains, LEAK)
     sure = m.leak.gain > other + apart(m.leak.gain, other) and m.leak.gain > SURE
-    return sure and m.leak.share > TRACE
+    return sure and m.leak.share > TRACE and outlasts(m.gains, LEAK)
 
 
 @compiled
@@ -321,14 +341,16 @@ def is_partly_weak(m):
 def weakness_is_clear(m):
     """Whether a weak jet explains the motion better than any other cause."""
     other = beyond(m.gains, WEAK)
-    return m.weak.gain >= other + apart(m.weak.gain, other)
+    clear = m.weak.gain >= other + apart(m.weak.gain, other)
+    return clear and outlasts(m.gains, WEAK)
 
 
 @compiled
 def leaks_or_is_weak(m):
     """Whether one jet may leak; if it does not, the next best cause is the right one."""
     other = beyond(m.gains, LEAK)
-    return m.leak.gain > other - apart(m.leak.gain, other) and m.leak.share > TRACE
+    may = m.leak.gain > other - apart(m.leak.gain, other) and m.leak.share > TRACE
+    return may and outlasts(m.gains, LEAK)
 
 
 @compiled

@@ -15,6 +15,7 @@ from testbed.flight.fault_monitor import Counters
 from testbed.flight.hypotheses import COLUMNS
 from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, Heard
 from testbed.flight.modulation import Carried
+from testbed.flight.nudges import AGO, LONG_AGO, Nudges
 from testbed.flight.record import record
 from testbed.flight.window import BLOCKS, Window
 
@@ -70,6 +71,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         Heard: [
             one_a_jet, (looks, causes, 3), (2,), (causes + 1, 3), (2, 2),
             (m, m + 1), one_a_jet, one_a_jet, *window, *window,
+            (m + 2, 3 * AGO), (m + 2, 3 * LONG_AGO),
         ],
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
@@ -83,11 +85,11 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             views[kind].append(everything[size : size + math.prod(shape)].reshape(shape))
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
-    *sums, a, b, c, d, e, f, g, h = views[Heard]
+    *sums, a, b, c, d, e, f, g, h, soon, long = views[Heard]
     duty, recent, bias, total, calm, slow, off, sigma = sums
     near, far = Window(a, b, c, d), Window(e, f, g, h)
     fired = Fired(*views[Fired])
-    heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far)
+    heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, Nudges(soon, long))
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2

@@ -24,6 +24,7 @@ from testbed.faults.drill import (
     OTHERS,
     Drilled,
     answered,
+    called,
     cases_of,
     deadline,
     draw,
@@ -97,6 +98,8 @@ def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled
         or (touch.t > ending.t and _moves(experiment, touch.other))
     ]  # fmt: skip
     adrift = len(helpless)
+    rows = [(t, one) for t, who, one in notes.rows if t >= began and concerned(what, who)]
+    told, said, rightly = called(ending.fault, rows, CATALOGUE[row].names)
     early = tuple(sorted({fault.words for t, _, fault in notes.faults if t < began}))
     asked = sum(
         on[what.jet - 1] for t, name, on in notes.asked if name == what.vehicle and t >= began
@@ -123,6 +126,9 @@ def fly_case(experiment: Experiment, what: Injection, name: str = "") -> Drilled
         sum(touch.t > ending.t and touch not in helpless for touch in touches),
         rest.at_rest_s,
         rest.air,
+        called=told,
+        said=said,
+        rightly=rightly,
     )
 
 

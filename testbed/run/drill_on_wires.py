@@ -24,6 +24,7 @@ from testbed.faults.drill import (
     OTHERS,
     Drilled,
     answered,
+    called,
     cases_of,
     deadline,
     draw,
@@ -199,15 +200,21 @@ def judge(
     adrift = len(helpless)
     over = any(fault is not None for fault in faults)
     early = sorted({o.fault.words for o in flown.ended.values() if o.fault and o.t < began})
+    ended = next((fault for fault in faults if fault is not None), None)
+    rows = [
+        (t, one) for name, words in flown.ended.items() for one, t in words.rows.items()
+        if t >= began and (what.kind in OF_FRAME or (name == what.vehicle) != is_silent)
+    ]  # fmt: skip
+    told, said, rightly = called(ended, rows, wanted)
     return Drilled(
         row or what.kind, experiment, what.vehicle, seed, began, named,
         found,
         max((one for _, one in own), default=Response.NONE),
         shut - began if over else None, late, len(touches) - adrift, _travelled(flown, began),
-        next((fault for fault in faults if fault is not None), None), tuple(early), adrift,
+        ended, tuple(early), adrift,
         dormant=False,
         contacts_after=sum(t.t + offset > end and t not in helpless for t in touches),
-        at_rest_s=after.at_rest_s, air=after.air,
+        at_rest_s=after.at_rest_s, air=after.air, called=told, said=said, rightly=rightly,
     )  # fmt: skip
 
 

@@ -13,9 +13,9 @@ from testbed.cli.admit import fly_once, forced, print_admission
 from testbed.cli.drill import print_drill
 from testbed.config import ConfigError, find, load
 from testbed.config.fault_schedule import bad_injections
-from testbed.core.codes import FaultId, FaultReport, Response
+from testbed.core.codes import FaultCause, FaultId, FaultReport, Response
 from testbed.faults.catalogue import CATALOGUE
-from testbed.faults.drill import WHEN, Drilled, cases_of, draw, refused, summarise
+from testbed.faults.drill import WHEN, Drilled, called, cases_of, draw, refused, summarise
 from testbed.flight.arming import Check
 from testbed.metrics.admission import (
     AdmissionFlight,
@@ -170,6 +170,53 @@ def test_a_drill_counts_what_went_wrong():
     assert (drill.injections, drill.undetected, drill.dormant) == (5, 1, 1)
     assert (drill.valves_open_after_deadline, drill.contacts, drill.false_alarms) == (2, 1, 1)
     assert drill.rows[0].detected_worst_s == 0.2
+
+
+def test_a_wrong_name_is_counted_and_its_words_are_printed(capsys):
+    names = CATALOGUE["leak"].names
+    wrong = FaultReport("valve_leaks", "jet 3 leaks", "a")
+    cases = [
+        replace(CASE, called=one, said=said, rightly=rightly)
+        for one, said, rightly in (
+            called(FaultReport("leak", "5 % of the tank", "a"), [], names),
+            called(wrong, [(3.1, "supply_weak")], names),
+            called(None, [], names),
+        )
+    ]
+    drill = summarise("twin", cases)
+    row = drill.rows[0]
+    assert (row.rightly, row.judged, row.called) == (1, 2, {"leak": 1, "valve_leaks": 1})
+    print_drill(drill, cases)
+    said = capsys.readouterr().out
+    assert "named: 1 of 2 answers have the right name" in said
+    assert said.count("was called") == 1
+    assert "leak was called valve_leaks: a: jet 3 leaks" in said
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ([(3.2, "pulled"), (3.1, "supply_weak")], ("supply_weak", True)),
+        ([(3.1, "pulled"), (3.2, "supply_weak")], ("pulled", False)),
+        ([(3.1, "pose_stale"), (3.2, "supply_weak")], ("supply_weak", True)),  # as without a fault
+        ([(3.1, "pose_stale")], ("", None)),
+    ],
+)
+def test_a_flight_that_went_on_is_judged_by_its_first_warning(rows, told):
+    found, _, rightly = called(None, rows, CATALOGUE["leak"].names)
+    assert (found, rightly) == told
+
+
+def test_a_fault_of_another_vehicle_is_named_by_its_origin():
+    own = FaultReport("fleet", "stopped", "b", cause=FaultCause("leak", "5 %", "a"))
+    assert called(own, [], ("leak",))[::2] == ("leak", True)
+
+
+@pytest.mark.parametrize("value", [0.025, 0.05, 0.1])
+def test_a_clock_that_steps_is_not_called_a_frame_that_moved(value):
+    words = f'{{kind="clock_step",vehicle="sat1",at_s=6.03,value={value}}}'
+    found = flown("zhang2023_table", words, 9.0)
+    assert (found.called, found.rightly) == ("clock_off", True)
 
 
 def test_a_failed_case_is_printed_with_the_command_that_flies_it_again(capsys):

@@ -9,6 +9,7 @@ from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
 
 AT = 5.0  # [s]
+METRE = ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0]"]
 
 
 class Hand(NullObserver):
@@ -16,8 +17,10 @@ class Hand(NullObserver):
 
     def __init__(self, push):
         self.push, self.rig, self.first = push, None, None
+        self.rows = set()
 
     def vehicle(self, name, tick):
+        self.rows |= set(tick.outputs.faults)
         if tick.outputs.fault is not None and self.first is None:
             self.first = tick.inputs.t
 
@@ -50,6 +53,14 @@ def test_a_contact_says_with_what():
     ending, _ = pushed((-0.1, 0.0), obstacle, "flight.barrier.on=false")
     assert ending.fault.id == "bumped"
     assert "contact with post" in ending.fault.text
+
+
+@pytest.mark.parametrize("push", [(0.02, 0.0), (-0.012, 0.015)])
+def test_a_nudge_is_named_and_no_wrong_thrust_or_jet(push):
+    hand = Hand(push)
+    hand.rig = make_twin(load(find("hold"), ["duration_s=15", *METRE]))
+    assert hand.rig.fly(hand).fault is None
+    assert hand.rows == {"nudged"}
 
 
 @pytest.mark.parametrize("push", [(0.0, 0.0), (0.004, 0.0)])

@@ -33,7 +33,7 @@ NEEDED = {  # what the issue of a table of faults asks for, and the detector tha
     "operator_age", "clock_offset", "config_differs", "disk_free", "neighbour_age", "board_silent",
     "fleet", "foreign", "jet_partly_weak", "pull", "pull_share", "pad_drag", "thrust_or_mass",
     "heading_off", "poses_late", "late_step", "frame_step", "heading_step", "pose_rate",
-    "bumped",
+    "bumped", "nudged",
 }  # fmt: skip
 PERIOD = 0.1  # [s]
 
