@@ -24,6 +24,13 @@ FAULTS = {
     "a fault shuts the air": ("board.h", "VALVE_PINS << 16;", "0x1ffu << 16;"),
     "a fault leaves valves open": ("startup.c", "    board_close_valves();\n", ""),
     "reset flags pile up": ("main.c", "RCC_CSR |= RCC_CSR_RMVF;", ";"),
+    "old flags of the timer": ("timer_tim2.c", "TIM2_SR = 0;", ";"),
+    "a passed alarm waits": ("timer_tim2.c", "        TIM2_EGR = TIM2_EGR_CC1G;", "        ;"),
+    "alarm inside the core": ("main.c", '"msr basepri, %0" ::"r"(ALARM_PRIORITY)', '"" ::"r"(0)'),
+    "a slow line": ("main.c", "USART1_CR1 |= USART_CR1_TXEIE;", ";"),
+    "window watchdog": ("main.c", "RCC_CSR_IWDGRSTF | RCC_CSR_WWDGRSTF", "RCC_CSR_IWDGRSTF"),
+    "a ring one larger": ("main.c", "received.out < RECEIVE_MAX", "received.out <= RECEIVE_MAX"),
+    "sensors without clock": ("main.c", "RCC_APB2ENR |= RCC_APB2ENR_ADC1;", ""),
     "one wait state": ("registers.h", "(5u | (1u << 8)", "(1u | (1u << 8)"),
 }
 
