@@ -122,6 +122,8 @@ def order_of(path):
             (first(written, at), first(written, ADC1_CR2, 1), "ADC1 unprepared")
             for at in ADC_SET_UP
         ),
+        # until then it counts from 4095: 512 ms
+        (first(written, IWDG_KR, 0xAAAA), first(written, RCC_CR), "the watchdog unfed (21.3.1)"),
         (first(written, 0x4002_000C), first(written, USART1_CR1), "the line before its pull-up"),
         (
             first(written, 0x4002_0024),

@@ -15,6 +15,7 @@ FAULTS = {
     "no clock security": ("main.c", "(crystal ? RCC_CR_CSSON : 0u)", "0u"),
     "no pull-up": ("main.c", "GPIOA_PUPDR |= 1u << 20;", ";"),
     "watchdog not fed": ("main.c", "IWDG_KR = IWDG_KR_FEED;", ";"),
+    "watchdog fed late": ("startup.c", "    IWDG_KR = IWDG_KR_FEED;\n", ""),
     "watchdog longer": ("startup.c", "IWDG_RLR = 400u;", "IWDG_RLR = 4000u;"),
     "watchdog locked": ("startup.c", "    IWDG_KR = IWDG_KR_UNLOCK;\n", ""),
     "memory not cleared": ("startup.c", "        *to++ = 0;\n", "        to++;\n"),
