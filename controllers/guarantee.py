@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from controllers.bifurcating import BifurcatingParams
 from controllers.bounded_formation import BoundedFormationParams
@@ -204,6 +203,8 @@ def _shape(shape: Formation, names: Sequence[str], start: InitialState) -> list[
         return []
     i, j = pairs.T
     goal = wanted[i, j]
+
+    from scipy.optimize import least_squares  # takes a third of a second to import
 
     def off(flat: Array) -> Array:
         p = flat.reshape(n, d)

@@ -12,7 +12,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, solve_discrete_are
 
 from testbed.core.law import Ahead, Body, Concern, Neighbours, World
 
@@ -53,6 +52,8 @@ def generator(mean_motion: float, d: int) -> tuple[Array, Array]:
 
 def sampled(mean_motion: float, d: int, step: float) -> DiscreteModel:
     """Exact discrete model over `step` [s] under constant acceleration."""
+    from scipy.linalg import expm  # takes a third of a second to import
+
     f, g = generator(mean_motion, d)
     whole = np.zeros((3 * d, 3 * d))
     whole[: 2 * d, : 2 * d], whole[: 2 * d, 2 * d :] = f, g
@@ -62,6 +63,8 @@ def sampled(mean_motion: float, d: int, step: float) -> DiscreteModel:
 
 def cost_to_go(model: DiscreteModel, cost: Weights) -> Array:
     """Solution P of the discrete Riccati equation, (2d, 2d): x'P x is the least cost from x on."""
+    from scipy.linalg import solve_discrete_are
+
     return solve_discrete_are(model.a, model.b, cost.state, cost.accel)
 
 

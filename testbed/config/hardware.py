@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 import numpy as np
-from scipy.optimize import nnls
 
 from testbed.config.error import Violation, show
 from testbed.config.experiment import Experiment
@@ -67,6 +66,8 @@ def strength(vehicle: Vehicle) -> dict[str, float]:
 
 def missing_ways(vehicle: Vehicle) -> list[str]:
     """Directions in which no combination of jets gives a pure force or torque."""
+    from scipy.optimize import nnls  # takes a third of a second to import, for a refusal only
+
     thrust = max((jet.thrust for jet in vehicle.jets), default=1.0)
     scale = thrust * np.array([1.0, 1.0, vehicle.radius])
     effect = effect_matrix(vehicle.jets, about=vehicle.com) / scale[:, None]

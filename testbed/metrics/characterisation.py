@@ -19,18 +19,22 @@ equilateral triangle that is 7.7 % larger), so L may exceed the packing limit. V
 balls also for a group in a plane. If satellites coincide, inner is zero or less and they add
 nothing to L; if all coincide, L is zero. L measures how even a group is, not how safe.
 
-Any number of dimensions, no N x N array: nearest neighbours come from a k-d tree, M from a search
-through pairs of boxes that drops those too near to each other to matter.
+Any number of dimensions. Of more than FEW satellites nearest neighbours come from a k-d tree,
+without an N x N array; M comes from a search through pairs of boxes that drops those too near to
+each other to matter.
 """
+
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from testbed.core.extent import largest_extent
 
 Array = NDArray[np.float64]
+
+FEW = 64  # scipy.spatial, which has the tree, takes a third of a second to import
 
 
 class Characterisation(Struct, frozen=True):
@@ -75,12 +79,10 @@ def characterise(
     outer = float(np.linalg.norm(x - middle, axis=1).max())  # Eq. (3)
     gap, evenness = None, None
     if len(x) > 1:
-        tree = cKDTree(x)
-        nearest, who = tree.query(x, k=2)
-        half = nearest[:, 1] / 2.0  # m_i, Eq. (6)
+        nearest, gap = (among_few if len(x) <= FEW else among_many)(x, a)
+        half = nearest / 2.0  # m_i, Eq. (6)
         extent = largest_extent(x, half) / 2.0  # M, Eq. (8)
         evenness = float(np.sum((half / extent) ** 3)) if extent > 0.0 else 0.0  # Eq. (5), (7), (9)
-        gap = smallest_gap(tree, x, a, nearest, who)
     return Characterisation(
         len(x), tuple(middle.tolist()), tuple(v.mean(axis=0).tolist()), outer, gap, evenness
     )
@@ -107,13 +109,28 @@ def ring_uniformity(count: int) -> float:
     return count * (np.pi / (count + np.pi)) ** 3
 
 
-def smallest_gap(
-    tree: cKDTree, x: Array, a: Array, nearest: Array, who: NDArray[np.int64]
-) -> float:
-    """Eq. (4): smallest d_ij - a_i - a_j [m]."""
+def among_few(x: Array, a: Array) -> tuple[Array, float]:
+    """Distance of the nearest other of each, and Eq. (4): smallest d_ij - a_i - a_j [m]."""
+    apart = np.linalg.norm(x[:, None] - x, axis=2)
+    np.fill_diagonal(apart, np.inf)
+    return apart.min(axis=1), float((apart - a[:, None] - a).min())
+
+
+def among_many(x: Array, a: Array) -> tuple[Array, float]:
+    """The same from a k-d tree."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(x)
+    nearest, who = tree.query(x, k=2)
+    return nearest[:, 1], _smallest_gap(tree, x, a, nearest[:, 1], who)
+
+
+def _smallest_gap(
+    tree: Any, x: Array, a: Array, nearest: Array, who: NDArray[np.int64]
+) -> float:  # fmt: skip
     rows = np.arange(len(x))
     other = np.where(who[:, 0] == rows, who[:, 1], who[:, 0])  # a twin may be first
-    best = float(np.min(nearest[:, 1] - a - a[other]))
+    best = float(np.min(nearest - a - a[other]))
     if np.ptp(a) == 0.0:
         return best
     # the surface of a large one may be nearer than the nearest centre

@@ -188,6 +188,21 @@ def test_help_imports_nothing_heavy(words):
     assert "click" in loaded
 
 
+@pytest.mark.parametrize("words", [["check", "zhang2023_table"], ["check", "hold"]])
+def test_loading_an_experiment_imports_no_large_parts_of_scipy(words):
+    script = (
+        "import sys; from testbed.cli.main import main\n"
+        "try: main(sys.argv[1:])\n"
+        "except SystemExit: pass\n"
+        "import testbed.cli.run; print('MODULES', *sorted(sys.modules))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", script, *words], capture_output=True, text=True, check=True
+    )
+    loaded = result.stdout.partition("MODULES ")[2].split()
+    assert {"scipy.optimize", "scipy.spatial", "scipy.stats"}.isdisjoint(loaded)
+
+
 def test_help_names_every_verb_and_the_form_of_an_override(testbed):
     result = testbed("--help")
     for verb in ("run", "check", "list", "schema"):

@@ -4,12 +4,14 @@ import math
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tomli_w
 from msgspec.structs import replace
+from scipy.optimize import linprog
 
 from testbed.config import SHIPPED, dump, find, load, loads
-from testbed.config.fit import defaults_of, weakest_torque
+from testbed.config.fit import defaults_of, most_torque, weakest_torque
 from testbed.flight.allocation import weakest_force
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
@@ -144,3 +146,17 @@ def test_the_shipped_vehicles_can_push_and_turn():
         model = reach(name).vehicles["sat1"].model
         assert weakest_force(model) > 0.3
         assert weakest_torque(model) > 0.04
+
+
+@pytest.mark.parametrize("jets", [2, 3, 4, 8, 12])
+@pytest.mark.parametrize("along_axes", [False, True])
+def test_the_largest_torque_is_that_of_linear_programming(jets, along_axes):
+    rng = np.random.default_rng(jets)
+    for _ in range(40):
+        angle = rng.uniform(-math.pi, math.pi, jets)
+        if along_axes:  # many parallel pushes
+            angle = 0.5 * math.pi * (np.arange(jets) % 4)
+        push = rng.uniform(0.1, 1.0, jets) * (np.cos(angle), np.sin(angle))
+        turn = rng.uniform(-0.2, 0.2, jets)
+        best = linprog(-turn, A_eq=push, b_eq=(0.0, 0.0), bounds=(0.0, 1.0))
+        assert most_torque(push, turn) == pytest.approx(-best.fun, abs=1e-9)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
 
 from testbed.config import ConfigError, find, load
 from testbed.config.file import fault_texts, words_for
@@ -15,8 +16,10 @@ from testbed.config.shipped import shipped_faults
 from testbed.config.thresholds import (
     RARE,
     WORDS,
+    _motion,
     prediction,
     silence_s,
+    steady,
     value_of,
     words_in,
 )
@@ -123,6 +126,26 @@ def test_the_prediction_spreads_as_the_estimators_covariance():
         cov -= gain @ cov[:1]
     predict_covariance(cov, 2.0, white, walk)
     assert prediction(params, noise, frame, (2.0,))[0] == pytest.approx(np.sqrt(cov[0, 0]), 1e-3)
+
+
+def test_the_steady_covariance_solves_the_riccati_equation():
+    rng = np.random.default_rng(3)
+    for _ in range(200):
+        white, walk, noise = 10.0 ** rng.uniform((-4, -6, -5), (-1, -2, -2))
+        params = EstimatorParams(force_noise=white, bias_walk=walk)
+        step, own = _motion(10.0 ** rng.uniform(-2.5, -1), params)
+        found, measured = steady(step, own, noise), np.eye(3)[:, :1]
+        scale = 1e6  # scipy's solver needs numbers of ordinary size
+        error = np.array([[scale * noise**2]])
+        expected = solve_discrete_are(step.T, measured, scale * own, error) / scale
+        assert found == pytest.approx(expected, rel=1e-5)
+        gain = found[:, :1] / (found[0, 0] + noise**2)
+        again = step @ (found - gain @ found[:1]) @ step.T + own
+        assert again == pytest.approx(found, rel=1e-9)
+
+
+def test_a_covariance_that_grows_without_limit_is_said():
+    assert steady(np.diag([1.0, 3.0, 1.0]), np.eye(3), 1e-3) is None
 
 
 def test_how_long_a_vehicle_flies_blind_follows_from_noise_and_room():
