@@ -267,9 +267,9 @@ def fly(
         for node in vehicles:
             tick = node.tick(t, armed, fleet)
             observer.vehicle(node.name, tick)
-            shut = shut and tick.outputs.inhibit_reason is not None
-            if tick.outputs.fault is not None and fault is None:
-                fault, failed_at = replace(tick.outputs.fault, vehicle=node.name), t
+            shut = shut and tick.shut
+            if tick.fault is not None and fault is None:
+                fault, failed_at = replace(tick.fault, vehicle=node.name), t
         for host in hosts:
             answer = host.tick(t, armed)
             observer.host(host.name, answer)
@@ -310,8 +310,8 @@ def hold(
         for node in vehicles:
             tick, full = node.tick(k * period, True, stay=True), set_pressure[node.name]
             observer.vehicle(node.name, tick)
-            if tick.outputs.fault is not None:
-                return k + 1, replace(tick.outputs.fault, vehicle=node.name)
+            if tick.fault is not None:
+                return k + 1, replace(tick.fault, vehicle=node.name)
             enough = enough and tick.inputs.health.supply_pressure >= ENOUGH * full
         if not enough:
             return k + 1, None

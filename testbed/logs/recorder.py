@@ -34,16 +34,21 @@ from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
+from typing import NamedTuple
 
 import msgspec
 from msgspec import Struct
 
 from testbed.core.error import TestbedError
-from testbed.logs.tick_row import Names, RowWriter
+from testbed.flight.flown_tick import FlownTick
+from testbed.flight.tick_table import TICKS
+from testbed.logs.table_rows import TableRows
+from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
 PIECE = 64 * 1024  # most bytes kept between two marks before they are written
 LARGEST_BACKLOG = 32_000_000  # most bytes kept in memory for a slow writer
+LARGEST_BLOCK = 10 * TICKS  # most messages kept for ticks that become rows together
 LOOK_S = 0.05
 PATIENCE_S = 5.0  # a writer without progress for this long hangs
 SPAN_NS = 50_000_000  # time of the run per chunk; the same run gives the same chunks
@@ -99,6 +104,13 @@ class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
 Frame = Topic | Entry | Mark
 
 
+class Flown(NamedTuple):
+    """A tick whose row is made later."""
+
+    topic: str
+    tick: FlownTick
+
+
 class Recorder:
     """Writes a log; a context manager that finishes the file after any end of the flight.
 
@@ -142,6 +154,9 @@ class Recorder:
         self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
         self._rows, self._scene = RowWriter(names), scene
+        self._tables: dict[str, TableRows] = {}  # by topic
+        # of ticks that become rows together, and what came in between: (time [s], message)
+        self._kept: list[tuple[float, Made | Flown]] = []
 
     def __enter__(self) -> "Recorder":
         self._writer = subprocess.Popen(
@@ -161,28 +176,58 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        with suppress(RecorderError):  # its reason is said below
+            self._append_kept()
         said = self._last_words()
         if self._writer.returncode != 0 and kind is None:
             raise RecorderError(said)
 
-    def write(self, topic: str, t: float, message: Struct) -> None:
+    def write(self, topic: str, t: float, message: Struct | FlownTick) -> None:
         """Append one message of time `t` [s] to `topic`.
 
         Raises:
             RecorderError: the writer failed, or a number does not fit its field.
         """
-        try:
-            rows = self._rows.rows(topic, t, message)
-        except (struct.error, OverflowError) as error:
-            raise RecorderError(f"a message of {topic} at {t:.3f} s: {error}") from None
-        for one in rows:
-            self.append(one.topic, one.kind, t, one.data)
+        if isinstance(message, FlownTick):
+            first = self._rows.before(topic, t, message.fault)
+            self._kept += [*((t, one) for one in first), (t, Flown(topic, message))]
+        else:
+            try:
+                rows = self._rows.rows(topic, t, message)
+            except (struct.error, OverflowError) as error:
+                raise RecorderError(f"a message of {topic} at {t:.3f} s: {error}") from None
+            for one in rows:
+                self.append(one.topic, one.kind, t, one.data)
         if self._scene:
             self.append("/scene", SCENE, t, self._scene)
             self._scene = b""
 
     def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
         """Append the bytes of one message of a kind of `core/records`."""
+        if self._kept:
+            self._kept.append((t, Made(topic, kind, data)))
+        else:
+            self._append(topic, kind, t, data)
+
+    def _append_kept(self) -> None:
+        """Make the rows of all kept ticks, a vehicle's together, and append everything in order."""
+        kept, self._kept = self._kept, []
+        blocks: dict[tuple[str, int], list[FlownTick]] = {}
+        for _, one in kept:
+            if isinstance(one, Flown):
+                blocks.setdefault((one.topic, id(one.tick.table)), []).append(one.tick)
+        rows = {}
+        for (topic, table), ticks in blocks.items():
+            made = self._tables.setdefault(topic, TableRows(self._rows))
+            rows[topic, table] = iter(made.messages(ticks))
+        for t, one in kept:
+            if isinstance(one, Flown):
+                data = next(rows[one.topic, id(one.tick.table)])
+                self._append(one.topic, "Tick", t, data)
+            else:
+                self._append(one.topic, one.kind, t, one.data)
+
+    def _append(self, topic: str, kind: str, t: float, data: bytes) -> None:
         if not self._met:
             self.meet()
         number = self._topics.get(topic)
@@ -214,12 +259,15 @@ class Recorder:
         Raises:
             RecorderError: the writer has ended; recording has stopped.
         """
-        now = round(t * 1e9)
-        if now - self._marked >= self._span:
+        now, fast = round(t * 1e9), self._span > SPAN_NS
+        due = now - self._marked >= self._span
+        if self._kept and (due or not fast or len(self._kept) >= LARGEST_BLOCK):
+            self._append_kept()
+        if due:
             self._marked = now
             self._send(Mark())
             self._hand_over()
-        elif self._span <= SPAN_NS:  # faster than real time a write per tick costs more than rows
+        elif not fast:  # faster than real time a write per tick costs more than rows
             self._hand_over()
         assert self._writer.stderr is not None
         try:

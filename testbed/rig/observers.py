@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 
 from testbed.core.types import HostTick, Tick
+from testbed.flight.flown_tick import FlownTick
 from testbed.flight.loop import host_fault
 from testbed.metrics.run_metrics import ReferenceLog
 
@@ -10,7 +11,7 @@ from testbed.metrics.run_metrics import ReferenceLog
 class NullObserver:
     """An observer that does nothing."""
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: Tick | FlownTick) -> None:
         """See `Observer`."""
 
     def host(self, name: str, tick: HostTick) -> None:
@@ -26,10 +27,10 @@ class FirstFaultObserver(NullObserver):
     def __init__(self) -> None:
         self.fault_t: float | None = None  # None: no fault [s]
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: Tick | FlownTick) -> None:
         """See `Observer`."""
-        if self.fault_t is None and tick.outputs.fault is not None:
-            self.fault_t = tick.outputs.t
+        if self.fault_t is None and tick.fault is not None:
+            self.fault_t = tick.t
 
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
@@ -44,9 +45,9 @@ class MetricsObserver(FirstFaultObserver):
         super().__init__()
         self.aims = {name: ReferenceLog() for name in names}
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: Tick | FlownTick) -> None:
         """See `Observer`."""
-        if tick.inputs.vitals.end:
+        if tick.ended:
             return
         super().vehicle(name, tick)
-        self.aims[name].note(tick.outputs)
+        self.aims[name].note(tick)

@@ -1,0 +1,190 @@
+"""Rows of the log from ticks that are rows of a table, column by column.
+
+The numbers of a tick's record are eight bytes each, and so are most of the log's row, so one
+indexed copy moves them all. The result is that of `tick_row.py` for the same ticks, up to spare
+elements of sequences: their capacity is that of the longest in the block.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.codes import InhibitReason
+from testbed.core.records.definition import DTYPES
+from testbed.core.records.kinds import Active, SetpointKind
+from testbed.core.records.layout import COUNT, WORD, Layout, Part, Rows
+from testbed.flight.flown_tick import FlownTick
+from testbed.flight.record import ROW
+from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES
+from testbed.logs.tick_row import RowWriter, value_of
+
+Array = NDArray[np.float64]
+
+_HEALTH = "supply_pressure", "tank_pressure", "battery", "silent_s"
+_VITALS = "operator_age", "clock_offset", "late_s", "disk_free"
+_MOTION = (
+    ("pose.x", "x"), ("pose.y", "y"), ("pose.theta", "theta"),
+    ("twist.vx", "vx"), ("twist.vy", "vy"), ("twist.omega", "omega"),
+)  # fmt: skip
+_DEMAND = ("t", "fx_w", "fy_w", "theta", "omega", "alpha", "valid_until")
+_OF_SETPOINT = ("t", "fx", "fy", "theta", "omega", "alpha", "valid_until")
+_AXES = ("fx", "fy", "tau")
+
+# numbers of the log's row, and where the record has them
+SAME = {
+    "inputs.t": "told.t",
+    "inputs.health.t": "told.t",
+    **{f"inputs.health.{one}": f"told.{one}" for one in _HEALTH},
+    **{f"inputs.vitals.{one}": f"told.{one}" for one in _VITALS},
+    "outputs.t": "told.t",
+    "outputs.issued_at": "told.t",
+    **{f"outputs.commanded_wrench.{one}": f"done.commanded.{one}" for one in _AXES},
+    **{f"outputs.realised_wrench.{one}": f"done.realised.{one}" for one in _AXES},
+}
+STATE = {
+    "outputs.state.t": "state.t",
+    **{f"outputs.state.{one}": f"state.{other}" for one, other in _MOTION},
+    **{f"outputs.state.bias.{one}": f"state.{one}" for one in ("ax", "ay", "alpha")},
+    "outputs.state.pose_age": "state.pose_age",
+}
+REFERENCE = {
+    "outputs.reference.t": "done.active.t",
+    **{f"outputs.reference.{one}": f"done.active.{other}" for one, other in _MOTION},
+    **{f"outputs.reference.accel.{one}": f"done.active.{one}" for one in ("ax", "ay", "alpha")},
+}
+_PAIRS = tuple(zip(_DEMAND, _OF_SETPOINT, strict=True))
+DEMAND = {f"outputs.demand.{one}": f"told.setpoint.{other}" for one, other in _PAIRS}
+ASKED = {f"inputs.setpoint.demand.{one}": f"told.setpoint.{other}" for one, other in _PAIRS}
+UNTIL = {"inputs.setpoint.valid_until": "told.setpoint.valid_until"}
+
+_WORDS = np.zeros(max(InhibitReason) + 1, np.int64)  # values in the words of each reason
+for _one in InhibitReason:
+    _WORDS[_one] = _one.words.count("{")
+
+
+def place(dtype: np.dtype, path: str) -> int:
+    """The place of a number in a record, in words."""
+    at = 0
+    for name in path.split("."):
+        assert dtype.fields is not None
+        dtype, offset = dtype.fields[name][:2]
+        at += offset
+    return at // WORD
+
+
+class Columns:
+    """Numbers that a row and a record share."""
+
+    def __init__(self, pairs: dict[str, str]) -> None:
+        fixed = DTYPES["Tick"]
+        self.to = np.array([1 + place(fixed, one) for one in pairs])  # after the header's word
+        self.of = np.array([place(ROW, one) for one in pairs.values()])
+
+    def copy(self, words: Array, records: Array, where: NDArray[np.bool_] | None = None) -> None:
+        """Copy these numbers; where not `where`, they are unknown."""
+        values = records[:, self.of]
+        if where is not None:
+            values[~where] = np.nan
+        words[:, self.to] = values
+
+
+_SAME, _STATE, _REFERENCE = Columns(SAME), Columns(STATE), Columns(REFERENCE)
+_DEMANDS, _ASKED, _UNTIL = Columns(DEMAND), Columns(ASKED), Columns(UNTIL)
+_COUNTED = {"samples": SAMPLES, "neighbours": STATES, "references": REFERENCES}
+
+
+class TableRows:
+    """Makes the messages of one vehicle's ticks."""
+
+    def __init__(self, writer: RowWriter) -> None:
+        self._writer = writer
+        self._most: dict[str, int] = {}  # elements of each sequence so far
+
+    def messages(self, ticks: Sequence[FlownTick]) -> Iterable[bytes]:
+        """The messages of ticks that are rows one after the other of one table."""
+        table, n = ticks[0].table, len(ticks)
+        k = slice(ticks[0].k, ticks[0].k + n)
+        counts, jets = table.counts[k], table.plans.shape[1] // 2
+        longest = {name: int(counts[:, column].max()) for name, column in _COUNTED.items()}
+        for name, number in {**longest, "pulses": jets}.items():
+            self._most[name] = max(number, self._most.get(name, 1))
+        layout = Layout("Tick", {"heard": 1, "heard_values": 1, "message": 1, **self._most})
+        rows = layout.rows(n)
+        self._fixed(rows, ticks, table.records[k], table.holds[k], table.values[k])
+        parts = {part.field.name: part for part in layout.parts}
+        for name, column in _COUNTED.items():
+            rows.counts(parts[name])["valid"][:n] = counts[:, column]
+        _fill(rows, parts["samples"], table.samples[k], counts[:, SAMPLES])
+        _fill(rows, parts["references"], table.references[k], counts[:, REFERENCES])
+        _fill(rows, parts["neighbours"], table.states[k, :, :-1], counts[:, STATES])
+        others = rows.elements(parts["neighbours"])[:n, : table.states.shape[1]]
+        used = np.arange(others.shape[1]) < counts[:, STATES, None]
+        most = slice(others.shape[1])
+        others["state"]["rejected"][used] = table.states[k, most, -1][used]
+        others["vehicle"][used] = table.vehicles[k, most][used]
+        rows.counts(parts["pulses"])["valid"][:n] = jets
+        pulses = rows.elements(parts["pulses"])[:n]
+        pulses["on_us"][:, :jets] = table.plans[k, :jets]
+        pulses["offset_us"][:, :jets] = table.plans[k, jets:]
+        return map(rows.message, range(n))
+
+    def _fixed(
+        self, rows: Rows, ticks: Sequence[FlownTick], records: NDArray, holds: Array, values: Array
+    ) -> None:
+        n, writer = len(ticks), self._writer
+        words = rows.memory.view(np.float64)[:n]
+        numbers = records.view(np.float64).reshape(n, -1)
+        told, state, done = records["told"], records["state"], records["done"]
+        aim, known = told["setpoint"]["kind"], state["known"] == 1
+        flown = known & (aim != SetpointKind.NONE)
+        demanded = flown & (aim == SetpointKind.DEMAND) & (done["stopping"] == 0)
+        _SAME.copy(words, numbers)
+        _STATE.copy(words, numbers, known)
+        _REFERENCE.copy(words, numbers, flown & ~demanded)
+        _DEMANDS.copy(words, numbers, demanded)
+        _ASKED.copy(words, numbers, aim == SetpointKind.DEMAND)
+        _UNTIL.copy(words, numbers, aim == SetpointKind.TRAJECTORY)
+        inputs, outputs = rows.fixed["inputs"][:n], rows.fixed["outputs"][:n]
+        inputs["setpoint"]["kind"], inputs["armed"], inputs["end"] = (
+            aim,
+            told["armed"],
+            told["ended"],
+        )
+        vitals = inputs["vitals"]
+        vitals["foreign"], vitals["session_ok"] = told["foreign"], told["session_ok"]
+        vitals["same_config"], vitals["fleet"] = told["same_config"], told["fleet_failed"]
+        outputs["state"]["rejected"] = np.where(known, state["rejected"], 0)
+        period = ticks[0].agent.params.gains.period
+        outputs["valid_until"] = told["t"] + period
+        outputs["message_t"] = np.nan
+        latched = (done["inhibit"] == done["gate_fault"]) & (done["inhibit"] > 0)
+        length = np.where(latched, _WORDS[done["inhibit"]], 0)
+        outputs["inhibit_values"] = np.where(np.arange(3) < length[:, None], values, np.nan)
+        outputs["inhibit"], outputs["inhibit_length"] = done["inhibit"], length
+        outputs["seq"], outputs["response"] = done["seq"], done["response"]
+        outputs["state_known"], outputs["air_off"] = known, done["air_off"]
+        active = np.where(demanded, Active.DEMAND, Active.REFERENCE)
+        outputs["active"] = np.where(flown, active, Active.NONE)
+        outputs["fault_value"] = np.nan
+        for i, tick in enumerate(ticks):
+            if tick.fault is not None:
+                outputs["fault"][i] = writer.fault_code(tick.fault)
+                outputs["fault_value"][i] = value_of(tick.fault)
+        for i in np.flatnonzero(done["holding"]).tolist():
+            outputs["faults"][i] = writer.held(ticks[i].outputs.faults)
+        for i in np.flatnonzero(done["hazard"] >= 0).tolist():
+            filtered = writer.filtered(ticks[i].outputs.filtered)
+            one = outputs["filtered"][i : i + 1]
+            one["dfx_w"], one["dfy_w"], one["subject"], one["hazard"] = filtered
+
+
+def _fill(rows: Rows, part: Part, values: Array, counts: NDArray[np.int64]) -> None:
+    """Write the elements in use; `values` are their first numbers, shape (n, most, numbers)."""
+    n, _, width = values.shape
+    most = min(part.capacity, values.shape[1])
+    pitch, size = rows.memory.shape[1], part.dtype.itemsize
+    shape, strides = (n, most, width), (pitch, size, WORD)
+    out: Array = np.ndarray(shape, np.float64, rows.memory, part.offset + COUNT.itemsize, strides)
+    used = np.arange(most) < counts[:, None]
+    out[used] = values[:, :most][used]
