@@ -250,3 +250,18 @@ class HostTick(Struct, frozen=True, gc=False):
 
     inputs: HostInputs
     outputs: HostOutputs
+
+    @property
+    def t(self) -> float:
+        """Time of the tick [s]."""
+        return self.inputs.t
+
+    @property
+    def own_t(self) -> float | None:
+        """Time of the vehicle's newest state [s]; None: there is none."""
+        return None if self.inputs.own is None else self.inputs.own.t
+
+    @property
+    def fault(self) -> FaultReport | None:
+        """Fault of the law."""
+        return self.outputs.fault

@@ -2,19 +2,22 @@
 
 import numpy as np
 
-from testbed.core.codes import FaultReport
+from testbed.core.codes import FaultReport, Intervention
 from testbed.core.records.kinds import SetpointKind
-from testbed.core.rows import PoseSamples, References, States
+from testbed.core.rows import PoseSamples, References, States, setpoint_of
 from testbed.core.types import (
     Demand,
     Health,
+    HostInputs,
+    HostOutputs,
     Inputs,
     Outputs,
     Setpoint,
+    State,
     Trajectory,
 )
 from testbed.flight.agent import Agent, taken
-from testbed.flight.tick_table import TickTable
+from testbed.flight.tick_table import HostTable, TickTable
 
 
 class FlownTick:
@@ -52,15 +55,13 @@ class FlownTick:
         if self._inputs is None:
             table, k = self.table, self.k
             told, (seen, heard, _) = table.records[k].told, table.counts[k].tolist()
-            names = [self.names[one] for one in table.vehicles[k, :heard].tolist()]
-            states = map(States.struct, table.states[k, :heard].tolist())
             t, supply, tank = float(told.t), float(told.supply_pressure), float(told.tank_pressure)
             self._inputs = Inputs(
                 t,
                 bool(told.armed),
                 PoseSamples(table.samples[k, :seen].copy()),
                 self._setpoint(),
-                dict(zip(names, states, strict=True)),
+                states_of(table, k, heard, self.names),
                 Health(t, supply, tank),
             )
         return self._inputs
@@ -86,3 +87,54 @@ class FlownTick:
                 table.plans[k], table.holds[k], table.values[k], None,
             )  # fmt: skip
         return self._outputs
+
+
+class FlownHostTick:
+    """One tick of a law on the host, a row of a table. It has what `HostTick` has."""
+
+    __slots__ = ("filtered", "k", "names", "own_t", "table")
+    fault = None
+
+    def __init__(
+        self, table: HostTable, k: int, names: list[str], own_t: float,
+        filtered: Intervention | None,
+    ) -> None:  # fmt: skip
+        """A tick in which the law has given a setpoint.
+
+        Args:
+            table: of the vehicle.
+            k: its row.
+            names: of all vehicles, by number.
+            own_t: time of the vehicle's newest state [s].
+            filtered: change of the reference model's force.
+        """
+        self.table, self.k, self.names = table, k, names
+        self.own_t, self.filtered = own_t, filtered
+
+    @property
+    def t(self) -> float:
+        """See `HostTick`."""
+        return float(self.table.t[self.k])
+
+    @property
+    def inputs(self) -> HostInputs:
+        """See `HostTick`."""
+        table, k = self.table, self.k
+        own = States.struct(table.own[k].tolist())
+        return HostInputs(self.t, own, states_of(table, k, int(table.counts[k, 0]), self.names))
+
+    @property
+    def outputs(self) -> HostOutputs:
+        """See `HostTick`."""
+        table, k = self.table, self.k
+        ahead = table.references[k, : int(table.counts[k, 1])]
+        setpoint = setpoint_of(np.concatenate((table.setpoints[k], ahead.ravel())))
+        return HostOutputs(self.t, setpoint, filtered=self.filtered)
+
+
+def states_of(
+    table: TickTable | HostTable, k: int, heard: int, names: list[str]
+) -> dict[str, State]:
+    """The first `heard` states of others in row `k`, by name."""
+    whose = [names[one] for one in table.vehicles[k, :heard].tolist()]
+    return dict(zip(whose, map(States.struct, table.states[k, :heard].tolist()), strict=True))

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.rows import PoseSamples, References, States
+from testbed.core.rows import SETPOINT_WIDTH, PoseSamples, References, States
 from testbed.flight.record import ROW
 
 Array = NDArray[np.float64]
@@ -61,4 +61,29 @@ def make_table(
         np.empty((ticks, 2 * jets)),
         np.empty((ticks, 3)),
         np.empty((ticks, rows)),
+    )
+
+
+class HostTable(NamedTuple):
+    """Ticks of one vehicle's law on the host, a row each."""
+
+    t: Array  # (n,) [s]
+    counts: Whole  # (n, 2) states of others and references in use
+    own: Array  # (n, 12) newest state of the vehicle, see rows.States
+    states: Array  # (n, most, 12) the newest one of each other vehicle
+    vehicles: Whole  # (n, most) whose they are, numbered as in the experiment
+    setpoints: Array  # (n, 8) see rows.numbers_of
+    references: Array  # (n, most, 10) of the setpoint, see rows.References
+
+
+def make_host_table(others: int, references: int, ticks: int = TICKS) -> HostTable:
+    """An empty table; see `make_table`."""
+    return HostTable(
+        np.empty(ticks),
+        np.zeros((ticks, 2), np.int64),
+        np.empty((ticks, States.width)),
+        np.empty((ticks, others, States.width)),
+        np.empty((ticks, others), np.int64),
+        np.empty((ticks, SETPOINT_WIDTH)),
+        np.empty((ticks, references, References.width)),
     )

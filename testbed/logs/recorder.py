@@ -34,13 +34,13 @@ from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import Struct
 
 from testbed.core.error import TestbedError
-from testbed.flight.flown_tick import FlownTick
+from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.flight.tick_table import TICKS
 from testbed.logs.table_rows import TableRows
 from testbed.logs.tick_row import Made, Names, RowWriter
@@ -108,7 +108,7 @@ class Flown(NamedTuple):
     """A tick whose row is made later."""
 
     topic: str
-    tick: FlownTick
+    tick: FlownTick | FlownHostTick
 
 
 class Recorder:
@@ -182,13 +182,13 @@ class Recorder:
         if self._writer.returncode != 0 and kind is None:
             raise RecorderError(said)
 
-    def write(self, topic: str, t: float, message: Struct | FlownTick) -> None:
+    def write(self, topic: str, t: float, message: Struct | FlownTick | FlownHostTick) -> None:
         """Append one message of time `t` [s] to `topic`.
 
         Raises:
             RecorderError: the writer failed, or a number does not fit its field.
         """
-        if isinstance(message, FlownTick):
+        if isinstance(message, FlownTick | FlownHostTick):
             first = self._rows.before(topic, t, message.fault)
             self._kept += [*((t, one) for one in first), (t, Flown(topic, message))]
         else:
@@ -212,7 +212,7 @@ class Recorder:
     def _append_kept(self) -> None:
         """Make the rows of all kept ticks, a vehicle's together, and append everything in order."""
         kept, self._kept = self._kept, []
-        blocks: dict[tuple[str, int], list[FlownTick]] = {}
+        blocks: dict[tuple[str, int], list[Any]] = {}
         for _, one in kept:
             if isinstance(one, Flown):
                 blocks.setdefault((one.topic, id(one.tick.table)), []).append(one.tick)
@@ -223,7 +223,8 @@ class Recorder:
         for t, one in kept:
             if isinstance(one, Flown):
                 data = next(rows[one.topic, id(one.tick.table)])
-                self._append(one.topic, "Tick", t, data)
+                kind = "Tick" if isinstance(one.tick, FlownTick) else "HostTick"
+                self._append(one.topic, kind, t, data)
             else:
                 self._append(one.topic, one.kind, t, one.data)
 

@@ -5,16 +5,16 @@ indexed copy moves them all. The result is that of `tick_row.py` for the same ti
 elements of sequences: their capacity is that of the longest in the block.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.codes import InhibitReason
+from testbed.core.codes import InhibitReason, Intervention
 from testbed.core.records.definition import DTYPES
 from testbed.core.records.kinds import Active, SetpointKind
-from testbed.core.records.layout import COUNT, WORD, Layout, Part, Rows
-from testbed.flight.flown_tick import FlownTick
+from testbed.core.records.layout import COUNT, WORD, Layout, Rows
+from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.flight.record import ROW
 from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES
 from testbed.logs.tick_row import RowWriter, value_of
@@ -74,12 +74,12 @@ def place(dtype: np.dtype, path: str) -> int:
 
 
 class Columns:
-    """Numbers that a row and a record share."""
+    """Numbers that the rows of a message share with others: places in words."""
 
-    def __init__(self, pairs: dict[str, str]) -> None:
-        fixed = DTYPES["Tick"]
-        self.to = np.array([1 + place(fixed, one) for one in pairs])  # after the header's word
-        self.of = np.array([place(ROW, one) for one in pairs.values()])
+    def __init__(self, message: str, to: Iterable[str], of: Sequence[int]) -> None:
+        fixed = DTYPES[message]
+        self.to = np.array([1 + place(fixed, one) for one in to])  # after the header's word
+        self.of = np.array(of)
 
     def copy(self, words: Array, records: Array, where: NDArray[np.bool_] | None = None) -> None:
         """Copy these numbers; where not `where`, they are unknown."""
@@ -89,48 +89,80 @@ class Columns:
         words[:, self.to] = values
 
 
-_SAME, _STATE, _REFERENCE = Columns(SAME), Columns(STATE), Columns(REFERENCE)
-_DEMANDS, _ASKED, _UNTIL = Columns(DEMAND), Columns(ASKED), Columns(UNTIL)
+_SAME, _STATE, _REFERENCE, _DEMANDS, _ASKED, _UNTIL = (
+    Columns("Tick", pairs, [place(ROW, one) for one in pairs.values()])
+    for pairs in (SAME, STATE, REFERENCE, DEMAND, ASKED, UNTIL)
+)
+# of the host's row: the vehicle's state in the order of rows.States, and the setpoint's numbers
+_OWN = Columns("HostTick", [one.replace("outputs.state", "inputs.own") for one in STATE], range(11))
+_HOST_DEMAND = Columns(
+    "HostTick", [f"outputs.setpoint.demand.{one}" for one in _DEMAND], (1, 3, 4, 5, 6, 7, 2)
+)
+_HOST_UNTIL = Columns("HostTick", ["outputs.setpoint.valid_until"], (2,))
 _COUNTED = {"samples": SAMPLES, "neighbours": STATES, "references": REFERENCES}
 
 
 class TableRows:
-    """Makes the messages of one vehicle's ticks."""
+    """Makes the messages of one topic."""
 
     def __init__(self, writer: RowWriter) -> None:
         self._writer = writer
         self._most: dict[str, int] = {}  # elements of each sequence so far
 
-    def messages(self, ticks: Sequence[FlownTick]) -> Iterable[bytes]:
+    def messages(self, ticks: Sequence[FlownTick] | Sequence[FlownHostTick]) -> Iterable[bytes]:
         """The messages of ticks that are rows one after the other of one table."""
+        n, k = len(ticks), slice(ticks[0].k, ticks[0].k + len(ticks))
+        made = self._host(ticks, k) if isinstance(ticks[0], FlownHostTick) else self._tick(ticks, k)
+        return map(made.message, range(n))
+
+    def _rows(self, message: str, n: int, longest: Mapping[str, int]) -> Rows:
+        """Empty rows with room for the longest sequences so far."""
+        for name, number in longest.items():
+            self._most[name] = max(number, self._most.get(name, 1))
+        layout = Layout(message, {"heard": 1, "heard_values": 1, "message": 1, **self._most})
+        return layout.rows(n)
+
+    def _tick(self, ticks: Sequence[FlownTick], k: slice) -> Rows:
         table, n = ticks[0].table, len(ticks)
-        k = slice(ticks[0].k, ticks[0].k + n)
         counts, jets = table.counts[k], table.plans.shape[1] // 2
         longest = {name: int(counts[:, column].max()) for name, column in _COUNTED.items()}
-        for name, number in {**longest, "pulses": jets}.items():
-            self._most[name] = max(number, self._most.get(name, 1))
-        layout = Layout("Tick", {"heard": 1, "heard_values": 1, "message": 1, **self._most})
-        rows = layout.rows(n)
-        self._fixed(rows, ticks, table.records[k], table.holds[k], table.values[k])
-        parts = {part.field.name: part for part in layout.parts}
-        for name, column in _COUNTED.items():
-            rows.counts(parts[name])["valid"][:n] = counts[:, column]
-        _fill(rows, parts["samples"], table.samples[k], counts[:, SAMPLES])
-        _fill(rows, parts["references"], table.references[k], counts[:, REFERENCES])
-        _fill(rows, parts["neighbours"], table.states[k, :, :-1], counts[:, STATES])
-        others = rows.elements(parts["neighbours"])[:n, : table.states.shape[1]]
-        used = np.arange(others.shape[1]) < counts[:, STATES, None]
-        most = slice(others.shape[1])
-        others["state"]["rejected"][used] = table.states[k, most, -1][used]
-        others["vehicle"][used] = table.vehicles[k, most][used]
-        rows.counts(parts["pulses"])["valid"][:n] = jets
-        pulses = rows.elements(parts["pulses"])[:n]
+        rows = self._rows("Tick", n, {**longest, "pulses": jets})
+        self._fixed(rows, ticks, table.records[k], table.values[k])
+        _fill(rows, "samples", table.samples[k], counts[:, SAMPLES])
+        _fill(rows, "references", table.references[k], counts[:, REFERENCES])
+        _fill_neighbours(rows, table.states[k], table.vehicles[k], counts[:, STATES])
+        part = rows.layout.part("pulses")
+        rows.counts(part)["valid"][:n] = jets
+        pulses = rows.elements(part)[:n]
         pulses["on_us"][:, :jets] = table.plans[k, :jets]
         pulses["offset_us"][:, :jets] = table.plans[k, jets:]
-        return map(rows.message, range(n))
+        return rows
+
+    def _host(self, ticks: Sequence[FlownHostTick], k: slice) -> Rows:
+        table, n = ticks[0].table, len(ticks)
+        states, ahead = table.counts[k].T
+        longest = {"neighbours": int(states.max()), "references": int(ahead.max())}
+        rows = self._rows("HostTick", n, longest)
+        words, kind = rows.memory.view(np.float64)[:n], table.setpoints[k, 0]
+        inputs, outputs = rows.fixed["inputs"][:n], rows.fixed["outputs"][:n]
+        inputs["t"] = outputs["t"] = table.t[k]
+        _OWN.copy(words, table.own[k])
+        inputs["own"]["rejected"], inputs["own_known"] = table.own[k, -1], 1
+        _HOST_DEMAND.copy(words, table.setpoints[k], kind == SetpointKind.DEMAND)
+        _HOST_UNTIL.copy(words, table.setpoints[k], kind == SetpointKind.TRAJECTORY)
+        outputs["setpoint"]["kind"], outputs["message_t"] = kind, np.nan
+        for i, tick in enumerate(ticks):
+            if tick.filtered is not None:
+                self._intervene(outputs["filtered"][i : i + 1], tick.filtered)
+        _fill(rows, "references", table.references[k], ahead)
+        _fill_neighbours(rows, table.states[k], table.vehicles[k], states)
+        return rows
+
+    def _intervene(self, row: NDArray, filtered: Intervention | None) -> None:
+        row["dfx_w"], row["dfy_w"], row["subject"], row["hazard"] = self._writer.filtered(filtered)
 
     def _fixed(
-        self, rows: Rows, ticks: Sequence[FlownTick], records: NDArray, holds: Array, values: Array
+        self, rows: Rows, ticks: Sequence[FlownTick], records: NDArray, values: Array
     ) -> None:
         n, writer = len(ticks), self._writer
         words = rows.memory.view(np.float64)[:n]
@@ -174,17 +206,29 @@ class TableRows:
         for i in np.flatnonzero(done["holding"]).tolist():
             outputs["faults"][i] = writer.held(ticks[i].outputs.faults)
         for i in np.flatnonzero(done["hazard"] >= 0).tolist():
-            filtered = writer.filtered(ticks[i].outputs.filtered)
-            one = outputs["filtered"][i : i + 1]
-            one["dfx_w"], one["dfy_w"], one["subject"], one["hazard"] = filtered
+            self._intervene(outputs["filtered"][i : i + 1], ticks[i].outputs.filtered)
 
 
-def _fill(rows: Rows, part: Part, values: Array, counts: NDArray[np.int64]) -> None:
-    """Write the elements in use; `values` are their first numbers, shape (n, most, numbers)."""
+def _fill(rows: Rows, name: str, values: Array, counts: NDArray[np.int64]) -> None:
+    """Write the elements of a sequence; `values` are their first numbers, (n, most, numbers)."""
     n, _, width = values.shape
+    part = rows.layout.part(name)
+    rows.counts(part)["valid"][:n] = counts
     most = min(part.capacity, values.shape[1])
-    pitch, size = rows.memory.shape[1], part.dtype.itemsize
-    shape, strides = (n, most, width), (pitch, size, WORD)
+    shape, strides = (n, most, width), (rows.memory.shape[1], part.dtype.itemsize, WORD)
     out: Array = np.ndarray(shape, np.float64, rows.memory, part.offset + COUNT.itemsize, strides)
     used = np.arange(most) < counts[:, None]
     out[used] = values[:, :most][used]
+
+
+def _fill_neighbours(
+    rows: Rows, states: Array, vehicles: NDArray[np.int64], counts: NDArray[np.int64]
+) -> None:
+    """Write the newest states of the others, and whose they are."""
+    n, known, _ = states.shape
+    _fill(rows, "neighbours", states[:, :, :-1], counts)
+    others = rows.elements(rows.layout.part("neighbours"))[:n, :known]
+    most = others.shape[1]
+    used = np.arange(most) < counts[:, None]
+    others["state"]["rejected"][used] = states[:, :most, -1][used]
+    others["vehicle"][used] = vehicles[:, :most][used]

@@ -35,7 +35,7 @@ class FirstFaultObserver(NullObserver):
     def host(self, name: str, tick: HostTick) -> None:
         """See `Observer`."""
         if self.fault_t is None and host_fault(name, tick) is not None:
-            self.fault_t = tick.inputs.t
+            self.fault_t = tick.t
 
 
 class MetricsObserver(FirstFaultObserver):

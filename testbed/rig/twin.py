@@ -42,6 +42,7 @@ from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.chain import brakes_first
 from testbed.rig.firmware_boards import Valves, WiredBoard, make_drivers
+from testbed.rig.fleet.host import TwinHost
 from testbed.rig.fleet.node import TwinNode
 from testbed.rig.forked import SOON, ForkedAgent, ForkedHost, make_host, make_vehicle, stages
 from testbed.rig.interface import holds, not_armed
@@ -299,11 +300,14 @@ def make_twin(
         else:
             jets = len(setup.model.jets)
             vehicles.append(CrashableNode(node, jets, partial(injector.dead, name)))
-    hosts = [
-        make_host(experiment, name, make_link(twin, name), spoilt[name])
-        for name in setups
-        if experiment.deploy.law == "host"
-    ]
+    hosts: list[ForkedHost] = []
+    for name in setups if experiment.deploy.law == "host" else ():
+        link = make_link(twin, name)
+        if isinstance(link, TwinHostLink):
+            hosts.append(host := make_host(experiment, name, link, spoilt[name], TwinHost))
+            host.listen(twin)
+        else:
+            hosts.append(make_host(experiment, name, link, spoilt[name]))
     laws += hosts
     return TwinRig(experiment, twin, vehicles, hosts, drivers or {}, laws=laws)
 

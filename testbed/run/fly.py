@@ -13,7 +13,7 @@ from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
 from testbed.core.types import EndingTick, HostTick, Tick
-from testbed.flight.flown_tick import FlownTick
+from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
 from testbed.logs.recorder import (
@@ -87,9 +87,9 @@ class FlightLog:
         self._references[name].note(tick)
         self._screen.vehicle(name, tick)
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: HostTick | FlownHostTick) -> None:
         """See `Observer`."""
-        self._record(f"/{name}/host", tick.inputs.t, tick)
+        self._record(f"/{name}/host", tick.t, tick)
 
     def reports(self) -> None:
         """Log what boards, wires and the supervisor have reported since the last call."""
@@ -104,7 +104,7 @@ class FlightLog:
             self._screen.phase = event.phase
         self._logged = len(events)
 
-    def _record(self, topic: str, t: float, message: Struct | FlownTick) -> None:
+    def _record(self, topic: str, t: float, message: Struct | FlownTick | FlownHostTick) -> None:
         if self.trouble is None:
             try:
                 self._recorder.write(topic, t, message)

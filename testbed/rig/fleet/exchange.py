@@ -142,3 +142,31 @@ def say(fixed, times, holds, wires, states, audience, period, table, k, row, ale
     lands = done.air_off == 1 or done.response == LAND
     looks = it.known == 1 and (done.leak > alert or done.holding > 0)
     return done.inhibit, done.fault, done.gate_fault, lands, looks, openings, full
+
+
+@compiled
+def attend(states, own, others, vehicles, table, k):
+    """Write what the host has heard of the vehicles into row `k` of a law's table.
+
+    Args:
+        states: links for the vehicles' states.
+        own: that of the vehicle to the host.
+        others: those of the others.
+        vehicles: whose these are.
+        table: tick_table.HostTable.
+        k: row of this tick.
+
+    Returns:
+        how many others were heard; -1: the vehicle itself was not.
+    """
+    states, table, n = borrowed(states), borrowed(table), 0
+    if states.tally[own, SIZE] == SILENCE:
+        return -1
+    table.own[k] = states.newest[own, :STATE_WIDTH]
+    for i in range(others.shape[0]):
+        link = others[i]
+        if states.tally[link, SIZE] != SILENCE:
+            table.states[k, n] = states.newest[link, :STATE_WIDTH]
+            table.vehicles[k, n] = vehicles[i]
+            n += 1
+    return n
