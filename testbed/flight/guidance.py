@@ -24,9 +24,9 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from testbed.core.compiled import compiled, settled
 from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World, concerns_of
 from testbed.core.path import Circle, Path, Points, along
-from testbed.core.records.kinds import SetpointKind
 from testbed.core.rows import States, setpoint_of
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
@@ -40,6 +40,7 @@ from testbed.core.types import (
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.barrier import Barrier
+from testbed.flight.record import DEMAND, TRAJECTORY
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -141,6 +142,20 @@ class Company(NamedTuple):
     strangers: Neighbours  # them, without states
 
 
+@compiled
+def extrapolated(states, order, t):
+    """Positions and velocities at `t` [s] of the vehicles `order` in `states`, each (n, 2)."""
+    n = order.shape[0]
+    p, v = np.empty((n, 2)), np.empty((n, 2))
+    for i in range(n):
+        one = states[order[i]]
+        ago = t - one[0]
+        for axis in range(2):
+            v[i, axis] = one[4 + axis]
+            p[i, axis] = one[1 + axis] + ago * one[4 + axis]
+    return p, v
+
+
 class Guidance:
     """One vehicle's law at work."""
 
@@ -186,6 +201,7 @@ class Guidance:
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | TurnAlong | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
+        self._extrapolated = settled(extrapolated)
         self._ahead: deque[tuple[float, ...]] = deque()  # references not due yet, a row each
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
 
@@ -254,7 +270,7 @@ class Guidance:
         while self._t <= t + self._params.preview_s + 1e-9:
             self._ahead.append(self._reference(heard, self._turn))
         until = self._ahead[-1][0] + self._params.setpoint_life_s
-        head = SetpointKind.TRAJECTORY, self._ahead[0][0], until, 0.0, 0.0, 0.0, 0.0, 0.0
+        head = TRAJECTORY, self._ahead[0][0], until, 0.0, 0.0, 0.0, 0.0, 0.0
         row = np.array((*head, *chain.from_iterable(self._ahead)))
         self._ahead.popleft()
         return row
@@ -267,7 +283,7 @@ class Guidance:
         force = self._fly(t, *self._predict(own, disturbance, t), disturbance, heard).mean_force
         self._sent.append((t, force))
         until = t + self._params.setpoint_life_s
-        return np.array((SetpointKind.DEMAND, t, until, *force.tolist(), *turn.at(t)))
+        return np.array((DEMAND, t, until, *force.tolist(), *turn.at(t)))
 
     def _reference(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
         """Reference mode: the model's state now, as a row; then advance it by one period."""
@@ -340,9 +356,7 @@ class Guidance:
         if self._company is None or self._company[0] != known:
             self._company = known, self._meet(*known)
         names, order, company = self._company[1]
-        states = heard.states[order]
-        v = states[:, 4:6].copy()
-        p = states[:, 1:3] + (t - states[:, :1]) * v
+        p, v = self._extrapolated(heard.states, order, t)
         said, said_at = company.message, company.message_t
         if k and names:
             said = np.array([words[name].values for name in names])

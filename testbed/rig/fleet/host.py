@@ -6,7 +6,6 @@ import numpy as np
 
 from sim_twin.twin import HOST, Twin
 from testbed.core.compiled import settled
-from testbed.core.records.kinds import SetpointKind
 from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
 from testbed.core.types import HostInputs, HostOutputs, HostTick
 from testbed.flight.flown_tick import FlownHostTick, states_of
@@ -92,7 +91,6 @@ class TwinHost(ForkedHost):
 
 def is_number(row: np.ndarray) -> bool:
     """Whether a setpoint is finite; only the newest reference of a trajectory is checked."""
-    if row[0] == SetpointKind.DEMAND:
-        return math.isfinite(row[3] + row[4])
-    newest = row[-References.width :]
-    return math.isfinite(newest[1] + newest[2])
+    fx_or_x = 3 if len(row) == SETPOINT_WIDTH else 1 - References.width
+    one, other = row[fx_or_x : fx_or_x + 2].tolist()
+    return math.isfinite(one + other)
