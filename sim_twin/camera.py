@@ -162,10 +162,10 @@ class Cameras:
         clock = lab.clock_s * float(stream(seed, "clock").standard_normal())
         exact = not any((*sigma, lab.clock_s))
         self.markers = [
-            Markers(
-                k, exact, *(stream(seed, one, "body").standard_normal(3) * sigma).tolist(), clock
+            Markers(k, exact, float(x), float(y), float(turn), clock)
+            for k, (x, y, turn) in enumerate(
+                stream(seed, one, "body").standard_normal(3) * sigma for one in names
             )
-            for k, one in enumerate(names)
         ]
         self.film = Film(
             np.array([words(noise) for noise, _ in pairs]),

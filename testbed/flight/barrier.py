@@ -318,15 +318,16 @@ class Barrier:
         names: tuple[str, ...], states: Array, thrust_scale: float = 1.0,
     ) -> tuple[float, float, Intervention | None]:  # fmt: skip
         """`filter` with the states of the other vehicles `names` as rows, see rows.States."""
-        fx, fy = force
+        (fx, fy), (px, py, vx, vy, bx, by) = force, motion
         if names != self._met:
             self._met, self._apart = names, np.array([self.keep[name] for name in names])
         others = np.empty((len(names), 6))
         others[:, :2], others[:, 2:4] = states[:, 1:3], states[:, 4:6]
         others[:, 4], others[:, 5] = self._apart, states[:, 0]
         x, y, hazard, _ = self._guarded(
-            t, fx, fy, *motion, self.obstacles, others, self.limits, max(thrust_scale, WORST_SHARE)
-        )
+            t, fx, fy, px, py, vx, vy, bx, by,
+            self.obstacles, others, self.limits, max(thrust_scale, WORST_SHARE),
+        )  # fmt: skip
         if hazard < 0:
             return fx, fy, None
         return x, y, Intervention(x - fx, y - fy, *self.hazard(hazard, names))

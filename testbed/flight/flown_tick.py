@@ -6,14 +6,15 @@ from testbed.core.codes import FaultReport, Intervention
 from testbed.core.records.kinds import SetpointKind
 from testbed.core.rows import PoseSamples, References, States, setpoint_of
 from testbed.core.types import (
-    Demand,
     Health,
     HostInputs,
     HostOutputs,
+    HostTick,
     Inputs,
     Outputs,
     Setpoint,
     State,
+    Tick,
     Trajectory,
 )
 from testbed.flight.agent import Agent, taken
@@ -72,8 +73,7 @@ class FlownTick:
         if told.kind == SetpointKind.TRAJECTORY:
             return Trajectory(References(rows[: self.table.counts[self.k, 2]].copy()), until)
         if told.kind == SetpointKind.DEMAND:
-            parts = told.t, told.fx, told.fy, told.theta, told.omega, told.alpha
-            return Demand(*map(float, parts), until)
+            return setpoint_of(np.array(told.tolist()))
         return None
 
     @property
@@ -138,3 +138,7 @@ def states_of(
     """The first `heard` states of others in row `k`, by name."""
     whose = [names[one] for one in table.vehicles[k, :heard].tolist()]
     return dict(zip(whose, map(States.struct, table.states[k, :heard].tolist()), strict=True))
+
+
+AnyTick = Tick | FlownTick
+AnyHostTick = HostTick | FlownHostTick

@@ -31,7 +31,7 @@ from testbed.core.types import (
     Vitals,
 )
 from testbed.flight.faults import LONGEST_WORDS
-from testbed.flight.flown_tick import FlownHostTick, FlownTick
+from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.pilot import Pilot
 
@@ -150,7 +150,7 @@ class Node(Protocol):
     def tick(
         self, t: float, armed: bool, fleet: FaultReport | None = None, *,
         end: bool = False, stay: bool = False,
-    ) -> Tick | FlownTick:  # fmt: skip
+    ) -> AnyTick:  # fmt: skip
         """See `VehicleNode`."""
         ...
 
@@ -172,7 +172,7 @@ class HostNode:
         self._ahead = period + lead
         self._fault: FaultReport | None = None  # of the law
 
-    def tick(self, t: float, armed: bool = True) -> HostTick | FlownHostTick:
+    def tick(self, t: float, armed: bool = True) -> AnyHostTick:
         """Receive, step, send. The law starts when the vehicle is armed."""
         link, guidance = self._link, self.guidance
         inputs = HostInputs(t, link.own(), link.neighbours(), link.messages(), self.stick)
@@ -211,7 +211,7 @@ class HostNode:
         self._fault = FaultReport(what, f"law on the host: {text}", self.name)
 
 
-def host_fault(name: str, tick: HostTick | FlownHostTick) -> FaultReport | None:
+def host_fault(name: str, tick: AnyHostTick) -> FaultReport | None:
     """Fault that the host finds: the vehicle's law failed, or the vehicle is silent."""
     own_t, t = tick.own_t, tick.t
     if tick.fault is None and own_t is not None and not t - own_t <= SILENT:
@@ -223,11 +223,11 @@ def host_fault(name: str, tick: HostTick | FlownHostTick) -> FaultReport | None:
 class Observer(Protocol):
     """Receives every tick: recorder, progress bar, dashboard. Must not slow the loop down."""
 
-    def vehicle(self, name: str, tick: Tick | FlownTick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """Receive one vehicle's inputs and outputs."""
         ...
 
-    def host(self, name: str, tick: HostTick | FlownHostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """One vehicle's law on the host."""
         ...
 

@@ -5,7 +5,7 @@ indexed copy moves them all. The result is that of `tick_row.py` for the same ti
 elements of sequences: their capacity is that of the longest in the block.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +112,10 @@ class TableRows:
     def messages(self, ticks: Sequence[FlownTick] | Sequence[FlownHostTick]) -> Iterable[bytes]:
         """The messages of ticks that are rows one after the other of one table."""
         n, k = len(ticks), slice(ticks[0].k, ticks[0].k + len(ticks))
-        made = self._host(ticks, k) if isinstance(ticks[0], FlownHostTick) else self._tick(ticks, k)
+        make: Callable[..., Rows] = self._tick
+        if isinstance(ticks[0], FlownHostTick):
+            make = self._host
+        made = make(ticks, k)
         return map(made.message, range(n))
 
     def _rows(self, message: str, n: int, longest: Mapping[str, int]) -> Rows:

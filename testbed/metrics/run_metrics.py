@@ -19,7 +19,7 @@ from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Outputs, Tick
 from testbed.core.vehicle import NonNegative, Positive
 from testbed.flight.arming import Check
-from testbed.flight.flown_tick import FlownTick
+from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.metrics.afterwards import After
 
 Array = NDArray[np.float64]
@@ -167,7 +167,7 @@ class ReferenceLog:
         for out in outputs:
             self._note(out)
 
-    def note(self, tick: Tick | FlownTick) -> None:
+    def note(self, tick: AnyTick) -> None:
         """Add a tick; ticks without a setpoint or a state are ignored."""
         if isinstance(tick, Tick):
             self._add_kept()

@@ -13,9 +13,9 @@ from controllers.own_law import OwnLawParams
 from testbed.config import Experiment
 from testbed.core.jets import JetHealth
 from testbed.core.ports import HostLink
-from testbed.core.types import HostTick, Inputs, Outputs, Trajectory
+from testbed.core.types import Inputs, Outputs, Trajectory
 from testbed.flight.agent import Agent, lead_time
-from testbed.flight.flown_tick import FlownHostTick
+from testbed.flight.flown_tick import AnyHostTick
 from testbed.flight.guidance import Guidance, Kept
 from testbed.flight.loop import HostNode
 from testbed.rig.chain import make_agent, make_guidance, make_pilot
@@ -23,7 +23,6 @@ from testbed.rig.chain import make_agent, make_guidance, make_pilot
 SOON = 1e-9  # ticks are products of periods [s]
 Spoilt = Callable[[], str] | None
 M = TypeVar("M")
-H = TypeVar("H", bound="ForkedHost")
 
 
 def kept(before: Experiment, after: Experiment) -> Kept:
@@ -111,7 +110,7 @@ class ForkedHost(HostNode):
             after.take_over(self.guidance, keeps)
             self.guidance = after
 
-    def tick(self, t: float, armed: bool = True) -> HostTick | FlownHostTick:
+    def tick(self, t: float, armed: bool = True) -> AnyHostTick:
         """See `HostNode`."""
         self.take_over(t)
         return super().tick(t, armed)
@@ -140,8 +139,8 @@ def make_vehicle(experiment: Experiment, name: str, spoilt: Spoilt = None) -> Ag
 
 def make_host(
     experiment: Experiment, name: str, link: HostLink, spoilt: Spoilt = None,
-    kind: type[H] = ForkedHost,  # type: ignore[assignment]
-) -> H:  # fmt: skip
+    kind: type[ForkedHost] = ForkedHost,
+) -> ForkedHost:  # fmt: skip
     """One vehicle's law on the host, and its pilot."""
     lead = lead_time(experiment.vehicles[name].model)
     first, *later = (make_guidance(one, name, spoilt) for one in stages(experiment))

@@ -2,8 +2,7 @@
 
 from collections.abc import Iterable
 
-from testbed.core.types import HostTick, Tick
-from testbed.flight.flown_tick import FlownTick
+from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.loop import host_fault
 from testbed.metrics.run_metrics import ReferenceLog
 
@@ -11,10 +10,10 @@ from testbed.metrics.run_metrics import ReferenceLog
 class NullObserver:
     """An observer that does nothing."""
 
-    def vehicle(self, name: str, tick: Tick | FlownTick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
 
     def done(self, t: float) -> None:
@@ -27,12 +26,12 @@ class FirstFaultObserver(NullObserver):
     def __init__(self) -> None:
         self.fault_t: float | None = None  # None: no fault [s]
 
-    def vehicle(self, name: str, tick: Tick | FlownTick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
         if self.fault_t is None and tick.fault is not None:
             self.fault_t = tick.t
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
         if self.fault_t is None and host_fault(name, tick) is not None:
             self.fault_t = tick.t
@@ -45,7 +44,7 @@ class MetricsObserver(FirstFaultObserver):
         super().__init__()
         self.aims = {name: ReferenceLog() for name in names}
 
-    def vehicle(self, name: str, tick: Tick | FlownTick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
         if tick.ended:
             return

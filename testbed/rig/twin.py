@@ -303,11 +303,10 @@ def make_twin(
     hosts: list[ForkedHost] = []
     for name in setups if experiment.deploy.law == "host" else ():
         link = make_link(twin, name)
-        if isinstance(link, TwinHostLink):
-            hosts.append(host := make_host(experiment, name, link, spoilt[name], TwinHost))
+        kind = TwinHost if isinstance(link, TwinHostLink) else ForkedHost
+        hosts.append(host := make_host(experiment, name, link, spoilt[name], kind))
+        if isinstance(host, TwinHost):
             host.listen(twin)
-        else:
-            hosts.append(make_host(experiment, name, link, spoilt[name]))
     laws += hosts
     return TwinRig(experiment, twin, vehicles, hosts, drivers or {}, laws=laws)
 

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
-from testbed.core.types import EndingTick, HostTick, Tick
-from testbed.flight.flown_tick import FlownHostTick, FlownTick
+from testbed.core.types import EndingTick
+from testbed.flight.flown_tick import AnyHostTick, AnyTick, FlownHostTick, FlownTick
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
 from testbed.logs.recorder import (
@@ -76,7 +76,7 @@ class FlightLog:
         self.trouble: str | None = None  # error of the log's writer, which ends the flight
         self._next = 0.0  # next time to log the five elements [s]
 
-    def vehicle(self, name: str, tick: Tick | FlownTick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
         if tick.ended:
             heartbeat().beat()
@@ -87,7 +87,7 @@ class FlightLog:
         self._references[name].note(tick)
         self._screen.vehicle(name, tick)
 
-    def host(self, name: str, tick: HostTick | FlownHostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
         self._record(f"/{name}/host", tick.t, tick)
 

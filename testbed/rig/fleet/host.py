@@ -8,7 +8,7 @@ from sim_twin.twin import HOST, Twin
 from testbed.core.compiled import settled
 from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
 from testbed.core.types import HostInputs, HostOutputs, HostTick
-from testbed.flight.flown_tick import FlownHostTick, states_of
+from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
 from testbed.flight.guidance import Heard
 from testbed.flight.tick_table import TICKS, make_host_table
 from testbed.rig.fleet.exchange import attend
@@ -37,7 +37,7 @@ class TwinHost(ForkedHost):
     def _new_table(self) -> None:
         self._table, self._k = make_host_table(len(self._vehicles), self._room), 0
 
-    def tick(self, t: float, armed: bool = True) -> HostTick | FlownHostTick:
+    def tick(self, t: float, armed: bool = True) -> AnyHostTick:
         """See `HostNode`."""
         self.take_over(t)
         by_hand = self.stick is not None or (self.pilot is not None and self.pilot.flies)

@@ -10,9 +10,8 @@ from testbed.core.codes import FaultReport
 from testbed.core.compiled import settled
 from testbed.core.jets import JetHealth
 from testbed.core.rows import References, States
-from testbed.core.types import Tick
 from testbed.flight.agent import ALERT, Agent
-from testbed.flight.flown_tick import FlownTick
+from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 from testbed.flight.tick_table import TICKS, make_table
@@ -73,7 +72,7 @@ class TwinNode:
     def tick(
         self, t: float, armed: bool, fleet: FaultReport | None = None, *,
         end: bool = False, stay: bool = False,
-    ) -> Tick | FlownTick:  # fmt: skip
+    ) -> AnyTick:  # fmt: skip
         """See `VehicleNode`."""
         twin, agent, name = self._twin, self._agent, self.name
         if end or stay or fleet is not None or twin.fleet() is not None:
