@@ -350,7 +350,8 @@ class Safety:
         report = agent._report(int(done.fault), inputs, "", "") if done.fault >= 0 else None
         return SimpleNamespace(
             commanded_wrench=Wrench(*flown), response=Response(done.response),
-            holding=agent._holding(agent.memory.counters.holds), fault=report, braking=bool(done.braking),
+            holding=agent._holding(agent.memory.counters.holds), fault=report,
+            braking=bool(done.braking),
             inhibit_reason=Refusal(InhibitReason(shut)) if shut else None,
             air_off=bool(done.air_off),
         )  # fmt: skip

@@ -51,6 +51,11 @@ class FlownTick:
     ended = False  # the flight goes on
 
     @property
+    def tick(self) -> Tick:
+        """The same as structs."""
+        return Tick(self.inputs, self.outputs)
+
+    @property
     def inputs(self) -> Inputs:
         """See `Tick`."""
         if self._inputs is None:
@@ -110,6 +115,11 @@ class FlownHostTick:
         """
         self.table, self.k, self.names = table, k, names
         self.own_t, self.filtered = own_t, filtered
+
+    @property
+    def tick(self) -> HostTick:
+        """The same as structs."""
+        return HostTick(self.inputs, self.outputs)
 
     @property
     def t(self) -> float:

@@ -30,25 +30,23 @@ import select
 import struct
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
-from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import Struct
 
 from testbed.core.error import TestbedError
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
-from testbed.flight.tick_table import TICKS
-from testbed.logs.table_rows import TableRows
+from testbed.logs.block import LARGEST, Block
 from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
 PIECE = 64 * 1024  # most bytes kept between two marks before they are written
 LARGEST_BACKLOG = 32_000_000  # most bytes kept in memory for a slow writer
-LARGEST_BLOCK = 10 * TICKS  # most messages kept for ticks that become rows together
 LOOK_S = 0.05
 PATIENCE_S = 5.0  # a writer without progress for this long hangs
 SPAN_NS = 50_000_000  # time of the run per chunk; the same run gives the same chunks
@@ -89,26 +87,25 @@ class Topic(Struct, frozen=True, tag=True, array_like=True):
     kind: str  # of its messages, see `core/records`
 
 
-class Entry(Struct, frozen=True, tag=True, array_like=True, gc=False):
-    """To the writer: one message of a topic."""
+class Entry(Struct, frozen=True, array_like=True, gc=False):
+    """One message of a topic."""
 
     topic: int
     stamp: int  # time of the run [ns]
     data: bytes
 
 
+class Entries(Struct, frozen=True, tag=True, array_like=True, gc=False):
+    """To the writer: messages in order."""
+
+    entries: list[Entry]
+
+
 class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
     """To the writer: flush, so that a reader can see everything so far."""
 
 
-Frame = Topic | Entry | Mark
-
-
-class Flown(NamedTuple):
-    """A tick whose row is made later."""
-
-    topic: str
-    tick: FlownTick | FlownHostTick
+Frame = Topic | Entries | Mark
 
 
 class Recorder:
@@ -154,9 +151,7 @@ class Recorder:
         self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
         self._rows, self._scene = RowWriter(names), scene
-        self._tables: dict[str, TableRows] = {}  # by topic
-        # of ticks that become rows together, and what came in between: (time [s], message)
-        self._kept: list[tuple[float, Made | Flown]] = []
+        self._block, self._fast = Block(self._rows), span_ns > SPAN_NS
 
     def __enter__(self) -> "Recorder":
         self._writer = subprocess.Popen(
@@ -177,7 +172,8 @@ class Recorder:
         trace: TracebackType | None,
     ) -> None:
         with suppress(RecorderError):  # its reason is said below
-            self._append_kept()
+            if self._block:
+                self._append(self._block.take())
         said = self._last_words()
         if self._writer.returncode != 0 and kind is None:
             raise RecorderError(said)
@@ -189,53 +185,41 @@ class Recorder:
             RecorderError: the writer failed, or a number does not fit its field.
         """
         if isinstance(message, FlownTick | FlownHostTick):
-            first = self._rows.before(topic, t, message.fault)
-            self._kept += [*((t, one) for one in first), (t, Flown(topic, message))]
-        else:
-            try:
-                rows = self._rows.rows(topic, t, message)
-            except (struct.error, OverflowError) as error:
-                raise RecorderError(f"a message of {topic} at {t:.3f} s: {error}") from None
-            for one in rows:
-                self.append(one.topic, one.kind, t, one.data)
+            if self._fast:
+                for one in self._rows.before(topic, t, message.fault):
+                    self._block.add(t, one.topic, one)
+                self._block.add(t, topic, message)
+                return
+            message = message.tick
+        try:
+            rows = self._rows.rows(topic, t, message)
+        except (struct.error, OverflowError) as error:
+            raise RecorderError(f"a message of {topic} at {t:.3f} s: {error}") from None
         if self._scene:
-            self.append("/scene", SCENE, t, self._scene)
+            rows.append(Made("/scene", SCENE, self._scene))
             self._scene = b""
+        for one in rows:
+            self.append(one.topic, one.kind, t, one.data)
 
     def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
         """Append the bytes of one message of a kind of `core/records`."""
-        if self._kept:
-            self._kept.append((t, Made(topic, kind, data)))
+        made = Made(topic, kind, data)
+        if self._block:
+            self._block.add(t, topic, made)
         else:
-            self._append(topic, kind, t, data)
+            self._append([(t, made)])
 
-    def _append_kept(self) -> None:
-        """Make the rows of all kept ticks, a vehicle's together, and append everything in order."""
-        kept, self._kept = self._kept, []
-        blocks: dict[tuple[str, int], list[Any]] = {}
-        for _, one in kept:
-            if isinstance(one, Flown):
-                blocks.setdefault((one.topic, id(one.tick.table)), []).append(one.tick)
-        rows = {}
-        for (topic, table), ticks in blocks.items():
-            made = self._tables.setdefault(topic, TableRows(self._rows))
-            rows[topic, table] = iter(made.messages(ticks))
-        for t, one in kept:
-            if isinstance(one, Flown):
-                data = next(rows[one.topic, id(one.tick.table)])
-                kind = "Tick" if isinstance(one.tick, FlownTick) else "HostTick"
-                self._append(one.topic, kind, t, data)
-            else:
-                self._append(one.topic, one.kind, t, one.data)
-
-    def _append(self, topic: str, kind: str, t: float, data: bytes) -> None:
+    def _append(self, messages: Sequence[tuple[float, Made]]) -> None:
         if not self._met:
             self.meet()
-        number = self._topics.get(topic)
-        if number is None:
-            number = self._topics[topic] = len(self._topics)
-            self._send(Topic(topic, kind))
-        self._send(Entry(number, round(t * 1e9), data))
+        entries = []
+        for t, (topic, kind, data) in messages:
+            number = self._topics.get(topic)
+            if number is None:
+                number = self._topics[topic] = len(self._topics)
+                self._send(Topic(topic, kind))
+            entries.append(Entry(number, round(t * 1e9), data))
+        self._send(Entries(entries))
 
     def meet(self) -> None:
         """Wait until the writer has created the file; from then on a kill loses little.
@@ -260,16 +244,16 @@ class Recorder:
         Raises:
             RecorderError: the writer has ended; recording has stopped.
         """
-        now, fast = round(t * 1e9), self._span > SPAN_NS
+        now = round(t * 1e9)
         due = now - self._marked >= self._span
-        if self._kept and (due or not fast or len(self._kept) >= LARGEST_BLOCK):
-            self._append_kept()
+        if self._fast and not due and len(self._block) < LARGEST:
+            return []  # faster than real time, a write per tick costs more than rows
+        if self._block:
+            self._append(self._block.take())
         if due:
             self._marked = now
             self._send(Mark())
-            self._hand_over()
-        elif not fast:  # faster than real time a write per tick costs more than rows
-            self._hand_over()
+        self._hand_over()
         assert self._writer.stderr is not None
         try:
             heard = os.read(self._writer.stderr.fileno(), 4096)
@@ -291,7 +275,7 @@ class Recorder:
 
     def _send(self, frame: Frame) -> None:
         if len(self._pending) > LARGEST_BACKLOG and not isinstance(frame, Topic):
-            self.lost += isinstance(frame, Entry)
+            self.lost += len(frame.entries) if isinstance(frame, Entries) else 0
             return
         packed = self._pack(frame)
         self._pending += len(packed).to_bytes(4, "little")
