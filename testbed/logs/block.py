@@ -17,7 +17,6 @@ class Block:
 
     def __init__(self, writer: RowWriter) -> None:
         self._writer = writer
-        self._tables: dict[str, TableRows] = {}  # by topic
         self._waiting: list[Waiting] = []
 
     def __len__(self) -> int:
@@ -36,8 +35,7 @@ class Block:
                 ticks.setdefault((topic, id(one.table)), []).append(one)
         rows = {}
         for (topic, table), those in ticks.items():
-            made = self._tables.setdefault(topic, TableRows(self._writer))
-            rows[topic, table] = iter(made.messages(those))
+            rows[topic, table] = iter(TableRows(self._writer, topic).messages(those))
         taken = []
         for t, topic, one in waiting:
             if not isinstance(one, Made):

@@ -186,6 +186,8 @@ class Recorder:
         """
         if isinstance(message, FlownTick | FlownHostTick):
             if self._fast:
+                if not self._met:
+                    self.meet()
                 for one in self._rows.before(topic, t, message.fault):
                     self._block.add(t, one.topic, one)
                 self._block.add(t, topic, message)

@@ -1,17 +1,16 @@
 """Rows of the log from ticks that are rows of a table, column by column.
 
 The numbers of a tick's record are eight bytes each, and so are most of the log's row, so one
-indexed copy moves them all. The result is that of `tick_row.py` for the same ticks, up to spare
-elements of sequences: their capacity is that of the longest in the block.
+indexed copy moves them all. The result is that of `tick_row.py` for the same ticks, byte for byte.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.codes import InhibitReason, Intervention
-from testbed.core.records.definition import DTYPES
+from testbed.core.records.definition import DTYPES, MESSAGES
 from testbed.core.records.kinds import Active, SetpointKind
 from testbed.core.records.layout import COUNT, WORD, Layout, Rows
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
@@ -99,37 +98,34 @@ _HOST_DEMAND = Columns(
     "HostTick", [f"outputs.setpoint.demand.{one}" for one in _DEMAND], (1, 3, 4, 5, 6, 7, 2)
 )
 _HOST_UNTIL = Columns("HostTick", ["outputs.setpoint.valid_until"], (2,))
-_COUNTED = {"samples": SAMPLES, "neighbours": STATES, "references": REFERENCES}
 
 
 class TableRows:
     """Makes the messages of one topic."""
 
-    def __init__(self, writer: RowWriter) -> None:
-        self._writer = writer
-        self._most: dict[str, int] = {}  # elements of each sequence so far
+    def __init__(self, writer: RowWriter, topic: str) -> None:
+        self._writer, self._topic = writer, topic
 
-    def messages(self, ticks: Sequence[FlownTick] | Sequence[FlownHostTick]) -> Iterable[bytes]:
+    def messages(self, ticks: Sequence[FlownTick] | Sequence[FlownHostTick]) -> Iterator[bytes]:
         """The messages of ticks that are rows one after the other of one table."""
-        n, k = len(ticks), slice(ticks[0].k, ticks[0].k + len(ticks))
-        make: Callable[..., Rows] = self._tick
+        make: Callable[..., None] = self._tick
+        name, longest = "Tick", _longest(ticks)
         if isinstance(ticks[0], FlownHostTick):
-            make = self._host
-        made = make(ticks, k)
-        return map(made.message, range(n))
+            name, make = "HostTick", self._host
+        packer, begin = self._writer.packer(self._topic, name), 0
+        so_far = np.maximum.accumulate(np.vstack((packer.most, longest)))[1:]
+        for end in [*(1 + np.flatnonzero(np.diff(so_far, axis=0).any(axis=1))), len(ticks)]:
+            packer.grow(so_far[begin].tolist())  # a capacity grows with the first that needs it
+            some = ticks[begin:end]
+            names = [one.name for one in MESSAGES[name].sequences]
+            rows = Layout(name, dict(zip(names, packer.most, strict=True))).rows(len(some))
+            make(rows, some, slice(some[0].k, some[0].k + len(some)))
+            yield from map(rows.message, range(len(some)))
+            begin = end
 
-    def _rows(self, message: str, n: int, longest: Mapping[str, int]) -> Rows:
-        """Empty rows with room for the longest sequences so far."""
-        for name, number in longest.items():
-            self._most[name] = max(number, self._most.get(name, 1))
-        layout = Layout(message, {"heard": 1, "heard_values": 1, "message": 1, **self._most})
-        return layout.rows(n)
-
-    def _tick(self, ticks: Sequence[FlownTick], k: slice) -> Rows:
+    def _tick(self, rows: Rows, ticks: Sequence[FlownTick], k: slice) -> None:
         table, n = ticks[0].table, len(ticks)
         counts, jets = table.counts[k], table.plans.shape[1] // 2
-        longest = {name: int(counts[:, column].max()) for name, column in _COUNTED.items()}
-        rows = self._rows("Tick", n, {**longest, "pulses": jets})
         self._fixed(rows, ticks, table.records[k], table.values[k])
         _fill(rows, "samples", table.samples[k], counts[:, SAMPLES])
         _fill(rows, "references", table.references[k], counts[:, REFERENCES])
@@ -139,13 +135,10 @@ class TableRows:
         pulses = rows.elements(part)[:n]
         pulses["on_us"][:, :jets] = table.plans[k, :jets]
         pulses["offset_us"][:, :jets] = table.plans[k, jets:]
-        return rows
 
-    def _host(self, ticks: Sequence[FlownHostTick], k: slice) -> Rows:
+    def _host(self, rows: Rows, ticks: Sequence[FlownHostTick], k: slice) -> None:
         table, n = ticks[0].table, len(ticks)
         states, ahead = table.counts[k].T
-        longest = {"neighbours": int(states.max()), "references": int(ahead.max())}
-        rows = self._rows("HostTick", n, longest)
         words, kind = rows.memory.view(np.float64)[:n], table.setpoints[k, 0]
         inputs, outputs = rows.fixed["inputs"][:n], rows.fixed["outputs"][:n]
         inputs["t"] = outputs["t"] = table.t[k]
@@ -159,7 +152,6 @@ class TableRows:
                 self._intervene(outputs["filtered"][i : i + 1], tick.filtered)
         _fill(rows, "references", table.references[k], ahead)
         _fill_neighbours(rows, table.states[k], table.vehicles[k], states)
-        return rows
 
     def _intervene(self, row: NDArray, filtered: Intervention | None) -> None:
         row["dfx_w"], row["dfy_w"], row["subject"], row["hazard"] = self._writer.filtered(filtered)
@@ -210,6 +202,17 @@ class TableRows:
             outputs["faults"][i] = writer.held(ticks[i].outputs.faults)
         for i in np.flatnonzero(done["hazard"] >= 0).tolist():
             self._intervene(outputs["filtered"][i : i + 1], ticks[i].outputs.filtered)
+
+
+def _longest(ticks: Sequence[FlownTick] | Sequence[FlownHostTick]) -> NDArray[np.int64]:
+    """Elements of each sequence of these ticks' messages, in the order of the message."""
+    first, k = ticks[0], slice(ticks[0].k, ticks[0].k + len(ticks))
+    counts, host = first.table.counts[k], isinstance(first, FlownHostTick)
+    found = np.zeros((len(ticks), len(MESSAGES["HostTick" if host else "Tick"].sequences)), int)
+    found[:, : counts.shape[1]] = counts
+    if isinstance(first, FlownTick):
+        found[:, counts.shape[1]] = first.table.plans.shape[1] // 2  # pulses
+    return found
 
 
 def _fill(rows: Rows, name: str, values: Array, counts: NDArray[np.int64]) -> None:

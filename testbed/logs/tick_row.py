@@ -90,7 +90,7 @@ class RowWriter:
                 name, fixed, sequences = make(self, t, message, who, out)
                 if name == "Event":
                     return [Made(topic, name, fixed)]
-                made = Made(topic, name, self._packer(topic, name).pack(fixed, sequences))
+                made = Made(topic, name, self.packer(topic, name).pack(fixed, sequences))
         return [*self.new_names(t), *out, made]
 
     def before(self, topic: str, t: float, fault: FaultReport | None) -> list[Made]:
@@ -108,7 +108,8 @@ class RowWriter:
         known = {"t": t, **msgspec.structs.asdict(self.names)}
         return [Made("/names", "Names", cdr.encode("Names", known))]
 
-    def _packer(self, topic: str, name: str) -> Packer:
+    def packer(self, topic: str, name: str) -> Packer:
+        """Packs the messages of a topic; it knows their capacities."""
         if topic not in self._packers:
             self._packers[topic] = Packer(name)
         return self._packers[topic]
@@ -159,7 +160,7 @@ class RowWriter:
             heard, heard_values,
             _message(own),
         )  # fmt: skip
-        return Made(topic, "Tick", self._packer(topic, "Tick").pack(fixed, sequences))
+        return Made(topic, "Tick", self.packer(topic, "Tick").pack(fixed, sequences))
 
     def _host(self, topic: str, t: float, tick: HostTick, who: str, out: list[Made]) -> Made:
         i, o = tick.inputs, tick.outputs
@@ -175,7 +176,7 @@ class RowWriter:
         sequences = (
             self._neighbours(i.neighbours), references, *self._heard(i.messages), _message(own),
         )  # fmt: skip
-        return Made(topic, "HostTick", self._packer(topic, "HostTick").pack(fixed, sequences))
+        return Made(topic, "HostTick", self.packer(topic, "HostTick").pack(fixed, sequences))
 
     def _stick(self, stick: Stick | None, who: str, t: float, out: list[Made]) -> None:
         """An event when the stick has moved; without one it is where it was."""
