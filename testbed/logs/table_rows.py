@@ -173,11 +173,8 @@ class TableRows:
         _ASKED.copy(words, numbers, aim == SetpointKind.DEMAND)
         _UNTIL.copy(words, numbers, aim == SetpointKind.TRAJECTORY)
         inputs, outputs = rows.fixed["inputs"][:n], rows.fixed["outputs"][:n]
-        inputs["setpoint"]["kind"], inputs["armed"], inputs["end"] = (
-            aim,
-            told["armed"],
-            told["ended"],
-        )
+        inputs["setpoint"]["kind"] = aim
+        inputs["armed"], inputs["end"] = told["armed"], told["ended"]
         vitals = inputs["vitals"]
         vitals["foreign"], vitals["session_ok"] = told["foreign"], told["session_ok"]
         vitals["same_config"], vitals["fleet"] = told["same_config"], told["fleet_failed"]
