@@ -1,17 +1,19 @@
 """A vehicle's law on the host of the twin, whose ticks stay rows of numbers."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from sim_twin.twin import HOST, Twin
+from testbed.core.bundle import Bundle
 from testbed.core.compiled import settled
 from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
 from testbed.core.types import HostInputs, HostOutputs, HostTick
 from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
 from testbed.flight.guidance import Heard
 from testbed.flight.tick_table import TICKS, make_host_table
-from testbed.rig.fleet.exchange import attend
+from testbed.rig.fleet.exchange import Desk, attend
 from testbed.rig.forked import ForkedHost
 
 ROOM = 8  # references of a setpoint, at first
@@ -29,6 +31,7 @@ class TwinHost(ForkedHost):
         self._own = int(twin.states.rows([(self.name, HOST)])[0])
         self._links = twin.states.rows((one, HOST) for one in others)
         self._vehicles = np.array([twin.rows[one] for one in others], np.int64)
+        self._states: Any = None  # the twin's links when the desk was made
         self._to, self._room = twin.setpoints.rows([(HOST, self.name)]), ROOM
         self._who: tuple[bytes, tuple[str, ...]] = b"", ()  # numbers of those heard, and names
         self._attend = settled(attend)
@@ -36,6 +39,14 @@ class TwinHost(ForkedHost):
 
     def _new_table(self) -> None:
         self._table, self._k = make_host_table(len(self._vehicles), self._room), 0
+        self._rows = Bundle(self._table)
+
+    def _hear(self) -> int:
+        """Write what was heard into the next row of the table; see `exchange.attend`."""
+        if (states := self.twin.states.links) is not self._states:
+            self._states = states
+            self._desk = Bundle(Desk(states, self._own, self._links, self._vehicles))
+        return self._attend(self._desk, self._rows, self._k)
 
     def tick(self, t: float, armed: bool = True) -> AnyHostTick:
         """See `HostNode`."""
@@ -46,7 +57,7 @@ class TwinHost(ForkedHost):
         if self._k == TICKS:
             self._new_table()
         table, k, twin = self._table, self._k, self.twin
-        heard = self._attend(twin.states.links, self._own, self._links, self._vehicles, table, k)
+        heard = self._hear()
         if heard < 0:
             return super().tick(t, armed)
         own, guidance = table.own[k].tolist(), self.guidance
@@ -72,9 +83,7 @@ class TwinHost(ForkedHost):
         if len(ahead) > self._room:
             self._room = 2 * len(ahead)
             self._new_table()
-            heard = self._attend(
-                twin.states.links, self._own, self._links, self._vehicles, self._table, 0
-            )
+            heard = self._hear()
             table, k = self._table, 0
         table.t[k], table.setpoints[k] = t, row[:SETPOINT_WIDTH]
         table.references[k, : len(ahead)], table.counts[k] = ahead, (heard, len(ahead))
