@@ -10,13 +10,12 @@ from typing import Any, cast
 import numba
 import numpy as np
 from llvmlite import ir
-from numba import types
 from numba.core import datamodel
 from numba.core.registry import cpu_target
 from numba.extending import NativeValue, intrinsic, overload, register_model, typeof_impl, unbox
 from numpy.typing import NDArray
 
-from testbed.core.compiled import look_of, without_counts
+from testbed.core.compiled import BundleType, look_of, without_counts
 
 WORD = 8  # bytes
 _KINDS: dict[Any, Any] = {}  # numba's type of values that look alike; it takes long to find
@@ -75,14 +74,6 @@ def layout_of(value: Any) -> tuple[bytes, int]:
 def unpacked(bundle: Bundle) -> Any:
     """The value of a bundle; in compiled code its arrays are not counted, see `borrowed`."""
     return bundle.value
-
-
-class BundleType(types.Type):
-    """Numba's type of a bundle of this inner type."""
-
-    def __init__(self, inner: Any) -> None:
-        self.inner = inner
-        super().__init__(name=f"Bundle({inner})")
 
 
 @register_model(BundleType)

@@ -59,6 +59,14 @@ def is_ours(thing: Callable[..., Any]) -> bool:
     return any(thing.__module__ == n or thing.__module__.startswith(f"{n}.") for n in names)
 
 
+class BundleType(types.Type):
+    """Numba's type of a `Bundle` of this inner type, see bundle.py."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+        super().__init__(name=f"Bundle({inner})")
+
+
 def _is_ours_throughout(kind: Any) -> bool:
     """The same for a numba type; an unknown type is not ours."""
     named, several = isinstance(kind, types.BaseNamedTuple), isinstance(kind, types.BaseTuple)
@@ -68,6 +76,8 @@ def _is_ours_throughout(kind: Any) -> bool:
         return all(_is_ours_throughout(part) for part in kind)
     if isinstance(kind, types.Array):
         return _is_ours_throughout(kind.dtype)
+    if isinstance(kind, BundleType):
+        return _is_ours_throughout(kind.inner)
     known = (types.Number, types.Boolean, types.UnicodeType, types.Literal, types.NoneType)
     return isinstance(kind, (*known, types.Omitted, types.Record))  # a record has numbers only
 

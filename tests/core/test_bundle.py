@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testbed.core.bundle import Bundle, layout_of, unpacked
-from testbed.core.compiled import compiled
+from testbed.core.compiled import BundleType, _is_ours_throughout, compiled
 
 
 class Inner(NamedTuple):
@@ -76,3 +76,10 @@ def test_bundles_of_other_types_are_other_types_for_compiled_code():
 def test_what_is_no_number_is_refused(value: tuple[Any, ...]):
     with pytest.raises(TypeError, match="expected arrays, tuples and numbers, found a"):
         Bundle(value)
+
+
+def test_code_for_bundles_of_our_types_is_kept_on_disk():
+    """Without it every process would compile the flight again."""
+    inner = numba.typeof((np.zeros(2), 1.0))
+    assert _is_ours_throughout(BundleType(inner))
+    assert not _is_ours_throughout(BundleType(numba.typeof(outer())))
