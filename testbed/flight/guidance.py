@@ -24,10 +24,11 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled, settled
+from testbed.core.bundle import Bundle
+from testbed.core.compiled import settled
 from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World, concerns_of
 from testbed.core.path import Circle, Path, Points, along
-from testbed.core.rows import States, setpoint_of
+from testbed.core.rows import References, States, setpoint_of
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import (
@@ -39,7 +40,8 @@ from testbed.core.types import (
 )
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
-from testbed.flight.barrier import Barrier
+from testbed.flight.barrier import UNLIMITED, Barrier, discs_of
+from testbed.flight.lead import Lead, extrapolate, lead
 from testbed.flight.record import DEMAND, TRAJECTORY
 
 Array = NDArray[np.float64]
@@ -142,20 +144,6 @@ class Company(NamedTuple):
     strangers: Neighbours  # them, without states
 
 
-@compiled
-def extrapolated(states, order, t):
-    """Positions and velocities at `t` [s] of the vehicles `order` in `states`, each (n, 2)."""
-    n = order.shape[0]
-    p, v = np.empty((n, 2)), np.empty((n, 2))
-    for i in range(n):
-        one = states[order[i]]
-        ago = t - one[0]
-        for axis in range(2):
-            v[i, axis] = one[4 + axis]
-            p[i, axis] = one[1 + axis] + ago * one[4 + axis]
-    return p, v
-
-
 class Guidance:
     """One vehicle's law at work."""
 
@@ -201,7 +189,13 @@ class Guidance:
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | TurnAlong | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
-        self._extrapolated = settled(extrapolated)
+        self._extrapolate = settled(extrapolate)
+        self._lead, self._row = settled(lead), np.empty(References.width)
+        # for laws in compiled code: the model as one address, see lead.py
+        self._bundle: Bundle | None = None
+        flown = getattr(law, "flown", None)
+        alone = not law.message_size and path is None and not self._they_move
+        self._flown = flown(vehicle.mass) if flown is not None and alone else None
         self._ahead: deque[tuple[float, ...]] = deque()  # references not due yet, a row each
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
 
@@ -210,6 +204,7 @@ class Guidance:
         parts = (OF_MODEL if kept >= Kept.MODEL else ()) + (OF_LAW if kept == Kept.LAW else ())
         for part in parts:
             setattr(self, part, getattr(before, part))
+        self._bundle = None
         if kept == Kept.STATE:
             self._inherited = getattr(before, OF_LAW[1])
 
@@ -220,7 +215,7 @@ class Guidance:
         self._turn = Turn(theta, self._goal.theta, t, accel, twist.omega)
         self._t, self._v = t, np.array([twist.vx, twist.vy])
         self._p = np.array([pose.x, pose.y]) + late * self._v
-        self._law_state = self._inherited = self.message = self.filtered = None
+        self._law_state = self._inherited = self.message = self.filtered = self._bundle = None
         self._ahead.clear()
         self._sent.clear()
 
@@ -287,6 +282,8 @@ class Guidance:
 
     def _reference(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
         """Reference mode: the model's state now, as a row; then advance it by one period."""
+        if self._flown is not None:
+            return self._lead_on(heard, turn)
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
         ahead = self._fly(t, self._p, self._v, ZERO, heard)
         self._t, p, v = t + self._period, ahead.p, ahead.v
@@ -303,15 +300,47 @@ class Guidance:
         theta, omega, alpha = turn.at(t)
         return t, px, py, theta, vx, vy, omega, fx / self._mass, fy / self._mass, alpha
 
+    def _lead_on(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
+        """`_reference` of a law in compiled code."""
+        t, barrier = self._t, self._barrier
+        if self._bundle is None or self._company is None or self._company[0] != (heard.names, ()):
+            self._bundle = self._model(heard, t)
+        dfx, dfy, hazard = self._lead(self._bundle, heard.states, t, turn.at(t), self._row)
+        self.filtered = None
+        if hazard >= 0 and barrier is not None:
+            self.filtered = Intervention(dfx, dfy, *barrier.hazard(hazard, heard.names))
+        self._t = t + self._period
+        return tuple(self._row.tolist())
+
+    def _model(self, heard: Heard, t: float) -> Bundle:
+        """The model and what it knows of the vehicles that it hears."""
+        others, barrier = self._others(heard, t), self._barrier
+        assert self._company is not None
+        if self._law_state is None:
+            own = Body(self._p, self._v, self._mass, ZERO, ZERO, self._max_force, self._own)
+            self._law_state = self._begun(own, others, self._world)
+        motion = np.array((self._p, self._v))
+        self._p, self._v, self._law_state = *motion, self._law_state.copy()
+        keep = [0.0 if barrier is None else barrier.keep[name] for name in heard.names]
+        return Bundle(Lead(
+            self._flown, self._law_state, motion, ZERO, self._mass, self._max_force, self._own,
+            self._period, self._steps, self._world, others, self._company[1].order,
+            barrier is not None, discs_of([]) if barrier is None else barrier.obstacles,
+            UNLIMITED if barrier is None else barrier.limits,
+            np.array(keep), np.empty((len(keep), 6)),
+        ))  # fmt: skip
+
+    def _begun(self, own: Body, others: Neighbours, world: World) -> Array:
+        """The state with which the law begins: another guidance's, if it is one of this law."""
+        state, kept = self._law.initial(own, others, world), self._inherited
+        return kept if kept is not None and kept.shape == state.shape else state
+
     def _fly(self, t: float, p: Array, v: Array, disturbance: Array, heard: Heard) -> Ahead:
         """Integrate the law ahead over one period and keep its state."""
         own = Body(p, v, self._mass, disturbance, ZERO, self._max_force, self._own)
         world, others = self._world_at(t), self._others(heard, t)
         if self._law_state is None:
-            self._law_state = self._law.initial(own, others, world)
-            kept = self._inherited
-            if kept is not None and kept.shape == self._law_state.shape:
-                self._law_state = kept
+            self._law_state = self._begun(own, others, world)
         ahead = self._law.propagate(
             self._law_state, own, others, world, t, self._period, self._steps
         )
@@ -356,7 +385,8 @@ class Guidance:
         if self._company is None or self._company[0] != known:
             self._company = known, self._meet(*known)
         names, order, company = self._company[1]
-        p, v = self._extrapolated(heard.states, order, t)
+        p, v = np.empty((2, len(order), 2))
+        self._extrapolate(heard.states, order, t, p, v)
         said, said_at = company.message, company.message_t
         if k and names:
             said = np.array([words[name].values for name in names])
