@@ -1,4 +1,4 @@
-"""One period of a law's reference model in one compiled call.
+"""One period of a law's reference model in one compiled call, and the setpoint that it gives.
 
 For laws in compiled code that send no messages, with a goal and obstacles that stand still. The
 steps and their results are those of `Guidance` for any law, which calls them one by one.
@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 from testbed.core.bundle import unpacked
 from testbed.core.compiled import compiled
 from testbed.core.law import Body, Neighbours, World, fly_of
+from testbed.core.rows import SETPOINT_WIDTH, References
 from testbed.flight.barrier import Limits, guarded
+from testbed.flight.record import TRAJECTORY
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
+
+FIRST, WIDTH = SETPOINT_WIDTH, References.width
 
 
 class Lead(NamedTuple):
@@ -38,6 +42,8 @@ class Lead(NamedTuple):
     limits: Limits
     keep: Array  # distance to keep from each vehicle heard, (n,) [m]
     near: Array  # written to: these as in barrier.around, (n, 6)
+    ahead: Array  # references that are not due yet, see rows.References, (m, 10); shifted
+    life: float  # of a setpoint after its last reference [s]
 
 
 @compiled
@@ -94,3 +100,27 @@ def lead(bundle, states, t, turn, row):
     row[4], row[5], row[6] = vx, vy, turn[1]
     row[7], row[8], row[9] = fx / it.mass, fy / it.mass, turn[2]
     return dfx, dfy, hazard
+
+
+@compiled
+def aim(bundle, states, t, turn, row):
+    """The setpoint of a law that has sent its references up to `t`: these, and one more.
+
+    Args:
+        bundle: see `lead`, like `states`, `t` and `turn`.
+        row: written to: see rows.row_of_setpoint, (8 + 10 (m + 1),).
+
+    Returns:
+        see `lead`.
+    """
+    it = unpacked(bundle)
+    ahead = it.ahead
+    m = ahead.shape[0]
+    changed = lead(bundle, states, t, turn, row[FIRST + m * WIDTH :])
+    for i in range(m):
+        for k in range(WIDTH):
+            row[FIRST + i * WIDTH + k] = ahead[i, k]
+            ahead[i, k] = row[FIRST + m * WIDTH + k] if i + 1 == m else ahead[i + 1, k]
+    row[:FIRST] = 0.0
+    row[0], row[1], row[2] = TRAJECTORY, row[FIRST], t + it.life
+    return changed

@@ -13,11 +13,13 @@ from testbed.core.codes import Response
 from testbed.core.compiled import compiled
 from testbed.core.rows import SETPOINT_WIDTH, References, States
 from testbed.core.types import ALL_WELL, Health
+from testbed.flight.lead import aim
 from testbed.flight.record import NO_SETPOINT
 from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES, Array, Whole
 
 LAND = Response.LAND.value
 FIRST_REFERENCE, REFERENCE_WIDTH, STATE_WIDTH = SETPOINT_WIDTH, References.width, States.width
+SENT, OTHERS, NO_NUMBER = range(3)  # see `conduct`
 BATTERY, DISK_FREE = Health(0.0, 0.0, 0.0).battery, ALL_WELL.disk_free
 
 
@@ -154,12 +156,15 @@ def say(station, table, k):
 
 
 class Desk(NamedTuple):
-    """Where a law on the host hears the vehicles."""
+    """Where a law on the host hears the vehicles, and speaks to its own."""
 
     states: Links  # for the vehicles' states
     own: int  # link from its vehicle
     others: Whole  # links from the others
     vehicles: Whole  # whose these are
+    setpoints: Links
+    to: Whole  # the link to its vehicle, (1,)
+    known: Whole  # the vehicles that its model is made for
 
 
 @compiled
@@ -186,3 +191,45 @@ def attend(desk, table, k):
             table.vehicles[k, n] = desk.vehicles[i]
             n += 1
     return n
+
+
+@compiled
+def conduct(desk, table, k, model, t, turn, now):
+    """A tick of a law in compiled code: hear, make a setpoint, send it and keep it.
+
+    Args:
+        desk: Bundle of a Desk.
+        table: Bundle of a HostTable.
+        k: row of this tick.
+        model: Bundle of a Lead, like `t` and `turn` see lead.aim.
+        t: time of the model [s].
+        turn: at this time.
+        now: [s].
+
+    Returns:
+        SENT; OTHERS: the vehicles heard are not those of the model, or the table has no room, and
+        the model was not advanced;
+        NO_NUMBER: the setpoint is not finite, and was not sent. What `aim` returns. Whether a link
+        has no room for another message.
+    """
+    n, unchanged = attend(desk, table, k), (0.0, 0.0, -1)
+    desk, table, ahead = unpacked(desk), unpacked(table), 1 + unpacked(model).ahead.shape[0]
+    known = desk.known
+    if n != known.shape[0] or ahead > table.references.shape[1]:
+        return OTHERS, unchanged, False
+    for i in range(n):
+        if table.vehicles[k, i] != known[i]:
+            return OTHERS, unchanged, False
+    row = np.empty(FIRST_REFERENCE + ahead * REFERENCE_WIDTH)
+    changed = aim(model, table.states[k, :n], t, turn, row)
+    newest = row.shape[0] - REFERENCE_WIDTH
+    if not np.isfinite(row[newest + 1] + row[newest + 2]):
+        return NO_NUMBER, changed, False
+    full = send(desk.setpoints, desk.to, now, row)
+    table.t[k] = now
+    table.setpoints[k] = row[:FIRST_REFERENCE]
+    for i in range(ahead):
+        for j in range(REFERENCE_WIDTH):
+            table.references[k, i, j] = row[FIRST_REFERENCE + i * REFERENCE_WIDTH + j]
+    table.counts[k, 0], table.counts[k, 1] = n, ahead
+    return SENT, changed, full

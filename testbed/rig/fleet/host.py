@@ -13,7 +13,7 @@ from testbed.core.types import HostInputs, HostOutputs, HostTick
 from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
 from testbed.flight.guidance import Heard
 from testbed.flight.tick_table import TICKS, make_host_table
-from testbed.rig.fleet.exchange import Desk, attend
+from testbed.rig.fleet.exchange import OTHERS, SENT, Desk, attend, conduct
 from testbed.rig.forked import ForkedHost
 
 ROOM = 8  # references of a setpoint, at first
@@ -31,10 +31,11 @@ class TwinHost(ForkedHost):
         self._own = int(twin.states.rows([(self.name, HOST)])[0])
         self._links = twin.states.rows((one, HOST) for one in others)
         self._vehicles = np.array([twin.rows[one] for one in others], np.int64)
-        self._states: Any = None  # the twin's links when the desk was made
+        self._parts: tuple[Any, ...] = (None,) * 3  # links and model when the desk was made
+        self._known = np.zeros(0, np.int64)  # the vehicles that the model is made for
         self._to, self._room = twin.setpoints.rows([(HOST, self.name)]), ROOM
         self._who: tuple[bytes, tuple[str, ...]] = b"", ()  # numbers of those heard, and names
-        self._attend = settled(attend)
+        self._attend, self._conduct = settled(attend), settled(conduct)
         self._new_table()
 
     def _new_table(self) -> None:
@@ -43,10 +44,41 @@ class TwinHost(ForkedHost):
 
     def _hear(self) -> int:
         """Write what was heard into the next row of the table; see `exchange.attend`."""
-        if (states := self.twin.states.links) is not self._states:
-            self._states = states
-            self._desk = Bundle(Desk(states, self._own, self._links, self._vehicles))
+        self._settle()
         return self._attend(self._desk, self._rows, self._k)
+
+    def _settle(self) -> bool:
+        """Make the desk again if links or the model are others; whether the model is the same."""
+        states, setpoints, model = self._parts
+        twin, new = self.twin, self.guidance.model
+        same = model is new and model is not None
+        if not (same and states is twin.states.links and setpoints is twin.setpoints.links):
+            states, setpoints = self.twin.states.links, self.twin.setpoints.links
+            self._parts = states, setpoints, new
+            self._desk = Bundle(Desk(
+                states, self._own, self._links, self._vehicles, setpoints, self._to, self._known,
+            ))  # fmt: skip
+        return same
+
+    def _compiled_tick(self, t: float) -> FlownHostTick | None:
+        """A tick in one compiled call; None: it has not begun, and `tick` flies it."""
+        guidance, twin, table, k = self.guidance, self.twin, self._table, self._k
+        turn = guidance.steady(t + self._ahead)
+        if turn is None or t != twin.now or not self._settle():
+            return None
+        found, changed, full = self._conduct(
+            self._desk, self._rows, k, guidance.model, guidance.at, turn, t
+        )
+        if found == OTHERS:
+            return None
+        guidance.advanced(self._who[1], *changed)
+        if found != SENT:
+            self.fail(None)
+            return None
+        if full:
+            twin.setpoints.make_room()
+        self._k = k + 1
+        return FlownHostTick(table, k, self._names, float(table.own[k, 0]), guidance.filtered)
 
     def tick(self, t: float, armed: bool = True) -> AnyHostTick:
         """See `HostNode`."""
@@ -56,13 +88,18 @@ class TwinHost(ForkedHost):
             return super().tick(t, armed)
         if self._k == TICKS:
             self._new_table()
+        if (flown := self._compiled_tick(t)) is not None:
+            return flown
         table, k, twin = self._table, self._k, self.twin
         heard = self._hear()
         if heard < 0:
             return super().tick(t, armed)
         own, guidance = table.own[k].tolist(), self.guidance
         words = self._link.messages() if guidance.message_size else {}
-        told = Heard(self._names_of(table.vehicles[k, :heard]), table.states[k, :heard], words)
+        if self._fault is not None:
+            return super().tick(t, armed)
+        self._known = table.vehicles[k, :heard].copy()
+        told = Heard(self._names_of(self._known), table.states[k, :heard], words)
         try:
             row = guidance.step_row(t + self._ahead, own, told)
         except Exception as error:  # after any exception of a law the vehicles are stopped
