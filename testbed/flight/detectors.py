@@ -5,9 +5,9 @@ from typing import NamedTuple
 from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
 from testbed.flight import jet_faults, permanent
-from testbed.flight.hypotheses import DRAG, LATE, NUDGE, PULL, THRUST, TURNED, certain
+from testbed.flight.hypotheses import DRAG, NUDGE, PULL, THRUST, TURNED, certain
 from testbed.flight.jet_faults import look, pause
-from testbed.flight.permanent import surest
+from testbed.flight.permanent import lateness, surest
 from testbed.flight.record import NO_SETPOINT, record
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
@@ -154,7 +154,7 @@ def explain(p, m, seen, known, suspected, always, row, samples):
         certain(gains, sizes, least, DRAG),
         surest(far, always, least, THRUST),
         surest(far, always, least, TURNED),
-        certain(suspected.gains, suspected.sizes, least, LATE),
+        lateness(suspected, always, least),
         late_s,
         frame_step,
         heading_step,

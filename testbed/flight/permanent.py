@@ -10,13 +10,25 @@ the residuals. See the first lines of `jet_faults` for the arithmetic.
 from typing import Any
 
 from testbed.core.compiled import borrowed, compiled, keep
-from testbed.flight.hypotheses import MASS, NUDGE, SHORT, THRUST, TURNED, WEAK, better, certain
+from testbed.flight.hypotheses import (
+    LATE,
+    MASS,
+    NUDGE,
+    SHORT,
+    THRUST,
+    TURNED,
+    WEAK,
+    better,
+    certain,
+)
 from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, is_weak
 from testbed.flight.record import record
 from testbed.flight.window import VERDICT, Window, clear, decide, factor, forget, listen
 
-KINDS = (THRUST, MASS, TURNED)  # that it names
+KINDS = (THRUST, MASS, TURNED, LATE)  # that it names
+APPARENT = 2.0  # an error of mass makes a delay of 0.1 s appear: less than this times the least
 TURNS = (SPIN_SPREAD / SPREAD) ** 2  # variance of a turn, in variances of a push
+MUCH = 72.0  # gain, 12 sigma: random healthy vehicles show a wrong delay or mass of up to 8
 BELIEVED = 9.0  # weight of the spread at the start [residuals]
 
 MEMORY = record(
@@ -69,10 +81,17 @@ def restart(m, window):
 @compiled
 def surest(far, m, least, kind):
     """Sigmas of a cause by the long window, or by the whole flight."""
-    return max(
-        certain(far.gains, far.sizes, least, better(far.gains, kind)),
-        certain(m.gains, m.sizes, least, better(m.gains, kind)),
-    )
+    one = better(m.gains, kind)
+    always = certain(m.gains, m.sizes, least, one) if one == TURNED or m.gains[one] > MUCH else 0.0
+    return max(certain(far.gains, far.sizes, least, better(far.gains, kind)), always)
+
+
+@compiled
+def lateness(near, m, least):
+    """Sigmas of late poses by the short window, or by the whole flight."""
+    surely = m.sizes[LATE] > APPARENT * least[LATE] and m.gains[LATE] > MUCH
+    always = certain(m.gains, m.sizes, least, LATE) if surely else 0.0
+    return max(certain(near.gains, near.sizes, least, LATE), always)
 
 
 def verdict_of(suspected: Any, m: Any, kind: int) -> Any:
@@ -83,10 +102,9 @@ def verdict_of(suspected: Any, m: Any, kind: int) -> Any:
         m: MEMORY.
         kind: see hypotheses.py.
     """
+    found = suspected.far
     if kind in SHORT or (kind == WEAK and is_weak(suspected)):
-        return suspected
-    if kind == NUDGE and suspected.gains[kind] > suspected.far.gains[kind]:
-        return suspected
-    if kind in KINDS and m.gains[kind] > suspected.far.gains[kind]:
-        return m
-    return suspected.far
+        found = suspected
+    if kind == NUDGE and suspected.gains[kind] > found.gains[kind]:
+        found = suspected
+    return m if kind in KINDS and m.gains[kind] > found.gains[kind] else found
