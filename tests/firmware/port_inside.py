@@ -14,6 +14,8 @@ from firmware_interface.stm32 import (
     FLASH,
     LANDING,
     RAM,
+    RNG_DR,
+    RNG_SR,
     TXE,
     USART1_DR,
     USART1_SR,
@@ -110,6 +112,8 @@ def rings_of(path, names):
         return "a stamp without a byte"
     late = type("Late", (Guarded,), {"every": 1, "closed_until_us": 2_000_000})(path)
     late.run_until(2_500_000)
+    if late.broken:
+        return late.broken
     decoder = Decoder()
     frames = decoder.feed(bytes(late.sent))
     if decoder.bad or len(frames) < 10:
@@ -145,7 +149,22 @@ def masks_of(path):
     return "the board falls asleep with interrupts on" if wrong else ""
 
 
+class Unready(Machine):
+    """The random generator is ready at the third look."""
+
+    looks, soon = 0, False
+
+    def _load(self, uc, offset, size, start):
+        if start + offset == RNG_SR:
+            self.looks += 1
+            return int(self.looks > 2)
+        self.soon |= start + offset == RNG_DR and self.looks < 3
+        return super()._load(uc, offset, size, start)
+
+
 def wrong_inside(path):
     """The first thing that is wrong; empty: nothing."""
     names = symbols(path)
+    if Unready(path).soon:
+        return "the random generator is read before it is ready (RM0090 24.3.1)"
     return copies_of(path, names) or rings_of(path, names) or masks_of(path)
