@@ -11,6 +11,7 @@ from typing import Any
 
 from testbed.core.compiled import borrowed, compiled, keep
 from testbed.flight.hypotheses import (
+    CLEAR,
     LATE,
     MASS,
     NUDGE,
@@ -19,6 +20,7 @@ from testbed.flight.hypotheses import (
     TURNED,
     WEAK,
     better,
+    beyond,
     certain,
 )
 from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, is_weak
@@ -79,18 +81,26 @@ def restart(m, window):
 
 
 @compiled
+def admitted(far, kind):
+    """Whether the long window does not prefer another cause: one that began later."""
+    return far.gains[kind] + CLEAR > beyond(far.gains, kind)
+
+
+@compiled
 def surest(far, m, least, kind):
     """Sigmas of a cause by the long window, or by the whole flight."""
     one = better(m.gains, kind)
-    always = certain(m.gains, m.sizes, least, one) if one == TURNED or m.gains[one] > MUCH else 0.0
+    counts = admitted(far, one) and (one == TURNED or m.gains[one] > MUCH)
+    always = certain(m.gains, m.sizes, least, one) if counts else 0.0
     return max(certain(far.gains, far.sizes, least, better(far.gains, kind)), always)
 
 
 @compiled
 def lateness(near, m, least):
-    """Sigmas of late poses by the short window, or by the whole flight."""
+    """Sigmas of late poses by the short window, or by the whole flight; `near` has the long one."""
     surely = m.sizes[LATE] > APPARENT * least[LATE] and m.gains[LATE] > MUCH
-    always = certain(m.gains, m.sizes, least, LATE) if surely else 0.0
+    counts = surely and admitted(near.far, LATE)
+    always = certain(m.gains, m.sizes, least, LATE) if counts else 0.0
     return max(certain(near.gains, near.sizes, least, LATE), always)
 
 

@@ -152,12 +152,13 @@ def masks_of(path):
 class Unready(Machine):
     """The random generator is ready at the third look."""
 
-    looks, soon = 0, False
+    looks, soon, read = 0, False, False
 
     def _load(self, uc, offset, size, start):
         if start + offset == RNG_SR:
             self.looks += 1
             return int(self.looks > 2)
+        self.read |= start + offset == RNG_DR and size == 4
         self.soon |= start + offset == RNG_DR and self.looks < 3
         return super()._load(uc, offset, size, start)
 
@@ -165,6 +166,7 @@ class Unready(Machine):
 def wrong_inside(path):
     """The first thing that is wrong; empty: nothing."""
     names = symbols(path)
-    if Unready(path).soon:
+    generator = Unready(path)
+    if generator.soon or not generator.read:
         return "the random generator is read before it is ready (RM0090 24.3.1)"
     return copies_of(path, names) or rings_of(path, names) or masks_of(path)
