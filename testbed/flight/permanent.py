@@ -4,7 +4,8 @@ A file that is wrong, or cameras whose body is turned, push in every second that
 long window of `jet_faults` takes a part of such a push for noise, because its noise is the change
 from one second to the next, and it forgets the start, where a vehicle pushes hardest. Here all
 seconds have the same weight, none is forgotten, and the noise is what the best cause leaves of
-the residuals. See the first lines of `jet_faults` for the arithmetic.
+the residuals. Only the first second says nothing: the estimator finds its velocity in it, and up
+to 10 mm/s of that look like a push. See the first lines of `jet_faults` for the arithmetic.
 """
 
 from typing import Any
@@ -28,13 +29,12 @@ from testbed.flight.record import record
 from testbed.flight.window import VERDICT, Window, clear, decide, factor, forget, listen
 
 KINDS = (THRUST, MASS, TURNED, LATE)  # that it names
-APPARENT = 2.0  # an error of mass makes a delay of 0.1 s appear: less than this times the least
 TURNS = (SPIN_SPREAD / SPREAD) ** 2  # variance of a turn, in variances of a push
-MUCH = 72.0  # gain, 12 sigma: random healthy vehicles show a wrong delay or mass of up to 8
 BELIEVED = 9.0  # weight of the spread at the start [residuals]
 
 MEMORY = record(
-    sums=int,  # so far
+    begun=int,  # 1: the first sum has passed; the estimator settles in it
+    sums=int,  # so far, without that one
     squares=float,  # sum of the squared residuals, in those of a push [m^2/s^2]
     noise=float,  # variance of a push; 0: none was heard [m^2/s^2]
     **VERDICT,
@@ -52,8 +52,9 @@ def hear(p, m, window, heard, far):
         heard: jet_faults.Heard.
         far: VERDICT of the long window.
     """
-    if m.sums == 0:
-        m.noise = SPREAD * SPREAD
+    if m.begun == 0:
+        m.begun, m.noise = 1, SPREAD * SPREAD
+        return
     window.spread[0], window.spread[1] = 1.0, TURNS
     e = heard.sums[-1]
     listen(window, e, heard.sums[:-1], 0.0, 1.0, 0.0)
@@ -75,33 +76,40 @@ def hear(p, m, window, heard, far):
 @compiled
 def restart(m, window):
     """Begin anew."""
-    m.sums, m.squares, m.noise = 0, 0.0, 0.0
+    m.begun, m.sums, m.squares, m.noise = 0, 0, 0.0, 0.0
     forget(m)
     clear(window)
 
 
 @compiled
-def admitted(far, kind):
-    """Whether the long window does not prefer another cause: one that began later."""
-    return far.gains[kind] + CLEAR > beyond(far.gains, kind)
+def certain_always(far, m, least, kind):
+    """Sigmas of a cause by the whole flight, unless the long window prefers one: that began later.
+
+    Args:
+        far: VERDICT of the long window.
+        m: MEMORY.
+        least: smallest size of each kind that is a fault.
+        kind: see hypotheses.py.
+    """
+    since = far.gains[kind] + CLEAR > beyond(far.gains, kind)
+    return certain(m.gains, m.sizes, least, kind) if since else 0.0
 
 
 @compiled
 def surest(far, m, least, kind):
     """Sigmas of a cause by the long window, or by the whole flight."""
-    one = better(m.gains, kind)
-    counts = admitted(far, one) and (one == TURNED or m.gains[one] > MUCH)
-    always = certain(m.gains, m.sizes, least, one) if counts else 0.0
-    return max(certain(far.gains, far.sizes, least, better(far.gains, kind)), always)
+    return max(
+        certain(far.gains, far.sizes, least, better(far.gains, kind)),
+        certain_always(far, m, least, better(m.gains, kind)),
+    )
 
 
 @compiled
 def lateness(near, m, least):
     """Sigmas of late poses by the short window, or by the whole flight; `near` has the long one."""
-    surely = m.sizes[LATE] > APPARENT * least[LATE] and m.gains[LATE] > MUCH
-    counts = surely and admitted(near.far, LATE)
-    always = certain(m.gains, m.sizes, least, LATE) if counts else 0.0
-    return max(certain(near.gains, near.sizes, least, LATE), always)
+    return max(
+        certain(near.gains, near.sizes, least, LATE), certain_always(near.far, m, least, LATE)
+    )
 
 
 def verdict_of(suspected: Any, m: Any, kind: int) -> Any:
