@@ -4,12 +4,13 @@ The names of functions and variables are from the ELF file beside the image.
 """
 
 import subprocess
+import zlib
 
 import unicorn
 from unicorn import arm_const as arm
 
 from firmware_interface.frame import Decoder, encode_message
-from firmware_interface.messages import Ack, Hello, Ping
+from firmware_interface.messages import Ack, Hello, Ping, ResetCause
 from firmware_interface.stm32 import (
     FLASH,
     LANDING,
@@ -26,6 +27,9 @@ from firmware_interface.stm32 import (
 
 SPARE = RAM + 0x1_C000  # memory that the image does not use
 STAMP = 8  # offset in `received`
+PROBES = (0x600D_F00D, 0x0DD5_EED5)  # values of `told`, a variable that only these images have
+KEPT = 64  # bytes that survive resets: the count of boots, then noise
+RANDOM = 5
 
 
 def symbols(path):
@@ -110,14 +114,17 @@ def rings_of(path, names):
         return machine.broken
     if word(machine, names["received"] + STAMP):
         return "a stamp without a byte"
-    late = type("Late", (Guarded,), {"every": 1, "closed_until_us": 2_000_000})(path)
-    late.run_until(2_500_000)
-    if late.broken:
-        return late.broken
-    decoder = Decoder()
-    frames = decoder.feed(bytes(late.sent))
-    if decoder.bad or len(frames) < 10:
-        return "frames that wait for the line"
+    for begin in (0, WRAP - 256):
+        late = type("Late", (Guarded,), {"every": 1, "closed_until_us": 2_000_000})(path)
+        if begin:  # the counters wrap while the ring is full
+            late._uc.mem_write(names["to_send"], 2 * begin.to_bytes(4, "little"))
+        late.run_until(2_500_000)
+        if late.broken:
+            return late.broken
+        decoder = Decoder()
+        frames = decoder.feed(bytes(late.sent))
+        if decoder.bad or len(frames) < 10:
+            return "frames that wait for the line"
     ping = encode_message(Ping(), 9, 5)
     machine = Machine(path)
     machine.run_until(1_000)
@@ -163,10 +170,43 @@ class Unready(Machine):
         return super()._load(uc, offset, size, start)
 
 
+class Fickle(Machine):
+    """A random generator that may not work."""
+
+    ready = True
+
+    def _load(self, uc, offset, size, start):
+        if start + offset == RNG_SR and not self.ready:
+            return 0
+        return super()._load(uc, offset, size, start)
+
+
+def boots_of(path, names):
+    """Boot copies variables with a value; of what survives it changes the count and two words."""
+    machine = Fickle(path)
+    if any(word(machine, names["told"] + 4 * k) != probe for k, probe in enumerate(PROBES)):
+        return "variables with a value"
+    at = next(address for name, address in names.items() if name.startswith("kept"))
+    for ready in (True, False):
+        machine._uc.mem_write(at, bytes(range(KEPT)))
+        before = [word(machine, at + k) for k in range(0, KEPT, 4)]
+        machine._random, machine.ready = RANDOM, ready
+        machine.reset(ResetCause.PIN)
+        before[0] += 1
+        before[1] ^= RANDOM if ready else 0
+        told = b"".join(one.to_bytes(4, "little") for one in before)
+        before[2] = zlib.crc32(told)
+        if [word(machine, at + k) for k in range(0, KEPT, 4)] != before:
+            return "what survives a reset"
+    return ""
+
+
 def wrong_inside(path):
     """The first thing that is wrong; empty: nothing."""
     names = symbols(path)
     generator = Unready(path)
     if generator.soon or not generator.read:
         return "the random generator is read before it is ready (RM0090 24.3.1)"
-    return copies_of(path, names) or rings_of(path, names) or masks_of(path)
+    return (
+        copies_of(path, names) or rings_of(path, names) or masks_of(path) or boots_of(path, names)
+    )

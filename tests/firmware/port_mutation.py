@@ -23,6 +23,7 @@ from conftest import LIMITS
 from mutants import Mutant, places
 from mutants import line_with as line_of
 from port_check import wrong_with
+from port_inside import PROBES
 
 from firmware_interface.compiler import CHIP_FLAGS, CORE, FIRMWARE, cross_compiler
 from firmware_interface.limits import board_header
@@ -34,6 +35,8 @@ LIMIT_S = 10  # of CPU for one fault; the check of a sound image takes 0.7 s
 SURVIVORS = tomllib.loads((Path(__file__).parent / "port_survivors.toml").read_text())["survivor"]
 NAMES = ("file", "function", "was", "now")
 LEAST = 90  # of faults noticed, of the whole set [%]
+# the port has no variable with a value, so that boot would have nothing to copy
+TOLD = f"unsigned told[] = {{{', '.join(map(str, PROBES))}}};"
 OUTCOMES = ("survived", "noticed", "same_code", "not_built")
 
 
@@ -67,12 +70,14 @@ def built(folder: Path, mutant: Mutant | None) -> bytes | None:
     if mutant is not None:
         (chip / mutant.source.name).write_bytes(mutant.mutated())
     (folder / "abt_board_config.h").write_text(board_header(LIMITS))
+    (folder / "told.c").write_text(TOLD)
     flags = [flag for flag in CHIP_FLAGS if flag != "-g"]
     sources = [chip / name for name in ("startup.c", "main.c", "timer_tim2.c")]
     command = [
         cross_compiler(), "-std=c99", "-w", *flags, f"-I{FIRMWARE / 'core'}", f"-I{chip}",
         f"-I{folder}", f"-T{CHIP / 'stm32f405.ld'}", "-DABT_FIRMWARE_ID=1u", *map(str, sources),
-        *core_objects()[1], "-lgcc", "-o", str(folder / "elf"),
+        "-Wl,-u,told", str(folder / "told.c"), *core_objects()[1], "-lgcc", "-o",
+        str(folder / "elf"),
     ]  # fmt: skip
     if subprocess.run(command, capture_output=True, check=False).returncode:
         return None
