@@ -46,11 +46,11 @@ from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance, Kept
-from testbed.flight.hypotheses import CAUSES, NUDGE, SHORT, WEAK, cause_of, ranked
-from testbed.flight.jet_faults import is_weak
+from testbed.flight.hypotheses import CAUSES, cause_of, ranked
 from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
+from testbed.flight.permanent import verdict_of
 from testbed.flight.record import DONE, ROW, STATE, TOLD, packing
 
 
@@ -317,9 +317,7 @@ class Agent:
         touched = touched and f"{touched} or "
         if detector in CAUSES:
             kind = CAUSES[detector]
-            found = m if kind in SHORT or (kind == WEAK and is_weak(m)) else m.far
-            if kind == NUDGE and m.gains[kind] > m.far.gains[kind]:
-                found = m
+            found = verdict_of(m, self.memory.fixed[0].permanent, kind)
             return touched + ranked(found, cause_of(found, kind), self.params.gains.mass)
         step = self.memory.fixed[0].estimator.step
         match detector:
