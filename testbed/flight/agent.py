@@ -6,7 +6,7 @@ becomes the outputs, with the names and words that belong to its codes.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from msgspec.structs import replace
@@ -93,7 +93,7 @@ class Agent:
             nearby: what the vehicle may touch, for the words of a fault.
             guidance: of the law on board.
         """
-        self.params, self.guidance, self._nearby = params, guidance, nearby
+        self.guidance, self._nearby = guidance, nearby
         self.lead, self.barrier = lead, barrier
         self._faults = list(faults.items())
         self._jets = params.jets.gas.shape[0]
@@ -101,12 +101,21 @@ class Agent:
         self.memory, self.everything = make_memory(self._jets, plans, looks, rows)
         self.row = np.zeros(1, ROW)  # of the newest tick
         self._bytes = self.row.view(np.uint8).data
-        self._vehicle = Bundle((params, self.memory, self.row))
+        self.params = params
         self._place: Reference | None = None  # see `staying`
         self._law_error = ""  # exception of the law on board
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
         self._see, self._act = settled(chain.see), settled(chain.act)
         self._step = settled(chain.step)
+
+    @property
+    def params(self) -> Parameters:
+        """Of the chain."""
+        return cast(Parameters, self._vehicle.value[0])
+
+    @params.setter
+    def params(self, params: Parameters) -> None:
+        self._vehicle = Bundle((params, self.memory, self.row))
 
     def take_over(self, before: "Agent", kept: Kept) -> None:
         """Go on from the memory of another agent of this vehicle.

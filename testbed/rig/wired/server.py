@@ -70,9 +70,6 @@ class TableServer:
         seed = experiment.seed
         self.plant = Plant(self.models, starts, table, experiment.obstacles, seed)
         self._cameras = Cameras(self.names, table.mocap, seed, table.spread)
-        # compiled now: later, boards and vehicles would wait for it
-        self._cameras.expose(np.empty(0), np.empty((0, *self.plant.x.shape)), 0.0)
-        self._cameras.arrived(0)
         self._fixed = ReferenceBodies(table.lab.mocap.reference, table.mocap, seed)
         self._bodies = [*self.names, *table.lab.mocap.reference]
         self._jitter = stream(seed, "frames")
