@@ -7,8 +7,8 @@ outermost function neither wrapper nor machine code is ever used.
 
 Here an `Entry` is called from Python. What it calls are parts: lowered only, and linked into the
 entry, where everything is optimised once, as with a C compiler's whole-program optimisation. The
-first flight takes a quarter less processor time (decision 32). The arithmetic stays the same, because
-without fast-math no optimisation may change it.
+first flight takes a quarter less processor time (decision 32). The arithmetic stays the same,
+because without fast-math no optimisation may change it.
 """
 
 from functools import cached_property
