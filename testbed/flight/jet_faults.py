@@ -22,6 +22,7 @@ commanded; a weak jet shows only while it is commanded.
 The estimate shows a push with a delay, so z and x are delayed in the same way (see response.py).
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -33,21 +34,12 @@ from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import (
-    CLEAR,
-    LEAK,
-    SURE,
-    WEAK,
-    beyond,
-    causes,
-    least_of,
-    outlasts,
-    pads_of,
-)
+from testbed.flight.hypotheses import causes, least_of, pads_of
 from testbed.flight.nudges import Nudges, hear, hear_long, judge
 from testbed.flight.record import record
-from testbed.flight.response import response
-from testbed.flight.window import VERDICT, Window, age, decide, factor, forget, listen
+from testbed.flight.response import quiet, response
+from testbed.flight.whitened import PASSES_S, hear_whitened, weigh_whitened, whiten
+from testbed.flight.window import VERDICT, WHITE, Window, age, decide, factor, forget, listen
 
 Array = NDArray[np.float64]
 
@@ -70,12 +62,6 @@ SPREAD = 1.5e-3  # of a velocity residual at the start, one sigma [m/s]
 SPIN_SPREAD = 5e-3  # [rad/s]
 BELIEVED = 30.0  # weight of the spread at the start [looks]
 HARDEST = 3.0  # jets: a stronger push in a look is external
-ENOUGH = 0.2  # smallest missing share of thrust that is a fault
-TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
-LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
-UNLIKE = 0.6  # largest gain of a leak beside it, as a share
-PART = 0.15  # smallest missing share of thrust that is worth a warning
-DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
 
 
 class Known(NamedTuple):
@@ -99,6 +85,8 @@ class Known(NamedTuple):
     long: int  # looks that are summed for the long window
     least: Array  # smallest size of each kind of cause that is a fault, see hypotheses.py
     pads: Array  # see hypotheses.pads_of, (2,)
+    quiet: Array  # variance of the estimate, push and turn, (2,)
+    passes: float  # see whitened.py, per look
 
 
 MEMORY = record(
@@ -112,6 +100,7 @@ MEMORY = record(
     summed=int,  # looks in `Heard.sums`
     stretches=int,  # sums so far
     far=record(**VERDICT),  # of the long window
+    fine=record(**VERDICT),  # see whitened.py
     **VERDICT,  # of the short one
 )
 
@@ -120,15 +109,17 @@ class Heard(NamedTuple):
     """Memory of the detector, changed in place."""
 
     duty: Array  # sum over the ticks since the last look, (n,)
-    recent: Array  # z and causes of the last looks, not yet delayed, (looks, m + n + COLUMNS, 3)
+    recent: Array  # z and causes of the last looks, not yet delayed, (looks, 3, m + n + COLUMNS)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
-    sums: Array  # of causes, and of residuals as the last row, (m + n + COLUMNS + 1, 3)
+    sums: Array  # of causes and residuals as of `residual`, (3, m + n + COLUMNS + 1)
     calm: Array  # `bias` up to two spans of CALM ago, the older one first, (2, 2)
     slow: Array  # see effectiveness.py, (m, m + 1)
     off: Array  # deviation of each jet from its thrust, as a share of it, (n,)
     sigma: Array  # of that, (n,)
     near: Window  # of looks
     far: Window  # of their sums
+    white: Array  # the same, filtered, (3, m + n + COLUMNS + 1)
+    fine: Window  # of these
     nudges: Nudges
 
 
@@ -166,13 +157,17 @@ def pause(p, m, heard):
     m.seen, m.wait = 0, p.shown.shape[0]
     forget(m)
     forget(m.far)
+    forget(m.fine)
     m.summed = 0
-    heard.recent[:] = heard.sums[:] = 0.0
+    heard.recent[:] = heard.sums[:] = heard.white[:] = 0.0
 
 
 @compiled
 def residual(before, now, duty, thrust_scale, known, heard, look):
-    """Unexplained motion since the last look, (3,), and its causes, (m + n + COLUMNS, 3)."""
+    """Causes of the motion since the last look, and, as the last column, what is unexplained of it.
+
+    Shape (3, m + n + COLUMNS + 1).
+    """
     n, period, shown = duty.shape[0], known.period, known.shown
     looks, m = shown.shape[0], duty.shape[0] + 4
     theta = before[0] + 0.5 * period * before[3]
@@ -195,28 +190,26 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
         whole = (level * (c * ax - s * ay), level * (s * ax + c * ay), level * known.effect[2, j])
         idle = 1.0 - min(max(duty[j], 0.0), 1.0)
         for axis in range(3):
-            fresh[j, axis] = duty[j] * whole[axis]
-            fresh[m + j, axis] = idle * whole[axis]
+            fresh[axis, j] = duty[j] * whole[axis]
+            fresh[axis, m + j] = idle * whole[axis]
             push[axis] += duty[j] * whole[axis]
             e[axis] -= duty[j] * whole[axis]
         push_x += duty[j] * ax
         push_y += duty[j] * ay
-    fresh[n, 2] = -level * push_y * known.gyration  # the centre of mass is further along x, y
-    fresh[n + 1, 2] = level * push_x * known.gyration
-    fresh[n + 2, 0] = fresh[n + 3, 1] = period
+    fresh[2, n] = -level * push_y * known.gyration  # the centre of mass is further along x, y
+    fresh[2, n + 1] = level * push_x * known.gyration
+    fresh[0, n + 2] = fresh[1, n + 3] = period
     causes(fresh, m + n, push, before, now, period, known.pads, heard.recent, look)
+    rows = fresh.shape[1]
+    late = np.zeros((3, rows + 1))
     for axis in range(3):
         most = known.most[0] if axis < 2 else known.most[1]
-        e[axis] = min(max(e[axis], -most), most)
-    rows = fresh.shape[0]
-    late = np.zeros((rows, 3))
-    for q in range(looks):
-        then = heard.recent[(look - q) % looks]
-        for i in range(rows):
-            late[i, 0] += shown[q, 0] * then[i, 0]
-            late[i, 1] += shown[q, 0] * then[i, 1]
-            late[i, 2] += shown[q, 1] * then[i, 2]
-    return e, late
+        late[axis, rows] = min(max(e[axis], -most), most)
+        for q in range(looks):
+            then, part = heard.recent[(look - q) % looks], shown[q, axis // 2]
+            for i in range(rows):
+                late[axis, i] += part * then[axis, i]
+    return late
 
 
 @compiled
@@ -232,28 +225,31 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         thrust_scale: of the thrust at the supply pressure.
     """
     own = residual(m.before, now, duty, thrust_scale, known, heard, m.look)
-    e, x = borrowed(own)
+    x = borrowed(own)
     near, bias = heard.near, heard.bias
     forget(m)
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
         keep(own)
         return
-    heard.sums[:-1] += x
-    heard.sums[-1] += e
+    sums = heard.sums
+    for axis in range(3):
+        for i in range(x.shape[1]):
+            sums[axis, i] += x[axis, i]
+    whiten(heard.white, known.passes, x, bias, known.period)
     settling = max(1.0 / (m.counted + m.again), known.period / SETTLING)
     if m.look % CALM == 0:
         heard.calm[0] = heard.calm[1]
         heard.calm[1] = bias
     for axis in range(2):
-        heard.sums[-1, axis] += known.period * bias[axis]
-        bias[axis] += settling * e[axis] / known.period
+        sums[axis, -1] += known.period * bias[axis]
+        bias[axis] += settling * x[axis, -1] / known.period
     if m.look % known.block == 0:
-        age(near.blocks)
+        age(near)
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
-    listen(near, e, x, trust, known.keep, known.rough)
+    listen(near, x, trust, known.keep, known.rough, WHITE)
     weight = 1.0 / (near.spread[0] + known.rough), 1.0 / near.spread[1]
-    hear(heard.nudges, known.shown, m.look, weight, known.keep, e, x)
-    learn(heard, e, x, known.period, known.rough)
+    hear(heard.nudges.near, known.shown, m.look, weight, known.keep, x)
+    learn(heard.slow, near.spread, x, known.period, known.rough)
     if m.look % SHOWN == 0:
         slope = 1.0 / (known.slope * known.slope + known.bumps * known.bumps)
         resolve(heard.slow, known.sure, slope, heard.off, heard.sigma)
@@ -263,7 +259,12 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     decide(near, least, y, known.period, False, m)
     judge(heard.nudges.near, least, y, m)
     m.summed += 1
+    hear_whitened(
+        heard.fine, heard.white, known.quiet, known.passes, known.rough, m.counted, known.period
+    )
     if m.summed == known.long:
+        slope = known.bumps * known.bumps + known.slope * known.slope
+        weigh_whitened(heard.fine, known.sure, 1.0 / slope, known.period, m.fine)
         weigh_long(known, m, heard)
     keep((own, root))
 
@@ -276,14 +277,13 @@ def weigh_long(known, m, heard):
     """
     far, remembers = heard.far, 1.0 - known.long * known.period / LONG_MEMORY_S
     forget(m.far)
-    age(far.blocks)
+    age(far)
     m.stretches += 1
     trust = max(1.0 - remembers, 1.0 / (m.stretches + LONG_BELIEVED))
     rough = known.long * known.rough
-    listen(far, heard.sums[-1], heard.sums[:-1], trust, remembers, rough)
+    listen(far, heard.sums, trust, remembers, rough, WHITE)
     weight = 1.0 / (far.spread[0] + rough), 1.0 / far.spread[1]
-    e, z = heard.sums[-1], heard.sums[:-1]
-    hear_long(heard.nudges, known.shown, m.look, known.long, weight, remembers, e, z)
+    hear_long(heard.nudges.far, known.shown, m.look, known.long, weight, remembers, heard.sums)
     slope = known.bumps * known.bumps + known.slope * known.slope
     root = factor(far.told, known.sure, 1.0 / slope)
     least, y = borrowed(root)
@@ -291,72 +291,6 @@ def weigh_long(known, m, heard):
     judge(heard.nudges.far, least, y, m.far)
     m.summed, heard.sums[:] = 0, 0.0
     keep(root)
-
-
-@compiled
-def apart(gain, other):
-    """Difference in gain that separates two causes."""
-    return CLEAR + DOUBT * min(gain, other)
-
-
-@compiled
-def leaks(m):
-    """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
-    other = beyond(m.gains, LEAK)
-    sure = m.leak.gain > other + apart(m.leak.gain, other) and m.leak.gain > SURE
-    return sure and m.leak.share > TRACE and outlasts(m.gains, LEAK)
-
-
-@compiled
-def is_weak(m):
-    """Whether the suspected jet is too weak, and nothing else explains the motion."""
-    return m.weak.share > ENOUGH and weakness_is_clear(m)
-
-
-@compiled
-def missing(m):
-    """Sigmas of a jet that is too weak; the long window has to be surer."""
-    if is_weak(m):
-        return sigmas(m.weak)
-    sure = m.far.weak.gain > LONG_SURE and is_weak(m.far) and is_no_leak(m.far)
-    return sigmas(m.far.weak) if sure else 0.0
-
-
-@compiled
-def is_no_leak(far):
-    """Whether a leak of the opposite jet explains far less, by the long window.
-
-    On average over a second the two look alike.
-    """
-    return far.leak.gain < UNLIKE * far.weak.gain
-
-
-@compiled
-def is_partly_weak(m):
-    """Whether a jet lacks less than what is a fault, and nothing else explains the motion."""
-    return PART < m.weak.share <= ENOUGH and is_no_leak(m) and weakness_is_clear(m)
-
-
-@compiled
-def weakness_is_clear(m):
-    """Whether a weak jet explains the motion better than any other cause."""
-    other = beyond(m.gains, WEAK)
-    clear = m.weak.gain >= other + apart(m.weak.gain, other)
-    return clear and outlasts(m.gains, WEAK)
-
-
-@compiled
-def leaks_or_is_weak(m):
-    """Whether one jet may leak; if it does not, the next best cause is the right one."""
-    other = beyond(m.gains, LEAK)
-    may = m.leak.gain > other - apart(m.leak.gain, other) and m.leak.share > TRACE
-    return may and outlasts(m.gains, LEAK)
-
-
-@compiled
-def sigmas(suspicion):
-    """Distance from a healthy vehicle in standard deviations."""
-    return np.sqrt(2.0 * suspicion.gain)
 
 
 def slopes(tilt: Tilt) -> tuple[float, float]:
@@ -388,4 +322,5 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
         ticks, max(1, round(BLOCK / period)), 1.0 - min(0.5, period / MEMORY_S),
         max(1, round(STRETCH / period)),
         least_of(vehicle, table, bumps), pads_of(vehicle),
+        quiet(estimator, table.mocap), math.exp(-period / PASSES_S),
     )  # fmt: skip

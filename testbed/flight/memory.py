@@ -75,20 +75,20 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     one_a_jet: tuple[int, ...] = (jets,)
     causes = m + jets + COLUMNS
     window: list[tuple[int, ...]] = [
-        (m, m + 1), (BLOCKS, m + 2, 2 * jets + COLUMNS), (2,), (3,),
+        (m, m + 1), (BLOCKS, m + 2, 2 * jets + COLUMNS), (BLOCKS,), (1,), (2,), (3,),
     ]  # fmt: skip
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
         Heard: [
-            one_a_jet, (looks, causes, 3), (2,), (causes + 1, 3), (2, 2),
-            (m, m + 1), one_a_jet, one_a_jet, *window, *window,
+            one_a_jet, (looks, 3, causes), (2,), (3, causes + 1), (2, 2),
+            (m, m + 1), one_a_jet, one_a_jet, *window, *window, (3, causes + 1), *window,
             (m + 2, 3 * AGO), (m + 2, 3 * LONG_AGO),
         ],
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
         Memory: [
             one_a_jet, one_a_jet, (2 * jets,),
-            (m, m + 1), (1, m + 2, 2 * jets + COLUMNS), (2,), (3,), one_a_jet,
+            (m, m + 1), (1, m + 2, 2 * jets + COLUMNS), (1,), (1,), (2,), (3,), one_a_jet,
         ],
     }  # fmt: skip
     everything = np.zeros(size + sum(math.prod(s) for each in shapes.values() for s in each))
@@ -99,18 +99,20 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             views[kind].append(everything[size : size + math.prod(shape)].reshape(shape))
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
-    *sums, a, b, c, d, e, f, g, h, soon, long = views[Heard]
-    duty, recent, bias, total, calm, slow, off, sigma = sums
-    near, far = Window(a, b, c, d), Window(e, f, g, h)
+    duty, recent, bias, total, calm, slow, off, sigma, *parts = views[Heard]
+    near, far, fine = Window(*parts[:6]), Window(*parts[6:12]), Window(*parts[13:19])
+    white, nudges = parts[12], Nudges(*parts[19:])
     fired = Fired(*views[Fired])
-    heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, Nudges(soon, long))
+    heard = Heard(
+        duty, recent, bias, total, calm, slow, off, sigma, near, far, white, fine, nudges
+    )  # fmt: skip
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2
     fixed["thrust_scale"] = fixed["strength"] = fired.gives[:] = 1.0
-    begun, flowed, times, i, j, k, n, named = views[Memory]
+    begun, flowed, times, *always, named = views[Memory]
     memory = Memory(
         fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), begun, flowed,
-        times, Window(i, j, k, n), named,
+        times, Window(*always), named,
     )  # fmt: skip
     return memory, everything

@@ -11,6 +11,7 @@ to 10 mm/s of that look like a push. See the first lines of `jet_faults` for the
 from typing import Any
 
 from testbed.core.compiled import borrowed, compiled, keep
+from testbed.flight.bad_jet import is_weak
 from testbed.flight.hypotheses import (
     CLEAR,
     LATE,
@@ -24,9 +25,9 @@ from testbed.flight.hypotheses import (
     beyond,
     certain,
 )
-from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD, is_weak
+from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD
 from testbed.flight.record import record
-from testbed.flight.window import VERDICT, Window, clear, decide, factor, forget, listen
+from testbed.flight.window import VERDICT, WHITE, Window, clear, decide, factor, forget, listen
 
 KINDS = (THRUST, MASS, TURNED, LATE)  # that it names
 TURNS = (SPIN_SPREAD / SPREAD) ** 2  # variance of a turn, in variances of a push
@@ -56,12 +57,16 @@ def hear(p, m, window, heard, far):
         m.begun, m.noise = 1, SPREAD * SPREAD
         return
     window.spread[0], window.spread[1] = 1.0, TURNS
-    e = heard.sums[-1]
-    listen(window, e, heard.sums[:-1], 0.0, 1.0, 0.0)
+    sums = heard.sums
+    push_x, push_y, turn = sums[0, -1], sums[1, -1], sums[2, -1]
+    listen(window, sums, 0.0, 1.0, 0.0, WHITE)
     m.sums += 1
-    m.squares += e[0] * e[0] + e[1] * e[1] + e[2] * e[2] / TURNS
+    m.squares += push_x * push_x + push_y * push_y + turn * turn / TURNS
     sure = 1.0 / (m.noise + (p.long - 1) * p.rough)
-    weighed = Window(window.told * sure, window.blocks * sure, window.spread, window.last)
+    weighed = Window(
+        window.told * sure, window.blocks * sure, window.worth, window.newest, window.spread,
+        window.last,
+    )  # fmt: skip
     root = factor(weighed.told, p.sure, 1.0 / (p.bumps * p.bumps + p.slope * p.slope))
     least, y = borrowed(root)
     forget(m)

@@ -27,10 +27,10 @@ class Flight:
         sums, first = self.memory.heard.sums, self.causes
         x, y = PUSH * self.rng.standard_normal(2)
         sums[:] = 0.0
-        sums[first + ALL, :2], sums[first + ROTATED, :2] = (x, y), (-y, x)
-        sums[first + DELAYED, :2] = PUSH * self.rng.standard_normal(2)
-        explained = size * sums[first + column] if column is not None else np.zeros(3)
-        sums[-1] = explained + NOISE * self.rng.standard_normal(3) + jump
+        sums[:2, first + ALL], sums[:2, first + ROTATED] = (x, y), (-y, x)
+        sums[:2, first + DELAYED] = PUSH * self.rng.standard_normal(2)
+        explained = size * sums[:, first + column] if column is not None else np.zeros(3)
+        sums[:, -1] = explained + NOISE * self.rng.standard_normal(3) + jump
         permanent.hear(self.p, self.m, self.memory.permanent, self.memory.heard, self.far)
 
     def sigmas(self, kind):
