@@ -51,6 +51,7 @@ LOOK_S = 0.05
 PATIENCE_S = 5.0  # a writer without progress for this long hangs
 SPAN_NS = 50_000_000  # time of the run per chunk; the same run gives the same chunks
 FAST_SPAN_NS = 25_000_000_000  # the same faster than real time: larger chunks compress better
+CAREFUL_SPAN_NS = 5_000_000_000  # the same with a user's law, which may end the process
 WARN_BELOW = 500_000_000  # free disk space below which to warn [bytes]
 END_BELOW = 20_000_000  # free disk space below which to finish the log [bytes]
 
