@@ -9,6 +9,7 @@ from testbed.flight.hypotheses import DRAG, NUDGE, PULL, THRUST, TURNED, certain
 from testbed.flight.jet_faults import look, pause
 from testbed.flight.permanent import lateness, surest
 from testbed.flight.record import NO_SETPOINT, record
+from testbed.flight.window import forget
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
 TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
@@ -62,6 +63,7 @@ def compare(p, m, heard, always, window, row, duty, thrust_scale):
             permanent.hear(p, always, window, heard, m.far)
     else:
         pause(p, m, heard)
+        forget(always)  # until the next second: one alone is not believed for longer
 
 
 @compiled
