@@ -85,7 +85,13 @@ def test_the_estimator_settles_in_the_first_second(flight):
 def test_what_began_later_is_left_to_the_long_window(flight):
     for _ in range(30):
         flight.second(ROTATED, np.radians(15.0))
+    flight.far.gains[PULL] = 10.0
+    assert flight.sigmas(TURNED) == 0.0
+    flight.far.gains[PULL] = 0.0
+    assert flight.sigmas(TURNED) > 6.0
     flight.far.gains[PULL] = 50.0
+    flight.second(ROTATED, np.radians(15.0))
+    flight.far.gains[PULL] = 0.0  # the long window forgets
     assert flight.sigmas(TURNED) == 0.0
 
 
