@@ -9,6 +9,7 @@ from testbed.flight.hypotheses import DRAG, NUDGE, PULL, THRUST, TURNED, certain
 from testbed.flight.jet_faults import look, pause
 from testbed.flight.permanent import lateness, surest
 from testbed.flight.record import NO_SETPOINT, record
+from testbed.flight.window import forget
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
 TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
@@ -58,10 +59,23 @@ def compare(p, m, heard, always, window, row, duty, thrust_scale):
     ours = abs(row.told.clock_offset) < SAME_CLOCK
     if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
         look(p, m, heard, state, duty, thrust_scale)
+        if nudged(p, m) > 0.0:  # once, but it would stay in the sums of the whole flight
+            permanent.restart(always, window)
         if m.look != before and m.summed == p.long - 1:  # the next one clears the sums
             permanent.hear(p, always, window, heard, m.far)
     else:
         pause(p, m, heard)
+        forget(always)  # until the next second: one alone is not believed for longer
+
+
+@compiled
+def nudged(known, suspected):
+    """Sigmas of a nudge, by the short or the long window."""
+    far, least = suspected.far, known.least
+    return max(
+        certain(far.gains, far.sizes, least, NUDGE),
+        certain(suspected.gains, suspected.sizes, least, NUDGE),
+    )
 
 
 @compiled
@@ -160,10 +174,7 @@ def explain(p, m, seen, known, suspected, always, row, samples):
         heading_step,
         pose_rate(p, m, row.told.t, samples.shape[0]),
         seen.bumped,
-        max(
-            certain(gains, sizes, least, NUDGE),
-            certain(suspected.gains, suspected.sizes, least, NUDGE),
-        ),
+        nudged(known, suspected),
     )
 
 

@@ -11,6 +11,7 @@ to 10 mm/s of that look like a push. See the first lines of `jet_faults` for the
 from typing import Any
 
 from testbed.core.compiled import borrowed, compiled, keep
+from testbed.flight import hypotheses
 from testbed.flight.bad_jet import is_weak
 from testbed.flight.hypotheses import (
     CLEAR,
@@ -18,6 +19,7 @@ from testbed.flight.hypotheses import (
     MASS,
     NUDGE,
     SHORT,
+    SURE,
     THRUST,
     TURNED,
     WEAK,
@@ -37,6 +39,7 @@ MEMORY = record(
     begun=int,  # 1: the first sum has passed; the estimator settles in it
     sums=int,  # so far, without that one
     squares=float,  # sum of the squared residuals, in those of a push [m^2/s^2]
+    later=(hypotheses.KINDS,),  # 1: for this kind, the long window was sure of another cause
     noise=float,  # variance of a push; 0: none was heard [m^2/s^2]
     **VERDICT,
 )
@@ -53,6 +56,10 @@ def hear(p, m, window, heard, far):
         heard: jet_faults.Heard.
         far: VERDICT of the long window.
     """
+    for kind in KINDS:
+        other = beyond(far.gains, kind)
+        if other > SURE and other > far.gains[better(far.gains, kind)] + CLEAR:
+            m.later[kind] = 1.0
     if m.begun == 0:
         m.begun, m.noise = 1, SPREAD * SPREAD
         return
@@ -81,14 +88,14 @@ def hear(p, m, window, heard, far):
 @compiled
 def restart(m, window):
     """Begin anew."""
-    m.begun, m.sums, m.squares, m.noise = 0, 0, 0.0, 0.0
+    m.begun, m.sums, m.squares, m.noise, m.later[:] = 0, 0, 0.0, 0.0, 0.0
     forget(m)
     clear(window)
 
 
 @compiled
 def certain_always(far, m, least, kind):
-    """Sigmas of a cause by the whole flight, unless the long window prefers one: that began later.
+    """Sigmas of a cause by the whole flight; 0 if the long window has seen one that began later.
 
     Args:
         far: VERDICT of the long window.
@@ -96,7 +103,7 @@ def certain_always(far, m, least, kind):
         least: smallest size of each kind that is a fault.
         kind: see hypotheses.py.
     """
-    since = far.gains[kind] + CLEAR > beyond(far.gains, kind)
+    since = m.later[kind] == 0.0 and far.gains[kind] + CLEAR > beyond(far.gains, kind)
     return certain(m.gains, m.sizes, least, kind) if since else 0.0
 
 

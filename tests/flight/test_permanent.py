@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from testbed.flight import permanent
+from testbed.flight import detectors, permanent
 from testbed.flight.estimator import EstimatorParams
 from testbed.flight.hypotheses import ALL, DELAYED, LATE, PULL, ROTATED, THRUST, TURNED
 from testbed.flight.jet_faults import known_of
 from testbed.flight.memory import make_memory
+from testbed.flight.record import ROW
 
 NOISE = np.array([8e-4, 8e-4, 2.5e-3])  # of a second's residual [m/s, m/s, rad/s]
 PUSH = 5e-3  # of the jets in a second [m/s]
@@ -84,8 +85,28 @@ def test_the_estimator_settles_in_the_first_second(flight):
 def test_what_began_later_is_left_to_the_long_window(flight):
     for _ in range(30):
         flight.second(ROTATED, np.radians(15.0))
-    flight.far.gains[PULL] = 50.0
+    flight.far.gains[PULL] = 10.0
     assert flight.sigmas(TURNED) == 0.0
+    flight.far.gains[PULL] = 0.0
+    assert flight.sigmas(TURNED) > 6.0
+    flight.far.gains[PULL] = 50.0
+    flight.second(ROTATED, np.radians(15.0))
+    flight.far.gains[PULL] = 0.0  # the long window forgets
+    assert flight.sigmas(TURNED) == 0.0
+
+
+def test_old_poses_silence_it_until_the_next_second(flight):
+    for _ in range(30):
+        flight.second(ROTATED, np.radians(15.0))
+    fixed, row = flight.memory.fixed[0], np.zeros(1, ROW)[0]
+    row.state.pose_age, still = 0.2, np.zeros(len(flight.memory.begun))
+    detectors.compare(
+        flight.p, fixed.jet_faults, flight.memory.heard, flight.m, flight.memory.permanent, row,
+        still, 1.0,
+    )  # fmt: skip
+    assert flight.sigmas(TURNED) == 0.0
+    flight.second(ROTATED, np.radians(15.0))
+    assert flight.sigmas(TURNED) > 6.0
 
 
 def test_a_jet_that_was_taken_out_begins_a_new_flight(flight):
