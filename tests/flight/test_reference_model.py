@@ -72,7 +72,7 @@ def test_the_model_in_compiled_code_is_the_same_to_the_bit(scaled, filters, vehi
     whole = list(flight(guide(law(scaled), vehicle, filters)))
     steps = list(flight(guide(StepByStep(law(scaled)), vehicle, filters)))
     assert whole == steps
-    assert guide(law(scaled), vehicle, filters)._flown is not None
+    assert guide(law(scaled), vehicle, filters)._compiled is not None
     acted = sum(filtered is not None for _, filtered, _ in whole)
     assert acted > 5 if filters else acted == 0
 
