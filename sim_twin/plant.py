@@ -283,9 +283,14 @@ class Plant:
         p.grip[k] = 0.0
         del self.landed[k]
 
+    @property
+    def sound(self) -> bool:
+        """Whether every valve does what its board commands."""
+        return not (self._stuck or self._leaky or self._weak or self.crossed)
+
     def played(self) -> Pulses:
         """Actual valve pulses: the boards' commands, as wires and broken valves modify them."""
-        if not (self._stuck or self._leaky or self._weak or self.crossed):
+        if self.sound:
             return self._pulses
         ours = self._pulses
         played = Pulses(ours.up.copy(), ours.down.copy(), ours.strength.copy())
