@@ -102,7 +102,7 @@ def exposures(rate, phase, frame, t, times):
     Returns:
         how many.
     """
-    count = max(0, int(math.floor(t * rate - phase)) + 1 - frame)
+    count = max(0, math.floor(t * rate - phase) + 1 - frame)
     for k in range(min(count, times.shape[0])):
         times[k] = (frame + k + phase) / rate
     return count

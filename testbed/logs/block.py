@@ -89,9 +89,7 @@ class Block:
                     joined[key].extend(rows)
                 else:
                     joined[key] = rows.part(0, len(rows))
-        made = {
-            key: TableRows(self._writer, key[0]).messages(rows) for key, rows in joined.items()
-        }
+        made = {key: TableRows(self._writer, key[0]).messages(rows) for key, rows in joined.items()}
         taken: list[tuple[float, Made]] = []
         for one in waiting:
             if isinstance(one, _Span):

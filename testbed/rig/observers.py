@@ -11,7 +11,6 @@ from testbed.metrics.run_metrics import ReferenceLog
 class NullObserver:
     """An observer that does nothing."""
 
-
     def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
 

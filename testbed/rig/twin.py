@@ -51,7 +51,6 @@ from testbed.rig.live import LiveFlight
 from testbed.rig.observers import NullObserver
 from testbed.rig.readiness import twin_checks
 
-
 WARM = 8  # ticks
 
 

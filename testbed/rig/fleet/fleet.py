@@ -137,7 +137,8 @@ class Fleet:
 
 def _alike(bundles: list[tuple[Bundle, Bundle, Bundle]]) -> bool:
     """Whether code for the first ones is code for all."""
-    return len({tuple(one.kind for one in each) for each in bundles}) == 1
+    pairs = (pair for each in bundles for pair in zip(each, bundles[0], strict=True))
+    return all(one.kind is other.kind for one, other in pairs)
 
 
 def codes_of(
@@ -173,6 +174,6 @@ def make_fleet(
     own, fixed = isinstance(experiment.controller, OwnLawParams), experiment.table.lab.mocap
     if not every or own or experiment.forks or twin.reach is not None or fixed.reference:
         return None
-    if config.DISABLE_JIT:
+    if vars(config)["DISABLE_JIT"]:
         return None
     return Fleet(twin, nodes, laws, experiment.flight.jet_period_s)

@@ -1,7 +1,7 @@
 """A vehicle's law on the host of the twin, whose ticks stay rows of numbers."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import Any
 
@@ -82,7 +82,7 @@ class TwinHost(ForkedHost):
         """
         rows = FlownHostRows(self._table, self._k, 0, self._names)
         for one in answers[:ticks]:
-            if (tick := self._answered(*one)) is not None:
+            if (tick := self._answered(one)) is not None:
                 rows.add(tick)
         self._answer = answers[-1] if len(answers) > ticks else None
         return rows
@@ -114,12 +114,11 @@ class TwinHost(ForkedHost):
         found, changed, full = self._law_tick(
             self._ports, self._rows, self._k, guidance.model, guidance.model_t, turn, t
         )
-        return None if found == DECLINED else self._answered(found, *changed, full)
+        return None if found == DECLINED else self._answered((found, *changed, full))
 
-    def _answered(
-        self, found: float, dfx: float, dfy: float, hazard: float, full: float
-    ) -> FlownHostTick | None:
+    def _answered(self, answer: Sequence[float]) -> FlownHostTick | None:
         """The tick in which the law has advanced its model; see exchange.law_tick."""
+        found, dfx, dfy, hazard, full = answer
         guidance, table, k = self.guidance, self._table, self._k
         guidance.advanced(self._who[1], dfx, dfy, int(hazard))
         if found != SENT:
@@ -134,7 +133,7 @@ class TwinHost(ForkedHost):
         """See `HostNode`."""
         if (answer := self._answer) is not None:
             self._answer = None
-            return self._answered(*answer) or super().tick(t, armed)
+            return self._answered(answer) or super().tick(t, armed)
         self.take_over(t)
         by_hand = self.stick is not None or (self.pilot is not None and self.pilot.flies)
         if not armed or by_hand or self._fault is not None:

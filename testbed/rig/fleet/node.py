@@ -1,5 +1,6 @@
 """A vehicle of the twin whose ticks stay rows of numbers."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -136,7 +137,7 @@ class TwinNode:
     ) -> AnyTick:  # fmt: skip
         """See `VehicleNode`."""
         if self.pending:
-            return self._tick(t, *self._said)
+            return self._tick(t, self._said)
         twin, agent = self._twin, self._agent
         if end or stay or fleet is not None or twin.fleet() is not None:
             return self._node.tick(t, armed, fleet, end=end, stay=stay)
@@ -148,13 +149,11 @@ class TwinNode:
         agent.step_row(table.samples[k, :seen], table.references[k, :ahead], self._heard[:heard])
         *said, openings, full = self._say(self._ports, self._rows, k)
         self._board.openings += openings
-        return self._tick(t, *said, full)
+        return self._tick(t, (*said, full))
 
-    def _tick(
-        self, t: float, inhibit: float, fault: float, gate_fault: float, lands: float,
-        looks: float, full: float,
-    ) -> FlownTick:  # fmt: skip
+    def _tick(self, t: float, said: Sequence[float]) -> FlownTick:
         """The newest row as a tick, after what it asks for; see exchange.say."""
+        inhibit, fault, gate_fault, lands, looks, full = said
         agent, k = self._agent, self._k
         self._k += 1
         if full:

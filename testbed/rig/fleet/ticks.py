@@ -1,13 +1,10 @@
 """Many ticks of the twin in one compiled call, while nothing out of the ordinary happens.
 
-The order is that of `loop.fly`: the twin comes to the tick, every vehicle takes its step, then every
-law. All of it is the same compiled code that Python calls when it flies tick by tick.
+The order is that of `loop.fly`: the twin comes to the tick, every vehicle takes its step, then
+every law. All of it is the same compiled code that Python calls when it flies tick by tick.
 """
 
 from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from sim_twin.board import Pulses
 from testbed.core.bundle import Bundle, unpacked
