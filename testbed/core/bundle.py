@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from testbed.core.compiled import BundleType, look_of, without_counts
 
 WORD = 8  # bytes
-_KINDS: dict[Any, Any] = {}  # numba's type of values that look alike; it takes long to find
+# numba's type of values that look alike, and its size in bytes; both take long to find
+_KINDS: dict[Any, tuple[Any, int]] = {}
 
 
 class Bundle(int):
@@ -39,9 +40,11 @@ class Bundle(int):
     def __new__(cls, value: tuple[Any, ...]) -> "Bundle":
         """Take `value` apart, and keep it alive."""
         place = np.frombuffer(layout_of(value)[0], np.uint8)
-        if (kind := _KINDS.get(look := look_of(value))) is None:
-            kind = _KINDS[look] = numba.typeof(value)
-        if place.nbytes != (needed := _bytes_of(kind)):
+        if (known := _KINDS.get(look := look_of(value))) is None:
+            kind = numba.typeof(value)
+            known = _KINDS[look] = kind, _bytes_of(kind)
+        kind, needed = known
+        if place.nbytes != needed:
             raise TypeError(f"expected {needed} bytes for {kind}, found {place.nbytes}")
         bundle = super().__new__(cls, place.ctypes.data)
         bundle.value, bundle.kind, bundle._place = value, kind, place

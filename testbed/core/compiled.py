@@ -29,6 +29,8 @@ from testbed.core.whole_program import Entry
 F = TypeVar("F", bound=Callable[..., Any])
 V = TypeVar("V")
 
+MOST_SEEN = 1000  # dtypes
+
 # The functions are not called from C: without C wrappers compilation takes 10 % less time.
 LEAN: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -174,6 +176,20 @@ def _machine_code(function: Any, args: tuple[Any, ...]) -> Callable[..., Any]:
     return code
 
 
+_NUMBERS: dict[np.dtype, int] = {}  # of equal dtypes
+_SEEN: dict[int, tuple[np.dtype, int]] = {}  # by identity: it takes long to hash a record's dtype
+
+
+def _number_of(dtype: np.dtype) -> int:
+    """A number that equal dtypes have."""
+    seen = _SEEN.get(id(dtype))
+    if seen is None or seen[0] is not dtype:
+        if len(_SEEN) > MOST_SEEN:
+            _SEEN.clear()
+        seen = _SEEN[id(dtype)] = dtype, _NUMBERS.setdefault(dtype, len(_NUMBERS))
+    return seen[1]
+
+
 def look_of(value: Any) -> Any:
     """A key of a value's type: equal keys mean equal numba types.
 
@@ -183,11 +199,11 @@ def look_of(value: Any) -> Any:
     if isinstance(value, (list, set, dict)):
         raise TypeError(f"expected arrays, tuples and numbers, found a {type(value).__name__}")
     if isinstance(value, np.ndarray):
-        return value.dtype, value.ndim, value.flags.num
+        return _number_of(value.dtype), value.ndim, value.flags.num
     if isinstance(value, np.void):  # a record
-        return value.dtype
+        return _number_of(value.dtype)
     if isinstance(value, int) and (kind := getattr(value, "kind", None)) is not None:  # a bundle
-        return kind
+        return BundleType, kind._code  # numba: equal types have equal codes
     return (type(value), *map(look_of, value)) if isinstance(value, tuple) else type(value)
 
 

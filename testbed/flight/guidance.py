@@ -39,12 +39,12 @@ from testbed.core.types import (
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.barrier import UNLIMITED, Barrier, discs_of
+from testbed.flight.company import Company, meet
 from testbed.flight.record import DEMAND, TRAJECTORY
 from testbed.flight.reference_model import ReferenceModel, advance_model, extrapolate
 from testbed.flight.turn import Turn, TurnAlong, turn_to
 
 Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
 
 ZERO = np.zeros(2)  # shared: laws must not write to their arguments
 
@@ -82,14 +82,6 @@ class Heard(NamedTuple):
     names: tuple[str, ...]  # of those whose state is known
     states: Array  # (n, 12) in this order, see rows.States
     messages: Mapping[str, LawMessage]
-
-
-class Company(NamedTuple):
-    """The vehicles that a law knows of at a tick."""
-
-    names: tuple[str, ...]  # sorted
-    order: Whole  # their rows in `Heard.states`
-    strangers: Neighbours  # them, without states
 
 
 class Guidance:
@@ -225,15 +217,13 @@ class Guidance:
         head = TRAJECTORY, ahead[0, 0], until, 0.0, 0.0, 0.0, 0.0, 0.0
         return np.concatenate((head, ahead.ravel()))
 
-    def steady(self, t: float) -> tuple[float, float, float] | None:
-        """The turn at the model's time, if the setpoint for `t` needs one more reference of it.
-
-        None: `next_setpoint` cannot make this setpoint.
-        """
-        return next(iter(self.turns((t,))), None)
-
     def turns(self, times: Iterable[float]) -> list[tuple[float, float, float]]:
-        """`steady` for one setpoint after the other, up to the first one that it is None for."""
+        """The turn at the model's time for each of the coming setpoints.
+
+        Args:
+            times: of the setpoints [s]. The first one that `next_setpoint` cannot make, because it
+                does not need exactly one more reference, ends the list.
+        """
         found: list[tuple[float, float, float]] = []
         if self.model is None or self._turn is None:
             return found
@@ -380,7 +370,10 @@ class Guidance:
         words, k = heard.messages, self._law.message_size
         known = heard.names, tuple(words) if k else ()
         if self._company is None or self._company[0] != known:
-            self._company = known, self._meet(*known)
+            self._company = (
+                known,
+                meet(*known, self._who, self._params.neighbour_distance, self._law.message_size),
+            )
         names, order, company = self._company[1]
         p, v = np.empty((2, len(order), 2))
         self._extrapolate(heard.states, order, t, p, v)
@@ -389,21 +382,3 @@ class Guidance:
             said = np.array([words[name].values for name in names])
             said_at = np.array([words[name].t for name in names])
         return Neighbours(p, v, company.radius, company.vehicle_index, said, said_at)
-
-    def _meet(self, known: tuple[str, ...], spoke: tuple[str, ...]) -> Company:
-        """Those that the law knows of, when the states of `known` and messages were heard."""
-        names = tuple(sorted(set(known) & set(spoke) if self._law.message_size else known))
-        order = np.array([known.index(one) for one in names], np.int64)
-        return Company(names, order, self._strangers(names))
-
-    def _strangers(self, names: tuple[str, ...]) -> Neighbours:
-        """Neighbours without states: known data before their first message."""
-        n, k = len(names), self._law.message_size
-        return Neighbours(
-            np.zeros((n, 2)),
-            np.zeros((n, 2)),
-            np.full(n, self._params.neighbour_distance),
-            np.array([self._who.get(name, -1) for name in names], dtype=np.int64),
-            np.zeros((n, k)),
-            np.zeros(n),
-        )

@@ -1,6 +1,7 @@
 """Messages that wait until the rows of many ticks are made together."""
 
 from collections.abc import Iterator, Mapping
+from itertools import islice
 from typing import Any, NamedTuple
 
 from msgspec import Struct
@@ -15,6 +16,29 @@ LARGEST = 10 * TICKS  # messages; about a table of each of ten topics
 
 Key = tuple[str, int]  # topic, and which table
 Runs = dict[Key, Any]  # FlownRows of vehicles, FlownHostRows of laws
+
+
+class Column(NamedTuple):
+    """Messages of one topic, one for each tick."""
+
+    topic: str
+    kind: str
+    data: list[bytes]
+
+
+class Columns(NamedTuple):
+    """Messages of several topics at the same ticks: tick by tick, in the order of the topics."""
+
+    times: list[float]  # [s]
+    columns: list[Column]
+
+    def part(self, begin: int, end: int) -> "Columns":
+        """The ticks from place `begin` to `end`."""
+        parts = [Column(topic, kind, data[begin:end]) for topic, kind, data in self.columns]
+        return Columns(self.times[begin:end], parts)
+
+
+Piece = tuple[float, Made] | Columns
 
 
 class _One(NamedTuple):
@@ -79,8 +103,8 @@ class Block:
         self._waiting.append(_Span(span, before, after))
         self._number += len(span.times) * (1 + len(span.vehicles) + len(span.hosts))
 
-    def take(self) -> list[tuple[float, Made]]:
-        """All messages so far, with times [s]; rows of one table are made together."""
+    def take(self) -> list[Piece]:
+        """All messages so far, in order; rows of one table are made together."""
         waiting, self._waiting, self._number = self._waiting, [], 0
         joined: Runs = {}
         for one in waiting:
@@ -89,8 +113,11 @@ class Block:
                     joined[key].extend(rows)
                 else:
                     joined[key] = rows.part(0, len(rows))
-        made = {key: TableRows(self._writer, key[0]).messages(rows) for key, rows in joined.items()}
-        taken: list[tuple[float, Made]] = []
+        made = {
+            key: iter(TableRows(self._writer, key[0]).messages(rows))
+            for key, rows in joined.items()
+        }
+        taken: list[Piece] = []
         for one in waiting:
             if isinstance(one, _Span):
                 taken += self._of_span(one, made)
@@ -101,16 +128,20 @@ class Block:
                 taken.append((one.t, Made(one.topic, kind_of(one.topic), data)))
         return taken
 
-    def _of_span(
-        self, one: _Span, made: Mapping[Key, Iterator[bytes]]
-    ) -> Iterator[tuple[float, Made]]:
-        topics = [(key[0], kind_of(key[0]), made[key]) for key in one.runs()]
-        topics.append(("/truth", "Truth", TableRows(self._writer, "/truth").truth(one.span)))
-        for t in one.span.times:
-            yield from ((t, more) for more in one.before.get(t, ()))
-            for topic, kind, data in topics:
-                yield t, Made(topic, kind, next(data))
-            yield from ((t, more) for more in one.after.get(t, ()))
+    def _of_span(self, one: _Span, made: Mapping[Key, Iterator[bytes]]) -> Iterator[Piece]:
+        times, begin = one.span.times, 0
+        columns = [
+            Column(key[0], kind_of(key[0]), list(islice(made[key], len(times))))
+            for key in one.runs()
+        ]
+        columns.append(Column("/truth", "Truth", TableRows(self._writer, "/truth").truth(one.span)))
+        for i, t in enumerate(times):
+            for end, more in ((i, one.before.get(t)), (i + 1, one.after.get(t))):
+                if more:
+                    yield Columns(times, columns).part(begin, end)
+                    yield from ((t, message) for message in more)
+                    begin = end
+        yield Columns(times, columns).part(begin, len(times))
 
 
 def kind_of(topic: str) -> str:

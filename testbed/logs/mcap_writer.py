@@ -26,6 +26,7 @@ from testbed.logs.frames import READY, Entries, Frame, Mark, Topic
 
 CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
+SWITCH_S = 5e-4  # the reading thread gets its turn after this; a full pipe holds up the flight
 WAITING = 1024  # most reads queued for the disk
 
 
@@ -79,6 +80,7 @@ def read_chunks(descriptor: int) -> Iterator[bytes]:
             waiting.put(gulp)
         waiting.put(b"")
 
+    sys.setswitchinterval(SWITCH_S)
     Thread(target=drink, daemon=True).start()
     while gulp := waiting.get():
         yield gulp

@@ -42,12 +42,13 @@ from msgspec import Struct
 from testbed.core.error import TestbedError
 from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
-from testbed.logs.block import LARGEST, Block
+from testbed.logs.block import LARGEST, Block, Columns, Piece
 from testbed.logs.frames import READY, Entries, Entry, Frame, Mark, Topic
 from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
 PIECE = 64 * 1024  # most bytes kept between two marks before they are written
+LEAD = 4_000_000  # most bytes that a fast flight is ahead of its writer; half a minute of three
 LARGEST_BACKLOG = 32_000_000  # most bytes kept in memory for a slow writer
 LOOK_S = 0.05
 PATIENCE_S = 5.0  # a writer without progress for this long hangs
@@ -127,6 +128,7 @@ class Recorder:
         self._topics: dict[str, int] = {}
         self._rows, self._scene = RowWriter(names), scene
         self._block, self._fast = Block(self._rows), span_ns > SPAN_NS
+        self._lead = LEAD if span_ns >= FAST_SPAN_NS else BUFFER
 
     def __enter__(self) -> "Recorder":
         self._writer = subprocess.Popen(
@@ -209,17 +211,28 @@ class Recorder:
         else:
             self._append([(t, made)])
 
-    def _append(self, messages: Sequence[tuple[float, Made]]) -> None:
+    def _append(self, pieces: Sequence[Piece]) -> None:
         if not self._met:
             self.meet()
         entries = []
-        for t, (topic, kind, data) in messages:
-            number = self._topics.get(topic)
-            if number is None:
-                number = self._topics[topic] = len(self._topics)
-                self._send(Topic(topic, kind))
-            entries.append(Entry(number, round(t * 1e9), data))
+        for piece in pieces:
+            if isinstance(piece, Columns):
+                numbers = [self._number(one.topic, one.kind) for one in piece.columns]
+                for t, *row in zip(piece.times, *(one.data for one in piece.columns), strict=True):
+                    stamp = round(t * 1e9)
+                    entries += [Entry(n, stamp, data) for n, data in zip(numbers, row, strict=True)]
+            else:
+                t, (topic, kind, data) = piece
+                entries.append(Entry(self._number(topic, kind), round(t * 1e9), data))
         self._send(Entries(entries))
+
+    def _number(self, topic: str, kind: str) -> int:
+        """The number of a topic, of which the writer is told when it is new."""
+        number = self._topics.get(topic)
+        if number is None:
+            number = self._topics[topic] = len(self._topics)
+            self._send(Topic(topic, kind))
+        return number
 
     def meet(self) -> None:
         """Wait until the writer has created the file; from then on a kill loses little.
@@ -247,6 +260,8 @@ class Recorder:
         now = round(t * 1e9)
         due = now - self._marked >= self._span
         if self._fast and not due and len(self._block) < LARGEST:
+            if self._pending:
+                self._hand_over()
             return []  # faster than real time, a write per tick costs more than rows
         if self._block:
             self._append(self._block.take())
@@ -291,7 +306,7 @@ class Recorder:
         """
         try:
             self._push()
-            while self._waits and len(self._pending) > BUFFER:
+            while self._waits and len(self._pending) > self._lead:
                 if not self._takes_more(PATIENCE_S):
                     raise RecorderError(self._give_up(f"took nothing for {PATIENCE_S:g} s"))
                 self._push()

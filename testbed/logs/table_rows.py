@@ -4,7 +4,7 @@ The numbers of a tick's record are eight bytes each, and so are most of the log'
 indexed copy moves them all. The result is that of `tick_row.py` for the same ticks, byte for byte.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +106,7 @@ class TableRows:
     def __init__(self, writer: RowWriter, topic: str) -> None:
         self._writer, self._topic = writer, topic
 
-    def truth(self, span: FlownSpan) -> Iterator[bytes]:
+    def truth(self, span: FlownSpan) -> list[bytes]:
         """The messages of the true states at ticks."""
         n, vehicles, _ = span.truth.shape
         packer, names = self._writer.packer(self._topic, "Truth"), self._writer.names
@@ -115,15 +115,15 @@ class TableRows:
         rows = Layout("Truth", {"vehicles": packer.most[0]}).rows(n)
         rows.fixed["t"][:n] = span.times
         _fill(rows, "vehicles", span.truth, np.full(n, vehicles))
-        yield from map(rows.message, range(n))
+        return rows.messages(n)
 
-    def messages(self, ticks: FlownRows | FlownHostRows) -> Iterator[bytes]:
+    def messages(self, ticks: FlownRows | FlownHostRows) -> list[bytes]:
         """The messages of ticks."""
         make: Callable[..., None] = self._tick
         name, longest = "Tick", _longest(ticks)
         if isinstance(ticks, FlownHostRows):
             name, make = "HostTick", self._host
-        packer, begin = self._writer.packer(self._topic, name), 0
+        packer, begin, made = self._writer.packer(self._topic, name), 0, []
         so_far = np.maximum.accumulate(np.vstack((packer.most, longest)))[1:]
         for end in [*(1 + np.flatnonzero(np.diff(so_far, axis=0).any(axis=1))), len(ticks)]:
             packer.grow(so_far[begin].tolist())  # a capacity grows with the first that needs it
@@ -131,8 +131,9 @@ class TableRows:
             names = [one.name for one in MESSAGES[name].sequences]
             rows = Layout(name, dict(zip(names, packer.most, strict=True))).rows(len(some))
             make(rows, some, some.rows)
-            yield from map(rows.message, range(len(some)))
+            made += rows.messages(len(some))
             begin = int(end)
+        return made
 
     def _tick(self, rows: Rows, ticks: FlownRows, k: slice) -> None:
         table, n = ticks.table, len(ticks)

@@ -15,6 +15,8 @@ METRE = ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0
 class Hand(NullObserver):
     """Makes the vehicle's velocity jump."""
 
+    ticks = None  # the twin must not be ahead of the hand
+
     def __init__(self, push):
         self.push, self.rig, self.first = push, None, None
         self.rows = set()

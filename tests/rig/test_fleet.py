@@ -21,7 +21,9 @@ FLIGHTS = {
         "zhang2023_table",
         ["table.link.loss=0.3", "table.link.delay_s=0.05", "table.link.jitter_s=0.2", "seed=3"],
     ),
-    "poses lost": ("zhang2023_table", ["table.mocap.dropout_rate=0.5", "table.mocap.dropout_s=0.1"]),
+    "poses lost": (
+        "zhang2023_table", ["table.mocap.dropout_rate=0.5", "table.mocap.dropout_s=0.1"]
+    ),
     "a law without memory": ("hold", ["vehicles.sat1.goal=[0.5,0.4,1.0]"]),
     "the filter changes the force": (
         "hold",

@@ -80,10 +80,12 @@ class TwinHost(ForkedHost):
             ticks: how many.
             answers: see ticks.Flown.
         """
-        rows = FlownHostRows(self._table, self._k, 0, self._names)
-        for one in answers[:ticks]:
-            if (tick := self._answered(one)) is not None:
-                rows.add(tick)
+        rows = FlownHostRows(self._table, self._k, ticks, self._names)
+        for i, (_, dfx, dfy, hazard, _) in enumerate(answers[:ticks]):
+            self.guidance.advanced(self._who[1], dfx, dfy, int(hazard))
+            if (filtered := self.guidance.filtered) is not None:
+                rows.notes[i] = filtered
+        self._k += ticks
         self._answer = answers[-1] if len(answers) > ticks else None
         return rows
 
@@ -108,7 +110,7 @@ class TwinHost(ForkedHost):
     def _compiled_tick(self, t: float) -> FlownHostTick | None:
         """A tick in one compiled call; None: it has not begun, and `tick` flies it."""
         guidance = self.guidance
-        turn = guidance.steady(t + self._ahead)
+        turn = next(iter(guidance.turns((t + self._ahead,))), None)
         if turn is None or t != self.twin.now or not self._refresh():
             return None
         found, changed, full = self._law_tick(
