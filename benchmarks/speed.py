@@ -15,7 +15,8 @@ import time
 from pathlib import Path
 
 from testbed.config import Experiment, find, load
-from testbed.core.types import HostTick, Tick
+from testbed.flight.flown_span import FlownSpan
+from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
@@ -26,15 +27,23 @@ class Memory(NullObserver):
     """Keeps all ticks."""
 
     def __init__(self) -> None:
-        self.ticks: list[Tick | HostTick] = []
+        self.kept: list[AnyTick | AnyHostTick | FlownSpan] = []
+        self.number = 0  # of ticks of vehicles and laws
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
-        self.ticks.append(tick)
+        self.kept.append(tick)
+        self.number += 1
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
-        self.ticks.append(tick)
+        self.kept.append(tick)
+        self.number += 1
+
+    def ticks(self, span: FlownSpan) -> None:
+        """See `NullObserver`."""
+        self.kept.append(span)
+        self.number += len(span.times) * (len(span.vehicles) + len(span.hosts))
 
 
 def in_memory(experiment: Experiment) -> float:
@@ -44,7 +53,7 @@ def in_memory(experiment: Experiment) -> float:
         began = time.perf_counter()
         rig.fly(memory)
         took = time.perf_counter() - began
-    assert len(memory.ticks) >= experiment.ticks * len(experiment.vehicles)
+    assert memory.number == 2 * experiment.ticks * len(experiment.vehicles)
     return experiment.end_s / took
 
 
