@@ -8,6 +8,9 @@ from testbed.flight.loop import host_fault
 from testbed.metrics.run_metrics import ReferenceLog
 
 
+EACH = "vehicle", "host", "done"  # what an observer may do at each tick
+
+
 class NullObserver:
     """An observer that does nothing."""
 
@@ -25,7 +28,8 @@ class NullObserver:
 
         `ticks = None` in a class means that it changes the flight: the twin must not be ahead.
         """
-        span.show(self)
+        if any(getattr(type(self), one) is not getattr(NullObserver, one) for one in EACH):
+            span.show(self)
 
 
 class FirstFaultObserver(NullObserver):
