@@ -134,14 +134,14 @@ class FlownSpan(NamedTuple):
     hosts: dict[str, FlownHostRows]
     truth: Array  # true states of the vehicles at these times, (n, v, 6)
 
-    def show(self, observer: Shown) -> None:
-        """Show an observer one tick after the other."""
-        for i, t in enumerate(self.times):
+    def show(self, observer: Shown, begin: int = 0) -> None:
+        """Show an observer one tick after the other, from place `begin` on."""
+        for i in range(begin, len(self.times)):
             for name, rows in self.vehicles.items():
                 observer.vehicle(name, rows[i])
             for name, answers in self.hosts.items():
                 observer.host(name, answers[i])
-            observer.done(t)
+            observer.done(self.times[i])
 
     def part(self, begin: int, end: int) -> "FlownSpan":
         """The ticks from place `begin` to `end`."""

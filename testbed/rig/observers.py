@@ -7,7 +7,6 @@ from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.loop import host_fault
 from testbed.metrics.run_metrics import ReferenceLog
 
-
 EACH = "vehicle", "host", "done"  # what an observer may do at each tick
 
 
@@ -28,8 +27,13 @@ class NullObserver:
 
         `ticks = None` in a class means that it changes the flight: the twin must not be ahead.
         """
-        if any(getattr(type(self), one) is not getattr(NullObserver, one) for one in EACH):
+        if shows(self):
             span.show(self)
+
+
+def shows(observer: NullObserver) -> bool:
+    """Whether it does something at each tick."""
+    return any(getattr(type(observer), one) is not getattr(NullObserver, one) for one in EACH)
 
 
 class FirstFaultObserver(NullObserver):

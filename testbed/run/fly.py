@@ -38,7 +38,7 @@ from testbed.realtime.pacer import PacedClock
 from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.ahead import compiling_ahead
 from testbed.rig.interface import Rig
-from testbed.rig.observers import NullObserver
+from testbed.rig.observers import NullObserver, shows
 from testbed.rig.twin import TwinRig, make_twin, warm_up
 from testbed.run.interrupt import Interrupt
 from testbed.run.judge import measure
@@ -60,8 +60,8 @@ class FlightScreen(NullObserver):
 
     def ticks(self, span: FlownSpan) -> None:
         """Show the newest tick of these; no screen is as fast as the twin."""
-        if span.times:
-            span.part(len(span.times) - 1, len(span.times)).show(self)
+        if shows(self):
+            span.show(self, begin=max(0, len(span.times) - 1))
 
     def flies(self) -> None:
         """The code is compiled and the flight begins."""
