@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 
 from testbed.cli.main import main
 from testbed.core.records import cdr
+from testbed.core.records import standard as _standard  # noqa: F401 (fills MESSAGES)
 from testbed.core.records.definition import MESSAGES
 
 ROOT = Path(__file__).resolve().parents[2]

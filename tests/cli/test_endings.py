@@ -20,6 +20,8 @@ from testbed.run.interrupt import Interrupt
 class Kept(NullObserver):
     """Keeps every tick, those of the flight and those after it."""
 
+    ticks = None  # a stop is heard at every tick
+
     def __init__(self):
         self.flown, self.after = [], []
 
