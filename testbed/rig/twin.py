@@ -123,7 +123,7 @@ class TwinRig(Struct, frozen=True):
 
         def ahead(k: int) -> int:
             span = None if fleet.pending or stopped() else fleet.fly(k, last)
-            if span is None:
+            if span is None or not span.times:
                 return 0
             show(span)
             return len(span.times)

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from testbed.config import find, load
+from testbed.logs.log_reader import LogReader
+from testbed.logs.recorder import CAREFUL_SPAN_NS, FAST_SPAN_NS, SPAN_NS, Recorder
+from testbed.metrics.run_metrics import ReferenceLog
 from testbed.rig.fleet.fleet import AHEAD
 from testbed.rig.observers import NullObserver
 from testbed.rig.twin import make_twin
+from testbed.run.fly import FlightLog, FlightScreen, names_of
 
 INTO_A_POST = [
     "flight.barrier.on=false", "obstacles.post={position=[0.0,0.0],radius=0.3,solid=0.25}",
@@ -134,3 +138,22 @@ def test_spans_are_cut_without_losing_notes():
     cut.ticks = show_cut
     make_twin(experiment).fly(cut)
     assert repr(cut.kept) == repr(whole.kept)
+
+
+@pytest.mark.parametrize("span_ns", [SPAN_NS, CAREFUL_SPAN_NS, FAST_SPAN_NS])
+def test_the_log_is_that_of_a_flight_tick_by_tick(tmp_path, span_ns):
+    experiment = load(find("zhang2023_table"), ["duration_s=40"])
+
+    class Slowly(FlightLog):
+        ticks = None
+
+    logs = []
+    for kind in (FlightLog, Slowly):
+        rig, path = make_twin(experiment), tmp_path / f"{kind.__name__}.mcap"
+        aims = {name: ReferenceLog() for name in experiment.vehicles}
+        with Recorder(path, names=names_of(experiment), span_ns=span_ns) as recorder:
+            rig.fly(kind(rig, aims, recorder, FlightScreen()))
+        reference = [aim.aim().pose.tobytes() for aim in aims.values()]
+        logs.append((path.read_bytes(), reference))
+    assert logs[0] == logs[1]
+    assert len(list(LogReader(path).read())) > 7 * 400

@@ -1,6 +1,6 @@
 """All vehicles of the twin, many ticks at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,7 +54,8 @@ class Fleet:
         self._twin, self._nodes, self._hosts, self._period = twin, nodes, hosts, period
         self._parts: tuple[Any, ...] = ()  # what `_ports` was made of
         self._ports: Bundle | None = None
-        self._codes: Codes | None = None
+        self._codes: Codes | None = None  # for bundles of these kinds
+        self._kinds: tuple[Any, ...] = ()
         self._fly_ticks = settled(fly_ticks)
         n, frames = len(nodes), 2 + int(AHEAD * (1.0 + period * twin.rate))
         self._out = Flown(
@@ -89,7 +90,7 @@ class Fleet:
         self._fly_ticks(fleet, self._flown, k, count)
         return self._noted(k, times)
 
-    def _noted(self, first: int, times: list[float]) -> FlownSpan | None:
+    def _noted(self, first: int, times: list[float]) -> FlownSpan:
         """Tell everything in Python what `fly_ticks` has done."""
         out, twin, happened = self._out, self._twin, self._out.happened.tolist()
         frames, ticks = happened[FRAMES], happened[TICKS]
@@ -113,7 +114,8 @@ class Fleet:
         twin, nodes = self._twin, [node.bundles for node in self._nodes]
         laws = [host.bundles for host in self._hosts]
         if (parts := (twin.watch, nodes, laws)) != self._parts:
-            if not (_alike(nodes) and _alike(laws)):
+            self._kinds = self._kinds or kinds_of(nodes[0], laws[0])
+            if any(kinds_of(*pair) != self._kinds for pair in zip(nodes, laws, strict=True)):
                 return None
             plant, cameras = twin.plant, twin.cameras
             ports = TwinPorts(
@@ -135,10 +137,9 @@ class Fleet:
         return self._nodes[0].pending
 
 
-def _alike(bundles: list[tuple[Bundle, Bundle, Bundle]]) -> bool:
-    """Whether code for the first ones is code for all."""
-    pairs = (pair for each in bundles for pair in zip(each, bundles[0], strict=True))
-    return all(one.kind is other.kind for one, other in pairs)
+def kinds_of(node: Iterable[Bundle], law: Iterable[Bundle]) -> tuple[Any, ...]:
+    """What code for a vehicle and its law depends on; numba has one object for equal types."""
+    return tuple(id(one.kind) for one in (*node, *law))
 
 
 def codes_of(
