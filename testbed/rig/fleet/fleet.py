@@ -19,7 +19,6 @@ from testbed.rig.fleet.exchange import hear, law_tick, say
 from testbed.rig.fleet.host import TwinHost
 from testbed.rig.fleet.node import TwinNode
 from testbed.rig.fleet.ticks import (
-    CLOCK,
     FRAME,
     FRAMES,
     HAPPENINGS,
@@ -65,14 +64,13 @@ class Fleet:
             np.empty((AHEAD, n, 3)), np.empty((AHEAD, n, 5)),
         )  # fmt: skip
         self._flown = Bundle(self._out)
-        self._until = 1  # number of the tick that has not begun; at the first the twin does nothing
 
     def fly(self, k: int, last: int) -> FlownSpan | None:
         """Fly ticks from number `k` on, up to `last`, if that is possible now.
 
         The tick after them may have begun: then the nodes have the rest of it.
         """
-        if k < self._until or not self._twin.plant.sound:
+        if not self._twin.plant.sound:
             return None
         times = [n * self._period for n in range(k, min(k + AHEAD, last))]
         turns = [host.ready(times) for host in self._hosts]
@@ -88,16 +86,15 @@ class Fleet:
         if (fleet := self._fleet()) is None:
             return None
         self._fly_ticks(fleet, self._flown, k, count)
-        return self._noted(k, times)
+        return self._noted(times)
 
-    def _noted(self, first: int, times: list[float]) -> FlownSpan:
+    def _noted(self, times: list[float]) -> FlownSpan:
         """Tell everything in Python what `fly_ticks` has done."""
         out, twin, happened = self._out, self._twin, self._out.happened.tolist()
         frames, ticks = happened[FRAMES], happened[TICKS]
         twin.came_to(float(out.now[0]), out.times[:frames], out.seen[:frames].copy())
         twin.cameras.most = happened[MOST]
         twin.plant.came_to(twin.now, happened[TOUCHES])
-        self._until = first + ticks + happened[CLOCK]
         rows, openings, said = out.rows.tolist(), out.openings.tolist(), out.said.tolist()
         vehicles = {
             node.name: node.flew(ticks, rows[v], said[v], openings[v])

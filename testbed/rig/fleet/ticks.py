@@ -16,7 +16,7 @@ from testbed.rig.fleet.exchange import DECLINED, SENT
 
 PORTS, TABLE, CHAIN, MODEL = 0, 1, 2, 2  # columns of `FleetPorts.vehicles` and `FleetPorts.laws`
 # what has happened, see `fly_ticks`
-TICKS, CLOCK, VEHICLES, LAWS, FRAME, FRAMES, TOUCHES, MOST, HAPPENINGS = range(9)
+TICKS, VEHICLES, LAWS, FRAME, FRAMES, TOUCHES, MOST, HAPPENINGS = range(8)
 INHIBIT, FAULT, GATE_FAULT, LANDS, LOOKS, FULL = range(6)  # of a vehicle's tick, see exchange.say
 STATUS, DFX, DFY, HAZARD, FILLED = range(5)  # of a law's tick, see exchange.law_tick
 
@@ -85,10 +85,10 @@ def fly_ticks(fleet, flown, first, count):
 
     Args:
         fleet: Bundle of FleetPorts.
-        flown: Bundle of Flown. At the end `happened` says how many TICKS are complete, and of the
-            next one whether the twin has come to it (CLOCK), and how many VEHICLES and LAWS have
-            taken their step. FRAME is the number of the cameras' next frame, FRAMES how many they
-            have taken, TOUCHES the rows of the plant's touches, MOST as Cameras.most.
+        flown: Bundle of Flown. At the end `happened` says how many TICKS are complete, and how many
+            VEHICLES and LAWS have taken their step of the next one. FRAME is the number of the
+            cameras' next frame, FRAMES how many they have taken, TOUCHES the rows of the plant's
+            touches, MOST as Cameras.most.
         first: number of the first tick.
         count: of ticks, at most.
     """
@@ -99,7 +99,6 @@ def fly_ticks(fleet, flown, first, count):
         if not come_to(it, out, now):
             return
         out.truth[k] = unpacked(it.twin).x
-        happened[CLOCK] = 1
         for v in range(it.vehicles.shape[0]):
             if not step_vehicle(it, out, v, now):
                 return
@@ -107,7 +106,7 @@ def fly_ticks(fleet, flown, first, count):
             if not step_law(it, out, k, v, now):
                 return
         happened[TICKS] += 1
-        happened[CLOCK] = happened[VEHICLES] = happened[LAWS] = 0
+        happened[VEHICLES] = happened[LAWS] = 0
         if happened[TOUCHES] > 0:
             return
 
