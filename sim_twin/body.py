@@ -54,12 +54,14 @@ class Stages(NamedTuple):
     still: Array  # (3, 6) terms constant during the iteration
 
 
-@compiled
-def new_stages():
-    """Allocate the work memory of `step`."""
+def no_stages() -> Stages:
+    """Work memory of `step`."""
     return Stages(
         np.empty((3, 7)), np.empty((3, 2)), np.empty(3), np.empty((3, 2)), np.empty((3, 6))
     )
+
+
+new_stages = compiled(no_stages)  # for compiled code
 
 
 @inlined

@@ -6,6 +6,7 @@ steps from corner to corner, not on a grid: pulse lengths are exact for any step
 """
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -22,13 +23,14 @@ from sim_twin.board import (
     nanoseconds,
     no_pulses,
 )
-from sim_twin.body import new_stages, slide, step
+from sim_twin.body import Stages, no_stages, slide, step
 from sim_twin.contact import Solids, closing, keys, resolve
 from sim_twin.flow import pieces
-from sim_twin.ground import lay
-from sim_twin.plant_parameters import sample_plant
+from sim_twin.ground import Ground, lay
+from sim_twin.plant_parameters import PlantParameters, sample_plant
 from sim_twin.randomness import stream
-from testbed.core.compiled import borrowed, compiled, inlined, keep, settled
+from testbed.core.bundle import Bundle, unpacked
+from testbed.core.compiled import compiled, inlined, settled
 from testbed.core.table import Obstacle, Table
 from testbed.core.types import Pose
 from testbed.core.vehicle import Vehicle
@@ -47,10 +49,35 @@ GRAVITY = 9.81  # [m/s^2]
 PADS = 0.5  # the pads' distance from the middle over the radius of the vehicle [assumed]
 
 
+class Windows(NamedTuple):
+    """Pieces of a window in which the wrench of a vehicle is linear in time; work memory."""
+
+    cuts: Array  # (v, room + 1) beginnings, and the last one's end [s]
+    value: Array  # (v, room, 4) see flow.pieces
+    slope: Array  # (v, room, 4)
+    count: NDArray[np.int64]  # (v,)
+
+
+class Fleet(NamedTuple):
+    """The true vehicles and their table, for compiled code."""
+
+    x: Array  # (v, 6) states, see body.py
+    used: Array  # (v,) gas consumed [kg]
+    impulse: Array  # (v,) total of all jets [N s]
+    parameters: PlantParameters
+    ground: Ground
+    solids: Solids  # that can be hit
+    last_touch: Array  # see contact.resolve
+    touches: Array  # (n, 4) see contact.resolve
+    windows: Windows
+    stages: Stages
+    before: tuple[Array, Array, Array]  # x, used and impulse before a step
+
+
 @inlined
 def drift(x, spent, stages, parameters, ground, windows, start, end):
     """Move every vehicle from `start` to `end` of the window, ignoring contacts."""
-    cuts, value, slope, count = windows
+    cuts, value, slope, count = windows.cuts, windows.value, windows.slope, windows.count
     used, impulse = spent
     for v in range(x.shape[0]):
         for i in range(count[v]):
@@ -70,14 +97,9 @@ def drift(x, spent, stages, parameters, ground, windows, start, end):
 
 
 @compiled
-def cut_windows(pulses, parameters, origin, span):
-    """`flow.pieces` of every vehicle, padded to the longest."""
-    vehicles, jets = pulses.up.shape[0], pulses.up.shape[1]
-    room = 4 * jets * SLOTS + 1
-    cuts = np.empty((vehicles, room + 1))  # upper bound, mostly unused
-    value, slope = np.empty((vehicles, room, 4)), np.empty((vehicles, room, 4))
-    count = np.empty(vehicles, dtype=np.int64)
-    for v in range(vehicles):
+def cut_windows(windows, pulses, parameters, origin, span):
+    """Write `flow.pieces` of every vehicle."""
+    for v in range(pulses.up.shape[0]):
         own = Pulses(pulses.up[v], pulses.down[v], pulses.strength[v])
         start, level, rate = pieces(
             own,
@@ -90,45 +112,32 @@ def cut_windows(pulses, parameters, origin, span):
             span,
         )
         n = level.shape[0]
-        count[v] = n
-        cuts[v, : n + 1] = start
-        value[v, :n] = level
-        slope[v, :n] = rate
-    return cuts, value, slope, count
+        windows.count[v] = n
+        windows.cuts[v, : n + 1] = start
+        windows.value[v, :n] = level
+        windows.slope[v, :n] = rate
 
 
 @compiled
-def advance(x, spent, parameters, ground, solids, pulses, origin, span, marks, last_touch, touches):
+def advance(fleet, pulses, origin, span, marks, seen):
     """Advance the fleet over one window, in place.
 
     Args:
-        x: states, shape (v, 6), see body.py.
-        spent: gas consumed [kg] and total impulse of all jets [N s], both of shape (v,).
-        parameters: the true vehicles.
-        ground: the table.
-        solids: obstacles that can be hit.
+        fleet: Bundle of a Fleet.
         pulses: board.Pulses with a leading vehicle axis.
         origin: start of the window in the run [ns].
         span: length of the window [s].
         marks: increasing times of the run at which to record the states, shape (n,) [s].
-        last_touch: see contact.resolve.
-        touches: see contact.resolve.
+        seen: written to: states at the marks, shape (n, v, 6).
 
     Returns:
-        states at the marks (n, v, 6), and number of rows used in `touches`.
+        number of rows used in `touches`.
     """
-    x, parameters, ground, solids = (
-        borrowed(x),
-        borrowed(parameters),
-        borrowed(ground),
-        borrowed(solids),
-    )
-    used, impulse = borrowed(spent)
-    own_windows, own_stages = cut_windows(borrowed(pulses), parameters, origin, span), new_stages()
-    windows, stages = borrowed(own_windows), borrowed(own_stages)
-    seen = np.empty((marks.shape[0], x.shape[0], 6))
-    start = x.copy(), used.copy(), impulse.copy()  # restored if a contact cuts the step short
-    before = borrowed(start)
+    fleet = unpacked(fleet)
+    x, used, impulse, parameters = fleet.x, fleet.used, fleet.impulse, fleet.parameters
+    ground, solids, windows, stages = fleet.ground, fleet.solids, fleet.windows, fleet.stages
+    before, spent = fleet.before, (used, impulse)  # `before`: a contact may cut the step short
+    cut_windows(windows, pulses, parameters, origin, span)
     count, t = 0, 0.0
     resting = False
     for m in range(marks.shape[0] + 1):
@@ -155,8 +164,9 @@ def advance(x, spent, parameters, ground, solids, pulses, origin, span, marks, l
                     drift(x, spent, stages, parameters, ground, windows, t, high)
                 now = origin * 1e-9 + high
                 count = resolve(
-                    x, parameters, used, ground, solids, now, last_touch, touches, count
-                )
+                    x, parameters, used, ground, solids, now, fleet.last_touch, fleet.touches,
+                    count,
+                )  # fmt: skip
                 resting = True
                 t = high
             else:
@@ -164,8 +174,7 @@ def advance(x, spent, parameters, ground, solids, pulses, origin, span, marks, l
                 t = end
         if m < marks.shape[0]:
             seen[m] = x
-    keep((own_windows, own_stages, start))
-    return seen, count
+    return count
 
 
 class Touch(Struct, frozen=True):
@@ -204,7 +213,8 @@ class Plant:
         self.x[:, :3] = [(starts[n].x, starts[n].y, starts[n].theta) for n in self.names]
         self.used = np.zeros(count)  # gas consumed [kg]
         self.impulse = np.zeros(count)  # total of all jets [N s]
-        self._pulses = no_pulses(count, self.parameters.thrust.shape[1])
+        jets = self.parameters.thrust.shape[1]
+        self._pulses = no_pulses(count, jets)
         self.boards: dict[str, Board | FirmwareBoard] = {}
         for k, (name, vehicle) in enumerate(vehicles.items()):
             own = vehicle, self._pulses_of(k), stream(seed, name, "pulses")
@@ -213,7 +223,16 @@ class Plant:
         self._leaky: dict[tuple[int, int], tuple[float, int, int]] = {}
         self._weak: dict[tuple[int, int], tuple[float, int, int]] = {}
         self.crossed: list[tuple[int, int]] = []  # pairs of vehicles with each other's boards
-        self._last_touch = np.full((count, keys(count, len(solid))), -np.inf)
+        last_touch = np.full((count, keys(count, len(solid))), -np.inf)
+        room = 4 * jets * SLOTS + 1  # of pieces, mostly unused
+        value, slope = np.empty((2, count, room, 4))
+        windows = Windows(np.empty((count, room + 1)), value, slope, np.zeros(count, np.int64))
+        before = self.x.copy(), self.used.copy(), self.impulse.copy()
+        self._touched = np.empty((64, 4))
+        self.fleet = Bundle(Fleet(
+            self.x, self.used, self.impulse, self.parameters, self._ground, self._solids,
+            last_touch, self._touched, windows, no_stages(), before,
+        ))  # fmt: skip
         self.touches: list[Touch] = []
         self.t = 0.0  # [s]
         self._aloft: dict[int, tuple[Array, Array, float]] = {}  # of landed vehicles: jets, flow
@@ -316,28 +335,20 @@ class Plant:
         """
         for board in self.boards.values() if boards else ():
             board.run_until(t)
-        rows = np.empty((64, 4))
-        origin = nanoseconds(self.t)
+        origin, times = nanoseconds(self.t), np.asarray(marks, dtype=np.float64)
         span = 1e-9 * (nanoseconds(t) - origin)
-        seen, count = self._advance(
-            self.x,
-            (self.used, self.impulse),
-            self.parameters,
-            self._ground,
-            self._solids,
-            self.played(),
-            origin,
-            span,
-            np.asarray(marks, dtype=np.float64),
-            self._last_touch,
-            rows,
-        )
-        for at, vehicle, other, speed in rows[:count].tolist():
-            self.touches.append(
-                Touch(at, self.names[int(vehicle)], self._others[int(other)], speed)
-            )
-        self.t = t
+        seen = np.empty((len(times), len(self.names), 6))
+        count = self._advance(self.fleet, self.played(), origin, span, times, seen)
+        self.came_to(t, count)
         for k, board in enumerate(self.boards.values()):
             if not board.floats:
                 self.land(self.vehicle_of_board(k))
         return seen
+
+    def came_to(self, t: float, touches: int) -> None:
+        """Note that the vehicles are at time `t` [s], after so many new rows of touches."""
+        for at, vehicle, other, speed in self._touched[:touches].tolist():
+            self.touches.append(
+                Touch(at, self.names[int(vehicle)], self._others[int(other)], speed)
+            )
+        self.t = t

@@ -80,6 +80,26 @@ def observe(
     return most
 
 
+@compiled
+def exposures(rate, phase, frame, t, times):
+    """Write to `times` when the cameras expose their frames from number `frame` on, until `t` [s].
+
+    Args:
+        rate: of the cameras [Hz].
+        phase: of their first frame, in frames.
+        frame: number of the next frame.
+        t: [s].
+        times: written to [s].
+
+    Returns:
+        how many.
+    """
+    count = max(0, int(math.floor(t * rate - phase)) + 1 - frame)
+    for k in range(min(count, times.shape[0])):
+        times[k] = (frame + k + phase) / rate
+    return count
+
+
 def law_of(name: str) -> str:
     """The law of a vehicle as a receiver of messages."""
     return f"the law of {name}"
@@ -117,22 +137,22 @@ class Twin:
         reference = table.lab.mocap.reference
         self._fixed = ReferenceBodies(reference, table.mocap, seed) if reference else None
         self.fleet: Callable[[], FaultReport | None] = lambda: None  # a fault of the lab
-        self._rate = table.mocap.rate_hz
-        self._phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))
-        self._frame = 0
+        self.rate = table.mocap.rate_hz  # of the cameras [Hz]
+        self.phase = float(stream(seed, "camera phase").uniform(0.0, 1.0))  # in frames
+        self.frame = 0  # number of the next one
         self.seen_at: list[float] = []  # of every camera frame so far [s]
         self.seen: list[Array] = []  # true states at these times, each (n, v, 6)
         self._listeners = frozenset(listeners)
-        self._reach = table.link.range_m
+        self.reach = table.link.range_m  # of the radio [m]; None: everywhere
         self.near = {n: [other for other in self.names if other != n] for n in self.names}
         self._audiences: dict[tuple[str, bool], Whole] = {}
         airs = [vehicle.air for vehicle in vehicles.values()]
-        self._tanks = np.array([(a.gas, a.tank_pressure, a.set_pressure, a.dropout) for a in airs])
+        self.tanks = np.array([(a.gas, a.tank_pressure, a.set_pressure, a.dropout) for a in airs])
         self.gauges = np.empty((len(airs), 2))  # supply and tank pressure of each vehicle [Pa]
         self.blackboard: dict[
             str, tuple[float, LawMessage, LawMessage | None]
         ] = {}  # of laws on the host
-        self._observe = settled(observe)
+        self._observe, self._exposures = settled(observe), settled(exposures)
         self._look(np.empty(0), np.empty((0, len(airs), 6)))
 
     def reseed(self, seed: int) -> None:
@@ -149,18 +169,25 @@ class Twin:
         """Advance the simulation to `t` [s]."""
         if t <= self.now:
             return
-        last = math.floor(t * self._rate - self._phase)
-        frames = range(self._frame, last + 1)
-        self._frame = max(self._frame, last + 1)
-        exposed = [(frame + self._phase) / self._rate for frame in frames]
-        times = np.array(exposed, dtype=np.float64)
+        times = np.empty(2 + int((t - self.now) * self.rate))
+        times = times[: self._exposures(self.rate, self.phase, self.frame, t, times)]
         if self.injector is not None:
             self.injector.before(t)
         seen = self.plant.advance(t, times)
-        self.now = t
-        self.seen_at += exposed
-        self.seen.append(seen)
+        self.came_to(t, times, seen)
         self._look(times, seen)
+
+    def came_to(self, t: float, times: Array, seen: Array) -> None:
+        """Note that the plant is at `t` [s], and its states at the cameras' exposures until then.
+
+        Args:
+            t: [s].
+            times: of the exposures, (n,) [s].
+            seen: true states at these times, (n, v, 6).
+        """
+        self.now, self.frame = t, self.frame + len(times)
+        self.seen_at += times.tolist()
+        self.seen.append(seen)
 
     def _look(self, times: Array, seen: Array) -> None:
         """Let cameras, radio and sensors follow the plant."""
@@ -176,10 +203,10 @@ class Twin:
         self.cameras.most = self._observe(
             film, self.cameras.optics, times, seen, shown,
             self.states.links, self.setpoints.links, self.messages.links,
-            self._tanks, self.plant.used, self.gauges, self.now,
+            self.tanks, self.plant.used, self.gauges, self.now,
         )  # fmt: skip
-        if self._reach is not None:
-            self._meet(self._reach)
+        if self.reach is not None:
+            self._meet(self.reach)
 
     def _meet(self, reach: float) -> None:
         """Find out which vehicles are in range of each other."""

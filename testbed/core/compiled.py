@@ -69,6 +69,14 @@ class BundleType(types.Type):
         super().__init__(name=f"Bundle({inner})")
 
 
+class CodeType(types.Type):
+    """Numba's type of a `CodeAddress` of code with this signature, see code_address.py."""
+
+    def __init__(self, signature: Any) -> None:
+        self.signature = signature
+        super().__init__(name=f"CodeAddress({signature})")
+
+
 def _is_ours_throughout(kind: Any) -> bool:
     """The same for a numba type; an unknown type is not ours."""
     named, several = isinstance(kind, types.BaseNamedTuple), isinstance(kind, types.BaseTuple)
@@ -80,6 +88,8 @@ def _is_ours_throughout(kind: Any) -> bool:
         return _is_ours_throughout(kind.dtype)
     if isinstance(kind, BundleType):
         return _is_ours_throughout(kind.inner)
+    if isinstance(kind, CodeType):
+        return all(map(_is_ours_throughout, (kind.signature.return_type, *kind.signature.args)))
     known = (types.Number, types.Boolean, types.UnicodeType, types.Literal, types.NoneType)
     return isinstance(kind, (*known, types.Omitted, types.Record))  # a record has numbers only
 

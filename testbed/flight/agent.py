@@ -110,6 +110,16 @@ class Agent:
         self._step = settled(chain.step)
 
     @property
+    def vehicle(self) -> Bundle:
+        """For `chain.step`."""
+        return self._vehicle
+
+    @property
+    def at_fault(self) -> bool:
+        """Whether a row of the fault table has decided something."""
+        return self._fault[0] >= 0
+
+    @property
     def params(self) -> Parameters:
         """Of the chain."""
         return cast(Parameters, self._vehicle.value[0])

@@ -15,7 +15,7 @@ vehicle; it only needs the time for which its setpoint is meant.
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -230,10 +230,20 @@ class Guidance:
 
         None: `next_setpoint` cannot make this setpoint.
         """
+        return next(iter(self.turns((t,))), None)
+
+    def turns(self, times: Iterable[float]) -> list[tuple[float, float, float]]:
+        """`steady` for one setpoint after the other, up to the first one that it is None for."""
+        found: list[tuple[float, float, float]] = []
         if self.model is None or self._turn is None:
-            return None
-        until = t + self._params.preview_s + 1e-9
-        return self._turn.at(self._t) if self._t <= until < self._t + self._period else None
+            return found
+        at = self._t
+        for t in times:
+            if not at <= t + self._params.preview_s + 1e-9 < at + self._period:
+                break
+            found.append(self._turn.at(at))
+            at += self._period
+        return found
 
     @property
     def model_t(self) -> float:

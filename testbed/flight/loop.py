@@ -252,17 +252,20 @@ def fly(
     observer: Observer,
     *,
     stopped: Callable[[], int] = lambda: 0,
+    begin: Callable[[int, bool], None] = lambda k, well: None,
 ) -> Ending:
     """Fly `ticks` jet periods, or until a fault or `stopped()` ends it; `come_to_rest` is next.
 
     A fault of one vehicle stops all: they come to rest before the flight ends, as in the fault
     table. `stopped()` is the operator's number of stops, looked at when a tick is due. One ends the
     flight before this tick, but lets a stop after a fault continue; the second one ends that, too.
+    `begin` is told of each tick before the clock waits for it: its number, and whether all is well.
     """
     fault: FaultReport | None = None
     failed_at, over = 0.0, False
     for k in range(ticks):
         t = k * period
+        begin(k, fault is None)
         clock.wait_until(t)
         asked = stopped() if k else 0  # the first tick is always flown
         if asked and fault is None:

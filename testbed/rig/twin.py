@@ -42,6 +42,7 @@ from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.chain import brakes_first
 from testbed.rig.firmware_boards import Valves, WiredBoard, make_drivers
+from testbed.rig.fleet.fleet import Fleet, make_fleet
 from testbed.rig.fleet.host import TwinHost
 from testbed.rig.fleet.node import TwinNode
 from testbed.rig.forked import SOON, ForkedAgent, ForkedHost, make_host, make_vehicle, stages
@@ -78,6 +79,7 @@ class TwinRig(Struct, frozen=True):
     red: list[Check] = field(default_factory=list)  # see `Rig`
     laws: list[ForkedHost | ForkedAgent] = field(default_factory=list)
     live: LiveFlight | None = None  # hears the operator's wishes
+    fleet: Fleet | None = None  # flies many ticks ahead
 
     def fly(self, observer: Observer, stopped: Callable[[], int] = lambda: 0) -> Ending:
         """See `Rig`."""
@@ -98,11 +100,31 @@ class TwinRig(Struct, frozen=True):
             if self.live is not None:
                 flying = self.live.flying(clock, self.laws, self.hosts, self.supervisor)
                 clock = stack.enter_context(flying)
+            asked, begin = self._ahead(observer, lambda: 2 if self._trouble() else stopped())
             ending = fly(
                 clock, self.vehicles, self.hosts, experiment.flight.jet_period_s, experiment.ticks,
-                observer, stopped=lambda: 2 if self._trouble() else stopped(),
+                observer, stopped=asked, begin=begin,
             )  # fmt: skip
+        if self.fleet is not None:
+            self.fleet.end()
         return Ending(ending.t, ending.fault or self._trouble())
+
+    def _ahead(
+        self, observer: Observer, stopped: Callable[[], int]
+    ) -> tuple[Callable[[], int], Callable[[int, bool], None]]:
+        """`stopped` and `begin` of `loop.fly`, with a fleet that may fly ahead.
+
+        A stop is looked at when all ticks flown ahead are handed out.
+        """
+        fleet, last = self.fleet, self.experiment.ticks
+        tick_by_tick = self.pace is not None or self.live is not None
+        if fleet is None or tick_by_tick or not getattr(observer, "only_looks", False):
+            return stopped, lambda k, well: None
+
+        def begin(k: int, well: bool) -> None:
+            fleet.begin(k, last if well and not (fleet.pending or stopped()) else k)
+
+        return lambda: 0 if fleet.pending else stopped(), begin
 
     def come_to_rest(
         self, ending: Ending, observer: Observer, stopped: Callable[[], int] = lambda: 0
@@ -200,7 +222,8 @@ class TwinRig(Struct, frozen=True):
 
     def truth(self) -> Iterator[tuple[str, list[float]]]:
         """Each vehicle and its true x, y, theta, vx, vy, omega now."""
-        return zip(self.twin.names, self.twin.plant.x.tolist(), strict=True)
+        x = self.twin.plant.x if self.fleet is None else self.fleet.truth
+        return zip(self.twin.names, x.tolist(), strict=True)
 
     def spent(self, name: str) -> Consumption:
         """See `Rig`."""
@@ -222,7 +245,7 @@ class TwinRig(Struct, frozen=True):
     @property
     def now(self) -> float:
         """See `Rig`."""
-        return self.twin.now
+        return self.twin.now if self.fleet is None else self.fleet.now
 
     @property
     def touches(self) -> list[Touch]:
@@ -308,7 +331,8 @@ def make_twin(
         if isinstance(host, TwinHost):
             host.listen(twin)
     laws += hosts
-    return TwinRig(experiment, twin, vehicles, hosts, drivers or {}, laws=laws)
+    fleet = make_fleet(experiment, twin, vehicles, hosts)
+    return TwinRig(experiment, twin, vehicles, hosts, drivers or {}, laws=laws, fleet=fleet)
 
 
 def warm_up(experiment: Experiment, stopped: Callable[[], int] = lambda: 0) -> None:

@@ -1,6 +1,9 @@
 """A vehicle's law on the host of the twin, whose ticks stay rows of numbers."""
 
 import math
+from collections import deque
+from collections.abc import Iterable
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -40,7 +43,39 @@ class TwinHost(ForkedHost):
 
     def _new_table(self) -> None:
         self._table, self._k = make_host_table(len(self._vehicles), self._room), 0
+        self._answers: deque[list[float]] = deque()  # at ticks flown ahead
         self._rows = Bundle(self._table)
+
+    def ready(self, times: Iterable[float]) -> list[tuple[float, float, float]]:
+        """The turns of the law's model at ticks that may be flown ahead now.
+
+        Args:
+            times: of the next ticks [s].
+        """
+        waits = self.later or self._fault is not None or self.stick is not None
+        if waits or (self.pilot is not None and self.pilot.flies) or self.guidance.model is None:
+            return []
+        if self._k == len(self._table.t):
+            self._new_table()
+        if not self._refresh():
+            return []
+        rows = len(self._table.t) - self._k
+        return self.guidance.turns(t + self._ahead for t in islice(times, rows))
+
+    @property
+    def bundles(self) -> tuple[Bundle, Bundle, Bundle]:
+        """Of its HostPorts, its table and the law's model."""
+        assert self.guidance.model is not None
+        return self._ports, self._rows, self.guidance.model
+
+    @property
+    def row(self) -> int:
+        """The next row of its table."""
+        return self._k
+
+    def flew(self, answers: list[list[float]]) -> None:
+        """Note the law's answers at ticks flown ahead, see ticks.Flown; `tick` hands them out."""
+        self._answers.extend(answers)
 
     def _hear(self) -> int:
         """Write what was heard into the next row of the table; see `exchange.attend`."""
@@ -62,26 +97,33 @@ class TwinHost(ForkedHost):
 
     def _compiled_tick(self, t: float) -> FlownHostTick | None:
         """A tick in one compiled call; None: it has not begun, and `tick` flies it."""
-        guidance, twin, table, k = self.guidance, self.twin, self._table, self._k
+        guidance = self.guidance
         turn = guidance.steady(t + self._ahead)
-        if turn is None or t != twin.now or not self._refresh():
+        if turn is None or t != self.twin.now or not self._refresh():
             return None
         found, changed, full = self._law_tick(
-            self._ports, self._rows, k, guidance.model, guidance.model_t, turn, t
+            self._ports, self._rows, self._k, guidance.model, guidance.model_t, turn, t
         )
-        if found == DECLINED:
-            return None
-        guidance.advanced(self._who[1], *changed)
+        return None if found == DECLINED else self._answered(found, *changed, full)
+
+    def _answered(
+        self, found: float, dfx: float, dfy: float, hazard: float, full: float
+    ) -> FlownHostTick | None:
+        """The tick in which the law has advanced its model; see exchange.law_tick."""
+        guidance, table, k = self.guidance, self._table, self._k
+        guidance.advanced(self._who[1], dfx, dfy, int(hazard))
         if found != SENT:
             self.fail(None)
             return None
         if full:
-            twin.setpoints.make_room()
+            self.twin.setpoints.make_room()
         self._k = k + 1
         return FlownHostTick(table, k, self._names, float(table.own[k, 0]), guidance.filtered)
 
     def tick(self, t: float, armed: bool = True) -> AnyHostTick:
         """See `HostNode`."""
+        if self._answers:
+            return self._answered(*self._answers.popleft()) or super().tick(t, armed)
         self.take_over(t)
         by_hand = self.stick is not None or (self.pilot is not None and self.pilot.flies)
         if not armed or by_hand or self._fault is not None:

@@ -49,7 +49,47 @@ class TwinNode:
         memory = self._agent.memory
         jets, rows = memory.begun.shape[0], memory.counters.holds.shape[0]
         self._table, self._k = make_table(jets, self._others, rows, self._room), 0
+        self._flown = 0  # rows written, of which `tick` has handed out the first `_k`
         self._rows = Bundle(self._table)
+
+    def ready(self) -> int:
+        """Ticks that may be flown ahead now, as far as this vehicle is concerned."""
+        if self._agent.at_fault:
+            return 0
+        self._look()
+        return len(self._table.records) - self._k
+
+    @property
+    def bundles(self) -> tuple[Bundle, Bundle, Bundle]:
+        """Of its VehiclePorts, its table, and for `chain.step`."""
+        return self._ports, self._rows, self._agent.vehicle
+
+    @property
+    def row(self) -> int:
+        """The next row of its table."""
+        return self._k
+
+    def flew(self, row: int, said: list[float], openings: int) -> None:
+        """Note that ticks were flown ahead; `tick` hands them out.
+
+        Args:
+            row: the next one of its table.
+            said: in the newest tick, see ticks.Flown.
+            openings: of its valves.
+        """
+        self._flown, self._said = row, said
+        self._board.openings += openings
+
+    def _look(self) -> None:
+        """See to it that the table has a row to write to, and that the ports are the twin's."""
+        if self._k == len(self._table.records):
+            self._new_table()
+        twin, (near, film, states, setpoints) = self._twin, self._parts
+        if not (
+            near is twin.near[self.name] and film is twin.cameras.film
+            and states is twin.states.links and setpoints is twin.setpoints.links
+        ):  # fmt: skip
+            self._refresh()
 
     def _refresh(self) -> None:
         """Look at the twin's parts again: the vehicles in range, and arrays that have grown."""
@@ -85,33 +125,43 @@ class TwinNode:
         end: bool = False, stay: bool = False,
     ) -> AnyTick:  # fmt: skip
         """See `VehicleNode`."""
-        twin, agent, name = self._twin, self._agent, self.name
+        if self._k < self._flown:
+            return self._next(t)
+        twin, agent = self._twin, self._agent
         if end or stay or fleet is not None or twin.fleet() is not None:
             return self._node.tick(t, armed, fleet, end=end, stay=stay)
-        if self._k == len(self._table.records):
-            self._new_table()
-        near, film, states, setpoints = self._parts
-        if not (
-            near is twin.near[name] and film is twin.cameras.film
-            and states is twin.states.links and setpoints is twin.setpoints.links
-        ):  # fmt: skip
-            self._refresh()
+        self._look()
         while not self._hear(self._ports, self._rows, self._k, t, int(armed)):
             self._make_room()
         table, k = self._table, self._k
-        self._k += 1
         seen, heard, ahead = table.counts[k].tolist()
         agent.step_row(table.samples[k, :seen], table.references[k, :ahead], self._heard[:heard])
-        said = self._say(self._ports, self._rows, k)
-        inhibit, fault, gate_fault, lands, looks, openings, full = said
+        *said, openings, full = self._say(self._ports, self._rows, k)
         self._board.openings += openings
+        self._flown = k + 1
+        return self._tick(t, *said, full)
+
+    def _next(self, t: float) -> FlownTick:
+        """The next tick that was flown ahead; only the newest one may ask for something."""
+        if self._k + 1 == self._flown:
+            return self._tick(t, *self._said)
+        self._k += 1
+        return FlownTick(self._table, self._k - 1, t, self._agent, self._names, shut=False)
+
+    def _tick(
+        self, t: float, inhibit: float, fault: float, gate_fault: float, lands: float,
+        looks: float, full: float,
+    ) -> FlownTick:  # fmt: skip
+        """The newest tick, after what it asks for; see exchange.say."""
+        agent, k = self._agent, self._k
+        self._k += 1
         if full:
-            twin.states.make_room()
+            self._twin.states.make_room()
         if lands:
             self._thrusters.land()
-        tick = FlownTick(table, k, t, agent, self._names, shut=inhibit != 0)
+        tick = FlownTick(self._table, k, t, agent, self._names, shut=inhibit != 0)
         inputs = partial(getattr, tick, "inputs")
-        tick.fault = agent.notice(fault, gate_fault, looks, inputs)
+        tick.fault = agent.notice(int(fault), int(gate_fault), bool(looks), inputs)
         return tick
 
     def _make_room(self) -> None:
