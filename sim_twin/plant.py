@@ -55,7 +55,7 @@ class Windows(NamedTuple):
     cuts: Array  # (v, room + 1) beginnings, and the last one's end [s]
     value: Array  # (v, room, 4) see flow.pieces
     slope: Array  # (v, room, 4)
-    count: NDArray[np.int64]  # (v,)
+    pieces: NDArray[np.int64]  # how many, (v,)
 
 
 class Fleet(NamedTuple):
@@ -77,7 +77,7 @@ class Fleet(NamedTuple):
 @inlined
 def drift(x, spent, stages, parameters, ground, windows, start, end):
     """Move every vehicle from `start` to `end` of the window, ignoring contacts."""
-    cuts, value, slope, count = windows.cuts, windows.value, windows.slope, windows.count
+    cuts, value, slope, count = windows.cuts, windows.value, windows.slope, windows.pieces
     used, impulse = spent
     for v in range(x.shape[0]):
         for i in range(count[v]):
@@ -112,7 +112,7 @@ def cut_windows(windows, pulses, parameters, origin, span):
             span,
         )
         n = level.shape[0]
-        windows.count[v] = n
+        windows.pieces[v] = n
         windows.cuts[v, : n + 1] = start
         windows.value[v, :n] = level
         windows.slope[v, :n] = rate
@@ -283,9 +283,14 @@ class Plant:
         p.grip[k] = 0.0
         del self.landed[k]
 
+    @property
+    def sound(self) -> bool:
+        """Whether every valve does what its board commands."""
+        return not (self._stuck or self._leaky or self._weak or self.crossed)
+
     def played(self) -> Pulses:
         """Actual valve pulses: the boards' commands, as wires and broken valves modify them."""
-        if not (self._stuck or self._leaky or self._weak or self.crossed):
+        if self.sound:
             return self._pulses
         ours = self._pulses
         played = Pulses(ours.up.copy(), ours.down.copy(), ours.strength.copy())

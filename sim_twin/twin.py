@@ -5,18 +5,21 @@ Time is virtual and advances only when the loop waits: lockstep, deterministic, 
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from operator import is_not
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from sim_twin.board import Driver
-from sim_twin.camera import Cameras, photograph
+from sim_twin.camera import Cameras, Film, Optics, photograph
 from sim_twin.fault_injection import FaultInjector
 from sim_twin.plant import Plant
-from sim_twin.radio import Radio, Whole, listen
+from sim_twin.radio import Links, Radio, Whole, listen
 from sim_twin.randomness import stream
 from sim_twin.reference_bodies import ReferenceBodies
+from testbed.core.bundle import Bundle, unpacked
 from testbed.core.codes import FaultReport
 from testbed.core.compiled import compiled, settled
 from testbed.core.fault_injection import Injection
@@ -46,37 +49,42 @@ Array = NDArray[np.float64]
 HOST = "host"
 
 
+class Watch(NamedTuple):
+    """What cameras, radio and sensors read and write, for compiled code."""
+
+    film: Film
+    optics: Optics
+    states: Links  # for the vehicles' states
+    setpoints: Links
+    messages: Links  # of laws
+    tanks: Array  # gas [kg], tank pressure, set pressure and dropout [Pa], see Air; (v, 4)
+    used: Array  # gas consumed, (v,) [kg]
+    pressures: Array  # of supply and tank, written to; (v, 2) [Pa]
+
+
 @compiled
-def observe(
-    film, optics, times, states, shown, own, setpoints, messages, tanks, used, pressures, now
-):
+def observe(watch, times, states, shown, now):
     """What cameras, radio and sensors tell after a window of the plant.
 
     Args:
-        film: see camera.photograph, like all up to `shown`.
-        optics: the cameras.
+        watch: Bundle of a Watch.
         times: of the exposures, shape (m,) [s].
         states: the truth at these times, shape (m, v, 6).
-        shown: vehicle that each body shows.
-        own: links for the vehicles' states, see radio.py.
-        setpoints: for setpoints.
-        messages: for messages of laws.
-        tanks: gas [kg], tank pressure, set pressure and dropout [Pa], see Air; shape (v, 4).
-        used: gas consumed, shape (v,) [kg].
-        pressures: of supply and tank, written to; shape (v, 2) [Pa].
+        shown: vehicle that each body shows, see camera.photograph.
         now: [s].
 
     Returns:
         see camera.photograph.
     """
-    most = photograph(film, optics, times, states, shown, now)
-    listen(own, now)
-    listen(setpoints, now)
-    listen(messages, now)
-    for k in range(used.shape[0]):
-        gas, full, wanted, dropout = tanks[k]
-        tank = full * max(0.0, gas - used[k]) / gas
-        pressures[k, 0], pressures[k, 1] = max(0.0, min(wanted, tank - dropout)), tank
+    it = unpacked(watch)
+    most = photograph(it.film, it.optics, times, states, shown, now)
+    listen(it.states, now)
+    listen(it.setpoints, now)
+    listen(it.messages, now)
+    for k in range(it.used.shape[0]):
+        gas, full, wanted, dropout = it.tanks[k]
+        tank = full * max(0.0, gas - it.used[k]) / gas
+        it.pressures[k, 0], it.pressures[k, 1] = max(0.0, min(wanted, tank - dropout)), tank
     return most
 
 
@@ -94,7 +102,7 @@ def exposures(rate, phase, frame, t, times):
     Returns:
         how many.
     """
-    count = max(0, int(math.floor(t * rate - phase)) + 1 - frame)
+    count = max(0, math.floor(t * rate - phase) + 1 - frame)
     for k in range(min(count, times.shape[0])):
         times[k] = (frame + k + phase) / rate
     return count
@@ -147,11 +155,12 @@ class Twin:
         self.near = {n: [other for other in self.names if other != n] for n in self.names}
         self._audiences: dict[tuple[str, bool], Whole] = {}
         airs = [vehicle.air for vehicle in vehicles.values()]
-        self.tanks = np.array([(a.gas, a.tank_pressure, a.set_pressure, a.dropout) for a in airs])
+        self._tanks = np.array([(a.gas, a.tank_pressure, a.set_pressure, a.dropout) for a in airs])
         self.gauges = np.empty((len(airs), 2))  # supply and tank pressure of each vehicle [Pa]
         self.blackboard: dict[
             str, tuple[float, LawMessage, LawMessage | None]
         ] = {}  # of laws on the host
+        self._watch: Bundle | None = None
         self._observe, self._exposures = settled(observe), settled(exposures)
         self._look(np.empty(0), np.empty((0, len(airs), 6)))
 
@@ -189,6 +198,17 @@ class Twin:
         self.seen_at += times.tolist()
         self.seen.append(seen)
 
+    @property
+    def watch(self) -> Bundle:
+        """Of a Watch of the film and links as they are now; they are replaced when they grow."""
+        parts = (
+            self.cameras.film, self.cameras.optics,
+            self.states.links, self.setpoints.links, self.messages.links,
+        )  # fmt: skip
+        if self._watch is None or any(map(is_not, self._watch.value, parts)):
+            self._watch = Bundle(Watch(*parts, self._tanks, self.plant.used, self.gauges))
+        return self._watch
+
     def _look(self, times: Array, seen: Array) -> None:
         """Let cameras, radio and sensors follow the plant."""
         shown, broken = self.cameras.own, self.injector
@@ -199,12 +219,8 @@ class Twin:
             for name in self.names:
                 for radio in self.radios:
                     radio.disturb(name, *broken.air(name))
-        film = self.cameras.load(len(times))
-        self.cameras.most = self._observe(
-            film, self.cameras.optics, times, seen, shown,
-            self.states.links, self.setpoints.links, self.messages.links,
-            self.tanks, self.plant.used, self.gauges, self.now,
-        )  # fmt: skip
+        self.cameras.load(len(times))
+        self.cameras.most = self._observe(self.watch, times, seen, shown, self.now)
         if self.reach is not None:
             self._meet(self.reach)
 

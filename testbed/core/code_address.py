@@ -1,8 +1,8 @@
 """Machine code that compiled code calls by its address, like a function pointer of C.
 
 An entry takes in all that it calls and optimises it again (whole_program.py). A function that calls
-entries one after the other would so compile the chain, the plant and the law a second time. It calls
-their machine code instead.
+entries one after the other would so compile the chain, the plant and the law a second time. It
+calls their machine code instead.
 """
 
 from collections.abc import Callable

@@ -252,20 +252,24 @@ def fly(
     observer: Observer,
     *,
     stopped: Callable[[], int] = lambda: 0,
-    begin: Callable[[int, bool], None] = lambda k, well: None,
+    ahead: Callable[[int], int] = lambda k: 0,
 ) -> Ending:
     """Fly `ticks` jet periods, or until a fault or `stopped()` ends it; `come_to_rest` is next.
 
     A fault of one vehicle stops all: they come to rest before the flight ends, as in the fault
     table. `stopped()` is the operator's number of stops, looked at when a tick is due. One ends the
     flight before this tick, but lets a stop after a fault continue; the second one ends that, too.
-    `begin` is told of each tick before the clock waits for it: its number, and whether all is well.
+    `ahead(k)` flies ticks from number `k` on in its own way, shows them to the observer and returns
+    how many; it is asked while nothing is wrong.
     """
     fault: FaultReport | None = None
     failed_at, over = 0.0, False
-    for k in range(ticks):
+    k = 0
+    while k < ticks:
+        if fault is None and (flown := ahead(k)):
+            k += flown
+            continue
         t = k * period
-        begin(k, fault is None)
         clock.wait_until(t)
         asked = stopped() if k else 0  # the first tick is always flown
         if asked and fault is None:
@@ -287,6 +291,7 @@ def fly(
             return Ending(t, fault)
         # then one more tick, disarmed, to shut every valve
         over = fault is not None and (shut or t - failed_at >= LONGEST_STOP)
+        k += 1
     clock.wait_until(ticks * period)
     return Ending(ticks * period, fault)
 

@@ -30,7 +30,7 @@ import select
 import struct
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
@@ -40,6 +40,7 @@ import msgspec
 from msgspec import Struct
 
 from testbed.core.error import TestbedError
+from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.logs.block import LARGEST, Block
 from testbed.logs.frames import READY, Entries, Entry, Frame, Mark, Topic
@@ -56,6 +57,7 @@ CAREFUL_SPAN_NS = 5_000_000_000  # the same with a user's law, which may end the
 WARN_BELOW = 500_000_000  # free disk space below which to warn [bytes]
 END_BELOW = 20_000_000  # free disk space below which to finish the log [bytes]
 
+NOTHING: Mapping[float, Struct] = {}
 SCENE = "visualization_msgs/MarkerArray"
 
 
@@ -175,6 +177,29 @@ class Recorder:
             self._scene = b""
         for one in rows:
             self.append(one.topic, one.kind, t, one.data)
+
+    def write_span(
+        self, span: FlownSpan, topic: str = "", messages: Mapping[float, Struct] = NOTHING
+    ) -> None:
+        """Append ticks, the truth after each, and a message of `topic` after some.
+
+        Args:
+            span: the ticks.
+            topic: of the messages.
+            messages: by time of the tick [s].
+
+        Raises:
+            RecorderError: see `write`.
+        """
+        if not self._met:
+            self.meet()
+        self._block.add_span(span, topic, messages)
+
+    def due_in(self, times: Sequence[float]) -> int:
+        """How many of the ticks at these times come until the next `mark`."""
+        due = self._marked + self._span
+        late = (k for k, t in enumerate(times, 1) if round(t * 1e9) >= due)
+        return next(late, len(times))
 
     def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
         """Append the bytes of one message of a kind of `core/records`."""

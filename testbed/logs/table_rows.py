@@ -13,7 +13,7 @@ from testbed.core.codes import InhibitReason, Intervention
 from testbed.core.records.definition import DTYPES, MESSAGES
 from testbed.core.records.kinds import Active, SetpointKind
 from testbed.core.records.layout import COUNT, WORD, Layout, Rows
-from testbed.flight.flown_tick import FlownHostTick, FlownTick
+from testbed.flight.flown_span import FlownHostRows, FlownRows, FlownSpan
 from testbed.flight.record import ROW
 from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES
 from testbed.logs.tick_row import RowWriter, value_of
@@ -106,25 +106,36 @@ class TableRows:
     def __init__(self, writer: RowWriter, topic: str) -> None:
         self._writer, self._topic = writer, topic
 
-    def messages(self, ticks: Sequence[FlownTick] | Sequence[FlownHostTick]) -> Iterator[bytes]:
-        """The messages of ticks that are rows one after the other of one table."""
+    def truth(self, span: FlownSpan) -> Iterator[bytes]:
+        """The messages of the true states at ticks."""
+        n, vehicles, _ = span.truth.shape
+        packer, names = self._writer.packer(self._topic, "Truth"), self._writer.names
+        packer.grow([max(packer.most[0], vehicles)])
+        names.vehicles += [one for one in span.vehicles if one not in names.vehicles]
+        rows = Layout("Truth", {"vehicles": packer.most[0]}).rows(n)
+        rows.fixed["t"][:n] = span.times
+        _fill(rows, "vehicles", span.truth, np.full(n, vehicles))
+        yield from map(rows.message, range(n))
+
+    def messages(self, ticks: FlownRows | FlownHostRows) -> Iterator[bytes]:
+        """The messages of ticks."""
         make: Callable[..., None] = self._tick
         name, longest = "Tick", _longest(ticks)
-        if isinstance(ticks[0], FlownHostTick):
+        if isinstance(ticks, FlownHostRows):
             name, make = "HostTick", self._host
         packer, begin = self._writer.packer(self._topic, name), 0
         so_far = np.maximum.accumulate(np.vstack((packer.most, longest)))[1:]
         for end in [*(1 + np.flatnonzero(np.diff(so_far, axis=0).any(axis=1))), len(ticks)]:
             packer.grow(so_far[begin].tolist())  # a capacity grows with the first that needs it
-            some = ticks[begin:end]
+            some = ticks.part(begin, int(end))
             names = [one.name for one in MESSAGES[name].sequences]
             rows = Layout(name, dict(zip(names, packer.most, strict=True))).rows(len(some))
-            make(rows, some, slice(some[0].k, some[0].k + len(some)))
+            make(rows, some, some.rows)
             yield from map(rows.message, range(len(some)))
-            begin = end
+            begin = int(end)
 
-    def _tick(self, rows: Rows, ticks: Sequence[FlownTick], k: slice) -> None:
-        table, n = ticks[0].table, len(ticks)
+    def _tick(self, rows: Rows, ticks: FlownRows, k: slice) -> None:
+        table, n = ticks.table, len(ticks)
         counts, jets = table.counts[k], table.plans.shape[1] // 2
         self._fixed(rows, ticks, table.records[k], table.values[k])
         _fill(rows, "samples", table.samples[k], counts[:, SAMPLES])
@@ -136,8 +147,8 @@ class TableRows:
         pulses["on_us"][:, :jets] = table.plans[k, :jets]
         pulses["offset_us"][:, :jets] = table.plans[k, jets:]
 
-    def _host(self, rows: Rows, ticks: Sequence[FlownHostTick], k: slice) -> None:
-        table, n = ticks[0].table, len(ticks)
+    def _host(self, rows: Rows, ticks: FlownHostRows, k: slice) -> None:
+        table, n = ticks.table, len(ticks)
         states, ahead = table.counts[k].T
         words, kind = rows.memory.view(np.float64)[:n], table.setpoints[k, 0]
         inputs, outputs = rows.fixed["inputs"][:n], rows.fixed["outputs"][:n]
@@ -147,18 +158,15 @@ class TableRows:
         _HOST_DEMAND.copy(words, table.setpoints[k], kind == SetpointKind.DEMAND)
         _HOST_UNTIL.copy(words, table.setpoints[k], kind == SetpointKind.TRAJECTORY)
         outputs["setpoint"]["kind"], outputs["message_t"] = kind, np.nan
-        for i, tick in enumerate(ticks):
-            if tick.filtered is not None:
-                self._intervene(outputs["filtered"][i : i + 1], tick.filtered)
+        for i, filtered in ticks.notes.items():
+            self._intervene(outputs["filtered"][i : i + 1], filtered)
         _fill(rows, "references", table.references[k], ahead)
         _fill_neighbours(rows, table.states[k], table.vehicles[k], states)
 
     def _intervene(self, row: NDArray, filtered: Intervention | None) -> None:
         row["dfx_w"], row["dfy_w"], row["subject"], row["hazard"] = self._writer.filtered(filtered)
 
-    def _fixed(
-        self, rows: Rows, ticks: Sequence[FlownTick], records: NDArray, values: Array
-    ) -> None:
+    def _fixed(self, rows: Rows, ticks: FlownRows, records: NDArray, values: Array) -> None:
         n, writer = len(ticks), self._writer
         words = rows.memory.view(np.float64)[:n]
         numbers = records.view(np.float64).reshape(n, -1)
@@ -179,7 +187,7 @@ class TableRows:
         vitals["foreign"], vitals["session_ok"] = told["foreign"], told["session_ok"]
         vitals["same_config"], vitals["fleet"] = told["same_config"], told["fleet_failed"]
         outputs["state"]["rejected"] = np.where(known, state["rejected"], 0)
-        period = ticks[0].agent.params.gains.period
+        period = ticks.agent.params.gains.period
         outputs["valid_until"] = told["t"] + period
         outputs["message_t"] = np.nan
         latched = (done["inhibit"] == done["gate_fault"]) & (done["inhibit"] > 0)
@@ -191,24 +199,22 @@ class TableRows:
         active = np.where(demanded, Active.DEMAND, Active.REFERENCE)
         outputs["active"] = np.where(flown, active, Active.NONE)
         outputs["fault_value"] = np.nan
-        for i, tick in enumerate(ticks):
-            if tick.fault is not None:
-                outputs["fault"][i] = writer.fault_code(tick.fault)
-                outputs["fault_value"][i] = value_of(tick.fault)
+        for i, fault in ticks.notes.items():
+            outputs["fault"][i] = writer.fault_code(fault)
+            outputs["fault_value"][i] = value_of(fault)
         for i in np.flatnonzero(done["holding"]).tolist():
             outputs["faults"][i] = writer.held(ticks[i].outputs.faults)
         for i in np.flatnonzero(done["hazard"] >= 0).tolist():
             self._intervene(outputs["filtered"][i : i + 1], ticks[i].outputs.filtered)
 
 
-def _longest(ticks: Sequence[FlownTick] | Sequence[FlownHostTick]) -> NDArray[np.int64]:
+def _longest(ticks: FlownRows | FlownHostRows) -> NDArray[np.int64]:
     """Elements of each sequence of these ticks' messages, in the order of the message."""
-    first, k = ticks[0], slice(ticks[0].k, ticks[0].k + len(ticks))
-    counts, host = first.table.counts[k], isinstance(first, FlownHostTick)
+    counts, host = ticks.table.counts[ticks.rows], isinstance(ticks, FlownHostRows)
     found = np.zeros((len(ticks), len(MESSAGES["HostTick" if host else "Tick"].sequences)), int)
     found[:, : counts.shape[1]] = counts
-    if isinstance(first, FlownTick):
-        found[:, counts.shape[1]] = first.table.plans.shape[1] // 2  # pulses
+    if isinstance(ticks, FlownRows):
+        found[:, counts.shape[1]] = ticks.table.plans.shape[1] // 2  # pulses
     return found
 
 

@@ -19,7 +19,8 @@ from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Outputs, Tick
 from testbed.core.vehicle import NonNegative, Positive
 from testbed.flight.arming import Check
-from testbed.flight.flown_tick import AnyTick, FlownTick
+from testbed.flight.flown_span import FlownRows
+from testbed.flight.flown_tick import AnyTick
 from testbed.metrics.afterwards import After
 
 Array = NDArray[np.float64]
@@ -163,7 +164,7 @@ class ReferenceLog:
         self._rows = array("d")  # t, x, y, theta, force; one tick after the other
         self._forces = False  # whether the law commands forces
         self._filtered = 0.0  # [N s]
-        self._kept: list[FlownTick] = []  # not yet in the rows
+        self._kept: FlownRows | None = None  # not yet in the rows
         for out in outputs:
             self._note(out)
 
@@ -173,9 +174,15 @@ class ReferenceLog:
             self._add_kept()
             self._note(tick.outputs)
             return
-        if self._kept and (self._kept[0].table is not tick.table):
-            self._add_kept()
-        self._kept.append(tick)
+        self.note_rows(FlownRows.of(tick))
+
+    def note_rows(self, rows: FlownRows) -> None:
+        """Add ticks."""
+        if self._kept is not None and self._kept.goes_on(rows.table, rows.first):
+            self._kept.extend(rows)
+            return
+        self._add_kept()
+        self._kept = rows.part(0, rows.count)
 
     def _note(self, out: Outputs) -> None:
         if out.filtered is not None and out.inhibit_reason is None:
@@ -193,14 +200,13 @@ class ReferenceLog:
 
     def _add_kept(self) -> None:
         """Add ticks that are rows one after the other of one table, column by column."""
-        if not self._kept:
+        kept, self._kept = self._kept, None
+        if kept is None:
             return
-        kept, self._kept = self._kept, []
-        records = kept[0].table.records[kept[0].k : kept[0].k + len(kept)]
+        records, period = kept.table.records[kept.rows], kept.agent.params.gains.period
         told, done = records["told"], records["done"]
         for i in np.flatnonzero((done["hazard"] >= 0) & (done["inhibit"] == 0)).tolist():
-            tick, period = kept[i], kept[i].agent.params.gains.period
-            dfx, dfy, t = float(done["dfx"][i]), float(done["dfy"][i]), tick.t
+            dfx, dfy, t = float(done["dfx"][i]), float(done["dfy"][i]), float(told["t"][i])
             self._filtered += (t + period - t) * math.hypot(dfx, dfy)
         kind = told["setpoint"]["kind"]
         demanded = (kind == SetpointKind.DEMAND) & (done["stopping"] == 0)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.loop import host_fault
 from testbed.metrics.run_metrics import ReferenceLog
@@ -9,8 +10,6 @@ from testbed.metrics.run_metrics import ReferenceLog
 
 class NullObserver:
     """An observer that does nothing."""
-
-    only_looks = True  # it leaves the flight alone, so the twin may be ahead of what it is shown
 
     def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
@@ -20,6 +19,13 @@ class NullObserver:
 
     def done(self, t: float) -> None:
         """See `Observer`."""
+
+    def ticks(self, span: FlownSpan) -> None:
+        """Receive ticks of the twin that were flown together.
+
+        `ticks = None` in a class means that it changes the flight: the twin must not be ahead.
+        """
+        span.show(self)
 
 
 class FirstFaultObserver(NullObserver):
@@ -52,3 +58,8 @@ class MetricsObserver(FirstFaultObserver):
             return
         super().vehicle(name, tick)
         self.aims[name].note(tick)
+
+    def ticks(self, span: FlownSpan) -> None:
+        """See `NullObserver`; none of them has a fault."""
+        for name, rows in span.vehicles.items():
+            self.aims[name].note_rows(rows)

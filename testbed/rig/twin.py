@@ -51,6 +51,8 @@ from testbed.rig.live import LiveFlight
 from testbed.rig.observers import NullObserver
 from testbed.rig.readiness import twin_checks
 
+WARM = 8  # ticks
+
 
 class Reseeding:
     """The flight's clock; after a fork with a seed the twin draws other numbers."""
@@ -100,31 +102,33 @@ class TwinRig(Struct, frozen=True):
             if self.live is not None:
                 flying = self.live.flying(clock, self.laws, self.hosts, self.supervisor)
                 clock = stack.enter_context(flying)
-            asked, begin = self._ahead(observer, lambda: 2 if self._trouble() else stopped())
+            asked, ahead = self._ahead(observer, lambda: 2 if self._trouble() else stopped())
             ending = fly(
                 clock, self.vehicles, self.hosts, experiment.flight.jet_period_s, experiment.ticks,
-                observer, stopped=asked, begin=begin,
+                observer, stopped=asked, ahead=ahead,
             )  # fmt: skip
-        if self.fleet is not None:
-            self.fleet.end()
         return Ending(ending.t, ending.fault or self._trouble())
 
     def _ahead(
         self, observer: Observer, stopped: Callable[[], int]
-    ) -> tuple[Callable[[], int], Callable[[int, bool], None]]:
-        """`stopped` and `begin` of `loop.fly`, with a fleet that may fly ahead.
+    ) -> tuple[Callable[[], int], Callable[[int], int]]:
+        """`stopped` and `ahead` of `loop.fly`.
 
-        A stop is looked at when all ticks flown ahead are handed out.
+        A tick that has begun is finished before a stop.
         """
-        fleet, last = self.fleet, self.experiment.ticks
-        tick_by_tick = self.pace is not None or self.live is not None
-        if fleet is None or tick_by_tick or not getattr(observer, "only_looks", False):
-            return stopped, lambda k, well: None
+        fleet, show = self.fleet, getattr(observer, "ticks", None)
+        if fleet is None or show is None or self.pace is not None or self.live is not None:
+            return stopped, lambda k: 0
+        last = self.experiment.ticks
 
-        def begin(k: int, well: bool) -> None:
-            fleet.begin(k, last if well and not (fleet.pending or stopped()) else k)
+        def ahead(k: int) -> int:
+            span = None if fleet.pending or stopped() else fleet.fly(k, last)
+            if span is None:
+                return 0
+            show(span)
+            return len(span.times)
 
-        return lambda: 0 if fleet.pending else stopped(), begin
+        return lambda: 0 if fleet.pending else stopped(), ahead
 
     def come_to_rest(
         self, ending: Ending, observer: Observer, stopped: Callable[[], int] = lambda: 0
@@ -222,8 +226,7 @@ class TwinRig(Struct, frozen=True):
 
     def truth(self) -> Iterator[tuple[str, list[float]]]:
         """Each vehicle and its true x, y, theta, vx, vy, omega now."""
-        x = self.twin.plant.x if self.fleet is None else self.fleet.truth
-        return zip(self.twin.names, x.tolist(), strict=True)
+        return zip(self.twin.names, self.twin.plant.x.tolist(), strict=True)
 
     def spent(self, name: str) -> Consumption:
         """See `Rig`."""
@@ -245,7 +248,7 @@ class TwinRig(Struct, frozen=True):
     @property
     def now(self) -> float:
         """See `Rig`."""
-        return self.twin.now if self.fleet is None else self.fleet.now
+        return self.twin.now
 
     @property
     def touches(self) -> list[Touch]:
@@ -336,9 +339,12 @@ def make_twin(
 
 
 def warm_up(experiment: Experiment, stopped: Callable[[], int] = lambda: 0) -> None:
-    """Fly a few ticks of the experiment, so that all code is compiled before the flight."""
+    """Fly a few ticks of the experiment, so that all code is compiled before the flight.
+
+    A law is flown tick by tick at first (fleet/host.py), then many ticks are one call.
+    """
     period = experiment.flight.jet_period_s
     for one in stages(experiment):
-        short = replace(one, duration_s=4 * period, board="model", inject=[], forks=[])
+        short = replace(one, duration_s=WARM * period, board="model", inject=[], forks=[])
         make_twin(short).fly_unasked(NullObserver(), stopped)  # arming checks do not matter here
     characterise(np.eye(2))

@@ -3,17 +3,20 @@
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from controllers.own_law import OwnLawParams
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
 from testbed.core.types import EndingTick
+from testbed.flight.flown_span import FlownSpan
 from testbed.flight.flown_tick import AnyHostTick, AnyTick, FlownHostTick, FlownTick
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
@@ -27,7 +30,7 @@ from testbed.logs.recorder import (
     Truth,
 )
 from testbed.logs.tick_row import Names
-from testbed.metrics.characterisation import characterise
+from testbed.metrics.characterisation import Characterisation, characterise
 from testbed.metrics.run_metrics import Metrics, ReferenceLog, with_jets
 from testbed.realtime.heartbeat import RunPhase, heartbeat
 from testbed.realtime.law_watch import complaint, patience
@@ -41,6 +44,8 @@ from testbed.run.interrupt import Interrupt
 from testbed.run.judge import measure
 from testbed.run.markers import scene_of
 
+Array = NDArray[np.float64]
+
 FORMATION_S = 1.0  # log period of the five formation elements [s]
 
 
@@ -53,6 +58,11 @@ class FlightScreen(NullObserver):
         """Context in which the display is active."""
         return nullcontext()
 
+    def ticks(self, span: FlownSpan) -> None:
+        """Show the newest tick of these; no screen is as fast as the twin."""
+        if span.times:
+            span.part(len(span.times) - 1, len(span.times)).show(self)
+
     def flies(self) -> None:
         """The code is compiled and the flight begins."""
 
@@ -62,8 +72,6 @@ class FlightScreen(NullObserver):
 
 class FlightLog:
     """Observer of a flight: writes the log and stores data for the metrics."""
-
-    only_looks = True  # see NullObserver
 
     def __init__(
         self,
@@ -95,6 +103,29 @@ class FlightLog:
         """See `Observer`."""
         self._record(f"/{name}/host", tick.t, tick)
 
+    def ticks(self, span: FlownSpan) -> None:
+        """See `NullObserver`."""
+        heartbeat().beat()
+        self._screen.ticks(span)
+        for name, rows in span.vehicles.items():
+            self._references[name].note_rows(rows)
+        while span.times:
+            n = self._recorder.due_in(span.times)
+            part, span = span.part(0, n), span.part(n, len(span.times))
+            found = ((t, self._elements(t, x)) for t, x in zip(part.times, part.truth, strict=True))
+            elements = {t: one for t, one in found if one is not None}
+            self._write(partial(self._recorder.write_span, part, "/formation", elements))
+            self._mark(part.times[-1])
+        self.reports()
+
+    def _elements(self, t: float, x: Array) -> Characterisation | None:
+        """The five elements of the true states `x`, (v, 6), if it is time to log them."""
+        if len(x) < 2 or t < self._next:
+            return None
+        self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
+        states = x[:, [0, 1, 3, 4]]
+        return characterise(states[:, :2], states[:, 2:])
+
     def reports(self) -> None:
         """Log what boards, wires and the supervisor have reported since the last call."""
         for name, valves in self._rig.valves(since=self._seen):
@@ -109,9 +140,12 @@ class FlightLog:
         self._logged = len(events)
 
     def _record(self, topic: str, t: float, message: Struct | FlownTick | FlownHostTick) -> None:
+        self._write(partial(self._recorder.write, topic, t, message))
+
+    def _write(self, write: Callable[[], None]) -> None:
         if self.trouble is None:
             try:
-                self._recorder.write(topic, t, message)
+                write()
             except RecorderError as error:
                 self.trouble = str(error)
 
@@ -126,12 +160,11 @@ class FlightLog:
     def done(self, t: float) -> None:
         """See `Observer`."""
         heartbeat().beat()
-        motions = {name: Motion(*state) for name, state in self._rig.truth()}
-        self._record("/truth", t, Truth(t, motions))
-        if len(motions) > 1 and t >= self._next:  # the five elements, live
-            self._next = t + FORMATION_S - 1e-6  # ticks are sums of periods
-            states = np.array([(m.x, m.y, m.vx, m.vy) for m in motions.values()])
-            self._record("/formation", t, characterise(states[:, :2], states[:, 2:]))
+        truth = dict(self._rig.truth())
+        self._record("/truth", t, Truth(t, {name: Motion(*x) for name, x in truth.items()}))
+        elements = self._elements(t, np.array(list(truth.values())).reshape(-1, 6))
+        if elements is not None:
+            self._record("/formation", t, elements)
         self.reports()
         if (loop := self._rig.loop) is not None:
             self._record("/loop", t, Loop(t, *loop))

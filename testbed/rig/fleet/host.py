@@ -1,8 +1,7 @@
 """A vehicle's law on the host of the twin, whose ticks stay rows of numbers."""
 
 import math
-from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import Any
 
@@ -13,6 +12,7 @@ from testbed.core.bundle import Bundle
 from testbed.core.compiled import settled
 from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
 from testbed.core.types import HostInputs, HostOutputs, HostTick
+from testbed.flight.flown_span import FlownHostRows
 from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
 from testbed.flight.guidance import Heard
 from testbed.flight.tick_table import make_host_table
@@ -43,7 +43,7 @@ class TwinHost(ForkedHost):
 
     def _new_table(self) -> None:
         self._table, self._k = make_host_table(len(self._vehicles), self._room), 0
-        self._answers: deque[list[float]] = deque()  # at ticks flown ahead
+        self._answer: list[float] | None = None  # at the coming tick, if it has been flown
         self._rows = Bundle(self._table)
 
     def ready(self, times: Iterable[float]) -> list[tuple[float, float, float]]:
@@ -73,9 +73,19 @@ class TwinHost(ForkedHost):
         """The next row of its table."""
         return self._k
 
-    def flew(self, answers: list[list[float]]) -> None:
-        """Note the law's answers at ticks flown ahead, see ticks.Flown; `tick` hands them out."""
-        self._answers.extend(answers)
+    def flew(self, ticks: int, answers: list[list[float]]) -> FlownHostRows:
+        """Note the law's answers at ticks that were flown, and perhaps at one more, for `tick`.
+
+        Args:
+            ticks: how many.
+            answers: see ticks.Flown.
+        """
+        rows = FlownHostRows(self._table, self._k, 0, self._names)
+        for one in answers[:ticks]:
+            if (tick := self._answered(one)) is not None:
+                rows.add(tick)
+        self._answer = answers[-1] if len(answers) > ticks else None
+        return rows
 
     def _hear(self) -> int:
         """Write what was heard into the next row of the table; see `exchange.attend`."""
@@ -104,12 +114,11 @@ class TwinHost(ForkedHost):
         found, changed, full = self._law_tick(
             self._ports, self._rows, self._k, guidance.model, guidance.model_t, turn, t
         )
-        return None if found == DECLINED else self._answered(found, *changed, full)
+        return None if found == DECLINED else self._answered((found, *changed, full))
 
-    def _answered(
-        self, found: float, dfx: float, dfy: float, hazard: float, full: float
-    ) -> FlownHostTick | None:
+    def _answered(self, answer: Sequence[float]) -> FlownHostTick | None:
         """The tick in which the law has advanced its model; see exchange.law_tick."""
+        found, dfx, dfy, hazard, full = answer
         guidance, table, k = self.guidance, self._table, self._k
         guidance.advanced(self._who[1], dfx, dfy, int(hazard))
         if found != SENT:
@@ -122,8 +131,9 @@ class TwinHost(ForkedHost):
 
     def tick(self, t: float, armed: bool = True) -> AnyHostTick:
         """See `HostNode`."""
-        if self._answers:
-            return self._answered(*self._answers.popleft()) or super().tick(t, armed)
+        if (answer := self._answer) is not None:
+            self._answer = None
+            return self._answered(answer) or super().tick(t, armed)
         self.take_over(t)
         by_hand = self.stick is not None or (self.pilot is not None and self.pilot.flies)
         if not armed or by_hand or self._fault is not None:

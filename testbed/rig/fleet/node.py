@@ -1,5 +1,6 @@
 """A vehicle of the twin whose ticks stay rows of numbers."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -13,6 +14,7 @@ from testbed.core.compiled import settled
 from testbed.core.jets import JetHealth
 from testbed.core.rows import References, States
 from testbed.flight.agent import ALERT, Agent
+from testbed.flight.flown_span import FlownRows
 from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
@@ -49,7 +51,7 @@ class TwinNode:
         memory = self._agent.memory
         jets, rows = memory.begun.shape[0], memory.counters.holds.shape[0]
         self._table, self._k = make_table(jets, self._others, rows, self._room), 0
-        self._flown = 0  # rows written, of which `tick` has handed out the first `_k`
+        self._flown = 0  # rows written; `tick` has yet to return the last one if it is `_k`
         self._rows = Bundle(self._table)
 
     def ready(self) -> int:
@@ -69,16 +71,25 @@ class TwinNode:
         """The next row of its table."""
         return self._k
 
-    def flew(self, row: int, said: list[float], openings: int) -> None:
-        """Note that ticks were flown ahead; `tick` hands them out.
+    def flew(self, ticks: int, row: int, said: list[float], openings: int) -> FlownRows:
+        """Note that ticks were flown, which ask for nothing, and perhaps one more, for `tick`.
 
         Args:
-            row: the next one of its table.
+            ticks: how many.
+            row: of its table, the next one after them and the one more.
             said: in the newest tick, see ticks.Flown.
             openings: of its valves.
         """
+        rows = FlownRows(self._table, self._k, ticks, self._names, self._agent)
+        self._k += ticks
         self._flown, self._said = row, said
         self._board.openings += openings
+        return rows
+
+    @property
+    def pending(self) -> bool:
+        """Whether the coming tick has been flown, and `tick` only returns it."""
+        return self._k < self._flown
 
     def _look(self) -> None:
         """See to it that the table has a row to write to, and that the ports are the twin's."""
@@ -125,8 +136,8 @@ class TwinNode:
         end: bool = False, stay: bool = False,
     ) -> AnyTick:  # fmt: skip
         """See `VehicleNode`."""
-        if self._k < self._flown:
-            return self._next(t)
+        if self.pending:
+            return self._tick(t, self._said)
         twin, agent = self._twin, self._agent
         if end or stay or fleet is not None or twin.fleet() is not None:
             return self._node.tick(t, armed, fleet, end=end, stay=stay)
@@ -138,21 +149,11 @@ class TwinNode:
         agent.step_row(table.samples[k, :seen], table.references[k, :ahead], self._heard[:heard])
         *said, openings, full = self._say(self._ports, self._rows, k)
         self._board.openings += openings
-        self._flown = k + 1
-        return self._tick(t, *said, full)
+        return self._tick(t, (*said, full))
 
-    def _next(self, t: float) -> FlownTick:
-        """The next tick that was flown ahead; only the newest one may ask for something."""
-        if self._k + 1 == self._flown:
-            return self._tick(t, *self._said)
-        self._k += 1
-        return FlownTick(self._table, self._k - 1, t, self._agent, self._names, shut=False)
-
-    def _tick(
-        self, t: float, inhibit: float, fault: float, gate_fault: float, lands: float,
-        looks: float, full: float,
-    ) -> FlownTick:  # fmt: skip
-        """The newest tick, after what it asks for; see exchange.say."""
+    def _tick(self, t: float, said: Sequence[float]) -> FlownTick:
+        """The newest row as a tick, after what it asks for; see exchange.say."""
+        inhibit, fault, gate_fault, lands, looks, full = said
         agent, k = self._agent, self._k
         self._k += 1
         if full:

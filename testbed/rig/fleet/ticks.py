@@ -1,17 +1,12 @@
 """Many ticks of the twin in one compiled call, while nothing out of the ordinary happens.
 
-The order is that of `loop.fly`: the twin comes to the tick, every vehicle takes its step, then every
-law. All of it is the same compiled code that Python calls when it flies tick by tick.
+The order is that of `loop.fly`: the twin comes to the tick, every vehicle takes its step, then
+every law. All of it is the same compiled code that Python calls when it flies tick by tick.
 """
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sim_twin.board import Pulses
-from sim_twin.camera import Film, Optics
-from sim_twin.radio import Links
 from testbed.core.bundle import Bundle, unpacked
 from testbed.core.code_address import CodeAddress, call, same_kind
 from testbed.core.compiled import compiled, pasted
@@ -45,15 +40,9 @@ class TwinPorts(NamedTuple):
     phase: float  # of their first frame, in frames
     plant: Bundle  # of plant.Fleet
     pulses: Pulses  # of the plant
-    film: Film
-    optics: Optics
+    watch: Bundle  # of twin.Watch
     shown: Whole  # see camera.photograph
-    states: Links
-    setpoints: Links
-    messages: Links
-    tanks: Array  # see twin.observe
-    used: Array
-    pressures: Array
+    room: int  # of the film, for poses of a body
     x: Array  # true states, (v, 6)
 
 
@@ -61,7 +50,7 @@ class FleetPorts(NamedTuple):
     """All vehicles, their laws on the host, and the twin that they fly on."""
 
     codes: Codes
-    twin: TwinPorts
+    twin: Bundle  # of TwinPorts
     period: float  # of a tick [s]
     ports: Bundle  # of the first vehicle, for its kind: exchange.VehiclePorts
     table: Bundle  # TickTable
@@ -109,7 +98,7 @@ def fly_ticks(fleet, flown, first, count):
         now = (first + k) * it.period
         if not come_to(it, out, now):
             return
-        out.truth[k] = it.twin.x
+        out.truth[k] = unpacked(it.twin).x
         happened[CLOCK] = 1
         for v in range(it.vehicles.shape[0]):
             if not step_vehicle(it, out, v, now):
@@ -126,23 +115,17 @@ def fly_ticks(fleet, flown, first, count):
 @pasted
 def come_to(it, out, now):
     """Let the twin come to `now`; whether there is room for what its cameras will see."""
-    twin, codes, happened = it.twin, it.codes, out.happened
+    twin, codes, happened = unpacked(it.twin), it.codes, out.happened
     frame, begin = happened[FRAME], happened[FRAMES]
     free = out.times[begin:]
     frames = call(codes.exposures, (twin.rate, twin.phase, frame, now, free))
-    if frames > free.shape[0] or happened[MOST] + frames > twin.film.poses.shape[1]:
+    if frames > free.shape[0] or happened[MOST] + frames > twin.room:
         return False
     times, seen = free[:frames], out.seen[begin : begin + frames]
     origin = round(out.now[0] * 1e9)
     span = 1e-9 * (round(now * 1e9) - origin)
     happened[TOUCHES] = call(codes.advance, (twin.plant, twin.pulses, origin, span, times, seen))
-    happened[MOST] = call(
-        codes.observe,
-        (
-            twin.film, twin.optics, times, seen, twin.shown, twin.states, twin.setpoints,
-            twin.messages, twin.tanks, twin.used, twin.pressures, now,
-        ),
-    )  # fmt: skip
+    happened[MOST] = call(codes.observe, (twin.watch, times, seen, twin.shown, now))
     happened[FRAME], happened[FRAMES], out.now[0] = frame + frames, begin + frames, now
     return True
 
