@@ -164,8 +164,7 @@ def one(condition, rng, folder, home):
         host.close()
     left = await_gone(pids)
     over = "had ended" in said
-    if over:
-        said += f"its host: {host.find('end')}\n"
+    said += f"its host: {host.find('end')}\n"
     report = msgspec.json.decode((folder / "report.json").read_bytes(), type=TableReport)
     names = [name for name in pids if name != "twin"]
     said_of = [f"{name}: {'had ended, bearing air off' if over else 'stops'}" for name in names]

@@ -165,7 +165,7 @@ def _stop_directly(flight: StoppableFlight, stop: str, wait_s: float = DIRECT_S)
 
 
 def _stop_wires(flight: StoppableFlight) -> bool:
-    """Stop a host and its vehicles; whether all of them answered."""
+    """Stop a host and its vehicles; whether all of them stand."""
     stop, names, trouble = _new_id(), set(flight.vehicles), ""
     ended: dict[str, str] = {}
     shut = _stop_directly(flight, stop)  # first, because it is faster
@@ -173,19 +173,24 @@ def _stop_wires(flight: StoppableFlight) -> bool:
     from testbed.net.session import NetworkError
 
     try:
-        heard, flown, ended = _stop_host(flight, stop.encode())
+        shut, names, ended = _stop_host(flight, stop, shut)
     except NetworkError as error:
         process = f", process {flight.pid}," if flight.pid else ""
         trouble = f"the host{process} did not answer: {error}"
-    else:
-        shut, names = shut | heard, names or flown
-    if late := names - shut - ended.keys():
-        shut |= _stop_directly(flight._replace(vehicles=list(late)), stop, LATE_S)
+        if late := names - shut:
+            shut |= _stop_directly(flight._replace(vehicles=list(late)), stop, LATE_S)
     return _report(flight, names, shut, trouble, ended)
 
 
-def _stop_host(flight: StoppableFlight, stop: bytes) -> tuple[set[str], set[str], dict[str, str]]:
-    """Stop a host and its vehicles over Zenoh.
+def _stop_host(
+    flight: StoppableFlight, stop: str, shut: set[str]
+) -> tuple[set[str], set[str], dict[str, str]]:
+    """Stop a host and its vehicles over Zenoh, and those that do not answer also directly.
+
+    Args:
+        flight: of the host.
+        stop: id of this stop.
+        shut: vehicles that have answered.
 
     Returns:
         Vehicles that answered, all vehicles of the flight, and the bearing air of those that had
@@ -199,11 +204,16 @@ def _stop_host(flight: StoppableFlight, stop: bytes) -> tuple[set[str], set[str]
 
     keys, folder = Keys(flight.lab), Path(flight.keys) if flight.keys else None
     with dial(flight.endpoint, WAIT_S, folder, open_s=OPEN_S) as session:
-        session.put(keys.stop, stop)
-        heard = answers(session, keys.stop, ANSWER_S, stop)
+        session.put(keys.stop, stop.encode())
+        heard = answers(session, keys.stop, ANSWER_S, stop.encode())
         flown = _vehicles(answers(session, keys.experiment, ANSWER_S))
-        ended = ended_vehicles(session, keys)
-    return {data.decode(errors="replace") for data in heard}, set(flown), ended
+        names, ended, end = set(flight.vehicles or flown), dict[str, str](), monotonic() + LATE_S
+        shut = shut | {data.decode(errors="replace") for data in heard}
+        while (late := names - shut - ended.keys()) and monotonic() < end:
+            ended = ended_vehicles(session, keys)
+            if late := late - ended.keys():
+                shut |= _stop_directly(flight._replace(vehicles=list(late)), stop)
+    return shut, names, ended
 
 
 def _report(

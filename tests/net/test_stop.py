@@ -180,6 +180,20 @@ def test_what_a_host_says_of_ended_flights_may_be_nonsense(here, capsys, nonsens
     assert "  sat2: did not answer" in capsys.readouterr().out
 
 
+def test_a_busy_host_may_say_later_which_vehicles_have_ended(here, capsys):
+    said = [b'{"sat2": "off"}', b"{}", b"{}"]
+    session = listen(stopping.DEFAULT)
+    kept = [
+        answer_to(session, KEYS.experiment, lambda _: b'{"vehicles": {"sat2": {}}}'),
+        answer_to(session, KEYS.ended, lambda _: said.pop()),
+    ]
+    with session:
+        assert stop_everything(None, "lab") == OK
+        del kept
+    assert said == []
+    assert "  sat2: had ended, bearing air off" in capsys.readouterr().out
+
+
 def test_a_host_that_hangs_is_said(here, capsys):
     """The system accepts for a process that is stopped; nothing ever answers."""
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -268,11 +282,13 @@ def test_vehicles_that_answer_late_are_asked_again(monkeypatch, capsys):
 
     def directly(flight, stop, wait_s=0.3):
         asked.append((sorted(flight.vehicles), stop))
-        return {"sat1"} if len(asked) == 1 else {"sat2"}
+        return {"sat1"} if len(asked) == 1 else {"sat2"} if len(asked) == 3 else set()
 
     monkeypatch.setattr("testbed.net.stop._stop_directly", directly)
-    monkeypatch.setattr("testbed.net.stop._stop_host", lambda *_: (set(), {"sat1", "sat2"}, {}))
-    assert stop_everything("tcp/127.0.0.1:9", "lab") == 0
-    assert [names for names, _ in asked] == [[], ["sat2"]]
+    session, kept = host_at(endpoint := f"tcp/127.0.0.1:{free_port()}", [], ["sat1", "sat2"])
+    with session:
+        assert stop_everything(endpoint, "lab") == OK
+        del kept
+    assert [names for names, _ in asked] == [[], ["sat2"], ["sat2"]]
     assert asked[0][1] == asked[1][1]  # the same stop: it counts once
     assert "sat2: stops" in capsys.readouterr().out
