@@ -34,6 +34,7 @@ from testbed.rig.wired.host import WireRig
 from testbed.rig.wired.table_report import TableReport
 from testbed.run import drill_on_wires
 from testbed.run.drill import ROOM, with_random_starts
+from testbed.run.drill_on_wires import DrillError
 
 EXPERIMENTS = (
     "zhang2023_table", "zhang2023_table_wrench", "xue2021_table_static", "xue2022_table",
@@ -42,6 +43,7 @@ EXPERIMENTS = (
 WHEN = (2.0, 30.0)  # [s] of an end as planned, and of a stop
 AGAIN = 1.0  # [s] the second stop comes within
 HOLD_S = 20.0  # [s]
+TRIES = 3  # of a flight on the bench
 STEEP = 0.005  # [m/s^2] slope of the rough table: what the vehicle files allow
 BUMPS = 0.002  # [m/s^2] standard deviation of its map
 ENDS = ("planned", "stop", "stop twice", "hold, stop", "hold, time")
@@ -155,7 +157,8 @@ def on_bench(number: int, seed: int) -> Flown:
             rig.results.report,
             rig.results.clock,
         )
-        assert after is not None, rig.red
+        if after is None:
+            raise DrillError(f"the flight did not begin: {rig.red or ending}")
         assert report is not None
         assert clock is not None
         named = ending.fault.words if ending.fault else ""
@@ -165,6 +168,8 @@ def on_bench(number: int, seed: int) -> Flown:
             file = Path(folder) / "experiment.toml"
             file.write_text(tomli_w.dumps(dump(experiment)))
             flown = drill_on_wires.fly(file, Path(folder), names, experiment.duration_s)
+        if flown.red:
+            raise DrillError(f"the flight did not begin: {flown.red}")
         report, fault = flown.report, flown.fault
         at = experiment.inject[0].at_s or 0.0
         ends = [at, *(one.t for one in flown.ended.values())]
@@ -175,6 +180,16 @@ def on_bench(number: int, seed: int) -> Flown:
     safe = all(state == "SAFE" for state, _ in report.left_as.values())
     shut_s = max(0.0, last_closing(report) - 1e-9 * ended_ns)
     return Flown(end, where, after, named, shut_s, safe)
+
+
+def begun(number: int, seed: int) -> Flown:
+    """The same; a flight that does not begin, on a machine that is too busy, is flown again."""
+    for _ in range(TRIES):
+        try:
+            return on_bench(number, seed)
+        except DrillError as error:
+            print(f"flight {number}: {error}", flush=True)
+    return on_bench(number, seed)
 
 
 def last_closing(report: TableReport) -> float:
@@ -224,7 +239,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--rig", choices=["twin", "bench"], default="twin")
     options = parser.parse_args()
-    fly = on_twin if options.rig == "twin" else on_bench
+    fly = on_twin if options.rig == "twin" else begun
     flown = []
     for number in range(options.first, options.first + options.count):
         one = fly(number, options.seed)

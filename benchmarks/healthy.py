@@ -67,7 +67,7 @@ def draw(seed: int, number: int) -> dict[str, float]:
             return drawn
 
 
-def overrides_of(drawn: dict[str, float], number: int) -> list[str]:
+def overrides_of(drawn: dict[str, float], number: int, lasts: float) -> list[str]:
     """What differs from the shipped files, as for `testbed run`."""
     rng = np.random.default_rng(number)
     way = rng.uniform(0.0, 2.0 * np.pi)
@@ -95,7 +95,7 @@ def overrides_of(drawn: dict[str, float], number: int) -> list[str]:
     words.append(f"table.tilt.uniform=[{tilt * np.cos(way):.6g},{tilt * np.sin(way):.6g}]")
     if number % 3:
         words += ["vehicles.sat1.start=[-0.5,-0.5,0.0]", "vehicles.sat1.goal=[0.5,0.5,1.0]"]
-    return [*words, f"duration_s={LASTS_S:g}", f"seed={number}"]
+    return [*words, f"duration_s={lasts:g}", f"seed={number}"]
 
 
 def name_of(number: int) -> str:
@@ -103,11 +103,11 @@ def name_of(number: int) -> str:
     return "hold" if number % 3 else "zhang2023_table_wrench"
 
 
-def fly(seed: int, number: int) -> Flown:
+def fly(seed: int, number: int, lasts: float) -> Flown:
     """One flight."""
     drawn = draw(seed, number)
     try:
-        experiment = load(find(name_of(number)), overrides_of(drawn, number))
+        experiment = load(find(name_of(number)), overrides_of(drawn, number, lasts))
         rig = make_twin(experiment)
         ending = rig.fly(NullObserver())
     except ConfigError as error:
@@ -138,19 +138,21 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--flights", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--lasts", type=float, default=LASTS_S, help="of a flight [s]")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--show", type=int)
     options = parser.parse_args()
     if options.show is not None:
-        words = overrides_of(draw(options.seed, options.show), options.show)
+        words = overrides_of(draw(options.seed, options.show), options.show, options.lasts)
         print(f"testbed run {name_of(options.show)} " + " ".join(f"'{word}'" for word in words))
         return 0
-    seeds, numbers = [options.seed] * options.flights, range(options.flights)
+    numbers = range(options.flights)
+    seeds, lasts = [options.seed] * options.flights, [options.lasts] * options.flights
     if options.jobs == 1:
-        flown = list(map(fly, seeds, numbers))
+        flown = list(map(fly, seeds, numbers, lasts))
     else:
         with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-            flown = list(pool.map(fly, seeds, numbers, chunksize=4))
+            flown = list(pool.map(fly, seeds, numbers, lasts, chunksize=4))
     for one in flown:
         if one.cause or one.contacts:
             print(f"{one.number}: {one.contacts} contacts, {one.text}\n    {corner(one.drawn)}")

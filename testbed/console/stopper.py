@@ -20,7 +20,7 @@ from testbed.net.direct_stop import stop_directly
 from testbed.net.flight_note import StoppableFlight, known_flights, runs
 from testbed.net.keys import Keys
 from testbed.net.session import NetworkError, answers, dial
-from testbed.net.stop import ANSWER_S, end_twin
+from testbed.net.stop import ANSWER_S, answer_of, end_twin, ended_vehicles
 from testbed.realtime.wall_clock import monotonic_ns
 
 LOOK_S = 0.5  # between two looks at the connections
@@ -123,7 +123,7 @@ class StopSender:
         return {"lines": [f"{flight.name} on the twin: stops"], "sent": True}
 
     def _stop_wires(self, flight: StoppableFlight) -> dict[str, Any]:
-        heard, stop = set[str](), secrets.token_hex(8)
+        heard, stop, ended = set[str](), secrets.token_hex(8), dict[str, str]()
         expected = set(flight.vehicles)
 
         def directly() -> None:
@@ -132,10 +132,11 @@ class StopSender:
 
         def over_host() -> None:
             if self._host is not None:
-                key = Keys(flight.lab).stop
-                self._host.put(key, stop.encode())
-                replies = answers(self._host, key, ANSWER_S, stop.encode())
+                keys = Keys(flight.lab)
+                self._host.put(keys.stop, stop.encode())
+                replies = answers(self._host, keys.stop, ANSWER_S, stop.encode())
                 heard.update(one.decode(errors="replace") for one in replies)
+                ended.update(ended_vehicles(self._host, keys))
 
         both = [Thread(target=_quietly, args=(one,), daemon=True) for one in (directly, over_host)]
         for one in both:
@@ -143,9 +144,9 @@ class StopSender:
         for one in both:
             if not (expected and heard >= expected):
                 one.join(2.0 * ANSWER_S)
-        names = sorted({*expected, *heard})
-        lines = [f"{name}: {'stops' if name in heard else 'did not answer'}" for name in names]
-        return {"lines": lines or ["no vehicle answered"], "sent": bool(heard)}
+        names = sorted({*expected, *heard, *ended})
+        lines = [f"{name}: {answer_of(name, heard, ended)}" for name in names]
+        return {"lines": lines or ["no vehicle answered"], "sent": bool(heard or ended)}
 
 
 def _keys(flight: StoppableFlight) -> Path | None:

@@ -99,6 +99,7 @@ MEMORY = record(
     wait=int,  # looks until the estimator has settled
     summed=int,  # looks in `Heard.sums`
     stretches=int,  # sums so far
+    began=int,  # block of the long window in which its best cause began
     far=record(**VERDICT),  # of the long window
     fine=record(**VERDICT),  # see whitened.py
     **VERDICT,  # of the short one
@@ -244,7 +245,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         sums[axis, -1] += known.period * bias[axis]
         bias[axis] += settling * x[axis, -1] / known.period
     if m.look % known.block == 0:
-        age(near)
+        age(near, 0)
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
     listen(near, x, trust, known.keep, known.rough, WHITE)
     weight = 1.0 / (near.spread[0] + known.rough), 1.0 / near.spread[1]
@@ -277,7 +278,7 @@ def weigh_long(known, m, heard):
     """
     far, remembers = heard.far, 1.0 - known.long * known.period / LONG_MEMORY_S
     forget(m.far)
-    age(far)
+    age(far, m.began)
     m.stretches += 1
     trust = max(1.0 - remembers, 1.0 / (m.stretches + LONG_BELIEVED))
     rough = known.long * known.rough
@@ -287,7 +288,7 @@ def weigh_long(known, m, heard):
     slope = known.bumps * known.bumps + known.slope * known.slope
     root = factor(far.told, known.sure, 1.0 / slope)
     least, y = borrowed(root)
-    decide(far, least, y, known.period, True, m.far)
+    m.began = decide(far, least, y, known.period, True, m.far)
     judge(heard.nudges.far, least, y, m.far)
     m.summed, heard.sums[:] = 0, 0.0
     keep(root)

@@ -70,5 +70,5 @@ def weigh_whitened(fine, sure, slope, period, found):
     root = factor(fine.told, sure, slope)
     least, y = borrowed(root)
     decide(fine, least, y, period, True, found)
-    age(fine)
+    age(fine, 0)
     keep(root)

@@ -54,13 +54,26 @@ def clear(window):
 
 
 @compiled
-def age(window):
-    """Begin a block: the oldest two become one."""
+def age(window, began):
+    """Begin a block: the oldest two become one.
+
+    If the best cause began between these, the second becomes one with the third: before it began it
+    pushed nothing, and without its beginning a cause that has always been there would explain more.
+
+    Args:
+        window: Window, changed in place.
+        began: block of the best cause's beginning, see `decide`.
+    """
     blocks, worth, count = window.blocks, window.worth, window.worth.shape[0]
     oldest = (int(window.newest[0]) + count - 1) % count
-    second = (oldest + count - 1) % count
-    blocks[second] = worth[second] * blocks[second] + worth[oldest] * blocks[oldest]
-    blocks[oldest], worth[second], window.newest[0] = 0.0, 1.0, oldest
+    second, third = (oldest + count - 1) % count, (oldest + count - 2) % count
+    if began == count - 2:
+        blocks[third] = worth[third] * blocks[third] + worth[second] * blocks[second]
+        blocks[second], worth[third], worth[second] = blocks[oldest], 1.0, worth[oldest]
+    else:
+        blocks[second] = worth[second] * blocks[second] + worth[oldest] * blocks[oldest]
+        worth[second] = 1.0
+    blocks[oldest], window.newest[0] = 0.0, oldest
 
 
 @compiled
@@ -174,6 +187,8 @@ def suspect(since, least, y, part, fits, own):
 def decide(window, least, y, period, every, found):
     """Write the best cause of each kind to `found`, a record of VERDICT.
 
+    Returns the block, counted from the newest one, in which the best of all of them began.
+
     Args:
         window: Window.
         least: see `factor`.
@@ -186,6 +201,7 @@ def decide(window, least, y, period, every, found):
     m, n, count = y.shape[0], y.shape[0] - 4, blocks.shape[2]
     sums, memory = np.zeros((m + 2, count)), np.empty((3, count))
     since, part, fits, own = borrowed((sums, memory[0], memory[1], memory[2]))
+    began, best = 0, 0.0
     for k in range(blocks.shape[0]):
         place = (now + k) % blocks.shape[0]
         block, left = blocks[place], worth[place]
@@ -209,9 +225,13 @@ def decide(window, least, y, period, every, found):
                 one.next = gain
         always = k == blocks.shape[0] - 1
         score(fits, own, 2 * n, period, always, found.gains, found.sizes, found.way)
+        gain = max(found.leak.gain, found.weak.gain, found.gains.max())
+        if gain > best:
+            began, best = k, gain
     found.gains[LEAK], found.sizes[LEAK] = found.leak.gain, found.leak.share
     found.gains[WEAK], found.sizes[WEAK] = found.weak.gain, found.weak.share
     keep((sums, memory))
+    return began
 
 
 @compiled

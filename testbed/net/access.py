@@ -125,7 +125,7 @@ def permissions(
         case "operator":
             return [
                 (SAY, [keys.stop]),
-                (ASK, [keys.stop, keys.experiment]),
+                (ASK, [keys.stop, keys.experiment, keys.ended]),
                 (HEAR, [*seen, *of(vehicles, "setpoint"), keys.stop]),
             ]
         case _:  # a watcher

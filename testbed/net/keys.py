@@ -13,6 +13,7 @@
     <lab>/host/lease           permission to fly; expires              host -> vehicles
     <lab>/host/clock           get: the host's clock
     <lab>/host/experiment      get: the experiment
+    <lab>/host/ended           get: vehicles that have ended their flight, and their bearing air
     <lab>/host/alive           liveliness token
     <lab>/operator/stop        put or get: end the flight, now          operator -> all
 
@@ -31,6 +32,7 @@ class Keys:
         self.lease = f"{lab}/host/lease"
         self.clock = f"{lab}/host/clock"
         self.experiment = f"{lab}/host/experiment"
+        self.ended = f"{lab}/host/ended"
         self.host_alive = f"{lab}/host/alive"
         self.stop = f"{lab}/operator/stop"
         self.everything = f"{lab}/**"

@@ -15,12 +15,18 @@ import signal
 import socket
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
+from typing import TYPE_CHECKING
 
 from testbed.net.flight_note import StoppableFlight, complain, known_flights, runs
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from testbed.net.keys import Keys
 
 OK, FAILED = 0, 1
 WAIT_S = 0.0  # time for a host to start listening
@@ -98,13 +104,13 @@ def _stop_here() -> Iterator[bool]:
         if _listens(DEFAULT):
             yield _stop_wires(flight)
         elif shut := _stop_directly(flight, _new_id()):
-            yield _report(flight, set(), shut, "no host listens")
+            yield _report(flight, set(), shut, "no host listens", {})
     for note, flight in killed:  # last: each takes DIRECT_S, and its vehicles shut by themselves
         shut = set()
         if flight.endpoint:
             shut = _stop_directly(flight, _new_id())
             why = f"the host, process {flight.pid}, was killed"
-            yield _report(flight, set(flight.vehicles), shut, why)
+            yield _report(flight, set(flight.vehicles), shut, why, {})
         if not shut:  # the second stop needs the note
             note.unlink(missing_ok=True)
 
@@ -159,26 +165,36 @@ def _stop_directly(flight: StoppableFlight, stop: str, wait_s: float = DIRECT_S)
 
 
 def _stop_wires(flight: StoppableFlight) -> bool:
-    """Stop a host and its vehicles; whether all of them answered."""
+    """Stop a host and its vehicles; whether all of them stand."""
     stop, names, trouble = _new_id(), set(flight.vehicles), ""
+    ended: dict[str, str] = {}
     shut = _stop_directly(flight, stop)  # first, because it is faster
 
     from testbed.net.session import NetworkError
 
     try:
-        heard, flown = _stop_host(flight, stop.encode())
+        shut, names, ended = _stop_host(flight, stop, shut)
     except NetworkError as error:
         process = f", process {flight.pid}," if flight.pid else ""
         trouble = f"the host{process} did not answer: {error}"
-    else:
-        shut, names = shut | heard, names or flown
-    if not names <= shut:
-        shut |= _stop_directly(flight._replace(vehicles=list(names - shut)), stop, LATE_S)
-    return _report(flight, names, shut, trouble)
+        if late := names - shut:
+            shut |= _stop_directly(flight._replace(vehicles=list(late)), stop, LATE_S)
+    return _report(flight, names, shut, trouble, ended)
 
 
-def _stop_host(flight: StoppableFlight, stop: bytes) -> tuple[set[str], set[str]]:
-    """Stop a host and its vehicles over Zenoh: vehicles that answered, and vehicles that fly.
+def _stop_host(
+    flight: StoppableFlight, stop: str, shut: set[str]
+) -> tuple[set[str], set[str], dict[str, str]]:
+    """Stop a host and its vehicles over Zenoh, and those that do not answer also directly.
+
+    Args:
+        flight: of the host.
+        stop: id of this stop.
+        shut: vehicles that have answered.
+
+    Returns:
+        Vehicles that answered, all vehicles of the flight, and the bearing air of those that had
+        ended their flight before.
 
     Raises:
         NetworkError: the host does not answer.
@@ -188,27 +204,60 @@ def _stop_host(flight: StoppableFlight, stop: bytes) -> tuple[set[str], set[str]
 
     keys, folder = Keys(flight.lab), Path(flight.keys) if flight.keys else None
     with dial(flight.endpoint, WAIT_S, folder, open_s=OPEN_S) as session:
-        session.put(keys.stop, stop)
-        heard = answers(session, keys.stop, ANSWER_S, stop)
+        session.put(keys.stop, stop.encode())
+        heard = answers(session, keys.stop, ANSWER_S, stop.encode())
         flown = _vehicles(answers(session, keys.experiment, ANSWER_S))
-    return {data.decode(errors="replace") for data in heard}, set(flown)
+        names, ended, end = set(flight.vehicles or flown), dict[str, str](), monotonic() + LATE_S
+        shut = shut | {data.decode(errors="replace") for data in heard}
+        while (late := names - shut - ended.keys()) and monotonic() < end:
+            ended = ended_vehicles(session, keys)
+            if late := late - ended.keys():
+                shut |= _stop_directly(flight._replace(vehicles=list(late)), stop)
+    return shut, names, ended
 
 
-def _report(flight: StoppableFlight, names: set[str], shut: set[str], trouble: str) -> bool:
-    """Print which vehicles stopped, and the host's trouble; whether all vehicles stopped."""
+def _report(
+    flight: StoppableFlight, names: set[str], shut: set[str], trouble: str,
+    ended: Mapping[str, str],
+) -> bool:  # fmt: skip
+    """Print which vehicles stopped, and the host's trouble; whether all vehicles stand."""
     if trouble and not shut:
         complain(f"{flight.endpoint}: not stopped: {trouble}")
         return False
     sys.stdout.write(f"{flight.endpoint}\n")
-    for name in sorted({*names, *shut}):
-        sys.stdout.write(f"  {name}: {'stops' if name in shut else 'did not answer'}\n")
+    for name in sorted({*names, *shut, *ended}):
+        sys.stdout.write(f"  {name}: {answer_of(name, shut, ended)}\n")
     if trouble:
         sys.stdout.write(f"  stopped without the host: {trouble}\n")
     if shut:
         sys.stdout.write("  stop again to shut valves and air at once\n")
     if not shut and not names:
         sys.stdout.write("  no vehicle answered\n")
-    return bool(shut) and shut >= names
+    stand = shut | {name for name, air in ended.items() if air == "off"}
+    return bool(stand) and stand >= names
+
+
+def answer_of(name: str, shut: Container[str], ended: Mapping[str, str]) -> str:
+    """What a vehicle answered to a stop, or its host for it.
+
+    Args:
+        name: of the vehicle.
+        shut: vehicles that answered.
+        ended: bearing air of vehicles that had ended their flight before.
+    """
+    if name in shut:
+        return "stops"
+    return f"had ended, bearing air {ended[name]}" if name in ended else "did not answer"
+
+
+def ended_vehicles(session: "zenoh.Session", keys: "Keys") -> dict[str, str]:
+    """Bearing air, "off" or "on", of the vehicles that have ended their flight, by their host."""
+    from testbed.net.session import answers
+
+    with suppress(ValueError, AttributeError, IndexError, RecursionError):
+        said = answers(session, keys.ended, ANSWER_S)[0]
+        return {str(name): str(air) for name, air in json.loads(said).items()}
+    return {}
 
 
 def _vehicles(experiments: Sequence[bytes]) -> list[str]:

@@ -3,7 +3,20 @@
 import numpy as np
 import pytest
 
-from testbed.flight.window import BLOCKS, Window, age, clear, factor, listen, suspect
+from testbed.flight.hypotheses import ALL, COLUMNS, PULL, PUSHED, THRUST, X, Y
+from testbed.flight.record import record
+from testbed.flight.window import (
+    BLOCKS,
+    VERDICT,
+    Window,
+    age,
+    clear,
+    decide,
+    factor,
+    forget,
+    listen,
+    suspect,
+)
 
 JETS, KEEP = 5, 0.97
 M = JETS + 4
@@ -23,7 +36,7 @@ def heard(window, looks, block):
     rng, sums = np.random.default_rng(3), []
     for k in range(looks):
         if k % block == 0:
-            age(window)
+            age(window, 0)
         x = rng.normal(size=(3, ROWS + 1))
         listen(window, x, 0.0, KEEP, 0.5, 2.6)  # the noise stays as it is
         weight = np.array([1.0 / 1.5, 1.0 / 1.5, 1.0 / 4.0])[:, None]
@@ -60,6 +73,31 @@ def test_a_window_that_was_cleared_begins_anew():
         expected = fresh.worth[other] * fresh.blocks[other]
         assert window.worth[one] * window.blocks[one] == pytest.approx(expected)
     assert window.told == pytest.approx(fresh.told)
+
+
+@pytest.mark.parametrize("after", [20, 40, 70])  # blocks from the fault to the end
+def test_a_cause_that_began_later_keeps_its_beginning(after):
+    """A hose against which the jets hold looks like a lack of thrust, but for its beginning."""
+    healthy, pull, rng = 12, np.array([12e-3, 5e-3]), np.random.default_rng(6)
+    rows, first = 2 * JETS + 4 + COLUMNS, 2 * JETS + 4
+    shapes = [(M, M + 1), (BLOCKS, M + 2, 2 * JETS + COLUMNS), (BLOCKS,), (1,), (2,), (3,)]
+    window, found, began = Window(*map(np.zeros, shapes)), np.zeros(1, record(**VERDICT))[0], 0
+    window.spread[:] = 1e-6, 25e-6
+    for k in range(healthy + after):
+        age(window, began)
+        hose = pull if k >= healthy else np.zeros(2)
+        push = 3e-3 * rng.normal(size=2) - hose
+        x = np.zeros((3, rows + 1))
+        x[:2, first - 2 : first] = x[:2, first + X : first + Y + 1] = np.eye(2)
+        x[:2, first + ALL] = x[:2, first + PUSHED] = push
+        x[:2, -1] = hose + 1e-3 * rng.normal(size=2)
+        listen(window, x, 0.0, 0.975, 0.0, 2.6)
+        forget(found)
+        root = factor(window.told, np.full(M, 400.0), 1.0 / 4e-6)
+        began = decide(window, *root, 0.1, True, found)
+    assert began == min(after - 1, BLOCKS - 2)
+    assert found.gains[PULL] > found.gains[THRUST] + 3.0
+    assert found.way == pytest.approx(pull, abs=1e-3)
 
 
 def test_suspicions_are_what_is_left_without_the_uncertain_parameters():

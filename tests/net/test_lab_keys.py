@@ -109,6 +109,7 @@ class LabOnLoopback:
         self.kept = [
             answer_to(self.host, KEYS.experiment, lambda _: b"an experiment"),
             answer_to(self.host, KEYS.clock, lambda _: b"12345678"),
+            answer_to(self.host, KEYS.ended, lambda _: b"{}"),
         ]
 
     def __getitem__(self, who):
@@ -327,6 +328,7 @@ def test_without_a_certificate_no_party_gets_in(rig, folder, endpoint):
         with pytest.raises(zenoh.ZError):
             client(bare, {})
     assert ask(rig["operator-anna"], KEYS.experiment) == b"an experiment"  # and nothing is broken
+    assert ask(rig["operator-anna"], KEYS.ended) == b"{}"
 
 
 def test_a_certificate_of_another_authority_is_none(rig, tmp_path, folder, endpoint):

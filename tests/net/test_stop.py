@@ -57,12 +57,14 @@ def process():
         one.communicate()
 
 
-def host_at(endpoint, shut, flown):
-    """A host's session with vehicles that shut, and an experiment that says who flies."""
+def host_at(endpoint, shut, flown, ended=None):
+    """A host's session with vehicles that shut or had ended, and an experiment with all of them."""
     session = listen(endpoint)
     kept = [answer_to(session, KEYS.stop, lambda _, n=name: n.encode()) for name in shut]
     text = json.dumps({"vehicles": {name: {} for name in flown}}).encode()
     kept.append(answer_to(session, KEYS.experiment, lambda _: text))
+    if ended is not None:
+        kept.append(answer_to(session, KEYS.ended, lambda _: ended))
     return session, kept
 
 
@@ -156,6 +158,42 @@ def test_a_vehicle_that_does_not_answer_is_named(here, capsys):
     assert "main valve" in said.err
 
 
+@pytest.mark.parametrize(("air", "code"), [("off", OK), ("on", FAILED)])
+def test_vehicles_that_had_ended_their_flight_need_no_stop(here, capsys, air, code):
+    ended = json.dumps({"sat2": air}).encode()
+    session, kept = host_at(stopping.DEFAULT, ["sat1"], ["sat1", "sat2"], ended)
+    with session:
+        assert stop_everything(None, "lab") == code
+        del kept
+    said = capsys.readouterr()
+    lines = [stopping.DEFAULT, "  sat1: stops", f"  sat2: had ended, bearing air {air}"]
+    assert said.out.splitlines() == [*lines, ONCE_MORE]
+    assert ("main valve" in said.err) == (code == FAILED)
+
+
+@pytest.mark.parametrize("nonsense", [b"", b"[]", b"{", b"7"])
+def test_what_a_host_says_of_ended_flights_may_be_nonsense(here, capsys, nonsense):
+    session, kept = host_at(stopping.DEFAULT, ["sat1"], ["sat1", "sat2"], nonsense)
+    with session:
+        assert stop_everything(None, "lab") == FAILED
+        del kept
+    assert "  sat2: did not answer" in capsys.readouterr().out
+
+
+def test_a_busy_host_may_say_later_which_vehicles_have_ended(here, capsys):
+    said = [b'{"sat2": "off"}', b"{}", b"{}"]
+    session = listen(stopping.DEFAULT)
+    kept = [
+        answer_to(session, KEYS.experiment, lambda _: b'{"vehicles": {"sat2": {}}}'),
+        answer_to(session, KEYS.ended, lambda _: said.pop()),
+    ]
+    with session:
+        assert stop_everything(None, "lab") == OK
+        del kept
+    assert said == []
+    assert "  sat2: had ended, bearing air off" in capsys.readouterr().out
+
+
 def test_a_host_that_hangs_is_said(here, capsys):
     """The system accepts for a process that is stopped; nothing ever answers."""
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -244,11 +282,13 @@ def test_vehicles_that_answer_late_are_asked_again(monkeypatch, capsys):
 
     def directly(flight, stop, wait_s=0.3):
         asked.append((sorted(flight.vehicles), stop))
-        return {"sat1"} if len(asked) == 1 else {"sat2"}
+        return {"sat1"} if len(asked) == 1 else {"sat2"} if len(asked) == 3 else set()
 
     monkeypatch.setattr("testbed.net.stop._stop_directly", directly)
-    monkeypatch.setattr("testbed.net.stop._stop_host", lambda *_: (set(), {"sat1", "sat2"}))
-    assert stop_everything("tcp/127.0.0.1:9", "lab") == 0
-    assert [names for names, _ in asked] == [[], ["sat2"]]
+    session, kept = host_at(endpoint := f"tcp/127.0.0.1:{free_port()}", [], ["sat1", "sat2"])
+    with session:
+        assert stop_everything(endpoint, "lab") == OK
+        del kept
+    assert [names for names, _ in asked] == [[], ["sat2"], ["sat2"]]
     assert asked[0][1] == asked[1][1]  # the same stop: it counts once
     assert "sat2: stops" in capsys.readouterr().out

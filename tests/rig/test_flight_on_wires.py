@@ -218,6 +218,25 @@ def test_an_operator_says_stop(capsys):
     assert_nothing_is_left(met)
 
 
+def test_a_stop_after_the_vehicles_have_ended_finds_them_at_rest(monkeypatch, capsys):
+    """Their processes are gone, and the host is still there while the twin's server ends."""
+    codes = []
+
+    class EndsSlowly(WireRig):
+        def _end_children(self, children):
+            children.end(list(self.experiment.vehicles))
+            endpoint = self.experiment.table.lab.network.endpoint
+            codes.append(stop_everything(endpoint, "lab"))
+            super()._end_children(children)
+
+    monkeypatch.setitem(globals(), "WireRig", EndsSlowly)
+    _, ending, _, met = fly("hold", "duration_s=1")
+    assert ending.fault is None
+    assert codes == [0]
+    assert "  sat1: had ended, bearing air off\n" in capsys.readouterr().out
+    assert_nothing_is_left(met)
+
+
 def test_a_vehicle_is_stopped_without_its_host():
     def stop_later(rig):
         endpoint = rig.experiment.table.lab.network.endpoint

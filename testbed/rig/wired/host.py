@@ -212,6 +212,7 @@ class WireRig:
         roll = Roll(session, keys, self.experiment.vehicles)
         answering = [
             answer_to(session, keys.experiment, lambda _: text),
+            answer_to(session, keys.ended, lambda _: self.results.ended_as()),
             answer_to(session, keys.clock, lambda _: monotonic_ns().to_bytes(8, "little")),
         ]
         truth = Subscriber(session, keys.truth)
@@ -233,9 +234,9 @@ class WireRig:
                 self.supervisor.request(ending.t, "stop")
             self._close(ending)
         finally:
-            del answering
             if children is not None:
                 self._end_children(children)
+            del answering  # last: a stop may come while the processes end
         return ending
 
     def _start_children(self, children: ProcessGroup) -> None:

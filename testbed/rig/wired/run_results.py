@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from testbed.config import Experiment
@@ -146,6 +147,10 @@ class RunResults:
             "on" if any(one.air == "on" for one in left.values()) else "off",
             left,
         )
+
+    def ended_as(self) -> bytes:
+        """Bearing air, "off" or "on", of each vehicle that has ended its flight, for `stop.py`."""
+        return msgspec.json.encode({name: one.air for name, one in self.ended.copy().items()})
 
     def spent(self, name: str) -> Consumption:
         """See `Rig`. Without a twin: from the commands and the vehicle file's thrust."""
