@@ -33,6 +33,11 @@ the satellite brakes. The law's state counts both and `concerns` reports them.
 
 The law decides once per jet period and is deterministic: each program is warm-started with the
 previous plan, which is part of the law's state.
+
+It holds its goal without an offset (G. Pannocchia, J. B. Rawlings, "Disturbance models for
+offset-free model-predictive control", AIChE Journal 49:426, 2003): what the velocity does beyond
+the plan and the estimator's disturbance is a disturbance of its own, followed with the time
+constant `remainder_s`. It stands for jets that give less than the plan assumes.
 """
 
 from typing import Annotated, NamedTuple
@@ -57,6 +62,7 @@ BRAKE_S = 0.5  # stopping time of a satellite without a plan, within its force l
 SOLVED = 1  # DAQP's exit flag
 FREE = 1e30  # DAQP's infinity
 CURVE = 1e-3  # curvature of the slacks' cost: DAQP requires strict convexity
+LARGEST_REST = 0.2  # of the force limit: what a blocked or saturated vehicle may add up
 FAILED, SOFTENED, WORST, PLAN = 0, 1, 2, 3  # indices into the law's state
 
 
@@ -71,6 +77,7 @@ class MpcParams(Struct, frozen=True, forbid_unknown_fields=True, tag="mpc"):
     margin: NonNegative = 0.05  # beyond the discs' radii [m]
     violation: Positive = 1e4  # cost per metre of violated margin
     feed: Feed = "disturbance"
+    remainder_s: NonNegative = 5.0  # with this feed; 0: off [s]
     mean_motion: NonNegative = 0.0  # [rad/s]
     period: Positive = 0.1  # hold time of a force if the caller does not give one [s]
     scale: Scale = field(default_factory=Scale)
@@ -172,10 +179,16 @@ class Program(NamedTuple):
 
 
 class Mpc:
-    """The law; its state is [solver failures, margin violations, largest violation [m], plan]."""
+    """The law.
+
+    Its state: solver failures, margin violations, largest violation [m], plan (n d) [m/s^2],
+    disturbance beyond the estimator's (d) [m/s^2], velocity expected at the next decision (d)
+    [m/s].
+    """
 
     def __init__(self, params: MpcParams, d: int) -> None:
         self._params, self._d, self._n = params, d, params.steps
+        self._learns = params.feed == "disturbance" and params.remainder_s > 0.0
         self._generator = generator(params.mean_motion, d)[0]
         self._horizon = ahead = horizon(params, d)
         self._h = 2.0 * (ahead.from_plan.T @ ahead.cost @ ahead.from_plan + ahead.accel)
@@ -183,7 +196,7 @@ class Mpc:
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""
-        return np.zeros(PLAN + self._n * self._d)
+        return np.concatenate((np.zeros(PLAN + (self._n + 1) * self._d), own.v))
 
     def _goals(self, own: Body, world: World) -> tuple[Array, Array]:
         """States (n 2d,) of the goal after each step; steady accelerations (n d,) on it."""
@@ -232,19 +245,33 @@ class Mpc:
     ) -> tuple[Array, Array]:
         """See `Decider`."""
         d, after = self._d, law_state.copy()
-        program = self.program(law_state[PLAN:], own, neighbours, world)
-        z = solved(program, law_state[PLAN:])
+        before, _, _ = self._parts(law_state)
+        plan_now, rest, expected = self._parts(after)
+        if self._learns:
+            if np.isfinite(surprise := own.v - expected).all():
+                rest += surprise / max(self._params.remainder_s, duration)
+            rest[:] = bounded(rest, LARGEST_REST * own.max_force / own.mass)
+            own = own._replace(disturbance=own.disturbance + rest)
+        program = self.program(before, own, neighbours, world)
+        z = solved(program, before)
         if z is None:
             after[FAILED] += 1.0
-            a, after[PLAN:] = -own.v / max(BRAKE_S, duration) - own.disturbance, 0.0
+            a, plan_now[:] = -own.v / max(BRAKE_S, duration) - own.disturbance, 0.0
         else:
             given_up, plan = np.max(z[: program.m], initial=0.0), z[program.m :]
             after[SOFTENED] += given_up > NOTICED
             after[WORST] = max(after[WORST], given_up)
             a, share = plan[:d], min(1.0, duration / self._params.step_s)
             later = np.concatenate((plan[d:], np.zeros(d)))
-            after[PLAN:] = (1.0 - share) * plan + share * later
-        return bounded(own.mass * a, own.max_force), after
+            plan_now[:] = (1.0 - share) * plan + share * later
+        force = bounded(own.mass * a, own.max_force)
+        expected[:] = own.v + duration * (force / own.mass + own.disturbance)
+        return force, after
+
+    def _parts(self, law_state: Array) -> tuple[Array, Array, Array]:
+        """Plan, disturbance beyond the estimator's, expected velocity: views of the state."""
+        d = self._d
+        return law_state[PLAN : -2 * d], law_state[-2 * d : -d], law_state[-d:]
 
     def concerns(self, law_state: Array) -> list[Concern]:
         """See `Decider`."""

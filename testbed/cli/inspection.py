@@ -145,5 +145,6 @@ def print_schema(kind: str) -> None:
 
 
 def _allow_path(properties: dict[str, Any], key: str) -> None:
-    path = {"type": "string", "description": "path of a TOML file, relative to this one"}
+    meaning = "path of a TOML file, relative to this one, or the name of a shipped file"
+    path = {"type": "string", "description": meaning}
     properties[key] = {"anyOf": [path, properties[key]]}

@@ -9,7 +9,8 @@ Every error is a `ConfigError` that says where, what was expected and what was f
 
 from testbed.config.error import ConfigError
 from testbed.config.experiment import Deploy, Experiment, Fork, VehicleSetup
-from testbed.config.file import SHIPPED, dump, find, load, loads
+from testbed.config.file import dump, find, load, loads
+from testbed.config.shipped import SHIPPED
 from testbed.config.tree import read_toml
 
 __all__ = [

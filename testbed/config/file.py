@@ -24,7 +24,7 @@ from testbed.config.network import bad_network
 from testbed.config.number import bad_numbers
 from testbed.config.own_law import bad_own_law, with_content
 from testbed.config.plugin import bad_plugins
-from testbed.config.shipped import FAULTS, SHIPPED
+from testbed.config.shipped import FAULTS, shipped
 from testbed.config.source import Source
 from testbed.config.thresholds import (
     Texts,
@@ -52,7 +52,7 @@ def find(name: str) -> Path:
     trouble = trouble_at(path)
     if trouble is None:
         return path
-    known = {file.stem: file for file in sorted((SHIPPED / "experiments").glob("*.toml"))}
+    known = shipped("experiments")
     if name in known:
         return known[name]
     expected = f"an experiment file or one of: {', '.join(known)}"

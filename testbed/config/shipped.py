@@ -18,6 +18,12 @@ FAULTS = SHIPPED / "faults.toml"
 
 
 @cache
+def shipped(kind: str) -> dict[str, Path]:
+    """The shipped files of a kind, "experiments", "tables" or "vehicles", by name."""
+    return {file.stem: file for file in sorted((SHIPPED / kind).glob("*.toml"))}
+
+
+@cache
 def shipped_faults() -> FaultTable:
     """The table of configs/faults.toml, for the shipped vehicle on the shipped table."""
     tree = read_toml(FAULTS)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from testbed.config.error import ConfigError, Violation, did_you_mean, show
 from testbed.config.key import Key, assignment, spell
 from testbed.config.own_law import place_law
-from testbed.config.shipped import FAULTS
+from testbed.config.shipped import FAULTS, shipped
 from testbed.config.tree import parse, read_toml, trouble_at
 
 _BARE_WORD = re.compile(r"[^\W\d][\w./-]*|\.{0,2}/[\w./-]+")
@@ -91,21 +91,35 @@ class Source:
         self._origins = kept | {key: origin}
 
     def _include(self, folder: Path) -> None:
-        """Replace paths by the content of their files."""
+        """Replace paths, and names of shipped files, by the content of their files."""
         place_law(self.tree, folder)
-        slots: list[tuple[Key, Any]] = [(("table",), self.tree), (("faults",), self.tree)]
+        slots: list[tuple[Key, Any, str]] = [
+            (("table",), self.tree, "tables"),
+            (("faults",), self.tree, ""),
+        ]
         vehicles = self.tree.get("vehicles")
         if isinstance(vehicles, dict):
-            slots += [(("vehicles", name, "model"), entry) for name, entry in vehicles.items()]
-        for key, parent in slots:
+            slots += [
+                (("vehicles", own, "model"), one, "vehicles") for own, one in vehicles.items()
+            ]
+        for key, parent, kind in slots:
             name = parent.get(key[-1]) if isinstance(parent, dict) else None
             if isinstance(name, str):
-                file = folder / name
-                if trouble := trouble_at(file):
-                    found = f"{show(name)}: {trouble}"
-                    raise self.error(Violation(key, "the path of a TOML file", found))
-                parent[key[-1]] = read_toml(file.resolve())
-                self._note(key, Origin(str(file.resolve()), key))
+                file = self._file(key, folder, name, shipped(kind) if kind else {}).resolve()
+                parent[key[-1]] = read_toml(file)
+                self._note(key, Origin(str(file), key))
+
+    def _file(self, key: Key, folder: Path, name: str, known: dict[str, Path]) -> Path:
+        """The file at the path `name`; where there is none, the shipped one of this name."""
+        file = folder / name
+        trouble = trouble_at(file)
+        if trouble is None:
+            return file
+        if name in known:
+            return known[name]
+        names = f", or one of: {', '.join(known)}" if known else ""
+        found = f"{show(name)}: {trouble}{did_you_mean(Path(name).stem, known)}"
+        raise self.error(Violation(key, f"the path of a TOML file{names}", found))
 
 
 def _parse(origin: Origin, key: Key, raw: str) -> Any:

@@ -504,6 +504,12 @@ def test_a_file_that_is_not_toml(slot: str, content: str | bytes) -> None:
     assert re.fullmatch(BROKEN_FILES[content], message.found)
 
 
+def path_or_name(kind: str) -> str:
+    """What a key for a table or a vehicle expects."""
+    names = sorted(file.stem for file in (SHIPPED / kind).glob("*.toml"))
+    return f"the path of a TOML file, or one of: {', '.join(names)}"
+
+
 @pytest.mark.parametrize(
     ("slot", "key", "value", "found"),
     [
@@ -519,7 +525,7 @@ def test_a_file_that_is_not_toml(slot: str, content: str | bytes) -> None:
 def test_an_included_file_that_is_none(slot: str, key: str, value: str, found: str) -> None:
     Path("experiment.toml").write_text(HOLD.replace(f"{SHIPPED}/{slot}.toml", value))
     message = refused("experiment.toml")
-    assert message == ("experiment.toml", key, "the path of a TOML file", found)
+    assert message == ("experiment.toml", key, path_or_name(slot.split("/")[0]), found)
 
 
 @pytest.mark.parametrize("value", ["nowhere.toml", "/nowhere/x.toml", "./nowhere.toml", "../here"])
@@ -527,8 +533,32 @@ def test_a_table_on_the_command_line_that_is_none(value: str) -> None:
     trouble = "it is a folder" if value == "../here" else "no such file"
     message = refused("hold", [f"table={value}"])
     assert message == (
-        f"command line: table={value}", "table", "the path of a TOML file",
+        f"command line: table={value}", "table", path_or_name("tables"),
         f'"{value}": {trouble}',
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("override", "kind", "meant"),
+    [
+        ("table=rouhg_4m", "tables", "rough_4m"),
+        ("table=tables/marble6m.toml", "tables", "marble_6m"),
+        ("vehicles.sat1.model=generic_jet", "vehicles", "generic_8jet"),
+        ("vehicles.sat1.model=rough_4m", "vehicles", None),  # of another kind
+    ],
+)
+def test_a_name_of_no_shipped_file(override: str, kind: str, meant: str | None) -> None:
+    key, value = override.split("=")
+    hint = f" (did you mean `{meant}`?)" if meant else ""
+    assert refused("hold", [override]) == (
+        f"command line: {override}", key, path_or_name(kind), f'"{value}": no such file{hint}',
+    )  # fmt: skip
+
+
+def test_a_fault_table_has_no_name() -> None:
+    message = refused("hold", ["faults=faults"])
+    assert (message.expected, message.found) == (
+        "the path of a TOML file", '"faults": no such file',
     )  # fmt: skip
 
 

@@ -53,6 +53,32 @@ def test_a_path_on_the_command_line_is_relative_to_the_current_folder(tmp_path, 
         assert hold(f"table={value}").table.restitution == 0.25
 
 
+def test_shipped_tables_and_vehicles_are_found_by_name(tmp_path, tree):
+    folder = SHIPPED.as_posix()
+    meant = load(
+        find("zhang2023_table"),
+        [f"table={folder}/tables/rough_6m.toml", f"vehicles.sat1.model={folder}/vehicles/uky.toml"],
+    )
+    names = ["table=rough_6m", "vehicles.sat1.model=uky"]
+    assert load(find("zhang2023_table"), names) == meant
+    tree["table"], tree["vehicles"]["sat1"]["model"] = "rough_6m", "uky"
+    (tmp_path / "e.toml").write_text(tomli_w.dumps(tree))
+    read = load(tmp_path / "e.toml")
+    assert (read.table, read.vehicles["sat1"].model) == (meant.table, meant.vehicles["sat1"].model)
+
+
+def test_a_local_file_comes_before_a_shipped_name_but_a_folder_does_not(tmp_path, monkeypatch):
+    text = (SHIPPED / "tables" / "marble_6m.toml").read_text()
+    monkeypatch.chdir(tmp_path)
+    Path("rough_4m.toml").write_text(text)  # its name has the ending
+    Path("rough_6m").mkdir()
+    shipped = [hold(f"table={SHIPPED}/tables/rough_{size}.toml") for size in ("4m", "6m")]
+    assert [hold("table=rough_4m"), hold("table=rough_6m")] == shipped
+    assert hold("table=rough_4m.toml") == hold()
+    Path("rough_4m").write_text(text)
+    assert hold("table=rough_4m") == hold()
+
+
 def test_marks_and_line_ends_of_windows_are_read(tmp_path, tree):
     path = tmp_path / "e.toml"
     path.write_bytes(b"\xef\xbb\xbf" + tomli_w.dumps(tree).replace("\n", "\r\n").encode())

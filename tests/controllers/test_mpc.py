@@ -7,6 +7,7 @@ from scipy.optimize import minimize, nnls
 import controllers.mpc as module
 from controllers.lqr import LqrParams, lqr
 from controllers.mpc import PLAN, Mpc, MpcParams, directions, mpc, solved, tangents
+from controllers.sampled import feedback, sampled, weights
 from testbed.core.law import Discs, Neighbours, World
 
 
@@ -222,6 +223,37 @@ def test_in_orbit_it_holds_a_goal_beside_a_debris(at_rest, fixed_world, no_neigh
     assert law.concerns(state) == []
 
 
+# Without an offset
+
+
+@pytest.mark.parametrize("remainder_s", [0.0, 5.0])
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_disturbance_that_no_estimator_sees_leaves_no_offset(
+    remainder_s, d, at_rest, fixed_world, no_neighbours
+):
+    own, unseen, gives = at_rest([0.3] * d, mass=12.0, max_force=0.6), np.zeros(d), 0.9
+    unseen[0] = 4e-4  # [m/s^2]
+    law, world = mpc(MpcParams(remainder_s=remainder_s), d), fixed_world([0.0] * d)
+    state = law.initial(own, no_neighbours(d), world)
+    for k in range(1500):
+        ahead = law.propagate(state, own, no_neighbours(d), world, 0.1 * k, 0.1, 1)
+        a = gives * ahead.mean_force / own.mass + unseen
+        state = ahead.law_state
+        own = own._replace(p=own.p + 0.1 * (own.v + 0.05 * a), v=own.v + 0.1 * a)
+    gain = feedback(sampled(0.0, d, 1.0), weights(1.0, 0.1, 0.02, d))[0, 0]  # near the goal
+    offset = 0.0 if remainder_s else 4e-4 / (gives * gain)  # 26 mm
+    assert own.p[0] == pytest.approx(offset, abs=1e-5)
+    assert own.v == pytest.approx(np.zeros(d), abs=1e-6)
+
+
+def test_a_blocked_vehicle_does_not_add_up_more_than_a_share(at_rest, fixed_world, no_neighbours):
+    own, law = at_rest([0.3, 0.0], mass=12.0, max_force=0.6), Mpc(MpcParams(), 2)
+    state, world = law.initial(own, None, None), fixed_world([0.0, 0.0])
+    for _ in range(2000):
+        _, state = law.decide(state, own, no_neighbours(2), world, 0.1)
+    assert np.linalg.norm(state[-4:-2]) == pytest.approx(module.LARGEST_REST * 0.6 / 12.0)
+
+
 # When there is no way
 
 
@@ -276,4 +308,4 @@ def test_it_does_the_same_again(at_rest, fixed_world, no_neighbours):
     one, two = (fly(mpc(MpcParams(), 2), own, no_neighbours(2), world, 20.0) for _ in range(2))
     assert (one[0] == two[0]).all()
     assert (one[1] == two[1]).all()
-    assert one[1].shape == (PLAN + 40,)
+    assert one[1].shape == (PLAN + 40 + 4,)
