@@ -10,6 +10,7 @@ from testbed.core.rows import PoseSamples, References
 from testbed.core.types import Accel, Pose, Reference, State, Trajectory, Twist, Wrench
 from testbed.flight import (
     allocation,
+    bad_jet,
     chain,
     detectors,
     estimator,
@@ -207,22 +208,22 @@ class JetFaultDetector:
 
     @property
     def open(self):
-        return self._if(jet_faults.leaks, self.m.leak)
+        return self._if(bad_jet.leaks, self.m.leak)
 
     @property
     def weak(self):
-        return self._if(jet_faults.is_weak, self.m.weak)
+        return self._if(bad_jet.is_weak, self.m.weak)
 
     @property
     def either(self):
-        doubt = jet_faults.leaks_or_is_weak
+        doubt = bad_jet.leaks_or_is_weak
         return self._if(doubt, self.m.leak), self._if(doubt, self.m.weak)
 
     def _if(self, sure, one):
         if not sure(self.m):
             return Suspicion(0, 0.0, 0.0, 0.0)
         return Suspicion(
-            int(one.jet), float(one.share), float(one.gain), float(jet_faults.sigmas(one))
+            int(one.jet), float(one.share), float(one.gain), float(bad_jet.sigmas(one))
         )
 
 

@@ -40,13 +40,13 @@ from testbed.core.types import (
 )
 from testbed.core.vehicle import Vehicle
 from testbed.flight import chain
+from testbed.flight.bad_jet import is_finely_weak, is_weak
 from testbed.flight.barrier import Barrier
 from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance, Kept
 from testbed.flight.hypotheses import CAUSES, NUDGE, SHORT, WEAK, cause_of, ranked
-from testbed.flight.jet_faults import is_weak
 from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
@@ -271,6 +271,8 @@ class Agent:
             found = m if kind in SHORT or (kind == WEAK and is_weak(m)) else m.far
             if kind == NUDGE and m.gains[kind] > m.far.gains[kind]:
                 found = m
+            if detector == Detector.JET_MISSING and not is_weak(m) and is_finely_weak(m):
+                found = m.fine
             return touched + ranked(found, cause_of(found, kind), self.params.gains.mass)
         step = self.memory.fixed[0].estimator.step
         match detector:

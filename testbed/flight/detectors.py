@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
-from testbed.flight import jet_faults
+from testbed.flight import bad_jet
 from testbed.flight.hypotheses import DRAG, LATE, MASS, NUDGE, PULL, THRUST, TURNED, certain
 from testbed.flight.jet_faults import look, pause
 from testbed.flight.record import NO_SETPOINT, record
@@ -95,9 +95,9 @@ def measure(p, m, seen, known, suspected, row, samples, neighbours, finite, spar
     for k in range(neighbours.shape[0]):
         if told.t - neighbours[k, 5] > oldest:
             oldest, done.oldest = told.t - neighbours[k, 5], k
-    leaks = jet_faults.leaks(suspected)
-    either = jet_faults.leaks_or_is_weak(suspected)
-    done.leak = jet_faults.sigmas(suspected.leak) if either else 0.0
+    leaks = bad_jet.leaks(suspected)
+    either = bad_jet.leaks_or_is_weak(suspected)
+    done.leak = bad_jet.sigmas(suspected.leak) if either else 0.0
     repeats = max(float(count_repeats(m, samples)), float(seen.still - NEARLY))
     numbers = (
         abs(age),
@@ -113,9 +113,9 @@ def measure(p, m, seen, known, suspected, row, samples, neighbours, finite, spar
         told.battery,
         told.silent_s,
         suspected.leak.share if leaks else 0.0,
-        jet_faults.sigmas(suspected.leak) if leaks else 0.0,
+        bad_jet.sigmas(suspected.leak) if leaks else 0.0,
         done.leak,
-        jet_faults.missing(suspected),
+        bad_jet.missing(suspected),
         spare,
         float(told.law_failed),
         0.0 if finite else 1.0,
@@ -145,7 +145,7 @@ def explain(p, m, seen, known, suspected, row, samples):
     if abs(row.told.clock_offset) >= SAME_CLOCK:  # poses of another time lie elsewhere
         late_s = frame_step = heading_step = 0.0
     return (
-        jet_faults.sigmas(far.weak) if jet_faults.is_partly_weak(far) else 0.0,
+        bad_jet.sigmas(far.weak) if bad_jet.is_partly_weak(far) else 0.0,
         pull,
         sizes[PULL] / p.holding if pull > 0.0 else 0.0,
         certain(gains, sizes, least, DRAG),

@@ -22,6 +22,7 @@ commanded; a weak jet shows only while it is commanded.
 The estimate shows a push with a delay, so z and x are delayed in the same way (see response.py).
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -33,21 +34,12 @@ from testbed.core.table import Table, Tilt
 from testbed.core.vehicle import Vehicle
 from testbed.flight.effectiveness import learn, resolve
 from testbed.flight.estimator import EstimatorParams
-from testbed.flight.hypotheses import (
-    CLEAR,
-    LEAK,
-    SURE,
-    WEAK,
-    beyond,
-    causes,
-    least_of,
-    outlasts,
-    pads_of,
-)
+from testbed.flight.hypotheses import causes, least_of, pads_of
 from testbed.flight.nudges import Nudges, hear, hear_long, judge
 from testbed.flight.record import record
-from testbed.flight.response import response
-from testbed.flight.window import VERDICT, Window, age, decide, factor, forget, listen
+from testbed.flight.response import quiet, response
+from testbed.flight.whitened import PASSES_S, weigh_whitened, whiten
+from testbed.flight.window import VERDICT, WHITE, Window, age, decide, factor, forget, listen
 
 Array = NDArray[np.float64]
 
@@ -70,12 +62,6 @@ SPREAD = 1.5e-3  # of a velocity residual at the start, one sigma [m/s]
 SPIN_SPREAD = 5e-3  # [rad/s]
 BELIEVED = 30.0  # weight of the spread at the start [looks]
 HARDEST = 3.0  # jets: a stronger push in a look is external
-ENOUGH = 0.2  # smallest missing share of thrust that is a fault
-TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
-LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
-UNLIKE = 0.6  # largest gain of a leak beside it, as a share
-PART = 0.15  # smallest missing share of thrust that is worth a warning
-DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
 
 
 class Known(NamedTuple):
@@ -99,6 +85,8 @@ class Known(NamedTuple):
     long: int  # looks that are summed for the long window
     least: Array  # smallest size of each kind of cause that is a fault, see hypotheses.py
     pads: Array  # see hypotheses.pads_of, (2,)
+    quiet: Array  # variance of the estimate, push and turn, (2,)
+    passes: float  # see whitened.py, per look
 
 
 MEMORY = record(
@@ -112,6 +100,7 @@ MEMORY = record(
     summed=int,  # looks in `Heard.sums`
     stretches=int,  # sums so far
     far=record(**VERDICT),  # of the long window
+    fine=record(**VERDICT),  # see whitened.py
     **VERDICT,  # of the short one
 )
 
@@ -129,6 +118,8 @@ class Heard(NamedTuple):
     sigma: Array  # of that, (n,)
     near: Window  # of looks
     far: Window  # of their sums
+    white: Array  # filtered causes and residuals, (m + n + COLUMNS + 1, 3)
+    fine: Window  # of these
     nudges: Nudges
 
 
@@ -166,8 +157,9 @@ def pause(p, m, heard):
     m.seen, m.wait = 0, p.shown.shape[0]
     forget(m)
     forget(m.far)
+    forget(m.fine)
     m.summed = 0
-    heard.recent[:] = heard.sums[:] = 0.0
+    heard.recent[:] = heard.sums[:] = heard.white[:] = 0.0
 
 
 @compiled
@@ -240,6 +232,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         return
     heard.sums[:-1] += x
     heard.sums[-1] += e
+    whiten(heard.white, known.passes, e, x, bias, known.period)
     settling = max(1.0 / (m.counted + m.again), known.period / SETTLING)
     if m.look % CALM == 0:
         heard.calm[0] = heard.calm[1]
@@ -250,7 +243,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     if m.look % known.block == 0:
         age(near.blocks)
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
-    listen(near, e, x, trust, known.keep, known.rough)
+    listen(near, e, x, trust, known.keep, known.rough, WHITE)
     weight = 1.0 / (near.spread[0] + known.rough), 1.0 / near.spread[1]
     hear(heard.nudges, known.shown, m.look, weight, known.keep, e, x)
     learn(heard, e, x, known.period, known.rough)
@@ -263,6 +256,7 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     decide(near, least, y, known.period, False, m)
     judge(heard.nudges.near, least, y, m)
     m.summed += 1
+    weigh_whitened(known, m, heard, m.summed == known.long)
     if m.summed == known.long:
         weigh_long(known, m, heard)
     keep((own, root))
@@ -280,7 +274,7 @@ def weigh_long(known, m, heard):
     m.stretches += 1
     trust = max(1.0 - remembers, 1.0 / (m.stretches + LONG_BELIEVED))
     rough = known.long * known.rough
-    listen(far, heard.sums[-1], heard.sums[:-1], trust, remembers, rough)
+    listen(far, heard.sums[-1], heard.sums[:-1], trust, remembers, rough, WHITE)
     weight = 1.0 / (far.spread[0] + rough), 1.0 / far.spread[1]
     e, z = heard.sums[-1], heard.sums[:-1]
     hear_long(heard.nudges, known.shown, m.look, known.long, weight, remembers, e, z)
@@ -291,72 +285,6 @@ def weigh_long(known, m, heard):
     judge(heard.nudges.far, least, y, m.far)
     m.summed, heard.sums[:] = 0, 0.0
     keep(root)
-
-
-@compiled
-def apart(gain, other):
-    """Difference in gain that separates two causes."""
-    return CLEAR + DOUBT * min(gain, other)
-
-
-@compiled
-def leaks(m):
-    """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
-    other = beyond(m.gains, LEAK)
-    sure = m.leak.gain > other + apart(m.leak.gain, other) and m.leak.gain > SURE
-    return sure and m.leak.share > TRACE and outlasts(m.gains, LEAK)
-
-
-@compiled
-def is_weak(m):
-    """Whether the suspected jet is too weak, and nothing else explains the motion."""
-    return m.weak.share > ENOUGH and weakness_is_clear(m)
-
-
-@compiled
-def missing(m):
-    """Sigmas of a jet that is too weak; the long window has to be surer."""
-    if is_weak(m):
-        return sigmas(m.weak)
-    sure = m.far.weak.gain > LONG_SURE and is_weak(m.far) and is_no_leak(m.far)
-    return sigmas(m.far.weak) if sure else 0.0
-
-
-@compiled
-def is_no_leak(far):
-    """Whether a leak of the opposite jet explains far less, by the long window.
-
-    On average over a second the two look alike.
-    """
-    return far.leak.gain < UNLIKE * far.weak.gain
-
-
-@compiled
-def is_partly_weak(m):
-    """Whether a jet lacks less than what is a fault, and nothing else explains the motion."""
-    return PART < m.weak.share <= ENOUGH and is_no_leak(m) and weakness_is_clear(m)
-
-
-@compiled
-def weakness_is_clear(m):
-    """Whether a weak jet explains the motion better than any other cause."""
-    other = beyond(m.gains, WEAK)
-    clear = m.weak.gain >= other + apart(m.weak.gain, other)
-    return clear and outlasts(m.gains, WEAK)
-
-
-@compiled
-def leaks_or_is_weak(m):
-    """Whether one jet may leak; if it does not, the next best cause is the right one."""
-    other = beyond(m.gains, LEAK)
-    may = m.leak.gain > other - apart(m.leak.gain, other) and m.leak.share > TRACE
-    return may and outlasts(m.gains, LEAK)
-
-
-@compiled
-def sigmas(suspicion):
-    """Distance from a healthy vehicle in standard deviations."""
-    return np.sqrt(2.0 * suspicion.gain)
 
 
 def slopes(tilt: Tilt) -> tuple[float, float]:
@@ -388,4 +316,5 @@ def known_of(vehicle: Vehicle, period: float, estimator: EstimatorParams, table:
         ticks, max(1, round(BLOCK / period)), 1.0 - min(0.5, period / MEMORY_S),
         max(1, round(STRETCH / period)),
         least_of(vehicle, table, bumps), pads_of(vehicle),
+        quiet(estimator, table.mocap), math.exp(-period / PASSES_S),
     )  # fmt: skip

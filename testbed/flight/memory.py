@@ -70,7 +70,7 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
         Heard: [
             one_a_jet, (looks, causes, 3), (2,), (causes + 1, 3), (2, 2),
-            (m, m + 1), one_a_jet, one_a_jet, *window, *window,
+            (m, m + 1), one_a_jet, one_a_jet, *window, *window, (causes + 1, 3), *window,
             (m + 2, 3 * AGO), (m + 2, 3 * LONG_AGO),
         ],
         Counters: 5 * [one_a_row],
@@ -85,11 +85,13 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             views[kind].append(everything[size : size + math.prod(shape)].reshape(shape))
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
-    *sums, a, b, c, d, e, f, g, h, soon, long = views[Heard]
-    duty, recent, bias, total, calm, slow, off, sigma = sums
-    near, far = Window(a, b, c, d), Window(e, f, g, h)
+    duty, recent, bias, total, calm, slow, off, sigma, *parts = views[Heard]
+    near, far, fine = Window(*parts[:4]), Window(*parts[4:8]), Window(*parts[9:13])
+    white, nudges = parts[8], Nudges(*parts[13:])
     fired = Fired(*views[Fired])
-    heard = Heard(duty, recent, bias, total, calm, slow, off, sigma, near, far, Nudges(soon, long))
+    heard = Heard(
+        duty, recent, bias, total, calm, slow, off, sigma, near, far, white, fine, nudges
+    )  # fmt: skip
     fired.start[:] = fired.end[:] = -np.inf
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2

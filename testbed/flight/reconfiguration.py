@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from testbed.core.codes import Detector
 from testbed.core.compiled import compiled
+from testbed.flight.bad_jet import is_finely_weak, is_weak
 from testbed.flight.effectiveness import SPREAD
-from testbed.flight.jet_faults import AGAIN, CALM, is_weak, pause
+from testbed.flight.jet_faults import AGAIN, CALM, pause
 from testbed.flight.window import clear
 
 LEAST = 0.2  # of the whole vehicle's weakest force and torque, both: less does not fly on
@@ -103,11 +104,13 @@ def culprit(suspected, detector):
 
 @compiled
 def weak_of(suspected, detector):
-    """The weak jet of the window that is sure of one, see jet_faults.missing."""
+    """The weak jet of the window that is sure of one, see bad_jet.missing."""
     far = suspected.far.weak
-    if detector == DOUBTFUL or far.gain == 0.0 or is_weak(suspected):
+    if detector == DOUBTFUL or is_weak(suspected):
         return suspected.weak
-    return far
+    if is_finely_weak(suspected):
+        return suspected.fine.weak
+    return far if far.gain > 0.0 else suspected.weak
 
 
 @compiled
@@ -148,6 +151,7 @@ def restart(p, m, heard):
     m.noted, m.stretches = 0, 0
     clear(heard.near)
     clear(heard.far)
+    clear(heard.fine)
     heard.nudges.near[:] = heard.nudges.far[:] = 0.0
     heard.duty[:], heard.bias[:] = 0.0, heard.calm[0]
     heard.slow[:], heard.off[:], heard.sigma[:] = 0.0, 0.0, SPREAD

@@ -21,6 +21,17 @@ OUT_OF_STEP = 0.3  # time from the push to the first frame, in frames: any value
 
 
 @compiled
+def settled(noise, white, walk, frame):
+    """Variance of the velocity and gains, once they have settled; arguments as of `shown`."""
+    cov = np.diag(np.array([noise, 1e-4, 1e-5]))
+    gain = (0.0, 0.0, 0.0)
+    for _ in range(FRAMES):
+        predict_covariance(cov, frame, white, walk)
+        gain = correct(cov, noise)
+    return cov[1, 1], gain
+
+
+@compiled
 def shown(noise, white, walk, frame, latency, period):
     """Share of a push that appears in the estimate in each look since it began, shape (LOOKS,).
 
@@ -32,11 +43,7 @@ def shown(noise, white, walk, frame, latency, period):
         latency: from a pose to the instant that the estimate is for [s].
         period: of the looks [s].
     """
-    cov = np.diag(np.array([noise, 1e-4, 1e-5]))
-    gain = (0.0, 0.0, 0.0)
-    for _ in range(FRAMES):
-        predict_covariance(cov, frame, white, walk)
-        gain = correct(cov, noise)
+    _, gain = settled(noise, white, walk, frame)
     gained = np.zeros(LOOKS)
     x = v = bias = before = 0.0
     seen_at, due = 0.0, OUT_OF_STEP * frame
@@ -57,18 +64,29 @@ def shown(noise, white, walk, frame, latency, period):
     return gained
 
 
+def variances(params: EstimatorParams, mocap: Mocap) -> tuple[tuple[float, float, float], ...]:
+    """Noise, white and walk of `shown`, of push and turn."""
+    turn = float(np.radians(mocap.noise_deg))
+    return (
+        (mocap.noise**2 + 1e-16, params.force_noise**2, params.bias_walk**2),
+        (turn**2 + 1e-16, params.torque_noise**2, params.spin_bias_walk**2),
+    )
+
+
+def quiet(params: EstimatorParams, mocap: Mocap) -> Array:
+    """Variance of the estimated velocity and spin by these cameras, (2,) [m^2/s^2, rad^2/s^2]."""
+    both = variances(params, mocap)
+    return np.array([settled(*one, 1.0 / mocap.rate_hz)[0] for one in both])
+
+
 def response(params: EstimatorParams, vehicle: Vehicle, mocap: Mocap, period: float) -> Array:
     """Response of the estimate to a short push, per look, for force and torque: (LOOKS, 2).
 
     `period` is that of the looks [s].
     """
     frame = 1.0 / mocap.rate_hz
+    (noise, white, walk), (turn_noise, turn_white, turn_walk) = variances(params, mocap)
     latency = mocap.latency_s + vehicle.command_delay_s + vehicle.valve.open_delay_s
-    turn = np.radians(mocap.noise_deg)
-    of_push = shown(
-        mocap.noise**2 + 1e-16, params.force_noise**2, params.bias_walk**2, frame, latency, period
-    )
-    of_turn = shown(
-        turn**2 + 1e-16, params.torque_noise**2, params.spin_bias_walk**2, frame, latency, period
-    )
+    of_push = shown(noise, white, walk, frame, latency, period)
+    of_turn = shown(turn_noise, turn_white, turn_walk, frame, latency, period)
     return np.diff(np.column_stack((of_push, of_turn)), axis=0, prepend=0.0)

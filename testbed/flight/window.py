@@ -24,6 +24,7 @@ SUSPICION = record(  # the best of its kind
     jet=int,
     share=float,  # of the jet's thrust
     gain=float,  # in log-likelihood; 0: no suspicion
+    next=float,  # gain of the next best jet
 )
 
 VERDICT: dict[str, Kind] = {
@@ -59,15 +60,18 @@ def age(blocks):
 
 
 @compiled
-def listen(window, e, x, trust, keep, rough):
-    """Update noise and the correlations of e with its possible causes, in place."""
+def listen(window, e, x, trust, keep, rough, white):
+    """Update noise and the correlations of e with its possible causes, in place.
+
+    `white` is the variance of the difference of two residuals, in variances of one.
+    """
     spread, last, told, blocks = window.spread, window.last, window.told, window.blocks
     m = told.shape[0]
     n = m - 4
     dx, dy, turn = e[0] - last[0], e[1] - last[1], e[2] - last[2]
-    push = 0.5 * (dx * dx + dy * dy) / WHITE
+    push = 0.5 * (dx * dx + dy * dy) / white
     spread[0] += trust * (min(push, OUTLIER * spread[0]) - spread[0])
-    spread[1] += trust * (min(turn * turn / WHITE, OUTLIER * spread[1]) - spread[1])
+    spread[1] += trust * (min(turn * turn / white, OUTLIER * spread[1]) - spread[1])
     last[:] = e
     push = 1.0 / (spread[0] + rough)
     weight = (push, push, 1.0 / spread[1])
@@ -172,7 +176,11 @@ def decide(window, least, y, period, every, found):
             share = min(max(fits[h] / own[h], low), high)
             gain = share * fits[h] - 0.5 * share * share * own[h]
             if gain > one.gain:
+                if one.jet != h % n:
+                    one.next = one.gain
                 one.jet, one.share, one.gain = h % n, abs(share), gain
+            elif gain > one.next and one.jet != h % n:
+                one.next = gain
         always = k == blocks.shape[0] - 1
         score(fits, own, 2 * n, period, always, found.gains, found.sizes, found.way)
     found.gains[LEAK], found.sizes[LEAK] = found.leak.gain, found.leak.share
@@ -183,6 +191,6 @@ def decide(window, least, y, period, every, found):
 @compiled
 def forget(found):
     """Suspect nothing."""
-    found.leak.jet, found.leak.share, found.leak.gain = 0, 0.0, 0.0
-    found.weak.jet, found.weak.share, found.weak.gain = 0, 0.0, 0.0
+    found.leak.jet, found.leak.share, found.leak.gain, found.leak.next = 0, 0.0, 0.0, 0.0
+    found.weak.jet, found.weak.share, found.weak.gain, found.weak.next = 0, 0.0, 0.0, 0.0
     found.gains[:] = found.sizes[:] = found.way[:] = 0.0

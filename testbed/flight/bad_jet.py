@@ -1,0 +1,100 @@
+"""Which jet is bad, by what the windows of `jet_faults` say.
+
+A jet is named only if it explains the motion better than every other cause.
+"""
+
+import numpy as np
+
+from testbed.core.compiled import compiled
+from testbed.flight.hypotheses import CLEAR, LEAK, NUDGE, SURE, WEAK, beyond, outlasts
+
+ENOUGH = 0.2  # smallest missing share of thrust that is a fault
+TRACE = 0.05  # smallest leak that is a fault, as a share of thrust
+LONG_SURE = 18.0  # least gain of a weak jet in the long window: 6 sigma
+UNLIKE = 0.6  # largest gain of a leak beside it, as a share
+PART = 0.15  # smallest missing share of thrust that is worth a warning
+DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
+FINE_SURE = 14.5  # least gain in the window of filtered looks: 5.4 sigma
+FINE_DOUBT = 0.1  # as DOUBT
+
+
+@compiled
+def apart(gain, other):
+    """Difference in gain that separates two causes."""
+    return CLEAR + DOUBT * min(gain, other)
+
+
+@compiled
+def leaks(m):
+    """Whether the suspected jet pushes without a command, and nothing else explains the motion."""
+    other = beyond(m.gains, LEAK)
+    sure = m.leak.gain > other + apart(m.leak.gain, other) and m.leak.gain > SURE
+    return sure and m.leak.share > TRACE and outlasts(m.gains, LEAK)
+
+
+@compiled
+def is_weak(m):
+    """Whether the suspected jet is too weak, and nothing else explains the motion."""
+    return m.weak.share > ENOUGH and weakness_is_clear(m)
+
+
+@compiled
+def missing(m):
+    """Sigmas of a jet that is too weak; the other windows have to be surer."""
+    if is_weak(m):
+        return sigmas(m.weak)
+    if is_finely_weak(m):
+        return sigmas(m.fine.weak)
+    sure = m.far.weak.gain > LONG_SURE and is_weak(m.far) and is_no_leak(m.far)
+    return sigmas(m.far.weak) if sure else 0.0
+
+
+@compiled
+def is_finely_weak(m):
+    """Whether the window of filtered looks names a weak jet.
+
+    Small changes of slope or of a valve's leak show there, too, and look like a weak jet that holds
+    against them. The jet has to explain more than any of those, and more than any other jet.
+    """
+    weak, nudge = m.fine.weak, max(m.gains[NUDGE], m.far.gains[NUDGE])
+    other = max(beyond(m.fine.gains, WEAK), weak.next)
+    clear = weak.gain > other + CLEAR + FINE_DOUBT * min(weak.gain, other)
+    large = weak.share > ENOUGH and weak.gain > FINE_SURE
+    return large and clear and weak.gain > nudge + CLEAR
+
+
+@compiled
+def is_no_leak(far):
+    """Whether a leak of the opposite jet explains far less, by the long window.
+
+    On average over a second the two look alike.
+    """
+    return far.leak.gain < UNLIKE * far.weak.gain
+
+
+@compiled
+def is_partly_weak(m):
+    """Whether a jet lacks less than what is a fault, and nothing else explains the motion."""
+    return PART < m.weak.share <= ENOUGH and is_no_leak(m) and weakness_is_clear(m)
+
+
+@compiled
+def weakness_is_clear(m):
+    """Whether a weak jet explains the motion better than any other cause."""
+    other = beyond(m.gains, WEAK)
+    clear = m.weak.gain >= other + apart(m.weak.gain, other)
+    return clear and outlasts(m.gains, WEAK)
+
+
+@compiled
+def leaks_or_is_weak(m):
+    """Whether one jet may leak; if it does not, the next best cause is the right one."""
+    other = beyond(m.gains, LEAK)
+    may = m.leak.gain > other - apart(m.leak.gain, other) and m.leak.share > TRACE
+    return may and outlasts(m.gains, LEAK)
+
+
+@compiled
+def sigmas(suspicion):
+    """Distance from a healthy vehicle in standard deviations."""
+    return np.sqrt(2.0 * suspicion.gain)
