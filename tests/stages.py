@@ -215,6 +215,11 @@ class JetFaultDetector:
         return self._if(bad_jet.is_weak, self.m.weak)
 
     @property
+    def finely_weak(self):
+        fine = self.m.fine.weak
+        return bad_jet.is_finely_weak(self.m), int(fine.jet), float(fine.share)
+
+    @property
     def either(self):
         doubt = bad_jet.leaks_or_is_weak
         return self._if(doubt, self.m.leak), self._if(doubt, self.m.weak)

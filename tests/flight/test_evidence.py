@@ -9,8 +9,10 @@ from testbed.core.jets import effect_matrix, opposing_pairs
 from testbed.core.table import Tilt
 from testbed.core.types import Accel, Pose, State, Twist
 from testbed.flight.estimator import EstimatorParams
+from testbed.flight.hypotheses import LEAK, NUDGE, WEAK
 from testbed.flight.jet_faults import BUMPS, SLOPE, slopes
 from testbed.flight.response import response
+from testbed.flight.whitened import whiten
 
 PERIOD = 0.1  # [s]
 BOUND = 4.0  # of the fault table
@@ -84,6 +86,7 @@ def test_unequal_jets_in_a_hard_turn_are_not_suspected(seed, vehicle, table):
         body.tick(duty)
         assert body.evidence.weak.sigmas < BOUND
         assert body.evidence.either[0].sigmas < BOUND
+        assert not body.evidence.finely_weak[0]
 
 
 @pytest.mark.parametrize("stuck", range(8))
@@ -103,6 +106,60 @@ def test_a_jet_that_gives_nothing_is_found_and_named(stuck, vehicle, table):
     assert missing > BOUND
     assert jet == stuck
     assert asked < 2.0  # [s] of open time that the jet was asked for
+
+
+@pytest.mark.parametrize("weak", range(8))
+def test_a_jet_that_lacks_a_third_is_found_and_named_by_filtered_looks(weak, vehicle, table):
+    rng, jets = np.random.default_rng(weak), len(vehicle.jets)
+    body = Body(vehicle, table, 1.0 + 0.05 * rng.standard_normal(jets), weak)
+    for _ in range(300):  # healthy at first
+        body.tick(some(rng, jets))
+        assert not body.evidence.finely_weak[0]
+    body.gains[weak] *= 0.7
+    asked, named = 0.0, False
+    while not named and asked < 3.0:
+        on = some(rng, jets)
+        asked += PERIOD * on[weak]
+        body.tick(on)
+        named, jet, share = body.evidence.finely_weak
+    assert named
+    assert jet == weak
+    assert 0.2 < share < 0.4
+
+
+def test_the_filter_makes_the_noise_of_differences_nearly_white():
+    rng, size = np.random.default_rng(0), 4000
+    velocity = rng.standard_normal((size, 3))
+    white, passed = np.zeros((3, 3)), []  # two causes and the residual
+    for one, before in zip(velocity[1:], velocity[:-1], strict=True):
+        whiten(white, 0.72, one - before, np.ones((2, 3)), np.array([0.5, 0.0]), 0.0)
+        passed.append(white[-1].copy())
+    assert white[:-1] == pytest.approx(np.full((2, 3), 1.0 / 0.28))
+    e, r = np.diff(velocity[:, 0]), np.array(passed)[:, 0]
+    after = [float(np.corrcoef(one[1:], one[:-1])[0, 1]) for one in (e, r)]
+    assert after[0] == pytest.approx(-0.5, abs=0.05)
+    assert abs(after[1]) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({}, True),
+        ({"gain": 14.0}, False),
+        ({"share": 0.19}, False),
+        ({"next": 35.0}, False),  # another jet
+        ({"leak": 35.0}, False),
+        ({"nudge": 38.0}, False),
+    ],
+)
+def test_filtered_looks_name_a_jet_only_if_it_explains_most(changes, named, vehicle, table):
+    evidence = JetFaultDetector(vehicle, PERIOD, PARAMS, table)
+    fine = evidence.m.fine
+    fine.weak.jet, fine.weak.share = 3, changes.get("share", 0.3)
+    fine.weak.gain = fine.gains[WEAK] = changes.get("gain", 40.0)
+    fine.weak.next, fine.gains[LEAK] = changes.get("next", 0.0), changes.get("leak", 0.0)
+    evidence.m.far.gains[NUDGE] = changes.get("nudge", 0.0)
+    assert evidence.finely_weak[0] == named
 
 
 @pytest.mark.parametrize("leaky", range(8))

@@ -106,6 +106,17 @@ def test_a_finding_changes_its_jet_only(vehicle, table, detector, share, gives, 
     assert (np.delete(leaked, 5) == 0.0).all()
 
 
+def test_the_jet_that_filtered_looks_name_is_the_one_that_changes(vehicle, table):
+    memory = agent_of(vehicle, table, shipped_faults()).memory
+    suspected, given = memory.fixed[0].jet_faults, memory.fired.gives
+    suspected.weak.jet, suspected.far.weak.jet, suspected.fine.weak.jet = 1, 2, 6
+    suspected.far.weak.gain, suspected.fine.weak.share = 5.0, 0.3
+    suspected.fine.weak.gain = 40.0
+    change(given, memory.fired.leaks, suspected, Detector.JET_MISSING.value)
+    assert given[6] == pytest.approx(0.7)
+    assert (np.delete(given, 6) == 1.0).all()
+
+
 def test_a_jet_that_gives_nothing_is_not_used(vehicle):
     allocator, share = Allocator(AllocatorParams(), vehicle), np.ones(8)
     share[0], share[4] = 0.0, 0.7
