@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_twin.randomness import normal, words
+from sim_twin.randomness import Words, normal, words
 from testbed.core.compiled import compiled, settled
 from testbed.core.landing import WATCHDOG_S, landing_delay
 from testbed.core.types import ValveCommand
@@ -45,23 +45,20 @@ def no_pulses(*shape: int) -> Pulses:
 
 
 @compiled
-def play(pulses, issued, valid_until, delay, times_us, min_on, min_off, spread, luck):
-    """Add a plan to `pulses`, in place; times in ns unless stated.
+def play(wires, issued, valid_until, times_us):
+    """Add a plan to the board's pulses, in place.
 
     Args:
-        pulses: of this board.
+        wires: of the board.
         issued: time at which the plan was made [s].
         valid_until: time at which it expires [s].
-        delay: added to both.
         times_us: on-times, then offsets, shape (2 jets,) [us].
-        min_on: shortest pulse.
-        min_off: shortest gap.
-        spread: standard deviation of the relative thrust of a pulse.
-        luck: stream of the pulses' thrust.
 
     Returns:
         number of openings added.
     """
+    pulses, spread, luck = wires.pulses, wires.spread, wires.luck
+    delay, min_on, min_off = wires.times[0], wires.times[1], wires.times[2]
     openings, jets = 0, times_us.shape[0] // 2
     start, end = delay + round(issued * 1e9), delay + round(valid_until * 1e9)
     for j in range(jets):
@@ -100,15 +97,23 @@ def nanoseconds(seconds: float) -> int:
     return round(seconds * 1e9)
 
 
+class Wires(NamedTuple):
+    """What `play` needs of a board that does not change."""
+
+    pulses: Pulses
+    times: NDArray[np.int64]  # (3,) command delay, shortest pulse, shortest gap [ns]
+    spread: float  # standard deviation of the relative thrust of a pulse
+    luck: Words  # stream of the pulses' thrust
+
+
 class Board:
     """One vehicle's modelled board; records its pulses and counts openings."""
 
     def __init__(self, vehicle: Vehicle, pulses: Pulses, rng: np.random.Generator) -> None:
-        self._delay = nanoseconds(vehicle.command_delay_s)
-        self._min_on = nanoseconds(vehicle.valve.min_on_s)
-        self._min_off = nanoseconds(vehicle.valve.min_off_s)
-        self._spread = vehicle.tolerance.pulse
-        self._luck = words(rng)
+        valve = vehicle.valve
+        times = vehicle.command_delay_s, valve.min_on_s, valve.min_off_s
+        whole = np.array([nanoseconds(one) for one in times])
+        self.wires = Wires(pulses, whole, vehicle.tolerance.pulse, words(rng))
         self.pulses = pulses
         self.openings = 0
         self._play = settled(play)
@@ -119,7 +124,7 @@ class Board:
 
     def reseed(self, rng: np.random.Generator) -> None:
         """Draw the pulses' thrust from another generator from now on."""
-        self._luck = words(rng)
+        self.wires.luck[:] = words(rng)
 
     def lose_power(self, since: float, until: float) -> None:
         """Cut the power from `since` to `until` [s]: all valves close, plans are ignored."""
@@ -134,11 +139,8 @@ class Board:
         """Play a plan."""
         if self._down[0] <= command.issued_at < self._down[1]:
             return
-        self.openings += self._play(
-            self.pulses, command.issued_at, command.valid_until, self._delay,
-            np.array(command.on_us + command.offset_us),
-            self._min_on, self._min_off, self._spread, self._luck,
-        )  # fmt: skip
+        times = np.array(command.on_us + command.offset_us)
+        self.openings += self._play(self.wires, command.issued_at, command.valid_until, times)
 
     def land(self) -> None:
         """Nothing to do: the plant shuts the air off."""

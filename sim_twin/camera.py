@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from sim_twin.plant_parameters import AS_IN_THE_FILES
 from sim_twin.randomness import Words, normal, stream, uniform, words
-from testbed.core.compiled import borrowed, compiled
+from testbed.core.compiled import borrowed, compiled, settled
 from testbed.core.rows import PoseSamples
-from testbed.core.se2 import wrap, wrap_compiled
+from testbed.core.se2 import wrap_compiled
 from testbed.core.table import Mocap, Spread
 from testbed.core.types import PoseSample
 
@@ -94,6 +94,54 @@ def photograph(film, optics, times, states, shown, now):
     return most
 
 
+class Markers(NamedTuple):
+    """A body of the cameras: where its markers are on its vehicle, and the cameras' clock."""
+
+    body: int  # its number
+    exact: bool  # false: the offsets below count
+    x: float  # in B [m]
+    y: float  # [m]
+    turn: float  # [rad]
+    clock: float  # of the cameras, minus that of the run [s]
+
+
+@compiled
+def take(film, markers, out):
+    """Take the poses of a body that have arrived since the last time, in order of arrival.
+
+    Args:
+        film: of the cameras.
+        markers: of the body.
+        out: written to: time of exposure, x, y, heading; shape (most, 4).
+
+    Returns:
+        how many; -1: `out` is too small, and none was taken.
+    """
+    film = borrowed(film)
+    count, poses = film.tally[markers.body], film.poses[markers.body]
+    first, n = count[TAKEN], count[ARRIVED] - count[TAKEN]
+    if n > out.shape[0]:
+        return -1
+    for i in range(n):
+        t, x, y, theta = (
+            poses[first + i, 1],
+            poses[first + i, 2],
+            poses[first + i, 3],
+            poses[first + i, 4],
+        )
+        if not markers.exact:
+            c, s = math.cos(theta), math.sin(theta)
+            t, x, y, theta = (
+                t + markers.clock,
+                x + c * markers.x - s * markers.y,
+                y + s * markers.x + c * markers.y,
+                wrap_compiled(theta + markers.turn),
+            )
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = t, x, y, theta
+    count[TAKEN] = count[ARRIVED]
+    return n
+
+
 class Cameras:
     """The poses that the camera system reports for the bodies `names`."""
 
@@ -111,12 +159,14 @@ class Cameras:
         )
         n = len(names)
         sigma = lab.body, lab.body, float(np.radians(lab.body_deg))
-        # of each body from its vehicle: x, y [m], heading
-        self._offsets = [
-            (stream(seed, name, "body").standard_normal(3) * sigma).tolist() for name in names
+        clock = lab.clock_s * float(stream(seed, "clock").standard_normal())
+        exact = not any((*sigma, lab.clock_s))
+        self.markers = [
+            Markers(k, exact, float(x), float(y), float(turn), clock)
+            for k, (x, y, turn) in enumerate(
+                stream(seed, one, "body").standard_normal(3) * sigma for one in names
+            )
         ]
-        self._clock = lab.clock_s * float(stream(seed, "clock").standard_normal())
-        self._exact = not any((*sigma, lab.clock_s))
         self.film = Film(
             np.array([words(noise) for noise, _ in pairs]),
             np.array([words(luck) for _, luck in pairs]),
@@ -125,6 +175,7 @@ class Cameras:
             np.zeros((n, 3), np.int64),
         )
         self.own: Whole = np.arange(n, dtype=np.int64)[None]  # each body its own vehicle
+        self._take = settled(take)
         self.most = 0  # poses of any body that are not yet taken, at most
 
     def reseed(self, names: Sequence[str], seed: int) -> None:
@@ -151,19 +202,7 @@ class Cameras:
 
     def arrived(self, k: int) -> Sequence[PoseSample]:
         """Poses of body `k` that have arrived since the last call, in order of arrival."""
-        count = self.film.tally
-        _, arrived, taken = count[k].tolist()
-        count[k, TAKEN] = arrived
-        rows = self.film.poses[k, taken:arrived, 1:].copy()
-        if self._exact:
-            return PoseSamples(rows)
-        dx, dy, turn = self._offsets[k]
-        found = []
-        for t, x, y, theta in rows.tolist():
-            c, s = math.cos(theta), math.sin(theta)
-            found.append(
-                PoseSample(
-                    t + self._clock, x + c * dx - s * dy, y + s * dx + c * dy, wrap(theta + turn)
-                )
-            )
-        return found
+        _, arrived, taken = self.film.tally[k].tolist()
+        rows = np.empty((arrived - taken, PoseSamples.width))
+        self._take(self.film, self.markers[k], rows)
+        return PoseSamples(rows)

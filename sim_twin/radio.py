@@ -4,11 +4,11 @@ Loss follows the Gilbert-Elliott model: the channel is good or bad, changes stat
 per message, and loses messages with a probability that depends on the state. Jitter has an
 exponential tail, so messages can overtake each other; the receiver keeps the last one sent.
 
-Compiled code knows messages by number; `Radio` keeps what is written in them.
+A message is a row of numbers. Each link has room for its newest one and for those on the way.
 """
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,9 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 DELAY, JITTER, LOSS, BURST_LOSS, BURST_ENTER, BURST_LEAVE = range(6)  # columns of `Links.weather`
-SENT, NEWEST, MESSAGE, WAITING = range(4)  # columns of `Links.tally`
+SENT, NEWEST, SIZE, WAITING = range(4)  # columns of `Links.tally`
 ROOM = 8  # messages on the way on one link, at first
+SILENCE = -1  # size of the newest message before the first
 
 
 class Links(NamedTuple):
@@ -33,14 +34,16 @@ class Links(NamedTuple):
     luck: Words  # (n, WORDS) stream of the losses
     delays: Words  # (n, WORDS) stream of the jitter
     bad: NDArray[np.bool_]  # (n,) state of the channel
-    # (n, 4) number of messages sent; place among them, and message, of the newest that arrived;
+    # (n, 4) number of messages sent; place among them, and size, of the newest that arrived;
     # how many are on the way
     tally: Whole
+    newest: Array  # (n, width) the newest message that arrived
     arrival: Array  # (n, room) of those on the way [s]
-    on_the_way: Whole  # (n, room, 2) place among those sent, message
+    on_the_way: Whole  # (n, room, 2) place among those sent, size
+    waiting: Array  # (n, room, width) the messages on the way
 
 
-def no_links(rows: int, room: int) -> Links:
+def no_links(rows: int, room: int, width: int) -> Links:
     """Links that nothing has been sent on."""
     return Links(
         np.zeros((rows, 6)),
@@ -48,20 +51,22 @@ def no_links(rows: int, room: int) -> Links:
         np.zeros((rows, WORDS), np.uint64),
         np.zeros((rows, WORDS), np.uint64),
         np.zeros(rows, np.bool_),
-        np.tile(np.array([0, 0, -1, 0]), (rows, 1)),
+        np.tile(np.array([0, 0, SILENCE, 0]), (rows, 1)),
+        np.zeros((rows, width)),
         np.zeros((rows, room)),
         np.zeros((rows, room, 2), np.int64),
+        np.zeros((rows, room, width)),
     )
 
 
 @compiled
 def send(links, rows, t, message):
-    """Send a message on the links `rows` at time `t` [s].
+    """Send a message on the links `rows` at time `t` [s]; there is room for its numbers.
 
     Returns:
-        whether it arrived at once on any, and whether any link has no room for another.
+        whether any link has no room for another message.
     """
-    links, at_once, full = borrowed(links), False, False
+    links, full, size = borrowed(links), False, message.shape[0]
     for k in rows:
         count, weather = links.tally[k], links.weather[k]
         # a fixed number of draws per message: losses do not depend on injected faults
@@ -74,14 +79,16 @@ def send(links, rows, t, message):
             continue
         arrival = t + links.trouble[k, 0] + weather[DELAY] + weather[JITTER] * delay
         if arrival <= t:
-            count[NEWEST], count[MESSAGE], at_once = count[SENT], message, True
+            count[NEWEST], count[SIZE] = count[SENT], size
+            links.newest[k, :size] = message
             continue
         i = count[WAITING]
         links.arrival[k, i] = arrival
-        links.on_the_way[k, i, 0], links.on_the_way[k, i, 1] = count[SENT], message
+        links.on_the_way[k, i, 0], links.on_the_way[k, i, 1] = count[SENT], size
+        links.waiting[k, i, :size] = message
         count[WAITING] = i + 1
         full = full or i + 1 == links.arrival.shape[1]
-    return at_once, full
+    return full
 
 
 @compiled
@@ -91,18 +98,21 @@ def listen(links, t):
     for k in range(links.tally.shape[0]):
         count, left = links.tally[k], 0
         for i in range(count[WAITING]):
-            place, message = links.on_the_way[k, i, 0], links.on_the_way[k, i, 1]
+            place, size = links.on_the_way[k, i, 0], links.on_the_way[k, i, 1]
             if links.arrival[k, i] > t:
-                links.arrival[k, left] = links.arrival[k, i]
-                links.on_the_way[k, left, 0], links.on_the_way[k, left, 1] = place, message
+                if left < i:
+                    links.arrival[k, left] = links.arrival[k, i]
+                    links.on_the_way[k, left, 0], links.on_the_way[k, left, 1] = place, size
+                    links.waiting[k, left, :size] = links.waiting[k, i, :size]
                 left += 1
             elif place > count[NEWEST]:
-                count[NEWEST], count[MESSAGE] = place, message
+                count[NEWEST], count[SIZE] = place, size
+                links.newest[k, :size] = links.waiting[k, i, :size]
         count[WAITING] = left
 
 
 class Radio:
-    """All links of a table, each created on first use, and the messages on them."""
+    """All links for one kind of message, each created on first use."""
 
     def __init__(self, link: Link, seed: int) -> None:
         self._seed = seed
@@ -110,12 +120,9 @@ class Radio:
             link.delay_s, link.jitter_s, link.loss, link.burst_loss, link.burst_enter,
             link.burst_leave,
         )  # fmt: skip
-        self.links = no_links(0, ROOM)
+        self.links = no_links(0, ROOM, 1)
         self._rows: dict[tuple[str, str], int] = {}
         self._trouble: dict[str, tuple[float, float]] = {}
-        self._newest: list[int] = []  # message of each link
-        self._messages: dict[int, Any] = {}
-        self._spoken, self._crowd = 0, 64
         self._send = settled(send)
 
     def rows(self, pairs: Iterable[tuple[str, str]]) -> Whole:
@@ -123,14 +130,14 @@ class Radio:
         return np.array([self._row(*pair) for pair in pairs], np.int64)
 
     def _row(self, sender: str, receiver: str) -> int:
-        row = self._rows.setdefault((sender, receiver), len(self._rows))
-        if row == len(self._newest):
+        row = self._rows.get((sender, receiver))
+        if row is None:
+            row = self._rows[sender, receiver] = len(self._rows)
             if row == len(self.links.bad):
                 self._grow(rows=2 * row + 16)
             self._sow(row, sender, receiver)
             self.links.weather[row] = self._weather
             self.links.trouble[row] = self._trouble.get(receiver, 0.0)
-            self._newest.append(-1)
         return row
 
     def _sow(self, row: int, sender: str, receiver: str) -> None:
@@ -143,11 +150,20 @@ class Radio:
         for pair, row in self._rows.items():
             self._sow(row, *pair)
 
-    def _grow(self, *, rows: int = 0, room: int = 0) -> None:
-        old, (had, has_room) = self.links, self.links.arrival.shape
-        self.links = no_links(max(rows, had), max(room, has_room))
+    def _grow(self, *, rows: int = 0, room: int = 0, width: int = 0) -> None:
+        old, (had, has_room, had_width) = self.links, self.links.waiting.shape
+        self.links = no_links(max(rows, had), max(room, has_room), max(width, had_width))
         for new, before in zip(self.links, old, strict=True):
             new[tuple(slice(n) for n in before.shape)] = before
+
+    def make_room(self) -> None:
+        """Make room for more messages on the way."""
+        self._grow(room=2 * self.links.arrival.shape[1])
+
+    def widen(self, size: int) -> None:
+        """Make room for messages of so many numbers."""
+        if size > self.links.newest.shape[1]:
+            self._grow(width=size)
 
     def disturb(self, receiver: str, late: float, lost: float) -> None:
         """Let messages to `receiver` take longer [s] and be lost with a further probability."""
@@ -157,44 +173,26 @@ class Radio:
                 if to == receiver:
                     self.links.trouble[row] = late, lost
 
-    def send(self, rows: Whole, t: float, message: object) -> None:
+    def send(self, rows: Whole, t: float, message: Array) -> None:
         """Send a message on these links at time `t` [s]; `listen` was called for it."""
-        self._spoken += 1
-        self._messages[self._spoken] = message
-        at_once, full = self._send(self.links, rows, t, self._spoken)
-        if full:
-            self._grow(room=2 * self.links.arrival.shape[1])
-        if at_once:
-            self.look()
+        self.widen(len(message))
+        if self._send(self.links, rows, t, message):
+            self.make_room()
 
-    def look(self) -> None:
-        """Learn what `listen` has found."""
-        count = self.links.tally
-        self._newest = count[: len(self._newest), MESSAGE].tolist()
-        if len(self._messages) > self._crowd:
-            waits = np.arange(self.links.arrival.shape[1]) < count[:, WAITING, None]
-            needed = {*self._newest, *self.links.on_the_way[waits, 1].tolist()}
-            self._messages = {k: m for k, m in self._messages.items() if k in needed}
-            self._crowd = 2 * len(self._messages) + 64
-
-    def heard(self, receiver: str, senders: Iterable[str]) -> dict[str, Any]:
+    def heard(self, receiver: str, senders: Iterable[str]) -> dict[str, Array]:
         """The newest message of each of `senders`, of any age."""
-        rows, newest, messages = self._rows, self._newest, self._messages
-        found = {}
-        for sender in senders:
-            row = rows.get((sender, receiver))
-            if row is not None and newest[row] >= 0:
-                found[sender] = messages[newest[row]]
-        return found
+        found = {sender: self.newest(sender, receiver) for sender in senders}
+        return {sender: one for sender, one in found.items() if one is not None}
 
-    def newest(self, sender: str, receiver: str) -> Any:
+    def newest(self, sender: str, receiver: str) -> Array | None:
         """The newest message that arrived, of any age; None if there is none."""
         row = self._rows.get((sender, receiver))
-        return None if row is None else self._messages.get(self._newest[row])
+        if row is None or (size := int(self.links.tally[row, SIZE])) == SILENCE:
+            return None
+        return self.links.newest[row, :size].copy()
 
     def part(self, sender: str, receiver: str) -> None:
         """Drop all messages of a link, because the vehicles moved out of range."""
         row = self._rows.get((sender, receiver))
         if row is not None:
-            self.links.tally[row, NEWEST:] = self.links.tally[row, SENT], -1, 0
-            self._newest[row] = -1
+            self.links.tally[row, NEWEST:] = self.links.tally[row, SENT], SILENCE, 0

@@ -20,6 +20,13 @@ from sim_twin.reference_bodies import ReferenceBodies
 from testbed.core.codes import FaultReport
 from testbed.core.compiled import compiled, settled
 from testbed.core.fault_injection import Injection
+from testbed.core.rows import (
+    States,
+    message_of,
+    row_of_message,
+    row_of_setpoint,
+    setpoint_of,
+)
 from testbed.core.table import Obstacle, Table
 from testbed.core.types import (
     ALL_WELL,
@@ -40,7 +47,9 @@ HOST = "host"
 
 
 @compiled
-def observe(film, optics, times, states, shown, links, tanks, used, pressures, now):
+def observe(
+    film, optics, times, states, shown, own, setpoints, messages, tanks, used, pressures, now
+):
     """What cameras, radio and sensors tell after a window of the plant.
 
     Args:
@@ -49,7 +58,9 @@ def observe(film, optics, times, states, shown, links, tanks, used, pressures, n
         times: of the exposures, shape (m,) [s].
         states: the truth at these times, shape (m, v, 6).
         shown: vehicle that each body shows.
-        links: see radio.py.
+        own: links for the vehicles' states, see radio.py.
+        setpoints: for setpoints.
+        messages: for messages of laws.
         tanks: gas [kg], tank pressure, set pressure and dropout [Pa], see Air; shape (v, 4).
         used: gas consumed, shape (v,) [kg].
         pressures: of supply and tank, written to; shape (v, 2) [Pa].
@@ -59,7 +70,9 @@ def observe(film, optics, times, states, shown, links, tanks, used, pressures, n
         see camera.photograph.
     """
     most = photograph(film, optics, times, states, shown, now)
-    listen(links, now)
+    listen(own, now)
+    listen(setpoints, now)
+    listen(messages, now)
     for k in range(used.shape[0]):
         gas, full, wanted, dropout = tanks[k]
         tank = full * max(0.0, gas - used[k]) / gas
@@ -98,7 +111,8 @@ class Twin:
             FaultInjector(injections, self.plant, obstacles, half, seed) if injections else None
         )
         self.cameras = Cameras(self.names, table.mocap, seed, table.spread)
-        self.radio = Radio(table.link, seed)
+        self.states, self.setpoints = Radio(table.link, seed), Radio(table.link, seed)
+        self.messages = Radio(table.link, seed)  # of laws
         self.now = 0.0  # time of the run [s]
         reference = table.lab.mocap.reference
         self._fixed = ReferenceBodies(reference, table.mocap, seed) if reference else None
@@ -114,8 +128,7 @@ class Twin:
         self._audiences: dict[tuple[str, bool], Whole] = {}
         airs = [vehicle.air for vehicle in vehicles.values()]
         self._tanks = np.array([(a.gas, a.tank_pressure, a.set_pressure, a.dropout) for a in airs])
-        self._pressures = np.empty((len(airs), 2))
-        self.pressures: list[list[float]] = []  # of supply and tank of each vehicle [Pa]
+        self.gauges = np.empty((len(airs), 2))  # supply and tank pressure of each vehicle [Pa]
         self.blackboard: dict[
             str, tuple[float, LawMessage, LawMessage | None]
         ] = {}  # of laws on the host
@@ -125,7 +138,8 @@ class Twin:
     def reseed(self, seed: int) -> None:
         """Draw other random numbers from now on; the vehicles stay as they were drawn."""
         self.cameras.reseed(self.names, seed)
-        self.radio.reseed(seed)
+        for radio in self.radios:
+            radio.reseed(seed)
         for name, board in self.plant.boards.items():
             board.reseed(stream(seed, name, "pulses"))
         if self.injector is not None:
@@ -156,14 +170,14 @@ class Twin:
             if (rows := broken.sources(self.names, times)) is not None:
                 shown = np.array(rows, np.int64)
             for name in self.names:
-                self.radio.disturb(name, *broken.air(name))
+                for radio in self.radios:
+                    radio.disturb(name, *broken.air(name))
         film = self.cameras.load(len(times))
         self.cameras.most = self._observe(
-            film, self.cameras.optics, times, seen, shown, self.radio.links,
-            self._tanks, self.plant.used, self._pressures, self.now,
+            film, self.cameras.optics, times, seen, shown,
+            self.states.links, self.setpoints.links, self.messages.links,
+            self._tanks, self.plant.used, self.gauges, self.now,
         )  # fmt: skip
-        self.radio.look()
-        self.pressures = self._pressures.tolist()
         if self._reach is not None:
             self._meet(self._reach)
 
@@ -176,8 +190,8 @@ class Twin:
             near = [self.names[k] for k in np.flatnonzero(row <= reach).tolist()]
             if near != self.near[one]:
                 for gone in set(self.near[one]).difference(near):
-                    self.radio.part(one, gone)
-                    self.radio.part(one, law_of(gone))
+                    self.states.part(one, gone)
+                    self.messages.part(one, law_of(gone))
                 self.near[one] = near
                 self._audiences.clear()
 
@@ -187,8 +201,14 @@ class Twin:
         if rows is None:
             hear = [other for other in self.near[name] if other in self._listeners]
             to = [law_of(other) for other in hear] if laws else [HOST, *hear]
-            rows = self._audiences[name, laws] = self.radio.rows((name, other) for other in to)
+            radio = self.messages if laws else self.states
+            rows = self._audiences[name, laws] = radio.rows((name, other) for other in to)
         return rows
+
+    @property
+    def radios(self) -> tuple[Radio, Radio, Radio]:
+        """The links for each kind of message."""
+        return self.states, self.setpoints, self.messages
 
     def vitals(self, name: str) -> Vitals:
         """Health of a vehicle's process; good unless a fault is injected."""
@@ -202,7 +222,7 @@ class Twin:
 
     def health(self, name: str) -> Health:
         """Readings of the board's sensors."""
-        supply, tank = self.pressures[self.rows[name]]
+        supply, tank = self.gauges[self.rows[name]].tolist()
         if self.injector is None:
             return Health(self.now, supply, tank)
         supply = self.injector.supply(name, supply)
@@ -246,52 +266,56 @@ class TwinVehicleLink:
     """VehicleLink of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._radio, self._name, self._law = twin, twin.radio, name, law_of(name)
+        self._twin, self._name, self._law = twin, name, law_of(name)
 
     def setpoint(self) -> Setpoint | None:
         """See `VehicleLink`."""
-        found: Setpoint | None = self._radio.newest(HOST, self._name)
-        return found
+        found = self._twin.setpoints.newest(HOST, self._name)
+        return None if found is None else setpoint_of(found)
 
     def neighbours(self) -> dict[str, State]:
         """See `VehicleLink`."""
-        return self._radio.heard(self._name, self._twin.near[self._name])
+        twin = self._twin
+        return states_of(twin.states.heard(self._name, twin.near[self._name]))
 
     def publish(self, state: State) -> None:
         """See `VehicleLink`."""
         twin = self._twin
-        self._radio.send(twin.audience(self._name), twin.now, state)
+        twin.states.send(twin.audience(self._name), twin.now, States.of([state]).rows[0])
 
     def messages(self) -> dict[str, LawMessage]:
         """See `VehicleLink`."""
-        return self._radio.heard(self._law, self._twin.near[self._name])
+        heard = self._twin.messages.heard(self._law, self._twin.near[self._name])
+        return {name: message_of(row) for name, row in heard.items()}
 
     def broadcast(self, message: LawMessage) -> None:
         """See `VehicleLink`."""
         twin = self._twin
-        self._radio.send(twin.audience(self._name, laws=True), twin.now, message)
+        to = twin.audience(self._name, laws=True)
+        twin.messages.send(to, twin.now, row_of_message(message))
 
 
 class TwinHostLink:
     """HostLink of one vehicle."""
 
     def __init__(self, twin: Twin, name: str) -> None:
-        self._twin, self._radio, self._name = twin, twin.radio, name
-        self._audience = twin.radio.rows([(HOST, name)])
+        self._twin, self._name = twin, name
+        self._audience = twin.setpoints.rows([(HOST, name)])
         self._others = [n for n in twin.names if n != name]
 
     def own(self) -> State | None:
         """See `HostLink`."""
-        found: State | None = self._radio.newest(self._name, HOST)
-        return found
+        found = self._twin.states.newest(self._name, HOST)
+        return None if found is None else States.struct(found.tolist())
 
     def neighbours(self) -> dict[str, State]:
         """See `HostLink`."""
-        return self._radio.heard(HOST, self._others)
+        return states_of(self._twin.states.heard(HOST, self._others))
 
     def publish(self, setpoint: Setpoint) -> None:
         """See `HostLink`."""
-        self._radio.send(self._audience, self._twin.now, setpoint)
+        twin = self._twin
+        twin.setpoints.send(self._audience, twin.now, row_of_setpoint(setpoint))
 
     def messages(self) -> dict[str, LawMessage]:
         """See `HostLink`. The laws share a computer and receive messages of earlier ticks."""
@@ -307,3 +331,8 @@ class TwinHostLink:
         board, now = self._twin.blackboard, self._twin.now
         _, newest, _ = board.get(self._name, (now, None, None))
         board[self._name] = (now, message, newest)
+
+
+def states_of(heard: Mapping[str, Array]) -> dict[str, State]:
+    """The states in messages, by sender."""
+    return {name: States.struct(row.tolist()) for name, row in heard.items()}

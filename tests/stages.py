@@ -339,7 +339,7 @@ class Safety:
             self.p = self.p._replace(brakes=self.p.brakes._replace(decel=decel))
 
     def act(self, inputs, effect_at, state, setpoint, wrench, thrust_scale, law_error=""):
-        agent, memory, row = self.agent, self.agent.memory, self.agent._row[0]
+        agent, memory, row = self.agent, self.agent.memory, self.agent.row[0]
         agent._law_error = law_error
         agent._tell(inputs, setpoint)
         row.told.effect_at = effect_at
@@ -356,7 +356,8 @@ class Safety:
         report = agent._report(int(done.fault), inputs, "", "") if done.fault >= 0 else None
         return SimpleNamespace(
             commanded_wrench=Wrench(*flown), response=Response(done.response),
-            holding=agent._holding(), fault=report, braking=bool(done.braking),
+            holding=agent._holding(agent.memory.counters.holds), fault=report,
+            braking=bool(done.braking),
             inhibit_reason=Refusal(InhibitReason(shut)) if shut else None,
             air_off=bool(done.air_off),
         )  # fmt: skip

@@ -17,7 +17,7 @@ from rich.table import Table as Grid
 
 from testbed.cli.counted import LINE_S
 from testbed.config import Experiment
-from testbed.core.types import Tick
+from testbed.flight.flown_tick import AnyTick
 from testbed.report.fault_story import STOPPING_TOO
 from testbed.report.goal_error import GoalError
 from testbed.run.fly import FlightScreen
@@ -43,7 +43,7 @@ class LiveTable(FlightScreen):
         self._end = Event()
         self._teller = Thread(target=self._tell, name="lines", daemon=True)
         self._experiment, self._goal_error = experiment, GoalError(experiment)
-        self._ticks: dict[str, Tick] = {}
+        self._ticks: dict[str, AnyTick] = {}
         self._t = 0.0
         self.phase = "DISARMED"  # of the supervisor
         self._progress = Progress(
@@ -112,7 +112,7 @@ class LiveTable(FlightScreen):
         self._words = "waiting for its vehicles" if self._line_s else self._experiment.name
         self._progress.update(self._bar, total=self._experiment.duration_s)
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
         self._ticks[name] = tick
 
@@ -145,7 +145,7 @@ class LiveTable(FlightScreen):
         off = self._goal_error.by_vehicle(np.array([t]), places)
         return {name: float(value[0]) for name, value in off.items()}
 
-    def _row(self, name: str, tick: Tick) -> tuple[str, ...]:
+    def _row(self, name: str, tick: AnyTick) -> tuple[str, ...]:
         setup, out = self._experiment.vehicles[name], tick.outputs
         left = tick.inputs.health.tank_pressure / setup.model.air.tank_pressure
         gas = f"{100.0 * left:.0f}" if left > 0.0 else "-"  # no pressure gauge

@@ -199,9 +199,15 @@ class FaultReport(FaultCause, frozen=True, omit_defaults=True):
         return self.cause or FaultCause(self.id, self.text, self.vehicle)
 
     @property
+    def after_id(self) -> str:
+        """The text without the words of the id, for a place that shows the id before it."""
+        return self.text.removeprefix(f"{self.id.replace('_', ' ')}: ")
+
+    @property
     def words(self) -> str:
         """Text for a person; the id leads to the row of the fault table."""
-        parts = (self.vehicle, self.id if self.detector else "", self.text)
+        row = self.detector
+        parts = (self.vehicle, self.id if row else "", self.after_id if row else self.text)
         return "; ".join([": ".join(filter(None, parts)), *self.notes])
 
 

@@ -32,7 +32,8 @@ LEAN: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 _ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = (
-    "testbed/core", "testbed/flight", "testbed/reproduction/kernel", "controllers", "sim_twin",
+    "testbed/core", "testbed/flight", "testbed/reproduction/kernel", "testbed/rig/fleet",
+    "controllers", "sim_twin",
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Poses and references as rows of numbers: from the cameras and the law to the chain and the log.
+"""Poses, states, references and messages as rows of numbers, as compiled code takes them.
 
 A row becomes a struct when it is looked at. Making ten structs per tick, and taking them apart
 again, took a tenth of a flight on the twin.
@@ -12,7 +12,19 @@ from typing import ClassVar, Self, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.core.types import Accel, Pose, PoseSample, Reference, Twist
+from testbed.core.records.kinds import SetpointKind
+from testbed.core.types import (
+    Accel,
+    Demand,
+    LawMessage,
+    Pose,
+    PoseSample,
+    Reference,
+    Setpoint,
+    State,
+    Trajectory,
+    Twist,
+)
 
 Array = NDArray[np.float64]
 S = TypeVar("S")
@@ -94,6 +106,65 @@ class References(Rows[Reference]):
         """See `Rows`."""
         t, x, y, theta, vx, vy, omega, ax, ay, alpha = row
         return Reference(t, Pose(x, y, theta), Twist(vx, vy, omega), Accel(ax, ay, alpha))
+
+
+class States(Rows[State]):
+    """Estimates, rows in the order of record.STATE after its `known`."""
+
+    __slots__ = ()
+    width = 12
+    numbers = attrgetter(
+        "t", "pose.x", "pose.y", "pose.theta", "twist.vx", "twist.vy", "twist.omega",
+        "bias.ax", "bias.ay", "bias.alpha", "pose_age", "rejected",
+    )  # fmt: skip
+
+    @staticmethod
+    def struct(row: list[float]) -> State:
+        """See `Rows`."""
+        t, x, y, theta, vx, vy, omega, ax, ay, alpha, age, rejected = row
+        bias = Accel(ax, ay, alpha)
+        return State(t, Pose(x, y, theta), Twist(vx, vy, omega), bias, age, int(rejected))
+
+
+SETPOINT_WIDTH = 8  # numbers of a setpoint without its references
+
+
+def numbers_of(setpoint: Setpoint | None) -> tuple[float, ...]:
+    """A setpoint without its references, in the order of record.SETPOINT."""
+    if setpoint is None:
+        return SetpointKind.NONE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    if isinstance(setpoint, Trajectory):
+        begins = References.of(setpoint.references).rows[0, 0]
+        return SetpointKind.TRAJECTORY, begins, setpoint.valid_until, 0.0, 0.0, 0.0, 0.0, 0.0
+    one, kind = setpoint, SetpointKind.DEMAND
+    return kind, one.t, one.valid_until, one.fx_w, one.fy_w, one.theta, one.omega, one.alpha
+
+
+def row_of_setpoint(setpoint: Setpoint) -> Array:
+    """A setpoint as one row: its numbers, then its references one after the other."""
+    head = np.array(numbers_of(setpoint), dtype=np.float64)
+    if isinstance(setpoint, Demand):
+        return head
+    return np.concatenate((head, References.of(setpoint.references).rows.ravel()))
+
+
+def setpoint_of(row: Array) -> Setpoint:
+    """The setpoint in a row, see `row_of_setpoint`."""
+    kind, t, until, fx, fy, theta, omega, alpha = row[:SETPOINT_WIDTH].tolist()
+    if kind == SetpointKind.DEMAND:
+        return Demand(t, fx, fy, theta, omega, alpha, until)
+    return Trajectory(References(row[SETPOINT_WIDTH:].reshape(-1, References.width)), until)
+
+
+def row_of_message(message: LawMessage) -> Array:
+    """A law's message as one row: its time, then its values."""
+    return np.array((message.t, *message.values), dtype=np.float64)
+
+
+def message_of(row: Array) -> LawMessage:
+    """The message in a row, see `row_of_message`."""
+    t, *values = row.tolist()
+    return LawMessage(t, tuple(values))
 
 
 def structs_of(thing: object) -> list[object]:

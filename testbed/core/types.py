@@ -190,6 +190,26 @@ class Tick(Struct, frozen=True, gc=False):
     inputs: Inputs
     outputs: Outputs
 
+    @property
+    def t(self) -> float:
+        """Time of the tick [s]."""
+        return self.inputs.t
+
+    @property
+    def ended(self) -> bool:
+        """Whether the flight was over."""
+        return self.inputs.vitals.end
+
+    @property
+    def shut(self) -> bool:
+        """Whether the valves had to stay shut."""
+        return self.outputs.inhibit_reason is not None
+
+    @property
+    def fault(self) -> FaultReport | None:
+        """The fault that ends the run."""
+        return self.outputs.fault
+
 
 class EndingTick(Tick, frozen=True, gc=False):
     """A tick after the end of the flight; metrics of the flight ignore it."""
@@ -230,3 +250,18 @@ class HostTick(Struct, frozen=True, gc=False):
 
     inputs: HostInputs
     outputs: HostOutputs
+
+    @property
+    def t(self) -> float:
+        """Time of the tick [s]."""
+        return self.inputs.t
+
+    @property
+    def own_t(self) -> float | None:
+        """Time of the vehicle's newest state [s]; None: there is none."""
+        return None if self.inputs.own is None else self.inputs.own.t
+
+    @property
+    def fault(self) -> FaultReport | None:
+        """Fault of the law."""
+        return self.outputs.fault

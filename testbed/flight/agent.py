@@ -5,7 +5,7 @@ becomes the outputs, with the names and words that belong to its codes.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from testbed.core.codes import (
 from testbed.core.compiled import settled
 from testbed.core.error import MismatchError
 from testbed.core.jets import JetHealth
-from testbed.core.rows import PoseSamples, References
+from testbed.core.rows import PoseSamples, References, numbers_of
 from testbed.core.types import (
     Accel,
     Demand,
@@ -50,7 +50,7 @@ from testbed.flight.hypotheses import CAUSES, NUDGE, SHORT, WEAK, cause_of, rank
 from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
-from testbed.flight.record import DEMAND, DONE, NO_SETPOINT, ROW, STATE, TOLD, TRAJECTORY, packing
+from testbed.flight.record import DONE, ROW, STATE, TOLD, packing
 
 
 def lead_time(vehicle: Vehicle) -> float:
@@ -61,6 +61,8 @@ def lead_time(vehicle: Vehicle) -> float:
 RESPONSES = tuple(Response)
 REASONS = {one.value: one for one in InhibitReason}
 IN, OUT = packing(TOLD), packing(STATE, DONE)
+# places in record.DONE, counted in numbers
+FAULT, HOLDING, OTHER, OLDEST, LEAK, GATE_FAULT = 19, 20, 21, 22, 23, 29
 STAYS_S = 1.0  # a setpoint to stay is renewed at every tick [s]
 ALERT = 3.0  # sigmas of a leak from which bodies nearby are noted
 NO_REFERENCES = np.zeros((0, 10))
@@ -91,12 +93,13 @@ class Agent:
             guidance: of the law on board.
         """
         self.params, self.guidance, self._nearby = params, guidance, nearby
-        self._lead, self._faults, self._barrier = lead, list(faults.items()), barrier
+        self.lead, self.barrier = lead, barrier
+        self._faults = list(faults.items())
         self._jets = params.jets.gas.shape[0]
         looks, rows = params.jets_known.shown.shape[0], len(faults)
         self.memory, self.everything = make_memory(self._jets, plans, looks, rows)
-        self._row = np.zeros(1, ROW)
-        self._bytes = self._row.view(np.uint8).data
+        self.row = np.zeros(1, ROW)  # of the newest tick
+        self._bytes = self.row.view(np.uint8).data
         self._place: Reference | None = None  # see `staying`
         self._law_error = ""  # exception of the law on board
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
@@ -114,7 +117,7 @@ class Agent:
             found = f"{self.everything.size} numbers instead of {before.everything.size}"
             raise MismatchError(expected, found)
         self.everything[:] = before.everything
-        for part in ("_row", "_bytes", "_law_error", "_fault", "_nearby"):
+        for part in ("row", "_bytes", "_law_error", "_fault", "_nearby"):
             setattr(self, part, getattr(before, part))
         if self.guidance is not None and before.guidance is not None:
             self.guidance.take_over(before.guidance, kept)
@@ -123,7 +126,7 @@ class Agent:
         """One tick: call it once per jet period, with time increasing."""
         setpoint, message = None if inputs.vitals.end else inputs.setpoint, None
         samples, others = PoseSamples.of(inputs.samples).rows, self._others(inputs)
-        rows, references = self._row, NO_REFERENCES
+        rows, references = self.row, NO_REFERENCES
         # a vehicle that stays after its flight has the setpoint of `staying`
         guided = self.guidance is not None and setpoint is None
         if guided and self.guidance is not None:
@@ -167,7 +170,7 @@ class Agent:
         """Write the inputs into the tick's record, in the order of record.TOLD."""
         health, vitals = inputs.health, inputs.vitals
         IN.pack_into(
-            self._bytes, 0, inputs.t, inputs.t + self._lead, inputs.armed, vitals.end,
+            self._bytes, 0, inputs.t, inputs.t + self.lead, inputs.armed, vitals.end,
             health.supply_pressure, health.tank_pressure, health.battery, health.silent_s,
             vitals.session_ok, vitals.operator_age, vitals.clock_offset, vitals.late_s,
             vitals.disk_free, vitals.same_config, vitals.foreign,
@@ -180,7 +183,7 @@ class Agent:
         rows: list[float] = []  # one after the other
         for name, one in inputs.neighbours.items():
             pose, twist = one.pose, one.twist
-            keep = 0.0 if self._barrier is None else self._barrier.keep[name]
+            keep = 0.0 if self.barrier is None else self.barrier.keep[name]
             rows += (pose.x, pose.y, twist.vx, twist.vy, keep, one.t)
         return np.array(rows, dtype=np.float64).reshape(-1, 6)
 
@@ -203,10 +206,70 @@ class Agent:
     ) -> Outputs:
         """The tick's record as structs, with names and words for its codes."""
         state, done = taken(self._bytes)
+        m = self.memory
+        if (done[LEAK] > ALERT or done[HOLDING]) and state is not None:
+            self._nearby.look(inputs.t, state, inputs.neighbours)
+        report = self.report(done[FAULT], done[GATE_FAULT], lambda: inputs)
+        lists = m.times, m.counters.holds, m.fixed[0].gate.values
+        return self.made(state, done, inputs, setpoint, report, *lists, message)
+
+    def notice(
+        self, fault: int, gate_fault: int, looks: bool, inputs: Callable[[], Inputs]
+    ) -> FaultReport | None:
+        """What `step` does beside the chain: note what is near, and report the tick's fault.
+
+        Args:
+            fault: row of the fault table that decides; -1: none.
+            gate_fault: code that the gate has latched; 0: none.
+            looks: something holds or may leak.
+            inputs: makes the inputs of the tick; they are rarely needed.
+        """
+        if looks and (state := taken(self._bytes)[0]) is not None:
+            told = inputs()
+            self._nearby.look(told.t, state, told.neighbours)
+        return self.report(fault, gate_fault, inputs)
+
+    def step_row(self, samples: Array, references: Array, neighbours: Array) -> None:
+        """One tick of the chain alone, of which `row` says the rest; see `chain.step`."""
+        self._step(self.params, self.memory, self.row, samples, references, neighbours)
+
+    def report(
+        self, fault: int, gate_fault: int, inputs: Callable[[], Inputs]
+    ) -> FaultReport | None:
+        """The report of row `fault` of the fault table, or of the gate; see `notice`."""
+        if fault != self._fault[0]:
+            told, done = inputs(), taken(self._bytes)[1]
+            names = ("", *told.neighbours)
+            said = told, names[done[OTHER] + 1], names[done[OLDEST] + 1]
+            self._fault = fault, None if fault < 0 else self._report(fault, *said)
+        found = self._fault[1]
+        if found is None and gate_fault:
+            values = self.memory.fixed[0].gate.values
+            return reported(refusal_of(gate_fault, gate_fault, values))
+        return found
+
+    def made(
+        self, state: State | None, done: Sequence[Any], inputs: Inputs,
+        setpoint: Setpoint | None, report: FaultReport | None,
+        times: Array, holds: Array, values: Array, message: LawMessage | None,
+    ) -> Outputs:  # fmt: skip
+        """Outputs from a tick's record and the lists that belong to it.
+
+        Args:
+            state: estimate, see `taken`.
+            done: numbers of record.DONE.
+            inputs: of this tick.
+            setpoint: that was flown.
+            report: of the tick's fault.
+            times: memory.Memory.times.
+            holds: fault_monitor.Counters.holds.
+            values: of the gate's refusal.
+            message: of the law on board.
+        """
         (
             seq, stopping, t, x, y, theta, vx, vy, omega, ax, ay, alpha, fx, fy, tau,
-            realised_fx, realised_fy, realised_tau, response, fault, holding, other, oldest,
-            leak, hazard, dfx, dfy, _, inhibit, gate_fault, air_off,
+            realised_fx, realised_fy, realised_tau, response, _, holding, _, _,
+            _, hazard, dfx, dfy, _, inhibit, gate_fault, air_off,
         ) = done  # fmt: skip
         active: Reference | Demand | None = None
         if setpoint is not None and state is not None:
@@ -215,43 +278,26 @@ class Agent:
                 accel = Accel(ax, ay, alpha)
                 active = Reference(t, Pose(x, y, theta), Twist(vx, vy, omega), accel)
         filtered = None
-        if hazard >= 0 and self._barrier is not None:
-            named = self._barrier.hazard(hazard, inputs.neighbours)
+        if hazard >= 0 and self.barrier is not None:
+            named = self.barrier.hazard(hazard, inputs.neighbours)
             filtered = Intervention(dfx, dfy, *named)
-        if (leak > ALERT or holding) and state is not None:
-            self._nearby.look(inputs.t, state, inputs.neighbours)
-        if fault != self._fault[0]:
-            names = ("", *inputs.neighbours)
-            told = inputs, names[other + 1], names[oldest + 1]
-            self._fault = fault, None if fault < 0 else self._report(fault, *told)
-        refusal = self._refusal(inhibit, gate_fault) if inhibit else None
-        report = self._fault[1]
-        if report is None and gate_fault:
-            report = reported(self._refusal(gate_fault, gate_fault))
-        times = self.memory.times.astype(np.int64).tolist()
-        now = inputs.t
+        whole, now = times.astype(np.int64).tolist(), inputs.t
         return Outputs(
             now, state, active, Wrench(fx, fy, tau),
             Wrench(realised_fx, realised_fy, realised_tau),
             ValveCommand(
                 seq, now, now + self.params.gains.period,
-                tuple(times[: self._jets]), tuple(times[self._jets :]),
+                tuple(whole[: self._jets]), tuple(whole[self._jets :]),
             ),
-            refusal, report, message, self._holding() if holding else (), RESPONSES[response],
-            filtered, air_off == 1,
+            refusal_of(inhibit, gate_fault, values) if inhibit else None, report, message,
+            self._holding(holds) if holding else (), RESPONSES[response], filtered, air_off == 1,
         )  # fmt: skip
 
-    def _holding(self) -> tuple[str, ...]:
-        """Ids of all rows of the fault table that hold now."""
-        holds = self.memory.counters.holds.tolist()
-        return tuple(name for (name, _), one in zip(self._faults, holds, strict=True) if one)
-
-    def _refusal(self, code: int, gate_fault: int) -> Refusal:
-        """The reason with the values of its words."""
-        reason, values = REASONS[code], ()
-        if code == gate_fault:
-            values = self.memory.fixed[0].gate.values[: reason.words.count("{")].tolist()
-        return Refusal(reason, tuple(values))
+    def _holding(self, holds: Array) -> tuple[str, ...]:
+        """Ids of all rows of the fault table that hold."""
+        return tuple(
+            name for (name, _), one in zip(self._faults, holds.tolist(), strict=True) if one
+        )
 
     def _report(self, k: int, inputs: Inputs, other: str, oldest: str) -> FaultReport:
         """The report of row `k` of the fault table, which was latched at this tick."""
@@ -294,6 +340,14 @@ class Agent:
         return ""
 
 
+def refusal_of(code: int, gate_fault: int, values: Array) -> Refusal:
+    """The reason with the values of its words."""
+    reason, said = REASONS[code], ()
+    if code == gate_fault:
+        said = tuple(values[: reason.words.count("{")].tolist())
+    return Refusal(reason, said)
+
+
 def reported(refusal: Refusal) -> FaultReport:
     """The report of a reason that the gate has latched."""
     return FaultReport(refusal.code.name.lower(), refusal.words)
@@ -308,14 +362,3 @@ def taken(record: memoryview) -> tuple[State | None, Sequence[Any]]:
         return None, done
     twist, bias = Twist(vx, vy, omega), Accel(ax, ay, alpha)
     return State(t, Pose(x, y, theta), twist, bias, age, rejected), done
-
-
-def numbers_of(setpoint: Setpoint | None) -> tuple[float, ...]:
-    """A setpoint as a record.SETPOINT."""
-    if setpoint is None:
-        return NO_SETPOINT, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    if isinstance(setpoint, Trajectory):
-        begins = References.of(setpoint.references).rows[0, 0]
-        return TRAJECTORY, begins, setpoint.valid_until, 0.0, 0.0, 0.0, 0.0, 0.0
-    one = setpoint
-    return DEMAND, one.t, one.valid_until, one.fx_w, one.fy_w, one.theta, one.omega, one.alpha

@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 
 from testbed.core.codes import Hazard, Intervention
 from testbed.core.compiled import compiled, settled
+from testbed.core.rows import States
 from testbed.core.table import Obstacle
 from testbed.core.types import State
 from testbed.core.vehicle import NonNegative, Positive
@@ -293,6 +294,8 @@ class Barrier:
             for obstacle in obstacles.values()
         ])  # fmt: skip
         self._guarded = settled(guarded)
+        self._met: tuple[str, ...] = ()  # the others at the last call
+        self._apart = np.zeros(0)  # what `keep` says of them [m]
 
     def filter(
         self, t: float, force: tuple[float, float], motion: tuple[float, ...],
@@ -307,20 +310,27 @@ class Barrier:
             neighbours: newest state of each other vehicle.
             thrust_scale: of the jets' force at the present supply pressure.
         """
-        fx, fy = force
-        px, py, vx, vy, bx, by = motion
-        rows: list[float] = []  # one after the other
-        for name, state in neighbours.items():
-            pose, twist = state.pose, state.twist
-            rows += (pose.x, pose.y, twist.vx, twist.vy, self.keep[name], state.t)
-        others = np.array(rows, dtype=np.float64).reshape(-1, 6)
+        rows = States.of(list(neighbours.values())).rows
+        return self.filter_rows(t, force, motion, tuple(neighbours), rows, thrust_scale)
+
+    def filter_rows(
+        self, t: float, force: tuple[float, float], motion: tuple[float, ...],
+        names: tuple[str, ...], states: Array, thrust_scale: float = 1.0,
+    ) -> tuple[float, float, Intervention | None]:  # fmt: skip
+        """`filter` with the states of the other vehicles `names` as rows, see rows.States."""
+        (fx, fy), (px, py, vx, vy, bx, by) = force, motion
+        if names != self._met:
+            self._met, self._apart = names, np.array([self.keep[name] for name in names])
+        others = np.empty((len(names), 6))
+        others[:, :2], others[:, 2:4] = states[:, 1:3], states[:, 4:6]
+        others[:, 4], others[:, 5] = self._apart, states[:, 0]
         x, y, hazard, _ = self._guarded(
             t, fx, fy, px, py, vx, vy, bx, by,
             self.obstacles, others, self.limits, max(thrust_scale, WORST_SHARE),
         )  # fmt: skip
         if hazard < 0:
             return fx, fy, None
-        return x, y, Intervention(x - fx, y - fy, *self.hazard(hazard, neighbours))
+        return x, y, Intervention(x - fx, y - fy, *self.hazard(hazard, names))
 
     def hazard(self, row: int, neighbours: Iterable[str]) -> tuple[Hazard, str]:
         """Kind and name of a hazard by its row: obstacles, neighbours, edges, speed limit."""

@@ -17,31 +17,33 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
+from itertools import chain
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
+from testbed.core.compiled import compiled, settled
 from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World, concerns_of
 from testbed.core.path import Circle, Path, Points, along
-from testbed.core.rows import References
+from testbed.core.rows import States, setpoint_of
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import (
-    Demand,
     Intervention,
     LawMessage,
     Pose,
     Setpoint,
     State,
-    Trajectory,
 )
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.barrier import Barrier
+from testbed.flight.record import DEMAND, TRAJECTORY
 
 Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
 
 TURN_ACCEL = 0.1  # of a turn by hand, and to end it [rad/s^2]
 ZERO = np.zeros(2)  # shared: laws must not write to their arguments
@@ -124,11 +126,34 @@ def turn_to(
     return Turn(start, goal, t, accel) if led is None else TurnAlong(start, led, t, accel)
 
 
-class _Heard(NamedTuple):
+class Heard(NamedTuple):
     """Newest states and messages of the other vehicles."""
 
-    states: Mapping[str, State]
+    names: tuple[str, ...]  # of those whose state is known
+    states: Array  # (n, 12) in this order, see rows.States
     messages: Mapping[str, LawMessage]
+
+
+class Company(NamedTuple):
+    """The vehicles that a law knows of at a tick."""
+
+    names: tuple[str, ...]  # sorted
+    order: Whole  # their rows in `Heard.states`
+    strangers: Neighbours  # them, without states
+
+
+@compiled
+def extrapolated(states, order, t):
+    """Positions and velocities at `t` [s] of the vehicles `order` in `states`, each (n, 2)."""
+    n = order.shape[0]
+    p, v = np.empty((n, 2)), np.empty((n, 2))
+    for i in range(n):
+        one = states[order[i]]
+        ago = t - one[0]
+        for axis in range(2):
+            v[i, axis] = one[4 + axis]
+            p[i, axis] = one[1 + axis] + ago * one[4 + axis]
+    return p, v
 
 
 class Guidance:
@@ -170,13 +195,14 @@ class Guidance:
         )
         self._world = World(self._fixed_goal, self._obstacles)
         self._they_move = bool(self._obstacles.v.any())
-        self._company: tuple[tuple[str, ...], Neighbours] | None = None  # others at the last tick
+        self._company: tuple[object, Company] | None = None  # at the last tick, and for whom
         self._law_state: Array | None = None
         self._inherited: Array | None = None  # state of the same law with other gains
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | TurnAlong | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
-        self._ahead: deque[Array] = deque()  # references not due yet, a row each
+        self._extrapolated = settled(extrapolated)
+        self._ahead: deque[tuple[float, ...]] = deque()  # references not due yet, a row each
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
 
     def take_over(self, before: "Guidance", kept: Kept) -> None:
@@ -199,6 +225,11 @@ class Guidance:
         self._sent.clear()
 
     @property
+    def message_size(self) -> int:
+        """Numbers in the law's message to the others."""
+        return self._law.message_size
+
+    @property
     def concerns(self) -> list[Concern]:
         """The law's concerns so far, for the operator."""
         return [] if self._law_state is None else concerns_of(self._law, self._law_state)
@@ -218,31 +249,43 @@ class Guidance:
             neighbours: newest state of each other vehicle.
             messages: newest message of each other vehicle's law.
         """
-        heard = _Heard(neighbours, messages or {})
+        states = States.of(list(neighbours.values())).rows
+        heard = Heard(tuple(neighbours), states, messages or {})
+        return setpoint_of(self.step_row(t, States.numbers(own), heard))
+
+    def step_row(self, t: float, own: Sequence[float], heard: Heard) -> Array:
+        """`step` with rows of numbers: of the own state, see rows.States, and of the others.
+
+        Returns:
+            the setpoint, see rows.row_of_setpoint.
+        """
         if self._turn is None:
             self._turn = turn_to(
-                self._goal.theta, self._path, own.pose.theta, t, self._params.heading_accel
+                self._goal.theta, self._path, own[3], t, self._params.heading_accel
             )
             self._t = t
-            self._p, self._v = np.array([own.pose.x, own.pose.y]), np.zeros(2)
+            self._p, self._v = np.array(own[1:3]), np.zeros(2)
         if self._params.mode == "wrench":
             return self._demand(t, own, heard, self._turn)
         while self._t <= t + self._params.preview_s + 1e-9:
             self._ahead.append(self._reference(heard, self._turn))
-        references = np.concatenate(self._ahead).reshape(-1, References.width)
+        until = self._ahead[-1][0] + self._params.setpoint_life_s
+        head = TRAJECTORY, self._ahead[0][0], until, 0.0, 0.0, 0.0, 0.0, 0.0
+        row = np.array((*head, *chain.from_iterable(self._ahead)))
         self._ahead.popleft()
-        last = float(references[-1, 0])
-        return Trajectory(References(references), last + self._params.setpoint_life_s)
+        return row
 
-    def _demand(self, t: float, own: State, heard: _Heard, turn: Turn | TurnAlong) -> Demand:
+    def _demand(
+        self, t: float, own: Sequence[float], heard: Heard, turn: Turn | TurnAlong
+    ) -> Array:
         """Wrench mode: integrate the law ahead from the estimate and demand its mean force."""
-        disturbance = np.array([own.bias.ax, own.bias.ay])
+        disturbance = np.array(own[7:9])
         force = self._fly(t, *self._predict(own, disturbance, t), disturbance, heard).mean_force
         self._sent.append((t, force))
-        fx, fy = force.tolist()
-        return Demand(t, fx, fy, *turn.at(t), t + self._params.setpoint_life_s)
+        until = t + self._params.setpoint_life_s
+        return np.array((DEMAND, t, until, *force.tolist(), *turn.at(t)))
 
-    def _reference(self, heard: _Heard, turn: Turn | TurnAlong) -> Array:
+    def _reference(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
         """Reference mode: the model's state now, as a row; then advance it by one period."""
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
         ahead = self._fly(t, self._p, self._v, ZERO, heard)
@@ -250,16 +293,17 @@ class Guidance:
         fx, fy = ahead.mean_force.tolist()
         if self._barrier is not None:
             motion = (px, py, vx, vy, 0.0, 0.0)
-            fx, fy, self.filtered = self._barrier.filter(t, (fx, fy), motion, heard.states)
+            fx, fy, self.filtered = self._barrier.filter_rows(
+                t, (fx, fy), motion, heard.names, heard.states
+            )
             if self.filtered is not None:
                 h, accel = self._period, np.array([fx, fy]) / self._mass
                 p, v = self._p + h * (self._v + 0.5 * h * accel), self._v + h * accel
         self._p, self._v = p, v
-        ax, ay = fx / self._mass, fy / self._mass
         theta, omega, alpha = turn.at(t)
-        return np.array((t, px, py, theta, vx, vy, omega, ax, ay, alpha))
+        return t, px, py, theta, vx, vy, omega, fx / self._mass, fy / self._mass, alpha
 
-    def _fly(self, t: float, p: Array, v: Array, disturbance: Array, heard: _Heard) -> Ahead:
+    def _fly(self, t: float, p: Array, v: Array, disturbance: Array, heard: Heard) -> Ahead:
         """Integrate the law ahead over one period and keep its state."""
         own = Body(p, v, self._mass, disturbance, ZERO, self._max_force, self._own)
         world, others = self._world_at(t), self._others(heard, t)
@@ -288,11 +332,9 @@ class Guidance:
             obstacles = Discs(obstacles.p + t * obstacles.v, obstacles.v, obstacles.radius)
         return World(goal, obstacles)
 
-    def _predict(self, own: State, disturbance: Array, t: float) -> tuple[Array, Array]:
+    def _predict(self, own: Sequence[float], disturbance: Array, t: float) -> tuple[Array, Array]:
         """Position and velocity at `t`, including demands that were sent but not yet flown."""
-        p = np.array([own.pose.x, own.pose.y])
-        v = np.array([own.twist.vx, own.twist.vy])
-        now = own.t
+        now, p, v = own[0], np.array(own[1:3]), np.array(own[4:6])
         while now < t - 1e-9:
             force, until = np.zeros(2), t
             for start, sent in self._sent:
@@ -307,27 +349,25 @@ class Guidance:
             now = until
         return p, v
 
-    def _others(self, heard: _Heard, t: float) -> Neighbours:
+    def _others(self, heard: Heard, t: float) -> Neighbours:
         """The others, extrapolated to time `t`; for a law with messages, those that sent one."""
         words, k = heard.messages, self._law.message_size
-        names = tuple(sorted(heard.states.keys() & words.keys() if k else heard.states))
-        if self._company is None or self._company[0] != names:
-            self._company = names, self._strangers(names)
-        company = self._company[1]
-        places: list[float] = []
-        speeds: list[float] = []
-        for name in names:
-            state = heard.states[name]
-            ago, pose, twist = t - state.t, state.pose, state.twist
-            places += (pose.x + ago * twist.vx, pose.y + ago * twist.vy)
-            speeds += (twist.vx, twist.vy)
-        # one array from plain numbers: the fastest way to fill a small array
-        p, v = np.array(places + speeds, dtype=np.float64).reshape(2, -1, 2)
+        known = heard.names, tuple(words) if k else ()
+        if self._company is None or self._company[0] != known:
+            self._company = known, self._meet(*known)
+        names, order, company = self._company[1]
+        p, v = self._extrapolated(heard.states, order, t)
         said, said_at = company.message, company.message_t
         if k and names:
             said = np.array([words[name].values for name in names])
             said_at = np.array([words[name].t for name in names])
         return Neighbours(p, v, company.radius, company.vehicle_index, said, said_at)
+
+    def _meet(self, known: tuple[str, ...], spoke: tuple[str, ...]) -> Company:
+        """Those that the law knows of, when the states of `known` and messages were heard."""
+        names = tuple(sorted(set(known) & set(spoke) if self._law.message_size else known))
+        order = np.array([known.index(one) for one in names], np.int64)
+        return Company(names, order, self._strangers(names))
 
     def _strangers(self, names: tuple[str, ...]) -> Neighbours:
         """Neighbours without states: known data before their first message."""

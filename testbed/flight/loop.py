@@ -31,6 +31,7 @@ from testbed.core.types import (
     Vitals,
 )
 from testbed.flight.faults import LONGEST_WORDS
+from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.pilot import Pilot
 
@@ -149,7 +150,7 @@ class Node(Protocol):
     def tick(
         self, t: float, armed: bool, fleet: FaultReport | None = None, *,
         end: bool = False, stay: bool = False,
-    ) -> Tick:  # fmt: skip
+    ) -> AnyTick:  # fmt: skip
         """See `VehicleNode`."""
         ...
 
@@ -171,7 +172,7 @@ class HostNode:
         self._ahead = period + lead
         self._fault: FaultReport | None = None  # of the law
 
-    def tick(self, t: float, armed: bool = True) -> HostTick:
+    def tick(self, t: float, armed: bool = True) -> AnyHostTick:
         """Receive, step, send. The law starts when the vehicle is armed."""
         link, guidance = self._link, self.guidance
         inputs = HostInputs(t, link.own(), link.neighbours(), link.messages(), self.stick)
@@ -187,11 +188,11 @@ class HostNode:
                 t + self._ahead, inputs.own, inputs.neighbours, inputs.messages
             )
         except Exception as error:  # after any exception of a law the vehicles are stopped
-            text = f"{type(error).__name__}: {error}"[:LONGEST_WORDS]
-            return self._fail(inputs, FaultId.HOST_LAW_RAISED, text)
+            self.fail(error)
+            return HostTick(inputs, HostOutputs(t, None, fault=self._fault))
         if not _is_number(setpoint):
-            text = "asks for something that is not a number"
-            return self._fail(inputs, FaultId.HOST_LAW_NOT_A_NUMBER, text)
+            self.fail(None)
+            return HostTick(inputs, HostOutputs(t, None, fault=self._fault))
         link.publish(setpoint)
         if guidance.message is not None:
             link.broadcast(guidance.message)
@@ -202,28 +203,31 @@ class HostNode:
         self._link.publish(setpoint)
         return HostTick(inputs, HostOutputs(inputs.t, setpoint, filtered=pilot.filtered))
 
-    def _fail(self, inputs: HostInputs, what: FaultId, text: str) -> HostTick:
+    def fail(self, error: Exception | None) -> None:
+        """Ask the law no more: it raised an error, or gave something that is not a number."""
+        what, text = FaultId.HOST_LAW_NOT_A_NUMBER, "asks for something that is not a number"
+        if error is not None:
+            what, text = FaultId.HOST_LAW_RAISED, f"{type(error).__name__}: {error}"[:LONGEST_WORDS]
         self._fault = FaultReport(what, f"law on the host: {text}", self.name)
-        return HostTick(inputs, HostOutputs(inputs.t, None, fault=self._fault))
 
 
-def host_fault(name: str, tick: HostTick) -> FaultReport | None:
+def host_fault(name: str, tick: AnyHostTick) -> FaultReport | None:
     """Fault that the host finds: the vehicle's law failed, or the vehicle is silent."""
-    own, t = tick.inputs.own, tick.inputs.t
-    if tick.outputs.fault is None and own is not None and not t - own.t <= SILENT:
-        text = f"vehicle silent: nothing heard for {t - own.t:.2f} s"
+    own_t, t = tick.own_t, tick.t
+    if tick.fault is None and own_t is not None and not t - own_t <= SILENT:
+        text = f"vehicle silent: nothing heard for {t - own_t:.2f} s"
         return FaultReport(FaultId.VEHICLE_SILENT, text, name)
-    return tick.outputs.fault
+    return tick.fault
 
 
 class Observer(Protocol):
     """Receives every tick: recorder, progress bar, dashboard. Must not slow the loop down."""
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """Receive one vehicle's inputs and outputs."""
         ...
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """One vehicle's law on the host."""
         ...
 
@@ -267,9 +271,9 @@ def fly(
         for node in vehicles:
             tick = node.tick(t, armed, fleet)
             observer.vehicle(node.name, tick)
-            shut = shut and tick.outputs.inhibit_reason is not None
-            if tick.outputs.fault is not None and fault is None:
-                fault, failed_at = replace(tick.outputs.fault, vehicle=node.name), t
+            shut = shut and tick.shut
+            if tick.fault is not None and fault is None:
+                fault, failed_at = replace(tick.fault, vehicle=node.name), t
         for host in hosts:
             answer = host.tick(t, armed)
             observer.host(host.name, answer)
@@ -310,8 +314,8 @@ def hold(
         for node in vehicles:
             tick, full = node.tick(k * period, True, stay=True), set_pressure[node.name]
             observer.vehicle(node.name, tick)
-            if tick.outputs.fault is not None:
-                return k + 1, replace(tick.outputs.fault, vehicle=node.name)
+            if tick.fault is not None:
+                return k + 1, replace(tick.fault, vehicle=node.name)
             enough = enough and tick.inputs.health.supply_pressure >= ENOUGH * full
         if not enough:
             return k + 1, None

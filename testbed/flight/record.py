@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.core.codes import Detector
+from testbed.core.records.kinds import SetpointKind
 
 Array = NDArray[np.float64]
 Kind = type | np.dtype[Any] | tuple[int, ...]
@@ -48,7 +49,7 @@ REFERENCE = record(  # desired motion at `t`, and the acceleration during the je
     ax=float, ay=float, alpha=float,  # [m/s^2, rad/s^2]
 )  # fmt: skip
 
-NO_SETPOINT, TRAJECTORY, DEMAND = 0, 1, 2
+NO_SETPOINT, TRAJECTORY, DEMAND = map(int, SetpointKind)
 SETPOINT = record(
     kind=int,  # one of the three above
     t=float,  # from then on it is meant to be flown [s]

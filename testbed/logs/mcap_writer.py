@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from testbed.core.error import TestbedError
 from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.extras import Extras
-from testbed.logs.recorder import READY, Entry, Frame, Mark, Topic
+from testbed.logs.recorder import READY, Entries, Frame, Mark, Topic
 
 CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once
@@ -164,11 +164,14 @@ def write_log(
     try:
         for frame in received:
             match frame:
-                case Entry(number, stamp, data):
-                    channel, topic = topics[number]
-                    log.add(channel, stamp, data)
-                    for name, kind, extra in extras.of(topic.name, topic.kind, stamp, data):
-                        log.add(log.topic(name, kind), stamp, extra)
+                case Entries(entries):
+                    for one in entries:
+                        channel, topic = topics[one.topic]
+                        log.add(channel, one.stamp, one.data)
+                        for name, kind, extra in extras.of(
+                            topic.name, topic.kind, one.stamp, one.data
+                        ):
+                            log.add(log.topic(name, kind), one.stamp, extra)
                 case Mark():
                     log.mcap.flush()
                     if warning := disk.check():

@@ -93,12 +93,18 @@ class Packer:
         definition = MESSAGES[name]
         self.name = name
         self._sizes = [DTYPES[one.kind].itemsize for one in definition.sequences]
-        self._most = [1] * len(self._sizes)
+        self.most = [1] * len(self._sizes)  # capacities
         self._pack = self._packs()
+
+    def grow(self, most: list[int]) -> None:
+        """Take these capacities, none of them smaller than before."""
+        if most != self.most:
+            self.most = most
+            self._pack = self._packs()
 
     def _packs(self) -> Callable[..., bytes]:
         """Packs a whole message; bytes that are shorter than their capacity are filled with 0."""
-        pairs = zip(self._most, self._sizes, strict=True)
+        pairs = zip(self.most, self._sizes, strict=True)
         sequences = "".join(f"II{most * size}s" for most, size in pairs)
         return struct.Struct("<4s" + form(self.name) + sequences).pack
 
@@ -109,14 +115,12 @@ class Packer:
             fixed: numbers of the fixed part.
             sequences: for each, the number of its elements and their bytes.
         """
-        most, grown = self._most, False
+        most = list(self.most)
         parts: list[Any] = []
         for k, (number, data) in enumerate(sequences):
-            if number > most[k]:
-                most[k], grown = number, True
+            most[k] = max(most[k], number)
             parts += (number, most[k], data)
-        if grown:
-            self._pack = self._packs()
+        self.grow(most)
         return self._pack(HEADER, *fixed, *parts)
 
 

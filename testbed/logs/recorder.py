@@ -30,6 +30,7 @@ import select
 import struct
 import subprocess
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
@@ -39,7 +40,9 @@ import msgspec
 from msgspec import Struct
 
 from testbed.core.error import TestbedError
-from testbed.logs.tick_row import Names, RowWriter
+from testbed.flight.flown_tick import FlownHostTick, FlownTick
+from testbed.logs.block import LARGEST, Block
+from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
 PIECE = 64 * 1024  # most bytes kept between two marks before they are written
@@ -84,19 +87,25 @@ class Topic(Struct, frozen=True, tag=True, array_like=True):
     kind: str  # of its messages, see `core/records`
 
 
-class Entry(Struct, frozen=True, tag=True, array_like=True, gc=False):
-    """To the writer: one message of a topic."""
+class Entry(Struct, frozen=True, array_like=True, gc=False):
+    """One message of a topic."""
 
     topic: int
     stamp: int  # time of the run [ns]
     data: bytes
 
 
+class Entries(Struct, frozen=True, tag=True, array_like=True, gc=False):
+    """To the writer: messages in order."""
+
+    entries: list[Entry]
+
+
 class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
     """To the writer: flush, so that a reader can see everything so far."""
 
 
-Frame = Topic | Entry | Mark
+Frame = Topic | Entries | Mark
 
 
 class Recorder:
@@ -142,6 +151,7 @@ class Recorder:
         self._pack = msgspec.msgpack.Encoder().encode
         self._topics: dict[str, int] = {}
         self._rows, self._scene = RowWriter(names), scene
+        self._block, self._fast = Block(self._rows), span_ns > SPAN_NS
 
     def __enter__(self) -> "Recorder":
         self._writer = subprocess.Popen(
@@ -161,35 +171,57 @@ class Recorder:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        with suppress(RecorderError):  # its reason is said below
+            if self._block:
+                self._append(self._block.take())
         said = self._last_words()
         if self._writer.returncode != 0 and kind is None:
             raise RecorderError(said)
 
-    def write(self, topic: str, t: float, message: Struct) -> None:
+    def write(self, topic: str, t: float, message: Struct | FlownTick | FlownHostTick) -> None:
         """Append one message of time `t` [s] to `topic`.
 
         Raises:
             RecorderError: the writer failed, or a number does not fit its field.
         """
+        if isinstance(message, FlownTick | FlownHostTick):
+            if self._fast:
+                if not self._met:
+                    self.meet()
+                for one in self._rows.before(topic, t, message.fault):
+                    self._block.add(t, one.topic, one)
+                self._block.add(t, topic, message)
+                return
+            message = message.tick
         try:
             rows = self._rows.rows(topic, t, message)
         except (struct.error, OverflowError) as error:
             raise RecorderError(f"a message of {topic} at {t:.3f} s: {error}") from None
+        if self._scene:
+            rows.append(Made("/scene", SCENE, self._scene))
+            self._scene = b""
         for one in rows:
             self.append(one.topic, one.kind, t, one.data)
-        if self._scene:
-            self.append("/scene", SCENE, t, self._scene)
-            self._scene = b""
 
     def append(self, topic: str, kind: str, t: float, data: bytes) -> None:
         """Append the bytes of one message of a kind of `core/records`."""
+        made = Made(topic, kind, data)
+        if self._block:
+            self._block.add(t, topic, made)
+        else:
+            self._append([(t, made)])
+
+    def _append(self, messages: Sequence[tuple[float, Made]]) -> None:
         if not self._met:
             self.meet()
-        number = self._topics.get(topic)
-        if number is None:
-            number = self._topics[topic] = len(self._topics)
-            self._send(Topic(topic, kind))
-        self._send(Entry(number, round(t * 1e9), data))
+        entries = []
+        for t, (topic, kind, data) in messages:
+            number = self._topics.get(topic)
+            if number is None:
+                number = self._topics[topic] = len(self._topics)
+                self._send(Topic(topic, kind))
+            entries.append(Entry(number, round(t * 1e9), data))
+        self._send(Entries(entries))
 
     def meet(self) -> None:
         """Wait until the writer has created the file; from then on a kill loses little.
@@ -215,12 +247,15 @@ class Recorder:
             RecorderError: the writer has ended; recording has stopped.
         """
         now = round(t * 1e9)
-        if now - self._marked >= self._span:
+        due = now - self._marked >= self._span
+        if self._fast and not due and len(self._block) < LARGEST:
+            return []  # faster than real time, a write per tick costs more than rows
+        if self._block:
+            self._append(self._block.take())
+        if due:
             self._marked = now
             self._send(Mark())
-            self._hand_over()
-        elif self._span <= SPAN_NS:  # faster than real time a write per tick costs more than rows
-            self._hand_over()
+        self._hand_over()
         assert self._writer.stderr is not None
         try:
             heard = os.read(self._writer.stderr.fileno(), 4096)
@@ -242,7 +277,7 @@ class Recorder:
 
     def _send(self, frame: Frame) -> None:
         if len(self._pending) > LARGEST_BACKLOG and not isinstance(frame, Topic):
-            self.lost += isinstance(frame, Entry)
+            self.lost += len(frame.entries) if isinstance(frame, Entries) else 0
             return
         packed = self._pack(frame)
         self._pending += len(packed).to_bytes(4, "little")

@@ -5,7 +5,7 @@ before the first row that has its code; a name is a number in `Names`, written w
 """
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeVar
 
 import msgspec
@@ -90,15 +90,26 @@ class RowWriter:
                 name, fixed, sequences = make(self, t, message, who, out)
                 if name == "Event":
                     return [Made(topic, name, fixed)]
-                made = Made(topic, name, self._packer(topic, name).pack(fixed, sequences))
-        sizes = len(self.names.vehicles), len(self.names.obstacles), len(self.names.faults)
-        if sizes != self._said or t >= self._again:
-            self._said, self._again = sizes, t + REPEAT_S
-            known = {"t": t, **msgspec.structs.asdict(self.names)}
-            out.insert(0, Made("/names", "Names", cdr.encode("Names", known)))
-        return [*out, made]
+                made = Made(topic, name, self.packer(topic, name).pack(fixed, sequences))
+        return [*self.new_names(t), *out, made]
 
-    def _packer(self, topic: str, name: str) -> Packer:
+    def before(self, topic: str, t: float, fault: FaultReport | None) -> list[Made]:
+        """What a tick's row refers to and is not in the log yet, for a tick without other texts."""
+        out = self.new_names(t)
+        self.event(EventKind.FAULT, fault, topic.rpartition("/")[0], t, out)
+        return out
+
+    def new_names(self, t: float) -> list[Made]:
+        """The names, if there are new ones, or if they were written long ago."""
+        sizes = len(self.names.vehicles), len(self.names.obstacles), len(self.names.faults)
+        if sizes == self._said and t < self._again:
+            return []
+        self._said, self._again = sizes, t + REPEAT_S
+        known = {"t": t, **msgspec.structs.asdict(self.names)}
+        return [Made("/names", "Names", cdr.encode("Names", known))]
+
+    def packer(self, topic: str, name: str) -> Packer:
+        """Packs the messages of a topic; it knows their capacities."""
         if topic not in self._packers:
             self._packers[topic] = Packer(name)
         return self._packers[topic]
@@ -130,18 +141,16 @@ class RowWriter:
             now, demand = Active.DEMAND, _demand(at)
         shut = o.inhibit_reason
         values = () if shut is None else shut.values
-        rows = {self.names.number(self.names.faults, one) for one in o.faults}
-        held = sum(1 << k for k in rows if k < MOST_FAULTS)
         heard, heard_values = self._heard(i.messages)
         fixed = (
             i.t, *aim, *_health(i.health), v.operator_age, v.clock_offset, v.late_s, v.disk_free,
             v.foreign, v.session_ok, v.same_config, law_error, fleet, i.armed, v.end,
             o.t, *(_NO_STATE if o.state is None else _state(o.state)), *reference, *demand,
-            *_wrench(o.commanded_wrench), *_wrench(o.realised_wrench), *self._filter(o.filtered),
+            *_wrench(o.commanded_wrench), *_wrench(o.realised_wrench), *self.filtered(o.filtered),
             c.issued_at, c.valid_until, NAN if own is None else own.t,
-            *values, *(NAN,) * (3 - len(values)), _value(o.fault), held,
-            c.seq, self._fault(o.fault), 0 if shut is None else shut.code, len(values), o.response,
-            o.state is not None, now, o.air_off, own is not None,
+            *values, *(NAN,) * (3 - len(values)), value_of(o.fault), self.held(o.faults),
+            c.seq, self.fault_code(o.fault), 0 if shut is None else shut.code, len(values),
+            o.response, o.state is not None, now, o.air_off, own is not None,
         )  # fmt: skip
         sequences = (
             (len(i.samples), PoseSamples.of(i.samples).rows.tobytes()),
@@ -151,7 +160,7 @@ class RowWriter:
             heard, heard_values,
             _message(own),
         )  # fmt: skip
-        return Made(topic, "Tick", self._packer(topic, "Tick").pack(fixed, sequences))
+        return Made(topic, "Tick", self.packer(topic, "Tick").pack(fixed, sequences))
 
     def _host(self, topic: str, t: float, tick: HostTick, who: str, out: list[Made]) -> Made:
         i, o = tick.inputs, tick.outputs
@@ -161,13 +170,13 @@ class RowWriter:
         own = o.message
         fixed = (
             i.t, *(_NO_STATE if i.own is None else _state(i.own)), i.own is not None,
-            o.t, *aim, *self._filter(o.filtered), NAN if own is None else own.t,
+            o.t, *aim, *self.filtered(o.filtered), NAN if own is None else own.t,
             fault, own is not None,
         )  # fmt: skip
         sequences = (
             self._neighbours(i.neighbours), references, *self._heard(i.messages), _message(own),
         )  # fmt: skip
-        return Made(topic, "HostTick", self._packer(topic, "HostTick").pack(fixed, sequences))
+        return Made(topic, "HostTick", self.packer(topic, "HostTick").pack(fixed, sequences))
 
     def _stick(self, stick: Stick | None, who: str, t: float, out: list[Made]) -> None:
         """An event when the stick has moved; without one it is where it was."""
@@ -178,7 +187,13 @@ class RowWriter:
                 found |= {"text": "flown by hand", "parts": msgspec.json.encode(stick).decode()}
             out.append(Made(f"{who}/event", "Event", cdr.encode("Event", found)))
 
-    def _filter(self, filtered: Intervention | None) -> tuple[float, float, int, int]:
+    def held(self, faults: Iterable[str]) -> int:
+        """Rows of the fault table as bits."""
+        rows = {self.names.number(self.names.faults, one) for one in faults}
+        return sum(1 << k for k in rows if k < MOST_FAULTS)
+
+    def filtered(self, filtered: Intervention | None) -> tuple[float, float, int, int]:
+        """An intervention as numbers."""
         if filtered is None:
             return _NO_FILTER
         names = self.names
@@ -186,7 +201,8 @@ class RowWriter:
         subject = names.number(of, filtered.name) + 1 if filtered.name else 0
         return filtered.dfx_w, filtered.dfy_w, subject, filtered.hazard
 
-    def _fault(self, fault: FaultReport | None) -> int:
+    def fault_code(self, fault: FaultReport | None) -> int:
+        """The code of a fault, see kinds.FaultCode."""
         if fault is None:
             return FaultCode.NONE
         if fault.detector:
@@ -292,5 +308,6 @@ PLAIN: dict[str, Callable[..., Any]] = {  # by name of the struct
 }  # fmt: skip
 
 
-def _value(fault: FaultReport | None) -> float:
+def value_of(fault: FaultReport | None) -> float:
+    """The number of a fault's detector; NaN if it has none."""
     return NAN if fault is None or fault.value is None else fault.value

@@ -17,7 +17,7 @@ def fault_line(seed: int | None, fault: FaultReport, t: float | None) -> str:
     when = f" at {t:.1f} s" if t is not None else ""
     if not fault.detector:
         return f"{start}{_line(fault)}{when}"
-    text = _line(replace(fault, vehicle="", detector=""))
+    text = _line(replace(fault, vehicle="", detector="", text=fault.after_id))
     return f"{start}{fault.id} of {fault.vehicle}{when}: {text}"
 
 

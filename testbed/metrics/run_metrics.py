@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from testbed.core.codes import FaultReport
 from testbed.core.jets import JetHealth
 from testbed.core.law import Concern
+from testbed.core.records.kinds import SetpointKind
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
-from testbed.core.types import Demand, Outputs
+from testbed.core.types import Demand, Outputs, Tick
 from testbed.core.vehicle import NonNegative, Positive
 from testbed.flight.arming import Check
+from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.metrics.afterwards import After
 
 Array = NDArray[np.float64]
@@ -161,11 +163,21 @@ class ReferenceLog:
         self._rows = array("d")  # t, x, y, theta, force; one tick after the other
         self._forces = False  # whether the law commands forces
         self._filtered = 0.0  # [N s]
+        self._kept: list[FlownTick] = []  # not yet in the rows
         for out in outputs:
-            self.note(out)
+            self._note(out)
 
-    def note(self, out: Outputs) -> None:
+    def note(self, tick: AnyTick) -> None:
         """Add a tick; ticks without a setpoint or a state are ignored."""
+        if isinstance(tick, Tick):
+            self._add_kept()
+            self._note(tick.outputs)
+            return
+        if self._kept and (self._kept[0].table is not tick.table):
+            self._add_kept()
+        self._kept.append(tick)
+
+    def _note(self, out: Outputs) -> None:
         if out.filtered is not None and out.inhibit_reason is None:
             period = out.command.valid_until - out.command.issued_at
             self._filtered += period * math.hypot(out.filtered.dfx_w, out.filtered.dfy_w)
@@ -179,12 +191,39 @@ class ReferenceLog:
             pose = out.active_setpoint.pose
             self._rows.extend((out.state.t, pose.x, pose.y, pose.theta, force))
 
+    def _add_kept(self) -> None:
+        """Add ticks that are rows one after the other of one table, column by column."""
+        if not self._kept:
+            return
+        kept, self._kept = self._kept, []
+        records = kept[0].table.records[kept[0].k : kept[0].k + len(kept)]
+        told, done = records["told"], records["done"]
+        for i in np.flatnonzero((done["hazard"] >= 0) & (done["inhibit"] == 0)).tolist():
+            tick, period = kept[i], kept[i].agent.params.gains.period
+            dfx, dfy, t = float(done["dfx"][i]), float(done["dfy"][i]), tick.t
+            self._filtered += (t + period - t) * math.hypot(dfx, dfy)
+        kind = told["setpoint"]["kind"]
+        demanded = (kind == SetpointKind.DEMAND) & (done["stopping"] == 0)
+        active, commanded = done["active"], done["commanded"]
+        force = list(map(math.hypot, commanded["fx"].tolist(), commanded["fy"].tolist()))
+        rows = np.column_stack((
+            records["state"]["t"],
+            np.where(demanded, math.nan, active["x"]),
+            np.where(demanded, math.nan, active["y"]),
+            np.where(demanded, told["setpoint"]["theta"], active["theta"]),
+            force,
+        ))  # fmt: skip
+        flown = (kind != SetpointKind.NONE) & (records["state"]["known"] == 1)
+        self._forces = self._forces or bool((demanded & flown).any())
+        self._rows.frombytes(rows[flown].tobytes())
+
     def aim(self) -> Aim:
         """All commands so far.
 
         If a law commands forces, references from braking without setpoints are not part of the
         track.
         """
+        self._add_kept()
         table = np.array(self._rows).reshape(-1, 5)
         if self._forces:
             table[:, 1:3] = math.nan

@@ -13,8 +13,9 @@ from controllers.own_law import OwnLawParams
 from testbed.config import Experiment
 from testbed.core.jets import JetHealth
 from testbed.core.ports import HostLink
-from testbed.core.types import HostTick, Inputs, Outputs, Trajectory
+from testbed.core.types import Inputs, Outputs, Trajectory
 from testbed.flight.agent import Agent, lead_time
+from testbed.flight.flown_tick import AnyHostTick
 from testbed.flight.guidance import Guidance, Kept
 from testbed.flight.loop import HostNode
 from testbed.rig.chain import make_agent, make_guidance, make_pilot
@@ -102,12 +103,16 @@ class ForkedHost(HostNode):
         """Take the newest change back, if it is for `at_s`."""
         withdraw(self.later, at_s)
 
-    def tick(self, t: float, armed: bool = True) -> HostTick:
-        """See `HostNode`."""
+    def take_over(self, t: float) -> None:
+        """Go on with the newest guidance that is due."""
         while self.later and t >= self.later[0][0] - SOON:
             _, after, keeps = self.later.popleft()
             after.take_over(self.guidance, keeps)
             self.guidance = after
+
+    def tick(self, t: float, armed: bool = True) -> AnyHostTick:
+        """See `HostNode`."""
+        self.take_over(t)
         return super().tick(t, armed)
 
 
@@ -133,12 +138,13 @@ def make_vehicle(experiment: Experiment, name: str, spoilt: Spoilt = None) -> Ag
 
 
 def make_host(
-    experiment: Experiment, name: str, link: HostLink, spoilt: Spoilt = None
-) -> ForkedHost:
+    experiment: Experiment, name: str, link: HostLink, spoilt: Spoilt = None,
+    kind: type[ForkedHost] = ForkedHost,
+) -> ForkedHost:  # fmt: skip
     """One vehicle's law on the host, and its pilot."""
     lead = lead_time(experiment.vehicles[name].model)
     first, *later = (make_guidance(one, name, spoilt) for one in stages(experiment))
-    host = ForkedHost(
+    host = kind(
         name, first, link, experiment.flight.jet_period_s, lead, make_pilot(experiment, name)
     )
     host.later = deque(_later(experiment, later))

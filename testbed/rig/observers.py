@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from testbed.core.types import HostTick, Tick
+from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.loop import host_fault
 from testbed.metrics.run_metrics import ReferenceLog
 
@@ -10,10 +10,10 @@ from testbed.metrics.run_metrics import ReferenceLog
 class NullObserver:
     """An observer that does nothing."""
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
 
     def done(self, t: float) -> None:
@@ -26,15 +26,15 @@ class FirstFaultObserver(NullObserver):
     def __init__(self) -> None:
         self.fault_t: float | None = None  # None: no fault [s]
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
-        if self.fault_t is None and tick.outputs.fault is not None:
-            self.fault_t = tick.outputs.t
+        if self.fault_t is None and tick.fault is not None:
+            self.fault_t = tick.t
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
         if self.fault_t is None and host_fault(name, tick) is not None:
-            self.fault_t = tick.inputs.t
+            self.fault_t = tick.t
 
 
 class MetricsObserver(FirstFaultObserver):
@@ -44,9 +44,9 @@ class MetricsObserver(FirstFaultObserver):
         super().__init__()
         self.aims = {name: ReferenceLog() for name in names}
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
-        if tick.inputs.vitals.end:
+        if tick.ended:
             return
         super().vehicle(name, tick)
-        self.aims[name].note(tick.outputs)
+        self.aims[name].note(tick)

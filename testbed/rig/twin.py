@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from sim_twin.board import FirmwareBoard
+from sim_twin.board import Board, FirmwareBoard
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.config import ConfigError, Experiment, Fork
 from testbed.core.codes import FaultId, FaultReport
@@ -23,6 +23,7 @@ from testbed.core.law import Concern
 from testbed.core.ports import Clock, HostLink
 from testbed.core.types import Pose
 from testbed.faults.law_faults import CrashableNode
+from testbed.flight.agent import Agent
 from testbed.flight.arming import Check
 from testbed.flight.frame_watch import FrameWatch
 from testbed.flight.loop import (
@@ -41,6 +42,8 @@ from testbed.metrics.characterisation import characterise
 from testbed.metrics.run_metrics import Consumption, Touch, Track
 from testbed.rig.chain import brakes_first
 from testbed.rig.firmware_boards import Valves, WiredBoard, make_drivers
+from testbed.rig.fleet.host import TwinHost
+from testbed.rig.fleet.node import TwinNode
 from testbed.rig.forked import SOON, ForkedAgent, ForkedHost, make_host, make_vehicle, stages
 from testbed.rig.interface import holds, not_armed
 from testbed.rig.live import LiveFlight
@@ -67,7 +70,7 @@ class TwinRig(Struct, frozen=True):
 
     experiment: Experiment
     twin: Twin
-    vehicles: list[VehicleNode | CrashableNode]
+    vehicles: list[TwinNode | VehicleNode | CrashableNode]
     hosts: list[ForkedHost]
     boards: dict[str, WiredBoard]  # with firmware; empty with the twin's model
     pace: Clock | None = None  # slows the twin down for a viewer
@@ -282,23 +285,28 @@ def make_twin(
         twin.fleet = WatchedFrame(experiment, twin).fault
     injector = twin.injector
     spoilt = {n: None if injector is None else partial(injector.spoilt, n) for n in setups}
-    vehicles: list[VehicleNode | CrashableNode] = []
+    vehicles: list[TwinNode | VehicleNode | CrashableNode] = []
     laws: list[ForkedHost | ForkedAgent] = []
     for name, setup in setups.items():
         agent = make_vehicle(experiment, name, spoilt[name])
         if experiment.deploy.law == "vehicle" and isinstance(agent, ForkedAgent):
             laws.append(agent)
-        node = make_node(twin, name, agent)
+        node, board = make_node(twin, name, agent), twin.plant.boards[name]
         if injector is None:
-            vehicles.append(node)
+            if make_node is twin_node and isinstance(agent, Agent) and isinstance(board, Board):
+                vehicles.append(TwinNode(twin, agent, board, node))
+            else:
+                vehicles.append(node)
         else:
             jets = len(setup.model.jets)
             vehicles.append(CrashableNode(node, jets, partial(injector.dead, name)))
-    hosts = [
-        make_host(experiment, name, make_link(twin, name), spoilt[name])
-        for name in setups
-        if experiment.deploy.law == "host"
-    ]
+    hosts: list[ForkedHost] = []
+    for name in setups if experiment.deploy.law == "host" else ():
+        link = make_link(twin, name)
+        kind = TwinHost if isinstance(link, TwinHostLink) else ForkedHost
+        hosts.append(host := make_host(experiment, name, link, spoilt[name], kind))
+        if isinstance(host, TwinHost):
+            host.listen(twin)
     laws += hosts
     return TwinRig(experiment, twin, vehicles, hosts, drivers or {}, laws=laws)
 

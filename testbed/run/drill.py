@@ -15,7 +15,6 @@ from sim_twin.board import last_closing
 from testbed.config import Experiment, find, load
 from testbed.core.codes import FaultReport, Response
 from testbed.core.fault_injection import OF_FRAME, Injection
-from testbed.core.types import HostTick, Tick
 from testbed.faults.catalogue import CATALOGUE
 from testbed.faults.drill import (
     ADRIFT,
@@ -31,6 +30,7 @@ from testbed.faults.drill import (
     names_of,
     refused,
 )
+from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.loop import host_fault
 from testbed.metrics.afterwards import HARD
 from testbed.rig.chain import fence_of
@@ -49,7 +49,7 @@ class Notes:
         self.faults: list[tuple[float, str, FaultReport]] = []  # time, vehicle, fault
         self.asked: list[tuple[float, str, tuple[int, ...]]] = []  # time, vehicle, open times
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
         if tick.inputs.vitals.end:
             return
@@ -61,7 +61,7 @@ class Notes:
             self.faults.append((out.t, name, out.fault))
         self.asked.append((out.t, name, out.command.on_us))
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
         if fault := host_fault(name, tick):
             self.faults.append((tick.inputs.t, name, fault))

@@ -12,7 +12,8 @@ from msgspec.structs import replace
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
-from testbed.core.types import EndingTick, HostTick, Tick
+from testbed.core.types import EndingTick
+from testbed.flight.flown_tick import AnyHostTick, AnyTick, FlownHostTick, FlownTick
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
 from testbed.logs.recorder import (
@@ -75,20 +76,20 @@ class FlightLog:
         self.trouble: str | None = None  # error of the log's writer, which ends the flight
         self._next = 0.0  # next time to log the five elements [s]
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
-        if tick.inputs.vitals.end:
+        if tick.ended:
             heartbeat().beat()
             last = EndingTick(tick.inputs, tick.outputs)
-            self._record(f"/{name}/ending", tick.inputs.t, last)
+            self._record(f"/{name}/ending", tick.t, last)
             return
-        self._record(f"/{name}/tick", tick.inputs.t, tick)
-        self._references[name].note(tick.outputs)
+        self._record(f"/{name}/tick", tick.t, tick)
+        self._references[name].note(tick)
         self._screen.vehicle(name, tick)
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
-        self._record(f"/{name}/host", tick.inputs.t, tick)
+        self._record(f"/{name}/host", tick.t, tick)
 
     def reports(self) -> None:
         """Log what boards, wires and the supervisor have reported since the last call."""
@@ -103,7 +104,7 @@ class FlightLog:
             self._screen.phase = event.phase
         self._logged = len(events)
 
-    def _record(self, topic: str, t: float, message: Struct) -> None:
+    def _record(self, topic: str, t: float, message: Struct | FlownTick | FlownHostTick) -> None:
         if self.trouble is None:
             try:
                 self._recorder.write(topic, t, message)

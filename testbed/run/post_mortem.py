@@ -44,7 +44,7 @@ def of_the_log(log: Path, experiment: Experiment, history: History) -> Metrics:
     book = LogReader(log)
     for one in LogFeed(book).news():
         if isinstance(one.message, Tick) and one.who in aims:
-            aims[one.who].note(one.message.outputs)
+            aims[one.who].note(one.message)
     track = track_of(experiment, history)
     wires = any(len(vehicle.wires) for vehicle in history.vehicles.values())
     why = "the flight was killed before it was judged; gas and contacts are not in the log"

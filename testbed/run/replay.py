@@ -42,6 +42,8 @@ def _law_of(experiment: Experiment, name: str, link: LoggedLink) -> AtHost:
     def tick(t: float) -> HostTick:
         assert link.inputs is not None
         host.stick = link.inputs.stick
-        return host.tick(t)
+        again = host.tick(t)
+        assert isinstance(again, HostTick)
+        return again
 
     return tick

@@ -91,7 +91,7 @@ def test_admit_flies_and_says_when_the_fault_was_found():
     ("fault", "words"),
     [
         (FaultReport("battery_low", "battery low: 9 V", "sat1", "battery"),
-         "battery_low of sat1 at 2.0 s: battery low: 9 V"),
+         "battery_low of sat1 at 2.0 s: 9 V"),
         (FaultReport(FaultId.LOG_FAILED, "log: No space left on device"),
          "log: No space left on device at 2.0 s"),
         (FaultReport("too_fast", "too fast: 9 m/s", "sat-2"), "sat-2: too fast: 9 m/s at 2.0 s"),

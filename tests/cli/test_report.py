@@ -140,7 +140,7 @@ def test_why_a_flight_ended_is_among_the_events(testbed):
     events = words[words.index("Faults and interventions") :]
     assert "warn: pose_stale" in events
     assert "brake: pose_missing, pose_lost" in events
-    assert "fault: pose_lost: pose lost: no pose for" in events
+    assert "fault: pose_lost: no pose for" in events
     assert "supervisor" in events
 
 

@@ -65,7 +65,7 @@ def test_1_when_a_criterion_failed_and_it_says_which(testbed):
 @pytest.mark.parametrize(
     ("overrides", "reason"),
     [
-        (LOST, "sat1: pose_lost: pose lost: no pose for 0."),
+        (LOST, "sat1: pose_lost: no pose for 0."),
         (("flight.gate.max_speed=1e-6",), "sat1: too fast: "),
         (("table.link.delay_s=0.15", "guidance.preview_s=0", "guidance.setpoint_life_s=0.01",
           "table.link.loss=1", "table.link.burst_loss=0", "table.link.burst_enter=0.2",

@@ -88,7 +88,8 @@ def test_the_report_of_every_row_survives_network_and_log(name):
     row = TABLE[name]
     first = FaultReport("leak", "a leak", "sat2").origin
     report = row.report(name, 1.5, "3", first if name == "fleet" else None)
-    assert report.words == f"{name}: {row.text.format(value=1.5, said='3')}"
+    text = row.text.format(value=1.5, said="3").removeprefix(name.replace("_", " ") + ": ")
+    assert report.words == f"{name}: {text}"
     lease = Lease(fleet=report)
     assert msgspec.msgpack.decode(msgspec.msgpack.encode(lease), type=Lease) == lease
     event = decode(MESSAGES["Event"], event_of(1.0, EventKind.FAULT, report))
@@ -98,6 +99,8 @@ def test_the_report_of_every_row_survives_network_and_log(name):
 def test_words_of_a_report_begin_with_vehicle_and_row():
     row = FaultReport("leak", "a leak", "sat2", "tank_loss", 0.1, notes=("it hissed", "loudly"))
     assert row.words == "sat2: leak: a leak; it hissed; loudly"
+    twice = FaultReport("pose_lost", "pose lost: no pose for 3 s", "sat2", "pose_age", 3.0)
+    assert twice.words == "sat2: pose_lost: no pose for 3 s"
     assert FaultReport(FaultId.STOPPED, "stopped by the operator").words == (
         "stopped by the operator"
     )

@@ -3,6 +3,7 @@
 The values are from ST, RM0090, and from the wiring in board.h, not from the port's own headers.
 """
 
+from port_inside import wrong_inside
 from port_order import wrong_beyond
 
 from firmware_interface.frame import Decoder, encode_message
@@ -119,7 +120,9 @@ def wrong_with(path):
     nonces = {ask(Cold(path, random=k), Decoder(), Hello(1), 1, HelloAck).session for k in (1, 2)}
     if len(nonces) != 2:
         return "the random generator does not count"
-    return flown(machine, decoder) or lived_through(path) or wrong_beyond(path)
+    return (
+        flown(machine, decoder) or lived_through(path) or wrong_beyond(path) or wrong_inside(path)
+    )
 
 
 def flown(machine, decoder):
@@ -165,7 +168,10 @@ def lived_through(path):
     machine.settle()
     if machine.pins != 0x100:
         return "a fault does not close the valves, or shuts the air"
+    machine.outputs.clear()
     machine.run_until(machine.now_us + 60_000)
+    if any(pins & 0xFF for _, pins in machine.outputs):
+        return "valves open after a fault"
     if machine.resets[-1] != ResetCause.WATCHDOG or machine.pins:
         return "the watchdog does not reset after a fault"
     again = ask(machine, Decoder(), Hello(7), 1, HelloAck)

@@ -28,7 +28,7 @@ from firmware_interface.limits import board_header
 CHIP = FIRMWARE / "stm32f4"
 SOURCES = ("startup.c", "main.c", "timer_tim2.c", "timer.h", "board.h", "registers.h")
 UNUSED = "SYSTICK", "SCB_"  # names that only QEMU's timer uses
-LIMIT_S = 60  # of CPU for one fault
+LIMIT_S = 10  # of CPU for one fault; the check of a sound image takes 0.7 s
 OUTCOMES = ("survived", "noticed", "same_code", "not_built")
 
 

@@ -6,7 +6,7 @@ Both play plans by the same rules as long as no limit of the firmware's own come
 import numpy as np
 import pytest
 
-from sim_twin.board import LONG_AGO, no_pulses, play
+from sim_twin.board import LONG_AGO, Wires, no_pulses, play
 from sim_twin.randomness import stream, words
 
 FREE = {
@@ -55,15 +55,13 @@ def test_same_edges_on_random_plans(new_host, seed):
     rng = np.random.default_rng(seed)
     host = new_host(board={"clock_us": int(rng.integers(0, 1 << 32))}, **FREE)
     pulses, seen = no_pulses(8), [{} for _ in range(8)]
-    luck = words(stream(seed, "pulses"))
+    shortest = host.limits.min_on_us * 1000, host.limits.min_off_us * 1000
+    wires = Wires(pulses, np.array((0, *shortest)), 0.0, words(stream(seed, "pulses")))
     for number in range(100):
         on, offset, ttl = plan(rng, host.limits)
         start = host.board.now_us
         host.plan(number, dict(enumerate(on)), dict(enumerate(offset)), ttl)
-        play(
-            pulses, 1e-6 * start, 1e-6 * (start + ttl), 0, np.array([*on, *offset]),
-            host.limits.min_on_us * 1000, host.limits.min_off_us * 1000, 0.0, luck,
-        )  # fmt: skip
+        play(wires, 1e-6 * start, 1e-6 * (start + ttl), np.array([*on, *offset]))
         wait = int(rng.choice([100_000, ttl, rng.integers(1, 150_000), max(on), min(offset)]))
         host.wait(max(1, wait))
         for valve, found in enumerate(steps(pulses)):

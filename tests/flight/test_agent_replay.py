@@ -31,10 +31,13 @@ from testbed.core.types import (
     Wrench,
 )
 from testbed.flight.agent import lead_time
+from testbed.flight.flown_tick import FlownHostTick, FlownTick
+from testbed.logs.block import Block
 from testbed.logs.row_reader import RowReader
 from testbed.logs.tick_row import RowWriter
 from testbed.rig.chain import make_agent, make_guidance
 from testbed.rig.twin import make_twin
+from testbed.run.fly import names_of
 
 
 class Keeper:
@@ -80,10 +83,17 @@ def through_rows(message, writer=None, reader=None):
     return make(topic, row.data)
 
 
+def structs(tick):
+    """The tick as structs."""
+    return tick.tick if isinstance(tick, FlownTick | FlownHostTick) else tick
+
+
 FLIGHTS = {
     "hold": ("hold", ["duration_s=10"]),
     "law on the vehicle": ("zhang2023_table_wrench", ["duration_s=4"]),
     "law on the host": ("zhang2023_table", ["duration_s=4"]),
+    "forces of the host": ("zhang2023_table_wrench", ["duration_s=4", 'deploy.law="host"']),
+    "beside an obstacle": ("zhang2023_table_pd", ["duration_s=9"]),
 }
 
 
@@ -132,12 +142,39 @@ def test_replay_through_the_log(flight):
     for name in experiment.vehicles:
         agent = make_agent(experiment, name)
         memory = RowWriter(), RowReader()
-        for tick in keeper.vehicles[name]:
+        for flown in keeper.vehicles[name]:
+            tick = structs(flown)
             logged = through_rows(tick, *memory)
             assert bits(logged) == bits(tick)
             assert bits(agent.step(logged.inputs)) == bits(logged.outputs)
-        for tick in keeper.hosts[name]:
+        for flown in keeper.hosts[name]:
+            tick = structs(flown)
             assert bits(through_rows(tick, *memory)) == bits(tick)
+
+
+def test_rows_of_a_block_are_those_of_the_structs(flight):
+    """Made column by column, or tick by tick from structs: the same bytes in the same order."""
+    experiment, keeper = flight
+    together, alone = (RowWriter(names_of(experiment)) for _ in range(2))
+    expected = []
+    block, taken = Block(together), []
+    for k, t in enumerate(keeper.times):
+        for kind, ticks in (("tick", keeper.vehicles), ("host", keeper.hosts)):
+            for name in experiment.vehicles:
+                if k >= len(ticks[name]):
+                    continue
+                flown, topic = ticks[name][k], f"/{name}/{kind}"
+                expected += [(t, one) for one in alone.rows(topic, t, structs(flown))]
+                if isinstance(flown, FlownTick | FlownHostTick):
+                    for one in together.before(topic, t, flown.fault):
+                        block.add(t, one.topic, one)
+                    block.add(t, topic, flown)
+                else:
+                    for one in together.rows(topic, t, flown):
+                        block.add(t, one.topic, one)
+        if k % 7 == 0:
+            taken += block.take()
+    assert taken + block.take() == expected
 
 
 def test_replay_notices_another_gain(flight):

@@ -11,7 +11,7 @@ import zstandard
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.logs.mcap_record import HEAD, Message, read_chunk
 from testbed.logs.mcap_writer import Disk, write_log
-from testbed.logs.recorder import Entry, Mark, Topic
+from testbed.logs.recorder import Entries, Entry, Mark, Topic
 from testbed.logs.replay import before_damage
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -30,7 +30,8 @@ def content(tmp_path_factory) -> bytes:
         yield Topic("/sat1/pace", "Pace")
         yield Topic("/truth", "Truth")
         for k in range(COUNT):
-            yield Entry(k % 2, k * 10**7, begun(k) + rng.bytes(40).hex().encode())
+            one = Entry(k % 2, k * 10**7, begun(k) + rng.bytes(40).hex().encode())
+            yield Entries([one])
             if k % 4 == 3:
                 yield Mark()
 

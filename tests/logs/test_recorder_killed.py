@@ -16,6 +16,7 @@ from testbed.logs.mcap_writer import Disk, DiskFullError, frames, write_log
 from testbed.logs.packing import Packer
 from testbed.logs.recorder import (
     SPAN_NS,
+    Entries,
     Entry,
     Mark,
     Motion,
@@ -89,7 +90,7 @@ def chunked(count: int) -> list:
     sent, marked = [Topic("/truth", "Truth")], -SPAN_NS
     for k in range(count):
         now = k * 10**7
-        sent.append(Entry(0, now, row_at(now)))
+        sent.append(Entries([Entry(0, now, row_at(now))]))
         if now - marked >= SPAN_NS:
             sent.append(Mark())
             marked = now
@@ -114,9 +115,9 @@ def test_what_is_marked_is_in_the_file(tmp_path):
 
     def watched():
         for frame in chunked(200):
-            if isinstance(frame, Entry):
+            if isinstance(frame, Entries):
                 found = stamps(path)
-                lost.append(frame.stamp - (found[-1] if found else 0))
+                lost.append(frame.entries[0].stamp - (found[-1] if found else 0))
             yield frame
 
     write_log(path, watched(), Disk(lambda: 10**12, 0, 0), print)
@@ -230,11 +231,11 @@ def test_a_write_that_fails_leaves_a_whole_file(tmp_path, monkeypatch):
 def test_a_frame_that_is_cut_off_was_never_sent():
     import msgspec
 
-    packed = [msgspec.msgpack.encode(f) for f in (Mark(), Entry(0, 5, b"abc"))]
+    packed = [msgspec.msgpack.encode(f) for f in (Mark(), Entries([Entry(0, 5, b"abc")]))]
     stream = b"".join(len(p).to_bytes(4, "little") + p for p in packed)
     for size in (1, 3, 7, 100):
         pieces = [stream[k : k + size] for k in range(0, len(stream), size)]
-        assert list(frames(iter(pieces))) == [Mark(), Entry(0, 5, b"abc")]
+        assert list(frames(iter(pieces))) == [Mark(), Entries([Entry(0, 5, b"abc")])]
     assert list(frames(iter([stream[:-1]]))) == [Mark()]
 
 

@@ -59,7 +59,8 @@ def test_the_plant_moves_as_with_the_modelled_board(experiment, make_plant):
     model = experiment.vehicles["sat1"].model
     planned, reported = make_plant(), make_plant()
     for plant in (planned, reported):  # no chance: pulses as they are
-        plant.boards["sat1"]._spread = 0.0
+        board = plant.boards["sat1"]
+        board.wires = board.wires._replace(spread=0.0)
     valves = ReportedValves(model, reported.boards["sat1"].pulses, np.random.default_rng(1))
     valves._spread = 0.0
     for k in range(30):

@@ -149,14 +149,14 @@ def test_every_link_has_losses_of_its_own(make_vehicle, make_table):
     fleet = dict.fromkeys(names, make_vehicle())
     twin = Twin(fleet, STARTS, table, {}, seed=1, listeners=names)
     pairs = [(a, b) for a in (*names, "host") for b in (*names, "host") if a != b]
-    radio, arrived = twin.radio, []
+    radio, arrived = twin.states, []
     for pair in pairs:
         row, heard = radio.rows([pair]), []
         for k in range(64):
-            radio.send(row, float(k), k)
+            radio.send(row, float(k), np.array([float(k)]))
             listen(radio.links, k + 0.5)
-            radio.look()
-            heard.append(radio.newest(*pair) == k)
+            newest = radio.newest(*pair)
+            heard.append(newest is not None and newest[0] == k)
         arrived.append(heard)
     assert len(pairs) == 12
     assert len({tuple(pattern) for pattern in arrived}) == 12

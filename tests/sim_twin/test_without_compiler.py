@@ -9,7 +9,7 @@ from pathlib import Path
 from sim_twin.twin import Twin, TwinHostLink, TwinPoses, TwinThrusters, TwinVehicleLink
 from testbed.config import find, load
 from testbed.core.fault_injection import Injection
-from testbed.core.types import Pose, ValveCommand
+from testbed.core.types import Accel, Demand, Pose, State, Twist, ValveCommand
 
 INJECTED = [
     Injection(kind="swap_bodies", vehicle="sat1", other="sat2", at_s=0.15, for_s=0.1),
@@ -35,8 +35,10 @@ def flown():
             told.append((link.setpoint(), link.neighbours(), host.own(), host.neighbours()))
             on = tuple(10_000 * (j % 3 == (k + n) % 3) for j in range(8))
             TwinThrusters(twin, name).apply(ValveCommand(k, t, t + 0.1, on, (7_000,) * 8))
-            link.publish((name, k))  # type: ignore[arg-type]
-            host.publish((k, name))  # type: ignore[arg-type]
+            x = float(n + k)
+            still = Twist(0.0, 0.0, 0.0), Accel(0.0, 0.0, 0.0)
+            link.publish(State(t, Pose(x, 0.0, 0.0), *still, 0.0, k))
+            host.publish(Demand(t, x, 0.0, 0.0, 0.0, 0.0, t + 1.0))
     return hashlib.blake2b(repr((told, twin.plant.x.tolist())).encode()).hexdigest()
 
 

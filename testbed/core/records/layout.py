@@ -57,6 +57,10 @@ class Layout:
         self.pitch = at  # length of a row [bytes]
         self.size = at - SPARE  # of a message [bytes]
 
+    def part(self, name: str) -> Part:
+        """The sequence of this name."""
+        return next(one for one in self.parts if one.field.name == name)
+
     def rows(self, number: int) -> "Rows":
         """Memory for so many empty rows; at least two, so that all views have the same type."""
         memory = np.zeros((max(2, number), self.pitch // WORD), np.uint64).view(np.uint8)

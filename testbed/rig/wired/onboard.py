@@ -11,7 +11,8 @@ import msgspec
 
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport, Response
-from testbed.core.types import HostTick, Tick, Vitals
+from testbed.core.types import Tick, Vitals
+from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.frame_watch import FrameWatch
 from testbed.flight.loop import Ending, VehicleNode, come_to_rest, hold
 from testbed.flight.safety import SPARE_S
@@ -83,8 +84,9 @@ class VehicleFlight:
         self.signals = Asked()  # Ctrl-C at this vehicle's terminal
         self.landed_at: float | None = None  # when its air was ordered off [s]
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
+        assert isinstance(tick, Tick)  # the only kind on wires
         self._poses.review()
         out = tick.outputs
         if out.air_off and self.landed_at is None:
@@ -132,7 +134,7 @@ class VehicleFlight:
             delay = None if arrived is None else 1e-6 * at_us - 1e-9 * arrived
         return delay
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
 
     def done(self, t: float) -> None:

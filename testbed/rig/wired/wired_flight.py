@@ -16,7 +16,6 @@ from testbed.core.ports import Clock
 from testbed.core.types import (
     Accel,
     Health,
-    HostTick,
     Inputs,
     Outputs,
     Pose,
@@ -27,6 +26,7 @@ from testbed.core.types import (
     ValveCommand,
     Wrench,
 )
+from testbed.flight.flown_tick import AnyHostTick, AnyTick
 from testbed.flight.loop import Ending, Observer, fly
 from testbed.flight.supervisor import Supervisor
 from testbed.net.commands import Ended, Lease, Stop, TickReport, config_id
@@ -279,10 +279,10 @@ class HostFlight:
             (n.ended.fault for n in self._nodes.values() if n.ended and n.ended.fault), None
         )
 
-    def vehicle(self, name: str, tick: Tick) -> None:
+    def vehicle(self, name: str, tick: AnyTick) -> None:
         """See `Observer`."""
 
-    def host(self, name: str, tick: HostTick) -> None:
+    def host(self, name: str, tick: AnyHostTick) -> None:
         """See `Observer`."""
         assert self._observer is not None
         self._observer.host(name, tick)

@@ -1,0 +1,237 @@
+"""Rows of the log from ticks that are rows of a table, column by column.
+
+The numbers of a tick's record are eight bytes each, and so are most of the log's row, so one
+indexed copy moves them all. The result is that of `tick_row.py` for the same ticks, byte for byte.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.core.codes import InhibitReason, Intervention
+from testbed.core.records.definition import DTYPES, MESSAGES
+from testbed.core.records.kinds import Active, SetpointKind
+from testbed.core.records.layout import COUNT, WORD, Layout, Rows
+from testbed.flight.flown_tick import FlownHostTick, FlownTick
+from testbed.flight.record import ROW
+from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES
+from testbed.logs.tick_row import RowWriter, value_of
+
+Array = NDArray[np.float64]
+
+_HEALTH = "supply_pressure", "tank_pressure", "battery", "silent_s"
+_VITALS = "operator_age", "clock_offset", "late_s", "disk_free"
+_MOTION = (
+    ("pose.x", "x"), ("pose.y", "y"), ("pose.theta", "theta"),
+    ("twist.vx", "vx"), ("twist.vy", "vy"), ("twist.omega", "omega"),
+)  # fmt: skip
+_DEMAND = ("t", "fx_w", "fy_w", "theta", "omega", "alpha", "valid_until")
+_OF_SETPOINT = ("t", "fx", "fy", "theta", "omega", "alpha", "valid_until")
+_AXES = ("fx", "fy", "tau")
+
+# numbers of the log's row, and where the record has them
+SAME = {
+    "inputs.t": "told.t",
+    "inputs.health.t": "told.t",
+    **{f"inputs.health.{one}": f"told.{one}" for one in _HEALTH},
+    **{f"inputs.vitals.{one}": f"told.{one}" for one in _VITALS},
+    "outputs.t": "told.t",
+    "outputs.issued_at": "told.t",
+    **{f"outputs.commanded_wrench.{one}": f"done.commanded.{one}" for one in _AXES},
+    **{f"outputs.realised_wrench.{one}": f"done.realised.{one}" for one in _AXES},
+}
+STATE = {
+    "outputs.state.t": "state.t",
+    **{f"outputs.state.{one}": f"state.{other}" for one, other in _MOTION},
+    **{f"outputs.state.bias.{one}": f"state.{one}" for one in ("ax", "ay", "alpha")},
+    "outputs.state.pose_age": "state.pose_age",
+}
+REFERENCE = {
+    "outputs.reference.t": "done.active.t",
+    **{f"outputs.reference.{one}": f"done.active.{other}" for one, other in _MOTION},
+    **{f"outputs.reference.accel.{one}": f"done.active.{one}" for one in ("ax", "ay", "alpha")},
+}
+_PAIRS = tuple(zip(_DEMAND, _OF_SETPOINT, strict=True))
+DEMAND = {f"outputs.demand.{one}": f"told.setpoint.{other}" for one, other in _PAIRS}
+ASKED = {f"inputs.setpoint.demand.{one}": f"told.setpoint.{other}" for one, other in _PAIRS}
+UNTIL = {"inputs.setpoint.valid_until": "told.setpoint.valid_until"}
+
+_WORDS = np.zeros(max(InhibitReason) + 1, np.int64)  # values in the words of each reason
+for _one in InhibitReason:
+    _WORDS[_one] = _one.words.count("{")
+
+
+def place(dtype: np.dtype, path: str) -> int:
+    """The place of a number in a record, in words."""
+    at = 0
+    for name in path.split("."):
+        assert dtype.fields is not None
+        dtype, offset = dtype.fields[name][:2]
+        at += offset
+    return at // WORD
+
+
+class Columns:
+    """Numbers that the rows of a message share with others: places in words."""
+
+    def __init__(self, message: str, to: Iterable[str], of: Sequence[int]) -> None:
+        fixed = DTYPES[message]
+        self.to = np.array([1 + place(fixed, one) for one in to])  # after the header's word
+        self.of = np.array(of)
+
+    def copy(self, words: Array, records: Array, where: NDArray[np.bool_] | None = None) -> None:
+        """Copy these numbers; where not `where`, they are unknown."""
+        values = records[:, self.of]
+        if where is not None:
+            values[~where] = np.nan
+        words[:, self.to] = values
+
+
+_SAME, _STATE, _REFERENCE, _DEMANDS, _ASKED, _UNTIL = (
+    Columns("Tick", pairs, [place(ROW, one) for one in pairs.values()])
+    for pairs in (SAME, STATE, REFERENCE, DEMAND, ASKED, UNTIL)
+)
+# of the host's row: the vehicle's state in the order of rows.States, and the setpoint's numbers
+_OWN = Columns("HostTick", [one.replace("outputs.state", "inputs.own") for one in STATE], range(11))
+_HOST_DEMAND = Columns(
+    "HostTick", [f"outputs.setpoint.demand.{one}" for one in _DEMAND], (1, 3, 4, 5, 6, 7, 2)
+)
+_HOST_UNTIL = Columns("HostTick", ["outputs.setpoint.valid_until"], (2,))
+
+
+class TableRows:
+    """Makes the messages of one topic."""
+
+    def __init__(self, writer: RowWriter, topic: str) -> None:
+        self._writer, self._topic = writer, topic
+
+    def messages(self, ticks: Sequence[FlownTick] | Sequence[FlownHostTick]) -> Iterator[bytes]:
+        """The messages of ticks that are rows one after the other of one table."""
+        make: Callable[..., None] = self._tick
+        name, longest = "Tick", _longest(ticks)
+        if isinstance(ticks[0], FlownHostTick):
+            name, make = "HostTick", self._host
+        packer, begin = self._writer.packer(self._topic, name), 0
+        so_far = np.maximum.accumulate(np.vstack((packer.most, longest)))[1:]
+        for end in [*(1 + np.flatnonzero(np.diff(so_far, axis=0).any(axis=1))), len(ticks)]:
+            packer.grow(so_far[begin].tolist())  # a capacity grows with the first that needs it
+            some = ticks[begin:end]
+            names = [one.name for one in MESSAGES[name].sequences]
+            rows = Layout(name, dict(zip(names, packer.most, strict=True))).rows(len(some))
+            make(rows, some, slice(some[0].k, some[0].k + len(some)))
+            yield from map(rows.message, range(len(some)))
+            begin = end
+
+    def _tick(self, rows: Rows, ticks: Sequence[FlownTick], k: slice) -> None:
+        table, n = ticks[0].table, len(ticks)
+        counts, jets = table.counts[k], table.plans.shape[1] // 2
+        self._fixed(rows, ticks, table.records[k], table.values[k])
+        _fill(rows, "samples", table.samples[k], counts[:, SAMPLES])
+        _fill(rows, "references", table.references[k], counts[:, REFERENCES])
+        _fill_neighbours(rows, table.states[k], table.vehicles[k], counts[:, STATES])
+        part = rows.layout.part("pulses")
+        rows.counts(part)["valid"][:n] = jets
+        pulses = rows.elements(part)[:n]
+        pulses["on_us"][:, :jets] = table.plans[k, :jets]
+        pulses["offset_us"][:, :jets] = table.plans[k, jets:]
+
+    def _host(self, rows: Rows, ticks: Sequence[FlownHostTick], k: slice) -> None:
+        table, n = ticks[0].table, len(ticks)
+        states, ahead = table.counts[k].T
+        words, kind = rows.memory.view(np.float64)[:n], table.setpoints[k, 0]
+        inputs, outputs = rows.fixed["inputs"][:n], rows.fixed["outputs"][:n]
+        inputs["t"] = outputs["t"] = table.t[k]
+        _OWN.copy(words, table.own[k])
+        inputs["own"]["rejected"], inputs["own_known"] = table.own[k, -1], 1
+        _HOST_DEMAND.copy(words, table.setpoints[k], kind == SetpointKind.DEMAND)
+        _HOST_UNTIL.copy(words, table.setpoints[k], kind == SetpointKind.TRAJECTORY)
+        outputs["setpoint"]["kind"], outputs["message_t"] = kind, np.nan
+        for i, tick in enumerate(ticks):
+            if tick.filtered is not None:
+                self._intervene(outputs["filtered"][i : i + 1], tick.filtered)
+        _fill(rows, "references", table.references[k], ahead)
+        _fill_neighbours(rows, table.states[k], table.vehicles[k], states)
+
+    def _intervene(self, row: NDArray, filtered: Intervention | None) -> None:
+        row["dfx_w"], row["dfy_w"], row["subject"], row["hazard"] = self._writer.filtered(filtered)
+
+    def _fixed(
+        self, rows: Rows, ticks: Sequence[FlownTick], records: NDArray, values: Array
+    ) -> None:
+        n, writer = len(ticks), self._writer
+        words = rows.memory.view(np.float64)[:n]
+        numbers = records.view(np.float64).reshape(n, -1)
+        told, state, done = records["told"], records["state"], records["done"]
+        aim, known = told["setpoint"]["kind"], state["known"] == 1
+        flown = known & (aim != SetpointKind.NONE)
+        demanded = flown & (aim == SetpointKind.DEMAND) & (done["stopping"] == 0)
+        _SAME.copy(words, numbers)
+        _STATE.copy(words, numbers, known)
+        _REFERENCE.copy(words, numbers, flown & ~demanded)
+        _DEMANDS.copy(words, numbers, demanded)
+        _ASKED.copy(words, numbers, aim == SetpointKind.DEMAND)
+        _UNTIL.copy(words, numbers, aim == SetpointKind.TRAJECTORY)
+        inputs, outputs = rows.fixed["inputs"][:n], rows.fixed["outputs"][:n]
+        inputs["setpoint"]["kind"] = aim
+        inputs["armed"], inputs["end"] = told["armed"], told["ended"]
+        vitals = inputs["vitals"]
+        vitals["foreign"], vitals["session_ok"] = told["foreign"], told["session_ok"]
+        vitals["same_config"], vitals["fleet"] = told["same_config"], told["fleet_failed"]
+        outputs["state"]["rejected"] = np.where(known, state["rejected"], 0)
+        period = ticks[0].agent.params.gains.period
+        outputs["valid_until"] = told["t"] + period
+        outputs["message_t"] = np.nan
+        latched = (done["inhibit"] == done["gate_fault"]) & (done["inhibit"] > 0)
+        length = np.where(latched, _WORDS[done["inhibit"]], 0)
+        outputs["inhibit_values"] = np.where(np.arange(3) < length[:, None], values, np.nan)
+        outputs["inhibit"], outputs["inhibit_length"] = done["inhibit"], length
+        outputs["seq"], outputs["response"] = done["seq"], done["response"]
+        outputs["state_known"], outputs["air_off"] = known, done["air_off"]
+        active = np.where(demanded, Active.DEMAND, Active.REFERENCE)
+        outputs["active"] = np.where(flown, active, Active.NONE)
+        outputs["fault_value"] = np.nan
+        for i, tick in enumerate(ticks):
+            if tick.fault is not None:
+                outputs["fault"][i] = writer.fault_code(tick.fault)
+                outputs["fault_value"][i] = value_of(tick.fault)
+        for i in np.flatnonzero(done["holding"]).tolist():
+            outputs["faults"][i] = writer.held(ticks[i].outputs.faults)
+        for i in np.flatnonzero(done["hazard"] >= 0).tolist():
+            self._intervene(outputs["filtered"][i : i + 1], ticks[i].outputs.filtered)
+
+
+def _longest(ticks: Sequence[FlownTick] | Sequence[FlownHostTick]) -> NDArray[np.int64]:
+    """Elements of each sequence of these ticks' messages, in the order of the message."""
+    first, k = ticks[0], slice(ticks[0].k, ticks[0].k + len(ticks))
+    counts, host = first.table.counts[k], isinstance(first, FlownHostTick)
+    found = np.zeros((len(ticks), len(MESSAGES["HostTick" if host else "Tick"].sequences)), int)
+    found[:, : counts.shape[1]] = counts
+    if isinstance(first, FlownTick):
+        found[:, counts.shape[1]] = first.table.plans.shape[1] // 2  # pulses
+    return found
+
+
+def _fill(rows: Rows, name: str, values: Array, counts: NDArray[np.int64]) -> None:
+    """Write the elements of a sequence; `values` are their first numbers, (n, most, numbers)."""
+    n, _, width = values.shape
+    part = rows.layout.part(name)
+    rows.counts(part)["valid"][:n] = counts
+    most = min(part.capacity, values.shape[1])
+    shape, strides = (n, most, width), (rows.memory.shape[1], part.dtype.itemsize, WORD)
+    out: Array = np.ndarray(shape, np.float64, rows.memory, part.offset + COUNT.itemsize, strides)
+    used = np.arange(most) < counts[:, None]
+    out[used] = values[:, :most][used]
+
+
+def _fill_neighbours(
+    rows: Rows, states: Array, vehicles: NDArray[np.int64], counts: NDArray[np.int64]
+) -> None:
+    """Write the newest states of the others, and whose they are."""
+    n, known, _ = states.shape
+    _fill(rows, "neighbours", states[:, :, :-1], counts)
+    others = rows.elements(rows.layout.part("neighbours"))[:n, :known]
+    most = others.shape[1]
+    used = np.arange(most) < counts[:, None]
+    others["state"]["rejected"][used] = states[:, :most, -1][used]
+    others["vehicle"][used] = vehicles[:, :most][used]

@@ -1,0 +1,117 @@
+"""A vehicle of the twin whose ticks stay rows of numbers."""
+
+from functools import partial
+
+import numpy as np
+
+from sim_twin.board import Board
+from sim_twin.twin import HOST, Twin, TwinThrusters
+from testbed.core.codes import FaultReport
+from testbed.core.compiled import settled
+from testbed.core.jets import JetHealth
+from testbed.core.rows import References, States
+from testbed.flight.agent import ALERT, Agent
+from testbed.flight.flown_tick import AnyTick, FlownTick
+from testbed.flight.guidance import Guidance
+from testbed.flight.loop import VehicleNode
+from testbed.flight.tick_table import TICKS, make_table
+from testbed.rig.fleet.exchange import Hears, hear, say
+
+ROOM = 16, 8  # poses and references of a tick, at first
+
+
+class TwinNode:
+    """An agent on the twin, without injected faults, whose law is on the host."""
+
+    def __init__(self, twin: Twin, agent: Agent, board: Board, node: VehicleNode) -> None:
+        """Fly a vehicle of the twin.
+
+        Args:
+            twin: it flies on.
+            agent: of the vehicle.
+            board: its board.
+            node: the same vehicle, which flies the ticks that are out of the ordinary.
+        """
+        self.name = node.name
+        self._twin, self._agent, self._board, self._node = twin, agent, board, node
+        self._body, self._names = twin.rows[self.name], twin.names
+        self._others, self._room = len(twin.names) - 1, ROOM
+        self._thrusters = TwinThrusters(twin, self.name)
+        self._near: list[str] | None = None  # for whom `_hears` was made
+        self._heard = np.zeros((self._others, 6))  # see exchange.hear
+        twin.states.widen(States.width)
+        self._hear, self._say = settled(hear), settled(say)
+        self._new_table()
+
+    def _new_table(self) -> None:
+        memory = self._agent.memory
+        jets, rows = memory.begun.shape[0], memory.counters.holds.shape[0]
+        self._table, self._k = make_table(jets, self._others, rows, self._room), 0
+
+    def _listen(self, near: list[str]) -> None:
+        """Find the links from these neighbours."""
+        twin, barrier = self._twin, self._agent.barrier
+        self._near = near
+        self._hears = Hears(
+            int(twin.setpoints.rows([(HOST, self.name)])[0]),
+            twin.states.rows((one, self.name) for one in near),
+            np.array([twin.rows[one] for one in near], np.int64),
+            np.array([0.0 if barrier is None else barrier.keep[one] for one in near]),
+        )
+
+    @property
+    def guidance(self) -> Guidance | None:
+        """See `VehicleNode`."""
+        return None
+
+    @property
+    def jets(self) -> tuple[JetHealth, ...]:
+        """See `VehicleNode`."""
+        return self._agent.jets
+
+    def tick(
+        self, t: float, armed: bool, fleet: FaultReport | None = None, *,
+        end: bool = False, stay: bool = False,
+    ) -> AnyTick:  # fmt: skip
+        """See `VehicleNode`."""
+        twin, agent, name = self._twin, self._agent, self.name
+        if end or stay or fleet is not None or twin.fleet() is not None:
+            return self._node.tick(t, armed, fleet, end=end, stay=stay)
+        if self._k == TICKS:
+            self._new_table()
+        if (near := twin.near[name]) is not self._near:
+            self._listen(near)
+        film, markers = twin.cameras.film, twin.cameras.markers[self._body]
+        while not self._hear(
+            film, markers, twin.states.links, twin.setpoints.links, self._hears,
+            twin.gauges[self._body], self._table, self._k, agent.row, self._heard,
+            t, agent.lead, int(armed),
+        ):  # fmt: skip
+            self._make_room()
+        table, k = self._table, self._k
+        self._k += 1
+        seen, heard, ahead = table.counts[k].tolist()
+        agent.step_row(table.samples[k, :seen], table.references[k, :ahead], self._heard[:heard])
+        memory = agent.memory
+        inhibit, fault, gate_fault, lands, looks, openings, full = self._say(
+            memory.fixed, memory.times, memory.counters.holds, self._board.wires,
+            twin.states.links, twin.audience(name), agent.params.gains.period,
+            table, k, agent.row, ALERT,
+        )  # fmt: skip
+        self._board.openings += openings
+        if full:
+            twin.states.make_room()
+        if lands:
+            self._thrusters.land()
+        tick = FlownTick(table, k, t, agent, self._names, shut=inhibit != 0)
+        inputs = partial(getattr, tick, "inputs")
+        tick.fault = agent.notice(fault, gate_fault, looks, inputs)
+        return tick
+
+    def _make_room(self) -> None:
+        """A new table with more room for poses and references."""
+        count, links = self._twin.cameras.film.tally[self._body], self._twin.setpoints.links
+        poses, numbers = int(count[1] - count[2]), links.newest.shape[1]
+        samples, references = self._room
+        self._room = max(samples, 2 * poses), max(references, 1 + numbers // References.width)
+        self._new_table()
