@@ -16,25 +16,23 @@ WHITENESS = 2.0  # the residuals of successive looks depend on each other: sigma
 
 
 @compiled
-def learn(heard, e, x, period, rough):
+def learn(slow, spread, x, period, rough):
     """Add a look to the sums, in place.
 
     Args:
-        heard: jet_faults.Heard; `slow` has z'z, and z'e as the last column, shape (m, m + 1).
-        e: residual, shape (3,), see jet_faults.residual.
-        x: its possible causes, the first m are z.
+        slow: z'z, and z'e as the last column, shape (m, m + 1).
+        spread: variance of the residual, push and turn, shape (2,).
+        x: z first, and the residual as the last column, see jet_faults.residual.
         period: of a look [s].
         rough: see jet_faults.Known.
     """
-    slow, m, spread = heard.slow, heard.slow.shape[0], heard.near.spread
-    push = 1.0 / (spread[0] + rough)
-    weights = (push, push, 1.0 / spread[1])
-    slow *= 1.0 - min(0.5, period / MEMORY_S)
+    m, last = slow.shape[0], x.shape[1] - 1
+    push, spun, keep = 1.0 / (spread[0] + rough), 1.0 / spread[1], 1.0 - min(0.5, period / MEMORY_S)
     for i in range(m):
-        a, b, c = x[i, 0] * weights[0], x[i, 1] * weights[1], x[i, 2] * weights[2]
+        a, b, c = x[0, i] * push, x[1, i] * push, x[2, i] * spun
         for k in range(m):
-            slow[i, k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
-        slow[i, m] += a * e[0] + b * e[1] + c * e[2]
+            slow[i, k] = keep * slow[i, k] + (a * x[0, k] + b * x[1, k] + c * x[2, k])
+        slow[i, m] = keep * slow[i, m] + (a * x[0, last] + b * x[1, last] + c * x[2, last])
 
 
 @compiled

@@ -56,8 +56,8 @@ def causes(fresh, first, push, before, now, period, pads, heard, look):
     """Write the columns of a look into the rows of `fresh` from `first` on.
 
     Args:
-        fresh: possible causes of this look's residual, (rows, 3).
-        first: row of the first cause.
+        fresh: possible causes of this look's residual, (3, rows).
+        first: place of the first cause.
         push: what the jets add to the velocity in this look, (3,).
         before: theta, vx, vy, omega at the last look.
         now: the same at this one.
@@ -66,19 +66,19 @@ def causes(fresh, first, push, before, now, period, pads, heard, look):
         heard: causes of the last looks, see jet_faults.Heard.recent.
         look: number of this one.
     """
-    fresh[first + X, 0] = fresh[first + Y, 1] = period
+    fresh[0, first + X] = fresh[1, first + Y] = period
     for axis in range(3):
-        fresh[first + SLOWED, axis] = (
+        fresh[axis, first + SLOWED] = (
             -0.5 * period * pads[axis // 2] * (before[(axis + 1)] + now[(axis + 1)])
         )
-        fresh[first + ALL, axis] = push[axis]
-    fresh[first + PUSHED, 0], fresh[first + PUSHED, 1] = push[0], push[1]
-    fresh[first + ROTATED, 0], fresh[first + ROTATED, 1] = -push[1], push[0]
+        fresh[axis, first + ALL] = push[axis]
+    fresh[0, first + PUSHED], fresh[1, first + PUSHED] = push[0], push[1]
+    fresh[0, first + ROTATED], fresh[1, first + ROTATED] = -push[1], push[0]
     looks = heard.shape[0]
     for d in range(DELAYS):
         then = heard[(look - d - 1) % looks]
         for axis in range(3):
-            fresh[first + DELAYED + d, axis] = then[first + ALL, axis] - push[axis]
+            fresh[axis, first + DELAYED + d] = then[axis, first + ALL] - push[axis]
 
 
 @compiled

@@ -38,7 +38,7 @@ from testbed.flight.hypotheses import causes, least_of, pads_of
 from testbed.flight.nudges import Nudges, hear, hear_long, judge
 from testbed.flight.record import record
 from testbed.flight.response import quiet, response
-from testbed.flight.whitened import PASSES_S, weigh_whitened, whiten
+from testbed.flight.whitened import PASSES_S, hear_whitened, weigh_whitened, whiten
 from testbed.flight.window import VERDICT, WHITE, Window, age, decide, factor, forget, listen
 
 Array = NDArray[np.float64]
@@ -109,16 +109,16 @@ class Heard(NamedTuple):
     """Memory of the detector, changed in place."""
 
     duty: Array  # sum over the ticks since the last look, (n,)
-    recent: Array  # z and causes of the last looks, not yet delayed, (looks, m + n + COLUMNS, 3)
+    recent: Array  # z and causes of the last looks, not yet delayed, (looks, 3, m + n + COLUMNS)
     bias: Array  # slow mean of unexplained acceleration [m/s^2], (2,)
-    sums: Array  # of causes, and of residuals as the last row, (m + n + COLUMNS + 1, 3)
+    sums: Array  # of causes and residuals as of `residual`, (3, m + n + COLUMNS + 1)
     calm: Array  # `bias` up to two spans of CALM ago, the older one first, (2, 2)
     slow: Array  # see effectiveness.py, (m, m + 1)
     off: Array  # deviation of each jet from its thrust, as a share of it, (n,)
     sigma: Array  # of that, (n,)
     near: Window  # of looks
     far: Window  # of their sums
-    white: Array  # filtered causes and residuals, (m + n + COLUMNS + 1, 3)
+    white: Array  # the same, filtered, (3, m + n + COLUMNS + 1)
     fine: Window  # of these
     nudges: Nudges
 
@@ -164,7 +164,10 @@ def pause(p, m, heard):
 
 @compiled
 def residual(before, now, duty, thrust_scale, known, heard, look):
-    """Unexplained motion since the last look, (3,), and its causes, (m + n + COLUMNS, 3)."""
+    """Causes of the motion since the last look, and, as the last column, what is unexplained of it.
+
+    Shape (3, m + n + COLUMNS + 1).
+    """
     n, period, shown = duty.shape[0], known.period, known.shown
     looks, m = shown.shape[0], duty.shape[0] + 4
     theta = before[0] + 0.5 * period * before[3]
@@ -187,28 +190,26 @@ def residual(before, now, duty, thrust_scale, known, heard, look):
         whole = (level * (c * ax - s * ay), level * (s * ax + c * ay), level * known.effect[2, j])
         idle = 1.0 - min(max(duty[j], 0.0), 1.0)
         for axis in range(3):
-            fresh[j, axis] = duty[j] * whole[axis]
-            fresh[m + j, axis] = idle * whole[axis]
+            fresh[axis, j] = duty[j] * whole[axis]
+            fresh[axis, m + j] = idle * whole[axis]
             push[axis] += duty[j] * whole[axis]
             e[axis] -= duty[j] * whole[axis]
         push_x += duty[j] * ax
         push_y += duty[j] * ay
-    fresh[n, 2] = -level * push_y * known.gyration  # the centre of mass is further along x, y
-    fresh[n + 1, 2] = level * push_x * known.gyration
-    fresh[n + 2, 0] = fresh[n + 3, 1] = period
+    fresh[2, n] = -level * push_y * known.gyration  # the centre of mass is further along x, y
+    fresh[2, n + 1] = level * push_x * known.gyration
+    fresh[0, n + 2] = fresh[1, n + 3] = period
     causes(fresh, m + n, push, before, now, period, known.pads, heard.recent, look)
+    rows = fresh.shape[1]
+    late = np.zeros((3, rows + 1))
     for axis in range(3):
         most = known.most[0] if axis < 2 else known.most[1]
-        e[axis] = min(max(e[axis], -most), most)
-    rows = fresh.shape[0]
-    late = np.zeros((rows, 3))
-    for q in range(looks):
-        then = heard.recent[(look - q) % looks]
-        for i in range(rows):
-            late[i, 0] += shown[q, 0] * then[i, 0]
-            late[i, 1] += shown[q, 0] * then[i, 1]
-            late[i, 2] += shown[q, 1] * then[i, 2]
-    return e, late
+        late[axis, rows] = min(max(e[axis], -most), most)
+        for q in range(looks):
+            then, part = heard.recent[(look - q) % looks], shown[q, axis // 2]
+            for i in range(rows):
+                late[axis, i] += part * then[axis, i]
+    return late
 
 
 @compiled
@@ -224,29 +225,31 @@ def weigh(known, m, heard, now, duty, thrust_scale):
         thrust_scale: of the thrust at the supply pressure.
     """
     own = residual(m.before, now, duty, thrust_scale, known, heard, m.look)
-    e, x = borrowed(own)
+    x = borrowed(own)
     near, bias = heard.near, heard.bias
     forget(m)
     if m.wait > 0:  # recent poses were not trusted: this look is only stored
         keep(own)
         return
-    heard.sums[:-1] += x
-    heard.sums[-1] += e
-    whiten(heard.white, known.passes, e, x, bias, known.period)
+    sums = heard.sums
+    for axis in range(3):
+        for i in range(x.shape[1]):
+            sums[axis, i] += x[axis, i]
+    whiten(heard.white, known.passes, x, bias, known.period)
     settling = max(1.0 / (m.counted + m.again), known.period / SETTLING)
     if m.look % CALM == 0:
         heard.calm[0] = heard.calm[1]
         heard.calm[1] = bias
     for axis in range(2):
-        heard.sums[-1, axis] += known.period * bias[axis]
-        bias[axis] += settling * e[axis] / known.period
+        sums[axis, -1] += known.period * bias[axis]
+        bias[axis] += settling * x[axis, -1] / known.period
     if m.look % known.block == 0:
-        age(near.blocks)
+        age(near)
     trust = max(1.0 - known.keep, 1.0 / (m.counted + BELIEVED))
-    listen(near, e, x, trust, known.keep, known.rough, WHITE)
+    listen(near, x, trust, known.keep, known.rough, WHITE)
     weight = 1.0 / (near.spread[0] + known.rough), 1.0 / near.spread[1]
-    hear(heard.nudges, known.shown, m.look, weight, known.keep, e, x)
-    learn(heard, e, x, known.period, known.rough)
+    hear(heard.nudges.near, known.shown, m.look, weight, known.keep, x)
+    learn(heard.slow, near.spread, x, known.period, known.rough)
     if m.look % SHOWN == 0:
         slope = 1.0 / (known.slope * known.slope + known.bumps * known.bumps)
         resolve(heard.slow, known.sure, slope, heard.off, heard.sigma)
@@ -256,8 +259,12 @@ def weigh(known, m, heard, now, duty, thrust_scale):
     decide(near, least, y, known.period, False, m)
     judge(heard.nudges.near, least, y, m)
     m.summed += 1
-    weigh_whitened(known, m, heard, m.summed == known.long)
+    hear_whitened(
+        heard.fine, heard.white, known.quiet, known.passes, known.rough, m.counted, known.period
+    )
     if m.summed == known.long:
+        slope = known.bumps * known.bumps + known.slope * known.slope
+        weigh_whitened(heard.fine, known.sure, 1.0 / slope, known.period, m.fine)
         weigh_long(known, m, heard)
     keep((own, root))
 
@@ -270,14 +277,13 @@ def weigh_long(known, m, heard):
     """
     far, remembers = heard.far, 1.0 - known.long * known.period / LONG_MEMORY_S
     forget(m.far)
-    age(far.blocks)
+    age(far)
     m.stretches += 1
     trust = max(1.0 - remembers, 1.0 / (m.stretches + LONG_BELIEVED))
     rough = known.long * known.rough
-    listen(far, heard.sums[-1], heard.sums[:-1], trust, remembers, rough, WHITE)
+    listen(far, heard.sums, trust, remembers, rough, WHITE)
     weight = 1.0 / (far.spread[0] + rough), 1.0 / far.spread[1]
-    e, z = heard.sums[-1], heard.sums[:-1]
-    hear_long(heard.nudges, known.shown, m.look, known.long, weight, remembers, e, z)
+    hear_long(heard.nudges.far, known.shown, m.look, known.long, weight, remembers, heard.sums)
     slope = known.bumps * known.bumps + known.slope * known.slope
     root = factor(far.told, known.sure, 1.0 / slope)
     least, y = borrowed(root)

@@ -64,13 +64,13 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     one_a_jet: tuple[int, ...] = (jets,)
     causes = m + jets + COLUMNS
     window: list[tuple[int, ...]] = [
-        (m, m + 1), (BLOCKS, m + 2, 2 * jets + COLUMNS), (2,), (3,),
+        (m, m + 1), (BLOCKS, m + 2, 2 * jets + COLUMNS), (BLOCKS,), (1,), (2,), (3,),
     ]  # fmt: skip
     shapes: dict[type, list[tuple[int, ...]]] = {
         Fired: [(plans,), (plans,), (plans, jets), (plans, jets), one_a_jet, one_a_jet],
         Heard: [
-            one_a_jet, (looks, causes, 3), (2,), (causes + 1, 3), (2, 2),
-            (m, m + 1), one_a_jet, one_a_jet, *window, *window, (causes + 1, 3), *window,
+            one_a_jet, (looks, 3, causes), (2,), (3, causes + 1), (2, 2),
+            (m, m + 1), one_a_jet, one_a_jet, *window, *window, (3, causes + 1), *window,
             (m + 2, 3 * AGO), (m + 2, 3 * LONG_AGO),
         ],
         Counters: 5 * [one_a_row],
@@ -86,8 +86,8 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
             size += math.prod(shape)
     fixed = everything[: FIXED.itemsize // 8].view(FIXED)
     duty, recent, bias, total, calm, slow, off, sigma, *parts = views[Heard]
-    near, far, fine = Window(*parts[:4]), Window(*parts[4:8]), Window(*parts[9:13])
-    white, nudges = parts[8], Nudges(*parts[13:])
+    near, far, fine = Window(*parts[:6]), Window(*parts[6:12]), Window(*parts[13:19])
+    white, nudges = parts[12], Nudges(*parts[19:])
     fired = Fired(*views[Fired])
     heard = Heard(
         duty, recent, bias, total, calm, slow, off, sigma, near, far, white, fine, nudges

@@ -33,7 +33,7 @@ class Nudges(NamedTuple):
 
 
 @compiled
-def add(columns, place, parts, weight, e, z):
+def add(columns, place, parts, weight, x):
     """Add what a nudge with place `place` of `columns` gives in this residual.
 
     Args:
@@ -41,25 +41,24 @@ def add(columns, place, parts, weight, e, z):
         place: of the nudge.
         parts: share of the nudge in this residual, push and turn.
         weight: 1 / variance, push and turn.
-        e: residual, (3,).
-        z: uncertain parameters, (>= m, 3).
+        x: uncertain parameters first, and the residual as the last column, (3, > m).
     """
     m, count = columns.shape[0] - 2, columns.shape[1] // 3
     for axis in range(3):
         h, part, sure = axis * count + place, parts[axis // 2], weight[axis // 2]
         for k in range(m):
-            columns[k, h] += part * sure * z[k, axis]
+            columns[k, h] += part * sure * x[axis, k]
         columns[m, h] += part * part * sure
-        columns[m + 1, h] += part * sure * e[axis]
+        columns[m + 1, h] += part * sure * x[axis, -1]
 
 
 @compiled
 def judge(columns, least, y, found):
     """Write the nudge that explains most to `found`, a record of VERDICT."""
-    m, count = y.shape[0], columns.shape[1] // 3
-    memory, both = np.empty((m, 3 * count)), np.empty((2, 3 * count))
-    root, fits, own = borrowed((memory, both[0], both[1]))
-    suspect(columns, least, y, root, fits, own)
+    count = columns.shape[1] // 3
+    memory = np.empty((3, 3 * count))
+    part, fits, own = borrowed((memory[0], memory[1], memory[2]))
+    suspect(columns, least, y, part, fits, own)
     for h in range(count):
         x, gain_x = gained(fits[h], own[h], -MOST, MOST)
         y_, gain_y = gained(fits[count + h], own[count + h], -MOST, MOST)
@@ -67,25 +66,25 @@ def judge(columns, least, y, found):
         gain = gain_x + gain_y + turn[1] - UNKNOWN
         if gain > found.gains[NUDGE]:
             found.gains[NUDGE], found.sizes[NUDGE] = gain, np.sqrt(x * x + y_ * y_)
-    keep((memory, both))
+    keep(memory)
 
 
 @compiled
-def hear(nudges, shown, look, weight, remembers, e, z):
-    """Add a look to the nudges of the short window."""
-    near, count = nudges.near, nudges.near.shape[1] // 3
+def hear(near, shown, look, weight, remembers, x):
+    """Add a look to the nudges of the short window, see `Nudges`."""
+    count = near.shape[1] // 3
     near *= remembers
     for axis in range(3):
         near[:, axis * count + look % count] = 0.0
     for q in range(min(shown.shape[0], count)):
         if look >= q:
-            add(near, (look - q) % count, (shown[q, 0], shown[q, 1]), weight, e, z)
+            add(near, (look - q) % count, (shown[q, 0], shown[q, 1]), weight, x)
 
 
 @compiled
-def hear_long(nudges, shown, look, looks, weight, remembers, e, z):
+def hear_long(far, shown, look, looks, weight, remembers, x):
     """Add the sum of the last `looks` looks to the nudges of the long window."""
-    far, count = nudges.far, nudges.far.shape[1] // 3
+    count = far.shape[1] // 3
     far *= remembers
     for ago in range(looks + shown.shape[0] - 1):
         begun = look - ago
@@ -99,4 +98,4 @@ def hear_long(nudges, shown, look, looks, weight, remembers, e, z):
         for q in range(max(0, ago - looks + 1), min(ago + 1, shown.shape[0])):
             push += shown[q, 0]
             turn += shown[q, 1]
-        add(far, place, (push, turn), weight, e, z)
+        add(far, place, (push, turn), weight, x)

@@ -23,36 +23,52 @@ WHITE = 2.0  # variance of the difference of two residuals, in variances of one
 
 
 @compiled
-def whiten(white, passes, e, x, bias, period):
-    """Add a look to the filtered causes and, in the last row, the residual; `bias` counts, too."""
-    white *= passes
-    white[:-1] += x
-    white[-1] += e
+def whiten(white, passes, x, bias, period):
+    """Add a look to the filtered causes and residual, see `jet_faults.residual`.
+
+    What `bias` has taken from the residual counts, too.
+    """
+    for axis in range(3):
+        for i in range(x.shape[1]):
+            white[axis, i] = passes * white[axis, i] + x[axis, i]
     for axis in range(2):
-        white[-1, axis] += period * bias[axis]
+        white[axis, -1] += period * bias[axis]
 
 
 @compiled
-def weigh_whitened(known, m, heard, due):
-    """Add the filtered look to its window, and if `due`, keep what it says in `m.fine`.
+def hear_whitened(fine, white, quiet, passes, rough, counted, period):
+    """Add the filtered look to its window.
 
     Args:
-        known: jet_faults.Known.
-        m: jet_faults.MEMORY.
-        heard: jet_faults.Heard.
-        due: whether a block ends.
+        fine: window.Window.
+        white: see `whiten`.
+        quiet: see jet_faults.Known.
+        passes: the same.
+        rough: the same.
+        counted: looks so far.
+        period: of a look [s].
     """
-    fine, remembers = heard.fine, 1.0 - min(0.5, known.period / MEMORY_S)
+    remembers = 1.0 - min(0.5, period / MEMORY_S)
     if fine.spread[0] == 0.0:
-        fine.spread[:] = known.quiet
-    trust = max(1.0 - remembers, 1.0 / (m.counted + BELIEVED))
-    rough = known.rough / (1.0 - known.passes * known.passes)
-    listen(fine, heard.white[-1], heard.white[:-1], trust, remembers, rough, WHITE)
-    if not due:
-        return
-    forget(m.fine)
-    root = factor(fine.told, known.sure, 1.0 / (known.bumps**2 + known.slope**2))
+        fine.spread[:] = quiet
+    trust = max(1.0 - remembers, 1.0 / (counted + BELIEVED))
+    listen(fine, white, trust, remembers, rough / (1.0 - passes * passes), WHITE)
+
+
+@compiled
+def weigh_whitened(fine, sure, slope, period, found):
+    """Keep what the window of filtered looks says in `found`, a record of VERDICT; begin a block.
+
+    Args:
+        fine: window.Window.
+        sure: see window.factor.
+        slope: the same.
+        period: of a look [s].
+        found: changed in place.
+    """
+    forget(found)
+    root = factor(fine.told, sure, slope)
     least, y = borrowed(root)
-    decide(fine, least, y, known.period, True, m.fine)
-    age(fine.blocks)
+    decide(fine, least, y, period, True, found)
+    age(fine)
     keep(root)

@@ -40,7 +40,9 @@ class Window(NamedTuple):
     """What was heard, changed in place."""
 
     told: Array  # z'z, and z'e as the last column, (m, m + 1)
-    blocks: Array  # of jets, leaks, causes: x'z, x'x, x'e, (BLOCKS, m + 2, 2 n + COLUMNS)
+    blocks: Array  # of jets, leaks, causes: x'z, x'x, x'e, (BLOCKS, m + 2, 2 n + COLUMNS), a ring
+    worth: Array  # what is not forgotten of each block since it was the newest, (BLOCKS,)
+    newest: Array  # place of the newest block, (1,)
     spread: Array  # variance of the residual, push and turn, (2,)
     last: Array  # previous residual, (3,)
 
@@ -52,49 +54,58 @@ def clear(window):
 
 
 @compiled
-def age(blocks):
+def age(window):
     """Begin a block: the oldest two become one."""
-    blocks[-2] += blocks[-1]
-    blocks[1:] = blocks[:-1].copy()
-    blocks[0] = 0.0
+    blocks, worth, count = window.blocks, window.worth, window.worth.shape[0]
+    oldest = (int(window.newest[0]) + count - 1) % count
+    second = (oldest + count - 1) % count
+    blocks[second] = worth[second] * blocks[second] + worth[oldest] * blocks[oldest]
+    blocks[oldest], worth[second], window.newest[0] = 0.0, 1.0, oldest
 
 
 @compiled
-def listen(window, e, x, trust, keep, rough, white):
-    """Update noise and the correlations of e with its possible causes, in place.
+def listen(window, x, trust, keep, rough, white):
+    """Update noise and the correlations of residuals with their possible causes, in place.
 
-    `white` is the variance of the difference of two residuals, in variances of one.
+    Args:
+        window: Window.
+        x: causes, and the residual as the last column, see `jet_faults.residual`.
+        trust: weight of this look in the estimate of the noise.
+        keep: factor of forgetting.
+        rough: see jet_faults.Known.
+        white: variance of the difference of two residuals, in variances of one.
     """
-    spread, last, told, blocks = window.spread, window.last, window.told, window.blocks
-    m = told.shape[0]
-    n = m - 4
+    spread, last, told = window.spread, window.last, window.told
+    worth, now = window.worth, int(window.newest[0])
+    block, m, rows = window.blocks[now], told.shape[0], x.shape[1] - 1
+    n, e = m - 4, (x[0, rows], x[1, rows], x[2, rows])
     dx, dy, turn = e[0] - last[0], e[1] - last[1], e[2] - last[2]
     push = 0.5 * (dx * dx + dy * dy) / white
     spread[0] += trust * (min(push, OUTLIER * spread[0]) - spread[0])
     spread[1] += trust * (min(turn * turn / white, OUTLIER * spread[1]) - spread[1])
-    last[:] = e
-    push = 1.0 / (spread[0] + rough)
-    weight = (push, push, 1.0 / spread[1])
-    told *= keep
-    blocks *= keep
-    for i in range(x.shape[0]):
-        a, b, c = x[i, 0] * weight[0], x[i, 1] * weight[1], x[i, 2] * weight[2]
-        explains = a * e[0] + b * e[1] + c * e[2]
-        if i < m:
-            told[i, m] += explains
-            for k in range(m):
-                told[i, k] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
-        if i < n or i >= m:  # possible suspicions: jets, leaks, other causes
-            h = i if i < n else i - 4
-            for k in range(m):
-                blocks[0, k, h] += a * x[k, 0] + b * x[k, 1] + c * x[k, 2]
-            blocks[0, m, h] += a * x[i, 0] + b * x[i, 1] + c * x[i, 2]
-            blocks[0, m + 1, h] += explains
+    last[0], last[1], last[2] = e
+    push, spun = 1.0 / (spread[0] + rough), 1.0 / spread[1]
+    worth *= keep  # older blocks are not touched
+    worth[now] = 1.0
+    for k in range(m):
+        a, b, c = x[0, k] * push, x[1, k] * push, x[2, k] * spun
+        for i in range(m):
+            told[k, i] = keep * told[k, i] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
+        told[k, m] = keep * told[k, m] + (a * e[0] + b * e[1] + c * e[2])
+        for i in range(n):  # possible suspicions: jets, leaks, other causes
+            block[k, i] = keep * block[k, i] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
+        for i in range(m, rows):
+            block[k, i - 4] = keep * block[k, i - 4] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
+    for h in range(block.shape[1]):
+        i = h if h < n else h + 4
+        a, b, c = x[0, i] * push, x[1, i] * push, x[2, i] * spun
+        block[m, h] = keep * block[m, h] + (a * x[0, i] + b * x[1, i] + c * x[2, i])
+        block[m + 1, h] = keep * block[m + 1, h] + (a * e[0] + b * e[1] + c * e[2])
 
 
 @compiled
 def factor(told, sure, slope):
-    """L of z'z + 1 / tolerances^2, with 1 / L_ii in its diagonal, (m, m), and L^-1 z'e, (m,).
+    """L^-1 of z'z + 1 / tolerances^2, (m, m), and L^-1 z'e, (m,).
 
     Args:
         told: see Window.
@@ -102,34 +113,38 @@ def factor(told, sure, slope):
         slope: the same of the slope, the last two of z.
     """
     m = told.shape[0]
-    least, y = np.zeros((m, m)), np.empty(m)
+    root, least, y = np.zeros((m, m)), np.zeros((m, m)), np.zeros(m)
     for i in range(m):
         for k in range(i + 1):
             total = told[i, k]
             if i == k:
                 total += slope if i >= m - 2 else sure[i]
             for q in range(k):
-                total -= least[i, q] * least[k, q]
-            least[i, k] = 1.0 / np.sqrt(total) if i == k else total * least[k, k]
-        total = told[i, m]
-        for q in range(i):
-            total -= least[i, q] * y[q]
-        y[i] = total * least[i, i]
+                total -= root[i, q] * root[k, q]
+            root[i, k] = 1.0 / np.sqrt(total) if i == k else total * root[k, k]
+        least[i, i] = root[i, i]
+        for h in range(i):
+            total = 0.0
+            for q in range(h, i):
+                total -= root[i, q] * least[q, h]
+            least[i, h] = total * root[i, i]
+        for q in range(i + 1):
+            y[i] += least[i, q] * told[q, m]
     return least, y
 
 
 @compiled
-def suspect(since, least, y, root, fits, own):
+def suspect(since, least, y, part, fits, own):
     """Write S_j and N_j of jet_faults' first lines for every suspicion to `fits` and `own`.
 
-    They are computed side by side: a processor does several at a time, and one after the other they
-    took most of a tick.
+    They are computed side by side, from four numbers of z at a time: a processor does several at a
+    time, and one after the other they took most of a tick.
 
     Args:
         since: columns x'z, x'x, x'e, one for each suspicion, shape (m + 2, count).
         least: see `factor`.
         y: see `factor`.
-        root: working memory, shape (m, count).
+        part: working memory, shape (count,).
         fits: shape (count,).
         own: shape (count,).
     """
@@ -138,14 +153,21 @@ def suspect(since, least, y, root, fits, own):
         own[h], fits[h] = since[m, h], since[m + 1, h]
     for i in range(m):
         for h in range(count):
-            root[i, h] = since[i, h]
-        for q in range(i):
+            part[h] = 0.0
+        q, fours = 0, (i + 1) // 4
+        for _ in range(fours):
+            a, b, c, d = least[i, q], least[i, q + 1], least[i, q + 2], least[i, q + 3]
+            one, two, three, four = since[q], since[q + 1], since[q + 2], since[q + 3]
             for h in range(count):
-                root[i, h] -= least[i, q] * root[q, h]
+                part[h] += a * one[h] + b * two[h] + c * three[h] + d * four[h]
+            q += 4
+        for k in range(q, i + 1):
+            a, one = least[i, k], since[k]
+            for h in range(count):
+                part[h] += a * one[h]
         for h in range(count):
-            root[i, h] *= least[i, i]
-            own[h] -= root[i, h] * root[i, h]
-            fits[h] -= root[i, h] * y[i]
+            own[h] -= part[h] * part[h]
+            fits[h] -= part[h] * y[i]
 
 
 @compiled
@@ -160,15 +182,19 @@ def decide(window, least, y, period, every, found):
         every: whether to test every beginning, not those of BEGUN only.
         found: changed in place.
     """
-    blocks, n = window.blocks, window.told.shape[0] - 4
-    m, count = y.shape[0], blocks.shape[2]
-    sums, memory, both = np.zeros((m + 2, count)), np.empty((m, count)), np.empty((2, count))
-    since, root, fits, own = borrowed((sums, memory, both[0], both[1]))
+    blocks, worth, now = window.blocks, window.worth, int(window.newest[0])
+    m, n, count = y.shape[0], y.shape[0] - 4, blocks.shape[2]
+    sums, memory = np.zeros((m + 2, count)), np.empty((3, count))
+    since, part, fits, own = borrowed((sums, memory[0], memory[1], memory[2]))
     for k in range(blocks.shape[0]):
-        since += blocks[k]
+        place = (now + k) % blocks.shape[0]
+        block, left = blocks[place], worth[place]
+        for i in range(m + 2):  # as an expression of arrays it takes four times as long
+            for h in range(count):
+                since[i, h] += left * block[i, h]
         if not (every or k in BEGUN):
             continue
-        suspect(since, least, y, root, fits, own)
+        suspect(since, least, y, part, fits, own)
         for h in range(2 * n):
             if own[h] <= 1e-6 * since[-2, h] or own[h] < 1e-9:
                 continue
@@ -185,7 +211,7 @@ def decide(window, least, y, period, every, found):
         score(fits, own, 2 * n, period, always, found.gains, found.sizes, found.way)
     found.gains[LEAK], found.sizes[LEAK] = found.leak.gain, found.leak.share
     found.gains[WEAK], found.sizes[WEAK] = found.weak.gain, found.weak.share
-    keep((sums, memory, both))
+    keep((sums, memory))
 
 
 @compiled

@@ -132,9 +132,10 @@ def test_the_filter_makes_the_noise_of_differences_nearly_white():
     velocity = rng.standard_normal((size, 3))
     white, passed = np.zeros((3, 3)), []  # two causes and the residual
     for one, before in zip(velocity[1:], velocity[:-1], strict=True):
-        whiten(white, 0.72, one - before, np.ones((2, 3)), np.array([0.5, 0.0]), 0.0)
-        passed.append(white[-1].copy())
-    assert white[:-1] == pytest.approx(np.full((2, 3), 1.0 / 0.28))
+        x = np.column_stack((np.ones((3, 2)), one - before))
+        whiten(white, 0.72, x, np.array([0.5, 0.0]), 0.0)
+        passed.append(white[:, -1].copy())
+    assert white[:, :-1] == pytest.approx(np.full((3, 2), 1.0 / 0.28))
     e, r = np.diff(velocity[:, 0]), np.array(passed)[:, 0]
     after = [float(np.corrcoef(one[1:], one[:-1])[0, 1]) for one in (e, r)]
     assert after[0] == pytest.approx(-0.5, abs=0.05)

@@ -1,0 +1,78 @@
+"""The sums of a window of looks, and what they say of each cause, against sums written out."""
+
+import numpy as np
+import pytest
+
+from testbed.flight.window import BLOCKS, Window, age, clear, factor, listen, suspect
+
+JETS, KEEP = 5, 0.97
+M = JETS + 4
+ROWS = M + JETS + 3  # some causes beside the jets
+SUSPECTS = [*range(JETS), *range(M, ROWS)]
+
+
+def empty():
+    shapes = [(M, M + 1), (BLOCKS, M + 2, len(SUSPECTS)), (BLOCKS,), (1,), (2,), (3,)]
+    window = Window(*map(np.zeros, shapes))
+    window.spread[:] = 1.0, 4.0
+    return window
+
+
+def heard(window, looks, block):
+    """Listen to random looks, a block every so many; the looks, weighted and forgotten."""
+    rng, sums = np.random.default_rng(3), []
+    for k in range(looks):
+        if k % block == 0:
+            age(window)
+        x = rng.normal(size=(3, ROWS + 1))
+        listen(window, x, 0.0, KEEP, 0.5, 2.6)  # the noise stays as it is
+        weight = np.array([1.0 / 1.5, 1.0 / 1.5, 1.0 / 4.0])[:, None]
+        sums = [KEEP * one for one in sums] + [x.T @ (weight * x)]
+    return sums
+
+
+@pytest.mark.parametrize("looks", [7, 60, 200])  # within the blocks, and far beyond all of them
+def test_blocks_have_what_was_heard_since_they_began(looks):
+    window, block = empty(), 4
+    sums = heard(window, looks, block)
+    assert window.told == pytest.approx(sum(sums)[:M][:, [*range(M), -1]])
+    now, began = int(window.newest[0]), (looks - 1) // block * block
+    since = np.zeros((M + 2, len(SUSPECTS)))
+    for k in range(BLOCKS):
+        place = (now + k) % BLOCKS
+        since += window.worth[place] * window.blocks[place]
+        first = max(0, began - k * block) if k < BLOCKS - 1 else 0
+        told = sum(sums[first:])
+        assert since[:M] == pytest.approx(told[:M][:, SUSPECTS]), k
+        assert since[M] == pytest.approx(np.diag(told)[SUSPECTS]), k
+        assert since[M + 1] == pytest.approx(told[-1, SUSPECTS]), k
+
+
+def test_a_window_that_was_cleared_begins_anew():
+    window, fresh = empty(), empty()
+    heard(window, 50, 4)
+    clear(window)
+    heard(window, 9, 3)
+    heard(fresh, 9, 3)
+    at, there = int(window.newest[0]), int(fresh.newest[0])
+    for k in range(BLOCKS):
+        one, other = (at + k) % BLOCKS, (there + k) % BLOCKS
+        expected = fresh.worth[other] * fresh.blocks[other]
+        assert window.worth[one] * window.blocks[one] == pytest.approx(expected)
+    assert window.told == pytest.approx(fresh.told)
+
+
+def test_suspicions_are_what_is_left_without_the_uncertain_parameters():
+    rng = np.random.default_rng(4)
+    z, x, e = rng.normal(size=(40, M)), rng.normal(size=(40, 11)), rng.normal(size=40)
+    sure, slope = rng.uniform(1.0, 9.0, M), 0.3
+    told = np.column_stack((z.T @ z, z.T @ e))
+    least, y = factor(told, sure, slope)
+    since = np.vstack((z.T @ x, (x * x).sum(axis=0), x.T @ e))
+    fits, own = np.empty(11), np.empty(11)
+    suspect(since, least, y, np.empty(11), fits, own)
+    sure[-2:] = slope
+    inverse = np.linalg.inv(z.T @ z + np.diag(sure))
+    left = np.eye(40) - z @ inverse @ z.T
+    assert fits == pytest.approx(x.T @ left @ e)
+    assert own == pytest.approx(np.diag(x.T @ left @ x))
