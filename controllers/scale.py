@@ -10,7 +10,7 @@ and the nominal mass of the paper's satellite replaces the vehicle's.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -27,6 +27,7 @@ from testbed.core.law import (
     Law,
     Neighbours,
     World,
+    compiled_flight,
     concerns_of,
     propagate,
 )
@@ -103,9 +104,17 @@ def home(units, ahead):
     )
 
 
-@compiled
-def fly_scaled(gains, units, law_state, own, neighbours, world, t, duration, steps):
+class InUnits(NamedTuple):
+    """A law's gains, and the units that it flies in."""
+
+    gains: Any
+    units: Units
+
+
+@compiled_flight(InUnits)
+def fly_scaled(law, law_state, own, neighbours, world, t, duration, steps):
     """`propagate` in the paper's units; one call, because each call of compiled code costs time."""
+    gains, units = law
     body, others, scene = scene_in(units, own, neighbours, world)
     t, duration = t * units.time, duration * units.time
     return home(units, propagate(gains, law_state, body, others, scene, t, duration, steps))
@@ -120,6 +129,11 @@ class Scaled:
         length, time = scale.length, scale.time
         self._rates = length, length / time, length / time**2, length / time**3, time
         self._fly_scaled = settled(fly_scaled)
+
+    def flown(self, mass: float) -> Any:
+        """See `CompiledLaw`."""
+        law = self.law
+        return InUnits(law.gains, self._units(mass)) if isinstance(law, CompiledLaw) else None
 
     def _units_of(self, vehicle: float) -> Units:
         """Units for a vehicle of this mass [kg]."""
@@ -151,9 +165,8 @@ class Scaled:
         """See `Law`."""
         units, law = self._units(own.mass), self.law
         if isinstance(law, CompiledLaw):
-            return self._fly_scaled(
-                law.gains, units, law_state, own, neighbours, world, t, duration, steps
-            )
+            scaled = InUnits(law.gains, units)
+            return self._fly_scaled(scaled, law_state, own, neighbours, world, t, duration, steps)
         body, others, scene = scene_in(units, own, neighbours, world)
         t, duration = t * units.time, duration * units.time
         ahead = law.propagate(law_state, body, others, scene, t, duration, steps)

@@ -59,6 +59,14 @@ def is_ours(thing: Callable[..., Any]) -> bool:
     return any(thing.__module__ == n or thing.__module__.startswith(f"{n}.") for n in names)
 
 
+class BundleType(types.Type):
+    """Numba's type of a `Bundle` of this inner type, see bundle.py."""
+
+    def __init__(self, inner: Any) -> None:
+        self.inner = inner
+        super().__init__(name=f"Bundle({inner})")
+
+
 def _is_ours_throughout(kind: Any) -> bool:
     """The same for a numba type; an unknown type is not ours."""
     named, several = isinstance(kind, types.BaseNamedTuple), isinstance(kind, types.BaseTuple)
@@ -68,6 +76,8 @@ def _is_ours_throughout(kind: Any) -> bool:
         return all(_is_ours_throughout(part) for part in kind)
     if isinstance(kind, types.Array):
         return _is_ours_throughout(kind.dtype)
+    if isinstance(kind, BundleType):
+        return _is_ours_throughout(kind.inner)
     known = (types.Number, types.Boolean, types.UnicodeType, types.Literal, types.NoneType)
     return isinstance(kind, (*known, types.Omitted, types.Record))  # a record has numbers only
 
@@ -147,12 +157,12 @@ def _machine_code(function: Any, args: tuple[Any, ...]) -> Callable[..., Any]:
     With a hundred vehicles, a lookup by each of them takes a tenth of a short flight.
     """
     found: dict[Any, Callable[..., Any]] = function.__dict__.setdefault("machine_code", {})
-    if (code := found.get(look := _look(args))) is None:
+    if (code := found.get(look := look_of(args))) is None:
         code = found[look] = function.compile(tuple(map(numba.typeof, args)))
     return code
 
 
-def _look(value: Any) -> Any:
+def look_of(value: Any) -> Any:
     """A key of a value's type: equal keys mean equal numba types.
 
     Raises:
@@ -164,7 +174,9 @@ def _look(value: Any) -> Any:
         return value.dtype, value.ndim, value.flags.num
     if isinstance(value, np.void):  # a record
         return value.dtype
-    return (type(value), *map(_look, value)) if isinstance(value, tuple) else type(value)
+    if (kind := getattr(value, "kind", None)) is not None:  # a bundle
+        return kind
+    return (type(value), *map(look_of, value)) if isinstance(value, tuple) else type(value)
 
 
 def _compiled(function: F, **options: Any) -> F:
@@ -174,7 +186,7 @@ def _compiled(function: F, **options: Any) -> F:
     return cast(F, dispatcher)
 
 
-def _without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     """Code for `value` without the owner of each array in it."""
     if isinstance(kind, types.Array):
         array = context.make_array(kind)(context, builder, value=value)
@@ -183,7 +195,7 @@ def _without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
         return array._getvalue()
     if isinstance(kind, types.BaseTuple):
         kinds, parts = list(cast(Any, kind)), cgutils.unpack_tuple(builder, value, len(kind))
-        lent = [_without_counts(context, builder, *pair) for pair in zip(kinds, parts, strict=True)]
+        lent = [without_counts(context, builder, *pair) for pair in zip(kinds, parts, strict=True)]
         return context.make_tuple(builder, kind, lent)
     return value
 
@@ -191,7 +203,7 @@ def _without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:
 @intrinsic
 def _lend(typingctx: Any, value: Any) -> Any:
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _without_counts(context, builder, signature.args[0], args[0])
+        return without_counts(context, builder, signature.args[0], args[0])
 
     return value(value), code
 

@@ -208,6 +208,33 @@ def _compiled_into(table: dict[type, Callable], gains_type: type) -> Callable[[F
     return decorate
 
 
+def fly_of(law, law_state, own, neighbours, world, t, duration, steps):
+    """`propagate`, or what is registered for laws with gains of this type."""
+    fly = _FLIGHTS.get(type(law), propagate)
+    return fly(law, law_state, own, neighbours, world, t, duration, steps)
+
+
+_FLIGHTS: dict[type, Callable] = {}  # by the type of a law's gains
+
+
+@overload(fly_of)
+def _fly_of(law, law_state, own, neighbours, world, t, duration, steps):
+    fly = _FLIGHTS.get(law.instance_class, propagate)
+    return lambda law, law_state, own, neighbours, world, t, duration, steps: fly(
+        law, law_state, own, neighbours, world, t, duration, steps
+    )
+
+
+def compiled_flight(gains_type: type) -> Callable[[F], F]:
+    """Compile what flies laws with these gains instead of `propagate`; see `fly_of`."""
+
+    def decorate(function: F) -> F:
+        _FLIGHTS[gains_type] = compiled(function)
+        return cast(F, _FLIGHTS[gains_type])
+
+    return decorate
+
+
 def compiled_rate(gains_type: type) -> Callable[[F], F]:
     """Compile a law's rate and register it in `rate_of` for `gains_type`.
 
@@ -249,6 +276,10 @@ class CompiledLaw:
             message_size,
         )
         self._propagate = settled(propagate)
+
+    def flown(self, mass: float) -> Any:
+        """What `fly_of` flies, for a vehicle of this mass [kg]; None: it cannot."""
+        return self.gains
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:
         """See `Law`."""

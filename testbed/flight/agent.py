@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
+from testbed.core.bundle import Bundle
 from testbed.core.codes import (
     Detector,
     FaultReport,
@@ -100,6 +101,7 @@ class Agent:
         self.memory, self.everything = make_memory(self._jets, plans, looks, rows)
         self.row = np.zeros(1, ROW)  # of the newest tick
         self._bytes = self.row.view(np.uint8).data
+        self._vehicle = Bundle((params, self.memory, self.row))
         self._place: Reference | None = None  # see `staying`
         self._law_error = ""  # exception of the law on board
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
@@ -117,7 +119,8 @@ class Agent:
             found = f"{self.everything.size} numbers instead of {before.everything.size}"
             raise MismatchError(expected, found)
         self.everything[:] = before.everything
-        for part in ("row", "_bytes", "_law_error", "_fault", "_nearby"):
+        self.row[:] = before.row
+        for part in ("_law_error", "_fault", "_nearby"):
             setattr(self, part, getattr(before, part))
         if self.guidance is not None and before.guidance is not None:
             self.guidance.take_over(before.guidance, kept)
@@ -126,20 +129,20 @@ class Agent:
         """One tick: call it once per jet period, with time increasing."""
         setpoint, message = None if inputs.vitals.end else inputs.setpoint, None
         samples, others = PoseSamples.of(inputs.samples).rows, self._others(inputs)
-        rows, references = self.row, NO_REFERENCES
+        references = NO_REFERENCES
         # a vehicle that stays after its flight has the setpoint of `staying`
         guided = self.guidance is not None and setpoint is None
         if guided and self.guidance is not None:
             self._tell(inputs, None)
-            self._see(self.params, self.memory, rows, samples)
+            self._see(self._vehicle, samples)
             setpoint, message = self._guided(self.guidance, inputs)
         self._tell(inputs, setpoint)
         if isinstance(setpoint, Trajectory):
             references = References.of(setpoint.references).rows
         if not guided:
-            self._step(self.params, self.memory, rows, samples, references, others)
+            self._step(self._vehicle, samples, references, others)
         else:
-            self._act(self.params, self.memory, rows, samples, references, others)
+            self._act(self._vehicle, samples, references, others)
         return self._outputs(inputs, setpoint, message)
 
     def staying(self, t: float) -> Trajectory | None:
@@ -231,7 +234,7 @@ class Agent:
 
     def step_row(self, samples: Array, references: Array, neighbours: Array) -> None:
         """One tick of the chain alone, of which `row` says the rest; see `chain.step`."""
-        self._step(self.params, self.memory, self.row, samples, references, neighbours)
+        self._step(self._vehicle, samples, references, neighbours)
 
     def report(
         self, fault: int, gate_fault: int, inputs: Callable[[], Inputs]

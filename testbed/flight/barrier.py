@@ -87,6 +87,9 @@ class Limits(NamedTuple):
     half_y: float  # [m]
 
 
+UNLIMITED = Limits(*[np.inf] * len(Limits._fields))  # without a filter
+
+
 @compiled
 def speed_left(gap, closing, speed, decel, hard, slow):
     """Largest closing speed after a period that began with `closing` and `gap` [m/s]."""

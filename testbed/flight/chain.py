@@ -9,8 +9,9 @@ outputs bit for bit, which is what replay checks.
 
 import math
 
+from testbed.core.bundle import unpacked
 from testbed.core.codes import InhibitReason
-from testbed.core.compiled import borrowed, compiled, pasted
+from testbed.core.compiled import compiled, pasted
 from testbed.flight import (
     detectors,
     estimator,
@@ -29,27 +30,24 @@ from testbed.flight.plan import WEAKEST, in_microseconds
 
 
 @compiled
-def step(p, memory, rows, samples, references, neighbours):
+def step(vehicle, samples, references, neighbours):
     """One tick: call it once per jet period, with time increasing.
 
     Args:
-        p: Parameters.
-        memory: Memory, changed in place.
-        rows: one record.ROW; its `told` is read, `state` and `done` are written. An array of one,
-            because a record alone takes 7 us to hand over from Python.
+        vehicle: Bundle of Parameters; Memory, changed in place; and an array of one record.ROW,
+            whose `told` is read and whose `state` and `done` are written.
         samples: poses since the last tick, rows (captured at, x, y, theta).
         references: of a trajectory, see `tracker.aim`.
         neighbours: rows as in `barrier.around`.
     """
-    p, memory = borrowed(p), borrowed(memory)  # the caller holds them
-    see(p, memory, rows, samples)
-    act(p, memory, rows, samples, references, neighbours)
+    see(vehicle, samples)
+    act(vehicle, samples, references, neighbours)
 
 
 @pasted
-def see(p, memory, rows, samples):
+def see(vehicle, samples):
     """Write the estimate for the time at which the next pulses take effect."""
-    p, memory = borrowed(p), borrowed(memory)
+    p, memory, rows = unpacked(vehicle)
     m, row, told = memory.fixed[0].estimator, rows[0], rows[0].told
     fixed = memory.fixed[0]
     model = online.model_now(p.online, p.model, fixed.gas_used, fixed.thrust_scale)
@@ -58,9 +56,10 @@ def see(p, memory, rows, samples):
 
 
 @pasted
-def act(p, memory, rows, samples, references, neighbours):
+def act(vehicle, samples, references, neighbours):
     """From the estimate and the setpoint to valve times."""
-    p, memory, row = borrowed(p), borrowed(memory), rows[0]
+    p, memory, rows = unpacked(vehicle)
+    row = rows[0]
     m, told, state, done = memory.fixed[0], row.told, row.state, row.done
     thrust_scale = told.supply_pressure / p.sensors.set_pressure
     gains = online.gains_now(p.online, p.gains, m.gas_used)

@@ -17,17 +17,17 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
-from itertools import chain
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from testbed.core.compiled import compiled, settled
+from testbed.core.bundle import Bundle
+from testbed.core.compiled import settled
 from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World, concerns_of
 from testbed.core.path import Circle, Path, Points, along
-from testbed.core.rows import States, setpoint_of
+from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
 from testbed.core.se2 import wrap
 from testbed.core.table import Obstacle
 from testbed.core.types import (
@@ -39,7 +39,8 @@ from testbed.core.types import (
 )
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
-from testbed.flight.barrier import Barrier
+from testbed.flight.barrier import UNLIMITED, Barrier, discs_of
+from testbed.flight.lead import Lead, aim, extrapolate, lead
 from testbed.flight.record import DEMAND, TRAJECTORY
 
 Array = NDArray[np.float64]
@@ -142,20 +143,6 @@ class Company(NamedTuple):
     strangers: Neighbours  # them, without states
 
 
-@compiled
-def extrapolated(states, order, t):
-    """Positions and velocities at `t` [s] of the vehicles `order` in `states`, each (n, 2)."""
-    n = order.shape[0]
-    p, v = np.empty((n, 2)), np.empty((n, 2))
-    for i in range(n):
-        one = states[order[i]]
-        ago = t - one[0]
-        for axis in range(2):
-            v[i, axis] = one[4 + axis]
-            p[i, axis] = one[1 + axis] + ago * one[4 + axis]
-    return p, v
-
-
 class Guidance:
     """One vehicle's law at work."""
 
@@ -201,15 +188,25 @@ class Guidance:
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | TurnAlong | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
-        self._extrapolated = settled(extrapolated)
-        self._ahead: deque[tuple[float, ...]] = deque()  # references not due yet, a row each
+        self._extrapolate, self._lead, self._aim = settled(extrapolate), settled(lead), settled(aim)
+        self._ahead = np.empty((0, References.width))  # references not due yet, see rows.References
+        self.model: Bundle | None = None  # of a law in compiled code, see lead.py
+        self._flown = self._in_compiled_code()
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
+
+    def _in_compiled_code(self) -> Any:
+        """What `lead` flies; None: it cannot fly this law here."""
+        flown = getattr(self._law, "flown", None)
+        if flown is None or self.message_size or self._path is not None or self._they_move:
+            return None
+        return flown(self._mass)
 
     def take_over(self, before: "Guidance", kept: Kept) -> None:
         """Go on from the memory of another guidance of this vehicle."""
         parts = (OF_MODEL if kept >= Kept.MODEL else ()) + (OF_LAW if kept == Kept.LAW else ())
         for part in parts:
             setattr(self, part, getattr(before, part))
+        self.model, self._flown = None, self._in_compiled_code()
         if kept == Kept.STATE:
             self._inherited = getattr(before, OF_LAW[1])
 
@@ -220,8 +217,8 @@ class Guidance:
         self._turn = Turn(theta, self._goal.theta, t, accel, twist.omega)
         self._t, self._v = t, np.array([twist.vx, twist.vy])
         self._p = np.array([pose.x, pose.y]) + late * self._v
-        self._law_state = self._inherited = self.message = self.filtered = None
-        self._ahead.clear()
+        self._law_state = self._inherited = self.message = self.filtered = self.model = None
+        self._ahead = self._ahead[:0]
         self._sent.clear()
 
     @property
@@ -267,13 +264,47 @@ class Guidance:
             self._p, self._v = np.array(own[1:3]), np.zeros(2)
         if self._params.mode == "wrench":
             return self._demand(t, own, heard, self._turn)
+        if (turn := self.steady(t)) is not None and self._knows(heard):
+            row = np.empty(SETPOINT_WIDTH + self._ahead.size + References.width)
+            changed = self._aim(self.model, heard.states, self._t, turn, row)
+            self.advanced(heard.names, *changed)
+            return row
+        rows: list[Sequence[float]] = [*self._ahead.tolist()]
         while self._t <= t + self._params.preview_s + 1e-9:
-            self._ahead.append(self._reference(heard, self._turn))
-        until = self._ahead[-1][0] + self._params.setpoint_life_s
-        head = TRAJECTORY, self._ahead[0][0], until, 0.0, 0.0, 0.0, 0.0, 0.0
-        row = np.array((*head, *chain.from_iterable(self._ahead)))
-        self._ahead.popleft()
-        return row
+            rows.append(self._reference(heard, self._turn))
+        ahead, until = np.array(rows), rows[-1][0] + self._params.setpoint_life_s
+        self._ahead = ahead[1:]
+        self.model = None if self._flown is None else self._model(heard, t)
+        head = TRAJECTORY, ahead[0, 0], until, 0.0, 0.0, 0.0, 0.0, 0.0
+        return np.concatenate((head, ahead.ravel()))
+
+    def steady(self, t: float) -> tuple[float, float, float] | None:
+        """The turn at the model's time, if the setpoint for `t` needs one more reference of it.
+
+        None: `aim` cannot make this setpoint.
+        """
+        if self.model is None or self._turn is None:
+            return None
+        until = t + self._params.preview_s + 1e-9
+        return self._turn.at(self._t) if self._t <= until < self._t + self._period else None
+
+    @property
+    def at(self) -> float:
+        """The model's time [s]."""
+        return self._t
+
+    def advanced(self, names: tuple[str, ...], dfx: float, dfy: float, hazard: int) -> None:
+        """Note that compiled code has advanced the model by a period; see `lead`.
+
+        Args:
+            names: of the vehicles heard.
+            dfx, dfy: change of the law's force [N].
+            hazard: that the safety filter avoided.
+        """
+        self._t += self._period
+        self.filtered = None
+        if hazard >= 0 and self._barrier is not None:
+            self.filtered = Intervention(dfx, dfy, *self._barrier.hazard(hazard, names))
 
     def _demand(
         self, t: float, own: Sequence[float], heard: Heard, turn: Turn | TurnAlong
@@ -287,6 +318,8 @@ class Guidance:
 
     def _reference(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
         """Reference mode: the model's state now, as a row; then advance it by one period."""
+        if self._flown is not None:
+            return self._lead_on(heard, turn)
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
         ahead = self._fly(t, self._p, self._v, ZERO, heard)
         self._t, p, v = t + self._period, ahead.p, ahead.v
@@ -303,15 +336,51 @@ class Guidance:
         theta, omega, alpha = turn.at(t)
         return t, px, py, theta, vx, vy, omega, fx / self._mass, fy / self._mass, alpha
 
+    def _lead_on(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
+        """`_reference` of a law in compiled code."""
+        if not self._knows(heard):
+            self.model = self._model(heard, self._t)
+        row = np.empty(References.width)
+        changed = self._lead(self.model, heard.states, self._t, turn.at(self._t), row)
+        self.advanced(heard.names, *changed)
+        return tuple(row.tolist())
+
+    def _knows(self, heard: Heard) -> bool:
+        """Whether the model is made for these vehicles."""
+        company = self._company
+        return self.model is not None and company is not None and company[0] == (heard.names, ())
+
+    def _model(self, heard: Heard, t: float) -> Bundle:
+        """The model and what it knows of the vehicles that it hears."""
+        others, barrier = self._others(heard, t), self._barrier
+        assert self._company is not None
+        if self._law_state is None:
+            own = Body(self._p, self._v, self._mass, ZERO, ZERO, self._max_force, self._own)
+            self._law_state = self._begun(own, others, self._world)
+        motion = np.array((self._p, self._v))
+        # changed in place from now on
+        self._p, self._v, self._law_state = *motion, self._law_state.copy()
+        self._ahead = self._ahead.copy()
+        keep = [0.0 if barrier is None else barrier.keep[name] for name in heard.names]
+        return Bundle(Lead(
+            self._flown, self._law_state, motion, ZERO, self._mass, self._max_force, self._own,
+            self._period, self._steps, self._world, others, self._company[1].order,
+            barrier is not None, discs_of([]) if barrier is None else barrier.obstacles,
+            UNLIMITED if barrier is None else barrier.limits,
+            np.array(keep), np.empty((len(keep), 6)), self._ahead, self._params.setpoint_life_s,
+        ))  # fmt: skip
+
+    def _begun(self, own: Body, others: Neighbours, world: World) -> Array:
+        """The state with which the law begins: another guidance's, if it is one of this law."""
+        state, kept = self._law.initial(own, others, world), self._inherited
+        return kept if kept is not None and kept.shape == state.shape else state
+
     def _fly(self, t: float, p: Array, v: Array, disturbance: Array, heard: Heard) -> Ahead:
         """Integrate the law ahead over one period and keep its state."""
         own = Body(p, v, self._mass, disturbance, ZERO, self._max_force, self._own)
         world, others = self._world_at(t), self._others(heard, t)
         if self._law_state is None:
-            self._law_state = self._law.initial(own, others, world)
-            kept = self._inherited
-            if kept is not None and kept.shape == self._law_state.shape:
-                self._law_state = kept
+            self._law_state = self._begun(own, others, world)
         ahead = self._law.propagate(
             self._law_state, own, others, world, t, self._period, self._steps
         )
@@ -356,7 +425,8 @@ class Guidance:
         if self._company is None or self._company[0] != known:
             self._company = known, self._meet(*known)
         names, order, company = self._company[1]
-        p, v = self._extrapolated(heard.states, order, t)
+        p, v = np.empty((2, len(order), 2))
+        self._extrapolate(heard.states, order, t, p, v)
         said, said_at = company.message, company.message_t
         if k and names:
             said = np.array([words[name].values for name in names])

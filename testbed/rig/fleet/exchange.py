@@ -1,21 +1,25 @@
 """What a vehicle hears before its tick and says after it, without structs in between."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sim_twin.board import play
-from sim_twin.camera import take
-from sim_twin.radio import SILENCE, SIZE, send
+from sim_twin.board import Wires, play
+from sim_twin.camera import Film, Markers, take
+from sim_twin.radio import SILENCE, SIZE, Links, send
+from testbed.core.bundle import unpacked
 from testbed.core.codes import Response
-from testbed.core.compiled import borrowed, compiled
+from testbed.core.compiled import compiled
 from testbed.core.rows import SETPOINT_WIDTH, References, States
 from testbed.core.types import ALL_WELL, Health
+from testbed.flight.lead import aim
 from testbed.flight.record import NO_SETPOINT
 from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES, Array, Whole
 
 LAND = Response.LAND.value
 FIRST_REFERENCE, REFERENCE_WIDTH, STATE_WIDTH = SETPOINT_WIDTH, References.width, States.width
+SENT, OTHERS, NO_NUMBER = range(3)  # see `conduct`
 BATTERY, DISK_FREE = Health(0.0, 0.0, 0.0).battery, ALL_WELL.disk_free
 
 
@@ -28,39 +32,53 @@ class Hears(NamedTuple):
     keep: Array  # (n,) distance that the safety filter keeps from each [m]
 
 
+class Station(NamedTuple):
+    """One vehicle on the twin: where it hears, thinks and speaks."""
+
+    film: Film  # of the cameras
+    markers: Markers  # its own, see `camera.take`
+    states: Links  # for the vehicles' states
+    setpoints: Links
+    hears: Hears  # the links that it hears
+    audience: Whole  # those on which it sends its state
+    gauges: Array  # supply and tank pressure, (2,) [Pa]
+    row: NDArray[Any]  # the chain's record.ROW, (1,)
+    others: Array  # neighbours at this tick as in `barrier.around`, (n, 6)
+    fixed: NDArray[Any]  # its memory.FIXED, (1,)
+    times: Array  # of its plan, memory.Memory.times
+    holds: Array  # of its fault table
+    wires: Wires  # of its board
+    period: float  # of a plan [s]
+    lead: float  # until the next pulses take effect [s]
+    alert: float  # sigmas of a leak from which bodies nearby are noted
+
+
 @compiled
-def hear(film, markers, states, setpoints, hears, gauges, table, k, row, others, t, lead, armed):
+def hear(station, table, k, t, armed):
     """Write the inputs of a tick into row `k` of its table, and into the chain's record.
 
     Args:
-        film: of the cameras.
-        markers: see `camera.take`: those of this vehicle.
-        states: links for the vehicles' states.
-        setpoints: links for setpoints.
-        hears: those that this vehicle hears.
-        gauges: supply and tank pressure, shape (2,) [Pa].
-        table: of the vehicle.
+        station: Bundle of a Station.
+        table: Bundle of the vehicle's TickTable.
         k: row of this tick.
-        row: the chain's record, an array of one.
-        others: written to: neighbours as in `barrier.around`, shape (n, 6).
         t: now [s].
-        lead: until the next pulses take effect [s].
         armed: 1: valves may open.
 
     Returns:
         whether the table has room for all poses and references; otherwise nothing was done.
     """
-    states, setpoints, table = borrowed(states), borrowed(setpoints), borrowed(table)
+    at, table = unpacked(station), unpacked(table)
+    states, setpoints, hears, others = at.states, at.setpoints, at.hears, at.others
     size = setpoints.tally[hears.setpoint, SIZE]
     ahead = (size - FIRST_REFERENCE) // REFERENCE_WIDTH if size > FIRST_REFERENCE else 0
     if ahead > table.references.shape[1]:
         return False
-    seen = take(film, markers, table.samples[k])
+    seen = take(at.film, at.markers, table.samples[k])
     if seen < 0:
         return False
-    it = row[0].told
-    it.t, it.effect_at, it.armed, it.ended = t, t + lead, armed, 0
-    it.supply_pressure, it.tank_pressure = gauges[0], gauges[1]
+    it = at.row[0].told
+    it.t, it.effect_at, it.armed, it.ended = t, t + at.lead, armed, 0
+    it.supply_pressure, it.tank_pressure = at.gauges[0], at.gauges[1]
     it.battery, it.silent_s = BATTERY, 0.0
     it.session_ok, it.same_config, it.foreign = 1, 1, 0.0
     it.operator_age, it.clock_offset, it.late_s, it.disk_free = 0.0, 0.0, 0.0, DISK_FREE
@@ -79,11 +97,11 @@ def hear(film, markers, states, setpoints, hears, gauges, table, k, row, others,
             one[4],
         )
         aim.theta, aim.omega, aim.alpha = one[5], one[6], one[7]
-        at = FIRST_REFERENCE
+        place = FIRST_REFERENCE
         for i in range(ahead):
             for j in range(REFERENCE_WIDTH):
-                table.references[k, i, j] = one[at]
-                at += 1
+                table.references[k, i, j] = one[place]
+                place += 1
     n = 0
     for i in range(hears.states.shape[0]):
         link = hears.states[i]
@@ -101,36 +119,29 @@ def hear(film, markers, states, setpoints, hears, gauges, table, k, row, others,
 
 
 @compiled
-def say(fixed, times, holds, wires, states, audience, period, table, k, row, alert):
+def say(station, table, k):
     """After a tick: play its plan, send its state, and keep its record.
 
     Args:
-        fixed: the vehicle's memory.FIXED.
-        times: of its plan, memory.Memory.times.
-        holds: of its fault table.
-        wires: its board, board.Wires.
-        states: links for the vehicles' states.
-        audience: those on which it sends.
-        period: of a plan [s].
-        table: of the vehicle.
+        station: Bundle of a Station.
+        table: Bundle of the vehicle's TickTable.
         k: row of this tick.
-        row: the chain's record, an array of one.
-        alert: sigmas of a leak from which bodies nearby are noted.
 
     Returns:
         code of the refusal that keeps the valves shut, deciding row of the fault table or -1, code
         that the gate has latched; whether the air goes off; whether something holds or may leak;
         openings of valves by the plan; whether a link has no room for another message.
     """
-    states, table, wires = borrowed(states), borrowed(table), borrowed(wires)
-    it, done, now = row[0].state, row[0].done, row[0].told.t
-    table.plans[k], table.holds[k] = times, holds
-    table.values[k] = fixed[0].gate.values
-    table.records[k] = row[0]
+    at, table = unpacked(station), unpacked(table)
+    times = at.times
+    it, done, now = at.row[0].state, at.row[0].done, at.row[0].told.t
+    table.plans[k], table.holds[k] = times, at.holds
+    table.values[k] = at.fixed[0].gate.values
+    table.records[k] = at.row[0]
     whole = np.empty(times.shape[0], np.int64)
     for i in range(times.shape[0]):
         whole[i] = int(times[i])
-    openings = play(wires, now, now + period, whole)
+    openings = play(at.wires, now, now + at.period, whole)
     full = False
     if it.known == 1:
         state = np.empty(STATE_WIDTH)
@@ -138,35 +149,87 @@ def say(fixed, times, holds, wires, states, audience, period, table, k, row, ale
         state[4], state[5], state[6] = it.vx, it.vy, it.omega
         state[7], state[8], state[9] = it.ax, it.ay, it.alpha
         state[10], state[11] = it.pose_age, it.rejected
-        full = send(states, audience, now, state)
+        full = send(at.states, at.audience, now, state)
     lands = done.air_off == 1 or done.response == LAND
-    looks = it.known == 1 and (done.leak > alert or done.holding > 0)
+    looks = it.known == 1 and (done.leak > at.alert or done.holding > 0)
     return done.inhibit, done.fault, done.gate_fault, lands, looks, openings, full
 
 
+class Desk(NamedTuple):
+    """Where a law on the host hears the vehicles, and speaks to its own."""
+
+    states: Links  # for the vehicles' states
+    own: int  # link from its vehicle
+    others: Whole  # links from the others
+    vehicles: Whole  # whose these are
+    setpoints: Links
+    to: Whole  # the link to its vehicle, (1,)
+    known: Whole  # the vehicles that its model is made for
+
+
 @compiled
-def attend(states, own, others, vehicles, table, k):
+def attend(desk, table, k):
     """Write what the host has heard of the vehicles into row `k` of a law's table.
 
     Args:
-        states: links for the vehicles' states.
-        own: that of the vehicle to the host.
-        others: those of the others.
-        vehicles: whose these are.
-        table: tick_table.HostTable.
+        desk: Bundle of a Desk.
+        table: Bundle of a HostTable.
         k: row of this tick.
 
     Returns:
         how many others were heard; -1: the vehicle itself was not.
     """
-    states, table, n = borrowed(states), borrowed(table), 0
-    if states.tally[own, SIZE] == SILENCE:
+    desk, table, n = unpacked(desk), unpacked(table), 0
+    states = desk.states
+    if states.tally[desk.own, SIZE] == SILENCE:
         return -1
-    table.own[k] = states.newest[own, :STATE_WIDTH]
-    for i in range(others.shape[0]):
-        link = others[i]
+    table.own[k] = states.newest[desk.own, :STATE_WIDTH]
+    for i in range(desk.others.shape[0]):
+        link = desk.others[i]
         if states.tally[link, SIZE] != SILENCE:
             table.states[k, n] = states.newest[link, :STATE_WIDTH]
-            table.vehicles[k, n] = vehicles[i]
+            table.vehicles[k, n] = desk.vehicles[i]
             n += 1
     return n
+
+
+@compiled
+def conduct(desk, table, k, model, t, turn, now):
+    """A tick of a law in compiled code: hear, make a setpoint, send it and keep it.
+
+    Args:
+        desk: Bundle of a Desk.
+        table: Bundle of a HostTable.
+        k: row of this tick.
+        model: Bundle of a Lead, like `t` and `turn` see lead.aim.
+        t: time of the model [s].
+        turn: at this time.
+        now: [s].
+
+    Returns:
+        SENT; OTHERS: the vehicles heard are not those of the model, or the table has no room, and
+        the model was not advanced;
+        NO_NUMBER: the setpoint is not finite, and was not sent. What `aim` returns. Whether a link
+        has no room for another message.
+    """
+    n, unchanged = attend(desk, table, k), (0.0, 0.0, -1)
+    desk, table, ahead = unpacked(desk), unpacked(table), 1 + unpacked(model).ahead.shape[0]
+    known = desk.known
+    if n != known.shape[0] or ahead > table.references.shape[1]:
+        return OTHERS, unchanged, False
+    for i in range(n):
+        if table.vehicles[k, i] != known[i]:
+            return OTHERS, unchanged, False
+    row = np.empty(FIRST_REFERENCE + ahead * REFERENCE_WIDTH)
+    changed = aim(model, table.states[k, :n], t, turn, row)
+    newest = row.shape[0] - REFERENCE_WIDTH
+    if not np.isfinite(row[newest + 1] + row[newest + 2]):
+        return NO_NUMBER, changed, False
+    full = send(desk.setpoints, desk.to, now, row)
+    table.t[k] = now
+    table.setpoints[k] = row[:FIRST_REFERENCE]
+    for i in range(ahead):
+        for j in range(REFERENCE_WIDTH):
+            table.references[k, i, j] = row[FIRST_REFERENCE + i * REFERENCE_WIDTH + j]
+    table.counts[k, 0], table.counts[k, 1] = n, ahead
+    return SENT, changed, full

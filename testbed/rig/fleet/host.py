@@ -1,17 +1,19 @@
 """A vehicle's law on the host of the twin, whose ticks stay rows of numbers."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from sim_twin.twin import HOST, Twin
+from testbed.core.bundle import Bundle
 from testbed.core.compiled import settled
 from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
 from testbed.core.types import HostInputs, HostOutputs, HostTick
 from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
 from testbed.flight.guidance import Heard
 from testbed.flight.tick_table import TICKS, make_host_table
-from testbed.rig.fleet.exchange import attend
+from testbed.rig.fleet.exchange import OTHERS, SENT, Desk, attend, conduct
 from testbed.rig.forked import ForkedHost
 
 ROOM = 8  # references of a setpoint, at first
@@ -29,13 +31,54 @@ class TwinHost(ForkedHost):
         self._own = int(twin.states.rows([(self.name, HOST)])[0])
         self._links = twin.states.rows((one, HOST) for one in others)
         self._vehicles = np.array([twin.rows[one] for one in others], np.int64)
+        self._parts: tuple[Any, ...] = (None,) * 3  # links and model when the desk was made
+        self._known = np.zeros(0, np.int64)  # the vehicles that the model is made for
         self._to, self._room = twin.setpoints.rows([(HOST, self.name)]), ROOM
         self._who: tuple[bytes, tuple[str, ...]] = b"", ()  # numbers of those heard, and names
-        self._attend = settled(attend)
+        self._attend, self._conduct = settled(attend), settled(conduct)
         self._new_table()
 
     def _new_table(self) -> None:
         self._table, self._k = make_host_table(len(self._vehicles), self._room), 0
+        self._rows = Bundle(self._table)
+
+    def _hear(self) -> int:
+        """Write what was heard into the next row of the table; see `exchange.attend`."""
+        self._settle()
+        return self._attend(self._desk, self._rows, self._k)
+
+    def _settle(self) -> bool:
+        """Make the desk again if links or the model are others; whether the model is the same."""
+        states, setpoints, model = self._parts
+        twin, new = self.twin, self.guidance.model
+        same = model is new and model is not None
+        if not (same and states is twin.states.links and setpoints is twin.setpoints.links):
+            states, setpoints = self.twin.states.links, self.twin.setpoints.links
+            self._parts = states, setpoints, new
+            self._desk = Bundle(Desk(
+                states, self._own, self._links, self._vehicles, setpoints, self._to, self._known,
+            ))  # fmt: skip
+        return same
+
+    def _compiled_tick(self, t: float) -> FlownHostTick | None:
+        """A tick in one compiled call; None: it has not begun, and `tick` flies it."""
+        guidance, twin, table, k = self.guidance, self.twin, self._table, self._k
+        turn = guidance.steady(t + self._ahead)
+        if turn is None or t != twin.now or not self._settle():
+            return None
+        found, changed, full = self._conduct(
+            self._desk, self._rows, k, guidance.model, guidance.at, turn, t
+        )
+        if found == OTHERS:
+            return None
+        guidance.advanced(self._who[1], *changed)
+        if found != SENT:
+            self.fail(None)
+            return None
+        if full:
+            twin.setpoints.make_room()
+        self._k = k + 1
+        return FlownHostTick(table, k, self._names, float(table.own[k, 0]), guidance.filtered)
 
     def tick(self, t: float, armed: bool = True) -> AnyHostTick:
         """See `HostNode`."""
@@ -45,13 +88,18 @@ class TwinHost(ForkedHost):
             return super().tick(t, armed)
         if self._k == TICKS:
             self._new_table()
+        if (flown := self._compiled_tick(t)) is not None:
+            return flown
         table, k, twin = self._table, self._k, self.twin
-        heard = self._attend(twin.states.links, self._own, self._links, self._vehicles, table, k)
+        heard = self._hear()
         if heard < 0:
             return super().tick(t, armed)
         own, guidance = table.own[k].tolist(), self.guidance
         words = self._link.messages() if guidance.message_size else {}
-        told = Heard(self._names_of(table.vehicles[k, :heard]), table.states[k, :heard], words)
+        if self._fault is not None:
+            return super().tick(t, armed)
+        self._known = table.vehicles[k, :heard].copy()
+        told = Heard(self._names_of(self._known), table.states[k, :heard], words)
         try:
             row = guidance.step_row(t + self._ahead, own, told)
         except Exception as error:  # after any exception of a law the vehicles are stopped
@@ -72,9 +120,7 @@ class TwinHost(ForkedHost):
         if len(ahead) > self._room:
             self._room = 2 * len(ahead)
             self._new_table()
-            heard = self._attend(
-                twin.states.links, self._own, self._links, self._vehicles, self._table, 0
-            )
+            heard = self._hear()
             table, k = self._table, 0
         table.t[k], table.setpoints[k] = t, row[:SETPOINT_WIDTH]
         table.references[k, : len(ahead)], table.counts[k] = ahead, (heard, len(ahead))

@@ -1,11 +1,13 @@
 """A vehicle of the twin whose ticks stay rows of numbers."""
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from sim_twin.board import Board
 from sim_twin.twin import HOST, Twin, TwinThrusters
+from testbed.core.bundle import Bundle
 from testbed.core.codes import FaultReport
 from testbed.core.compiled import settled
 from testbed.core.jets import JetHealth
@@ -15,7 +17,7 @@ from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 from testbed.flight.tick_table import TICKS, make_table
-from testbed.rig.fleet.exchange import Hears, hear, say
+from testbed.rig.fleet.exchange import Hears, Station, hear, say
 
 ROOM = 16, 8  # poses and references of a tick, at first
 
@@ -37,7 +39,7 @@ class TwinNode:
         self._body, self._names = twin.rows[self.name], twin.names
         self._others, self._room = len(twin.names) - 1, ROOM
         self._thrusters = TwinThrusters(twin, self.name)
-        self._near: list[str] | None = None  # for whom `_hears` was made
+        self._parts: tuple[Any, ...] = (None,) * 4  # of the twin, in the station
         self._heard = np.zeros((self._others, 6))  # see exchange.hear
         twin.states.widen(States.width)
         self._hear, self._say = settled(hear), settled(say)
@@ -47,17 +49,26 @@ class TwinNode:
         memory = self._agent.memory
         jets, rows = memory.begun.shape[0], memory.counters.holds.shape[0]
         self._table, self._k = make_table(jets, self._others, rows, self._room), 0
+        self._rows = Bundle(self._table)
 
-    def _listen(self, near: list[str]) -> None:
-        """Find the links from these neighbours."""
-        twin, barrier = self._twin, self._agent.barrier
-        self._near = near
-        self._hears = Hears(
-            int(twin.setpoints.rows([(HOST, self.name)])[0]),
-            twin.states.rows((one, self.name) for one in near),
+    def _settle(self) -> None:
+        """Look at the twin's parts again: the vehicles in range, and arrays that have grown."""
+        twin, agent, name = self._twin, self._agent, self.name
+        near, barrier, memory = twin.near[name], agent.barrier, agent.memory
+        hears = Hears(
+            int(twin.setpoints.rows([(HOST, name)])[0]),
+            twin.states.rows((one, name) for one in near),
             np.array([twin.rows[one] for one in near], np.int64),
             np.array([0.0 if barrier is None else barrier.keep[one] for one in near]),
         )
+        audience = twin.audience(name)  # may make room for new links
+        film, states, setpoints = twin.cameras.film, twin.states.links, twin.setpoints.links
+        self._parts = near, film, states, setpoints
+        self._station = Bundle(Station(
+            film, twin.cameras.markers[self._body], states, setpoints, hears, audience,
+            twin.gauges[self._body], agent.row, self._heard, memory.fixed, memory.times,
+            memory.counters.holds, self._board.wires, agent.params.gains.period, agent.lead, ALERT,
+        ))  # fmt: skip
 
     @property
     def guidance(self) -> Guidance | None:
@@ -79,25 +90,20 @@ class TwinNode:
             return self._node.tick(t, armed, fleet, end=end, stay=stay)
         if self._k == TICKS:
             self._new_table()
-        if (near := twin.near[name]) is not self._near:
-            self._listen(near)
-        film, markers = twin.cameras.film, twin.cameras.markers[self._body]
-        while not self._hear(
-            film, markers, twin.states.links, twin.setpoints.links, self._hears,
-            twin.gauges[self._body], self._table, self._k, agent.row, self._heard,
-            t, agent.lead, int(armed),
+        near, film, states, setpoints = self._parts
+        if not (
+            near is twin.near[name] and film is twin.cameras.film
+            and states is twin.states.links and setpoints is twin.setpoints.links
         ):  # fmt: skip
+            self._settle()
+        while not self._hear(self._station, self._rows, self._k, t, int(armed)):
             self._make_room()
         table, k = self._table, self._k
         self._k += 1
         seen, heard, ahead = table.counts[k].tolist()
         agent.step_row(table.samples[k, :seen], table.references[k, :ahead], self._heard[:heard])
-        memory = agent.memory
-        inhibit, fault, gate_fault, lands, looks, openings, full = self._say(
-            memory.fixed, memory.times, memory.counters.holds, self._board.wires,
-            twin.states.links, twin.audience(name), agent.params.gains.period,
-            table, k, agent.row, ALERT,
-        )  # fmt: skip
+        said = self._say(self._station, self._rows, k)
+        inhibit, fault, gate_fault, lands, looks, openings, full = said
         self._board.openings += openings
         if full:
             twin.states.make_room()
