@@ -24,6 +24,8 @@ from numba.core import cgutils, config
 from numba.core.caching import FunctionCache
 from numba.extending import intrinsic, overload
 
+from testbed.core.whole_program import Entry
+
 F = TypeVar("F", bound=Callable[..., Any])
 V = TypeVar("V")
 
@@ -180,10 +182,12 @@ def look_of(value: Any) -> Any:
 
 
 def _compiled(function: F, **options: Any) -> F:
-    dispatcher: Any = numba.njit(**LEAN, **options)(function)
+    if cast(Any, config).DISABLE_JIT:
+        return function
+    entry: Any = Entry(function, targetoptions={"nopython": True, **LEAN, **options})
     if is_ours(function):
-        dispatcher._cache = OwnTypesCache(function)  # as `cache=True`, with another class
-    return cast(F, dispatcher)
+        entry._cache = OwnTypesCache(function)  # as `cache=True`, with another class
+    return cast(F, entry)
 
 
 def without_counts(context: Any, builder: Any, kind: Any, value: Any) -> Any:

@@ -22,6 +22,9 @@ def largest_extent(x: Array, m: Array) -> float:
     Few pairs of boxes are visited, even for a ring or a sphere, where very many pairs are nearly
     opposite each other: ten times as many points take about twenty times as long.
     """
+    if len(x) <= LEAF:  # one box, whatever its corners
+        one, (n, d) = np.zeros(1, np.int64), x.shape
+        return float(search(x, m, one, one + n, np.zeros((1, d)), np.ones((1, d)), np.ones(1)))
     order, first, end, low, high, most = boxes(x, m)
     return float(search(x[order], m[order], first, end, low, high, most))
 

@@ -16,7 +16,7 @@ from testbed.core.se2 import wrap
 from testbed.core.types import State, Tick
 from testbed.env.action import Kind, demand_of, largest, pulses_of
 from testbed.env.observation import Layout, seen
-from testbed.flight.guidance import Turn, TurnAlong, turn_to
+from testbed.flight.turn import Turn, TurnAlong, turn_to
 from testbed.rig.chain import fence_of
 from testbed.run.stepper import Twin
 

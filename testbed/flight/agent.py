@@ -6,7 +6,7 @@ becomes the outputs, with the names and words that belong to its codes.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from msgspec.structs import replace
@@ -47,10 +47,11 @@ from testbed.flight.effectiveness import MOST
 from testbed.flight.estimator import Array
 from testbed.flight.faults import FaultTable
 from testbed.flight.guidance import Guidance, Kept
-from testbed.flight.hypotheses import CAUSES, NUDGE, SHORT, WEAK, cause_of, ranked
+from testbed.flight.hypotheses import CAUSES, cause_of, ranked
 from testbed.flight.memory import make_memory
 from testbed.flight.nearby import Nearby
 from testbed.flight.parameters import Parameters
+from testbed.flight.permanent import verdict_of
 from testbed.flight.record import DONE, ROW, STATE, TOLD, packing
 
 
@@ -93,7 +94,7 @@ class Agent:
             nearby: what the vehicle may touch, for the words of a fault.
             guidance: of the law on board.
         """
-        self.params, self.guidance, self._nearby = params, guidance, nearby
+        self.guidance, self._nearby = guidance, nearby
         self.lead, self.barrier = lead, barrier
         self._faults = list(faults.items())
         self._jets = params.jets.gas.shape[0]
@@ -101,12 +102,21 @@ class Agent:
         self.memory, self.everything = make_memory(self._jets, plans, looks, rows)
         self.row = np.zeros(1, ROW)  # of the newest tick
         self._bytes = self.row.view(np.uint8).data
-        self._vehicle = Bundle((params, self.memory, self.row))
+        self.params = params
         self._place: Reference | None = None  # see `staying`
         self._law_error = ""  # exception of the law on board
         self._fault: tuple[int, FaultReport | None] = -1, None  # deciding row, and its report
         self._see, self._act = settled(chain.see), settled(chain.act)
         self._step = settled(chain.step)
+
+    @property
+    def params(self) -> Parameters:
+        """Of the chain."""
+        return cast(Parameters, self._vehicle.value[0])
+
+    @params.setter
+    def params(self, params: Parameters) -> None:
+        self._vehicle = Bundle((params, self.memory, self.row))
 
     def take_over(self, before: "Agent", kept: Kept) -> None:
         """Go on from the memory of another agent of this vehicle.
@@ -317,9 +327,7 @@ class Agent:
         touched = touched and f"{touched} or "
         if detector in CAUSES:
             kind = CAUSES[detector]
-            found = m if kind in SHORT or (kind == WEAK and is_weak(m)) else m.far
-            if kind == NUDGE and m.gains[kind] > m.far.gains[kind]:
-                found = m
+            found = verdict_of(m, self.memory.fixed[0].permanent, kind)
             if detector == Detector.JET_MISSING and not is_weak(m) and is_finely_weak(m):
                 found = m.fine
             return touched + ranked(found, cause_of(found, kind), self.params.gains.mass)

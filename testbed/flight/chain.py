@@ -18,6 +18,7 @@ from testbed.flight import (
     fault_monitor,
     gate,
     online,
+    permanent,
     reconfiguration,
     safety,
     tracker,
@@ -88,13 +89,16 @@ def watch(p, memory, row, samples, neighbours, demanded, spare):
     m, told, done = memory.fixed[0], row.told, row.done
     armed = told.armed == 1
     if row.state.known == 1 and armed:
-        compare(p.jets_known, m.jet_faults, memory.heard, row, memory.flowed, m.thrust_scale)
+        compare(
+            p.jets_known, m.jet_faults, memory.heard, m.permanent, memory.permanent, row,
+            memory.flowed, m.thrust_scale,
+        )  # fmt: skip
         if p.online.each_jet:
             online.follow_jets(memory.fired, memory.heard, p.gains.period)
     finite = gate.is_number(demanded)
     detectors.measure(
-        p.sensors, m.detectors, m.estimator, p.jets_known, m.jet_faults, row, samples, neighbours,
-        finite, spare,
+        p.sensors, m.detectors, m.estimator, p.jets_known, m.jet_faults, m.permanent, row, samples,
+        neighbours, finite, spare,
     )  # fmt: skip
     # a fault after the end gets its response, but is not latched
     latches = armed and told.ended == 0
@@ -132,6 +136,7 @@ def reconfigure(p, memory, row, k):
         memory.carried.rest[j] = memory.carried.filter[j] = 0.0
         reconfiguration.relearn(p.model, m.estimator, p.jets.effect, j)
         reconfiguration.restart(p.jets_known, m.jet_faults, memory.heard)
+        permanent.restart(m.permanent, memory.permanent)
         return
     fired.gives[:], fired.leaks[:] = gives, leaks
     fault_monitor.refuse(p.rows, memory.counters, k, row.numbers[detector], row.done)

@@ -4,10 +4,12 @@ from typing import NamedTuple
 
 from testbed.core.compiled import compiled, pasted
 from testbed.core.se2 import length
-from testbed.flight import bad_jet
-from testbed.flight.hypotheses import DRAG, LATE, MASS, NUDGE, PULL, THRUST, TURNED, certain
+from testbed.flight import bad_jet, permanent
+from testbed.flight.hypotheses import DRAG, NUDGE, PULL, THRUST, TURNED, certain
 from testbed.flight.jet_faults import look, pause
+from testbed.flight.permanent import lateness, surest
 from testbed.flight.record import NO_SETPOINT, record
+from testbed.flight.window import forget
 
 SAME_PLACE = 0.15  # a pose this near to another vehicle's prediction belongs to it [m]
 TRUSTED_AGE = 0.1  # largest age of a pose for evidence about valves [s]
@@ -48,21 +50,36 @@ MEMORY = record(
 
 
 @pasted
-def compare(p, m, heard, row, duty, thrust_scale):
+def compare(p, m, heard, always, window, row, duty, thrust_scale):
     """Compare the motion with the flow of the last plan; see `jet_faults.look`.
 
     Poses that are old, refused or of another clock are no evidence about valves.
     """
-    state = row.state
+    state, before = row.state, m.look
     ours = abs(row.told.clock_offset) < SAME_CLOCK
     if state.pose_age < TRUSTED_AGE and state.rejected <= TRUSTED and ours:
         look(p, m, heard, state, duty, thrust_scale)
+        if nudged(p, m) > 0.0:  # once, but it would stay in the sums of the whole flight
+            permanent.restart(always, window)
+        if m.look != before and m.summed == p.long - 1:  # the next one clears the sums
+            permanent.hear(p, always, window, heard, m.far)
     else:
         pause(p, m, heard)
+        forget(always)  # until the next second: one alone is not believed for longer
 
 
 @compiled
-def measure(p, m, seen, known, suspected, row, samples, neighbours, finite, spare):
+def nudged(known, suspected):
+    """Sigmas of a nudge, by the short or the long window."""
+    far, least = suspected.far, known.least
+    return max(
+        certain(far.gains, far.sizes, least, NUDGE),
+        certain(suspected.gains, suspected.sizes, least, NUDGE),
+    )
+
+
+@compiled
+def measure(p, m, seen, known, suspected, always, row, samples, neighbours, finite, spare):
     """Write the detectors' numbers of this tick to `row.numbers`.
 
     Args:
@@ -71,6 +88,7 @@ def measure(p, m, seen, known, suspected, row, samples, neighbours, finite, spar
         seen: estimator.MEMORY.
         known: jet_faults.Known.
         suspected: jet_faults.MEMORY.
+        always: permanent.MEMORY.
         row: record.ROW.
         samples: rows (captured at, x, y, theta).
         neighbours: rows as in `barrier.around`.
@@ -129,18 +147,17 @@ def measure(p, m, seen, known, suspected, row, samples, neighbours, finite, spar
     )
     for k in range(len(numbers)):
         row.numbers[k] = numbers[k]
-    explained = explain(p, m, seen, known, suspected, row, samples)
+    explained = explain(p, m, seen, known, suspected, always, row, samples)
     for k in range(len(explained)):
         row.numbers[len(numbers) + k] = explained[k]
 
 
 @compiled
-def explain(p, m, seen, known, suspected, row, samples):
+def explain(p, m, seen, known, suspected, always, row, samples):
     """Numbers of what explains the motion, and of the cameras: from JET_PARTLY_WEAK on."""
     far, least = suspected.far, known.least
     gains, sizes = far.gains, far.sizes
     pull = certain(gains, sizes, least, PULL)
-    scaled = THRUST if gains[THRUST] >= gains[MASS] else MASS
     late_s, frame_step, heading_step = what_stepped(seen.step, seen.going)
     if abs(row.told.clock_offset) >= SAME_CLOCK:  # poses of another time lie elsewhere
         late_s = frame_step = heading_step = 0.0
@@ -149,18 +166,15 @@ def explain(p, m, seen, known, suspected, row, samples):
         pull,
         sizes[PULL] / p.holding if pull > 0.0 else 0.0,
         certain(gains, sizes, least, DRAG),
-        certain(gains, sizes, least, scaled),
-        certain(gains, sizes, least, TURNED),
-        certain(suspected.gains, suspected.sizes, least, LATE),
+        surest(far, always, least, THRUST),
+        surest(far, always, least, TURNED),
+        lateness(suspected, always, least),
         late_s,
         frame_step,
         heading_step,
         pose_rate(p, m, row.told.t, samples.shape[0]),
         seen.bumped,
-        max(
-            certain(gains, sizes, least, NUDGE),
-            certain(suspected.gains, suspected.sizes, least, NUDGE),
-        ),
+        nudged(known, suspected),
     )
 
 

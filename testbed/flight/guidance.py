@@ -26,9 +26,8 @@ from numpy.typing import NDArray
 from testbed.core.bundle import Bundle
 from testbed.core.compiled import settled
 from testbed.core.law import Ahead, Body, Concern, Discs, Goal, Law, Neighbours, World, concerns_of
-from testbed.core.path import Circle, Path, Points, along
-from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
-from testbed.core.se2 import wrap
+from testbed.core.path import Path
+from testbed.core.rows import References, States, setpoint_of
 from testbed.core.table import Obstacle
 from testbed.core.types import (
     Intervention,
@@ -40,13 +39,13 @@ from testbed.core.types import (
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.barrier import UNLIMITED, Barrier, discs_of
-from testbed.flight.lead import Lead, aim, extrapolate, lead
+from testbed.flight.lead import Lead, extrapolate, lead
 from testbed.flight.record import DEMAND, TRAJECTORY
+from testbed.flight.turn import Turn, TurnAlong, turn_to
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-TURN_ACCEL = 0.1  # of a turn by hand, and to end it [rad/s^2]
 ZERO = np.zeros(2)  # shared: laws must not write to their arguments
 
 
@@ -75,56 +74,6 @@ class Kept(IntEnum):
 
 OF_MODEL = ("_turn", "_t", "_p", "_v", "_ahead", "_sent", "message", "filtered")
 OF_LAW = ("_law", "_law_state")
-
-
-class Turn:
-    """Smooth turn (quintic in time) from one heading to another, the shorter way round.
-
-    It may begin with a turn rate: that is first brought to zero.
-    """
-
-    def __init__(self, start: float, end: float, t: float, accel: float, rate: float = 0.0) -> None:
-        self._first, self._rate, self._begun = start, rate, t
-        self._braking = abs(rate) / TURN_ACCEL  # [s]
-        start, t = start + 0.5 * rate * self._braking, t + self._braking
-        self._start, self._angle, self._t = start, wrap(end - start), t
-        # the quintic's peak acceleration is 10/sqrt(3) angle / span^2
-        self._span = max(1e-3, math.sqrt(10.0 / math.sqrt(3.0) * abs(self._angle) / accel))
-
-    def at(self, t: float) -> tuple[float, float, float]:
-        """Heading [rad], turn rate [rad/s], angular acceleration [rad/s^2]."""
-        if t < self._t and self._braking > 0.0:
-            late, alpha = max(0.0, t - self._begun), -self._rate / self._braking
-            rate = self._rate + alpha * late
-            return self._first + 0.5 * (self._rate + rate) * late, rate, alpha
-        s = min(1.0, max(0.0, (t - self._t) / self._span))
-        a, w = self._angle, 1.0 / self._span
-        return (
-            self._start + a * s**3 * (10.0 - 15.0 * s + 6.0 * s * s),
-            a * w * 30.0 * (s * (1.0 - s)) ** 2,
-            a * w * w * 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s),
-        )
-
-
-class TurnAlong:
-    """Smooth turn from a heading to the direction of a path, and along it."""
-
-    def __init__(self, start: float, path: Circle | Points, t: float, accel: float) -> None:
-        self._path = path
-        self._turn = Turn(start - path.tangent(t)[0], 0.0, t, accel)
-
-    def at(self, t: float) -> tuple[float, float, float]:
-        """Heading [rad], turn rate [rad/s], angular acceleration [rad/s^2]."""
-        (theta, omega, alpha), off = self._path.tangent(t), self._turn.at(t)
-        return theta + off[0], omega + off[1], alpha + off[2]
-
-
-def turn_to(
-    goal: float, path: Path | None, start: float, t: float, accel: float
-) -> Turn | TurnAlong:
-    """The turn from heading `start` at time `t` to that of a goal, or of its path."""
-    led = along(path)
-    return Turn(start, goal, t, accel) if led is None else TurnAlong(start, led, t, accel)
 
 
 class Heard(NamedTuple):
@@ -188,7 +137,7 @@ class Guidance:
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | TurnAlong | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
-        self._extrapolate, self._lead, self._aim = settled(extrapolate), settled(lead), settled(aim)
+        self._extrapolate, self._lead = settled(extrapolate), settled(lead)
         self._ahead = np.empty((0, References.width))  # references not due yet, see rows.References
         self.model: Bundle | None = None  # of a law in compiled code, see lead.py
         self._flown = self._in_compiled_code()
@@ -264,24 +213,22 @@ class Guidance:
             self._p, self._v = np.array(own[1:3]), np.zeros(2)
         if self._params.mode == "wrench":
             return self._demand(t, own, heard, self._turn)
-        if (turn := self.steady(t)) is not None and self._knows(heard):
-            row = np.empty(SETPOINT_WIDTH + self._ahead.size + References.width)
-            changed = self._aim(self.model, heard.states, self._t, turn, row)
-            self.advanced(heard.names, *changed)
-            return row
         rows: list[Sequence[float]] = [*self._ahead.tolist()]
         while self._t <= t + self._params.preview_s + 1e-9:
             rows.append(self._reference(heard, self._turn))
         ahead, until = np.array(rows), rows[-1][0] + self._params.setpoint_life_s
-        self._ahead = ahead[1:]
-        self.model = None if self._flown is None else self._model(heard, t)
+        if self._knows(heard) and len(rows) == 1 + len(self._ahead):
+            self._ahead[:] = ahead[1:]
+        else:
+            self._ahead = ahead[1:]
+            self.model = None if self._flown is None else self._model(heard, t)
         head = TRAJECTORY, ahead[0, 0], until, 0.0, 0.0, 0.0, 0.0, 0.0
         return np.concatenate((head, ahead.ravel()))
 
     def steady(self, t: float) -> tuple[float, float, float] | None:
         """The turn at the model's time, if the setpoint for `t` needs one more reference of it.
 
-        None: `aim` cannot make this setpoint.
+        None: `lead.aim` cannot make this setpoint.
         """
         if self.model is None or self._turn is None:
             return None

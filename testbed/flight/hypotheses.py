@@ -184,11 +184,15 @@ CAUSES = {  # detector -> kind of its cause
 SHORT = (LEAK, LATE)  # kinds that the short window names
 
 
-def cause_of(m: Any, kind: int) -> int:
+@compiled
+def better(gains, kind):
     """The kind of cause to name: of thrust and mass the better one."""
-    if kind == THRUST and m.gains[MASS] > m.gains[THRUST]:
-        return MASS
-    return kind
+    return MASS if kind == THRUST and gains[MASS] > gains[THRUST] else kind
+
+
+def cause_of(m: Any, kind: int) -> int:
+    """The same of a record of window.VERDICT."""
+    return better.py_func(m.gains, kind)  # type: ignore[attr-defined]
 
 
 def words(m: Any, kind: int, mass: float) -> str:

@@ -9,7 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from testbed.flight import detectors, effectiveness, estimator, gate, jet_faults, safety, tracker
+from testbed.flight import (
+    detectors,
+    effectiveness,
+    estimator,
+    gate,
+    jet_faults,
+    permanent,
+    safety,
+    tracker,
+)
 from testbed.flight.estimator import Fired
 from testbed.flight.fault_monitor import Counters
 from testbed.flight.hypotheses import COLUMNS
@@ -26,6 +35,7 @@ FIXED = record(
     tracker=tracker.MEMORY,
     detectors=detectors.MEMORY,
     jet_faults=jet_faults.MEMORY,
+    permanent=permanent.MEMORY,
     safety=safety.MEMORY,
     gate=gate.MEMORY,
     seq=int,  # number of the last plan
@@ -47,6 +57,7 @@ class Memory(NamedTuple):
     begun: Array  # on-time so far of a pulse that may continue, (jets,) [s]
     flowed: Array  # share of the last period for which each jet flowed, (jets,)
     times: Array  # of the last plan: on, then offset, (2 jets,), whole [us]
+    permanent: Window  # see permanent.py
     named: Array  # when each jet was taken out or compensated, (jets,) [s]; 0: never
 
 
@@ -75,7 +86,10 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
         ],
         Counters: 5 * [one_a_row],
         Carried: 3 * [one_a_jet],
-        Memory: [one_a_jet, one_a_jet, (2 * jets,), one_a_jet],
+        Memory: [
+            one_a_jet, one_a_jet, (2 * jets,),
+            (m, m + 1), (1, m + 2, 2 * jets + COLUMNS), (1,), (1,), (2,), (3,), one_a_jet,
+        ],
     }  # fmt: skip
     everything = np.zeros(size + sum(math.prod(s) for each in shapes.values() for s in each))
     views: dict[type, list[Array]] = {}
@@ -96,7 +110,9 @@ def make_memory(jets: int, plans: int, looks: int, rows: int) -> tuple[Memory, A
     heard.sigma[:] = effectiveness.SPREAD
     near.spread[:] = far.spread[:] = SPREAD**2, SPIN_SPREAD**2
     fixed["thrust_scale"] = fixed["strength"] = fired.gives[:] = 1.0
+    begun, flowed, times, *always, named = views[Memory]
     memory = Memory(
-        fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), *views[Memory]
-    )
+        fixed, fired, heard, Counters(*views[Counters]), Carried(*views[Carried]), begun, flowed,
+        times, Window(*always), named,
+    )  # fmt: skip
     return memory, everything

@@ -22,7 +22,8 @@ from testbed.core.types import (
 from testbed.core.vehicle import Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.barrier import Barrier
-from testbed.flight.guidance import TURN_ACCEL, GuidanceParams
+from testbed.flight.guidance import GuidanceParams
+from testbed.flight.turn import TURN_ACCEL
 
 STOP_M = 0.25  # distance within which the top speed can be stopped
 FASTEST = 0.8  # of the speed above which filter or gate intervene

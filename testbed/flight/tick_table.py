@@ -15,7 +15,7 @@ from testbed.flight.record import ROW
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-TICKS = 50  # rows of a table
+TICKS, SIZE = 250, 600_000  # most rows of a table, and most bytes that they take
 SAMPLES, STATES, REFERENCES = range(3)  # columns of `TickTable.counts`
 
 
@@ -39,7 +39,7 @@ class TickTable(NamedTuple):
 
 
 def make_table(
-    jets: int, others: int, rows: int, room: tuple[int, int], ticks: int = TICKS
+    jets: int, others: int, rows: int, room: tuple[int, int], ticks: int | None = None
 ) -> TickTable:
     """An empty table.
 
@@ -48,9 +48,12 @@ def make_table(
         others: other vehicles.
         rows: of the fault table.
         room: most poses and references of a tick.
-        ticks: rows.
+        ticks: rows; None: as many as are worth their memory.
     """
     samples, references = room
+    if ticks is None:
+        words = 3 + 4 * samples + 13 * others + 10 * references + 2 * jets + 3 + rows
+        ticks = ticks_of(ROW.itemsize + 8 * words)
     return TickTable(
         np.zeros(ticks, ROW),
         np.zeros((ticks, 3), np.int64),
@@ -62,6 +65,11 @@ def make_table(
         np.empty((ticks, 3)),
         np.empty((ticks, rows)),
     )
+
+
+def ticks_of(row: int) -> int:
+    """Rows of a table, of so many bytes each: many are written to the log faster than few."""
+    return max(1, min(TICKS, SIZE // row))
 
 
 class HostTable(NamedTuple):
@@ -76,8 +84,9 @@ class HostTable(NamedTuple):
     references: Array  # (n, most, 10) of the setpoint, see rows.References
 
 
-def make_host_table(others: int, references: int, ticks: int = TICKS) -> HostTable:
+def make_host_table(others: int, references: int) -> HostTable:
     """An empty table; see `make_table`."""
+    ticks = ticks_of(8 * (23 + 13 * others + 10 * references))
     return HostTable(
         np.empty(ticks),
         np.zeros((ticks, 2), np.int64),

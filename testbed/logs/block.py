@@ -7,7 +7,7 @@ from testbed.flight.tick_table import TICKS
 from testbed.logs.table_rows import TableRows
 from testbed.logs.tick_row import Made, RowWriter
 
-LARGEST = 10 * TICKS  # messages
+LARGEST = 10 * TICKS  # messages; about a table of each of ten topics
 
 Waiting = tuple[float, str, FlownTick | FlownHostTick | Made]  # time [s], topic, message
 

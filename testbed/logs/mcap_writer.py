@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from testbed.core.error import TestbedError
 from testbed.core.records.ros import ros_name, schema_text
 from testbed.logs.extras import Extras
-from testbed.logs.recorder import READY, Entries, Frame, Mark, Topic
+from testbed.logs.frames import READY, Entries, Frame, Mark, Topic
 
 CHUNK = 1024 * 1024  # a chunk is closed at this size or earlier [bytes]
 GULP = 64 * 1024  # most bytes read from the pipe at once

@@ -42,6 +42,7 @@ from msgspec import Struct
 from testbed.core.error import TestbedError
 from testbed.flight.flown_tick import FlownHostTick, FlownTick
 from testbed.logs.block import LARGEST, Block
+from testbed.logs.frames import READY, Entries, Entry, Frame, Mark, Topic
 from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
@@ -50,12 +51,12 @@ LARGEST_BACKLOG = 32_000_000  # most bytes kept in memory for a slow writer
 LOOK_S = 0.05
 PATIENCE_S = 5.0  # a writer without progress for this long hangs
 SPAN_NS = 50_000_000  # time of the run per chunk; the same run gives the same chunks
-FAST_SPAN_NS = 5_000_000_000  # the same faster than real time: larger chunks compress better
+FAST_SPAN_NS = 25_000_000_000  # the same faster than real time: larger chunks compress better
+CAREFUL_SPAN_NS = 5_000_000_000  # the same with a user's law, which may end the process
 WARN_BELOW = 500_000_000  # free disk space below which to warn [bytes]
 END_BELOW = 20_000_000  # free disk space below which to finish the log [bytes]
 
 SCENE = "visualization_msgs/MarkerArray"
-READY = b"ready\n"  # the writer's first line
 
 
 class RecorderError(TestbedError):
@@ -78,34 +79,6 @@ class Truth(Struct, frozen=True, gc=False):
 
     t: float  # [s]
     vehicles: dict[str, Motion]
-
-
-class Topic(Struct, frozen=True, tag=True, array_like=True):
-    """To the writer: a new topic; topics are numbered in the order of these messages."""
-
-    name: str
-    kind: str  # of its messages, see `core/records`
-
-
-class Entry(Struct, frozen=True, array_like=True, gc=False):
-    """One message of a topic."""
-
-    topic: int
-    stamp: int  # time of the run [ns]
-    data: bytes
-
-
-class Entries(Struct, frozen=True, tag=True, array_like=True, gc=False):
-    """To the writer: messages in order."""
-
-    entries: list[Entry]
-
-
-class Mark(Struct, frozen=True, tag=True, array_like=True, gc=False):
-    """To the writer: flush, so that a reader can see everything so far."""
-
-
-Frame = Topic | Entries | Mark
 
 
 class Recorder:

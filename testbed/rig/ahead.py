@@ -19,11 +19,14 @@ from msgspec.structs import replace
 from numba.core import config
 
 from controllers.own_law import OwnLawParams
+from sim_twin.radio import SIZE
 from testbed.config import Experiment
+from testbed.core.rows import States
 from testbed.core.types import Accel, Pose, State, Twist
 from testbed.rig.chain import make_guidance
 from testbed.rig.twin import make_twin
 
+TICKS = 4  # of a law, until its ticks are single calls, see fleet/host.py
 DONE = "chain.step-*.nbi"  # in the cache: a flight has been compiled
 
 
@@ -75,7 +78,7 @@ def plant(experiment: Experiment) -> None:
 
 
 def law(experiment: Experiment) -> None:
-    """Compile the law of the first vehicle."""
+    """Compile the law of the first vehicle, and its ticks on the twin's host."""
     names = list(experiment.vehicles)
     still, no_bias = Twist(0.0, 0.0, 0.0), Accel(0.0, 0.0, 0.0)
     states = {
@@ -83,7 +86,16 @@ def law(experiment: Experiment) -> None:
         for name in names
     }
     own = states.pop(names[0])
-    make_guidance(experiment, names[0]).step(0.0, own, states)
+    if experiment.deploy.law == "vehicle":
+        make_guidance(experiment, names[0]).step(0.0, own, states)
+        return
+    rig = make_twin(replace(experiment, board="model", inject=[], forks=[]))
+    links, period = rig.twin.states.links, experiment.flight.jet_period_s
+    links.newest[:, : States.width] = States.of([own]).rows[0]
+    links.tally[:, SIZE] = States.width
+    for k in range(TICKS):
+        rig.twin.now = k * period
+        rig.hosts[0].tick(rig.twin.now)
 
 
 PARTS: dict[str, Callable[[Experiment], None]] = {"plant": plant, "law": law}

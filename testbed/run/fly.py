@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from controllers.own_law import OwnLawParams
 from testbed.config import Experiment
 from testbed.core.codes import FaultId, FaultReport
 from testbed.core.law import Concern
@@ -17,6 +18,7 @@ from testbed.flight.flown_tick import AnyHostTick, AnyTick, FlownHostTick, Flown
 from testbed.flight.loop import Ending
 from testbed.logs.feed import Loop
 from testbed.logs.recorder import (
+    CAREFUL_SPAN_NS,
     FAST_SPAN_NS,
     SPAN_NS,
     Motion,
@@ -142,6 +144,13 @@ def names_of(experiment: Experiment) -> Names:
     return Names(list(experiment.vehicles), list(experiment.obstacles), list(experiment.faults))
 
 
+def span_of(experiment: Experiment) -> int:
+    """Time of the run per chunk of the log, faster than real time [ns]."""
+    flown = [experiment, *(after for _, after in experiment.stages())]
+    own = any(isinstance(one.controller, OwnLawParams) for one in flown)
+    return CAREFUL_SPAN_NS if own else FAST_SPAN_NS
+
+
 def fly_and_judge(
     experiment: Experiment,
     folder: Path,
@@ -173,7 +182,8 @@ def fly_and_judge(
     fast = rig.name == "twin" and pace is None
     recorder = Recorder(
         folder / "log.mcap", names=names_of(experiment), waits=rig.name == "twin",
-        span_ns=FAST_SPAN_NS if fast else SPAN_NS, epoch_ns=epoch_ns, scene=scene_of(experiment),
+        span_ns=span_of(experiment) if fast else SPAN_NS, epoch_ns=epoch_ns,
+        scene=scene_of(experiment),
     )  # fmt: skip
     try:
         with recorder, screen.showing():

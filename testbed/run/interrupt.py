@@ -6,12 +6,16 @@ valves and air at once.
 
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 from testbed.realtime.heartbeat import heartbeat
 from testbed.realtime.law_watch import shorten_limit
+
+AGAIN_S = 0.01
+CALLBACKS = "_raw_object_cache"  # functions that LLVM calls when it has compiled
 
 
 class Interrupt:
@@ -20,17 +24,29 @@ class Interrupt:
     def __init__(self) -> None:
         self.asked = 0  # number of requests
         self._raises = False
+        self._again = False  # the next signal is sent by this class
         self._terminals: list[int] = []
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self._again:
+            self._again = False
+        else:
+            self._count(number)
+        if not self._raises:
+            return
+        if _is_callback(frame):  # Python would drop the exception, and what the compiler has made
+            self._again = True
+            threading.Timer(AGAIN_S, os.kill, (os.getpid(), number)).start()
+            return
+        raise KeyboardInterrupt
+
+    def _count(self, number: int) -> None:
         # system and shell may both signal a closed terminal, so SIGHUP does not count twice
         self.asked = self.asked + 1 if number == signal.SIGINT else max(1, self.asked)
         heartbeat().signalled()
         shorten_limit()
         if number == signal.SIGHUP:
             self._leave_terminal()
-        if self._raises:
-            raise KeyboardInterrupt
 
     def _leave_terminal(self) -> None:
         """Redirect the output of a closed terminal to /dev/null, so that no write fails."""
@@ -65,3 +81,12 @@ class Interrupt:
             self.asked = max(1, self.asked)
         finally:
             self._raises = False
+
+
+def _is_callback(frame: FrameType | None) -> bool:
+    """Whether a function that LLVM calls is running."""
+    while frame is not None:
+        if frame.f_code.co_name.startswith(CALLBACKS):
+            return True
+        frame = frame.f_back
+    return False

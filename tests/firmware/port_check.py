@@ -5,6 +5,7 @@ The values are from ST, RM0090, and from the wiring in board.h, not from the por
 
 from port_inside import wrong_inside
 from port_order import wrong_beyond
+from unicorn import arm_const as arm
 
 from firmware_interface.frame import Decoder, encode_message
 from firmware_interface.messages import Ack, Arm, Bearing, Cmd, Hello, HelloAck, Ping, ResetCause
@@ -159,12 +160,13 @@ def lived_through(path):
     nonce = session
     ask(machine, decoder, Arm(session), 2)
     ask(machine, decoder, Bearing(session, 1), 3)
-    plan = Cmd(session, 1, 0, 400_000, (300_000,) * 2 + (0,) * 6, (0,) * 8)
+    plan = Cmd(session, 1, 0, 400_000, (300_000, *(0,) * 6, 300_000), (0,) * 8)
     ask(machine, decoder, plan, 4)
-    if machine.pins != 0x103:
+    if machine.pins != 0x181:
         return "the valves do not open"
     machine.run_until(machine.now_us + 5_300)
     machine._asleep, machine._pc = False, machine._vector(3 - 16)
+    machine._uc.reg_write(arm.UC_ARM_REG_PRIMASK, 0)
     machine.settle()
     if machine.pins != 0x100:
         return "a fault does not close the valves, or shuts the air"

@@ -4,16 +4,23 @@ The names of functions and variables are from the ELF file beside the image.
 """
 
 import subprocess
+import zlib
 
 import unicorn
 from unicorn import arm_const as arm
 
-from firmware_interface.frame import Decoder, encode_message
-from firmware_interface.messages import Ack, Hello, Ping
+from firmware_interface.frame import CODED_MAX, Decoder, encode_message
+from firmware_interface.messages import Ack, Hello, Ping, ResetCause
 from firmware_interface.stm32 import (
+    CPSIE_I,
     FLASH,
+    GPIOC_BSRR,
+    ISB,
     LANDING,
+    NVIC_ISPR0,
     RAM,
+    RNG_DR,
+    RNG_SR,
     TXE,
     USART1_DR,
     USART1_SR,
@@ -24,6 +31,12 @@ from firmware_interface.stm32 import (
 
 SPARE = RAM + 0x1_C000  # memory that the image does not use
 STAMP = 8  # offset in `received`
+PROBES = (0x600D_F00D, 0x0DD5_EED5)  # values of `told`, a variable that only these images have
+KEPT = 64  # bytes that survive resets: the count of boots, then noise
+RANDOM = 5
+SEND_RING, FRAME_MAX = 512, CODED_MAX + 1  # bytes for the line; of the longest frame
+RCC_AHB1ENR = 0x4002_3830
+CPSID_I = b"\x72\xb6"
 
 
 def symbols(path):
@@ -108,12 +121,24 @@ def rings_of(path, names):
         return machine.broken
     if word(machine, names["received"] + STAMP):
         return "a stamp without a byte"
-    late = type("Late", (Guarded,), {"every": 1, "closed_until_us": 2_000_000})(path)
-    late.run_until(2_500_000)
-    decoder = Decoder()
-    frames = decoder.feed(bytes(late.sent))
-    if decoder.bad or len(frames) < 10:
-        return "frames that wait for the line"
+    for begin in (0, WRAP - 256):
+        late = type("Late", (Guarded,), {"every": 1, "closed_until_us": 2_000_000})(path)
+        if begin:  # the counters wrap while the ring is full
+            late._uc.mem_write(names["to_send"], 2 * begin.to_bytes(4, "little"))
+        late.run_until(2_500_000)
+        if late.broken:
+            return late.broken
+        decoder = Decoder()
+        frames = decoder.feed(bytes(late.sent))
+        if decoder.bad or len(frames) < 10:
+            return "frames that wait for the line"
+    for free in (FRAME_MAX, FRAME_MAX - 1):
+        late = type("Late", (Guarded,), {"closed_until_us": 2_000_000})(path)
+        late._uc.mem_write(names["to_send"], bytes(8))
+        late._uc.mem_write(names["to_send"], (SEND_RING - free).to_bytes(4, "little"))
+        late.run_until(300_000)
+        if (word(late, names["to_send"]) == SEND_RING - free) != (free < FRAME_MAX):
+            return f"a frame into {free} free bytes"
     ping = encode_message(Ping(), 9, 5)
     machine = Machine(path)
     machine.run_until(1_000)
@@ -145,7 +170,124 @@ def masks_of(path):
     return "the board falls asleep with interrupts on" if wrong else ""
 
 
+def sleep_of(path, names):
+    """What comes between the last look and the sleep is not slept over; interrupts come back on."""
+    sleep = FLASH + path.read_bytes().find(WFI + CPSIE_I)  # not that of a fault
+    for what in ("received", "runs"):
+        machine, seen = Machine(path), {"wrong": ""}
+
+        def look(uc, address, size, _, machine=machine, seen=seen, at=names[what]):
+            off = uc.reg_read(arm.UC_ARM_REG_PRIMASK)
+            if address == sleep and "came" in seen and "passed" not in seen:
+                seen["wrong"] = "the board sleeps over a byte or a run"
+            if address == sleep:
+                seen["gate"] = seen["off"]
+            if machine._code(address) == CPSID_I:
+                seen["off"] = address
+            if address == seen.get("gate") and "came" in seen:
+                seen["passed"] = True
+                seen["wrong"] = seen["wrong"] or ("interrupts stay off" if off else "")
+            elif address == seen.get("gate"):
+                uc.mem_write(at, (word(machine, at) + 1).to_bytes(4, "little"))
+                seen["came"] = True
+
+        machine._uc.hook_add(unicorn.UC_HOOK_CODE, look, None, FLASH, FLASH + 0x1_0000)
+        machine._uc.ctl_flush_tb()
+        machine.run_until(machine.now_us + 10_000)
+        if seen["wrong"] or "passed" not in seen:
+            return seen["wrong"] or "the main loop does not come round"
+    return ""
+
+
+class Unready(Machine):
+    """The random generator is ready at the third look."""
+
+    looks, soon, read = 0, False, False
+
+    def _load(self, uc, offset, size, start):
+        if start + offset == RNG_SR:
+            self.looks += 1
+            return int(self.looks > 2)
+        self.read |= start + offset == RNG_DR and size == 4
+        self.soon |= start + offset == RNG_DR and self.looks < 3
+        return super()._load(uc, offset, size, start)
+
+
+class Fickle(Machine):
+    """A random generator that may not work."""
+
+    ready = True
+
+    def _load(self, uc, offset, size, start):
+        if start + offset == RNG_SR and not self.ready:
+            return 0
+        return super()._load(uc, offset, size, start)
+
+
+def kept_of(path, names):
+    """Boot copies variables with a value; of what survives it changes the count and two words."""
+    machine = Fickle(path)
+    if any(word(machine, names["told"] + 4 * k) != probe for k, probe in enumerate(PROBES)):
+        return "variables with a value"
+    at = next(address for name, address in names.items() if name.startswith("kept"))
+    for ready in (True, False):
+        machine._uc.mem_write(at, bytes(range(KEPT)))
+        before = [word(machine, at + k) for k in range(0, KEPT, 4)]
+        machine._random, machine.ready = RANDOM, ready
+        machine.reset(ResetCause.PIN)
+        before[0] += 1
+        before[1] ^= RANDOM if ready else 0
+        told = b"".join(one.to_bytes(4, "little") for one in before)
+        before[2] = zlib.crc32(told)
+        if [word(machine, at + k) for k in range(0, KEPT, 4)] != before:
+            return "what survives a reset"
+    return ""
+
+
+class Waits(Machine):
+    """What has to happen between two accesses to registers."""
+
+    def __init__(self, path):
+        self.clocked, self.barrier = None, True
+        super().__init__(path)
+
+    def _load(self, uc, offset, size, start):
+        if start + offset == RCC_AHB1ENR and self.clocked is False:
+            self.clocked = True
+        return super()._load(uc, offset, size, start)
+
+    def _store(self, uc, offset, size, value, start):
+        at = start + offset
+        if at == RCC_AHB1ENR and self.clocked is None:
+            self.clocked = False
+        if at == GPIOC_BSRR and self.clocked is False:
+            self.clocked = 0
+        if at == NVIC_ISPR0:
+            behind = uc.reg_read(arm.UC_ARM_REG_PC) - FLASH
+            self.barrier = self.barrier and ISB in self._image[behind : behind + 16]
+        super()._store(uc, offset, size, value, start)
+
+
+def waits_of(path):
+    """The clock of a port takes two cycles; a triggered interrupt is taken behind a barrier."""
+    machine = Waits(path)
+    if machine.clocked is not True:
+        return "port C before its clock runs"
+    machine.feed(encode_message(Ping(), 9, 5))
+    return "" if machine.barrier else "an interrupt that is triggered and not waited for"
+
+
 def wrong_inside(path):
     """The first thing that is wrong; empty: nothing."""
     names = symbols(path)
-    return copies_of(path, names) or rings_of(path, names) or masks_of(path)
+    generator = Unready(path)
+    if generator.soon or not generator.read:
+        return "the random generator is read before it is ready (RM0090 24.3.1)"
+    return (
+        copies_of(path, names)
+        or rings_of(path, names)
+        or masks_of(path)
+        or sleep_of(path, names)
+        or kept_of(path, names)
+        or waits_of(path)
+    )

@@ -1,5 +1,6 @@
 """The port: its registers and behaviour, and faults planted in it that the check must notice."""
 
+import tempfile
 from pathlib import Path
 
 import port_mutation
@@ -50,6 +51,23 @@ def built(folder, fault):
 def test_nothing_is_wrong_with_the_image(tmp_path: Path):
     assert port_mutation.built(tmp_path, None) is not None
     assert wrong_with(tmp_path / "bin") == ""
+
+
+@pytest.mark.parametrize("one", port_mutation.SURVIVORS, ids=lambda one: one["now"][:50])
+def test_every_survivor_is_a_fault_of_this_port_and_is_explained(one):
+    name = tuple(one[part] for part in port_mutation.NAMES)
+    faults = port_mutation.port_mutants()
+    assert name in {(f.source.name, f.function, f.was, f.now) for f in faults}
+    assert len(one["why"].split()) >= 4
+
+
+def test_a_sample_of_the_faults_is_noticed_today():
+    with tempfile.TemporaryDirectory() as place:
+        healthy = port_mutation.built(Path(place), None)
+    explained = {(one["was"], one["now"]) for one in port_mutation.SURVIVORS}
+    for fault in port_mutation.port_mutants()[11::130]:
+        if port_mutation.tried(fault, healthy) == "survived":
+            assert (fault.was, fault.now) in explained
 
 
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)

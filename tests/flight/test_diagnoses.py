@@ -11,7 +11,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize(
-    "only", ["leak 30,half open,regulator", "frame shift,frame creep,heading jump", "frozen,4 Hz"]
+    "only",
+    [
+        "leak 30,half open,regulator",
+        "frame shift,frame creep,heading jump",
+        "frozen,4 Hz",
+        "heading off,late from",
+    ],
 )
 def test_faults_of_a_lab_are_named_right(only):
     done = subprocess.run(

@@ -18,7 +18,8 @@ from testbed.core.se2 import to_table
 from testbed.core.table import Obstacle
 from testbed.core.types import Demand, Pose, Trajectory
 from testbed.core.vehicle import Jet
-from testbed.flight.guidance import Guidance, GuidanceParams, Turn, turn_to, weakest_force
+from testbed.flight.guidance import Guidance, GuidanceParams, weakest_force
+from testbed.flight.turn import Turn, turn_to
 
 PERIOD = 0.1  # [s]
 GOAL = Pose(0.5, -0.4, 2.0)

@@ -8,8 +8,8 @@ from msgspec.structs import replace
 
 from testbed.config import find, load
 from testbed.core.types import Accel, Pose, State, Stick, Twist
-from testbed.flight.guidance import Turn
 from testbed.flight.pilot import STOP_M, TURN, Pilot
+from testbed.flight.turn import Turn
 from testbed.rig.chain import make_guidance
 
 H = 0.1

@@ -1,5 +1,8 @@
 """Columns of a log: all rows of a topic, whatever their capacities, as the log defines them."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -19,10 +22,11 @@ from testbed.core.types import (
     Wrench,
 )
 from testbed.logs.columns import Columns, shape_of
+from testbed.logs.frames import Entries, Entry, Mark, Topic
 from testbed.logs.history import gather
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.logs.mcap_writer import Disk, write_log
-from testbed.logs.recorder import Entries, Entry, Mark, Recorder, RecorderError, Topic
+from testbed.logs.recorder import Recorder, RecorderError
 from testbed.logs.row_reader import RowReader
 from testbed.logs.tick_row import RowWriter
 
@@ -107,3 +111,9 @@ def test_bytes_that_are_no_rows_are_an_error(tmp_path):
         write_log(path, iter(frames), Disk(lambda: 10**12, 0, 0), str)
         with pytest.raises(LogError, match="/sat1/host"):
             Columns(LogReader(path))
+
+
+def test_the_writers_process_starts_without_the_compiler():
+    """A flight waits for it; numba and what needs it take a third of a second to import."""
+    look = "import sys, testbed.logs.mcap_writer as _; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import zstandard
 
+from testbed.logs.frames import Entries, Entry, Mark, Topic
 from testbed.logs.log_reader import LogError, LogReader
 from testbed.logs.mcap_record import HEAD, Message, read_chunk
 from testbed.logs.mcap_writer import Disk, write_log
-from testbed.logs.recorder import Entries, Entry, Mark, Topic
 from testbed.logs.replay import before_damage
 
 MAGIC = b"\x89MCAP0\r\n"

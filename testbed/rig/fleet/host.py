@@ -12,7 +12,7 @@ from testbed.core.rows import SETPOINT_WIDTH, References, States, setpoint_of
 from testbed.core.types import HostInputs, HostOutputs, HostTick
 from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
 from testbed.flight.guidance import Heard
-from testbed.flight.tick_table import TICKS, make_host_table
+from testbed.flight.tick_table import make_host_table
 from testbed.rig.fleet.exchange import OTHERS, SENT, Desk, attend, conduct
 from testbed.rig.forked import ForkedHost
 
@@ -86,7 +86,7 @@ class TwinHost(ForkedHost):
         by_hand = self.stick is not None or (self.pilot is not None and self.pilot.flies)
         if not armed or by_hand or self._fault is not None:
             return super().tick(t, armed)
-        if self._k == TICKS:
+        if self._k == len(self._table.t):
             self._new_table()
         if (flown := self._compiled_tick(t)) is not None:
             return flown

@@ -16,7 +16,7 @@ from testbed.flight.agent import ALERT, Agent
 from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
-from testbed.flight.tick_table import TICKS, make_table
+from testbed.flight.tick_table import make_table
 from testbed.rig.fleet.exchange import Hears, Station, hear, say
 
 ROOM = 16, 8  # poses and references of a tick, at first
@@ -88,7 +88,7 @@ class TwinNode:
         twin, agent, name = self._twin, self._agent, self.name
         if end or stay or fleet is not None or twin.fleet() is not None:
             return self._node.tick(t, armed, fleet, end=end, stay=stay)
-        if self._k == TICKS:
+        if self._k == len(self._table.records):
             self._new_table()
         near, film, states, setpoints = self._parts
         if not (

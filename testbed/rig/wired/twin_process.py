@@ -12,11 +12,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from firmware_interface.compiler import CompilerError
 from firmware_interface.limits import LimitsError
 from firmware_interface.line_tap import TapError
 from firmware_interface.serial_board import BoardError
+from sim_twin.camera import Cameras
 from testbed.config import ConfigError, Experiment, load
 from testbed.files import write_atomic
 from testbed.realtime.processes import orphaned, run_as_child
@@ -45,6 +47,7 @@ def serve(
         OSError, TapError, BoardError, CompilerError, LimitsError: a part is not available.
     """
     warm_up(experiment)
+    compile_cameras(experiment)
     with TableServer(experiment, ports) as server:
         wire = experiment.table.lab.mocap
         say(f"NatNet {wire.version} at {wire.server}, commands at {wire.command_port}")
@@ -61,6 +64,14 @@ def serve(
             server.run(over)
         if report is not None:
             write_atomic(report, msgspec.json.encode(server.report()))
+
+
+def compile_cameras(experiment: Experiment) -> None:
+    """Compile what only a server of frames calls: later, boards and vehicles would wait for it."""
+    names = list(experiment.vehicles)
+    cameras = Cameras(names, experiment.table.mocap, seed=0)
+    cameras.expose(np.empty(0), np.empty((0, len(names), 6)), 0.0)
+    cameras.arrived(0)
 
 
 def main() -> None:

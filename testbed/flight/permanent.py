@@ -1,0 +1,140 @@
+"""Causes that have been there since the flight began, scored over the whole flight.
+
+A file that is wrong, or cameras whose body is turned, push in every second that the jets fire. The
+long window of `jet_faults` takes a part of such a push for noise, because its noise is the change
+from one second to the next, and it forgets the start, where a vehicle pushes hardest. Here all
+seconds have the same weight, none is forgotten, and the noise is what the best cause leaves of
+the residuals. Only the first second says nothing: the estimator finds its velocity in it, and up
+to 10 mm/s of that look like a push. See the first lines of `jet_faults` for the arithmetic.
+"""
+
+from typing import Any
+
+from testbed.core.compiled import borrowed, compiled, keep
+from testbed.flight import hypotheses
+from testbed.flight.bad_jet import is_weak
+from testbed.flight.hypotheses import (
+    CLEAR,
+    LATE,
+    MASS,
+    NUDGE,
+    SHORT,
+    SURE,
+    THRUST,
+    TURNED,
+    WEAK,
+    better,
+    beyond,
+    certain,
+)
+from testbed.flight.jet_faults import SPIN_SPREAD, SPREAD
+from testbed.flight.record import record
+from testbed.flight.window import VERDICT, WHITE, Window, clear, decide, factor, forget, listen
+
+KINDS = (THRUST, MASS, TURNED, LATE)  # that it names
+TURNS = (SPIN_SPREAD / SPREAD) ** 2  # variance of a turn, in variances of a push
+BELIEVED = 9.0  # weight of the spread at the start [residuals]
+
+MEMORY = record(
+    begun=int,  # 1: the first sum has passed; the estimator settles in it
+    sums=int,  # so far, without that one
+    squares=float,  # sum of the squared residuals, in those of a push [m^2/s^2]
+    later=(hypotheses.KINDS,),  # 1: for this kind, the long window was sure of another cause
+    noise=float,  # variance of a push; 0: none was heard [m^2/s^2]
+    **VERDICT,
+)
+
+
+@compiled
+def hear(p, m, window, heard, far):
+    """Add the looks that the long window has summed, all but its last.
+
+    Args:
+        p: jet_faults.Known.
+        m: MEMORY, changed in place.
+        window: Window of one block, changed in place.
+        heard: jet_faults.Heard.
+        far: VERDICT of the long window.
+    """
+    for kind in KINDS:
+        other = beyond(far.gains, kind)
+        if other > SURE and other > far.gains[better(far.gains, kind)] + CLEAR:
+            m.later[kind] = 1.0
+    if m.begun == 0:
+        m.begun, m.noise = 1, SPREAD * SPREAD
+        return
+    window.spread[0], window.spread[1] = 1.0, TURNS
+    sums = heard.sums
+    push_x, push_y, turn = sums[0, -1], sums[1, -1], sums[2, -1]
+    listen(window, sums, 0.0, 1.0, 0.0, WHITE)
+    m.sums += 1
+    m.squares += push_x * push_x + push_y * push_y + turn * turn / TURNS
+    sure = 1.0 / (m.noise + (p.long - 1) * p.rough)
+    weighed = Window(
+        window.told * sure, window.blocks * sure, window.worth, window.newest, window.spread,
+        window.last,
+    )  # fmt: skip
+    root = factor(weighed.told, p.sure, 1.0 / (p.bumps * p.bumps + p.slope * p.slope))
+    least, y = borrowed(root)
+    forget(m)
+    decide(weighed, least, y, p.period, True, m)
+    m.gains[NUDGE], m.sizes[NUDGE] = far.gains[NUDGE], far.sizes[NUDGE]
+    best = max(m.gains[:NUDGE].max(), 0.0)
+    left = max(0.0, sure * m.squares - (y * y).sum() - 2.0 * best) / sure
+    m.noise = (BELIEVED * SPREAD * SPREAD + left) / (BELIEVED + 3.0 * m.sums)
+    keep((weighed, root))
+
+
+@compiled
+def restart(m, window):
+    """Begin anew."""
+    m.begun, m.sums, m.squares, m.noise, m.later[:] = 0, 0, 0.0, 0.0, 0.0
+    forget(m)
+    clear(window)
+
+
+@compiled
+def certain_always(far, m, least, kind):
+    """Sigmas of a cause by the whole flight; 0 if the long window has seen one that began later.
+
+    Args:
+        far: VERDICT of the long window.
+        m: MEMORY.
+        least: smallest size of each kind that is a fault.
+        kind: see hypotheses.py.
+    """
+    since = m.later[kind] == 0.0 and far.gains[kind] + CLEAR > beyond(far.gains, kind)
+    return certain(m.gains, m.sizes, least, kind) if since else 0.0
+
+
+@compiled
+def surest(far, m, least, kind):
+    """Sigmas of a cause by the long window, or by the whole flight."""
+    return max(
+        certain(far.gains, far.sizes, least, better(far.gains, kind)),
+        certain_always(far, m, least, better(m.gains, kind)),
+    )
+
+
+@compiled
+def lateness(near, m, least):
+    """Sigmas of late poses by the short window, or by the whole flight; `near` has the long one."""
+    return max(
+        certain(near.gains, near.sizes, least, LATE), certain_always(near.far, m, least, LATE)
+    )
+
+
+def verdict_of(suspected: Any, m: Any, kind: int) -> Any:
+    """The window that names a cause of this kind: the short, the long one, or the whole flight.
+
+    Args:
+        suspected: jet_faults.MEMORY.
+        m: MEMORY.
+        kind: see hypotheses.py.
+    """
+    found = suspected.far
+    if kind in SHORT or (kind == WEAK and is_weak(suspected)):
+        found = suspected
+    if kind == NUDGE and suspected.gains[kind] > found.gains[kind]:
+        found = suspected
+    return m if kind in KINDS and m.gains[kind] > found.gains[kind] else found

@@ -1,0 +1,128 @@
+"""Causes that have been there since the start are found over the whole flight."""
+
+import numpy as np
+import pytest
+
+from testbed.flight import detectors, permanent
+from testbed.flight.estimator import EstimatorParams
+from testbed.flight.hypotheses import ALL, DELAYED, LATE, PULL, ROTATED, THRUST, TURNED
+from testbed.flight.jet_faults import known_of
+from testbed.flight.memory import make_memory
+from testbed.flight.record import ROW
+
+NOISE = np.array([8e-4, 8e-4, 2.5e-3])  # of a second's residual [m/s, m/s, rad/s]
+PUSH = 5e-3  # of the jets in a second [m/s]
+
+
+class Flight:
+    """The looks of each second, summed, as the long window hands them over."""
+
+    def __init__(self, vehicle, table, seed=1):
+        self.p = known_of(vehicle, 0.1, EstimatorParams(), table)
+        self.memory, _ = make_memory(len(vehicle.jets), 1, len(self.p.shown), 1)
+        self.m, self.far = self.memory.fixed[0].permanent, self.memory.fixed[0].jet_faults.far
+        self.rng, self.causes = np.random.default_rng(seed), 2 * len(vehicle.jets) + 4
+
+    def second(self, column=None, size=0.0, jump=(0.0, 0.0, 0.0)):
+        """Jets push anywhere; a cause of this size explains the residual, and a jump."""
+        sums, first = self.memory.heard.sums, self.causes
+        x, y = PUSH * self.rng.standard_normal(2)
+        sums[:] = 0.0
+        sums[:2, first + ALL], sums[:2, first + ROTATED] = (x, y), (-y, x)
+        sums[:2, first + DELAYED] = PUSH * self.rng.standard_normal(2)
+        explained = size * sums[:, first + column] if column is not None else np.zeros(3)
+        sums[:, -1] = explained + NOISE * self.rng.standard_normal(3) + jump
+        permanent.hear(self.p, self.m, self.memory.permanent, self.memory.heard, self.far)
+
+    def sigmas(self, kind):
+        return permanent.surest(self.far, self.m, self.p.least, kind)
+
+    @property
+    def lateness(self):
+        return permanent.lateness(self.memory.fixed[0].jet_faults, self.m, self.p.least)
+
+
+@pytest.fixture
+def flight(vehicle, table):
+    return Flight(vehicle, table)
+
+
+def test_a_heading_that_is_off_is_found_with_its_size(flight):
+    for _ in range(30):
+        flight.second(ROTATED, np.radians(15.0))
+    assert flight.sigmas(TURNED) > 6.0
+    assert np.degrees(flight.m.sizes[TURNED]) == pytest.approx(15.0, abs=4.5)  # 3 sigma
+    assert flight.sigmas(THRUST) == flight.lateness == 0.0
+
+
+def test_thrust_of_half_is_found(flight):
+    for _ in range(60):
+        flight.second(ALL, -0.5)
+    assert flight.sigmas(THRUST) > 6.0
+    assert flight.sigmas(TURNED) == 0.0
+
+
+@pytest.mark.parametrize(("looks", "found"), [(1.2, True), (0.5, False)])
+def test_late_poses_are_found_when_they_are_late_enough(flight, looks, found):
+    for _ in range(60):
+        flight.second(DELAYED, looks)  # of 0.1 s
+    assert flight.m.gains[LATE] > 100.0
+    assert flight.m.sizes[LATE] == pytest.approx(0.1 * looks, rel=0.2)
+    assert bool(flight.lateness) == found
+
+
+def test_the_estimator_settles_in_the_first_second(flight):
+    flight.second(jump=(-1e-2, 0.0, 0.0))
+    assert flight.m.sums == 0
+    assert not flight.m.gains.any()
+    for _ in range(30):
+        flight.second()
+    assert flight.m.sums == 30
+    assert flight.m.gains.max() < 8.0  # 4 sigma
+    assert np.sqrt(flight.m.noise) == pytest.approx(NOISE[0], rel=0.2)
+
+
+def test_what_began_later_is_left_to_the_long_window(flight):
+    for _ in range(30):
+        flight.second(ROTATED, np.radians(15.0))
+    flight.far.gains[PULL] = 10.0
+    assert flight.sigmas(TURNED) == 0.0
+    flight.far.gains[PULL] = 0.0
+    assert flight.sigmas(TURNED) > 6.0
+    flight.far.gains[PULL] = 50.0
+    flight.second(ROTATED, np.radians(15.0))
+    flight.far.gains[PULL] = 0.0  # the long window forgets
+    assert flight.sigmas(TURNED) == 0.0
+
+
+def test_old_poses_silence_it_until_the_next_second(flight):
+    for _ in range(30):
+        flight.second(ROTATED, np.radians(15.0))
+    fixed, row = flight.memory.fixed[0], np.zeros(1, ROW)[0]
+    row.state.pose_age, still = 0.2, np.zeros(len(flight.memory.begun))
+    detectors.compare(
+        flight.p, fixed.jet_faults, flight.memory.heard, flight.m, flight.memory.permanent, row,
+        still, 1.0,
+    )  # fmt: skip
+    assert flight.sigmas(TURNED) == 0.0
+    flight.second(ROTATED, np.radians(15.0))
+    assert flight.sigmas(TURNED) > 6.0
+
+
+def test_a_jet_that_was_taken_out_begins_a_new_flight(flight):
+    for _ in range(30):
+        flight.second(ROTATED, np.radians(15.0))
+    permanent.restart(flight.m, flight.memory.permanent)
+    assert flight.sigmas(TURNED) == 0.0
+    flight.second(ROTATED, np.radians(15.0))
+    assert flight.m.sums == 0
+
+
+def test_the_words_come_from_the_window_that_is_surer(flight):
+    suspected = flight.memory.fixed[0].jet_faults
+    for _ in range(30):
+        flight.second(ROTATED, np.radians(15.0))
+    assert permanent.verdict_of(suspected, flight.m, TURNED) == flight.m
+    assert permanent.verdict_of(suspected, flight.m, PULL) == flight.far
+    flight.far.gains[TURNED] = flight.m.gains[TURNED] + 1.0
+    assert permanent.verdict_of(suspected, flight.m, TURNED) == flight.far
