@@ -15,7 +15,7 @@ UNLIKE = 0.6  # largest gain of a leak beside it, as a share
 PART = 0.15  # smallest missing share of thrust that is worth a warning
 DOUBT = 0.2  # of the smaller of two gains: thrust and slope are not known better
 # Least gain in the window of filtered looks: 4.7 sigma. A jet that was not used before its fault
-# differs from its file by 6 sigma of the tolerance (THRUST) if it lacks 30 %, however long it fires.
+# and lacks 30 % is 6 sigma of the tolerance (THRUST) from its file, however long it fires.
 FINE_SURE = 11.0
 FINE_DOUBT = 0.1  # as DOUBT
 
