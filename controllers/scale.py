@@ -27,7 +27,7 @@ from testbed.core.law import (
     Law,
     Neighbours,
     World,
-    compiled_flight,
+    compiled_propagate,
     concerns_of,
     propagate,
 )
@@ -111,7 +111,7 @@ class InUnits(NamedTuple):
     units: Units
 
 
-@compiled_flight(InUnits)
+@compiled_propagate(InUnits)
 def fly_scaled(law, law_state, own, neighbours, world, t, duration, steps):
     """`propagate` in the paper's units; one call, because each call of compiled code costs time."""
     gains, units = law
@@ -130,7 +130,7 @@ class Scaled:
         self._rates = length, length / time, length / time**2, length / time**3, time
         self._fly_scaled = settled(fly_scaled)
 
-    def flown(self, mass: float) -> Any:
+    def for_compiled_code(self, mass: float) -> Any:
         """See `CompiledLaw`."""
         law = self.law
         return InUnits(law.gains, self._units(mass)) if isinstance(law, CompiledLaw) else None

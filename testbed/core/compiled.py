@@ -176,7 +176,7 @@ def look_of(value: Any) -> Any:
         return value.dtype, value.ndim, value.flags.num
     if isinstance(value, np.void):  # a record
         return value.dtype
-    if (kind := getattr(value, "kind", None)) is not None:  # a bundle
+    if isinstance(value, int) and (kind := getattr(value, "kind", None)) is not None:  # a bundle
         return kind
     return (type(value), *map(look_of, value)) if isinstance(value, tuple) else type(value)
 

@@ -208,29 +208,29 @@ def _compiled_into(table: dict[type, Callable], gains_type: type) -> Callable[[F
     return decorate
 
 
-def fly_of(law, law_state, own, neighbours, world, t, duration, steps):
+def propagate_of(law, law_state, own, neighbours, world, t, duration, steps):
     """`propagate`, or what is registered for laws with gains of this type."""
-    fly = _FLIGHTS.get(type(law), propagate)
+    fly = _PROPAGATES.get(type(law), propagate)
     return fly(law, law_state, own, neighbours, world, t, duration, steps)
 
 
-_FLIGHTS: dict[type, Callable] = {}  # by the type of a law's gains
+_PROPAGATES: dict[type, Callable] = {}  # by the type of a law's gains
 
 
-@overload(fly_of)
-def _fly_of(law, law_state, own, neighbours, world, t, duration, steps):
-    fly = _FLIGHTS.get(law.instance_class, propagate)
+@overload(propagate_of)
+def _propagate_of(law, law_state, own, neighbours, world, t, duration, steps):
+    fly = _PROPAGATES.get(law.instance_class, propagate)
     return lambda law, law_state, own, neighbours, world, t, duration, steps: fly(
         law, law_state, own, neighbours, world, t, duration, steps
     )
 
 
-def compiled_flight(gains_type: type) -> Callable[[F], F]:
-    """Compile what flies laws with these gains instead of `propagate`; see `fly_of`."""
+def compiled_propagate(gains_type: type) -> Callable[[F], F]:
+    """Compile what `propagate_of` calls instead of `propagate` for `gains_type`."""
 
     def decorate(function: F) -> F:
-        _FLIGHTS[gains_type] = compiled(function)
-        return cast(F, _FLIGHTS[gains_type])
+        _PROPAGATES[gains_type] = compiled(function)
+        return cast(F, _PROPAGATES[gains_type])
 
     return decorate
 
@@ -277,8 +277,8 @@ class CompiledLaw:
         )
         self._propagate = settled(propagate)
 
-    def flown(self, mass: float) -> Any:
-        """What `fly_of` flies, for a vehicle of this mass [kg]; None: it cannot."""
+    def for_compiled_code(self, mass: float) -> Any:
+        """The law for `propagate_of`, for a vehicle of this mass [kg]; None: there is none."""
         return self.gains
 
     def initial(self, own: Body, neighbours: Neighbours, world: World) -> Array:

@@ -39,8 +39,8 @@ from testbed.core.types import (
 from testbed.core.vehicle import NonNegative, Positive, Vehicle
 from testbed.flight.allocation import weakest_force
 from testbed.flight.barrier import UNLIMITED, Barrier, discs_of
-from testbed.flight.lead import Lead, extrapolate, lead
 from testbed.flight.record import DEMAND, TRAJECTORY
+from testbed.flight.reference_model import ReferenceModel, advance_model, extrapolate
 from testbed.flight.turn import Turn, TurnAlong, turn_to
 
 Array = NDArray[np.float64]
@@ -137,25 +137,25 @@ class Guidance:
         self.message: LawMessage | None = None  # the law's message to the others, if it sends any
         self._turn: Turn | TurnAlong | None = None
         self._t, self._p, self._v = 0.0, np.zeros(2), np.zeros(2)  # the reference model
-        self._extrapolate, self._lead = settled(extrapolate), settled(lead)
+        self._extrapolate, self._advance_model = settled(extrapolate), settled(advance_model)
         self._ahead = np.empty((0, References.width))  # references not due yet, see rows.References
-        self.model: Bundle | None = None  # of a law in compiled code, see lead.py
-        self._flown = self._in_compiled_code()
+        self.model: Bundle | None = None  # of a law in compiled code, see reference_model.py
+        self._compiled = self._compiled_law()
         self._sent: deque[tuple[float, Array]] = deque(maxlen=8)  # (start, mean force) of demands
 
-    def _in_compiled_code(self) -> Any:
-        """What `lead` flies; None: it cannot fly this law here."""
-        flown = getattr(self._law, "flown", None)
-        if flown is None or self.message_size or self._path is not None or self._they_move:
+    def _compiled_law(self) -> Any:
+        """The law for `advance_model`; None: it cannot fly this law here."""
+        make = getattr(self._law, "for_compiled_code", None)
+        if make is None or self.message_size or self._path is not None or self._they_move:
             return None
-        return flown(self._mass)
+        return make(self._mass)
 
     def take_over(self, before: "Guidance", kept: Kept) -> None:
         """Go on from the memory of another guidance of this vehicle."""
         parts = (OF_MODEL if kept >= Kept.MODEL else ()) + (OF_LAW if kept == Kept.LAW else ())
         for part in parts:
             setattr(self, part, getattr(before, part))
-        self.model, self._flown = None, self._in_compiled_code()
+        self.model, self._compiled = None, self._compiled_law()
         if kept == Kept.STATE:
             self._inherited = getattr(before, OF_LAW[1])
 
@@ -221,14 +221,14 @@ class Guidance:
             self._ahead[:] = ahead[1:]
         else:
             self._ahead = ahead[1:]
-            self.model = None if self._flown is None else self._model(heard, t)
+            self.model = None if self._compiled is None else self._model(heard, t)
         head = TRAJECTORY, ahead[0, 0], until, 0.0, 0.0, 0.0, 0.0, 0.0
         return np.concatenate((head, ahead.ravel()))
 
     def steady(self, t: float) -> tuple[float, float, float] | None:
         """The turn at the model's time, if the setpoint for `t` needs one more reference of it.
 
-        None: `lead.aim` cannot make this setpoint.
+        None: `next_setpoint` cannot make this setpoint.
         """
         if self.model is None or self._turn is None:
             return None
@@ -236,12 +236,12 @@ class Guidance:
         return self._turn.at(self._t) if self._t <= until < self._t + self._period else None
 
     @property
-    def at(self) -> float:
+    def model_t(self) -> float:
         """The model's time [s]."""
         return self._t
 
     def advanced(self, names: tuple[str, ...], dfx: float, dfy: float, hazard: int) -> None:
-        """Note that compiled code has advanced the model by a period; see `lead`.
+        """Note that compiled code has advanced the model by a period; see `advance_model`.
 
         Args:
             names: of the vehicles heard.
@@ -265,8 +265,8 @@ class Guidance:
 
     def _reference(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
         """Reference mode: the model's state now, as a row; then advance it by one period."""
-        if self._flown is not None:
-            return self._lead_on(heard, turn)
+        if self._compiled is not None:
+            return self._advance(heard, turn)
         t, (px, py), (vx, vy) = self._t, self._p.tolist(), self._v.tolist()
         ahead = self._fly(t, self._p, self._v, ZERO, heard)
         self._t, p, v = t + self._period, ahead.p, ahead.v
@@ -283,12 +283,12 @@ class Guidance:
         theta, omega, alpha = turn.at(t)
         return t, px, py, theta, vx, vy, omega, fx / self._mass, fy / self._mass, alpha
 
-    def _lead_on(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
+    def _advance(self, heard: Heard, turn: Turn | TurnAlong) -> tuple[float, ...]:
         """`_reference` of a law in compiled code."""
         if not self._knows(heard):
             self.model = self._model(heard, self._t)
         row = np.empty(References.width)
-        changed = self._lead(self.model, heard.states, self._t, turn.at(self._t), row)
+        changed = self._advance_model(self.model, heard.states, self._t, turn.at(self._t), row)
         self.advanced(heard.names, *changed)
         return tuple(row.tolist())
 
@@ -309,8 +309,8 @@ class Guidance:
         self._p, self._v, self._law_state = *motion, self._law_state.copy()
         self._ahead = self._ahead.copy()
         keep = [0.0 if barrier is None else barrier.keep[name] for name in heard.names]
-        return Bundle(Lead(
-            self._flown, self._law_state, motion, ZERO, self._mass, self._max_force, self._own,
+        return Bundle(ReferenceModel(
+            self._compiled, self._law_state, motion, ZERO, self._mass, self._max_force, self._own,
             self._period, self._steps, self._world, others, self._company[1].order,
             barrier is not None, discs_of([]) if barrier is None else barrier.obstacles,
             UNLIMITED if barrier is None else barrier.limits,

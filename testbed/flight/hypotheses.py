@@ -213,7 +213,8 @@ def words(m: Any, kind: int, mass: float) -> str:
         case k if k == MASS:
             return f"mass is {1.0 / max(0.1, 1.0 + size):.0%} of the file's"
         case k if k == TURNED:
-            return f"heading is off by {math.degrees(size):.0f} deg"
+            # the jets push where the vehicle really points: turned back by the error
+            return f"heading is off by {-math.degrees(size):.0f} deg"
         case k if k == NUDGE:
             return f"a nudge of {1e3 * size:.0f} mm/s"
     return f"poses are {size:.2f} s late"

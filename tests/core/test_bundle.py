@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testbed.core.bundle import Bundle, layout_of, unpacked
-from testbed.core.compiled import BundleType, _is_ours_throughout, compiled
+from testbed.core.compiled import BundleType, _is_ours_throughout, compiled, look_of
 
 
 class Inner(NamedTuple):
@@ -64,6 +64,18 @@ def test_compiled_code_sees_and_changes_what_python_sees():
 def test_the_layout_is_that_of_the_compiler():
     """A layout of another size would be read as other numbers, so it is refused."""
     assert len(layout_of(outer())[0]) == len(Bundle(outer())._place)
+
+
+class Named(NamedTuple):
+    """A tuple whose field has the name of a bundle's attribute."""
+
+    kind: int
+    number: Any
+
+
+def test_a_field_called_kind_does_not_hide_the_type_of_a_tuple():
+    assert look_of(Named(1, 2.0)) != look_of(Named(1, 2))
+    assert look_of(Named(1, 2.0)) == look_of(Named(3, 4.0))
 
 
 def test_bundles_of_other_types_are_other_types_for_compiled_code():

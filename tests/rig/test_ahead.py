@@ -8,6 +8,7 @@ from msgspec.structs import replace
 from controllers.own_law import OwnLawParams
 from testbed.config import find, load
 from testbed.rig import ahead
+from testbed.rig.fleet.host import TwinHost
 
 
 @pytest.mark.parametrize("name", ["hold", "zhang2023_table", "zhang2023_table_wrench"])
@@ -15,6 +16,19 @@ def test_each_part_runs(name):
     """In this process: its code is compiled by now."""
     for part in ahead.PARTS.values():
         part(load(find(name)))
+
+
+def test_the_laws_part_compiles_the_tick_of_the_flight(monkeypatch):
+    """A part that stopped before it would still run, and save nothing."""
+    found, tick = [], TwinHost._compiled_tick
+
+    def noted(host, t):
+        found.append(tick(host, t))
+        return found[-1]
+
+    monkeypatch.setattr(TwinHost, "_compiled_tick", noted)
+    ahead.law(load(find("zhang2023_table")))
+    assert found[-1] is not None
 
 
 @pytest.fixture

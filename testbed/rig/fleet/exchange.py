@@ -13,13 +13,13 @@ from testbed.core.codes import Response
 from testbed.core.compiled import compiled
 from testbed.core.rows import SETPOINT_WIDTH, References, States
 from testbed.core.types import ALL_WELL, Health
-from testbed.flight.lead import aim
 from testbed.flight.record import NO_SETPOINT
+from testbed.flight.reference_model import next_setpoint
 from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES, Array, Whole
 
 LAND = Response.LAND.value
 FIRST_REFERENCE, REFERENCE_WIDTH, STATE_WIDTH = SETPOINT_WIDTH, References.width, States.width
-SENT, OTHERS, NO_NUMBER = range(3)  # see `conduct`
+SENT, DECLINED, NOT_FINITE = range(3)  # see `law_tick`
 BATTERY, DISK_FREE = Health(0.0, 0.0, 0.0).battery, ALL_WELL.disk_free
 
 
@@ -32,8 +32,8 @@ class Hears(NamedTuple):
     keep: Array  # (n,) distance that the safety filter keeps from each [m]
 
 
-class Station(NamedTuple):
-    """One vehicle on the twin: where it hears, thinks and speaks."""
+class VehiclePorts(NamedTuple):
+    """What one vehicle reads and writes on the twin."""
 
     film: Film  # of the cameras
     markers: Markers  # its own, see `camera.take`
@@ -54,11 +54,11 @@ class Station(NamedTuple):
 
 
 @compiled
-def hear(station, table, k, t, armed):
+def hear(ports, table, k, t, armed):
     """Write the inputs of a tick into row `k` of its table, and into the chain's record.
 
     Args:
-        station: Bundle of a Station.
+        ports: Bundle of VehiclePorts.
         table: Bundle of the vehicle's TickTable.
         k: row of this tick.
         t: now [s].
@@ -67,18 +67,18 @@ def hear(station, table, k, t, armed):
     Returns:
         whether the table has room for all poses and references; otherwise nothing was done.
     """
-    at, table = unpacked(station), unpacked(table)
-    states, setpoints, hears, others = at.states, at.setpoints, at.hears, at.others
+    ports, table = unpacked(ports), unpacked(table)
+    states, setpoints, hears, others = ports.states, ports.setpoints, ports.hears, ports.others
     size = setpoints.tally[hears.setpoint, SIZE]
     ahead = (size - FIRST_REFERENCE) // REFERENCE_WIDTH if size > FIRST_REFERENCE else 0
     if ahead > table.references.shape[1]:
         return False
-    seen = take(at.film, at.markers, table.samples[k])
+    seen = take(ports.film, ports.markers, table.samples[k])
     if seen < 0:
         return False
-    it = at.row[0].told
-    it.t, it.effect_at, it.armed, it.ended = t, t + at.lead, armed, 0
-    it.supply_pressure, it.tank_pressure = at.gauges[0], at.gauges[1]
+    it = ports.row[0].told
+    it.t, it.effect_at, it.armed, it.ended = t, t + ports.lead, armed, 0
+    it.supply_pressure, it.tank_pressure = ports.gauges[0], ports.gauges[1]
     it.battery, it.silent_s = BATTERY, 0.0
     it.session_ok, it.same_config, it.foreign = 1, 1, 0.0
     it.operator_age, it.clock_offset, it.late_s, it.disk_free = 0.0, 0.0, 0.0, DISK_FREE
@@ -119,11 +119,11 @@ def hear(station, table, k, t, armed):
 
 
 @compiled
-def say(station, table, k):
+def say(ports, table, k):
     """After a tick: play its plan, send its state, and keep its record.
 
     Args:
-        station: Bundle of a Station.
+        ports: Bundle of VehiclePorts.
         table: Bundle of the vehicle's TickTable.
         k: row of this tick.
 
@@ -132,16 +132,16 @@ def say(station, table, k):
         that the gate has latched; whether the air goes off; whether something holds or may leak;
         openings of valves by the plan; whether a link has no room for another message.
     """
-    at, table = unpacked(station), unpacked(table)
-    times = at.times
-    it, done, now = at.row[0].state, at.row[0].done, at.row[0].told.t
-    table.plans[k], table.holds[k] = times, at.holds
-    table.values[k] = at.fixed[0].gate.values
-    table.records[k] = at.row[0]
+    ports, table = unpacked(ports), unpacked(table)
+    times = ports.times
+    it, done, now = ports.row[0].state, ports.row[0].done, ports.row[0].told.t
+    table.plans[k], table.holds[k] = times, ports.holds
+    table.values[k] = ports.fixed[0].gate.values
+    table.records[k] = ports.row[0]
     whole = np.empty(times.shape[0], np.int64)
     for i in range(times.shape[0]):
         whole[i] = int(times[i])
-    openings = play(at.wires, now, now + at.period, whole)
+    openings = play(ports.wires, now, now + ports.period, whole)
     full = False
     if it.known == 1:
         state = np.empty(STATE_WIDTH)
@@ -149,14 +149,14 @@ def say(station, table, k):
         state[4], state[5], state[6] = it.vx, it.vy, it.omega
         state[7], state[8], state[9] = it.ax, it.ay, it.alpha
         state[10], state[11] = it.pose_age, it.rejected
-        full = send(at.states, at.audience, now, state)
+        full = send(ports.states, ports.audience, now, state)
     lands = done.air_off == 1 or done.response == LAND
-    looks = it.known == 1 and (done.leak > at.alert or done.holding > 0)
+    looks = it.known == 1 and (done.leak > ports.alert or done.holding > 0)
     return done.inhibit, done.fault, done.gate_fault, lands, looks, openings, full
 
 
-class Desk(NamedTuple):
-    """Where a law on the host hears the vehicles, and speaks to its own."""
+class HostPorts(NamedTuple):
+    """What one law on the host reads and writes on the twin."""
 
     states: Links  # for the vehicles' states
     own: int  # link from its vehicle
@@ -168,64 +168,64 @@ class Desk(NamedTuple):
 
 
 @compiled
-def attend(desk, table, k):
+def attend(ports, table, k):
     """Write what the host has heard of the vehicles into row `k` of a law's table.
 
     Args:
-        desk: Bundle of a Desk.
+        ports: Bundle of HostPorts.
         table: Bundle of a HostTable.
         k: row of this tick.
 
     Returns:
         how many others were heard; -1: the vehicle itself was not.
     """
-    desk, table, n = unpacked(desk), unpacked(table), 0
-    states = desk.states
-    if states.tally[desk.own, SIZE] == SILENCE:
+    ports, table, n = unpacked(ports), unpacked(table), 0
+    states = ports.states
+    if states.tally[ports.own, SIZE] == SILENCE:
         return -1
-    table.own[k] = states.newest[desk.own, :STATE_WIDTH]
-    for i in range(desk.others.shape[0]):
-        link = desk.others[i]
+    table.own[k] = states.newest[ports.own, :STATE_WIDTH]
+    for i in range(ports.others.shape[0]):
+        link = ports.others[i]
         if states.tally[link, SIZE] != SILENCE:
             table.states[k, n] = states.newest[link, :STATE_WIDTH]
-            table.vehicles[k, n] = desk.vehicles[i]
+            table.vehicles[k, n] = ports.vehicles[i]
             n += 1
     return n
 
 
 @compiled
-def conduct(desk, table, k, model, t, turn, now):
+def law_tick(ports, table, k, model, t, turn, now):
     """A tick of a law in compiled code: hear, make a setpoint, send it and keep it.
 
     Args:
-        desk: Bundle of a Desk.
+        ports: Bundle of HostPorts.
         table: Bundle of a HostTable.
         k: row of this tick.
-        model: Bundle of a Lead, like `t` and `turn` see lead.aim.
+        model: Bundle of a ReferenceModel, like `t` and `turn` see `next_setpoint`.
         t: time of the model [s].
         turn: at this time.
         now: [s].
 
     Returns:
-        SENT; OTHERS: the vehicles heard are not those of the model, or the table has no room, and
+        SENT; DECLINED: the vehicles heard are not those of the model, or the table has no room, and
         the model was not advanced;
-        NO_NUMBER: the setpoint is not finite, and was not sent. What `aim` returns. Whether a link
-        has no room for another message.
+        NOT_FINITE: the setpoint is not finite, and was not sent. Then what `next_setpoint` returns,
+        and whether a link has no room for another message.
     """
-    n, unchanged = attend(desk, table, k), (0.0, 0.0, -1)
-    desk, table, ahead = unpacked(desk), unpacked(table), 1 + unpacked(model).ahead.shape[0]
-    known = desk.known
+    n, unchanged = attend(ports, table, k), (0.0, 0.0, -1)
+    ports, table, ahead = unpacked(ports), unpacked(table), 1 + unpacked(model).ahead.shape[0]
+    known = ports.known
     if n != known.shape[0] or ahead > table.references.shape[1]:
-        return OTHERS, unchanged, False
+        return DECLINED, unchanged, False
     for i in range(n):
         if table.vehicles[k, i] != known[i]:
-            return OTHERS, unchanged, False
+            return DECLINED, unchanged, False
     row = np.empty(FIRST_REFERENCE + ahead * REFERENCE_WIDTH)
-    changed = aim(model, table.states[k, :n], t, turn, row)
+    changed = next_setpoint(model, table.states[k, :n], t, turn, row)
     newest = row.shape[0] - REFERENCE_WIDTH
     if not np.isfinite(row[newest + 1] + row[newest + 2]):
-        return NO_NUMBER, changed, False
-    full = send(desk.setpoints, desk.to, now, row)
+        return NOT_FINITE, changed, False
+    full = send(ports.setpoints, ports.to, now, row)
     table.t[k] = now
     table.setpoints[k] = row[:FIRST_REFERENCE]
     for i in range(ahead):

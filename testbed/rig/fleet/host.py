@@ -13,7 +13,7 @@ from testbed.core.types import HostInputs, HostOutputs, HostTick
 from testbed.flight.flown_tick import AnyHostTick, FlownHostTick, states_of
 from testbed.flight.guidance import Heard
 from testbed.flight.tick_table import make_host_table
-from testbed.rig.fleet.exchange import OTHERS, SENT, Desk, attend, conduct
+from testbed.rig.fleet.exchange import DECLINED, SENT, HostPorts, attend, law_tick
 from testbed.rig.forked import ForkedHost
 
 ROOM = 8  # references of a setpoint, at first
@@ -31,11 +31,11 @@ class TwinHost(ForkedHost):
         self._own = int(twin.states.rows([(self.name, HOST)])[0])
         self._links = twin.states.rows((one, HOST) for one in others)
         self._vehicles = np.array([twin.rows[one] for one in others], np.int64)
-        self._parts: tuple[Any, ...] = (None,) * 3  # links and model when the desk was made
+        self._parts: tuple[Any, ...] = (None,) * 3  # links and model when `_ports` was made
         self._known = np.zeros(0, np.int64)  # the vehicles that the model is made for
         self._to, self._room = twin.setpoints.rows([(HOST, self.name)]), ROOM
         self._who: tuple[bytes, tuple[str, ...]] = b"", ()  # numbers of those heard, and names
-        self._attend, self._conduct = settled(attend), settled(conduct)
+        self._attend, self._law_tick = settled(attend), settled(law_tick)
         self._new_table()
 
     def _new_table(self) -> None:
@@ -44,18 +44,18 @@ class TwinHost(ForkedHost):
 
     def _hear(self) -> int:
         """Write what was heard into the next row of the table; see `exchange.attend`."""
-        self._settle()
-        return self._attend(self._desk, self._rows, self._k)
+        self._refresh()
+        return self._attend(self._ports, self._rows, self._k)
 
-    def _settle(self) -> bool:
-        """Make the desk again if links or the model are others; whether the model is the same."""
+    def _refresh(self) -> bool:
+        """Make `_ports` again if links or the model are others; whether the model is the same."""
         states, setpoints, model = self._parts
         twin, new = self.twin, self.guidance.model
         same = model is new and model is not None
         if not (same and states is twin.states.links and setpoints is twin.setpoints.links):
             states, setpoints = self.twin.states.links, self.twin.setpoints.links
             self._parts = states, setpoints, new
-            self._desk = Bundle(Desk(
+            self._ports = Bundle(HostPorts(
                 states, self._own, self._links, self._vehicles, setpoints, self._to, self._known,
             ))  # fmt: skip
         return same
@@ -64,12 +64,12 @@ class TwinHost(ForkedHost):
         """A tick in one compiled call; None: it has not begun, and `tick` flies it."""
         guidance, twin, table, k = self.guidance, self.twin, self._table, self._k
         turn = guidance.steady(t + self._ahead)
-        if turn is None or t != twin.now or not self._settle():
+        if turn is None or t != twin.now or not self._refresh():
             return None
-        found, changed, full = self._conduct(
-            self._desk, self._rows, k, guidance.model, guidance.at, turn, t
+        found, changed, full = self._law_tick(
+            self._ports, self._rows, k, guidance.model, guidance.model_t, turn, t
         )
-        if found == OTHERS:
+        if found == DECLINED:
             return None
         guidance.advanced(self._who[1], *changed)
         if found != SENT:

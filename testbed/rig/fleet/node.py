@@ -17,7 +17,7 @@ from testbed.flight.flown_tick import AnyTick, FlownTick
 from testbed.flight.guidance import Guidance
 from testbed.flight.loop import VehicleNode
 from testbed.flight.tick_table import make_table
-from testbed.rig.fleet.exchange import Hears, Station, hear, say
+from testbed.rig.fleet.exchange import Hears, VehiclePorts, hear, say
 
 ROOM = 16, 8  # poses and references of a tick, at first
 
@@ -39,7 +39,7 @@ class TwinNode:
         self._body, self._names = twin.rows[self.name], twin.names
         self._others, self._room = len(twin.names) - 1, ROOM
         self._thrusters = TwinThrusters(twin, self.name)
-        self._parts: tuple[Any, ...] = (None,) * 4  # of the twin, in the station
+        self._parts: tuple[Any, ...] = (None,) * 4  # of the twin, in `_ports`
         self._heard = np.zeros((self._others, 6))  # see exchange.hear
         twin.states.widen(States.width)
         self._hear, self._say = settled(hear), settled(say)
@@ -51,7 +51,7 @@ class TwinNode:
         self._table, self._k = make_table(jets, self._others, rows, self._room), 0
         self._rows = Bundle(self._table)
 
-    def _settle(self) -> None:
+    def _refresh(self) -> None:
         """Look at the twin's parts again: the vehicles in range, and arrays that have grown."""
         twin, agent, name = self._twin, self._agent, self.name
         near, barrier, memory = twin.near[name], agent.barrier, agent.memory
@@ -64,7 +64,7 @@ class TwinNode:
         audience = twin.audience(name)  # may make room for new links
         film, states, setpoints = twin.cameras.film, twin.states.links, twin.setpoints.links
         self._parts = near, film, states, setpoints
-        self._station = Bundle(Station(
+        self._ports = Bundle(VehiclePorts(
             film, twin.cameras.markers[self._body], states, setpoints, hears, audience,
             twin.gauges[self._body], agent.row, self._heard, memory.fixed, memory.times,
             memory.counters.holds, self._board.wires, agent.params.gains.period, agent.lead, ALERT,
@@ -95,14 +95,14 @@ class TwinNode:
             near is twin.near[name] and film is twin.cameras.film
             and states is twin.states.links and setpoints is twin.setpoints.links
         ):  # fmt: skip
-            self._settle()
-        while not self._hear(self._station, self._rows, self._k, t, int(armed)):
+            self._refresh()
+        while not self._hear(self._ports, self._rows, self._k, t, int(armed)):
             self._make_room()
         table, k = self._table, self._k
         self._k += 1
         seen, heard, ahead = table.counts[k].tolist()
         agent.step_row(table.samples[k, :seen], table.references[k, :ahead], self._heard[:heard])
-        said = self._say(self._station, self._rows, k)
+        said = self._say(self._ports, self._rows, k)
         inhibit, fault, gate_fault, lands, looks, openings, full = said
         self._board.openings += openings
         if full:

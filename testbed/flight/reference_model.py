@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from testbed.core.bundle import unpacked
 from testbed.core.compiled import compiled
-from testbed.core.law import Body, Neighbours, World, fly_of
+from testbed.core.law import Body, Neighbours, World, propagate_of
 from testbed.core.rows import SETPOINT_WIDTH, References
 from testbed.flight.barrier import Limits, guarded
 from testbed.flight.record import TRAJECTORY
@@ -22,10 +22,10 @@ Whole = NDArray[np.int64]
 FIRST, WIDTH = SETPOINT_WIDTH, References.width
 
 
-class Lead(NamedTuple):
+class ReferenceModel(NamedTuple):
     """A law, its reference model and what it knows of the others."""
 
-    law: Any  # see law.fly_of
+    law: Any  # see law.propagate_of
     law_state: Array  # (n,) changed in place
     motion: Array  # position [m] and velocity [m/s] of the model, (2, 2), changed in place
     still: Array  # zeros, (2,)
@@ -58,11 +58,11 @@ def extrapolate(states, order, t, p, v):
 
 
 @compiled
-def lead(bundle, states, t, turn, row):
+def advance_model(bundle, states, t, turn, row):
     """Advance the model by one period.
 
     Args:
-        bundle: of a Lead.
+        bundle: of a ReferenceModel.
         states: newest states of the vehicles heard, see rows.States, (n, 12).
         t: begin of the period [s].
         turn: heading, turn rate and angular acceleration then [rad, rad/s, rad/s^2].
@@ -77,7 +77,7 @@ def lead(bundle, states, t, turn, row):
     px, py, vx, vy = p[0], p[1], v[0], v[1]
     extrapolate(states, it.order, t, it.others.p, it.others.v)
     own = Body(p, v, it.mass, it.still, it.still, it.max_force, it.vehicle_index)
-    ahead = fly_of(it.law, it.law_state, own, it.others, it.world, t, h, it.steps)
+    ahead = propagate_of(it.law, it.law_state, own, it.others, it.world, t, h, it.steps)
     it.law_state[:] = ahead.law_state
     p[:], v[:] = ahead.p, ahead.v
     fx, fy = ahead.mean_force[0], ahead.mean_force[1]
@@ -103,20 +103,20 @@ def lead(bundle, states, t, turn, row):
 
 
 @compiled
-def aim(bundle, states, t, turn, row):
+def next_setpoint(bundle, states, t, turn, row):
     """The setpoint of a law that has sent its references up to `t`: these, and one more.
 
     Args:
-        bundle: see `lead`, like `states`, `t` and `turn`.
+        bundle: see `advance_model`, like `states`, `t` and `turn`.
         row: written to: see rows.row_of_setpoint, (8 + 10 (m + 1),).
 
     Returns:
-        see `lead`.
+        see `advance_model`.
     """
     it = unpacked(bundle)
     ahead = it.ahead
     m = ahead.shape[0]
-    changed = lead(bundle, states, t, turn, row[FIRST + m * WIDTH :])
+    changed = advance_model(bundle, states, t, turn, row[FIRST + m * WIDTH :])
     for i in range(m):
         for k in range(WIDTH):
             row[FIRST + i * WIDTH + k] = ahead[i, k]
