@@ -37,6 +37,8 @@ ERRORS: dict[str, tuple[str, set[str]]] = {  # what is injected, verdicts that n
     "four poses a second": ('kind = "slow_mocap"', {"camera_rate"}),
     "noise of 5 mm": ('kind = "noisy_mocap", value = 0.005', {"camera_noise"}),
     "stream frozen": ('kind = "freeze_mocap", value = 0.0', {"camera_frozen"}),
+    "millimetres for metres": ('kind = "scale_frame"', {"units"}),
+    "poses 0.2 s late": ('kind = "delay_mocap", value = 0.2', {"late"}),
     "no poses": ('kind = "drop_mocap"', {"no_poses", "untracked", "camera_rate"}),
     "body registered 90 deg off": (
         'kind = "turn_body", value = 90.0', {"body_turned", "all_turned"}),

@@ -306,12 +306,17 @@ class Plant:
             if is_open:  # overwrites the oldest pulse
                 up[0], down[0], played.strength[k, jet, 0] = since, until, 1.0
         for (k, jet), (share, since, until) in self._weak.items():
-            up, strength = played.up[k, jet], played.strength[k, jet]
+            up, down, strength = played.up[k, jet], played.down[k, jet], played.strength[k, jet]
             strength[(up >= since) & (up < until)] *= share
+            # one that flows at `since` is cut: a valve that is held open has no later opening
+            for one in 1 + np.flatnonzero((up[1:] < since) & (down[1:] > since)):
+                up[0], down[0], strength[0] = since, down[one], share * strength[one]
+                down[one] = since
         for (k, jet), (share, since, until) in self._leaky.items():
             up, down, strength = played.up[k, jet], played.down[k, jet], played.strength[k, jet]
             strength[(up >= since) & (up < until)] *= 1.0 - share  # the total is at most fully open
-            up[0], down[0], strength[0] = since, until, share
+            flows = down[(up < since) & (down > since)].max(initial=since)  # and it was that before
+            up[0], down[0], strength[0] = flows, until, share
         return played
 
     def vehicle_of_board(self, k: int) -> int:

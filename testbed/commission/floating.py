@@ -41,14 +41,15 @@ def afloat(
         body, table = 0.5 * (turned[0] + turned[1]), 0.5 * (beyond[0] + beyond[1])
     else:
         body, table = turned[0], beyond[0]
-        push_sigma = float(np.hypot(push_sigma, SLOPE))
     numbers = {
         "slope_x_m_s2": float(table[0]), "slope_y_m_s2": float(table[1]),
         "body_x_m_s2": float(body[0]), "body_y_m_s2": float(body[1]),
         "turn_rad_s2": alpha,
     }  # fmt: skip
     found = np.array([*body, alpha])
-    sigma = np.array([push_sigma, push_sigma, turn_sigma])
+    # from one heading, a healthy slope may be a jet's push
+    jet_sigma = push_sigma if len(drifts) == 2 else float(np.hypot(push_sigma, SLOPE))
+    sigma = np.array([jet_sigma, jet_sigma, turn_sigma])
     weight = np.array([vehicle.mass, vehicle.mass, vehicle.inertia])
     columns = effect_matrix(vehicle.jets, about=vehicle.com) / weight[:, None]
     if np.abs(found / sigma).max() > SURE:
@@ -70,6 +71,8 @@ def afloat(
             f"it is pulled by {1e3 * size:.1f} mm/s^2 ({size * vehicle.mass:.2f} N) that the table"
             " file does not know: a hose, or a table that is not level"
         )
+        if len(drifts) == 1:
+            text += ", or a jet that leaks: turn it by 180 degrees to tell"
         return Verdict(STEP, name, text, "pulled", numbers)
     turn = 1e3 * abs(alpha)
     text = f"{1e3 * size:.1f} mm/s^2 beyond the table file's slope, turned by {turn:.1f} mrad/s^2"

@@ -161,3 +161,26 @@ def test_what_moves_a_vehicle_that_floats(how, code):
     if code == "leak":
         assert verdict.text.startswith(f"jet {how.leak[0] + 1} ")
         assert verdict.numbers["share"] == pytest.approx(how.leak[1], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("how", "code"),
+    [
+        (SimpleNamespace(), ""),
+        (SimpleNamespace(slope=(0.0028, 0.0)), ""),
+        (SimpleNamespace(hose=(0.05, 0.0, 0.0)), "pulled"),  # 4 mm/s^2
+        (SimpleNamespace(leak=(4, 0.5)), "leak"),
+    ],
+)
+def test_one_heading_tells_a_pull_beyond_a_healthy_slope(how, code):
+    one = drifts(FLOATER, **vars(how))[:1]
+    verdict = afloat("sat1", FLOATER, one, [np.zeros(2)], LAB)
+    assert verdict.code == code, verdict.text
+    assert ("a jet that leaks" in verdict.text) == (code == "pulled")
+
+
+def test_two_headings_tell_a_pull_from_a_leak():
+    how = drifts(FLOATER, hose=(0.1, 0.0, 0.0))
+    verdict = afloat("sat1", FLOATER, how, [np.zeros(2)] * 2, LAB)
+    assert verdict.code == "pulled"
+    assert "leaks" not in verdict.text

@@ -77,6 +77,31 @@ def test_a_valve_that_leaks_pushes_a_share_and_open_no_more_than_whole(plant, ma
     assert plant.impulse[0] - before == pytest.approx(0.6 * (0.1 + 0.3 * 0.4), rel=1e-6)
 
 
+@pytest.mark.parametrize("share", [0.7, 0.4])
+def test_a_jet_that_is_held_open_gets_weak_at_that_instant(plant, make_plan, share):
+    broken = injector(plant, fault("weak_jet", 1.04, value=share, jet=1))
+    pushed = []
+    for k in range(20):
+        plant.boards["0"].apply(make_plan(0.1 * k, {0: (0.0, 0.1)}))
+        advance(plant, broken, 0.1 * (k + 1))
+        pushed.append(plant.impulse[0])
+    assert np.diff(pushed)[:9] == pytest.approx(0.06, rel=1e-6)  # open from the start
+    assert pushed[10] - pushed[9] == pytest.approx(0.06 * (0.4 + 0.6 * share), abs=0.6 * 0.008)
+    assert np.diff(pushed)[10:] == pytest.approx(0.06 * share, rel=1e-6)
+
+
+def test_a_valve_that_begins_to_leak_while_open_pushes_no_more_than_whole(plant, make_plan):
+    broken = injector(plant, fault("leak_valve", 1.04, value=0.3, jet=1))
+    pushed = []
+    for k in range(20):
+        if k < 15:
+            plant.boards["0"].apply(make_plan(0.1 * k, {0: (0.0, 0.1)}))
+        advance(plant, broken, 0.1 * (k + 1))
+        pushed.append(plant.impulse[0])
+    assert np.diff(pushed)[:14] == pytest.approx(0.06, rel=1e-6)
+    assert np.diff(pushed)[16:] == pytest.approx(0.06 * 0.3, rel=1e-6)
+
+
 def test_a_leak_takes_gas(plant):
     broken = injector(plant, fault("leak", 1.05, value=0.01, for_s=2.0))
     advance(plant, broken, 1.0)
