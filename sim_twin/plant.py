@@ -58,7 +58,7 @@ class Windows(NamedTuple):
     pieces: NDArray[np.int64]  # how many, (v,)
 
 
-class Fleet(NamedTuple):
+class PlantArrays(NamedTuple):
     """The true vehicles and their table, for compiled code."""
 
     x: Array  # (v, 6) states, see body.py
@@ -119,11 +119,11 @@ def cut_windows(windows, pulses, parameters, origin, span):
 
 
 @compiled
-def advance(fleet, pulses, origin, span, marks, seen):
+def advance(arrays, pulses, origin, span, marks, seen):
     """Advance the fleet over one window, in place.
 
     Args:
-        fleet: Bundle of a Fleet.
+        arrays: Bundle of PlantArrays.
         pulses: board.Pulses with a leading vehicle axis.
         origin: start of the window in the run [ns].
         span: length of the window [s].
@@ -133,10 +133,10 @@ def advance(fleet, pulses, origin, span, marks, seen):
     Returns:
         number of rows used in `touches`.
     """
-    fleet = unpacked(fleet)
-    x, used, impulse, parameters = fleet.x, fleet.used, fleet.impulse, fleet.parameters
-    ground, solids, windows, stages = fleet.ground, fleet.solids, fleet.windows, fleet.stages
-    before, spent = fleet.before, (used, impulse)  # `before`: a contact may cut the step short
+    it = unpacked(arrays)
+    x, used, impulse, parameters = it.x, it.used, it.impulse, it.parameters
+    ground, solids, windows, stages = it.ground, it.solids, it.windows, it.stages
+    before, spent = it.before, (used, impulse)  # `before`: a contact may cut the step short
     cut_windows(windows, pulses, parameters, origin, span)
     count, t = 0, 0.0
     resting = False
@@ -164,7 +164,7 @@ def advance(fleet, pulses, origin, span, marks, seen):
                     drift(x, spent, stages, parameters, ground, windows, t, high)
                 now = origin * 1e-9 + high
                 count = resolve(
-                    x, parameters, used, ground, solids, now, fleet.last_touch, fleet.touches,
+                    x, parameters, used, ground, solids, now, it.last_touch, it.touches,
                     count,
                 )  # fmt: skip
                 resting = True
@@ -229,7 +229,7 @@ class Plant:
         windows = Windows(np.empty((count, room + 1)), value, slope, np.zeros(count, np.int64))
         before = self.x.copy(), self.used.copy(), self.impulse.copy()
         self._touched = np.empty((64, 4))
-        self.fleet = Bundle(Fleet(
+        self.arrays = Bundle(PlantArrays(
             self.x, self.used, self.impulse, self.parameters, self._ground, self._solids,
             last_touch, self._touched, windows, no_stages(), before,
         ))  # fmt: skip
@@ -284,13 +284,13 @@ class Plant:
         del self.landed[k]
 
     @property
-    def sound(self) -> bool:
+    def valves_healthy(self) -> bool:
         """Whether every valve does what its board commands."""
         return not (self._stuck or self._leaky or self._weak or self.crossed)
 
     def played(self) -> Pulses:
         """Actual valve pulses: the boards' commands, as wires and broken valves modify them."""
-        if self.sound:
+        if self.valves_healthy:
             return self._pulses
         ours = self._pulses
         played = Pulses(ours.up.copy(), ours.down.copy(), ours.strength.copy())
@@ -348,14 +348,14 @@ class Plant:
         origin, times = nanoseconds(self.t), np.asarray(marks, dtype=np.float64)
         span = 1e-9 * (nanoseconds(t) - origin)
         seen = np.empty((len(times), len(self.names), 6))
-        count = self._advance(self.fleet, self.played(), origin, span, times, seen)
-        self.came_to(t, count)
+        count = self._advance(self.arrays, self.played(), origin, span, times, seen)
+        self.note_window(t, count)
         for k, board in enumerate(self.boards.values()):
             if not board.floats:
                 self.land(self.vehicle_of_board(k))
         return seen
 
-    def came_to(self, t: float, touches: int) -> None:
+    def note_window(self, t: float, touches: int) -> None:
         """Note that the vehicles are at time `t` [s], after so many new rows of touches."""
         for at, vehicle, other, speed in self._touched[:touches].tolist():
             self.touches.append(

@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 HOST = "host"
 
 
-class Watch(NamedTuple):
+class SensorPorts(NamedTuple):
     """What cameras, radio and sensors read and write, for compiled code."""
 
     film: Film
@@ -63,11 +63,11 @@ class Watch(NamedTuple):
 
 
 @compiled
-def observe(watch, times, states, shown, now):
+def observe(ports, times, states, shown, now):
     """What cameras, radio and sensors tell after a window of the plant.
 
     Args:
-        watch: Bundle of a Watch.
+        ports: Bundle of SensorPorts.
         times: of the exposures, shape (m,) [s].
         states: the truth at these times, shape (m, v, 6).
         shown: vehicle that each body shows, see camera.photograph.
@@ -76,7 +76,7 @@ def observe(watch, times, states, shown, now):
     Returns:
         see camera.photograph.
     """
-    it = unpacked(watch)
+    it = unpacked(ports)
     most = photograph(it.film, it.optics, times, states, shown, now)
     listen(it.states, now)
     listen(it.setpoints, now)
@@ -160,7 +160,7 @@ class Twin:
         self.blackboard: dict[
             str, tuple[float, LawMessage, LawMessage | None]
         ] = {}  # of laws on the host
-        self._watch: Bundle | None = None
+        self._sensor_ports: Bundle | None = None
         self._observe, self._exposures = settled(observe), settled(exposures)
         self._look(np.empty(0), np.empty((0, len(airs), 6)))
 
@@ -183,10 +183,10 @@ class Twin:
         if self.injector is not None:
             self.injector.before(t)
         seen = self.plant.advance(t, times)
-        self.came_to(t, times, seen)
+        self.note_window(t, times, seen)
         self._look(times, seen)
 
-    def came_to(self, t: float, times: Array, seen: Array) -> None:
+    def note_window(self, t: float, times: Array, seen: Array) -> None:
         """Note that the plant is at `t` [s], and its states at the cameras' exposures until then.
 
         Args:
@@ -199,15 +199,17 @@ class Twin:
         self.seen.append(seen)
 
     @property
-    def watch(self) -> Bundle:
-        """Of a Watch of the film and links as they are now; they are replaced when they grow."""
+    def sensor_ports(self) -> Bundle:
+        """Of SensorPorts. Film and links are replaced when they grow; then this is another one."""
         parts = (
             self.cameras.film, self.cameras.optics,
             self.states.links, self.setpoints.links, self.messages.links,
         )  # fmt: skip
-        if self._watch is None or any(map(is_not, self._watch.value, parts)):
-            self._watch = Bundle(Watch(*parts, self._tanks, self.plant.used, self.gauges))
-        return self._watch
+        if self._sensor_ports is None or any(map(is_not, self._sensor_ports.value, parts)):
+            self._sensor_ports = Bundle(
+                SensorPorts(*parts, self._tanks, self.plant.used, self.gauges)
+            )
+        return self._sensor_ports
 
     def _look(self, times: Array, seen: Array) -> None:
         """Let cameras, radio and sensors follow the plant."""
@@ -220,7 +222,7 @@ class Twin:
                 for radio in self.radios:
                     radio.disturb(name, *broken.air(name))
         self.cameras.load(len(times))
-        self.cameras.most = self._observe(self.watch, times, seen, shown, self.now)
+        self.cameras.most = self._observe(self.sensor_ports, times, seen, shown, self.now)
         if self.reach is not None:
             self._meet(self.reach)
 

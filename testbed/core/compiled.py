@@ -194,7 +194,7 @@ def look_of(value: Any) -> Any:
     """A key of a value's type: equal keys mean equal numba types.
 
     Raises:
-    TypeError: for a list or similar, whose type depends on its contents.
+        TypeError: for a list or similar, whose type depends on its contents.
     """
     if isinstance(value, (list, set, dict)):
         raise TypeError(f"expected arrays, tuples and numbers, found a {type(value).__name__}")

@@ -221,7 +221,10 @@ def host_fault(name: str, tick: AnyHostTick) -> FaultReport | None:
 
 
 class Observer(Protocol):
-    """Receives every tick: recorder, progress bar, dashboard. Must not slow the loop down."""
+    """Receives every tick: recorder, progress bar, dashboard. Must not slow the loop down.
+
+    On the twin it may also receive many ticks at once, see `rig.observers.NullObserver.ticks`.
+    """
 
     def vehicle(self, name: str, tick: AnyTick) -> None:
         """Receive one vehicle's inputs and outputs."""

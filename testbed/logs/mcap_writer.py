@@ -80,7 +80,6 @@ def read_chunks(descriptor: int) -> Iterator[bytes]:
             waiting.put(gulp)
         waiting.put(b"")
 
-    sys.setswitchinterval(SWITCH_S)
     Thread(target=drink, daemon=True).start()
     while gulp := waiting.get():
         yield gulp
@@ -203,6 +202,7 @@ def free_at(path: Path) -> int:
 
 def main() -> int:
     """Write until the pipe ends; on failure returns 1 and prints the reason on stderr."""
+    sys.setswitchinterval(SWITCH_S)
     path, (warn_below, end_below, epoch_ns) = Path(sys.argv[1]), map(int, sys.argv[2:5])
 
     def say(line: str) -> None:

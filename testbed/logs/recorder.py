@@ -48,7 +48,7 @@ from testbed.logs.tick_row import Made, Names, RowWriter
 
 BUFFER = 256 * 1024  # size of the pipe [bytes]; a third of a second of messages
 PIECE = 64 * 1024  # most bytes kept between two marks before they are written
-LEAD = 4_000_000  # most bytes that a fast flight is ahead of its writer; half a minute of three
+LEAD = 4_000_000  # most bytes that a fast flight is ahead of its writer: 50 s of three vehicles
 LARGEST_BACKLOG = 32_000_000  # most bytes kept in memory for a slow writer
 LOOK_S = 0.05
 PATIENCE_S = 5.0  # a writer without progress for this long hangs

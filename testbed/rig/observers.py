@@ -27,12 +27,12 @@ class NullObserver:
 
         `ticks = None` in a class means that it changes the flight: the twin must not be ahead.
         """
-        if shows(self):
+        if handles_single_ticks(self):
             span.show(self)
 
 
-def shows(observer: NullObserver) -> bool:
-    """Whether it does something at each tick."""
+def handles_single_ticks(observer: NullObserver) -> bool:
+    """Whether it does something at every single tick."""
     return any(getattr(type(observer), one) is not getattr(NullObserver, one) for one in EACH)
 
 

@@ -38,7 +38,7 @@ from testbed.realtime.pacer import PacedClock
 from testbed.realtime.scheduling import no_garbage_collection
 from testbed.rig.ahead import compiling_ahead
 from testbed.rig.interface import Rig
-from testbed.rig.observers import NullObserver, shows
+from testbed.rig.observers import NullObserver, handles_single_ticks
 from testbed.rig.twin import TwinRig, make_twin, warm_up
 from testbed.run.interrupt import Interrupt
 from testbed.run.judge import measure
@@ -50,7 +50,7 @@ FORMATION_S = 1.0  # log period of the five formation elements [s]
 
 
 class FlightScreen(NullObserver):
-    """Display during a run; this one shows nothing."""
+    """Display during a run; this one handles_single_ticks nothing."""
 
     phase = ""  # the supervisor's phase
 
@@ -60,7 +60,7 @@ class FlightScreen(NullObserver):
 
     def ticks(self, span: FlownSpan) -> None:
         """Show the newest tick of these; no screen is as fast as the twin."""
-        if shows(self):
+        if handles_single_ticks(self):
             span.show(self, begin=max(0, len(span.times) - 1))
 
     def flies(self) -> None:

@@ -21,14 +21,14 @@ from testbed.rig.fleet.node import TwinNode
 from testbed.rig.fleet.ticks import (
     FRAME,
     FRAMES,
-    HAPPENINGS,
     LAWS,
     MOST,
+    PROGRESS,
     TICKS,
     TOUCHES,
     Codes,
     FleetPorts,
-    Flown,
+    SpanBuffers,
     TwinPorts,
     fly_ticks,
 )
@@ -57,8 +57,8 @@ class Fleet:
         self._kinds: tuple[Any, ...] = ()
         self._fly_ticks = settled(fly_ticks)
         n, frames = len(nodes), 2 + int(AHEAD * (1.0 + period * twin.rate))
-        self._out = Flown(
-            np.zeros(HAPPENINGS, np.int64), np.zeros(1), np.zeros(n, np.int64),
+        self._out = SpanBuffers(
+            np.zeros(PROGRESS, np.int64), np.zeros(1), np.zeros(n, np.int64),
             np.zeros(n, np.int64), np.empty(frames), np.empty((frames, n, 6)),
             np.empty((AHEAD, n, 6)), np.zeros((n, 6)), np.zeros(n, np.int64), np.zeros(n),
             np.empty((AHEAD, n, 3)), np.empty((AHEAD, n, 5)),
@@ -70,16 +70,16 @@ class Fleet:
 
         The tick after them may have begun: then the nodes have the rest of it.
         """
-        if not self._twin.plant.sound:
+        if not self._twin.plant.valves_healthy:
             return None
         times = [n * self._period for n in range(k, min(k + AHEAD, last))]
-        turns = [host.ready(times) for host in self._hosts]
+        turns = [host.turns_ahead(times) for host in self._hosts]
         count = min(len(one) for one in turns)
-        if count == 0 or (count := min(count, *(node.ready() for node in self._nodes))) == 0:
+        if count == 0 or (count := min(count, *(node.rows_free() for node in self._nodes))) == 0:
             return None
         out, twin = self._out, self._twin
-        out.happened[:], out.openings[:], out.now[0] = 0, 0, twin.plant.t
-        out.happened[FRAME], out.happened[MOST] = twin.frame, twin.cameras.most
+        out.progress[:], out.openings[:], out.now[0] = 0, 0, twin.plant.t
+        out.progress[FRAME], out.progress[MOST] = twin.frame, twin.cameras.most
         for v, (node, host) in enumerate(zip(self._nodes, self._hosts, strict=True)):
             out.rows[v], out.law_rows[v], out.model_t[v] = node.row, host.row, host.guidance.model_t
             out.turns[:count, v] = turns[v][:count]
@@ -90,18 +90,20 @@ class Fleet:
 
     def _noted(self, times: list[float]) -> FlownSpan:
         """Tell everything in Python what `fly_ticks` has done."""
-        out, twin, happened = self._out, self._twin, self._out.happened.tolist()
-        frames, ticks = happened[FRAMES], happened[TICKS]
-        twin.came_to(float(out.now[0]), out.times[:frames], out.seen[:frames].copy())
-        twin.cameras.most = happened[MOST]
-        twin.plant.came_to(twin.now, happened[TOUCHES])
+        out, twin, progress = self._out, self._twin, self._out.progress.tolist()
+        frames, ticks = progress[FRAMES], progress[TICKS]
+        twin.note_window(float(out.now[0]), out.times[:frames], out.seen[:frames].copy())
+        twin.cameras.most = progress[MOST]
+        twin.plant.note_window(twin.now, progress[TOUCHES])
         rows, openings, said = out.rows.tolist(), out.openings.tolist(), out.said.tolist()
         vehicles = {
-            node.name: node.flew(ticks, rows[v], said[v], openings[v])
+            node.name: node.note_ticks(ticks, rows[v], said[v], openings[v])
             for v, node in enumerate(self._nodes)
         }
         hosts = {
-            host.name: host.flew(ticks, out.answers[: ticks + (v < happened[LAWS]), v].tolist())
+            host.name: host.note_ticks(
+                ticks, out.answers[: ticks + (v < progress[LAWS]), v].tolist()
+            )
             for v, host in enumerate(self._hosts)
         }
         return FlownSpan(times[:ticks], vehicles, hosts, out.truth[:ticks].copy())
@@ -110,13 +112,13 @@ class Fleet:
         """The vehicles, laws and parts of the twin as they are now; None: not all of one kind."""
         twin, nodes = self._twin, [node.bundles for node in self._nodes]
         laws = [host.bundles for host in self._hosts]
-        if (parts := (twin.watch, nodes, laws)) != self._parts:
+        if (parts := (twin.sensor_ports, nodes, laws)) != self._parts:
             self._kinds = self._kinds or kinds_of(nodes[0], laws[0])
             if any(kinds_of(*pair) != self._kinds for pair in zip(nodes, laws, strict=True)):
                 return None
             plant, cameras = twin.plant, twin.cameras
             ports = TwinPorts(
-                twin.rate, twin.phase, plant.fleet, plant.played(), twin.watch, cameras.own,
+                twin.rate, twin.phase, plant.arrays, plant.played(), twin.sensor_ports, cameras.own,
                 cameras.film.poses.shape[1], plant.x,
             )  # fmt: skip
             if self._codes is None:
@@ -150,7 +152,7 @@ def codes_of(
     return Codes(
         CodeAddress(exposures, (ports.rate, ports.phase, 0, 0.0, times)),
         CodeAddress(advance, (ports.plant, ports.pulses, 0, 0.0, times, seen)),
-        CodeAddress(observe, (ports.watch, times, seen, ports.shown, 0.0)),
+        CodeAddress(observe, (ports.sensors, times, seen, ports.shown, 0.0)),
         CodeAddress(hear, (own, table, 0, 0.0, 1)),
         CodeAddress(chain.step, (chained, samples, references, others)),
         CodeAddress(say, (own, table, 0)),

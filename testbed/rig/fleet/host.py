@@ -46,7 +46,7 @@ class TwinHost(ForkedHost):
         self._answer: list[float] | None = None  # at the coming tick, if it has been flown
         self._rows = Bundle(self._table)
 
-    def ready(self, times: Iterable[float]) -> list[tuple[float, float, float]]:
+    def turns_ahead(self, times: Iterable[float]) -> list[tuple[float, float, float]]:
         """The turns of the law's model at ticks that may be flown ahead now.
 
         Args:
@@ -73,12 +73,12 @@ class TwinHost(ForkedHost):
         """The next row of its table."""
         return self._k
 
-    def flew(self, ticks: int, answers: list[list[float]]) -> FlownHostRows:
+    def note_ticks(self, ticks: int, answers: list[list[float]]) -> FlownHostRows:
         """Note the law's answers at ticks that were flown, and perhaps at one more, for `tick`.
 
         Args:
             ticks: how many.
-            answers: see ticks.Flown.
+            answers: see ticks.SpanBuffers.
         """
         rows = FlownHostRows(self._table, self._k, ticks, self._names)
         for i, (_, dfx, dfy, hazard, _) in enumerate(answers[:ticks]):

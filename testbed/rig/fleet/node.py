@@ -54,7 +54,7 @@ class TwinNode:
         self._flown = 0  # rows written; `tick` has yet to return the last one if it is `_k`
         self._rows = Bundle(self._table)
 
-    def ready(self) -> int:
+    def rows_free(self) -> int:
         """Ticks that may be flown ahead now, as far as this vehicle is concerned."""
         if self._agent.at_fault:
             return 0
@@ -71,13 +71,13 @@ class TwinNode:
         """The next row of its table."""
         return self._k
 
-    def flew(self, ticks: int, row: int, said: list[float], openings: int) -> FlownRows:
+    def note_ticks(self, ticks: int, row: int, said: list[float], openings: int) -> FlownRows:
         """Note that ticks were flown, which ask for nothing, and perhaps one more, for `tick`.
 
         Args:
             ticks: how many.
             row: of its table, the next one after them and the one more.
-            said: in the newest tick, see ticks.Flown.
+            said: in the newest tick, see ticks.SpanBuffers.
             openings: of its valves.
         """
         rows = FlownRows(self._table, self._k, ticks, self._names, self._agent)

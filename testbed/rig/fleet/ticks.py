@@ -15,8 +15,8 @@ from testbed.flight.tick_table import REFERENCES, SAMPLES, STATES, Array, Whole
 from testbed.rig.fleet.exchange import DECLINED, SENT
 
 PORTS, TABLE, CHAIN, MODEL = 0, 1, 2, 2  # columns of `FleetPorts.vehicles` and `FleetPorts.laws`
-# what has happened, see `fly_ticks`
-TICKS, VEHICLES, LAWS, FRAME, FRAMES, TOUCHES, MOST, HAPPENINGS = range(8)
+# places in `SpanBuffers.progress`, see `fly_ticks`
+TICKS, VEHICLES, LAWS, FRAME, FRAMES, TOUCHES, MOST, PROGRESS = range(8)
 INHIBIT, FAULT, GATE_FAULT, LANDS, LOOKS, FULL = range(6)  # of a vehicle's tick, see exchange.say
 STATUS, DFX, DFY, HAZARD, FILLED = range(5)  # of a law's tick, see exchange.law_tick
 
@@ -38,9 +38,9 @@ class TwinPorts(NamedTuple):
 
     rate: float  # of the cameras [Hz]
     phase: float  # of their first frame, in frames
-    plant: Bundle  # of plant.Fleet
+    plant: Bundle  # of plant.PlantArrays
     pulses: Pulses  # of the plant
-    watch: Bundle  # of twin.Watch
+    sensors: Bundle  # of twin.SensorPorts
     shown: Whole  # see camera.photograph
     room: int  # of the film, for poses of a body
     x: Array  # true states, (v, 6)
@@ -62,10 +62,10 @@ class FleetPorts(NamedTuple):
     laws: Whole  # of each law's: PORTS, TABLE, MODEL
 
 
-class Flown(NamedTuple):
+class SpanBuffers(NamedTuple):
     """What many ticks have brought, beside the rows of the tables; written to."""
 
-    happened: Whole  # (HAPPENINGS,)
+    progress: Whole  # (PROGRESS,)
     now: Array  # time of the twin [s], (1,)
     rows: Whole  # (v,) next row of each vehicle's table
     law_rows: Whole  # (v,) next row of each law's table
@@ -85,18 +85,18 @@ def fly_ticks(fleet, flown, first, count):
 
     Args:
         fleet: Bundle of FleetPorts.
-        flown: Bundle of Flown. At the end `happened` says how many TICKS are complete, and how many
-            VEHICLES and LAWS have taken their step of the next one. FRAME is the number of the
-            cameras' next frame, FRAMES how many they have taken, TOUCHES the rows of the plant's
-            touches, MOST as Cameras.most.
+        flown: Bundle of SpanBuffers. At the end `progress` says how many TICKS are complete, and
+            how many VEHICLES and LAWS have taken their step of the next one. FRAME is the number
+            of the cameras' next frame, FRAMES how many they have taken, TOUCHES the rows of the
+            plant's touches, MOST as Cameras.most.
         first: number of the first tick.
         count: of ticks, at most.
     """
     it, out = unpacked(fleet), unpacked(flown)
-    happened = out.happened
+    progress = out.progress
     for k in range(count):
         now = (first + k) * it.period
-        if not come_to(it, out, now):
+        if not advance_twin(it, out, now):
             return
         out.truth[k] = unpacked(it.twin).x
         for v in range(it.vehicles.shape[0]):
@@ -105,27 +105,27 @@ def fly_ticks(fleet, flown, first, count):
         for v in range(it.laws.shape[0]):
             if not step_law(it, out, k, v, now):
                 return
-        happened[TICKS] += 1
-        happened[VEHICLES] = happened[LAWS] = 0
-        if happened[TOUCHES] > 0:
+        progress[TICKS] += 1
+        progress[VEHICLES] = progress[LAWS] = 0
+        if progress[TOUCHES] > 0:
             return
 
 
 @pasted
-def come_to(it, out, now):
+def advance_twin(it, out, now):
     """Let the twin come to `now`; whether there is room for what its cameras will see."""
-    twin, codes, happened = unpacked(it.twin), it.codes, out.happened
-    frame, begin = happened[FRAME], happened[FRAMES]
+    twin, codes, progress = unpacked(it.twin), it.codes, out.progress
+    frame, begin = progress[FRAME], progress[FRAMES]
     free = out.times[begin:]
     frames = call(codes.exposures, (twin.rate, twin.phase, frame, now, free))
-    if frames > free.shape[0] or happened[MOST] + frames > twin.room:
+    if frames > free.shape[0] or progress[MOST] + frames > twin.room:
         return False
     times, seen = free[:frames], out.seen[begin : begin + frames]
     origin = round(out.now[0] * 1e9)
     span = 1e-9 * (round(now * 1e9) - origin)
-    happened[TOUCHES] = call(codes.advance, (twin.plant, twin.pulses, origin, span, times, seen))
-    happened[MOST] = call(codes.observe, (twin.watch, times, seen, twin.shown, now))
-    happened[FRAME], happened[FRAMES], out.now[0] = frame + frames, begin + frames, now
+    progress[TOUCHES] = call(codes.advance, (twin.plant, twin.pulses, origin, span, times, seen))
+    progress[MOST] = call(codes.observe, (twin.sensors, times, seen, twin.shown, now))
+    progress[FRAME], progress[FRAMES], out.now[0] = frame + frames, begin + frames, now
     return True
 
 
@@ -147,7 +147,7 @@ def step_vehicle(it, out, v, now):
     said[LANDS], said[LOOKS], said[FULL] = lands, looks, full
     out.openings[v] += openings
     out.rows[v] += 1
-    out.happened[VEHICLES] += 1
+    out.progress[VEHICLES] += 1
     return inhibit == 0 and fault < 0 and gate_fault == 0 and not (lands or looks or full)
 
 
@@ -166,7 +166,7 @@ def step_law(it, out, k, v, now):
     answer[STATUS], answer[FILLED] = status, full
     answer[DFX], answer[DFY], answer[HAZARD] = changed[0], changed[1], changed[2]
     out.model_t[v] += it.period
-    out.happened[LAWS] += 1
+    out.progress[LAWS] += 1
     if status != SENT:
         return False
     out.law_rows[v] += 1
